@@ -1,0 +1,38 @@
+"""Lets `gymnasium.make` find Circle2D without an import of this package.
+
+gymnasium 1.0 stopped reading the `gymnasium.envs` entry points. So the wheel installs this file as
+a module of its own, which `circle2d_mj.pth` runs when Python starts: it waits for gymnasium to be
+imported, and imports `circle2d_mj`, which registers its tasks, right after. Nothing else is touched,
+and a program that never imports gymnasium pays for one entry in `sys.meta_path`.
+"""
+
+import sys
+
+
+class AfterGymnasium:
+    """An import hook that acts once, when gymnasium has been loaded."""
+
+    def find_spec(self, name, path=None, target=None):
+        if name != "gymnasium":
+            return None
+        sys.meta_path.remove(self)
+        from importlib.util import find_spec
+
+        spec = find_spec(name)
+        if spec is not None and spec.loader is not None:
+            load = spec.loader.exec_module
+
+            def load_and_register(module):
+                load(module)
+                try:
+                    import circle2d_mj  # noqa: F401
+                except Exception as error:  # gymnasium must work even if this package is broken
+                    import warnings
+
+                    warnings.warn(f"circle2d_mj is not registered: {error!r}", stacklevel=2)
+
+            spec.loader.exec_module = load_and_register
+        return spec
+
+
+sys.meta_path.insert(0, AfterGymnasium())

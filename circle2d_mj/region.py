@@ -1,0 +1,121 @@
+"""The cost region: a disc less its cut-outs. Every other shape of it is derived from here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from circle2d_mj.config import Circle2DConfig
+
+
+class CutOut(NamedTuple):
+    """A half-open strip of free space: `along >= inner` and `|across| <= half_width`.
+
+    `along = p·(cos, sin)` and `across = p·(-sin, cos)` in world units. It stands for its mirror
+    image in the x axis as well.
+    """
+
+    cos: float
+    sin: float
+    inner: float
+    half_width: float
+
+
+def cutouts(level: int, radius: float, height_factor: float) -> tuple[CutOut, ...]:
+    """The strips of a level with y >= 0: the corridor, then top (level 2), then +45° (level 3).
+
+    The corridor ends 0.05 R short of the centre, the top one 0.5 R deep, the +45° one 0.3 R deep
+    and half as wide. No strip but the corridor reaches the x axis, for any height factor up to 2.
+    """
+    half_width = height_factor * radius / 2
+    corridor = CutOut(-1.0, 0.0, 0.05 * radius, half_width)
+    top = CutOut(0.0, 1.0, 0.5 * radius, half_width)
+    diagonal = CutOut(math.sqrt(0.5), math.sqrt(0.5), 0.7 * radius, half_width / 2)
+    return (corridor, top, diagonal)[: max(1, level)]
+
+
+class CostRegion:
+    """The open disc `‖p‖ < R` less the corridor and the level's cut-outs.
+
+    It is symmetric in the x axis, and so are its tests, bit for bit. Source: safe_exploration.tex,
+    "Circle2D details" and the figure of the levels; the cut-outs' sizes define version v0.
+    """
+
+    def __init__(self, config: Circle2DConfig) -> None:
+        self.radius = config.constraint_radius
+        self.cutouts = cutouts(config.level, self.radius, config.corridor_height_factor)
+        self._strips = [
+            (_Linear.of(cut.cos, cut.sin, cut.inner), _Linear.of(-cut.sin, cut.cos, cut.half_width))
+            for cut in self.cutouts
+        ]
+
+    def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Whether points lie in the cost region (its rim does not).
+
+        points: [..., 2] world units -> [...] bool.
+        """
+        return _test(self._contains, points)
+
+    def in_cutout(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Whether points lie in the corridor or a cut-out, which go on beyond the disc's rim.
+
+        points: [..., 2] world units -> [...] bool.
+        """
+        return _test(self._in_cutout, points)
+
+    # Both take coordinates with y >= 0, as arrays or as plain floats, and return bools to match.
+
+    def _contains(self, x: Any, y: Any) -> Any:
+        in_disc = x * x + y * y < self.radius * self.radius
+        return in_disc & (self._in_cutout(x, y) ^ True)
+
+    def _in_cutout(self, x: Any, y: Any) -> Any:
+        free = False
+        for along, across in self._strips:
+            inside = (along.value(x, y) >= along.bound) & (abs(across.value(x, y)) <= across.bound)
+            free = free | inside
+        return free
+
+
+class _Linear(NamedTuple):
+    """`a·x + b·y` against a bound, all scaled so that a and b are 0 or ±1 for every strip.
+
+    Multiplying by them is then superfluous, and most of a step's time would go there.
+    """
+
+    a: float
+    b: float
+    bound: float
+
+    @classmethod
+    def of(cls, a: float, b: float, bound: float) -> _Linear:
+        scale = max(abs(a), abs(b))
+        return cls(a / scale, b / scale, bound / scale)
+
+    def value(self, x: Any, y: Any) -> Any:
+        if self.a == 0.0:
+            return _times(self.b, y)
+        if self.b == 0.0:
+            return _times(self.a, x)
+        return _times(self.a, x) + _times(self.b, y)
+
+
+def _times(factor: float, values: Any) -> Any:
+    return values if factor == 1.0 else factor * values
+
+
+def _test(test: Callable[[Any, Any], Any], points: ArrayLike) -> NDArray[np.bool_]:
+    """The answers of a test that takes x and |y| to points [..., 2]."""
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim == 0 or points.shape[-1] != 2:
+        raise ValueError(f"points must have shape [..., 2], got {list(points.shape)}")
+    if points.size == 2:
+        # One point: the same formulas on plain floats, without numpy's cost per call.
+        x, y = points.ravel().tolist()
+        return np.full(points.shape[:-1], test(x, abs(y)))
+    return test(points[..., 0], np.abs(points[..., 1]))

@@ -1,0 +1,88 @@
+"""The cost region against a test of its definition that shares no code with it."""
+
+import numpy as np
+import pytest
+
+from circle2d_mj import Circle2DConfig, CostRegion
+
+# Level -> (angle in degrees, depth / R, width / R per corridor height factor), each strip apart.
+STRIPS = {
+    0: [(180, 0.95, 1.0)],
+    1: [(180, 0.95, 1.0)],
+    2: [(180, 0.95, 1.0), (90, 0.5, 1.0), (-90, 0.5, 1.0)],
+    3: [(180, 0.95, 1.0), (90, 0.5, 1.0), (-90, 0.5, 1.0), (45, 0.3, 0.5), (-45, 0.3, 0.5)],
+}
+
+
+def by_definition(level, radius, height, points):
+    """Turn the points by minus each strip's angle and compare with the strip lying along +x."""
+    complex_points = points[:, 0] + 1j * points[:, 1]
+    in_cutout = np.zeros(len(points), dtype=bool)
+    for degrees, depth, width in STRIPS[level]:
+        turned = complex_points * np.exp(-1j * np.deg2rad(degrees))
+        along, across = turned.real, turned.imag
+        in_cutout |= (along >= radius * (1 - depth)) & (
+            np.abs(across) <= width * height * radius / 2
+        )
+    return (np.abs(complex_points) < radius) & ~in_cutout, in_cutout
+
+
+@pytest.mark.parametrize("level", [0, 1, 2, 3])
+@pytest.mark.parametrize(("radius", "height"), [(10.0, 0.5), (0.7, 1.3)])
+def test_a_million_points(level, radius, height):
+    config = Circle2DConfig(level=level, constraint_radius=radius, corridor_height_factor=height)
+    points = np.random.default_rng(level).uniform(-1.5 * radius, 1.5 * radius, (1_000_000, 2))
+    region = CostRegion(config)
+    contains, in_cutout = by_definition(level, radius, height, points)
+    np.testing.assert_array_equal(region.contains(points), contains)
+    np.testing.assert_array_equal(region.in_cutout(points), in_cutout)
+    assert 0.1 < contains.mean() < 0.4
+
+
+@pytest.mark.parametrize(
+    ("point", "inside"),
+    [
+        ((0, 0), True),  # the optimum is infeasible
+        ((10, 0), False),  # the rim is outside: the disc is open
+        ((np.nextafter(10.0, 0), 0), True),
+        ((-0.5, 0), False),  # the corridor's inner end
+        ((np.nextafter(-0.5, 0), 0), True),
+        ((-5, 2.5), False),  # the corridor's wall belongs to it
+        ((-5, np.nextafter(2.5, 3)), True),
+        ((0, 5), False),  # the bottom of the top cut-out (level 2 and up)
+        ((0, np.nextafter(5.0, 0)), True),
+        ((0, -5), False),
+        ((2.5, 7), False),
+        ((np.nextafter(2.5, 3), 7), True),
+    ],
+)
+def test_edges_of_level_2(point, inside):
+    assert CostRegion(Circle2DConfig(level=2)).contains(point) == inside
+
+
+def test_level_3_adds_diagonals():
+    tip = 7.0 / np.sqrt(2.0)
+    for level, inside in ((2, True), (3, False)):
+        region = CostRegion(Circle2DConfig(level=level))
+        for sign in (1, -1):
+            assert region.contains((tip + 1e-9, sign * (tip + 1e-9))) == inside
+            assert region.contains((tip - 1e-9, sign * (tip - 1e-9)))
+
+
+def test_one_point_and_many_agree_bitwise():
+    region = CostRegion(Circle2DConfig(level=3))
+    points = np.random.default_rng(0).uniform(-12, 12, (2000, 2))
+    points[:40, 0] = np.linspace(-10, 10, 40)
+    points[:40, 1] = 2.5
+    together = region.contains(points)
+    alone = [bool(region.contains(point)) for point in points]
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_shapes_and_bad_input():
+    region = CostRegion(Circle2DConfig())
+    assert region.contains(np.zeros((3, 4, 2))).shape == (3, 4)
+    assert region.contains(np.zeros(2)).shape == ()
+    assert region.contains(np.zeros((0, 2))).shape == (0,)
+    with pytest.raises(ValueError, match=r"points must have shape \[\.\.\., 2\], got \[5, 3\]"):
+        region.contains(np.zeros((5, 3)))

@@ -1,0 +1,117 @@
+"""The tasks are found without an import, and light to import."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from circle2d_mj import Circle2DConfig, Circle2DEnv, Circle2DVectorEnv, SafetyGymnasiumAPI
+
+
+def run(code, folder):
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_make_without_an_import(tmp_path):
+    code = """
+import gymnasium as gym
+env = gym.make("Circle2D-1-v0", optima_perturbation=(1.0, 0.5))
+print(env.reset(seed=0)[1], env.unwrapped.config.optima_perturbation, env.spec.max_episode_steps)
+envs = gym.make_vec("Circle2D-3-v0", num_envs=1024, vectorization_mode="vector_entry_point")
+print(type(envs).__name__, envs.reset(seed=0)[0].shape)
+"""
+    assert run(code, tmp_path).splitlines() == [
+        "{'cost': 0.0} (1.0, 0.5) 50",
+        "Circle2DVectorEnv (1024, 2)",
+    ]
+
+
+def test_gymnasium_works_with_a_broken_circle2d(tmp_path):
+    """The plug-in must not take gymnasium down with it."""
+    (tmp_path / "circle2d_mj.py").write_text("raise RuntimeError('broken')")
+    code = """
+import warnings
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    import gymnasium
+print(gymnasium.make("CartPole-v1").spec.id, [str(w.message) for w in caught])
+"""
+    out = run(code, tmp_path)
+    assert out == "CartPole-v1 [\"circle2d_mj is not registered: RuntimeError('broken')\"]"
+
+
+def test_import_is_light(tmp_path):
+    code = """
+import sys, circle2d_mj
+heavy = ("torch", "OpenGL", "mujoco", "matplotlib", "agents", "emcc")
+print([m for m in heavy if m in sys.modules])
+"""
+    assert run(code, tmp_path) == "[]"
+
+
+def test_every_way_gives_the_same_task():
+    for level in range(4):
+        config = Circle2DConfig(level=level, constraint_radius=3.0)
+        arguments = {"id": f"Circle2D-{level}-v0", "constraint_radius": 3.0}
+        assert gym.make(**arguments).unwrapped.config == config
+        assert gym.make_vec(**arguments, num_envs=3).unwrapped.config == config
+        sync = gym.make_vec(**arguments, num_envs=2, vectorization_mode="sync")
+        assert sync.envs[1].unwrapped.config == config
+
+
+def test_the_scene_is_shipped_and_loads():
+    mujoco = pytest.importorskip("mujoco")
+    path = Path(__file__).parents[2] / "assets" / "xml" / "circle2d.xml"
+    model = mujoco.MjModel.from_xml_path(str(path))
+    names = [model.joint(i).name for i in range(model.njnt)]
+    assert names == ["x", "y"]
+    assert (model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE).all()
+    assert model.nu == 2
+    data = mujoco.MjData(model)
+    data.ctrl[:] = (1.0, -0.5)
+    mujoco.mj_step(model, data, 100)
+    np.testing.assert_allclose(data.qvel, [1.0, -0.5], rtol=0.02)
+
+
+def test_six_values():
+    env = SafetyGymnasiumAPI(Circle2DEnv(level=1))
+    assert isinstance(env, gym.Wrapper)
+    env.reset(seed=0)
+    cost = 0.0
+    for _ in range(20):
+        observation, reward, step_cost, terminated, truncated, info = env.step([-1.0, 0.0])
+        assert step_cost == info["cost"]
+        assert (observation.shape, type(reward), terminated, truncated) == (
+            (2,),
+            float,
+            False,
+            False,
+        )
+        cost += step_cost
+    assert cost >= 9
+    envs = SafetyGymnasiumAPI(Circle2DVectorEnv(3, level=1))
+    assert isinstance(envs, gym.vector.VectorWrapper)
+    envs.reset(seed=0)
+    values = envs.step(np.zeros((3, 2)))
+    assert len(values) == 6
+    np.testing.assert_array_equal(values[2], np.zeros(3))
+
+
+def test_six_values_of_something_else():
+    with pytest.raises(TypeError, match="env must be a gymnasium Env or VectorEnv, got 'Circle2D'"):
+        SafetyGymnasiumAPI("Circle2D")
+    env = SafetyGymnasiumAPI(gym.make("CartPole-v1"))
+    env.reset(seed=0)
+    with pytest.raises(KeyError, match="info has no 'cost'"):
+        env.step(0)
