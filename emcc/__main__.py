@@ -1,0 +1,84 @@
+"""python -m emcc PATH...: the EMCC table of run folders and cost files."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NoReturn
+
+from emcc.readers import EpisodeSums, Run, find_files, read
+from emcc.table import FORMATS, bounds_table, emcc_table
+from emcc.tail import TIES
+
+_PATHS = """\
+PATH is
+  a run folder: every episodes.csv in it or below; a config.json beside one may give
+      task, algorithm, seed and steps (of the whole training)
+  a file of records, as emcc.EpisodeRecords.save writes it
+  costs of steps: .npy, .npz (costs, lengths), .csv (cost, and episode, rollout if several)
+  sums of episodes, .csv (cost, length): they bound the longest streak, but have no EMCC
+
+exit status: 0 the table is complete; 1 some file has no EMCC, only bounds; 2 a mistake
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: error: {message}\n")  # one line, without the usage
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="python -m emcc",
+        description="Print EMCC (expected maximum consecutive cost steps) of training runs.",
+        epilog=_PATHS,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("paths", nargs="+", type=Path, metavar="PATH", help="run folder or file, see below")
+    add("--alpha", type=float, default=0.1, help="share of worst rollouts, in (0, 1] (default 0.1)")
+    add(
+        "--ties",
+        choices=TIES,
+        default="all",
+        help="keep all values equal to the quantile, or split them (default all)",
+    )
+    add("--threshold", type=float, default=0.0, help="cost that a cost step exceeds (default 0)")
+    add("--total-steps", type=int, metavar="N", help="environment steps of the whole training "
+        "(default: steps in config.json, else those recorded)")  # fmt: skip
+    add("--format", choices=FORMATS, default="text", help="form of the table (default text)")
+    add("--per-run", action="store_true", help="also a row for every run (default: means only)")
+    add("--seed", type=int, default=0, help="random seed of the intervals (default 0)")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the table; returns the exit status."""
+    parser = _parser()
+    options = parser.parse_args(argv)
+    try:
+        files = dict.fromkeys(file for path in options.paths for file in find_files(path))
+        contents = [read(file, options.threshold) for file in files]
+        runs = [content for content in contents if isinstance(content, Run)]
+        sums = [content for content in contents if isinstance(content, EpisodeSums)]
+        if options.total_steps is not None:
+            planned = {"total_steps": options.total_steps, "total_from": "--total-steps"}
+            runs = [replace(run, **planned) for run in runs]
+        tables = []
+        if runs:
+            tables.append(
+                emcc_table(runs, options.alpha, options.ties, options.seed, options.per_run)
+            )
+        if sums:
+            tables.append(bounds_table(sums))
+        print("\n".join(table.render(options.format) for table in tables), end="")
+    except (ValueError, OSError) as error:
+        parser.error(str(error))
+    for entry in sums:
+        print(f"{parser.prog}: {entry.path}: sums of episodes cannot give EMCC", file=sys.stderr)
+    return 1 if sums else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

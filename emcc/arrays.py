@@ -1,0 +1,114 @@
+"""Anything array-like in, a checked numpy array out; the complaints about bad input live here."""
+
+import math
+import operator
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
+    """A bool, integer or float array made of lists, numpy, pandas, or torch tensors on any device.
+
+    TypeError: not an array of numbers.
+    """
+    detach = getattr(values, "detach", None)
+    if callable(detach):  # a torch tensor, met without importing torch
+        values = detach().cpu()  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        array = np.asarray(values)
+    except (TypeError, ValueError) as error:  # a ragged list, say
+        raise TypeError(f"{name} must be an array of numbers: {error}") from None
+    if array.dtype.kind not in "biuf":
+        raise TypeError(f"{name} must be bool, integer or float numbers, got {array.dtype}")
+    return array
+
+
+def as_vector(
+    values: ArrayLike, name: str, low: float = -math.inf, high: float = math.inf
+) -> NDArray[Any]:
+    """A 1-D array with at least one value, all of them finite and in [low, high].
+
+    TypeError: not numbers. ValueError: another shape, no values, or one that is not allowed.
+    """
+    array = as_array(values, name)
+    if array.ndim != 1:
+        raise ValueError(f"{name} must be 1-D, got shape {array.shape}")
+    if array.size == 0:
+        raise ValueError(f"{name} is empty; at least one value is needed")
+    check_range(array, name, low, high)
+    return array
+
+
+def as_integers(values: ArrayLike, name: str, low: float = 0) -> NDArray[np.int64]:
+    """An int64 array of any shape; floats are accepted where they are whole numbers.
+
+    TypeError: not numbers. ValueError: a fraction, or a number below `low` or too large.
+    """
+    array = as_array(values, name)
+    check_range(array, name, low)
+    with np.errstate(invalid="ignore"):  # what does not fit changes, which is looked for below
+        whole = array.astype(np.int64)
+    if (array != whole).any():
+        index = int(np.argmax(array != whole))
+        raise ValueError(f"{name} must be whole numbers (int64), got {array.flat[index]}")
+    return whole
+
+
+def check_range(
+    array: NDArray[Any], name: str, low: float = -math.inf, high: float = math.inf
+) -> None:
+    """ValueError naming the first value that is NaN, infinite or outside [low, high]."""
+    if array.size == 0 or array.dtype == bool:
+        return
+    smallest, largest = float(array.min()), float(array.max())  # NaN, if there is one, is both
+    if low <= smallest and largest <= high and math.isfinite(smallest + largest):
+        return
+    bad = ~(np.isfinite(array) & (array >= low) & (array <= high))
+    index = int(np.argmax(bad))
+    raise ValueError(
+        f"{name} must be finite{_limits(low, high)}, got {array.flat[index]} at index {index}"
+    )
+
+
+def _limits(low: float, high: float) -> str:
+    if high < math.inf:
+        return f" and in [{low}, {high}]"
+    return f" and >= {low}" if low > -math.inf else ""
+
+
+def as_number(value: float, name: str) -> float:
+    """A finite real number.
+
+    TypeError: not a number. ValueError: NaN or infinite.
+    """
+    try:
+        number = float(operator.pos(value))  # pos: float() alone would take the text "0.5"
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be a number, got {value!r}") from None
+    if not math.isfinite(number):
+        raise ValueError(f"{name} must be finite, got {number}")
+    return number
+
+
+def as_threshold(threshold: float) -> float:
+    """A cost that a cost step must exceed: a finite number >= 0."""
+    threshold = as_number(threshold, "threshold")
+    if threshold < 0:
+        raise ValueError(f"threshold must be >= 0, got {threshold}")
+    return threshold
+
+
+def as_count(value: int, name: str) -> int:
+    """A whole number >= 1.
+
+    TypeError: not an integer. ValueError: below 1.
+    """
+    try:
+        count = operator.index(value)
+    except TypeError:
+        raise TypeError(f"{name} must be an integer, got {value!r}") from None
+    if count < 1:
+        raise ValueError(f"{name} must be >= 1, got {count}")
+    return count

@@ -1,0 +1,77 @@
+"""Means over seeds with bootstrap intervals."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from emcc.arrays import as_array, as_count, as_number, check_range
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A mean over runs with its interval; the unit is that of the values.
+
+    low and high are None where there is only one seed: a single run says nothing about the spread.
+    per_run holds the values themselves (read-only), for any other statistics package.
+    """
+
+    value: float
+    low: float | None
+    high: float | None
+    per_run: NDArray[np.float64]
+
+
+def estimate(
+    results: Mapping[str, ArrayLike],
+    *,
+    rng: np.random.Generator,
+    level: float = 0.95,
+    resamples: int = 10_000,
+) -> dict[str, Estimate]:
+    """Mean over seeds of each entry, with a stratified percentile bootstrap interval.
+
+    results: name -> values [seeds] or [seeds, tasks]. With tasks, the seeds are resampled within
+    each task independently (a task is a stratum) and the mean is over both axes.
+    level: coverage of the interval, in (0, 1). Equal generators and entries give equal intervals.
+    TypeError: `rng` is no numpy Generator. ValueError: no values, NaN or infinite ones, values that
+    are not 1-D or 2-D, level outside (0, 1).
+    """
+    if not isinstance(rng, np.random.Generator):
+        raise TypeError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
+    level = as_number(level, "level")
+    if not 0 < level < 1:
+        raise ValueError(f"level must be in (0, 1), got {level}")
+    as_count(resamples, "resamples")
+    return {
+        name: _estimate(_as_runs(values, name), rng, level, resamples)
+        for name, values in results.items()
+    }
+
+
+def _as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    array = as_array(values, f"values of {name!r}")
+    if array.ndim not in (1, 2) or array.size == 0:
+        raise ValueError(
+            f"values of {name!r} must be [seeds] or [seeds, tasks] and not empty, "
+            f"got shape {array.shape}"
+        )
+    check_range(array, f"values of {name!r}")
+    runs = array.astype(np.float64)  # a copy
+    runs.flags.writeable = False
+    return runs
+
+
+def _estimate(
+    runs: NDArray[np.float64], rng: np.random.Generator, level: float, resamples: int
+) -> Estimate:
+    value, seeds = float(runs.mean()), len(runs)
+    if seeds == 1:
+        return Estimate(value, None, None, runs)
+    tasks = runs.reshape(seeds, -1).T
+    means = np.zeros(resamples)
+    for task in tasks:
+        means += task[rng.integers(seeds, size=(resamples, seeds))].mean(axis=1)
+    low, high = np.quantile(means / len(tasks), [(1 - level) / 2, (1 + level) / 2])
+    return Estimate(value, float(low), float(high), runs)

@@ -1,0 +1,118 @@
+"""From the costs of single steps to the longest streak, and to the MCC of a rollout.
+
+A cost step is a step whose cost exceeds the threshold; a streak is a run of consecutive cost steps.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from emcc.arrays import as_integers, as_threshold, as_vector
+
+_BLOCK = 1 << 18  # steps looked at together: their temporaries fit in a processor's cache
+
+
+def longest_streak(costs: ArrayLike, threshold: float = 0.0) -> int:
+    """Length in steps of the longest streak of cost steps in one trajectory.
+
+    costs: [T] cost of each step, finite and >= 0, not necessarily 0/1.
+    Source: d_tau^max in equation (mcc).
+    ValueError: no step, not 1-D, a NaN, infinite or negative cost, a bad threshold.
+    """
+    costs = as_vector(costs, "costs", low=0)
+    return int(longest_streaks(costs, [costs.size], threshold)[0])
+
+
+def longest_streaks(
+    costs: ArrayLike, lengths: ArrayLike, threshold: float = 0.0
+) -> NDArray[np.int64]:
+    """Length in steps of the longest streak of each of many trajectories.
+
+    costs: [sum of lengths] the trajectories one after another; lengths: [E] steps -> int64 [E].
+    A streak never crosses from one trajectory into the next. Beside input and result this needs
+    a few megabytes, however long the trajectories are.
+    Source: d_tau^max in equation (mcc).
+    ValueError: an empty trajectory, lengths that do not add up to the number of costs, a NaN,
+    infinite or negative cost, a bad threshold.
+    """
+    costs = as_vector(costs, "costs", low=0)
+    lengths = as_integers(as_vector(lengths, "lengths"), "lengths", low=1)
+    threshold = as_threshold(threshold)
+    stops = np.cumsum(lengths)
+    if stops[-1] != costs.size:
+        raise ValueError(f"lengths add up to {stops[-1]} steps, but there are {costs.size} costs")
+    starts = stops - lengths
+
+    longest = np.zeros(len(lengths), dtype=np.int64)
+    carry = 0  # length of the streak that reaches the end of the block before
+    for low in range(0, costs.size, _BLOCK):
+        unsafe = costs[low : low + _BLOCK] > threshold
+        first = int(np.searchsorted(stops, low, side="right"))  # trajectory of the first step
+        after = int(np.searchsorted(starts, low + unsafe.size, side="left"))
+        begins = np.maximum(starts[first:after] - low, 0)
+        where, streaks = _streaks(unsafe, begins)
+        if unsafe[0] and starts[first] < low:
+            streaks[0] += carry
+        carry = streaks[-1] if unsafe[-1] else 0
+        block = longest[first:after]
+        np.maximum(block, _largest_per_group(streaks, np.searchsorted(where, begins)), out=block)
+    return longest
+
+
+def _streaks(
+    unsafe: NDArray[np.bool_], begins: NDArray[np.int64]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """First step and length of every streak; `begins` are the steps at which trajectories begin."""
+    opens, closes = unsafe.copy(), unsafe.copy()
+    opens[1:] &= ~unsafe[:-1]
+    closes[:-1] &= ~unsafe[1:]
+    opens[begins] = unsafe[begins]
+    closes[begins - 1] = unsafe[begins - 1]  # begins[0] - 1 is -1, the last step: it closes too
+    first, last = np.flatnonzero(opens), np.flatnonzero(closes)
+    return first, last - first + 1
+
+
+def _largest_per_group(values: NDArray[Any], begins: NDArray[Any]) -> NDArray[Any]:
+    """Largest value of each group values[begins[i]:begins[i + 1]]; 0 for an empty group."""
+    values = np.append(values, 0)  # reduceat wants every index to exist, also behind the end
+    largest = np.maximum.reduceat(values, begins)
+    largest[:-1][begins[1:] == begins[:-1]] = 0  # where reduceat gives the next group's value
+    return largest
+
+
+def mcc(trajectories: Iterable[ArrayLike], threshold: float = 0.0) -> float:
+    """Maximum consecutive cost steps of one rollout, as a share of the trajectory's length.
+
+    trajectories: the rollout's trajectories, each [T_i] costs of steps -> float in [0, 1].
+    A rollout is what is collected between two policy updates. If it cuts an episode, the piece is
+    a trajectory of its own: it has its own length, and its streak ends at the cut.
+    Equation (mcc): MCC_D = max over tau in D of d_tau^max / l_tau.
+    ValueError: a rollout without trajectories, or a trajectory as in `longest_streak`.
+    """
+    shares = []
+    for index, costs in enumerate(trajectories):
+        costs = as_vector(costs, f"costs of trajectory {index}", low=0)
+        shares.append(longest_streak(costs, threshold) / costs.size)
+    if not shares:
+        raise ValueError("the rollout has no trajectory; at least one is needed")
+    return max(shares)
+
+
+def streak_bounds(unsafe_steps: ArrayLike, length: ArrayLike) -> tuple[Any, Any]:
+    """Least and greatest longest streak that a trajectory with so many cost steps can have.
+
+    unsafe_steps: S, number of cost steps (not their cost); length: T, steps; numbers or arrays.
+    low = ceil(S / (T - S + 1)): the T - S safe steps leave T - S + 1 gaps; high = S.
+    These bound the longest streak. They are not EMCC: sums of an episode cannot give it, since
+    it depends on the order of the steps.
+    ValueError: not whole numbers, or not 0 <= S <= T with T >= 1.
+    """
+    unsafe = as_integers(unsafe_steps, "unsafe_steps")
+    length = as_integers(length, "length", low=1)
+    if (unsafe > length).any():
+        raise ValueError("unsafe_steps must not exceed length")
+    low = -(-unsafe // (length - unsafe + 1))
+    high = unsafe + np.zeros_like(low)  # the common shape
+    return (int(low), int(high)) if low.ndim == 0 else (low, high)

@@ -1,0 +1,55 @@
+"""`import emcc` needs numpy alone."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import emcc
+
+PACKAGE = Path(emcc.__file__).parent
+
+
+def test_import_loads_numpy_alone():
+    outsiders = "gymnasium torch pandas matplotlib scipy mujoco circle2d_mj agents"
+    code = (
+        "import sys, numpy.random; before = set(sys.modules); import emcc; import emcc.__main__;"
+        "new = {m.partition('.')[0] for m in set(sys.modules) - before};"
+        "new = new - set(sys.stdlib_module_names) - {'emcc', 'numpy'};"
+        f"assert not new & set('{outsiders}'.split()), new;"
+        "print(sorted(new))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=PACKAGE.parent, capture_output=True, text=True
+    )
+    assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
+def test_one_file_alone_imports_gymnasium():
+    outside = {}
+    for path in PACKAGE.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [node.module] if isinstance(node, ast.ImportFrom) else []
+            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            roots = {name.partition(".")[0] for name in names if name}
+            outside.setdefault(path.name, set()).update(roots - sys.stdlib_module_names)
+    assert outside.pop("wrappers.py") == {"gymnasium", "numpy", "emcc"}
+    assert set().union(*outside.values()) == {"numpy", "emcc"}
+
+
+def test_every_public_name_is_there_and_says_what_it_is():
+    for name in emcc.__all__:
+        assert getattr(emcc, name).__doc__
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        emcc.nothing  # noqa: B018  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_pandas_like_objects_are_arrays():
+    class Series:
+        def __array__(self, dtype=None, copy=None):
+            return np.array([0.0, 1.0, 1.0], dtype=dtype)
+
+    assert emcc.longest_streak(Series()) == 2

@@ -1,0 +1,130 @@
+"""CostRecorder: steps in, trajectories out, without gymnasium."""
+
+import numpy as np
+import pytest
+
+from emcc import CostRecorder, longest_streak
+
+
+def rows(recorder):
+    kept = recorder.records
+    columns = (kept.rollout, kept.start_step, kept.length, kept.cost, kept.longest_streak)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def feed(recorder, costs, done_at=()):
+    for index, cost in enumerate(costs, start=1):
+        recorder.step([cost], [0.5], [index in done_at])
+
+
+def test_every_finished_episode_is_a_rollout():
+    recorder = CostRecorder(1)
+    feed(recorder, [0, 1, 1, 3, 0, 1], done_at=(3, 4))
+    assert rows(recorder) == [(0, 0, 3, 2.0, 2), (1, 3, 1, 3.0, 1)]
+    assert recorder.records.reward.tolist() == [1.5, 0.5]
+    assert recorder.steps == 6
+
+
+def test_end_rollout_keeps_what_is_running():
+    recorder = CostRecorder(1)
+    feed(recorder, [0, 1, 1], done_at=(2,))
+    for _ in range(2):  # the second call finds nothing new
+        recorder.end_rollout()
+    feed(recorder, [1], done_at=(1,))
+    assert rows(recorder) == [(0, 0, 2, 1.0, 1), (1, 2, 1, 1.0, 1), (2, 3, 1, 1.0, 1)]
+
+
+def test_rollouts_of_n_steps_cut_the_running_episode():
+    """Episodes of 5 steps, rollouts of 4: the streak over the cut becomes two."""
+    recorder = CostRecorder(1, rollout=4)
+    feed(recorder, [0, 1, 1, 1, 1, 0, 0, 1, 1, 1], done_at=(5, 10))
+    assert rows(recorder) == [
+        (0, 0, 4, 3.0, 3),
+        (1, 4, 1, 1.0, 1),
+        (1, 5, 3, 1.0, 1),
+        (2, 8, 2, 2.0, 2),
+    ]
+
+
+def test_a_rollout_that_ends_with_an_episode_has_no_empty_piece():
+    recorder = CostRecorder(1, rollout=2)
+    feed(recorder, [1, 1, 1, 1], done_at=(2, 4))
+    assert rows(recorder) == [(0, 0, 2, 2.0, 2), (1, 2, 2, 2.0, 2)]
+
+
+def test_steps_are_counted_over_all_environments():
+    recorder = CostRecorder(2, rollout=5)
+    for done in ([False, False], [True, False], [False, False]):
+        recorder.step([1, 0], [0, 0], done)
+    assert recorder.steps == 6  # the vector step that makes it 5 or more ends the rollout
+    assert rows(recorder) == [(0, 0, 2, 2.0, 2), (0, 4, 1, 1.0, 1), (0, 0, 3, 0.0, 0)]
+
+
+def test_manual_rollouts():
+    recorder = CostRecorder(1, rollout="manual")
+    feed(recorder, [1, 1, 1], done_at=(1,))
+    for _ in range(2):  # the second call finds nothing new
+        recorder.end_rollout()
+    feed(recorder, [1], done_at=(1,))
+    assert rows(recorder) == [(0, 0, 1, 1.0, 1), (0, 1, 2, 2.0, 2), (1, 3, 1, 1.0, 1)]
+
+
+def test_an_inactive_environment_takes_no_step():
+    recorder = CostRecorder(2)
+    recorder.step([1, 1], [1, 1], [True, False])
+    recorder.step([np.nan, 1], [np.nan, 1], [True, False], active=[False, True])
+    recorder.step([1, 1], [1, 1], [True, True])
+    assert recorder.steps == 5
+    assert rows(recorder) == [(0, 0, 1, 1.0, 1), (1, 3, 1, 1.0, 1), (2, 0, 3, 3.0, 3)]
+
+
+def test_a_pause_does_not_end_a_streak():
+    recorder = CostRecorder(2)
+    recorder.step([1, 0], [0, 0], [False, False])
+    recorder.step([0, 0], [0, 0], [False, False], active=[False, True])
+    recorder.step([1, 0], [0, 0], [True, False])
+    assert rows(recorder) == [(0, 0, 2, 2.0, 2)]
+
+
+def test_random_streams_against_the_episodes_themselves():
+    """Three environments with random costs and episodes, each episode collected by hand."""
+    rng = np.random.default_rng(0)
+    recorder = CostRecorder(3, threshold=0.5)
+    episodes, running = [], [[], [], []]
+    for _ in range(300):
+        costs, done = rng.random(3), rng.random(3) < 0.1
+        recorder.step(costs, np.zeros(3), done)
+        for index in range(3):
+            running[index].append(costs[index])
+            if done[index]:
+                episodes.append(running[index])
+                running[index] = []
+    kept = recorder.records
+    assert kept.longest_streak.tolist() == [longest_streak(costs, 0.5) for costs in episodes]
+    assert kept.length.tolist() == [len(costs) for costs in episodes]
+    assert kept.cost == pytest.approx([sum(costs) for costs in episodes])
+    assert kept.rollout.tolist() == list(range(len(episodes)))
+
+
+BAD = {
+    "shape": (([0.0], [0, 0], [False] * 2), r"cost must have shape \(2,\), got \(1,\)"),
+    "NaN": (([0, np.nan], [0, 0], [False] * 2), "cost of the environments .* nan at index 1"),
+    "negative": (([0, -1], [0, 0], [False] * 2), "cost of the environments .* -1.0 at index 1"),
+    "reward": (([0, 0], [np.inf, 0], [False] * 2), "reward of the environments .* inf at index 0"),
+    "done": (([0, 0], [0, 0], True), "must have shape"),
+}
+
+
+@pytest.mark.parametrize(("step", "message"), BAD.values(), ids=BAD)
+def test_bad_steps_are_named(step, message):
+    with pytest.raises(ValueError, match=message):
+        CostRecorder(2).step(*step)
+
+
+def test_bad_rollouts_are_named():
+    with pytest.raises(ValueError, match='rollout must be "episode", "manual" or a number'):
+        CostRecorder(1, rollout="epoch")
+    with pytest.raises(ValueError, match="rollout must be >= 1, got 0"):
+        CostRecorder(1, rollout=0)
+    with pytest.raises(ValueError, match="num_envs must be >= 1, got 0"):
+        CostRecorder(0)

@@ -1,0 +1,144 @@
+"""Records of a run: their checks, their MCC, and the file that gives them back bit for bit."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from emcc import EpisodeRecords
+
+HEADER = "rollout,start_step,length,return,cost,longest_streak"
+
+
+def records(**changes):
+    columns = {
+        "rollout": [3, 0, 3],
+        "start_step": [50, 0, 40],
+        "length": [10, 40, 20],
+        "reward": [-1.5, 2.0, 0.1],
+        "cost": [4.0, 8.0, 0.0],
+        "longest_streak": [4, 8, 0],
+    }
+    return EpisodeRecords(**{**columns, **changes})
+
+
+def columns_of(entry):
+    return [getattr(entry, field.name) for field in fields(entry)]
+
+
+def test_mcc_per_rollout_in_order_of_id():
+    mcc_values, start_steps = records().mcc_per_rollout()
+    assert mcc_values.tolist() == [8 / 40, 4 / 10]
+    assert start_steps.tolist() == [0, 40]  # rollout 3 starts with its earlier trajectory
+    assert records().total_steps == 70
+    assert repr(records()) == "EpisodeRecords(3 trajectories, 2 rollouts, 70 steps)"
+
+
+def test_no_trajectory_yet(tmp_path):
+    empty = EpisodeRecords(*([[]] * 6))
+    assert (len(empty), empty.total_steps) == (0, 0)
+    assert [array.size for array in empty.mcc_per_rollout()] == [0, 0]
+    empty.save(tmp_path / "r.csv")
+    assert len(EpisodeRecords.load(tmp_path / "r.csv")) == 0
+
+
+def test_arrays_are_copies_and_read_only():
+    length = np.array([10, 40, 20])
+    kept = records(length=length)
+    length[0] = 99
+    assert kept.length.tolist() == [10, 40, 20]
+    with pytest.raises(ValueError, match="read-only"):
+        kept.length[0] = 1
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+rows = st.tuples(
+    st.integers(0, 2**62), st.integers(0, 2**62), st.integers(5, 2**40), finite,
+    st.floats(0, allow_infinity=False), st.integers(0, 5),
+)  # fmt: skip
+
+
+@given(st.lists(rows, max_size=20))
+def test_save_and_load_give_the_same_bits(tmp_path_factory, table):
+    folder = tmp_path_factory.mktemp("records")
+    before = EpisodeRecords(*zip(*table, strict=True)) if table else EpisodeRecords(*([[]] * 6))
+    before.save(folder / "a.csv")
+    after = EpisodeRecords.load(folder / "a.csv")
+    for old, new in zip(columns_of(before), columns_of(after), strict=True):
+        assert (old.dtype, old.tobytes()) == (new.dtype, new.tobytes())
+    after.save(folder / "b.csv")
+    assert (folder / "a.csv").read_bytes() == (folder / "b.csv").read_bytes()
+    assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "b.csv"]
+
+
+def test_file_is_what_it_is_said_to_be(tmp_path):
+    records().save(tmp_path / "r.csv")
+    text = f"{HEADER}\n3,50,10,-1.5,4.0,4\n0,0,40,2.0,8.0,8\n3,40,20,0.1,0.0,0\n"
+    assert (tmp_path / "r.csv").read_bytes() == text.encode()
+
+
+def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "r.csv"
+    records().save(path)
+    before = path.read_bytes()
+
+    def fail(*_):
+        raise OSError("disk")
+
+    monkeypatch.setattr("emcc.records.os.replace", fail)
+    with pytest.raises(OSError, match="disk"):
+        records(length=[11, 40, 20]).save(path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+BAD_ROWS = {
+    "length 0": ({"length": [10, 40, 0]}, "row 2, column length: 0 must be >= 1"),
+    "streak": ({"longest_streak": [4, 41, 0]}, r"row 1, column longest_streak: 41 .*\[0, length\]"),
+    "streak < 0": ({"longest_streak": [-1, 8, 0]}, "row 0, column longest_streak: -1"),
+    "NaN": ({"reward": [0, np.nan, 0]}, "row 1, column return: nan must be finite"),
+    "cost": ({"cost": [0, 0, -2.0]}, "row 2, column cost: -2.0 must be finite and >= 0"),
+    "start": ({"start_step": [-1, 0, 40]}, "row 0, column start_step: -1 must be >= 0"),
+    "rollout": ({"rollout": [0, -3, 3]}, "row 1, column rollout: -3 must be >= 0"),
+    "lengths": ({"cost": [1.0]}, r"1-D and of one length, got shapes \[\(1,\), \(3,\)\]"),
+    "fraction": ({"length": [10, 40.5, 20]}, "length must be whole numbers .* got 40.5"),
+}
+
+
+@pytest.mark.parametrize(("changes", "message"), BAD_ROWS.values(), ids=BAD_ROWS)
+def test_bad_rows_are_named(changes, message):
+    with pytest.raises(ValueError, match=message):
+        records(**changes)
+
+
+GOOD_ROW = "0,0,10,-1.5,4.0,4"
+BAD_FILES = {
+    "empty": ("", "the file is empty"),
+    "header": (f"rollout,length\n{GOOD_ROW}\n", "line 2: 6 fields, the header has 2"),
+    "order": (f"length,{HEADER[:-1]}\n", "the header must be rollout,"),
+    "fields": (f"{HEADER}\n{GOOD_ROW}\n0,0,10\n", "line 3: 3 fields, the header has 6"),
+    "text": (f"{HEADER}\n{GOOD_ROW}\n0,0,ten,0.0,0.0,0\n", "line 3, column length: 'ten' is not"),
+    "fraction": (f"{HEADER}\n0,0.5,1,0.0,0.0,0\n", "line 2, column start_step: '0.5' is not a who"),
+    "NaN": (f"{HEADER}\n{GOOD_ROW}\n0,0,10,nan,0.0,0\n", "line 3, column return: nan must be fin"),
+    "streak": (f"{HEADER}\n0,0,10,0.0,9.0,11\n", "line 2, column longest_streak: 11 must be in"),
+    "cut off": (f"{HEADER}\n{GOOD_ROW}", "the last line is cut off"),
+    "huge": (f"{HEADER}\n0,0,{10**30},0.0,0.0,0\n", "column length"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), BAD_FILES.values(), ids=BAD_FILES)
+def test_damaged_files_are_named_with_the_place(tmp_path, text, message):
+    path = tmp_path / "damaged.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message) as error:
+        EpisodeRecords.load(path)
+    assert str(path) in str(error.value)
+
+
+def test_binary_file(tmp_path):
+    path = tmp_path / "binary.csv"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="not a CSV file"):
+        EpisodeRecords.load(path)

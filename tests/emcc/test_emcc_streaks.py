@@ -1,0 +1,134 @@
+"""Streaks and the MCC of a rollout, against a loop that shares no code with them."""
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from emcc import longest_streak, longest_streaks, mcc, streak_bounds, streaks
+
+
+def by_groupby(costs, threshold=0.0):
+    groups = itertools.groupby(costs, key=lambda cost: cost > threshold)
+    return max((len(list(group)) for unsafe, group in groups if unsafe), default=0)
+
+
+episodes = st.lists(st.lists(st.sampled_from([0.0, 0.5, 2.0]), min_size=1, max_size=30), min_size=1)
+
+
+@given(episodes, st.sampled_from([0.0, 0.5, 1.0]), st.integers(1, 9))
+def test_equals_groupby_whatever_the_block(trajectories, threshold, block):
+    """Small blocks: streaks and trajectories cross their borders in every way."""
+    expected = [by_groupby(costs, threshold) for costs in trajectories]
+    lengths = [len(costs) for costs in trajectories]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(streaks, "_BLOCK", block)
+        found = longest_streaks(np.concatenate(trajectories), lengths, threshold)
+    assert found.dtype == np.int64
+    assert found.tolist() == expected
+    assert [longest_streak(costs, threshold) for costs in trajectories] == expected
+    shares = [streak / length for streak, length in zip(expected, lengths, strict=True)]
+    assert mcc(trajectories, threshold) == max(shares)
+
+
+def test_equals_groupby_with_the_real_block():
+    rng = np.random.default_rng(0)
+    lengths = np.array([1, 7, 3 * streaks._BLOCK, 5, 50, streaks._BLOCK - 3, 1, 1000])
+    costs = rng.random(lengths.sum()) < 0.9
+    costs[8 : 2 * streaks._BLOCK + 11] = True  # one streak over two borders
+    parts = np.split(costs, np.cumsum(lengths)[:-1])
+    assert longest_streaks(costs, lengths).tolist() == [by_groupby(part) for part in parts]
+
+
+def test_streaks_that_touch_an_episode_boundary_are_two():
+    assert longest_streaks([0, 1, 1, 1, 1, 0], [3, 3]).tolist() == [2, 2]
+    assert longest_streaks([1, 1, 1, 1, 1, 1], [1, 2, 3]).tolist() == [1, 2, 3]
+
+
+def test_figure_1_of_the_paper():
+    """Two trajectories of about the same cost: one long violation, and several short ones."""
+    left = [0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    right = [0, 1, 1, 0, 0, 1, 1, 1, 0, 0, 0, 1, 0, 1, 1, 0, 0, 0, 1, 0]
+    assert abs(sum(left) - sum(right)) <= 1
+    assert (longest_streak(left), longest_streak(right)) == (8, 3)
+
+
+def test_trajectories_of_different_lengths_in_one_rollout():
+    assert mcc([[0, 1, 1, 0], [1, 1, 1, 0, 0, 0, 0, 0]]) == 2 / 4  # not 3 / 8
+
+
+def test_a_short_episode_with_all_steps_unsafe_has_mcc_1():
+    assert mcc([[0.0] * 50, [3.0, 1.0]]) == 1.0
+
+
+def test_a_cut_episode_is_two_trajectories():
+    episode = [0, 1, 1, 1, 1, 0]
+    assert mcc([episode]) == 4 / 6
+    assert mcc([episode[:3]]) == 2 / 3
+    assert mcc([episode[3:]]) == 2 / 3
+
+
+def test_only_costs_above_the_threshold_count():
+    assert longest_streak([0.1, 0.5, 0.6, 0.7], threshold=0.5) == 2
+
+
+def test_accepts_tensors_and_numpy_types():
+    costs = [0, 1, 1, 0]
+    tensor = torch.tensor(costs, dtype=torch.float32, requires_grad=True)
+    for given_costs in (tensor, np.array(costs, bool), np.array(costs, np.uint8), tuple(costs)):
+        assert longest_streak(given_costs) == 2
+    assert mcc(torch.tensor([costs, costs])) == 0.5
+
+
+@pytest.mark.parametrize("length", range(1, 13))
+def test_bounds_hold_and_are_tight(length):
+    """Over all 0/1 sequences of that length."""
+    seen = {}
+    for costs in itertools.product([0, 1], repeat=length):
+        seen.setdefault(sum(costs), set()).add(by_groupby(costs))
+    for unsafe, longest in seen.items():
+        assert streak_bounds(unsafe, length) == (min(longest), max(longest))
+
+
+def test_bounds_work_elementwise():
+    low, high = streak_bounds([0, 3, 3.0], 3)
+    assert low.tolist() == high.tolist() == [0, 3, 3]
+    low, high = streak_bounds(2, [2, 3, 4])
+    assert low.tolist() == [2, 1, 1]
+    assert high.tolist() == [2, 2, 2]
+
+
+BAD = {
+    "no step": (lambda: longest_streak([]), "costs is empty"),
+    "two axes": (lambda: longest_streak([[0, 1]]), r"costs must be 1-D, got shape \(1, 2\)"),
+    "NaN": (lambda: longest_streak([0, np.nan]), "costs .* got nan at index 1"),
+    "infinite": (lambda: longest_streak([np.inf, 0]), "costs .* got inf at index 0"),
+    "negative": (lambda: longest_streak([0, 1, -1]), "costs .* >= 0, got -1 at index 2"),
+    "threshold": (lambda: longest_streak([0], threshold=-1), "threshold must be >= 0, got -1"),
+    "NaN threshold": (lambda: longest_streak([0], np.nan), "threshold must be finite"),
+    "empty trajectory": (lambda: longest_streaks([1, 1], [2, 0]), "lengths .* got 0 at index 1"),
+    "fraction": (lambda: longest_streaks([1, 1], [1.5, 0.5]), "lengths must be"),
+    "sum": (lambda: longest_streaks([1, 1], [1, 2]), "add up to 3 steps, but there are 2 costs"),
+    "empty rollout": (lambda: mcc([]), "the rollout has no trajectory"),
+    "empty episode": (lambda: mcc([[1], []]), "costs of trajectory 1 is empty"),
+    "costs alone": (lambda: mcc([0, 1]), "costs of trajectory 0 must be 1-D"),
+    "S > T": (lambda: streak_bounds(4, 3), "unsafe_steps must not exceed length"),
+    "S < 0": (lambda: streak_bounds(-1, 3), "unsafe_steps .* got -1"),
+    "T = 0": (lambda: streak_bounds(0, 0), "length .* got 0"),
+    "S = 1/2": (lambda: streak_bounds(0.5, 3), "unsafe_steps must be whole numbers .* got 0.5"),
+}
+
+
+@pytest.mark.parametrize(("call", "message"), BAD.values(), ids=BAD)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+@pytest.mark.parametrize("costs", ["text", ["a"], [None], [[1], [1, 2]], object()])
+def test_costs_that_are_no_numbers(costs):
+    with pytest.raises(TypeError, match="costs must be"):
+        longest_streak(costs)

@@ -1,0 +1,246 @@
+"""RecordCosts on a scripted environment whose episodes are known, in every autoreset mode."""
+
+from functools import partial
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+
+from emcc import CostRecorder, EpisodeRecords, RecordCosts
+
+# The costs of each environment's episodes, one after another; the last step ends the episode.
+SCRIPTS = (
+    [[0.0, 1.0, 1.0], [2.0], [0.0, 1.0]],
+    [[1.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0]],
+)
+NEXT, SAME, DISABLED = AutoresetMode
+
+
+class Scripted(gym.Env):
+    """Plays the episodes of its script over and over; a cost of 9 at reset must never count."""
+
+    observation_space = gym.spaces.Box(0, 1, (1,))
+    action_space = gym.spaces.Discrete(2)
+
+    def __init__(self, script, reset_cost=True, step_cost=True):
+        self.script, self.episode = script, -1
+        self.reset_cost, self.step_cost = reset_cost, step_cost
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.episode, self.at = self.episode + 1, 0
+        return np.zeros(1, np.float32), {"cost": 9.0} if self.reset_cost else {}
+
+    def step(self, action):
+        costs = self.script[self.episode % len(self.script)]
+        info = {"cost": costs[self.at]} if self.step_cost else {}
+        self.at += 1
+        done = self.at == len(costs)  # odd episodes are truncated, even ones terminated
+        odd = bool(self.episode % 2)
+        return np.zeros(1, np.float32), 0.5, done and not odd, done and odd, info
+
+
+def vector(mode, kind=SyncVectorEnv, **options):
+    makers = [partial(Scripted, script, **options) for script in SCRIPTS]
+    return kind(makers, autoreset_mode=mode)
+
+
+def rows(env):
+    kept = env.records
+    columns = (kept.rollout, kept.start_step, kept.length, kept.cost, kept.longest_streak)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def play(envs, steps):
+    envs.reset(seed=0)
+    finished = np.zeros(2, bool)
+    for _ in range(steps):
+        if envs.metadata["autoreset_mode"] == DISABLED and finished.any():
+            envs.reset(options={"reset_mask": finished})
+        _, _, terminated, truncated, _ = envs.step(envs.action_space.sample())
+        finished = terminated | truncated
+
+
+# Worked out by hand from SCRIPTS. Columns: rollout, start step, length, cost, longest streak.
+EIGHT_STEPS = [
+    (0, 0, 3, 2.0, 2),
+    (1, 6, 1, 2.0, 1),
+    (2, 0, 5, 4.0, 3),
+    (3, 8, 2, 1.0, 1),
+    (4, 10, 3, 1.0, 1),
+]
+# A resetting step takes the place of a step: env 0 resets in steps 4, 6 and 9, env 1 in step 6.
+NINE_STEPS_WITH_RESETS = [
+    (0, 0, 3, 2.0, 2),
+    (1, 7, 1, 2.0, 1),
+    (2, 0, 5, 4.0, 3),
+    (3, 9, 2, 1.0, 1),
+    (4, 9, 3, 1.0, 1),
+]
+KNOWN = {  # steps of the vector environment, trajectories, environment steps
+    NEXT: (9, NINE_STEPS_WITH_RESETS, 14),
+    SAME: (8, EIGHT_STEPS, 16),
+    DISABLED: (8, EIGHT_STEPS, 16),
+}
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")  # torch's threads, Python >= 3.12
+@pytest.mark.parametrize("reset_cost", [True, False], ids=["reset_cost", "no_reset_cost"])
+@pytest.mark.parametrize("kind", [SyncVectorEnv, AsyncVectorEnv])
+@pytest.mark.parametrize("mode", KNOWN, ids=str)
+def test_vector_environments(mode, kind, reset_cost):
+    steps, expected, env_steps = KNOWN[mode]
+    envs = RecordCosts(vector(mode, kind, reset_cost=reset_cost))
+    assert isinstance(envs, gym.vector.VectorWrapper)
+    play(envs, steps)
+    envs.close()
+    assert rows(envs) == expected
+    assert envs.recorder.steps == env_steps
+    assert envs.records.reward.tolist() == [0.5 * row[2] for row in expected]
+
+
+class Native(gym.vector.VectorEnv):
+    """A vector environment of its own kind: info["cost"] without a mask, no final_info."""
+
+    num_envs = 2
+
+    def __init__(self, mode):
+        self.metadata = {"autoreset_mode": mode}
+        self.at = np.zeros(2, int)
+
+    def reset(self, *, seed=None, options=None):
+        self.at[(options or {}).get("reset_mask", slice(None))] = 0
+        return np.zeros(2), {}
+
+    def step(self, actions):
+        self.at += 1
+        done = self.at == [2, 3]
+        info = {"cost": np.array([1.0, 2.0])}
+        if self.metadata["autoreset_mode"] in (SAME, SAME.value):
+            self.at[done] = 0
+        return np.zeros(2), np.zeros(2), done, np.zeros(2, bool), info
+
+
+@pytest.mark.parametrize("mode", [SAME, SAME.value])
+def test_native_same_step_environment(mode):
+    envs = RecordCosts(Native(mode))
+    envs.reset()
+    for _ in range(3):
+        envs.step(None)
+    assert rows(envs) == [(0, 0, 2, 2.0, 2), (1, 0, 3, 6.0, 3)]
+
+
+def test_finished_environments_wait_for_their_reset():
+    envs = RecordCosts(Native(DISABLED))
+    envs.reset()
+    for _ in range(4):  # env 0 is done in step 2, env 1 in step 3; then nothing counts
+        envs.step(None)
+    assert envs.recorder.steps == 5
+    envs.reset(options={"reset_mask": np.array([True, False])})
+    envs.step(None)
+    assert envs.recorder.steps == 6
+    envs.end_rollout()
+    assert rows(envs) == [(0, 0, 2, 2.0, 2), (1, 0, 3, 6.0, 3), (2, 5, 1, 1.0, 1)]
+
+
+def run_single(env, episodes=3):
+    for _ in range(episodes):
+        env.reset()
+        done = False
+        while not done:
+            _, _, terminated, truncated, _ = env.step(0)
+            done = terminated or truncated
+    return env
+
+
+def test_single_environment():
+    env = run_single(RecordCosts(Scripted(SCRIPTS[0])))
+    assert isinstance(env, gym.Wrapper)
+    assert isinstance(env.records, EpisodeRecords)
+    assert rows(env) == [(0, 0, 3, 2.0, 2), (1, 3, 1, 2.0, 1), (2, 4, 2, 1.0, 1)]
+    mcc_values, start_steps = env.records.mcc_per_rollout()
+    assert mcc_values.tolist() == [2 / 3, 1.0, 1 / 2]  # the one-step episode has MCC 1
+    assert start_steps.tolist() == [0, 3, 4]
+
+
+def test_single_environment_that_resets_itself():
+    env = RecordCosts(gym.wrappers.Autoreset(Scripted(SCRIPTS[0])))
+    env.reset()
+    for _ in range(8):  # 3 steps, reset, 1 step, reset, 2 steps
+        env.step(0)
+    assert rows(env) == [(0, 0, 3, 2.0, 2), (1, 3, 1, 2.0, 1), (2, 4, 2, 1.0, 1)]
+
+
+def test_a_rollout_that_cuts_an_episode():
+    env = run_single(RecordCosts(Scripted(SCRIPTS[1]), rollout=2), episodes=1)
+    env.end_rollout()
+    assert rows(env) == [(0, 0, 2, 2.0, 2), (1, 2, 2, 1.0, 1), (2, 4, 1, 1.0, 1)]
+
+
+def test_manual_rollouts_hold_several_episodes():
+    env = RecordCosts(Scripted(SCRIPTS[0]), rollout="manual")
+    run_single(env, episodes=2).end_rollout()
+    run_single(env, episodes=1).end_rollout()
+    assert env.records.rollout.tolist() == [0, 0, 1]
+    assert env.records.mcc_per_rollout()[0].tolist() == [1.0, 1 / 2]
+
+
+def test_a_reset_in_mid_episode_keeps_the_piece():
+    env = RecordCosts(Scripted(SCRIPTS[1]))
+    env.reset()
+    for _ in range(3):
+        env.step(0)
+    env.reset()
+    assert rows(env) == [(0, 0, 3, 3.0, 3)]
+    envs = RecordCosts(vector(NEXT))
+    envs.reset()
+    envs.step([0, 0])
+    envs.reset(options={"reset_mask": np.array([False, True])})
+    assert rows(envs) == [(0, 0, 1, 1.0, 1)]
+
+
+def test_threshold():
+    env = run_single(RecordCosts(Scripted(SCRIPTS[0]), threshold=1.0))
+    assert env.records.longest_streak.tolist() == [0, 1, 0]
+
+
+def test_equals_the_recorder_alone():
+    """The wrapper adds nothing to what a training loop can do with CostRecorder."""
+    envs = RecordCosts(vector(SAME), rollout=5)
+    recorder = CostRecorder(2, rollout=5)
+    envs.reset()
+    for _ in range(20):
+        _, rewards, terminated, truncated, infos = envs.step([0, 0])
+        done = terminated | truncated
+        last = infos.get("final_info", {}).get("cost", np.zeros(2))
+        recorder.step(np.where(done, last, infos["cost"]), rewards, done)
+    assert envs.records.mcc_per_rollout()[0].tolist() == [
+        *recorder.records.mcc_per_rollout()[0].tolist()
+    ]
+    assert len(envs.records) == len(recorder.records)
+
+
+def test_the_spec_makes_the_same_wrapper_again():
+    env = RecordCosts(gym.make("CartPole-v1"), rollout=7)
+    assert env.spec.additional_wrappers[-1].kwargs == {"rollout": 7, "threshold": 0.0}
+
+
+def test_what_cannot_be_recorded_is_named():
+    silent = RecordCosts(Scripted(SCRIPTS[0], step_cost=False))
+    silent.reset()
+    with pytest.raises(KeyError, match="the environment's info has no 'cost'"):
+        silent.step(0)
+    silent = RecordCosts(vector(NEXT, step_cost=False))
+    silent.reset()
+    with pytest.raises(KeyError, match="the environment's info has no 'cost'"):
+        silent.step([0, 0])
+    makers = [partial(Scripted, SCRIPTS[0], step_cost=give) for give in (True, False)]
+    half_silent = RecordCosts(SyncVectorEnv(makers))
+    half_silent.reset()
+    with pytest.raises(ValueError, match="sub-environment 1 gave no 'cost'"):
+        half_silent.step([0, 0])
+    with pytest.raises(ValueError, match=r"metadata\['autoreset_mode'\] must be .* got None"):
+        RecordCosts(Native(None))
+    with pytest.raises(TypeError, match="env must be a gymnasium Env or VectorEnv, got str"):
+        RecordCosts("Circle2D-1-v0")  # pyright: ignore[reportArgumentType]
