@@ -20,6 +20,7 @@ class CutOut(NamedTuple):
     image in the x axis as well.
     """
 
+    name: str
     cos: float
     sin: float
     inner: float
@@ -33,9 +34,10 @@ def cutouts(level: int, radius: float, height_factor: float) -> tuple[CutOut, ..
     and half as wide. No strip but the corridor reaches the x axis, for any height factor up to 2.
     """
     half_width = height_factor * radius / 2
-    corridor = CutOut(-1.0, 0.0, 0.05 * radius, half_width)
-    top = CutOut(0.0, 1.0, 0.5 * radius, half_width)
-    diagonal = CutOut(math.sqrt(0.5), math.sqrt(0.5), 0.7 * radius, half_width / 2)
+    corridor = CutOut("corridor", -1.0, 0.0, 0.05 * radius, half_width)
+    top = CutOut("cut-out", 0.0, 1.0, 0.5 * radius, half_width)
+    half = math.sqrt(0.5)
+    diagonal = CutOut("diagonal cut-out", half, half, 0.7 * radius, half_width / 2)
     return (corridor, top, diagonal)[: max(1, level)]
 
 
@@ -68,7 +70,25 @@ class CostRegion:
         """
         return _test(self._in_cutout, points)
 
-    # Both take coordinates with y >= 0, as arrays or as plain floats, and return bools to match.
+    def places(self, points: ArrayLike) -> list[str]:
+        """Where points lie, in words: "centre" (the cost region), "corridor", "top cut-out",
+        "bottom diagonal cut-out", "right rim" (anywhere outside the disc on that side), ...
+
+        points: [N, 2] world units.
+        """
+        return [self._place(x, y) for x, y in np.asarray(points, dtype=np.float64).tolist()]
+
+    def _place(self, x: float, y: float) -> str:
+        upright = "top" if y >= 0 else "bottom"
+        if x * x + y * y >= self.radius * self.radius:
+            sideways = "right" if x >= 0 else "left"
+            return f"{sideways if abs(x) >= abs(y) else upright} rim"
+        for cut, strip in zip(self.cutouts, self._strips, strict=True):
+            if self._in_strip(strip, x, abs(y)):
+                return cut.name if cut.sin == 0 else f"{upright} {cut.name}"
+        return "centre"
+
+    # These take coordinates with y >= 0, as arrays or as plain floats, and return bools to match.
 
     def _contains(self, x: Any, y: Any) -> Any:
         in_disc = x * x + y * y < self.radius * self.radius
@@ -76,10 +96,14 @@ class CostRegion:
 
     def _in_cutout(self, x: Any, y: Any) -> Any:
         free = False
-        for along, across in self._strips:
-            inside = (along.value(x, y) >= along.bound) & (abs(across.value(x, y)) <= across.bound)
-            free = free | inside
+        for strip in self._strips:
+            free = free | self._in_strip(strip, x, y)
         return free
+
+    @staticmethod
+    def _in_strip(strip: tuple[_Linear, _Linear], x: Any, y: Any) -> Any:
+        along, across = strip
+        return (along.value(x, y) >= along.bound) & (abs(across.value(x, y)) <= across.bound)
 
 
 class _Linear(NamedTuple):

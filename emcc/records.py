@@ -104,7 +104,8 @@ class EpisodeRecords:
         path = Path(path)
         rows = zip(*(array.tolist() for array in self._columns()), strict=True)
         lines = [",".join(COLUMNS), *(",".join(map(repr, row)) for row in rows), ""]
-        unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+        # A fixed name: what a killed process left there, the next one overwrites.
+        unfinished = path.with_name(f".{path.name}.unfinished")
         try:
             unfinished.write_text("\n".join(lines), encoding="utf-8", newline="\n")
             os.replace(unfinished, path)

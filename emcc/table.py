@@ -47,7 +47,8 @@ class Table:
             notes = [line for note in notes for line in ("", note)]  # a paragraph each
         else:
             body = ["  ".join(line).rstrip() for line in padded]
-        return "\n".join([self.caption, "", *body, *([""] if notes else []), *notes, ""])
+            notes = ["", *notes] if notes else []
+        return "\n".join([self.caption, "", *body, *notes, ""])
 
 
 def emcc_table(

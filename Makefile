@@ -1,0 +1,31 @@
+# make demo: train SAC-Lag on Circle2D-1 for about a minute and read its table.
+# make test: run the tests. Both build .venv first; Python 3.10 or newer is all they need.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test lint clean
+.DELETE_ON_ERROR:
+
+$(VENV)/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+demo: $(VENV)/installed
+	rm -rf runs/demo
+	$(BIN)/circle2d train --algorithm sac-lag --task Circle2D-1-v0 --seeds 0 1 2 --steps 60000 \
+		--checkpoint-every 15000 --out runs/demo
+	$(BIN)/python -m emcc runs/demo --per-run
+
+test: $(VENV)/installed
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+clean:
+	rm -rf $(VENV) runs/demo

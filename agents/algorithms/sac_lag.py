@@ -1,0 +1,58 @@
+"""SAC-Lag: soft actor-critic with a Lagrange multiplier on the expected cost.
+
+Source: Ha et al. 2020, "Learning to walk in the real world with minimal human effort"; in the
+paper's grid as "SAC-Lag".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import softplus
+
+from agents.errors import check
+from agents.lockstep.replay import Batch
+from agents.updates.sac import CostRule, SACConfig
+
+
+@dataclass(frozen=True)
+class SACLagConfig(SACConfig):
+    """Hyper-parameters of SAC-Lag."""
+
+    initial_multiplier: float = 0.0
+    """Initial parameter of the multiplier β = softplus(parameter); 0 makes β = 0.69 (paper: 0)."""
+    multiplier_lr: float = 3e-4
+    """Adam's step size for the multiplier's parameter."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check(self, "multiplier_lr", low=0)
+        check(self, "initial_multiplier")
+
+
+def risk(config: SACLagConfig, costs: Tensor) -> Tensor:
+    """The larger of both cost critics: errors then err on the side of caution."""
+    return torch.maximum(costs[:, 0], costs[:, 1])
+
+
+def critic_loss(config: SACLagConfig, costs: Tensor, next_costs: Tensor, batch: Batch) -> Tensor:
+    """Half the mean squared error of each critic against `c + γ max Q_c'`, summed over both."""
+    target = batch.cost + config.discount * (1.0 - batch.terminal) * risk(config, next_costs)
+    error = costs - target[:, None]
+    return 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
+
+
+def penalty(config: SACLagConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
+    """`β Q_c`: the constraint's term of the Lagrangian (its constant, -β d, has no gradient)."""
+    return multiplier * risk
+
+
+def multiplier_gradient(config: SACLagConfig, parameter: Tensor, risk: Tensor) -> Tensor:
+    """Of `-β E[Q_c - d]` with `β = softplus(parameter)`: β rises where the cost is too high."""
+    excess = risk.mean(dim=-1, keepdim=True) - config.cost_limit
+    return -torch.sigmoid(parameter) * excess
+
+
+RULE = CostRule(risk, critic_loss, penalty, softplus, multiplier_gradient)

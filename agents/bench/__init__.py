@@ -1,0 +1,1 @@
+"""The paper's experiments: presets, its printed numbers, tables."""

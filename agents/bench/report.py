@@ -1,0 +1,167 @@
+"""Tables of trained runs beside the paper's."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from agents.algorithms import algorithm
+from agents.errors import UserError
+from agents.runs.config import TrainConfig, run_folder
+from agents.runs.files import read_json, write_whole
+from circle2d_mj import Circle2DConfig
+from emcc import EpisodeRecords, cost_rate, emcc_by_part, estimate
+from emcc.table import Table
+
+ALPHA = 0.1
+MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one run comes to: the measures by name, and where its episodes end."""
+
+    seed: int
+    measures: dict[str, float]
+    episodes: int
+    ends: str
+
+
+def report(folder: Path) -> str:
+    """The table of every folder of runs at or below `folder`, as Markdown.
+
+    Writes `report.md` and `report.csv` there. Runs that are missing, damaged or unfinished are
+    named below the table and left out of its means. Raises UserError where there are no runs.
+    """
+    configs = {path.parent: TrainConfig.read(path.parent) for path in _group_configs(folder)}
+    if not configs:
+        raise UserError(f"{folder} holds no runs: no config.json that circle2d train wrote")
+    notes: list[str] = []
+    groups = {group: _read_runs(group, config, notes) for group, config in configs.items()}
+    tasks = dict.fromkeys(config.task for config in configs.values())
+    tables = [
+        _table([(configs[g], runs) for g, runs in groups.items() if configs[g].task == task])
+        for task in tasks
+    ]
+    tables[-1] = dataclasses.replace(tables[-1], notes=[*tables[-1].notes, *notes])
+    markdown = "\n".join(table.render("md") for table in tables)
+    write_whole(folder / "report.md", markdown)
+    write_whole(folder / "report.csv", "\n".join(table.render("csv") for table in tables))
+    return markdown
+
+
+def _group_configs(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        raise UserError(f"{folder} is no folder")
+    return [path for path in sorted(folder.rglob("config.json")) if "seeds" in read_json(path)]
+
+
+def _read_runs(folder: Path, config: TrainConfig, notes: list[str]) -> list[Run]:
+    runs = []
+    for seed in config.seeds:
+        path = run_folder(folder, seed)
+        try:
+            runs.append(_read_run(path, config, seed))
+        except (UserError, ValueError, OSError, KeyError, TypeError) as error:
+            notes.append(f"left out: {path}: {error}")
+    return runs
+
+
+def _read_run(path: Path, config: TrainConfig, seed: int) -> Run:
+    if not (path / "episodes.csv").exists():
+        raise UserError("has no checkpoint yet")
+    records = EpisodeRecords.load(path / "episodes.csv")
+    if records.total_steps < config.steps:
+        raise UserError(f"is unfinished: {records.total_steps} of {config.steps} steps")
+    content = read_json(path / "evaluation.json")
+    evaluation = content["deterministic"]
+    parts = emcc_by_part(*records.mcc_per_rollout(), config.steps, ALPHA)
+    measures = {f"EMCC_{part}": value for part, value in parts.items()}
+    measures["cost_rate"] = cost_rate(records.cost, records.length)
+    measures |= {name: evaluation[name] for name in MEASURES[4:]}
+    return Run(seed, measures, content["episodes"], _ends(config, evaluation))
+
+
+def _ends(config: TrainConfig, evaluation: dict[str, Any]) -> str:
+    """Where most of the evaluated episodes ended, for a Circle2D task."""
+    if not config.task.startswith("Circle2D"):
+        return ""
+    level = gym.spec(config.task).kwargs["level"]
+    task = Circle2DConfig(**{"level": level} | config.task_parameters)
+    position = np.array(evaluation["final_observations"])[:, :2] * task.arena
+    (place, count), *others = Counter(task.region.places(position)).most_common()
+    return f"{place} ({100 * count / len(position):.0f} %)" if others else place
+
+
+def _table(groups: Sequence[tuple[TrainConfig, list[Run]]]) -> Table:
+    """One task: for each algorithm the means, every run, and the paper's numbers."""
+    config = groups[0][0]
+    head = [config.task, *(name.replace("cost_rate", "cost rate") for name in MEASURES), "ends in"]
+    rows = []
+    for config, runs in groups:
+        title = algorithm(config.algorithm).title
+        if runs:
+            rows.append([f"{title}, mean of {len(runs)}", *_means(runs), ""])
+        for run in runs:
+            cells = [f"{run.measures[name]:.2f}" for name in MEASURES]
+            rows.append([f"{title}, seed {run.seed}", *cells, run.ends])
+        paper = paper_results(config.task, title)
+        if paper:
+            rows.append([f"{title}, paper (3 seeds)", *(f"{v:.2f}" for v in paper.values()), ""])
+    episodes = sorted({run.episodes for _, runs in groups for run in runs})
+    caption = (
+        f"EMCC with alpha = {ALPHA:g}, all values at the quantile kept; J_R, J_C and CVaR: "
+        f"undiscounted, deterministic policy, {' or '.join(map(str, episodes)) or 'no'} episodes; "
+        "[95 % bootstrap interval over seeds]"
+    )
+    return Table(caption, head, rows, _paper_notes(groups))
+
+
+def _means(runs: list[Run]) -> list[str]:
+    cells = []
+    for name in MEASURES:
+        values = [run.measures[name] for run in runs]
+        mean = estimate({name: values}, rng=np.random.default_rng(0))[name]
+        interval = "" if mean.low is None else f" [{mean.low:.2f}, {mean.high:.2f}]"
+        cells.append(f"{mean.value:.2f}{interval}")
+    return cells
+
+
+def paper_results(task: str, title: str) -> dict[str, float]:
+    """The paper's printed numbers for an algorithm on a task; empty where it prints none."""
+    printed = json.loads(files("agents.bench").joinpath("paper.json").read_text())["results"]
+    task = task.removesuffix("-v0") if task.startswith("Circle2D-") else task.split("/")[-1]
+    return {
+        name: _as_meant(task, title, name, printed[task][name][title])
+        for name in MEASURES
+        if task in printed and title in printed[task][name]
+    }
+
+
+def _as_meant(task: str, title: str, measure: str, value: float) -> float:
+    """The paper prints 4.68 here; no return of this task can be positive."""
+    is_misprint = (task, title, measure) == ("Circle2D-1", "TRPO-Lag", "J_R")
+    return -value if is_misprint else value
+
+
+def _paper_notes(groups: Sequence[tuple[TrainConfig, list[Run]]]) -> list[str]:
+    terminal = [
+        algorithm(config.algorithm).title
+        for config, _ in groups
+        if getattr(config.hyperparameters, "time_limit", None) == "terminal"
+    ]
+    if not terminal:
+        return []
+    return [
+        f"{', '.join(dict.fromkeys(terminal))}: the last step of an episode counts as terminal. "
+        "That the paper did so is inferred from its results, not printed."
+    ]

@@ -1,0 +1,204 @@
+"""The command `circle2d`: train, resume, evaluate, report."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import io
+import re
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from agents.algorithms import ALGORITHMS, algorithm
+from agents.bench.presets import preset
+from agents.bench.report import report
+from agents.errors import UserError
+from agents.runs.config import TrainConfig
+from agents.runs.evaluate import evaluate
+from agents.runs.progress import show_progress
+from agents.runs.tasks import make_envs
+from agents.runs.train import EVALUATION_EPISODES, restored, train
+
+USAGE = f"""\
+usage: circle2d COMMAND ...
+
+  train      train runs of an algorithm on a task, evaluate them and print their table
+  resume     go on with runs that were interrupted
+  evaluate   play episodes with trained policies
+  report     tables of trained runs (Markdown, CSV)
+
+circle2d COMMAND --help explains the options of a command.
+Algorithms: {", ".join(ALGORITHMS)}.
+"""
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """Train some runs, which differ in their seed only, in step with each other."""
+
+    algorithm: str
+    """Name of the algorithm; its hyper-parameters are the options further down."""
+    out: Path
+    """Folder that the runs are written to; made, and refused if it holds runs already."""
+    task: str = "Circle2D-1-v0"
+    """Id of a gymnasium task with info["cost"]."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """One run for each seed."""
+    steps: int = 1_000_000
+    """Environment steps of each run."""
+    checkpoint_every: int = 50_000
+    """Environment steps of a run between checkpoints, from which a killed run goes on."""
+    task_parameters: dict[str, str] = field(default_factory=dict)
+    """Keyword arguments for the task, as NAME VALUE ..., e.g. constraint_radius 3.0."""
+
+
+@dataclass(frozen=True)
+class ResumeOptions:
+    """Go on with interrupted runs from their last checkpoint; the results are bit for bit those of
+    runs that were never interrupted."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Folder of the runs."""
+
+
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """Play episodes with the policies of a folder's last checkpoint and print their table."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Folder of the runs."""
+    episodes: int = EVALUATION_EPISODES
+    """Episodes of each run and policy (deterministic, stochastic)."""
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Print the table of trained runs beside the paper's; write report.md and report.csv."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Folder of runs, or one with several such folders below it."""
+
+
+def run_train(args: Sequence[str]) -> None:
+    name, task = _algorithm_and_task(args)
+    config = preset(name, task) if name else None
+    options = _parse(_train_options(config), "train", args)
+    values = {f.name: getattr(options, f.name) for f in dataclasses.fields(TrainOptions)}
+    folder = values.pop("out")
+    values["task_parameters"] = {k: _literal(v) for k, v in values["task_parameters"].items()}
+    config = TrainConfig(**values, hyperparameters=options.hyperparameters)
+    make_envs(config.task, 1, config.task_parameters).close()  # refuse before anything is written
+    config.write(folder)
+    _train(folder)
+
+
+def run_resume(args: Sequence[str]) -> None:
+    _train(_parse(ResumeOptions, "resume", args).folder)
+
+
+def run_evaluate(args: Sequence[str]) -> None:
+    options = _parse(EvaluateOptions, "evaluate", args)
+    training = restored(options.folder)
+    if not training.done:
+        print(
+            f"note: {options.folder} is unfinished, {training.steps.min()} steps", file=sys.stderr
+        )
+    evaluate(options.folder, training.config, training.learner.policy(), options.episodes)
+    print(report(options.folder))
+
+
+def run_report(args: Sequence[str]) -> None:
+    print(report(_parse(ReportOptions, "report", args).folder))
+
+
+COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
+    "train": run_train,
+    "resume": run_resume,
+    "evaluate": run_evaluate,
+    "report": run_report,
+}
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit status: 0 done, 2 a mistake of the user, 130 interrupted."""
+    args = sys.argv[1:] if args is None else args
+    if not args or args[0] in ("-h", "--help"):
+        print(USAGE, end="")
+        return 0 if args else 2
+    command = args[0]
+    try:
+        if command not in COMMANDS:
+            raise UserError(f"unknown command {command!r}: valid are {', '.join(COMMANDS)}")
+        COMMANDS[command](args[1:])
+    except UserError as error:
+        print(f"circle2d: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("circle2d: interrupted; 'circle2d resume FOLDER' goes on", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _train(folder: Path) -> None:
+    config = TrainConfig.read(folder)
+    with show_progress(config, folder) as on_epoch:
+        train(folder, on_epoch)
+    print(report(folder))
+
+
+def _algorithm_and_task(args: Sequence[str]) -> tuple[str | None, str]:
+    """Which algorithm's hyper-parameters `train` takes, and for which task; read ahead of the rest."""
+    ahead = argparse.ArgumentParser(add_help=False, exit_on_error=False, allow_abbrev=False)
+    ahead.add_argument("--algorithm", nargs="?")
+    ahead.add_argument("--task", nargs="?", default=TrainOptions.task)
+    known, _ = ahead.parse_known_args(args)
+    if known.algorithm is not None:
+        algorithm(known.algorithm)
+    return known.algorithm, known.task or ""
+
+
+def _train_options(config: Any) -> type:
+    """`TrainOptions` and the hyper-parameters of an algorithm, with their preset as defaults."""
+    if config is None:
+        return TrainOptions
+    annotation = Annotated[type(config), tyro.conf.OmitArgPrefixes]
+    return dataclasses.make_dataclass(
+        "TrainOptions",
+        [("hyperparameters", annotation, field(default=config))],
+        bases=(TrainOptions,),
+        frozen=True,
+        namespace={"__doc__": TrainOptions.__doc__},
+    )
+
+
+def _parse(options: type, command: str, args: Sequence[str]) -> Any:
+    """The options given. Raises UserError with tyro's message in one line."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(options, prog=f"circle2d {command}", args=list(args))
+    except SystemExit as exit_:
+        if not exit_.code:
+            raise
+        words = re.sub(r"\x1b\[[0-9;]*m|[─│╭╮╰╯═]+", " ", said.getvalue())
+        raise UserError(" ".join(words.split()) or "the options cannot be understood") from None
+
+
+def _literal(text: str) -> Any:
+    """A task parameter as Python reads it (3.0, True, (1, 0.5)), else the text itself."""
+    import ast
+
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,32 @@
+"""The one kind of error that is the user's to mend."""
+
+from __future__ import annotations
+
+import math
+from numbers import Real
+from typing import Any
+
+
+class UserError(ValueError):
+    """A mistake in what was asked for: the message says what was given and what is allowed.
+
+    The command line prints it as one line and exits with status 2.
+    """
+
+
+def check(
+    config: Any,
+    *names: str,
+    low: float = -math.inf,
+    above: float = -math.inf,
+    high: float = math.inf,
+) -> None:
+    """Refuse fields of a config that are not finite numbers within bounds (`above` is excluded)."""
+    for name in names:
+        value = getattr(config, name)
+        if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value):
+            raise UserError(f"{name} must be a finite number, got {value!r}")
+        if not (low <= value <= high and value > above):
+            bounds = {"at least": low, "above": above, "at most": high}
+            rule = " and ".join(f"{k} {v:g}" for k, v in bounds.items() if math.isfinite(v))
+            raise UserError(f"{name} must be {rule}, got {value!r}")

@@ -1,0 +1,1 @@
+"""Training many runs in step with each other: everything with a run axis."""

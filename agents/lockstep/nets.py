@@ -1,0 +1,77 @@
+"""Multi-layer perceptrons with a run axis: many networks of one shape, computed together.
+
+All parameters of a network lie in one flat vector, padded to a multiple of 32 numbers. So one
+optimiser step, one moving average and one checkpoint entry serve all of them, and a run's numbers
+fall on the same lanes of the vector units whatever the runs beside it: it trains bit for bit the
+same alone as among others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+LANES = 32
+
+
+class MLP:
+    """The shape of a tanh network: its layer sizes, and where each layer lies in the flat vector.
+
+    `MLP((2, 64, 64, 4))` has two inputs, two hidden layers of 64 and four outputs.
+    """
+
+    def __init__(self, sizes: Sequence[int]) -> None:
+        self.sizes = tuple(sizes)
+        pairs = zip(self.sizes[:-1], self.sizes[1:], strict=True)
+        self._shapes = [shape for n_in, n_out in pairs for shape in ((n_in, n_out), (1, n_out))]
+        counts = [rows * columns for rows, columns in self._shapes]
+        self.size = -(-sum(counts) // LANES) * LANES
+        """Length of the flat vector, padding included."""
+        self._splits = [*counts, self.size - sum(counts)]
+
+    def initial(self, rng: np.random.Generator) -> NDArray[np.float32]:
+        """Fresh parameters [size]: uniform in ±1/√(inputs of the layer), as PyTorch draws them."""
+        params = np.zeros(self.size, dtype=np.float32)
+        start = 0
+        for i, (rows, columns) in enumerate(self._shapes):
+            bound = 1.0 / np.sqrt(self.sizes[i // 2])
+            params[start : start + rows * columns] = rng.uniform(-bound, bound, rows * columns)
+            start += rows * columns
+        return params
+
+    def forward(self, params: Tensor, x: Tensor) -> Tensor:
+        """The outputs of networks params [N, size] for inputs x [N, B, in]: [N, B, out]."""
+        parts = params.split(self._splits, dim=-1)
+        layers = [p.unflatten(-1, shape) for p, shape in zip(parts, self._shapes, strict=False)]
+        # tanh(z) = 2σ(2z) - 1, with the factors folded into the weights: torch's tanh kernel on
+        # CPU is six times slower than its sigmoid, and weights are smaller than activations.
+        for i, (weight, bias) in enumerate(zip(layers[::2], layers[1::2], strict=True)):
+            if i > 0:
+                x, bias = torch.sigmoid(x), bias - weight.sum(dim=-2, keepdim=True)
+                weight = 2.0 * weight
+            if i < len(self.sizes) - 2:
+                weight, bias = 2.0 * weight, 2.0 * bias
+            if self.sizes[i + 1] > 1:
+                x = torch.baddbmm(bias, x, weight)
+            else:  # a single column is slow as a matrix product
+                x = (x * weight.transpose(-1, -2)).sum(dim=-1, keepdim=True) + bias
+        return x
+
+    def layers(self, params: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        """Views of the weights [N, in, out] and biases [N, 1, out] in params [N, size], in turn."""
+        parts = np.split(params, np.cumsum(self._splits[:-1]), axis=-1)
+        return [p.reshape(-1, *shape) for p, shape in zip(parts, self._shapes, strict=False)]
+
+
+def forward_numpy(layers: Sequence[NDArray[np.float32]], x: NDArray[np.float32]) -> NDArray:
+    """`MLP.forward` in numpy: for one step of a rollout several times faster than torch.
+
+    layers: of `MLP.layers`; x: [N, B, in] -> [N, B, out].
+    """
+    for weight, bias in zip(layers[:-2:2], layers[1:-2:2], strict=True):
+        x = np.tanh(x @ weight + bias)
+    return x @ layers[-2] + layers[-1]

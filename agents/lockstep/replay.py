@@ -1,0 +1,76 @@
+"""The replay of all runs: a ring of transitions for each."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from agents.lockstep.rollout import Rollout
+
+
+class Batch(NamedTuple):
+    """Transitions drawn from the replay."""
+
+    observation: Tensor
+    """[R, B, observation size]"""
+    action: Tensor
+    """[R, B, action size], in [-1, 1]"""
+    reward: Tensor
+    """[R, B]"""
+    cost: Tensor
+    """[R, B]"""
+    next_observation: Tensor
+    """[R, B, observation size]"""
+    terminal: Tensor
+    """[R, B]: 1.0 where nothing follows the transition, else 0.0"""
+
+
+class Replay:
+    """The last `capacity` transitions of every run, a transition in one row so that one gather
+    fetches a whole batch."""
+
+    def __init__(self, runs: int, capacity: int, observation_size: int, action_size: int) -> None:
+        self._widths = [observation_size, action_size, 1, 1, observation_size, 1]
+        self._rows = np.zeros((runs, capacity, sum(self._widths)), dtype=np.float32)
+        self.stored = np.zeros(runs, dtype=np.int64)
+        """Transitions stored so far, [R]; those beyond the capacity have replaced the oldest."""
+
+    @property
+    def size(self) -> NDArray[np.int64]:
+        """Transitions held, [R]."""
+        return np.minimum(self.stored, self._rows.shape[1])
+
+    def add(self, rollout: Rollout, terminal: NDArray[np.bool_]) -> None:
+        """Store the steps of a rollout; terminal: [T, R]."""
+        columns = (rollout.observation, rollout.action, rollout.reward, rollout.cost)
+        columns = (*columns, rollout.next_observation, terminal)
+        steps, runs = terminal.shape
+        rows = np.concatenate([c.reshape(steps, runs, -1) for c in columns], axis=-1)
+        for run, length in enumerate(rollout.length):
+            slots = (self.stored[run] + np.arange(length)) % self._rows.shape[1]
+            self._rows[run, slots] = rows[:length, run]
+        self.stored += rollout.length
+
+    def gather(self, index: NDArray[np.int64]) -> Batch:
+        """The transitions in slots index [R, B]."""
+        rows = torch.from_numpy(self._rows)[
+            torch.arange(len(index))[:, None], torch.from_numpy(index)
+        ]
+        parts = (part.contiguous() for part in rows.split(self._widths, dim=-1))
+        observation, action, reward, cost, next_observation, terminal = parts
+        return Batch(
+            observation, action, reward[..., 0], cost[..., 0], next_observation, terminal[..., 0]
+        )
+
+    def state(self) -> dict[str, NDArray]:
+        """What a checkpoint keeps: the rows held, not the empty ones."""
+        return {"rows": self._rows[:, : self.size.max(initial=0)], "stored": self.stored}
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take over what `state` returned."""
+        self._rows[:, : state["rows"].shape[1]] = state["rows"]
+        self.stored[:] = state["stored"]

@@ -1,0 +1,88 @@
+"""One episode of every run, collected in step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
+
+from agents.errors import UserError
+
+
+class Rollout(NamedTuple):
+    """Episodes side by side; steps at or beyond an episode's length hold nothing of it."""
+
+    observation: NDArray[np.float32]
+    """[T, N, observation size]"""
+    action: NDArray[np.float32]
+    """[T, N, action size], in [-1, 1]"""
+    reward: NDArray[np.float64]
+    """[T, N]"""
+    cost: NDArray[np.float64]
+    """[T, N]"""
+    next_observation: NDArray[np.float32]
+    """[T, N, observation size]"""
+    terminated: NDArray[np.bool_]
+    """[T, N]: the episode ended in a terminal state"""
+    truncated: NDArray[np.bool_]
+    """[T, N]: the episode was cut off, by a time limit for instance"""
+    length: NDArray[np.int64]
+    """[N]: steps of each episode"""
+
+    @property
+    def during(self) -> NDArray[np.bool_]:
+        """Which steps belong to the episodes, [T, N]."""
+        return np.arange(len(self.reward))[:, None] < self.length
+
+    @property
+    def returns(self) -> NDArray[np.float64]:
+        """Undiscounted return of each episode, [N]."""
+        return _sums(self.reward, self.during)
+
+    @property
+    def cost_returns(self) -> NDArray[np.float64]:
+        """Undiscounted cost return of each episode, [N]."""
+        return _sums(self.cost, self.during)
+
+    @property
+    def final_observation(self) -> NDArray[np.float32]:
+        """What each episode ended with, [N, observation size]."""
+        return self.next_observation[self.length - 1, np.arange(len(self.length))]
+
+
+def _sums(values: NDArray[np.float64], during: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Sums over time, [N]. Each over a row in memory: numpy adds columns in another order."""
+    return np.ascontiguousarray(np.where(during, values, 0.0).T).sum(axis=1)
+
+
+Act = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+
+
+def collect(envs: VectorEnv, seeds: Sequence[int], act: Act) -> Rollout:
+    """One whole episode of every environment, each reset with its seed.
+
+    envs: N environments that do not reset themselves (autoreset mode DISABLED); act: observations
+    [N, observation size] -> actions [N, action size] in [-1, 1]. An environment whose episode has
+    ended waits for the others; what it does meanwhile is left out. Raises UserError where the
+    environment gives no `info["cost"]`.
+    """
+    observation, _ = envs.reset(seed=list(seeds))  # pyright: ignore[reportArgumentType]
+    steps: list[tuple] = []
+    length = np.zeros(len(seeds), dtype=np.int64)
+    running = np.ones(len(seeds), dtype=bool)
+    while running.any():
+        action = act(observation)
+        following, reward, terminated, truncated, info = envs.step(action)
+        if "cost" not in info:
+            raise UserError(f"{envs} gives no info['cost']; it gives {sorted(info) or 'nothing'}")
+        steps.append((observation, action, reward, info["cost"], following, terminated, truncated))
+        length += running
+        ended = terminated | truncated
+        running &= ~ended
+        observation = following
+        if ended.any() and running.any():
+            observation, _ = envs.reset(options={"reset_mask": ended.copy()})
+    return Rollout(*(np.stack(column) for column in zip(*steps, strict=True)), length)

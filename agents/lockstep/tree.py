@@ -1,0 +1,49 @@
+"""Nested named tuples of tensors with a run axis: choosing by run, saving, loading."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+Tree = TypeVar("Tree")
+
+
+def where(mask: NDArray[np.bool_], new: Tree, old: Tree) -> Tree:
+    """The new state of the runs in mask [R], the old state of the others."""
+    return new if mask.all() else _where(torch.from_numpy(mask), new, old)
+
+
+def _where(mask: Tensor, new: Any, old: Any) -> Any:
+    if isinstance(new, Tensor):
+        return torch.where(mask.view(-1, *[1] * (new.dim() - 1)), new, old)
+    return type(new)(*(_where(mask, a, b) for a, b in zip(new, old, strict=True)))
+
+
+def flatten(tree: Any, prefix: str = "") -> dict[str, NDArray]:
+    """Every tensor under its dotted name."""
+    if isinstance(tree, Tensor):
+        return {prefix: tree.numpy()}
+    named = zip(tree._fields, tree, strict=True)
+    dot = f"{prefix}." if prefix else ""
+    return {k: v for name, part in named for k, v in flatten(part, f"{dot}{name}").items()}
+
+
+def unflatten(like: Any, arrays: dict[str, NDArray], prefix: str = "") -> Any:
+    """The tree shaped as `like` with the arrays that `flatten` named. KeyError for a missing one,
+    ValueError for one of another shape."""
+    if isinstance(like, Tensor):
+        array = arrays[prefix]
+        if array.shape != tuple(like.shape):
+            raise ValueError(f"{prefix} has shape {array.shape}, expected {tuple(like.shape)}")
+        return torch.from_numpy(array.copy())
+    dot = f"{prefix}." if prefix else ""
+    return type(like)(
+        *(
+            unflatten(part, arrays, f"{dot}{name}")
+            for name, part in zip(like._fields, like, strict=True)
+        )
+    )

@@ -1,0 +1,256 @@
+"""The update that the SAC family shares: SAC with two reward critics and two cost critics.
+
+What an algorithm adds is a `CostRule`. Losses are summed over runs and averaged over the batch, so
+the gradient of one run does not see the others. Source: Haarnoja et al. 2018 ("Soft actor-critic
+algorithms and applications") with the cost terms of the algorithm's paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from agents.errors import UserError, check
+from agents.lockstep.adam import Moments, adam, no_moments
+from agents.lockstep.nets import LANES, MLP
+from agents.lockstep.noise import Purpose, stream
+from agents.lockstep.replay import Batch
+from agents.updates import squashed_gaussian
+
+
+@dataclass(frozen=True)
+class SACConfig:
+    """Hyper-parameters of the SAC family; the defaults are the paper's (table HP_Circle2D)."""
+
+    cost_limit: float = 25.0
+    """Limit d of the discounted cost return (cost). Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
+    discount: float = 0.99
+    """Discount factor γ of rewards and costs, in [0, 1]."""
+    learning_rate: float = 3e-4
+    """Adam's step size for actor, critics and temperature."""
+    batch_size: int = 256
+    """Transitions a gradient step."""
+    gradient_steps: int = 5
+    """Gradient steps an epoch, which is one episode."""
+    random_steps: int = 5_000
+    """Environment steps at the start that take uniformly random actions."""
+    replay_size: int = 50_000
+    """Transitions the replay of a run holds."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Sizes of the hidden layers of actor and critics (tanh)."""
+    target_rate: float = 0.005
+    """Share τ by which the target critics follow (SAC's default; not printed in the paper)."""
+    time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
+    """Whether values go on behind a time limit. Inferred for the paper, not printed: terminal."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the value that is not allowed."""
+        check(self, "batch_size", "gradient_steps", "replay_size", low=1)
+        check(self, "random_steps", "cost_limit", low=0)
+        check(self, "discount", "target_rate", low=0, high=1)
+        check(self, "learning_rate", above=0)
+        if not self.hidden or min(self.hidden) < 1:
+            raise UserError(f"hidden must be sizes of at least 1, got {self.hidden!r}")
+        if self.time_limit not in ("bootstrap", "terminal"):
+            raise UserError(f"time_limit must be bootstrap or terminal, got {self.time_limit!r}")
+
+
+class CostRule(NamedTuple):
+    """What an algorithm of the family does with costs. Every function takes its config first.
+
+    `costs` are the outputs of the two cost critics, [R, 2, B].
+    """
+
+    risk: Callable[[Any, Tensor], Tensor]
+    """(config, costs) -> [R, B]: what the actor fears."""
+    critic_loss: Callable[[Any, Tensor, Tensor, Batch], Tensor]
+    """(config, costs, target critics' costs of the next action, batch) -> [R]."""
+    penalty: Callable[[Any, Tensor, Tensor], Tensor]
+    """(config, risk, multiplier [R, 1]) -> [R, B]: added to the actor's loss."""
+    multiplier: Callable[[Tensor], Tensor]
+    """(parameter [R, LANES]) -> [R, LANES]: the multiplier, which cannot be negative."""
+    multiplier_gradient: Callable[[Any, Tensor, Tensor], Tensor]
+    """(config, parameter [R, LANES], risk [R, B]) -> [R, LANES]: of the loss it descends."""
+
+
+class Nets(NamedTuple):
+    """The shapes of the networks."""
+
+    actor: MLP
+    critic: MLP
+
+
+class SACState(NamedTuple):
+    """Everything an update reads and writes.
+
+    Numbers that are one a run (temperature, multiplier) fill a row of 32 equal ones: see `nets`.
+    """
+
+    actor: Tensor
+    """[R, actor size]"""
+    critics: Tensor
+    """[R, 4, critic size]: two for the reward, two for the cost"""
+    targets: Tensor
+    """[R, 4, critic size]"""
+    log_temperature: Tensor
+    """[R, LANES]"""
+    multiplier: Tensor
+    """[R, LANES]: the parameter that `CostRule.multiplier` maps to the multiplier"""
+    actor_moments: Moments
+    critic_moments: Moments
+    temperature_moments: Moments
+    multiplier_moments: Moments
+
+
+class UpdateNoise(NamedTuple):
+    """The random numbers of one update: standard normal, [R, B, action size]."""
+
+    next_action: Tensor
+    new_action: Tensor
+
+
+def make_nets(config: SACConfig, observation_size: int, action_size: int) -> Nets:
+    """Nets for flat observations and actions."""
+    return Nets(
+        actor=MLP((observation_size, *config.hidden, 2 * action_size)),
+        critic=MLP((observation_size + action_size, *config.hidden, 1)),
+    )
+
+
+def initial_state(nets: Nets, seeds: Sequence[int], multiplier_parameter: float) -> SACState:
+    """The state of runs before their first update; each run's comes from its seed alone."""
+    streams = [stream(seed, Purpose.PARAMETERS) for seed in seeds]
+    actor = torch.from_numpy(np.stack([nets.actor.initial(rng) for rng in streams]))
+    critics = [[nets.critic.initial(rng) for _ in range(4)] for rng in streams]
+    critics = torch.from_numpy(np.array(critics))
+    log_temperature = torch.zeros(len(seeds), LANES)
+    multiplier = torch.full((len(seeds), LANES), multiplier_parameter)
+    parameters = (actor, critics, critics.clone(), log_temperature, multiplier)
+    moments = (no_moments(p) for p in (actor, critics, log_temperature, multiplier))
+    return SACState(*parameters, *moments)
+
+
+def values(nets: Nets, critics: Tensor, observation: Tensor, action: Tensor) -> Tensor:
+    """What the four critics of each run say: [R, 4, B]."""
+    inputs = torch.cat([observation, action], dim=-1)
+    runs, batch, width = inputs.shape
+    inputs = inputs[:, None].expand(runs, 4, batch, width).reshape(runs * 4, batch, width)
+    return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, 4, batch)
+
+
+def critic_loss(
+    nets: Nets,
+    config: Any,
+    rule: CostRule,
+    critics: Tensor,
+    batch: Batch,
+    reward_target: Tensor,
+    next_costs: Tensor,
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Half the mean squared error of each reward critic, and the rule's loss of the cost critics.
+
+    Returns the sum over runs, and both parts [R].
+    """
+    q = values(nets, critics, batch.observation, batch.action)
+    error = q[:, :2] - reward_target[:, None]
+    reward_part = 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
+    cost_part = rule.critic_loss(config, q[:, 2:], next_costs, batch)
+    parts = {"critic_loss": reward_part.detach(), "cost_critic_loss": cost_part.detach()}
+    return (reward_part + cost_part).sum(), parts
+
+
+def actor_loss(
+    nets: Nets,
+    config: Any,
+    rule: CostRule,
+    actor: Tensor,
+    critics: Tensor,
+    state: SACState,
+    batch: Batch,
+    noise: Tensor,
+) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
+    """`E[α log π - min Q + penalty(risk)]` over actions drawn anew.
+
+    Returns the sum over runs, and [R], risk [R, B] and log π [R, B] without gradient.
+    """
+    outputs = nets.actor.forward(actor, batch.observation)
+    action, log_prob = squashed_gaussian.sample(outputs, noise)
+    q = values(nets, critics, batch.observation, action)
+    risk = rule.risk(config, q[:, 2:])
+    temperature = state.log_temperature.exp()[:, :1]
+    penalty = rule.penalty(config, risk, rule.multiplier(state.multiplier)[:, :1])
+    reward = torch.minimum(q[:, 0], q[:, 1])
+    loss = (temperature * log_prob - reward + penalty).mean(dim=-1)
+    return loss.sum(), (loss.detach(), risk.detach(), log_prob.detach())
+
+
+def targets_of(
+    nets: Nets, config: SACConfig, state: SACState, batch: Batch, noise: Tensor
+) -> tuple[Tensor, Tensor]:
+    """`r + γ (min Q' - α log π)` at the next action, and the target critics' costs there.
+
+    -> [R, B] and [R, 2, B].
+    """
+    outputs = nets.actor.forward(state.actor, batch.next_observation)
+    action, log_prob = squashed_gaussian.sample(outputs, noise)
+    q = values(nets, state.targets, batch.next_observation, action)
+    soft_value = torch.minimum(q[:, 0], q[:, 1]) - state.log_temperature.exp()[:, :1] * log_prob
+    return batch.reward + config.discount * (1.0 - batch.terminal) * soft_value, q[:, 2:]
+
+
+def update(
+    nets: Nets, config: Any, rule: CostRule, state: SACState, batch: Batch, noise: UpdateNoise
+) -> tuple[SACState, dict[str, Tensor]]:
+    """One gradient step of critics, actor, temperature and multiplier, in this order.
+
+    The multiplier sees the risk of the actions that the actor's step was computed from. Returns the
+    new state and, for the records, means over the batch, [R] each.
+    """
+    rate, action_size = config.learning_rate, batch.action.shape[-1]
+    reward_target, next_costs = targets_of(nets, config, state, batch, noise.next_action)
+
+    def of_critics(critics: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        return critic_loss(nets, config, rule, critics, batch, reward_target, next_costs)
+
+    gradient, metrics = torch.func.grad(of_critics, has_aux=True)(state.critics)
+    critics, critic_moments = adam(state.critics, gradient, state.critic_moments, rate)
+
+    def of_actor(actor: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
+        return actor_loss(nets, config, rule, actor, critics, state, batch, noise.new_action)
+
+    gradient, (loss, risk, log_prob) = torch.func.grad(of_actor, has_aux=True)(state.actor)
+    actor, actor_moments = adam(state.actor, gradient, state.actor_moments, rate)
+
+    # d/d(log α) of -α (log π + target entropy), with the target entropy -action_size
+    excess = log_prob.mean(dim=-1, keepdim=True) - action_size
+    gradient = -state.log_temperature.exp() * excess
+    log_temperature, temperature_moments = adam(
+        state.log_temperature, gradient, state.temperature_moments, rate
+    )
+    gradient = rule.multiplier_gradient(config, state.multiplier, risk)
+    multiplier, multiplier_moments = adam(
+        state.multiplier, gradient, state.multiplier_moments, getattr(config, "multiplier_lr", 0.0)
+    )
+    metrics |= {
+        "actor_loss": loss,
+        "temperature": state.log_temperature.exp()[:, 0],
+        "multiplier": rule.multiplier(state.multiplier)[:, 0],
+        "risk": risk.mean(dim=-1),
+        "entropy": -log_prob.mean(dim=-1),
+    }
+    return SACState(
+        actor,
+        critics,
+        state.targets.lerp(critics, config.target_rate),
+        log_temperature,
+        multiplier,
+        actor_moments,
+        critic_moments,
+        temperature_moments,
+        multiplier_moments,
+    ), metrics
