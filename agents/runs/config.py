@@ -1,0 +1,91 @@
+"""What is trained: written once into the run folder, and read by everything after."""
+
+from __future__ import annotations
+
+import dataclasses
+import platform
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from agents.algorithms import algorithm
+from agents.errors import UserError
+from agents.runs.files import read_json, write_json
+
+PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Some runs of one algorithm on one task, which differ in their seed only."""
+
+    algorithm: str
+    task: str
+    seeds: tuple[int, ...]
+    steps: int
+    """Environment steps of each run; the episode that reaches them is finished."""
+    hyperparameters: Any
+    """The algorithm's config."""
+    task_parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Keyword arguments for `gymnasium.make`."""
+    checkpoint_every: int = 50_000
+    """Environment steps of a run between checkpoints."""
+
+    def __post_init__(self) -> None:
+        expected = algorithm(self.algorithm).config
+        if type(self.hyperparameters) is not expected:
+            raise UserError(
+                f"hyperparameters of {self.algorithm} must be a {expected.__name__}, "
+                f"got {self.hyperparameters!r}"
+            )
+        for name in ("steps", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise UserError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
+            raise UserError(f"seeds must be different numbers, at least one, got {self.seeds}")
+        if not all(0 <= seed < 2**63 for seed in self.seeds):
+            raise UserError(f"seeds must be in [0, 2**63), got {self.seeds}")
+
+    def write(self, folder: Path) -> None:
+        """Make the run folder. Raises UserError where there is one already."""
+        if (folder / "config.json").exists():
+            raise UserError(
+                f"{folder} holds runs already: go on with them by 'circle2d resume {folder}', "
+                "or choose another folder"
+            )
+        content = dataclasses.asdict(self) | {"versions": versions()}
+        folder.mkdir(parents=True, exist_ok=True)
+        for seed in self.seeds:
+            run_folder(folder, seed).mkdir(exist_ok=True)
+            of_run = {"seed": seed} | {k: v for k, v in content.items() if k != "seeds"}
+            write_json(run_folder(folder, seed) / "config.json", of_run)
+        write_json(folder / "config.json", content)
+
+    @classmethod
+    def read(cls, folder: Path) -> TrainConfig:
+        """The configuration of a run folder. Raises UserError where it is missing or damaged."""
+        path = folder / "config.json"
+        content = read_json(path)
+        content.pop("versions", None)
+        try:
+            hyperparameters = _tuples(content.pop("hyperparameters"))
+            content["seeds"] = tuple(content["seeds"])
+            config = algorithm(content["algorithm"]).config(**hyperparameters)
+            return cls(hyperparameters=config, **content)
+        except (KeyError, TypeError, ValueError) as error:
+            raise UserError(f"{path} is damaged: {error}") from None
+
+
+def run_folder(folder: Path, seed: int) -> Path:
+    """Where the files of one run are."""
+    return folder / f"seed-{seed}"
+
+
+def versions() -> dict[str, str]:
+    """What the results were computed with."""
+    return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
+
+
+def _tuples(parameters: dict[str, Any]) -> dict[str, Any]:
+    return {k: tuple(v) if isinstance(v, list) else v for k, v in parameters.items()}

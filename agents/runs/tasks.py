@@ -1,0 +1,68 @@
+"""Environments to train in: any gymnasium task with Box spaces and `info["cost"]`."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.envs.registration import load_env_creator
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.wrappers.vector import RescaleAction
+
+from agents.errors import UserError
+
+
+def make_envs(task: str, num_envs: int, parameters: dict[str, Any]) -> VectorEnv:
+    """`num_envs` environments that take actions in [-1, 1] and do not reset themselves.
+
+    A native vector environment where the task has one that can be told so, gymnasium's
+    `SyncVectorEnv` otherwise. Raises UserError for an unknown task, parameters it refuses, and
+    spaces that are not flat Boxes (actions: bounded).
+    """
+    try:
+        spec = gym.spec(task)
+        if _is_native(spec):
+            mode = {"autoreset_mode": AutoresetMode.DISABLED}
+            envs = gym.make_vec(
+                task, num_envs, vectorization_mode="vector_entry_point", **mode, **parameters
+            )
+        else:
+            mode = {"autoreset_mode": AutoresetMode.DISABLED}
+            envs = gym.make_vec(
+                task, num_envs, vectorization_mode="sync", vector_kwargs=mode, **parameters
+            )
+    except (gym.error.Error, TypeError, ValueError) as error:
+        raise UserError(f"cannot make task {task!r}: {error}") from None
+    _check_space(task, "observation", envs.single_observation_space)
+    _check_space(task, "action", envs.single_action_space)
+    actions = envs.single_action_space
+    assert isinstance(actions, Box)
+    if not np.isfinite([actions.low, actions.high]).all():
+        raise UserError(f"the action space of task {task!r} must be bounded, got {actions}")
+    if (actions.low == -1).all() and (actions.high == 1).all():
+        return envs
+    return RescaleAction(envs, np.float32(-1.0), np.float32(1.0))
+
+
+def sizes(envs: VectorEnv) -> tuple[int, int]:
+    """Numbers an observation and an action of one environment hold."""
+    observation, action = envs.single_observation_space.shape, envs.single_action_space.shape
+    assert observation is not None
+    assert action is not None
+    return observation[0], action[0]
+
+
+def _is_native(spec: gym.envs.registration.EnvSpec) -> bool:
+    entry_point = spec.vector_entry_point
+    if entry_point is None:
+        return False
+    make = load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
+    return "autoreset_mode" in inspect.signature(make).parameters
+
+
+def _check_space(task: str, name: str, space: gym.Space) -> None:
+    if not isinstance(space, Box) or len(space.shape) != 1:
+        raise UserError(f"the {name} space of task {task!r} must be a flat Box, got {space}")
