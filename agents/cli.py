@@ -22,7 +22,7 @@ from agents.errors import UserError
 from agents.runs.config import TrainConfig
 from agents.runs.evaluate import evaluate
 from agents.runs.progress import show_progress
-from agents.runs.tasks import make_envs
+from agents.runs.tasks import check_task
 from agents.runs.train import EVALUATION_EPISODES, restored, train
 
 USAGE = f"""\
@@ -93,7 +93,7 @@ def run_train(args: Sequence[str]) -> None:
     folder = values.pop("out")
     values["task_parameters"] = {k: _literal(v) for k, v in values["task_parameters"].items()}
     config = TrainConfig(**values, hyperparameters=options.hyperparameters)
-    make_envs(config.task, 1, config.task_parameters).close()  # refuse before anything is written
+    check_task(config.task, config.task_parameters)  # before anything is written
     config.write(folder)
     _train(folder)
 
@@ -153,7 +153,7 @@ def _train(folder: Path) -> None:
 
 
 def _algorithm_and_task(args: Sequence[str]) -> tuple[str | None, str]:
-    """Which algorithm's hyper-parameters `train` takes, and for which task; read ahead of the rest."""
+    """Which hyper-parameters `train` takes, and for which task: read ahead of the rest."""
     ahead = argparse.ArgumentParser(add_help=False, exit_on_error=False, allow_abbrev=False)
     ahead.add_argument("--algorithm", nargs="?")
     ahead.add_argument("--task", nargs="?", default=TrainOptions.task)

@@ -26,7 +26,7 @@ def check(
         value = getattr(config, name)
         if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value):
             raise UserError(f"{name} must be a finite number, got {value!r}")
-        if not (low <= value <= high and value > above):
+        if not (low <= float(value) <= high and float(value) > above):
             bounds = {"at least": low, "above": above, "at most": high}
             rule = " and ".join(f"{k} {v:g}" for k, v in bounds.items() if math.isfinite(v))
             raise UserError(f"{name} must be {rule}, got {value!r}")

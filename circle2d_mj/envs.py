@@ -104,14 +104,10 @@ class Circle2DVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.floating], NDA
         cost = self._dynamics.step(actions)
         reward = task.reward(self.config, self._dynamics.position)
         self._steps += 1
-        if self.config.reset_on_cost:
-            terminated = cost > 0
-        else:
-            terminated = np.zeros(self.num_envs, dtype=bool)
-        if self.max_episode_steps is None:
-            truncated = np.zeros(self.num_envs, dtype=bool)
-        else:
-            truncated = self._steps >= self.max_episode_steps
+        never = np.zeros(self.num_envs, dtype=bool)
+        limit = self.max_episode_steps
+        terminated = cost > 0 if self.config.reset_on_cost else never
+        truncated = never.copy() if limit is None else self._steps >= limit
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             self._reset_finished(reward, cost, terminated, truncated)
         info = self._info(cost)
@@ -190,7 +186,7 @@ class Circle2DEnv(gym.Env[NDArray[np.float32], NDArray[np.floating]]):
     every step and from `reset`. The task is given as a `Circle2DConfig` or by its parameters.
     """
 
-    metadata = {"render_modes": []}
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012, as gymnasium declares it
 
     def __init__(
         self,
@@ -252,6 +248,7 @@ for_gym_make.metadata = Circle2DEnv.metadata  # pyright: ignore[reportFunctionMe
 
 
 def checked_action(action: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """The action as float64. Raises ValueError where it has another shape or is not finite."""
     try:
         values = np.asarray(action, dtype=np.float64)
     except (TypeError, ValueError):

@@ -2,8 +2,8 @@
 
 gymnasium 1.0 stopped reading the `gymnasium.envs` entry points. So the wheel installs this file as
 a module of its own, which `circle2d_mj.pth` runs when Python starts: it waits for gymnasium to be
-imported, and imports `circle2d_mj`, which registers its tasks, right after. Nothing else is touched,
-and a program that never imports gymnasium pays for one entry in `sys.meta_path`.
+imported, and imports `circle2d_mj`, which registers its tasks, right after. A program that never
+imports gymnasium pays for one entry in `sys.meta_path`.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""The ids under which gymnasium finds the tasks; called through the `gymnasium.envs` entry point."""
+"""The ids under which gymnasium finds the tasks."""
 
 from __future__ import annotations
 

@@ -24,7 +24,8 @@ class StartArea:
 
     The rectangle is split into equal cells, and cells that surely lie in the cost region are
     dropped, until nearly all that is left is surely free. A cell is then drawn, a point in it, and
-    both again while the point lies in the region: uniform over the feasible part. Raises ValueError where nothing feasible is left.
+    both again while the point lies in the region: uniform over the feasible part. Raises
+    ValueError where nothing feasible is left.
     """
 
     def __init__(self, config: Circle2DConfig, region: CostRegion) -> None:

@@ -40,22 +40,22 @@ class Rollout(NamedTuple):
     @property
     def returns(self) -> NDArray[np.float64]:
         """Undiscounted return of each episode, [N]."""
-        return _sums(self.reward, self.during)
+        return self._sums(self.reward)
 
     @property
     def cost_returns(self) -> NDArray[np.float64]:
         """Undiscounted cost return of each episode, [N]."""
-        return _sums(self.cost, self.during)
+        return self._sums(self.cost)
+
+    def _sums(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sums over each episode, [N], added in the order of time. `sum` would choose an order by
+        the array's shape, and so by how long the other episodes are."""
+        return np.cumsum(values, axis=0)[self.length - 1, np.arange(len(self.length))]
 
     @property
     def final_observation(self) -> NDArray[np.float32]:
         """What each episode ended with, [N, observation size]."""
         return self.next_observation[self.length - 1, np.arange(len(self.length))]
-
-
-def _sums(values: NDArray[np.float64], during: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Sums over time, [N]. Each over a row in memory: numpy adds columns in another order."""
-    return np.ascontiguousarray(np.where(during, values, 0.0).T).sum(axis=1)
 
 
 Act = Callable[[NDArray[np.float32]], NDArray[np.float32]]
@@ -85,4 +85,5 @@ def collect(envs: VectorEnv, seeds: Sequence[int], act: Act) -> Rollout:
         observation = following
         if ended.any() and running.any():
             observation, _ = envs.reset(options={"reset_mask": ended.copy()})
-    return Rollout(*(np.stack(column) for column in zip(*steps, strict=True)), length)
+    columns = [np.stack(column) for column in zip(*steps, strict=True)]
+    return Rollout._make([*columns, length])

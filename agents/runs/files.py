@@ -59,8 +59,8 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray]) -> None:
 def read_arrays(path: Path) -> dict[str, NDArray]:
     """Read named arrays; nothing is unpickled. Raises UserError where the file is damaged."""
     try:
-        with np.load(path, allow_pickle=False) as content:
-            return dict(content)
+        with path.open("rb") as file:  # numpy leaves a damaged file open
+            return dict(np.load(file, allow_pickle=False))
     except FileNotFoundError:
         raise UserError(f"{path} is missing: nothing has been trained there yet") from None
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:

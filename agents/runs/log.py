@@ -28,7 +28,7 @@ class Log:
         costs = rollout.cost.T[rollout.during.T]
         streaks = longest_streaks(costs, rollout.length)
         columns = (start_step, rollout.length, rollout.returns, rollout.cost_returns, streaks)
-        self._epochs.append(np.column_stack((*columns, metrics)))
+        self._epochs.append(np.column_stack((*columns, metrics)).astype(np.float64))
 
     def table(self) -> NDArray[np.float64]:
         """Everything: [epochs, R, columns and metrics]."""

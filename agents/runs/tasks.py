@@ -7,7 +7,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.envs.registration import load_env_creator
+from gymnasium.envs.registration import EnvSpec, load_env_creator
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import RescaleAction
@@ -44,7 +44,20 @@ def make_envs(task: str, num_envs: int, parameters: dict[str, Any]) -> VectorEnv
         raise UserError(f"the action space of task {task!r} must be bounded, got {actions}")
     if (actions.low == -1).all() and (actions.high == 1).all():
         return envs
-    return RescaleAction(envs, np.float32(-1.0), np.float32(1.0))
+    one = np.ones_like(actions.low)
+    return RescaleAction(envs, -one, one)
+
+
+def check_task(task: str, parameters: dict[str, Any]) -> None:
+    """Raise UserError for a task that cannot be made, or whose steps give no cost."""
+    envs = make_envs(task, 1, parameters)
+    envs.reset(seed=0)
+    info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
+    envs.close()
+    if "cost" not in info:
+        raise UserError(
+            f"task {task!r} gives no info['cost']; it gives {sorted(info) or 'nothing'}"
+        )
 
 
 def sizes(envs: VectorEnv) -> tuple[int, int]:
@@ -55,7 +68,7 @@ def sizes(envs: VectorEnv) -> tuple[int, int]:
     return observation[0], action[0]
 
 
-def _is_native(spec: gym.envs.registration.EnvSpec) -> bool:
+def _is_native(spec: EnvSpec) -> bool:
     entry_point = spec.vector_entry_point
     if entry_point is None:
         return False

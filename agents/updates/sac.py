@@ -28,7 +28,7 @@ class SACConfig:
     """Hyper-parameters of the SAC family; the defaults are the paper's (table HP_Circle2D)."""
 
     cost_limit: float = 25.0
-    """Limit d of the discounted cost return (cost). Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
+    """Limit d of the discounted cost return. Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
     discount: float = 0.99
     """Discount factor γ of rewards and costs, in [0, 1]."""
     learning_rate: float = 3e-4

@@ -1,0 +1,139 @@
+"""The command line: what it does, and one line with status 2 for every mistake."""
+
+import re
+
+import pytest
+
+from agents.cli import main
+
+TRAIN = ["train", "--algorithm", "sac-lag", "--seeds", "0", "1", "--steps", "600"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("runs") / "first"
+    assert main([*TRAIN, "--out", str(path), "--random-steps", "300"]) == 0
+    return path
+
+
+def test_train_prints_and_writes_the_table(folder, capsys):
+    assert main(["report", str(folder)]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert (folder / "report.md").read_text() + "\n" == out
+    rows = [line for line in out.splitlines() if line.startswith("| SAC-Lag")]
+    names = [row.split("|")[1].strip() for row in rows]
+    assert names == [
+        "SAC-Lag, mean of 2",
+        "SAC-Lag, seed 0",
+        "SAC-Lag, seed 1",
+        "SAC-Lag, paper (3 seeds)",
+    ]
+    paper = [cell.strip() for cell in rows[-1].split("|")[2:9]]
+    assert paper == ["0.62", "0.63", "0.43", "0.20", "-13.70", "3.32", "3.64"]
+    assert "inferred from its results, not printed" in out
+    assert (folder / "report.csv").read_text().count("SAC-Lag") >= 4
+    assert "steps/s" in (folder / "timing.log").read_text()
+
+
+def test_evaluate(folder, capsys):
+    assert main(["evaluate", str(folder), "--episodes", "7"]) == 0
+    assert "7 episodes" in capsys.readouterr().out
+
+
+def test_resume_of_a_finished_run_changes_nothing(folder, capsys):
+    before = (folder / "checkpoint.npz").read_bytes()
+    assert main(["resume", str(folder)]) == 0
+    assert (folder / "checkpoint.npz").read_bytes() == before
+
+
+def test_hyperparameters_and_task_parameters(tmp_path):
+    from agents.runs.config import TrainConfig
+
+    out = tmp_path / "x"
+    options = ["--cost-limit", "3", "--hidden", "16", "--time-limit", "bootstrap"]
+    task = ["--task", "Circle2D-3-v0", "--task-parameters", "constraint_radius", "3.0"]
+    steps = ["--steps", "50", "--seeds", "4"]
+    arguments = ["train", "--algorithm", "sac-lag", *task, *options, *steps, "--out", str(out)]
+    assert main(arguments) == 0
+    config = TrainConfig.read(out)
+    assert config.task_parameters == {"constraint_radius": 3.0}
+    assert config.hyperparameters.cost_limit == 3.0
+    assert config.hyperparameters.hidden == (16,)
+    assert config.hyperparameters.time_limit == "bootstrap"
+    assert config.seeds == (4,)
+
+
+def test_help_explains_every_option(capsys):
+    with pytest.raises(SystemExit) as done:
+        main(["train", "--algorithm", "sac-lag", "--help"])
+    assert done.value.code == 0
+    text = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
+    for option in ("--seeds", "--steps", "--cost-limit", "--multiplier-lr", "--time-limit"):
+        assert option in text
+    assert "Limit d of the discounted cost return." in text
+    assert "(default: 5.0)" in text
+    assert main(["--help"]) == 0
+    assert main([]) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["fly"], "unknown command 'fly': valid are train, resume, evaluate, report"),
+        (["train", "--algorithm", "sac-log"], "unknown algorithm 'sac-log': valid are sac-lag"),
+        (["train", "--out", "{tmp}"], "--algorithm"),
+        ([*TRAIN], "--out"),
+        ([*TRAIN, "--out", "{tmp}/x", "--task", "Nope-v1"], "cannot make task 'Nope-v1'"),
+        ([*TRAIN, "--out", "{tmp}/x", "--task", "CartPole-v1"], "action space.*flat Box"),
+        ([*TRAIN, "--out", "{tmp}/x", "--task", "Pendulum-v1"], "info\\['cost'\\]"),
+        ([*TRAIN, "--out", "{tmp}/x", "--learning-rat", "1"], "--learning-rat"),
+        ([*TRAIN, "--out", "{tmp}/x", "--learning-rate", "0"], "learning_rate must be above 0"),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--discount", "1.5"],
+            "discount must be .*at most 1, got 1.5",
+        ),
+        ([*TRAIN, "--out", "{tmp}/x", "--steps", "0"], "steps must be at least 1, got 0"),
+        ([*TRAIN, "--out", "{tmp}/x", "--steps", "many"], "'many'"),
+        ([*TRAIN, "--out", "{tmp}/x", "--seeds", "1", "1"], "seeds must be different"),
+        ([*TRAIN, "--out", "{tmp}/x", "--seeds", "-1"], "seeds must be in"),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "radius", "3"],
+            "unknown parameter 'radius'",
+        ),
+        (["resume", "{tmp}/nothing"], r"nothing/config\.json is missing"),
+        (["evaluate", "{tmp}/nothing"], r"nothing/config\.json is missing"),
+        (["report", "{tmp}/nothing"], "nothing is no folder"),
+        (["report", "{tmp}"], "holds no runs"),
+        (["evaluate", "{folder}", "--episodes", "0"], "episodes must be at least 1"),
+        ([*TRAIN, "--out", "{folder}"], "holds runs already: go on with them by 'circle2d resume"),
+    ],
+)
+def test_mistakes(arguments, message, folder, tmp_path, capsys):
+    arguments = [a.format(tmp=tmp_path, folder=folder) for a in arguments]
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("circle2d: ")
+    assert err.count("\n") == 1
+    assert re.search(message, err), err
+    assert not (tmp_path / "x").exists()
+
+
+def test_report_names_what_it_leaves_out(folder, tmp_path, capsys):
+    import shutil
+
+    copy = tmp_path / "runs"
+    shutil.copytree(folder, copy)
+    episodes = copy / "seed-0" / "episodes.csv"
+    episodes.write_text(episodes.read_text()[:-100])
+    assert main(["report", str(copy)]) == 0
+    out = capsys.readouterr().out
+    assert "SAC-Lag, mean of 1" in out
+    assert "SAC-Lag, seed 0" not in out
+    assert re.search(r"left out: .*seed-0: .*episodes\.csv", out)
+    (copy / "seed-1" / "evaluation.json").unlink()
+    assert main(["report", str(copy)]) == 0
+    out = capsys.readouterr().out
+    assert "mean of" not in out
+    assert re.search(r"left out: .*seed-1: .*evaluation\.json is missing", out)

@@ -1,0 +1,71 @@
+"""The replay against a plain list of transitions."""
+
+import collections
+
+import numpy as np
+import pytest
+
+from agents.lockstep.replay import Replay
+from agents.lockstep.rollout import Rollout
+
+
+def random_rollout(rng, steps, lengths):
+    def numbers(*shape):
+        return rng.normal(size=(steps, len(lengths), *shape)).astype(np.float32)
+
+    flags = rng.random((2, steps, len(lengths))) < 0.2
+    return Rollout(
+        numbers(3), numbers(2), numbers(), numbers(), numbers(3), *flags, np.array(lengths)
+    )
+
+
+def fill(replay, capacity, epochs=9):
+    rng = np.random.default_rng(0)
+    held = [collections.deque(maxlen=capacity) for _ in range(2)]
+    for _ in range(epochs):
+        rollout = random_rollout(rng, 5, rng.integers(0, 6, size=2))
+        replay.add(rollout, rollout.terminated)
+        for run, length in enumerate(rollout.length):
+            for t in range(length):
+                held[run].append(
+                    (
+                        *rollout.observation[t, run],
+                        *rollout.action[t, run],
+                        rollout.reward[t, run],
+                        rollout.cost[t, run],
+                        *rollout.next_observation[t, run],
+                        float(rollout.terminated[t, run]),
+                    )
+                )
+    return held
+
+
+def rows(batch):
+    columns = [c if c.dim() == 3 else c[..., None] for c in batch]
+    return np.concatenate([c.numpy() for c in columns], axis=-1)
+
+
+@pytest.mark.parametrize("capacity", [12, 100])
+def test_holds_the_last_transitions(capacity):
+    replay = Replay(2, capacity, 3, 2)
+    held = fill(replay, capacity)
+    assert replay.size.tolist() == [len(h) for h in held]
+    smallest = min(map(len, held))
+    everything = np.tile(np.arange(smallest), (2, 1))
+    for run in range(2):
+        index = everything.copy()
+        index[run] = np.arange(smallest)
+        found = {tuple(row) for row in rows(replay.gather(index))[run]}
+        expected = {tuple(np.float32(v) for v in row) for row in held[run]}
+        assert found <= expected
+        if smallest == len(held[run]):
+            assert found == expected
+
+
+def test_restore():
+    replay, other = Replay(2, 50, 3, 2), Replay(2, 50, 3, 2)
+    fill(replay, 50)
+    other.restore({k: v.copy() for k, v in replay.state().items()})
+    index = np.random.default_rng(1).integers(replay.size.min(), size=(2, 64))
+    np.testing.assert_array_equal(rows(replay.gather(index)), rows(other.gather(index)))
+    np.testing.assert_array_equal(replay.stored, other.stored)

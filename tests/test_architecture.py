@@ -1,0 +1,72 @@
+"""The shape of the house: which way imports go, and how long files and functions are."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("agents", "circle2d_mj", "emcc")
+MODULES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+
+
+def imports(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute here"
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def within(names, package):
+    return {name for name in names if name == package or name.startswith(package + ".")}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_go_one_way(path):
+    """agents -> circle2d_mj, agents -> emcc; inside agents runs -> algorithms -> updates ->
+    lockstep, and only reports know the paper."""
+    names = set(imports(path))
+    parts = path.relative_to(ROOT).parts
+    forbidden = {"circle2d_mj": ("agents", "emcc"), "emcc": ("agents", "circle2d_mj")}.get(
+        parts[0], ()
+    )
+    order = ("lockstep", "updates", "algorithms", "runs", "bench")
+    if parts[0] == "agents" and parts[1] in order:
+        above = order[order.index(parts[1]) + 1 :]
+        forbidden = (*(f"agents.{part}" for part in above), "agents.cli")
+    for package in forbidden:
+        assert not within(names, package)
+
+
+def test_emcc_needs_numpy_alone():
+    allowed = {"numpy", "emcc", "gymnasium"}
+    for path in MODULES:
+        if path.is_relative_to(ROOT / "emcc"):
+            import sys
+
+            tops = {name.split(".")[0] for name in imports(path)} - set(sys.stdlib_module_names)
+            assert tops <= allowed, path
+            assert "gymnasium" not in tops or path.name == "wrappers.py"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_files_and_functions_are_short(path):
+    source = path.read_text()
+    assert source.count("\n") <= 300
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            assert node.end_lineno - node.lineno < 60, node.name
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_what_is_public_is_documented(path):
+    tree = ast.parse(path.read_text())
+    if path.read_text().strip():
+        assert ast.get_docstring(tree), "module"
+    for node in tree.body:
+        public = isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_")
+        if public and path.name not in ("__main__.py", "cli.py"):
+            assert ast.get_docstring(node), node.name
