@@ -19,8 +19,9 @@ from agents.algorithms import ALGORITHMS, algorithm
 from agents.bench.presets import preset
 from agents.bench.report import report
 from agents.errors import UserError
-from agents.runs.config import TrainConfig
+from agents.runs.config import TrainConfig, versions
 from agents.runs.evaluate import evaluate
+from agents.runs.files import read_json
 from agents.runs.progress import show_progress
 from agents.runs.tasks import check_task
 from agents.runs.train import EVALUATION_EPISODES, restored, train
@@ -69,7 +70,7 @@ class ResumeOptions:
 
 @dataclass(frozen=True)
 class EvaluateOptions:
-    """Play episodes with the policies of a folder's last checkpoint and print their table."""
+    """Play episodes with the policies of a folder's last checkpoint and print their means."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of the runs."""
@@ -99,18 +100,25 @@ def run_train(args: Sequence[str]) -> None:
 
 
 def run_resume(args: Sequence[str]) -> None:
-    _train(_parse(ResumeOptions, "resume", args).folder)
+    folder = _parse(ResumeOptions, "resume", args).folder
+    TrainConfig.read(folder)
+    before = read_json(folder / "config.json").get("versions")
+    if before != versions():
+        print(f"circle2d: begun with other versions, {before}: results may differ", file=sys.stderr)
+    _train(folder)
 
 
 def run_evaluate(args: Sequence[str]) -> None:
     options = _parse(EvaluateOptions, "evaluate", args)
     training = restored(options.folder)
-    if not training.done:
-        print(
-            f"note: {options.folder} is unfinished, {training.steps.min()} steps", file=sys.stderr
-        )
-    evaluate(options.folder, training.config, training.learner.policy(), options.episodes)
-    print(report(options.folder))
+    policy = training.learner.policy()
+    results = evaluate(options.folder, training.config, policy, options.episodes)
+    steps = f"after {training.steps.min()} of {training.config.steps} steps"
+    print(f"{options.folder}, {steps}: means over {options.episodes} episodes")
+    for name, of_runs in results.items():
+        for seed, measures in zip(training.config.seeds, of_runs, strict=True):
+            numbers = ", ".join(f"{k} {v:.2f}" for k, v in measures.items() if isinstance(v, float))
+            print(f"seed {seed}, {name} policy: {numbers}")
 
 
 def run_report(args: Sequence[str]) -> None:
@@ -139,8 +147,11 @@ def main(args: Sequence[str] | None = None) -> int:
     except UserError as error:
         print(f"circle2d: {error}", file=sys.stderr)
         return 2
+    except (OSError, MemoryError) as error:
+        print(f"circle2d: {error or 'out of memory'}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
-        print("circle2d: interrupted; 'circle2d resume FOLDER' goes on", file=sys.stderr)
+        print("circle2d: interrupted; 'circle2d resume' goes on with a training", file=sys.stderr)
         return 130
     return 0
 
@@ -149,7 +160,10 @@ def _train(folder: Path) -> None:
     config = TrainConfig.read(folder)
     with show_progress(config, folder) as on_epoch:
         train(folder, on_epoch)
-    print(report(folder))
+    try:
+        print(report(folder))
+    except UserError as error:  # the training itself is done
+        print(f"circle2d: no table: {error}", file=sys.stderr)
 
 
 def _algorithm_and_task(args: Sequence[str]) -> tuple[str | None, str]:

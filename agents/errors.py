@@ -14,6 +14,17 @@ class UserError(ValueError):
     """
 
 
+def check_integers(config: Any, *names: str, low: int, high: int = 2**40) -> None:
+    """Refuse fields of a config that are not integers from `low` to `high`."""
+    for name in names:
+        value = getattr(config, name)
+        if not isinstance(value, int) or isinstance(value, bool):
+            raise UserError(f"{name} must be an integer, got {value!r}")
+        if not low <= value <= high:
+            rule = f"at least {low}" if value < low else f"at most {high}"
+            raise UserError(f"{name} must be {rule}, got {value}")
+
+
 def check(
     config: Any,
     *names: str,

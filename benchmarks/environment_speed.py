@@ -46,7 +46,7 @@ def single(task):
 
 
 def main():
-    """Resets are included everywhere: CartPole's episodes end after about 20 steps, ours after 50."""
+    """Resets are included: CartPole's episodes end after about 20 steps, ours after 50."""
     runs = {
         f"CartPole-v1, vector of {SIZE}": vector("CartPole-v1"),
         f"Circle2D-1-v0, vector of {SIZE}": vector("Circle2D-1-v0"),

@@ -59,7 +59,9 @@ def speed(code, *args):
 def main():
     rows = {"plain, 1 run": lambda: speed(PLAIN)}
     for runs in (1, 3, 12):
-        rows[f"lockstep, {runs} run{'s' if runs > 1 else ''}"] = lambda n=str(runs): speed(LOCKSTEP, n)
+        rows[f"lockstep, {runs} run{'s' if runs > 1 else ''}"] = lambda n=str(runs): speed(
+            LOCKSTEP, n
+        )
     results = {name: [] for name in rows}
     for _ in range(TURNS):
         for name, measure in rows.items():

@@ -53,8 +53,8 @@ class Circle2DConfig:
         if self.level not in LEVELS:
             raise ValueError(f"level must be one of {LEVELS}, got {self.level!r}")
         self._set("level", int(self.level))
-        for name in ("constraint_radius", "init_radius_multiplier"):
-            self._set_number(name, low=0.0, low_allowed=False)
+        self._set_number("constraint_radius", low=1e-100, high=1e100)  # squares must stay finite
+        self._set_number("init_radius_multiplier", low=0.0, low_allowed=False, high=1e6)
         self._set_number("corridor_height_factor", low=0.0, low_allowed=False, high=2.0)
         self._set_number("init_region_size", low=0.0)
         self._set_optimum()
@@ -148,6 +148,10 @@ class Circle2DConfig:
 def _number(name: str, value: Any) -> float:
     if not isinstance(value, Real) or isinstance(value, bool):
         raise TypeError(f"{name} must be a number, got {value!r}")
-    if not math.isfinite(value):
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
         raise ValueError(f"{name} must be finite, got {value!r}")
-    return float(value)
+    return number

@@ -71,7 +71,7 @@ class CostRegion:
         return _test(self._in_cutout, points)
 
     def places(self, points: ArrayLike) -> list[str]:
-        """Where points lie, in words: "centre" (the cost region), "corridor", "top cut-out",
+        """Where points lie, in words: "cost region", "corridor", "top cut-out",
         "bottom diagonal cut-out", "right rim" (anywhere outside the disc on that side), ...
 
         points: [N, 2] world units.
@@ -86,7 +86,7 @@ class CostRegion:
         for cut, strip in zip(self.cutouts, self._strips, strict=True):
             if self._in_strip(strip, x, abs(y)):
                 return cut.name if cut.sin == 0 else f"{upright} {cut.name}"
-        return "centre"
+        return "cost region"
 
     # These take coordinates with y >= 0, as arrays or as plain floats, and return bools to match.
 

@@ -33,6 +33,7 @@ class Run:
     task: str = ""
     algorithm: str = ""
     seed: str = ""
+    settings: str = ""  # what else the runs of one experiment have in common
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +97,8 @@ def _labelled(run: Run) -> Run:
     labels: dict[str, Any] = {
         key: str(config[key]) for key in ("task", "algorithm", "seed") if key in config
     }
+    settings = {key: config[key] for key in ("hyperparameters", "task_parameters") if key in config}
+    labels["settings"] = json.dumps(settings, sort_keys=True)
     if "steps" in config:
         steps = config["steps"]
         if not isinstance(steps, int) or steps < 1:

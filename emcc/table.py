@@ -54,17 +54,18 @@ class Table:
 def emcc_table(
     runs: Sequence[Run], alpha: float, ties: str, seed: int = 0, per_run: bool = False
 ) -> Table:
-    """One row per task and algorithm: means over its runs; with per_run, its runs below it.
+    """One row per task, algorithm and settings: means over its runs; with per_run, they follow.
 
     seed: of the bootstrap. Runs without a task and an algorithm have a row each.
     ValueError: alpha, ties or the steps of a run are not allowed.
     """
     measures = {run: _measures(run, alpha, ties) for run in runs}
-    groups: dict[tuple[str, str], list[Run]] = {}
+    groups: dict[tuple[str, str, str], list[Run]] = {}
     for run in runs:
-        groups.setdefault((run.task, run.algorithm or str(run.path)), []).append(run)
+        key = (run.task, run.algorithm or str(run.path), run.settings)
+        groups.setdefault(key, []).append(run)
     rows = []
-    for (task, algorithm), members in groups.items():
+    for (task, algorithm, _), members in groups.items():
         label = [task or MISSING, algorithm]
         rows.append([*label, str(len(members)), *_cells(members, measures, seed)])
         if per_run:
@@ -131,10 +132,10 @@ def _notes(run: Run, measures: dict[str, float | None]) -> list[str]:
     return notes
 
 
-def _repeated_seeds(groups: dict[tuple[str, str], list[Run]]) -> list[str]:
+def _repeated_seeds(groups: dict[tuple[str, str, str], list[Run]]) -> list[str]:
     return [
         f"{task} {algorithm}: {times} runs have seed {seed}; their interval may be too narrow."
-        for (task, algorithm), runs in groups.items()
+        for (task, algorithm, _), runs in groups.items()
         for seed, times in Counter(run.seed for run in runs if run.seed).items()
         if times > 1
     ]

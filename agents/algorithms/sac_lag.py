@@ -12,24 +12,16 @@ import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
-from agents.errors import check
 from agents.lockstep.replay import Batch
 from agents.updates.sac import CostRule, SACConfig
 
 
 @dataclass(frozen=True)
 class SACLagConfig(SACConfig):
-    """Hyper-parameters of SAC-Lag."""
+    """Hyper-parameters of SAC-Lag.
 
-    initial_multiplier: float = 0.0
-    """Initial parameter of the multiplier β = softplus(parameter); 0 makes β = 0.69 (paper: 0)."""
-    multiplier_lr: float = 3e-4
-    """Adam's step size for the multiplier's parameter."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check(self, "multiplier_lr", low=0)
-        check(self, "initial_multiplier")
+    The parameter 0 that the multiplier starts from makes it softplus(0) = 0.69.
+    """
 
 
 def risk(config: SACLagConfig, costs: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""The hyper-parameters that the paper used on its tasks."""
+"""The hyper-parameters that the paper used on Circle2D."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from agents.algorithms import algorithm
 
 
 def preset(name: str, task: str) -> Any:
-    """The hyper-parameters of an algorithm for a task: the paper's, where it has that task.
+    """The hyper-parameters of an algorithm for a task: on Circle2D the paper's.
 
     For any other task the defaults of the algorithm's config. Raises UserError for an unknown
     algorithm.

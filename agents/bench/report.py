@@ -15,6 +15,7 @@ import gymnasium as gym
 import numpy as np
 
 from agents.algorithms import algorithm
+from agents.bench.presets import preset
 from agents.errors import UserError
 from agents.runs.config import TrainConfig, run_folder
 from agents.runs.files import read_json, write_whole
@@ -40,18 +41,17 @@ def report(folder: Path) -> str:
     """The table of every folder of runs at or below `folder`, as Markdown.
 
     Writes `report.md` and `report.csv` there. Runs that are missing, damaged or unfinished are
-    named below the table and left out of its means. Raises UserError where there are no runs.
+    named below the table and left out of its means. Raises UserError where no run is left.
     """
-    configs = {path.parent: TrainConfig.read(path.parent) for path in _group_configs(folder)}
-    if not configs:
-        raise UserError(f"{folder} holds no runs: no config.json that circle2d train wrote")
     notes: list[str] = []
-    groups = {group: _read_runs(group, config, notes) for group, config in configs.items()}
-    tasks = dict.fromkeys(config.task for config in configs.values())
-    tables = [
-        _table([(configs[g], runs) for g, runs in groups.items() if configs[g].task == task])
-        for task in tasks
-    ]
+    configs = _read_configs(folder, notes)
+    if not configs and not notes:
+        raise UserError(f"{folder} holds no runs: no config.json that circle2d train wrote")
+    groups = [(config, _read_runs(path, config, notes)) for path, config in configs.items()]
+    if not any(runs for _, runs in groups):
+        raise UserError(f"{folder} holds no complete runs" + "".join(f"; {n}" for n in notes))
+    tasks = dict.fromkeys(config.task for config, _ in groups)
+    tables = [_table([g for g in groups if g[0].task == task]) for task in tasks]
     tables[-1] = dataclasses.replace(tables[-1], notes=[*tables[-1].notes, *notes])
     markdown = "\n".join(table.render("md") for table in tables)
     write_whole(folder / "report.md", markdown)
@@ -59,10 +59,18 @@ def report(folder: Path) -> str:
     return markdown
 
 
-def _group_configs(folder: Path) -> list[Path]:
+def _read_configs(folder: Path, notes: list[str]) -> dict[Path, TrainConfig]:
+    """The configuration of every folder of runs, by path; damaged ones go into the notes."""
     if not folder.is_dir():
         raise UserError(f"{folder} is no folder")
-    return [path for path in sorted(folder.rglob("config.json")) if "seeds" in read_json(path)]
+    configs = {}
+    for path in sorted(folder.rglob("config.json")):
+        try:
+            if "seed" not in read_json(path):  # that of a single run has one seed
+                configs[path.parent] = TrainConfig.read(path.parent)
+        except UserError as error:
+            notes.append(f"left out: {error}")
+    return configs
 
 
 def _read_runs(folder: Path, config: TrainConfig, notes: list[str]) -> list[Run]:
@@ -87,7 +95,9 @@ def _read_run(path: Path, config: TrainConfig, seed: int) -> Run:
     parts = emcc_by_part(*records.mcc_per_rollout(), config.steps, ALPHA)
     measures = {f"EMCC_{part}": value for part, value in parts.items()}
     measures["cost_rate"] = cost_rate(records.cost, records.length)
-    measures |= {name: evaluation[name] for name in MEASURES[4:]}
+    measures |= {name: float(evaluation[name]) for name in MEASURES[4:]}
+    if not np.isfinite(list(measures.values())).all():
+        raise UserError(f"evaluation.json has numbers that are not finite: {measures}")
     return Run(seed, measures, content["episodes"], _ends(config, evaluation))
 
 
@@ -95,8 +105,8 @@ def _ends(config: TrainConfig, evaluation: dict[str, Any]) -> str:
     """Where most of the evaluated episodes ended, for a Circle2D task."""
     if not config.task.startswith("Circle2D"):
         return ""
-    level = gym.spec(config.task).kwargs["level"]
-    task = Circle2DConfig(**{"level": level} | config.task_parameters)
+    given = {k: v for k, v in config.task_parameters.items() if k != "max_episode_steps"}
+    task = Circle2DConfig(**gym.spec(config.task).kwargs, **given)
     position = np.array(evaluation["final_observations"])[:, :2] * task.arena
     (place, count), *others = Counter(task.region.places(position)).most_common()
     return f"{place} ({100 * count / len(position):.0f} %)" if others else place
@@ -108,12 +118,13 @@ def _table(groups: Sequence[tuple[TrainConfig, list[Run]]]) -> Table:
     head = [config.task, *(name.replace("cost_rate", "cost rate") for name in MEASURES), "ends in"]
     rows = []
     for config, runs in groups:
-        title = algorithm(config.algorithm).title
+        title = _title(config)
         if runs:
             rows.append([f"{title}, mean of {len(runs)}", *_means(runs), ""])
         for run in runs:
             cells = [f"{run.measures[name]:.2f}" for name in MEASURES]
             rows.append([f"{title}, seed {run.seed}", *cells, run.ends])
+    for title in dict.fromkeys(algorithm(config.algorithm).title for config, _ in groups):
         paper = paper_results(config.task, title)
         if paper:
             rows.append([f"{title}, paper (3 seeds)", *(f"{v:.2f}" for v in paper.values()), ""])
@@ -124,6 +135,15 @@ def _table(groups: Sequence[tuple[TrainConfig, list[Run]]]) -> Table:
         "[95 % bootstrap interval over seeds]"
     )
     return Table(caption, head, rows, _paper_notes(groups))
+
+
+def _title(config: TrainConfig) -> str:
+    """The algorithm, with what differs from the preset and from the task as it is registered."""
+    usual = dataclasses.asdict(preset(config.algorithm, config.task))
+    chosen = dataclasses.asdict(config.hyperparameters)
+    differs = {k: v for k, v in chosen.items() if v != usual[k]} | config.task_parameters
+    inside = ", ".join(f"{k} {v}" for k, v in differs.items())
+    return algorithm(config.algorithm).title + (f" ({inside})" if inside else "")
 
 
 def _means(runs: list[Run]) -> list[str]:

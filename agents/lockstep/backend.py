@@ -1,4 +1,4 @@
-"""Settings of the machine that training runs under. Results do not depend on them being made."""
+"""Settings of the machine that training runs under. They change results in their last bits."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from agents.lockstep import tree
 from agents.lockstep.rollout import Rollout
 
 
@@ -71,6 +72,8 @@ class Replay:
         return {"rows": self._rows[:, : self.size.max(initial=0)], "stored": self.stored}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take over what `state` returned."""
-        self._rows[:, : state["rows"].shape[1]] = state["rows"]
-        self.stored[:] = state["stored"]
+        """Take over what `state` returned. ValueError or KeyError for anything else."""
+        self.stored = tree.expect("stored", state, self.stored.shape, np.int64)
+        held = int(self.size.max(initial=0))
+        shape = (len(self._rows), held, self._rows.shape[2])
+        self._rows[:, :held] = tree.expect("rows", state, shape, np.float32)

@@ -75,9 +75,15 @@ def collect(envs: VectorEnv, seeds: Sequence[int], act: Act) -> Rollout:
     running = np.ones(len(seeds), dtype=bool)
     while running.any():
         action = act(observation)
+        if not np.isfinite(action).all():
+            raise UserError("training diverged: the policy's actions are not finite numbers")
         following, reward, terminated, truncated, info = envs.step(action)
         if "cost" not in info:
             raise UserError(f"{envs} gives no info['cost']; it gives {sorted(info) or 'nothing'}")
+        if not (np.isfinite(reward).all() and np.isfinite(info["cost"]).all()):
+            raise UserError(f"{envs} gives a reward or cost that is not finite")
+        if (np.asarray(info["cost"]) < 0).any():
+            raise UserError(f"{envs} gives a negative cost")
         steps.append((observation, action, reward, info["cost"], following, terminated, truncated))
         length += running
         ended = terminated | truncated

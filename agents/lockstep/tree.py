@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 from torch import Tensor
 
 Tree = TypeVar("Tree")
@@ -23,6 +23,17 @@ def _where(mask: Tensor, new: Any, old: Any) -> Any:
     return type(new)(*(_where(mask, a, b) for a, b in zip(new, old, strict=True)))
 
 
+def expect(
+    name: str, arrays: dict[str, NDArray], shape: tuple[int, ...], dtype: DTypeLike
+) -> NDArray:
+    """The array of that name. KeyError where it is missing, ValueError where it is another kind."""
+    array = arrays[name]
+    if array.shape != shape or array.dtype != dtype:
+        found = f"{list(array.shape)} {array.dtype}"
+        raise ValueError(f"{name} is {found}, expected {list(shape)} {np.dtype(dtype)}")
+    return array
+
+
 def flatten(tree: Any, prefix: str = "") -> dict[str, NDArray]:
     """Every tensor under its dotted name."""
     if isinstance(tree, Tensor):
@@ -34,12 +45,10 @@ def flatten(tree: Any, prefix: str = "") -> dict[str, NDArray]:
 
 def unflatten(like: Any, arrays: dict[str, NDArray], prefix: str = "") -> Any:
     """The tree shaped as `like` with the arrays that `flatten` named. KeyError for a missing one,
-    ValueError for one of another shape."""
+    ValueError for one of another shape or type."""
     if isinstance(like, Tensor):
-        array = arrays[prefix]
-        if array.shape != tuple(like.shape):
-            raise ValueError(f"{prefix} has shape {array.shape}, expected {tuple(like.shape)}")
-        return torch.from_numpy(array.copy())
+        expected = like.numpy()
+        return torch.from_numpy(expect(prefix, arrays, expected.shape, expected.dtype).copy())
     dot = f"{prefix}." if prefix else ""
     return type(like)(
         *(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import platform
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.algorithms import algorithm
-from agents.errors import UserError
+from agents.errors import UserError, check_integers
 from agents.runs.files import read_json, write_json
 
 PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
@@ -39,9 +40,9 @@ class TrainConfig:
                 f"hyperparameters of {self.algorithm} must be a {expected.__name__}, "
                 f"got {self.hyperparameters!r}"
             )
-        for name in ("steps", "checkpoint_every"):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name} must be at least 1, got {getattr(self, name)}")
+        check_integers(self, "steps", "checkpoint_every", low=1)
+        if not isinstance(self.seeds, tuple) or not all(type(seed) is int for seed in self.seeds):
+            raise UserError(f"seeds must be a tuple of integers, got {self.seeds!r}")
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
             raise UserError(f"seeds must be different numbers, at least one, got {self.seeds}")
         if not all(0 <= seed < 2**63 for seed in self.seeds):
@@ -55,6 +56,10 @@ class TrainConfig:
                 "or choose another folder"
             )
         content = dataclasses.asdict(self) | {"versions": versions()}
+        try:
+            json.dumps(content)
+        except TypeError as error:
+            raise UserError(f"task_parameters must be plain values: {error}") from None
         folder.mkdir(parents=True, exist_ok=True)
         for seed in self.seeds:
             run_folder(folder, seed).mkdir(exist_ok=True)

@@ -15,12 +15,15 @@ from agents.runs.files import write_json
 from agents.runs.tasks import make_envs
 from emcc import cvar
 
+Results = dict[str, list[dict[str, Any]]]
 CVAR_ALPHA = 0.5
 POLICIES = ("deterministic", "stochastic")
 
 
-def evaluate(folder: Path, config: TrainConfig, policy: Any, episodes: int) -> None:
+def evaluate(folder: Path, config: TrainConfig, policy: Any, episodes: int) -> Results:
     """Play episodes with a policy of every run and write `evaluation.json` into its folder.
+
+    Returns for each of `POLICIES` a dictionary a run: means, and values per episode.
 
     policy: of a learner, `policy(observation [R, N, ...], noise) -> actions [R, N, ...]`. Start
     states and noise come from the run's seed, so that an evaluation can be repeated bit for bit.
@@ -36,6 +39,7 @@ def evaluate(folder: Path, config: TrainConfig, policy: Any, episodes: int) -> N
         of_run = {name: result[run] for name, result in results.items()}
         content = {"seed": seed, "episodes": episodes, **of_run}
         write_json(run_folder(folder, seed) / "evaluation.json", content)
+    return results
 
 
 def _play(

@@ -25,14 +25,21 @@ def make_envs(task: str, num_envs: int, parameters: dict[str, Any]) -> VectorEnv
     try:
         spec = gym.spec(task)
         if _is_native(spec):
-            mode = {"autoreset_mode": AutoresetMode.DISABLED}
             envs = gym.make_vec(
-                task, num_envs, vectorization_mode="vector_entry_point", **mode, **parameters
+                task,
+                num_envs,
+                vectorization_mode="vector_entry_point",
+                autoreset_mode=AutoresetMode.DISABLED,
+                **parameters,
             )
         else:
-            mode = {"autoreset_mode": AutoresetMode.DISABLED}
             envs = gym.make_vec(
-                task, num_envs, vectorization_mode="sync", vector_kwargs=mode, **parameters
+                task,
+                num_envs,
+                vectorization_mode="sync",
+                vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
+                wrappers=(FloatCost,),
+                **parameters,
             )
     except (gym.error.Error, TypeError, ValueError) as error:
         raise UserError(f"cannot make task {task!r}: {error}") from None
@@ -48,8 +55,29 @@ def make_envs(task: str, num_envs: int, parameters: dict[str, Any]) -> VectorEnv
     return RescaleAction(envs, -one, one)
 
 
+class FloatCost(gym.Wrapper):
+    """Sees to it that every step gives `info["cost"]`, as a float.
+
+    gymnasium's vector environments type the array of costs by the first cost they meet, and fill
+    in 0 where one is missing: either would change costs without a word.
+    """
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """As the environment's. Raises UserError where it gives no cost."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if "cost" not in info:
+            given = sorted(info) or "nothing"
+            raise UserError(f"{self.env} gives no info['cost']; it gives {given}")
+        info = {**info, "cost": float(info["cost"])}
+        return observation, reward, terminated, truncated, info
+
+
 def check_task(task: str, parameters: dict[str, Any]) -> None:
-    """Raise UserError for a task that cannot be made, or whose steps give no cost."""
+    """Raise UserError for a task that cannot be made, never ends, or whose steps give no cost."""
+    if parameters.get("max_episode_steps", 1) is None:
+        raise UserError("task_parameters: max_episode_steps must not be None, episodes must end")
+    if task.startswith("Circle2D-") and "level" in parameters:
+        raise UserError("task_parameters: the level is part of the task's id, as in Circle2D-3-v0")
     envs = make_envs(task, 1, parameters)
     envs.reset(seed=0)
     info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]

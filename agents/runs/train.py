@@ -9,12 +9,12 @@ import numpy as np
 
 from agents.algorithms import learner
 from agents.errors import UserError
-from agents.lockstep import backend
+from agents.lockstep import backend, tree
 from agents.lockstep.noise import Purpose, environment_seeds, steps_of_noise
 from agents.lockstep.rollout import collect
 from agents.runs.config import TrainConfig, run_folder
 from agents.runs.evaluate import evaluate
-from agents.runs.files import read_arrays, write_arrays
+from agents.runs.files import locked, read_arrays, write_arrays
 from agents.runs.log import Log
 from agents.runs.tasks import make_envs, sizes
 
@@ -25,7 +25,6 @@ class Training:
     """The runs of one folder, between two epochs."""
 
     def __init__(self, config: TrainConfig) -> None:
-        backend.configure()
         self.config = config
         self._envs = make_envs(config.task, len(config.seeds), config.task_parameters)
         self.learner = learner(
@@ -68,7 +67,8 @@ class Training:
     def save(self, folder: Path) -> None:
         """Write the records, then the checkpoint from which all of it can be written again."""
         self.log.write([run_folder(folder, seed) for seed in self.config.seeds])
-        counters = {"epoch": np.array(self.epoch), "steps": self.steps, "log": self.log.table()}
+        counters = {"epoch": np.array(self.epoch), "seeds": np.array(self.config.seeds)}
+        counters |= {"steps": self.steps, "log": self.log.table()}
         write_arrays(folder / "checkpoint.npz", counters | self.learner.state())
 
     def restore(self, folder: Path) -> None:
@@ -76,8 +76,13 @@ class Training:
         path = folder / "checkpoint.npz"
         state = read_arrays(path)
         try:
-            self.epoch, self.steps = int(state.pop("epoch")), state.pop("steps")
-            self.log.restore(state.pop("log"))
+            seeds = tree.expect("seeds", state, self.steps.shape, np.int64)
+            if tuple(seeds) != self.config.seeds:
+                raise ValueError(f"its seeds are {seeds.tolist()}")
+            epoch = int(tree.expect("epoch", state, (), np.int64))
+            log = tree.expect("log", state, (epoch, *self.log.table().shape[1:]), np.float64)
+            self.epoch, self.steps = epoch, tree.expect("steps", state, self.steps.shape, np.int64)
+            self.log.restore(log)
             self.learner.restore(state)
         except (KeyError, ValueError) as error:
             raise UserError(f"{path} is damaged or of another version: {error}") from None
@@ -93,10 +98,18 @@ def restored(folder: Path) -> Training:
 def train(folder: Path, on_epoch: Callable[[Training], None] = lambda training: None) -> Training:
     """Train the runs of a folder to their end, from their last checkpoint if there is one.
 
-    The folder is one that `TrainConfig.write` made. Ends with an evaluation over 100 episodes.
+    The folder is one that `TrainConfig.write` made. Settles torch's threads and products for the
+    process (`backend.configure`); the last bits of results depend on them. Ends with an evaluation
+    over 100 episodes.
     `on_epoch` is called after every epoch, to show progress.
     """
-    training = Training(TrainConfig.read(folder))
+    backend.configure()
+    config = TrainConfig.read(folder)
+    with locked(folder):
+        return _train(Training(config), folder, on_epoch)
+
+
+def _train(training: Training, folder: Path, on_epoch: Callable[[Training], None]) -> Training:
     if (folder / "checkpoint.npz").exists():
         training.restore(folder)
     every = training.config.checkpoint_every

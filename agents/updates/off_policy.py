@@ -41,9 +41,7 @@ class OffPolicy:
         self.config, self.rule, self.seeds = config, rule, tuple(seeds)
         self.action_size = action_size
         self.nets = sac.make_nets(config, observation_size, action_size)
-        self._state = sac.initial_state(
-            self.nets, seeds, getattr(config, "initial_multiplier", 0.0)
-        )
+        self._state = sac.initial_state(self.nets, seeds, config.initial_multiplier)
         self._replay = Replay(len(seeds), config.replay_size, observation_size, action_size)
 
     @property

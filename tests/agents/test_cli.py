@@ -1,10 +1,12 @@
 """The command line: what it does, and one line with status 2 for every mistake."""
 
 import re
+import shutil
 
 import pytest
 
 from agents.cli import main
+from agents.runs.files import locked
 
 TRAIN = ["train", "--algorithm", "sac-lag", "--seeds", "0", "1", "--steps", "600"]
 
@@ -24,9 +26,9 @@ def test_train_prints_and_writes_the_table(folder, capsys):
     rows = [line for line in out.splitlines() if line.startswith("| SAC-Lag")]
     names = [row.split("|")[1].strip() for row in rows]
     assert names == [
-        "SAC-Lag, mean of 2",
-        "SAC-Lag, seed 0",
-        "SAC-Lag, seed 1",
+        "SAC-Lag (random_steps 300), mean of 2",
+        "SAC-Lag (random_steps 300), seed 0",
+        "SAC-Lag (random_steps 300), seed 1",
         "SAC-Lag, paper (3 seeds)",
     ]
     paper = [cell.strip() for cell in rows[-1].split("|")[2:9]]
@@ -51,7 +53,7 @@ def test_hyperparameters_and_task_parameters(tmp_path):
     from agents.runs.config import TrainConfig
 
     out = tmp_path / "x"
-    options = ["--cost-limit", "3", "--hidden", "16", "--time-limit", "bootstrap"]
+    options = ["--cost-limit", "3", "--hidden", "32", "--time-limit", "bootstrap"]
     task = ["--task", "Circle2D-3-v0", "--task-parameters", "constraint_radius", "3.0"]
     steps = ["--steps", "50", "--seeds", "4"]
     arguments = ["train", "--algorithm", "sac-lag", *task, *options, *steps, "--out", str(out)]
@@ -59,7 +61,7 @@ def test_hyperparameters_and_task_parameters(tmp_path):
     config = TrainConfig.read(out)
     assert config.task_parameters == {"constraint_radius": 3.0}
     assert config.hyperparameters.cost_limit == 3.0
-    assert config.hyperparameters.hidden == (16,)
+    assert config.hyperparameters.hidden == (32,)
     assert config.hyperparameters.time_limit == "bootstrap"
     assert config.seeds == (4,)
 
@@ -93,6 +95,13 @@ def test_help_explains_every_option(capsys):
             [*TRAIN, "--out", "{tmp}/x", "--discount", "1.5"],
             "discount must be .*at most 1, got 1.5",
         ),
+        ([*TRAIN, "--out", "{tmp}/x", "--batch-size", "100"], "multiples of 32, got 100"),
+        ([*TRAIN, "--out", "{tmp}/x", "--replay-size", "64"], "batch_size must be at most 64"),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "max_episode_steps", "None"],
+            "episodes must end",
+        ),
+        ([*TRAIN, "--out", "{tmp}/x", "--task-parameters", "level", "3"], "part of the task's id"),
         ([*TRAIN, "--out", "{tmp}/x", "--steps", "0"], "steps must be at least 1, got 0"),
         ([*TRAIN, "--out", "{tmp}/x", "--steps", "many"], "'many'"),
         ([*TRAIN, "--out", "{tmp}/x", "--seeds", "1", "1"], "seeds must be different"),
@@ -121,19 +130,52 @@ def test_mistakes(arguments, message, folder, tmp_path, capsys):
 
 
 def test_report_names_what_it_leaves_out(folder, tmp_path, capsys):
-    import shutil
-
     copy = tmp_path / "runs"
     shutil.copytree(folder, copy)
     episodes = copy / "seed-0" / "episodes.csv"
     episodes.write_text(episodes.read_text()[:-100])
     assert main(["report", str(copy)]) == 0
     out = capsys.readouterr().out
-    assert "SAC-Lag, mean of 1" in out
-    assert "SAC-Lag, seed 0" not in out
+    assert "(random_steps 300), mean of 1" in out
+    assert "seed 0 |" not in out
     assert re.search(r"left out: .*seed-0: .*episodes\.csv", out)
     (copy / "seed-1" / "evaluation.json").unlink()
-    assert main(["report", str(copy)]) == 0
+    assert main(["report", str(copy)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "holds no complete runs" in err
+    assert re.search(r"left out: .*seed-1: .*evaluation\.json is missing", err)
+
+
+def test_one_damaged_folder_does_not_hide_the_others(folder, tmp_path, capsys):
+    shutil.copytree(folder, tmp_path / "good")
+    shutil.copytree(folder, tmp_path / "bad")
+    (tmp_path / "bad" / "config.json").write_text("{")
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "config.json").write_text("[1, 2]")
+    assert main(["report", str(tmp_path)]) == 0
     out = capsys.readouterr().out
-    assert "mean of" not in out
-    assert re.search(r"left out: .*seed-1: .*evaluation\.json is missing", out)
+    assert "mean of 2" in out
+    assert len(re.findall("left out", out)) == 2
+
+
+def test_no_table_of_a_very_short_run_but_its_evaluation(tmp_path, capsys):
+    out = str(tmp_path / "x")
+    arguments = ["train", "--algorithm", "sac-lag", "--seeds", "0", "--steps", "1", "--out", out]
+    assert main(arguments) == 0
+    assert "no table" in capsys.readouterr().err
+    assert main(["report", out]) == 2
+    assert main(["evaluate", out, "--episodes", "2"]) == 0
+    assert "seed 0, deterministic policy: J_R -" in capsys.readouterr().out
+
+
+def test_two_processes_do_not_train_in_one_folder(folder, capsys):
+    with locked(folder):
+        assert main(["resume", str(folder)]) == 2
+    assert "another process is training" in capsys.readouterr().err
+
+
+def test_the_machine_refuses(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main([*TRAIN, "--out", str(tmp_path / "file" / "x")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

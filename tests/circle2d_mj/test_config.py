@@ -35,7 +35,11 @@ def test_defaults_are_the_papers():
         ({"level": 4}, ValueError, r"level must be one of \(0, 1, 2, 3\), got 4"),
         ({"level": "1"}, TypeError, "level must be an integer, got '1'"),
         ({"level": True}, TypeError, "level must be an integer, got True"),
-        ({"constraint_radius": -1.0}, ValueError, r"constraint_radius must be above 0, got -1\.0"),
+        (
+            {"constraint_radius": -1.0},
+            ValueError,
+            r"constraint_radius must be at least 1e-100 .* got -1\.0",
+        ),
         ({"constraint_radius": "3"}, TypeError, "constraint_radius must be a number, got '3'"),
         ({"constraint_radius": float("nan")}, ValueError, "constraint_radius must be finite"),
         ({"init_radius_multiplier": 0}, ValueError, "init_radius_multiplier must be above 0"),

@@ -90,6 +90,8 @@ def test_bounds(level, seed, height, sparse, distance, angle):
         assert ((rewards >= 1 - worst) & (rewards <= 1)).all()
         outside = ~config.region.in_cutout(positions)
         assert (rewards[outside] == 0).all()
+        distance = np.hypot(*np.moveaxis(positions - optimum, -1, 0)) / math.hypot(15, 15)
+        np.testing.assert_allclose(rewards[~outside], 1 - distance[~outside], atol=1e-12)
     else:
         assert ((rewards >= -worst) & (rewards <= 0)).all()
         expected = -np.hypot(*np.moveaxis(positions - optimum, -1, 0)) / math.hypot(15, 15)

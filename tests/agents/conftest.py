@@ -1,0 +1,10 @@
+"""Tests of training run under the settings of training."""
+
+import pytest
+
+from agents.lockstep import backend
+
+
+@pytest.fixture(autouse=True, scope="session")
+def as_in_training():
+    backend.configure()

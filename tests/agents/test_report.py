@@ -1,0 +1,84 @@
+"""Every number of a row of ours, from files written by hand."""
+
+import json
+
+import numpy as np
+import pytest
+
+from agents.bench.presets import preset
+from agents.bench.report import report
+from agents.runs.config import TrainConfig
+from circle2d_mj import Circle2DConfig
+
+# Ten episodes of ten steps; streaks over length are the MCC of the rollouts.
+STREAKS = [8, 2, 3, 1, 0, 4, 4, 9, 0, 10]
+COSTS = [8, 5, 3, 1, 0, 6, 4, 9, 0, 10]
+
+
+def write_run(folder, j_r):
+    lines = ["rollout,start_step,length,return,cost,longest_streak"]
+    for k, (streak, cost) in enumerate(zip(STREAKS, COSTS, strict=True)):
+        lines.append(f"{k},{10 * k},10,-1.0,{cost}.0,{streak}")
+    (folder / "episodes.csv").write_text("\n".join([*lines, ""]))
+    at = [[-0.5, 0.0]] * 3 + [[1.0, 0.0]]  # of the arena: (-7.5, 0) is in the corridor
+    deterministic = {"J_R": j_r, "J_C": 4.25, "CVaR_0.5": 6.5, "final_observations": at}
+    stochastic = {"J_R": 99.0, "J_C": 99.0, "CVaR_0.5": 99.0, "final_observations": []}
+    content = {"episodes": 4, "deterministic": deterministic, "stochastic": stochastic}
+    (folder / "evaluation.json").write_text(json.dumps(content))
+
+
+def test_a_table_by_hand(tmp_path):
+    hyperparameters = preset("sac-lag", "Circle2D-1-v0")
+    config = TrainConfig("sac-lag", "Circle2D-1-v0", (0, 1), 100, hyperparameters)
+    config.write(tmp_path)
+    write_run(tmp_path / "seed-0", -10.0)
+    write_run(tmp_path / "seed-1", -20.0)
+    rows = [line.split("|")[1:-1] for line in report(tmp_path).splitlines() if "| SAC" in line]
+    rows = [[cell.strip() for cell in row] for row in rows]
+    # Starts 0 10 20 30 | 40 50 60 | 70 80 90 of 100 steps. The highest tenth of three or four
+    # values is the highest alone: .8, .4, 1. Costs: 46 of 100 steps.
+    numbers = ["0.80", "0.40", "1.00", "0.46"]
+    end = "corridor (75 %)"
+    assert rows[1] == ["SAC-Lag, seed 0", *numbers, "-10.00", "4.25", "6.50", end]
+    assert rows[2] == ["SAC-Lag, seed 1", *numbers, "-20.00", "4.25", "6.50", end]
+    assert rows[0][0] == "SAC-Lag, mean of 2"
+    assert [cell.split(" ")[0] for cell in rows[0][1:8]] == [*numbers, "-15.00", "4.25", "6.50"]
+    assert rows[0][5] == "-15.00 [-20.00, -10.00]"
+
+
+def test_places():
+    places = Circle2DConfig(level=3).region.places
+    diagonal = 8 / np.sqrt(2)
+    points = {
+        (-5, 1): "corridor",
+        (0, 7): "top cut-out",
+        (0, -7): "bottom cut-out",
+        (diagonal, diagonal): "top diagonal cut-out",
+        (diagonal, -diagonal): "bottom diagonal cut-out",
+        (0, 0): "cost region",
+        (11, 3): "right rim",
+        (-11, 3): "left rim",
+        (3, 11): "top rim",
+        (3, -11): "bottom rim",
+    }
+    assert places(list(points)) == list(points.values())
+
+
+def test_presets_are_the_papers():
+    """Against the paper's table HP_Circle2D, typed off: SAC-Lag's column."""
+    config = preset("sac-lag", "Circle2D-2-v0")
+    printed = {
+        "batch_size": 256,
+        "discount": 0.99,
+        "learning_rate": 3e-4,
+        "cost_limit": 5,
+        "gradient_steps": 5,
+        "random_steps": 5000,
+        "replay_size": 50000,
+        "initial_multiplier": 0,
+        "multiplier_lr": 3e-4,
+        "hidden": (64, 64),
+    }
+    for name, value in printed.items():
+        assert getattr(config, name) == pytest.approx(value), name
+    assert config.time_limit == "terminal"
