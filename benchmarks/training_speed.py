@@ -30,8 +30,10 @@ import sys, tempfile, time
 from dataclasses import replace
 from pathlib import Path
 from agents.bench.presets import preset
+from agents.lockstep import backend
 from agents.runs.config import TrainConfig
 from agents.runs.train import Training
+backend.configure()
 runs = int(sys.argv[1])
 task = "Circle2D-1-v0"
 config = replace(preset("sac-lag", task), random_steps=0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from circle2d_mj import Circle2DConfig
+from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
 from circle2d_mj.streams import Streams
 
 
@@ -56,3 +56,15 @@ def test_a_sliver_is_found_and_nothing_is_refused():
     assert (np.hypot(*points.T) >= 10).all()
     with pytest.raises(ValueError, match="no feasible start"):
         Circle2DConfig(init_radius_multiplier=0.9682)
+
+
+def test_the_starts_of_version_v0():
+    """Seeds mean the same in every release of v0; recorded from the first one."""
+    envs = Circle2DVectorEnv(3, level=1)
+    envs.reset(seed=0)
+    recorded = [
+        [12.131493842771306, -1.020089754856599],
+        [14.481883460739482, 0.8080393588534207],
+        [11.951850056593685, -0.007837696066417266],
+    ]
+    np.testing.assert_allclose(envs.position, recorded, rtol=1e-14)
