@@ -37,7 +37,22 @@ def RecordCosts(
     raise TypeError(f"env must be a gymnasium Env or VectorEnv, got {type(env).__name__}")
 
 
-class RecordEnvCosts(gym.Wrapper, RecordConstructorArgs):
+class _Recorded:
+    """What both wrappers offer of their recorder."""
+
+    recorder: CostRecorder
+
+    @property
+    def records(self) -> EpisodeRecords:
+        """The trajectories finished so far."""
+        return self.recorder.records
+
+    def end_rollout(self) -> None:
+        """Cut the running episodes and begin the next rollout."""
+        self.recorder.end_rollout()
+
+
+class RecordEnvCosts(_Recorded, gym.Wrapper, RecordConstructorArgs):
     """What `RecordCosts` makes of an Env."""
 
     def __init__(
@@ -68,17 +83,8 @@ class RecordEnvCosts(gym.Wrapper, RecordConstructorArgs):
         self._finished = done
         return result
 
-    @property
-    def records(self) -> EpisodeRecords:
-        """The trajectories finished so far."""
-        return self.recorder.records
 
-    def end_rollout(self) -> None:
-        """Cut the running episode and begin the next rollout."""
-        self.recorder.end_rollout()
-
-
-class RecordVectorCosts(VectorWrapper):
+class RecordVectorCosts(_Recorded, VectorWrapper):
     """What `RecordCosts` makes of a VectorEnv."""
 
     def __init__(
@@ -113,15 +119,6 @@ class RecordVectorCosts(VectorWrapper):
         elif self._mode == AutoresetMode.DISABLED:
             self._waiting |= done
         return result
-
-    @property
-    def records(self) -> EpisodeRecords:
-        """The trajectories finished so far."""
-        return self.recorder.records
-
-    def end_rollout(self) -> None:
-        """Cut the running episodes and begin the next rollout."""
-        self.recorder.end_rollout()
 
 
 def _autoreset_mode(env: VectorEnv) -> AutoresetMode:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from agents.algorithms import sac_lag
@@ -31,7 +32,9 @@ def algorithm(name: str) -> Algorithm:
     return ALGORITHMS[name]
 
 
-def learner(name: str, config: Any, seeds: list[int], observation_size: int, action_size: int):
+def learner(
+    name: str, config: Any, seeds: Sequence[int], observation_size: int, action_size: int
+) -> OffPolicy:
     """The runs of an algorithm, ready to be trained."""
     found = algorithm(name)
     return found.family(config, found.rule, seeds, observation_size, action_size)

@@ -19,6 +19,6 @@ def preset(name: str, task: str) -> Any:
         return replace(
             config,
             cost_limit=5.0,  # table Circle2DResults, caption
-            time_limit="terminal",  # inferred: only with it the printed results come out
+            time_limit="terminal",  # inferred from the printed results, not printed itself
         )
     return config

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import VectorEnv
@@ -58,6 +58,12 @@ class Rollout(NamedTuple):
         return self.next_observation[self.length - 1, np.arange(len(self.length))]
 
 
+def require_cost(source: object, info: dict[str, Any]) -> None:
+    """Raise UserError, naming the source, where the info of a step holds no cost."""
+    if "cost" not in info:
+        raise UserError(f"{source} gives no info['cost']; it gives {sorted(info) or 'nothing'}")
+
+
 Act = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 
@@ -78,8 +84,7 @@ def collect(envs: VectorEnv, seeds: Sequence[int], act: Act) -> Rollout:
         if not np.isfinite(action).all():
             raise UserError("training diverged: the policy's actions are not finite numbers")
         following, reward, terminated, truncated, info = envs.step(action)
-        if "cost" not in info:
-            raise UserError(f"{envs} gives no info['cost']; it gives {sorted(info) or 'nothing'}")
+        require_cost(envs, info)
         if not (np.isfinite(reward).all() and np.isfinite(info["cost"]).all()):
             raise UserError(f"{envs} gives a reward or cost that is not finite")
         if (np.asarray(info["cost"]) < 0).any():

@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import RescaleAction
 
 from agents.errors import UserError
+from agents.lockstep.rollout import require_cost
 
 
 def make_envs(task: str, num_envs: int, parameters: dict[str, Any]) -> VectorEnv:
@@ -65,9 +66,7 @@ class FloatCost(gym.Wrapper):
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """As the environment's. Raises UserError where it gives no cost."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        if "cost" not in info:
-            given = sorted(info) or "nothing"
-            raise UserError(f"{self.env} gives no info['cost']; it gives {given}")
+        require_cost(self.env, info)
         info = {**info, "cost": float(info["cost"])}
         return observation, reward, terminated, truncated, info
 
@@ -82,10 +81,7 @@ def check_task(task: str, parameters: dict[str, Any]) -> None:
     envs.reset(seed=0)
     info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
     envs.close()
-    if "cost" not in info:
-        raise UserError(
-            f"task {task!r} gives no info['cost']; it gives {sorted(info) or 'nothing'}"
-        )
+    require_cost(f"task {task!r}", info)
 
 
 def sizes(envs: VectorEnv) -> tuple[int, int]:

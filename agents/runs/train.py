@@ -28,7 +28,7 @@ class Training:
         self.config = config
         self._envs = make_envs(config.task, len(config.seeds), config.task_parameters)
         self.learner = learner(
-            config.algorithm, config.hyperparameters, list(config.seeds), *sizes(self._envs)
+            config.algorithm, config.hyperparameters, config.seeds, *sizes(self._envs)
         )
         self.log = Log(self.learner.METRICS, len(config.seeds))
         self.epoch = 0
@@ -100,8 +100,7 @@ def train(folder: Path, on_epoch: Callable[[Training], None] = lambda training: 
 
     The folder is one that `TrainConfig.write` made. Settles torch's threads and products for the
     process (`backend.configure`); the last bits of results depend on them. Ends with an evaluation
-    over 100 episodes.
-    `on_epoch` is called after every epoch, to show progress.
+    over 100 episodes. `on_epoch` is called after every epoch, to show progress.
     """
     backend.configure()
     config = TrainConfig.read(folder)
