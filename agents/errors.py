@@ -41,3 +41,10 @@ def check(
             bounds = {"at least": low, "above": above, "at most": high}
             rule = " and ".join(f"{k} {v:g}" for k, v in bounds.items() if math.isfinite(v))
             raise UserError(f"{name} must be {rule}, got {value!r}")
+
+
+def check_choice(config: Any, name: str, *allowed: str) -> None:
+    """Refuse a field of a config that is none of the allowed words."""
+    if getattr(config, name) not in allowed:
+        given = getattr(config, name)
+        raise UserError(f"{name} must be {' or '.join(allowed)}, got {given!r}")

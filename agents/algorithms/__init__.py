@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
 
-from agents.algorithms import sac_lag
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.algorithms import cpo, sac_lag, sac_lb, trpo_lag, wcsac
 from agents.errors import UserError
+from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.updates.off_policy import OffPolicy
-from agents.updates.sac import CostRule
+from agents.updates.on_policy import OnPolicy
+
+
+class Learner(Protocol):
+    """The runs of one algorithm, as the training loop sees them: what a family provides."""
+
+    episodes: int
+    """Whole episodes of each run in an epoch."""
+    metrics: tuple[str, ...]
+    """Names of what `learn` returns."""
+
+    def policy(self) -> Policy: ...
+    def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act: ...
+    def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray: ...
+    def finite(self) -> NDArray[np.bool_]: ...
+    def state(self) -> dict[str, NDArray]: ...
+    def restore(self, state: dict[str, NDArray]) -> None: ...
 
 
 class Algorithm(NamedTuple):
@@ -16,12 +36,16 @@ class Algorithm(NamedTuple):
 
     title: str
     config: type
-    rule: CostRule
-    family: type = OffPolicy
+    rule: Any
+    family: Callable[..., Learner]
 
 
 ALGORITHMS: dict[str, Algorithm] = {
-    "sac-lag": Algorithm("SAC-Lag", sac_lag.SACLagConfig, sac_lag.RULE),
+    "trpo-lag": Algorithm("TRPO-Lag", trpo_lag.TRPOLagConfig, trpo_lag.RULE, OnPolicy),
+    "cpo": Algorithm("CPO", cpo.CPOConfig, cpo.RULE, OnPolicy),
+    "sac-lag": Algorithm("SAC-Lag", sac_lag.SACLagConfig, sac_lag.RULE, OffPolicy),
+    "sac-lb": Algorithm("SAC-LB", sac_lb.SACLBConfig, sac_lb.RULE, OffPolicy),
+    "wcsac": Algorithm("WCSAC", wcsac.WCSACConfig, wcsac.RULE, OffPolicy),
 }
 
 
@@ -34,7 +58,7 @@ def algorithm(name: str) -> Algorithm:
 
 def learner(
     name: str, config: Any, seeds: Sequence[int], observation_size: int, action_size: int
-) -> OffPolicy:
+) -> Learner:
     """The runs of an algorithm, ready to be trained."""
     found = algorithm(name)
     return found.family(config, found.rule, seeds, observation_size, action_size)

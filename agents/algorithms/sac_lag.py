@@ -13,11 +13,11 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from agents.lockstep.replay import Batch
-from agents.updates.sac import CostRule, SACConfig
+from agents.updates.sac import CostRule, Multiplier, MultiplierConfig
 
 
 @dataclass(frozen=True)
-class SACLagConfig(SACConfig):
+class SACLagConfig(MultiplierConfig):
     """Hyper-parameters of SAC-Lag.
 
     The parameter 0 that the multiplier starts from makes it softplus(0) = 0.69.
@@ -47,4 +47,4 @@ def multiplier_gradient(config: SACLagConfig, parameter: Tensor, risk: Tensor) -
     return -torch.sigmoid(parameter) * excess
 
 
-RULE = CostRule(risk, critic_loss, penalty, softplus, multiplier_gradient)
+RULE = CostRule(risk, critic_loss, penalty, Multiplier(softplus, multiplier_gradient))

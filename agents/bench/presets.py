@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from agents.algorithms import algorithm
+from agents.updates.sac import SACConfig
 
 
 def preset(name: str, task: str) -> Any:
@@ -15,10 +16,10 @@ def preset(name: str, task: str) -> Any:
     algorithm.
     """
     config = algorithm(name).config()
-    if task.startswith("Circle2D"):
-        return replace(
-            config,
-            cost_limit=5.0,  # table Circle2DResults, caption
-            time_limit="terminal",  # inferred from the printed results, not printed itself
-        )
+    if not task.startswith("Circle2D"):
+        return config
+    config = replace(config, cost_limit=5.0)  # table Circle2DResults, caption
+    if isinstance(config, SACConfig):
+        # Inferred from the printed results, not printed itself; on-policy methods bootstrap.
+        config = replace(config, time_limit="terminal")
     return config

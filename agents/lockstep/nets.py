@@ -9,13 +9,30 @@ same alone as among others.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from agents.errors import UserError
+
 LANES = 32
+
+
+def check_lanes(config: Any) -> None:
+    """Refuse a batch_size and hidden sizes that are not multiples of 32.
+
+    Off these multiples a run would depend, in its last bits, on the runs beside it: torch computes
+    the remainder of a vector otherwise than the vector.
+    """
+    sizes = (config.batch_size, *config.hidden)
+    if not config.hidden or any(type(n) is not int or n < 1 or n % LANES for n in sizes):
+        raise UserError(
+            f"batch_size and the sizes in hidden must be multiples of {LANES}, "
+            f"got {config.batch_size!r} and {config.hidden!r}"
+        )
 
 
 class MLP:

@@ -7,10 +7,13 @@ depend on the runs beside it.
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+
+BLOCK = 64
+"""Steps drawn at once; numbers of an epoch depend on it."""
 
 
 class Purpose(enum.IntEnum):
@@ -21,6 +24,7 @@ class Purpose(enum.IntEnum):
     EXPLORATION = 2
     UPDATE = 3
     EVALUATION = 4
+    RANDOM_ACTIONS = 5
 
 
 def stream(seed: int, purpose: Purpose, epoch: int = 0) -> np.random.Generator:
@@ -34,13 +38,23 @@ def environment_seeds(seeds: Sequence[int], purpose: Purpose, epoch: int, each: 
     return [int(draw) for draw in np.concatenate(draws)]
 
 
+Draw = Callable[[np.random.Generator, tuple[int, ...]], NDArray[np.float32]]
+
+
+def normal(rng: np.random.Generator, size: tuple[int, ...]) -> NDArray[np.float32]:
+    """Standard normal numbers."""
+    return rng.standard_normal(size, dtype=np.float32)
+
+
+def uniform(rng: np.random.Generator, size: tuple[int, ...]) -> NDArray[np.float32]:
+    """Uniform numbers in [-1, 1)."""
+    return 2.0 * rng.random(size, dtype=np.float32) - 1.0
+
+
 def steps_of_noise(
-    seeds: Sequence[int], purpose: Purpose, epoch: int, shape: tuple[int, ...], block: int = 64
-) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """For each step of an epoch standard normal and uniform (-1, 1) numbers, both [R, *shape]."""
+    draw: Draw, seeds: Sequence[int], purpose: Purpose, epoch: int, shape: tuple[int, ...]
+) -> Iterator[NDArray[np.float32]]:
+    """For each step of an epoch what `draw` gives, [R, *shape]."""
     streams = [stream(seed, purpose, epoch) for seed in seeds]
     while True:
-        size = (block, *shape)
-        normal = np.stack([s.standard_normal(size, dtype=np.float32) for s in streams], axis=1)
-        uniform = np.stack([s.random(size, dtype=np.float32) for s in streams], axis=1)
-        yield from zip(normal, 2.0 * uniform - 1.0, strict=True)
+        yield from np.stack([draw(rng, (BLOCK, *shape)) for rng in streams], axis=1)

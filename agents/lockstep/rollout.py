@@ -18,7 +18,7 @@ class Rollout(NamedTuple):
     observation: NDArray[np.float32]
     """[T, N, observation size]"""
     action: NDArray[np.float32]
-    """[T, N, action size], in [-1, 1]"""
+    """[T, N, action size]: as the policy chose it; the environment took it clipped to [-1, 1]"""
     reward: NDArray[np.float64]
     """[T, N]"""
     cost: NDArray[np.float64]
@@ -30,7 +30,9 @@ class Rollout(NamedTuple):
     truncated: NDArray[np.bool_]
     """[T, N]: the episode was cut off, by a time limit for instance"""
     length: NDArray[np.int64]
-    """[N]: steps of each episode"""
+    """[N]: steps of each episode; 0 where there was none"""
+    diverged: NDArray[np.bool_]
+    """[N]: the policy or the environment gave a number that is not finite; the episode is void"""
 
     @property
     def during(self) -> NDArray[np.bool_]:
@@ -50,7 +52,8 @@ class Rollout(NamedTuple):
     def _sums(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sums over each episode, [N], added in the order of time. `sum` would choose an order by
         the array's shape, and so by how long the other episodes are."""
-        return np.cumsum(values, axis=0)[self.length - 1, np.arange(len(self.length))]
+        sums = np.cumsum(values, axis=0)[self.length - 1, np.arange(len(self.length))]
+        return np.where(self.length > 0, sums, 0.0)
 
     @property
     def final_observation(self) -> NDArray[np.float32]:
@@ -65,36 +68,58 @@ def require_cost(source: object, info: dict[str, Any]) -> None:
 
 
 Act = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+"""observations [N, observation size] -> actions [N, action size]"""
+Policy = Callable[[NDArray[np.float32], NDArray[np.float32] | None], NDArray[np.float32]]
+"""(observations [R, N, observation size], standard normal noise [R, N, A] or None for the
+deterministic policy) -> actions [R, N, A]"""
 
 
-def collect(envs: VectorEnv, seeds: Sequence[int], act: Act) -> Rollout:
+def collect(
+    envs: VectorEnv, seeds: Sequence[int], act: Act, active: NDArray[np.bool_] | None = None
+) -> Rollout:
     """One whole episode of every environment, each reset with its seed.
 
     envs: N environments that do not reset themselves (autoreset mode DISABLED); act: observations
-    [N, observation size] -> actions [N, action size] in [-1, 1]. An environment whose episode has
-    ended waits for the others; what it does meanwhile is left out. Raises UserError where the
-    environment gives no `info["cost"]`.
+    [N, observation size] -> actions [N, action size]; active: [N], the environments of which an
+    episode is wanted, all by default. One whose episode has ended waits for the others; what it
+    does meanwhile is left out, and so is one that was given an action that is not finite. Raises
+    UserError where the environment gives no `info["cost"]`, or a negative one.
     """
-    observation, _ = envs.reset(seed=list(seeds))  # pyright: ignore[reportArgumentType]
-    steps: list[tuple] = []
+    observation = _reset(envs, seed=list(seeds))
+    running = np.ones(len(seeds), dtype=bool) if active is None else active.copy()
     length = np.zeros(len(seeds), dtype=np.int64)
-    running = np.ones(len(seeds), dtype=bool)
+    diverged = np.zeros(len(seeds), dtype=bool)
+    steps: list[tuple] = []
     while running.any():
         action = act(observation)
-        if not np.isfinite(action).all():
-            raise UserError("training diverged: the policy's actions are not finite numbers")
-        following, reward, terminated, truncated, info = envs.step(action)
+        finite = np.isfinite(action).all(axis=-1)
+        if not finite.all():
+            diverged |= running & ~finite
+            running &= finite
+            action = np.where(finite[:, None], action, np.float32(0.0))
+        following, reward, terminated, truncated, info = envs.step(np.clip(action, -1.0, 1.0))
         require_cost(envs, info)
-        if not (np.isfinite(reward).all() and np.isfinite(info["cost"]).all()):
-            raise UserError(f"{envs} gives a reward or cost that is not finite")
-        if (np.asarray(info["cost"]) < 0).any():
-            raise UserError(f"{envs} gives a negative cost")
+        following = np.asarray(following, dtype=np.float32)
         steps.append((observation, action, reward, info["cost"], following, terminated, truncated))
         length += running
         ended = terminated | truncated
         running &= ~ended
         observation = following
         if ended.any() and running.any():
-            observation, _ = envs.reset(options={"reset_mask": ended.copy()})
+            observation = _reset(envs, options={"reset_mask": ended.copy()})
     columns = [np.stack(column) for column in zip(*steps, strict=True)]
-    return Rollout._make([*columns, length])
+    return _checked(Rollout._make([*columns, length, diverged]), envs)
+
+
+def _reset(envs: VectorEnv, **kwargs: Any) -> NDArray[np.float32]:
+    return np.asarray(envs.reset(**kwargs)[0], dtype=np.float32)
+
+
+def _checked(rollout: Rollout, envs: VectorEnv) -> Rollout:
+    """Mark episodes with numbers that are not finite."""
+    if (rollout.cost[rollout.during] < 0).any():
+        raise UserError(f"{envs} gives a negative cost")
+    finite = np.isfinite(rollout.reward) & np.isfinite(rollout.cost)
+    finite &= np.isfinite(rollout.next_observation).all(axis=-1)
+    void = (~finite & rollout.during).any(axis=0)
+    return rollout._replace(diverged=rollout.diverged | void)

@@ -1,7 +1,11 @@
-"""Nested named tuples of tensors with a run axis: choosing by run, saving, loading."""
+"""Nested named tuples of tensors with a run axis: choosing by run, saving, loading.
+
+None stands for what an algorithm does not have.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,9 +22,25 @@ def where(mask: NDArray[np.bool_], new: Tree, old: Tree) -> Tree:
 
 
 def _where(mask: Tensor, new: Any, old: Any) -> Any:
+    if new is None:
+        return None
     if isinstance(new, Tensor):
         return torch.where(mask.view(-1, *[1] * (new.dim() - 1)), new, old)
     return type(new)(*(_where(mask, a, b) for a, b in zip(new, old, strict=True)))
+
+
+def finite(tree: Any) -> NDArray[np.bool_]:
+    """Which runs hold only finite numbers, [R]."""
+    leaves = [leaf.flatten(1) for leaf in _leaves(tree)]
+    return torch.stack([leaf.isfinite().all(dim=1) for leaf in leaves]).all(dim=0).numpy()
+
+
+def _leaves(tree: Any) -> Iterator[Tensor]:
+    if isinstance(tree, Tensor):
+        yield tree
+    elif tree is not None:
+        for part in tree:
+            yield from _leaves(part)
 
 
 def expect(
@@ -36,6 +56,8 @@ def expect(
 
 def flatten(tree: Any, prefix: str = "") -> dict[str, NDArray]:
     """Every tensor under its dotted name."""
+    if tree is None:
+        return {}
     if isinstance(tree, Tensor):
         return {prefix: tree.numpy()}
     named = zip(tree._fields, tree, strict=True)
@@ -46,6 +68,8 @@ def flatten(tree: Any, prefix: str = "") -> dict[str, NDArray]:
 def unflatten(like: Any, arrays: dict[str, NDArray], prefix: str = "") -> Any:
     """The tree shaped as `like` with the arrays that `flatten` named. KeyError for a missing one,
     ValueError for one of another shape or type."""
+    if like is None:
+        return None
     if isinstance(like, Tensor):
         expected = like.numpy()
         return torch.from_numpy(expect(prefix, arrays, expected.shape, expected.dtype).copy())

@@ -15,6 +15,8 @@ from agents.errors import UserError, check_integers
 from agents.runs.files import read_json, write_json
 
 PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
+FAILURE = "failed.json"
+"""In the folder of a run that stopped at a number which is not finite: the step it had come to."""
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
 
 from agents.errors import UserError
-from agents.lockstep.noise import Purpose, environment_seeds, steps_of_noise
-from agents.lockstep.rollout import collect
+from agents.lockstep.noise import Purpose, environment_seeds, normal, steps_of_noise
+from agents.lockstep.rollout import Policy, collect
 from agents.runs.config import TrainConfig, run_folder
 from agents.runs.files import write_json
-from agents.runs.tasks import make_envs
+from agents.runs.tasks import make_envs, sizes
 from emcc import cvar
 
 Results = dict[str, list[dict[str, Any]]]
@@ -20,43 +23,60 @@ CVAR_ALPHA = 0.5
 POLICIES = ("deterministic", "stochastic")
 
 
-def evaluate(folder: Path, config: TrainConfig, policy: Any, episodes: int) -> Results:
+def evaluate(
+    folder: Path,
+    config: TrainConfig,
+    policy: Policy,
+    episodes: int,
+    active: NDArray[np.bool_] | None = None,
+) -> Results:
     """Play episodes with a policy of every run and write `evaluation.json` into its folder.
 
-    Returns for each of `POLICIES` a dictionary a run: means, and values per episode.
-
-    policy: of a learner, `policy(observation [R, N, ...], noise) -> actions [R, N, ...]`. Start
-    states and noise come from the run's seed, so that an evaluation can be repeated bit for bit.
+    Returns for each of `POLICIES` a dictionary a run: means, and values per episode. Start states
+    and noise come from the run's seed, so that an evaluation can be repeated bit for bit.
+    active: [R], runs to be evaluated, all by default. The results of the others, and of a run whose
+    policy gives numbers that are not finite, are empty and not written.
     """
     if episodes < 1:
         raise UserError(f"episodes must be at least 1, got {episodes}")
+    active = np.ones(len(config.seeds), dtype=bool) if active is None else active
+    if not active.any():
+        return {name: [{} for _ in config.seeds] for name in POLICIES}
     envs = make_envs(config.task, len(config.seeds) * episodes, config.task_parameters)
-    results = {
-        name: _play(envs, config, policy, episodes, name == "stochastic") for name in POLICIES
-    }
-    envs.close()
+    with contextlib.closing(envs):
+        results = {
+            name: _play(envs, config, policy, episodes, active, name == "stochastic")
+            for name in POLICIES
+        }
     for run, seed in enumerate(config.seeds):
         of_run = {name: result[run] for name, result in results.items()}
-        content = {"seed": seed, "episodes": episodes, **of_run}
-        write_json(run_folder(folder, seed) / "evaluation.json", content)
+        if all(of_run.values()):
+            content = {"seed": seed, "episodes": episodes, **of_run}
+            write_json(run_folder(folder, seed) / "evaluation.json", content)
     return results
 
 
 def _play(
-    envs: Any, config: TrainConfig, policy: Any, episodes: int, noisy: bool
+    envs: VectorEnv,
+    config: TrainConfig,
+    policy: Policy,
+    episodes: int,
+    active: NDArray[np.bool_],
+    noisy: bool,
 ) -> list[dict[str, Any]]:
     """For each run the means and, per episode, the undiscounted sums of rewards and costs."""
-    runs = len(config.seeds)
-    action_size = envs.single_action_space.shape[0]
+    runs, (_, action_size) = len(config.seeds), sizes(envs)
     seeds = environment_seeds(config.seeds, Purpose.EVALUATION, 0, episodes)
-    noise = steps_of_noise(config.seeds, Purpose.EVALUATION, 1, (episodes, action_size))
+    shape = (episodes, action_size)
+    noise = steps_of_noise(normal, config.seeds, Purpose.EVALUATION, 1, shape)
 
-    def act(observation):
+    def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
         observation = observation.reshape(runs, episodes, -1)
-        action = policy(observation, next(noise)[0] if noisy else None)
+        action = policy(observation, next(noise) if noisy else None)
         return action.reshape(runs * episodes, -1)
 
-    rollout = collect(envs, seeds, act)
+    rollout = collect(envs, seeds, act, np.repeat(active, episodes))
+    valid = active & ~rollout.diverged.reshape(runs, episodes).any(axis=1)
     columns = {
         "returns": rollout.returns,
         "cost_returns": rollout.cost_returns,
@@ -65,12 +85,12 @@ def _play(
     }
     results = []
     for run in range(runs):
-        of_run = slice(run * episodes, (run + 1) * episodes)
-        costs = rollout.cost_returns[of_run]
+        of_run = {k: v[run * episodes : (run + 1) * episodes] for k, v in columns.items()}
         means = {
-            "J_R": float(np.mean(rollout.returns[of_run])),
-            "J_C": float(np.mean(costs)),
-            f"CVaR_{CVAR_ALPHA:g}": cvar(costs, CVAR_ALPHA),
+            "J_R": float(np.mean(of_run["returns"])),
+            "J_C": float(np.mean(of_run["cost_returns"])),
+            f"CVaR_{CVAR_ALPHA:g}": cvar(of_run["cost_returns"], CVAR_ALPHA),
         }
-        results.append(means | {name: c[of_run].tolist() for name, c in columns.items()})
+        lists = {name: column.tolist() for name, column in of_run.items()}
+        results.append(means | lists if valid[run] else {})
     return results

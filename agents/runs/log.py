@@ -1,4 +1,4 @@
-"""The records of a training: one row per run and epoch."""
+"""The records of a training: a row per episode, and what each epoch's update came to."""
 
 from __future__ import annotations
 
@@ -8,59 +8,88 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.lockstep import tree
 from agents.lockstep.rollout import Rollout
 from agents.runs.files import write_whole
 from emcc import EpisodeRecords, longest_streaks
 
+COLUMNS = ("start_step", "length", "return", "cost", "longest_streak")
+
 
 class Log:
-    """What each epoch of each run gave: its episode, and the means of its gradient steps."""
+    """What each epoch of each run gave."""
 
-    COLUMNS = ("start_step", "length", "return", "cost", "longest_streak")
+    def __init__(self, runs: int, episodes: int, metrics: Sequence[str]) -> None:
+        self.metrics = tuple(metrics)
+        self._shapes = (runs, episodes, len(COLUMNS)), (runs, len(metrics))
+        self._episodes: list[NDArray[np.float64]] = []
+        self._updates: list[NDArray[np.float64]] = []
 
-    def __init__(self, metrics: Sequence[str], runs: int) -> None:
-        self.metrics, self.runs = tuple(metrics), runs
-        self._epochs: list[NDArray[np.float64]] = []
+    def add(
+        self,
+        rollout: Rollout,
+        steps: NDArray[np.int64],
+        active: NDArray[np.bool_],
+        metrics: NDArray,
+    ) -> None:
+        """Record an epoch. rollout: of R·E episodes; steps: [R], those each run had taken before;
+        active: [R], runs that it belongs to; metrics: [R, metrics], NaN where nothing was learned.
+        """
+        runs, episodes, _ = self._shapes[0]
+        length = rollout.length.reshape(runs, episodes)
+        start = steps[:, None] + np.cumsum(length, axis=1) - length
+        streaks = np.zeros(runs * episodes, dtype=np.int64)
+        played = rollout.length > 0
+        streaks[played] = longest_streaks(rollout.cost.T[rollout.during.T], rollout.length[played])
+        columns = (start.ravel(), rollout.length, rollout.returns, rollout.cost_returns, streaks)
+        rows = np.column_stack(columns).astype(np.float64).reshape(self._shapes[0])
+        self._episodes.append(np.where(active[:, None, None], rows, np.nan))
+        self._updates.append(np.where(active[:, None], metrics, np.nan))
 
-    def add(self, rollout: Rollout, start_step: NDArray[np.int64], metrics: NDArray) -> None:
-        """Record an epoch. rollout: of all runs; start_step: [R], -1 for a run that is done;
-        metrics: [R, metrics]."""
-        costs = rollout.cost.T[rollout.during.T]
-        streaks = longest_streaks(costs, rollout.length)
-        columns = (start_step, rollout.length, rollout.returns, rollout.cost_returns, streaks)
-        self._epochs.append(np.column_stack((*columns, metrics)).astype(np.float64))
+    @property
+    def episodes(self) -> NDArray[np.float64]:
+        """[epochs, R, E, columns]; NaN where a run took no part."""
+        return np.array(self._episodes).reshape(-1, *self._shapes[0])
 
-    def table(self) -> NDArray[np.float64]:
-        """Everything: [epochs, R, columns and metrics]."""
-        width = len(self.COLUMNS) + len(self.metrics)
-        return np.array(self._epochs).reshape(-1, self.runs, width)
+    @property
+    def updates(self) -> NDArray[np.float64]:
+        """[epochs, R, metrics]; NaN where a run learned nothing."""
+        return np.array(self._updates).reshape(-1, *self._shapes[1])
 
-    def restore(self, table: NDArray[np.float64]) -> None:
-        """Take over what `table` returned."""
-        self._epochs = list(table)
+    def state(self) -> dict[str, NDArray]:
+        """Everything, as named arrays."""
+        return {"log.episodes": self.episodes, "log.updates": self.updates}
 
-    def recent(self, epochs: int = 20) -> NDArray[np.float64]:
-        """Return and cost return, means over the last epochs and all runs: [2]."""
-        return np.mean(self._epochs[-epochs:], axis=(0, 1))[2:4]
+    def restore(self, state: dict[str, NDArray], epochs: int) -> None:
+        """Take over what `state` returned. ValueError or KeyError for anything else."""
+        of_episodes, of_updates = ((epochs, *shape) for shape in self._shapes)
+        episodes = tree.expect("log.episodes", state, of_episodes, np.float64)
+        updates = tree.expect("log.updates", state, of_updates, np.float64)
+        self._episodes, self._updates = list(episodes), list(updates)
+
+    def recent(self, epochs: int = 20) -> tuple[float, float]:
+        """Return and cost return, means over the last epochs of the runs that took part."""
+        rows = np.array(self._episodes[-epochs:])[..., 2:4].reshape(-1, 2)
+        rows = rows[~np.isnan(rows[:, 0])]
+        returns, cost = rows.mean(axis=0) if len(rows) else (np.nan, np.nan)
+        return float(returns), float(cost)
 
     def write(self, folders: Sequence[Path]) -> None:
         """Write `episodes.csv` and `updates.csv` into the folder of each run."""
-        table = self.table()
+        episodes, updates = self.episodes, self.updates
         for run, folder in enumerate(folders):
-            epochs = np.flatnonzero(table[:, run, 0] >= 0)
-            rows = table[epochs, run]
-            start, length, returns, cost, streak = rows[:, :5].T
-            records = EpisodeRecords(epochs, start, length, returns, cost, streak)
+            epochs = np.flatnonzero(~np.isnan(episodes[:, run, 0, 0]))
+            rows = episodes[epochs, run]
+            rollout = np.repeat(epochs, rows.shape[1])
+            records = EpisodeRecords(rollout, *rows.reshape(-1, len(COLUMNS)).T)
             records.save(folder / "episodes.csv")
-            write_whole(folder / "updates.csv", self._updates(epochs, rows))
+            steps = rows[:, :, 1].sum(axis=1).cumsum().astype(np.int64)
+            write_whole(folder / "updates.csv", self._table(epochs, steps, updates[epochs, run]))
 
-    def _updates(self, epochs: NDArray[np.int64], rows: NDArray[np.float64]) -> str:
-        """CSV of the epochs that had gradient steps; `step`: environment steps taken by then."""
-        learned = ~np.isnan(rows[:, len(self.COLUMNS) :]).all(axis=1)
-        epochs, rows = epochs[learned], rows[learned]
-        steps = (rows[:, 0] + rows[:, 1]).astype(np.int64)
+    def _table(self, epochs: NDArray[np.int64], steps: NDArray[np.int64], values: NDArray) -> str:
+        """CSV of the epochs that learned something; `step`: environment steps taken by then."""
         lines = [",".join(("rollout", "step", *self.metrics))]
-        values = rows[:, len(self.COLUMNS) :].astype(np.float32)
-        for epoch, step, row in zip(epochs, steps, values, strict=True):
-            lines.append(",".join((str(epoch), str(step), *map(str, row))))
+        for epoch, step, row in zip(epochs, steps, values.astype(np.float32), strict=True):
+            if not np.isnan(row).all():
+                lines.append(",".join((str(epoch), str(step), *map(str, row))))
         return "\n".join([*lines, ""])

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agents.algorithms import learner
 from agents.errors import UserError
 from agents.lockstep import backend, tree
-from agents.lockstep.noise import Purpose, environment_seeds, steps_of_noise
+from agents.lockstep.noise import Purpose, environment_seeds
 from agents.lockstep.rollout import collect
-from agents.runs.config import TrainConfig, run_folder
+from agents.runs.config import FAILURE, TrainConfig, run_folder
 from agents.runs.evaluate import evaluate
-from agents.runs.files import locked, read_arrays, write_arrays
+from agents.runs.files import locked, read_arrays, write_arrays, write_json
 from agents.runs.log import Log
 from agents.runs.tasks import make_envs, sizes
 
@@ -26,50 +28,53 @@ class Training:
 
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
-        self._envs = make_envs(config.task, len(config.seeds), config.task_parameters)
+        runs = len(config.seeds)
+        with contextlib.closing(make_envs(config.task, 1, config.task_parameters)) as one:
+            sizes_of_one = sizes(one)
         self.learner = learner(
-            config.algorithm, config.hyperparameters, config.seeds, *sizes(self._envs)
+            config.algorithm, config.hyperparameters, config.seeds, *sizes_of_one
         )
-        self.log = Log(self.learner.METRICS, len(config.seeds))
+        self._envs = make_envs(config.task, runs * self.learner.episodes, config.task_parameters)
+        self.log = Log(runs, self.learner.episodes, self.learner.metrics)
         self.epoch = 0
-        self.steps = np.zeros(len(config.seeds), dtype=np.int64)
+        self.steps = np.zeros(runs, dtype=np.int64)
         """Environment steps each run has taken, [R]."""
+        self.failed = np.zeros(runs, dtype=bool)
+        """Runs that met a number which is not finite, [R]. They stop; the others go on."""
+
+    @property
+    def active(self) -> NDArray[np.bool_]:
+        """Runs that still have steps to take, [R]."""
+        return (self.steps < self.config.steps) & ~self.failed
 
     @property
     def done(self) -> bool:
-        """Whether every run has taken its steps."""
-        return bool((self.steps >= self.config.steps).all())
+        """Whether no run has steps to take."""
+        return not self.active.any()
 
     def run_epoch(self) -> None:
-        """Collect one episode of every run and learn from it."""
-        seeds, action_size = self.config.seeds, self._envs.single_action_space.shape[0]  # pyright: ignore[reportOptionalSubscript]
-        active = self.steps < self.config.steps
-        policy, random_steps = self.learner.policy(), self.learner.random_steps
-        noise = steps_of_noise(seeds, Purpose.EXPLORATION, self.epoch, (action_size,))
-        step = self.steps.copy()
-
-        def act(observation):
-            normal, uniform = next(noise)
-            at_random = step < random_steps
-            step[:] += 1
-            if at_random.all():
-                return uniform
-            action = policy(observation[:, None], normal[:, None])[:, 0]
-            return np.where(at_random[:, None], uniform, action) if at_random.any() else action
-
-        resets = environment_seeds(seeds, Purpose.ENVIRONMENT, self.epoch, 1)
-        rollout = collect(self._envs, resets, act)
-        metrics = self.learner.learn(rollout, self.epoch, active)
-        self.log.add(rollout, np.where(active, self.steps, -1), metrics)
-        self.steps += np.where(active, rollout.length, 0)
+        """Collect the episodes of an epoch of every active run, and learn from them."""
+        active, episodes, seeds = self.active, self.learner.episodes, self.config.seeds
+        resets = environment_seeds(seeds, Purpose.ENVIRONMENT, self.epoch, episodes)
+        act = self.learner.explorer(self.epoch, self.steps)
+        rollout = collect(self._envs, resets, act, np.repeat(active, episodes))
+        diverged = rollout.diverged.reshape(-1, episodes).any(axis=1)
+        learning = active & ~diverged
+        metrics = self.learner.learn(rollout, self.epoch, learning)
+        self.log.add(rollout, self.steps, learning, metrics)
+        self.steps += np.where(active, rollout.length.reshape(-1, episodes).sum(axis=1), 0)
+        self.failed |= active & (diverged | ~self.learner.finite())
         self.epoch += 1
 
     def save(self, folder: Path) -> None:
         """Write the records, then the checkpoint from which all of it can be written again."""
-        self.log.write([run_folder(folder, seed) for seed in self.config.seeds])
+        folders = [run_folder(folder, seed) for seed in self.config.seeds]
+        self.log.write(folders)
+        for run in np.flatnonzero(self.failed):
+            write_json(folders[run] / FAILURE, {"step": int(self.steps[run])})
         counters = {"epoch": np.array(self.epoch), "seeds": np.array(self.config.seeds)}
-        counters |= {"steps": self.steps, "log": self.log.table()}
-        write_arrays(folder / "checkpoint.npz", counters | self.learner.state())
+        counters |= {"steps": self.steps, "failed": self.failed}
+        write_arrays(folder / "checkpoint.npz", counters | self.log.state() | self.learner.state())
 
     def restore(self, folder: Path) -> None:
         """Take over a checkpoint. Raises UserError where it is missing or damaged."""
@@ -79,13 +84,17 @@ class Training:
             seeds = tree.expect("seeds", state, self.steps.shape, np.int64)
             if tuple(seeds) != self.config.seeds:
                 raise ValueError(f"its seeds are {seeds.tolist()}")
-            epoch = int(tree.expect("epoch", state, (), np.int64))
-            log = tree.expect("log", state, (epoch, *self.log.table().shape[1:]), np.float64)
-            self.epoch, self.steps = epoch, tree.expect("steps", state, self.steps.shape, np.int64)
-            self.log.restore(log)
+            self.epoch = int(tree.expect("epoch", state, (), np.int64))
+            self.steps = tree.expect("steps", state, self.steps.shape, np.int64)
+            self.failed = tree.expect("failed", state, self.failed.shape, np.bool_)
+            self.log.restore(state, self.epoch)
             self.learner.restore(state)
         except (KeyError, ValueError) as error:
             raise UserError(f"{path} is damaged or of another version: {error}") from None
+
+    def close(self) -> None:
+        """Let go of the environments."""
+        self._envs.close()
 
 
 def restored(folder: Path) -> Training:
@@ -118,5 +127,8 @@ def _train(training: Training, folder: Path, on_epoch: Callable[[Training], None
         if training.done or training.steps.max() // every > before:
             training.save(folder)
         on_epoch(training)
-    evaluate(folder, training.config, training.learner.policy(), EVALUATION_EPISODES)
+    training.close()
+    evaluate(
+        folder, training.config, training.learner.policy(), EVALUATION_EPISODES, ~training.failed
+    )
     return training

@@ -11,24 +11,25 @@ from numpy.typing import NDArray
 
 from agents.lockstep import tree
 from agents.lockstep.nets import forward_numpy
-from agents.lockstep.noise import Purpose, stream
+from agents.lockstep.noise import Purpose, normal, steps_of_noise, stream, uniform
 from agents.lockstep.replay import Replay
-from agents.lockstep.rollout import Rollout
+from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.updates import sac, squashed_gaussian
+
+METRICS = (
+    "critic_loss",
+    "cost_critic_loss",
+    "actor_loss",
+    "temperature",
+    "multiplier",
+    "risk",
+    "entropy",
+)
+"""What `sac.update` records; the multiplier of those that have one."""
 
 
 class OffPolicy:
     """The runs of one algorithm of the SAC family: their networks and their replay."""
-
-    METRICS = (
-        "critic_loss",
-        "cost_critic_loss",
-        "actor_loss",
-        "temperature",
-        "multiplier",
-        "risk",
-        "entropy",
-    )
 
     def __init__(
         self,
@@ -39,27 +40,46 @@ class OffPolicy:
         action_size: int,
     ) -> None:
         self.config, self.rule, self.seeds = config, rule, tuple(seeds)
+        self.episodes = 1
+        self.metrics = tuple(m for m in METRICS if rule.multiplier or m != "multiplier")
         self.action_size = action_size
         self.nets = sac.make_nets(config, observation_size, action_size)
-        self._state = sac.initial_state(self.nets, seeds, config.initial_multiplier)
+        self._state = sac.initial_state(self.nets, config, rule, seeds)
         self._replay = Replay(len(seeds), config.replay_size, observation_size, action_size)
 
-    @property
-    def random_steps(self) -> int:
-        """Environment steps of a run before its policy acts."""
-        return self.config.random_steps
-
-    def policy(self) -> Any:
-        """`policy(observation [R, N, ...], noise) -> actions [R, N, ...]`, as it stands now."""
+    def policy(self) -> Policy:
+        """The policy as it stands now."""
         layers = self.nets.actor.layers(self._state.actor.numpy())
         return lambda observation, noise: squashed_gaussian.act(
             forward_numpy(layers, observation), noise
         )
 
-    def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
-        """Store an epoch's episodes and take its gradient steps; active: [R], runs not yet done.
+    def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
+        """How the runs act in an epoch: at random until `random_steps`, then by the policy.
 
-        Returns the mean of each of `METRICS` over the steps, [R, metrics]; NaN for runs that took
+        steps: [R], environment steps each run has taken before.
+        """
+        policy, shape = self.policy(), (self.action_size,)
+        noise = steps_of_noise(normal, self.seeds, Purpose.EXPLORATION, epoch, shape)
+        random_actions = steps_of_noise(uniform, self.seeds, Purpose.RANDOM_ACTIONS, epoch, shape)
+        step = steps.copy()
+
+        def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+            at_random = step < self.config.random_steps
+            step[:] += 1
+            if at_random.all():
+                return next(random_actions)
+            action = policy(observation[:, None], next(noise)[:, None])[:, 0]
+            if at_random.any():
+                action = np.where(at_random[:, None], next(random_actions), action)
+            return action
+
+        return act
+
+    def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
+        """Store an epoch's episodes and take its gradient steps; active: [R], runs that take part.
+
+        Returns the mean of each of `metrics` over the steps, [R, metrics]; NaN for runs that took
         none, since their replay holds less than a batch.
         """
         terminal = rollout.terminated
@@ -69,7 +89,7 @@ class OffPolicy:
         self._replay.add(rollout._replace(length=length), terminal)
         learning = active & (self._replay.size >= self.config.batch_size)
         if not learning.any():
-            return np.full((len(self.seeds), len(self.METRICS)), np.nan)
+            return np.full((len(self.seeds), len(self.metrics)), np.nan)
         total = 0.0
         for index, noise in self._draws(epoch):
             batch = self._replay.gather(index)
@@ -77,22 +97,24 @@ class OffPolicy:
                 self.nets, self.config, self.rule, self._state, batch, noise
             )
             self._state = tree.where(learning, state, self._state)
-            total = total + np.stack([metrics[name].numpy() for name in self.METRICS], axis=-1)
+            total = total + np.stack([metrics[name].numpy() for name in self.metrics], axis=-1)
         return np.where(learning[:, None], total / self.config.gradient_steps, np.nan)
+
+    def finite(self) -> NDArray[np.bool_]:
+        """Which runs hold only finite numbers, [R]."""
+        return tree.finite(self._state)
 
     def _draws(self, epoch: int) -> list[tuple[NDArray[np.int64], sac.UpdateNoise]]:
         """What each gradient step of an epoch draws: slots [R, B] and action noise."""
         steps, batch = self.config.gradient_steps, self.config.batch_size
-        share, normal = [], []
+        share, action_noise = [], []
         for seed in self.seeds:
             rng = stream(seed, Purpose.UPDATE, epoch)
             share.append(rng.random((steps, batch)))
-            normal.append(
-                rng.standard_normal((steps, 2, batch, self.action_size), dtype=np.float32)
-            )
+            action_noise.append(normal(rng, (steps, 2, batch, self.action_size)))
         held = np.maximum(self._replay.size, 1)[:, None]
         index = (np.stack(share, axis=1) * held).astype(np.int64)
-        noise = torch.from_numpy(np.stack(normal, axis=1))
+        noise = torch.from_numpy(np.stack(action_noise, axis=1))
         return [
             (index[k], sac.UpdateNoise(noise[k, :, 0].contiguous(), noise[k, :, 1].contiguous()))
             for k in range(steps)

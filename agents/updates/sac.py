@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from agents.errors import UserError, check, check_integers
+from agents.errors import check, check_choice, check_integers
 from agents.lockstep.adam import Moments, adam, no_moments
-from agents.lockstep.nets import LANES, MLP
+from agents.lockstep.nets import LANES, MLP, check_lanes
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.replay import Batch
 from agents.updates import squashed_gaussian
@@ -51,10 +51,6 @@ class SACConfig:
     """Share τ by which the target critics follow (SAC's default; not printed in the paper)."""
     time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
     """Whether values go on behind a time limit. Inferred for the paper, not printed: terminal."""
-    initial_multiplier: float = 0.0
-    """Initial parameter of the multiplier, where the algorithm has one (paper, SAC-Lag: 0)."""
-    multiplier_lr: float = 3e-4
-    """Adam's step size for the multiplier's parameter, where the algorithm has one."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
@@ -64,18 +60,34 @@ class SACConfig:
         check(self, "cost_limit", low=0)
         check(self, "discount", "target_rate", low=0, high=1)
         check(self, "learning_rate", above=0, high=1)
+        check_lanes(self)
+        check_choice(self, "time_limit", "bootstrap", "terminal")
+
+
+@dataclass(frozen=True)
+class MultiplierConfig(SACConfig):
+    """Hyper-parameters of the algorithms of the family that have a Lagrange multiplier."""
+
+    initial_multiplier: float = 0.0
+    """Initial parameter of the multiplier, before it is mapped to positive numbers. Paper: 0 for
+    SAC-Lag; not printed for WCSAC."""
+    multiplier_lr: float = 3e-4
+    """Adam's step size for the multiplier's parameter. Paper: 3e-4 for SAC-Lag."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the value that is not allowed."""
+        super().__post_init__()
         check(self, "multiplier_lr", low=0, high=1)
         check(self, "initial_multiplier")
-        # Off these multiples a run would depend, in its last bits, on the runs beside it: torch
-        # computes the remainder of a vector otherwise than the vector.
-        sizes = (self.batch_size, *self.hidden)
-        if not self.hidden or any(type(n) is not int or n < 1 or n % LANES for n in sizes):
-            raise UserError(
-                f"batch_size and the sizes in hidden must be multiples of {LANES}, "
-                f"got {self.batch_size!r} and {self.hidden!r}"
-            )
-        if self.time_limit not in ("bootstrap", "terminal"):
-            raise UserError(f"time_limit must be bootstrap or terminal, got {self.time_limit!r}")
+
+
+class Multiplier(NamedTuple):
+    """How a multiplier follows the risk. Every number of a run fills a row of lanes: see `nets`."""
+
+    value: Callable[[Tensor], Tensor]
+    """(parameter [R, LANES]) -> [R, LANES]: the multiplier, which cannot be negative."""
+    gradient: Callable[[Any, Tensor, Tensor], Tensor]
+    """(config, parameter [R, LANES], risk [R, B]) -> [R, LANES]: of the loss it descends."""
 
 
 class CostRule(NamedTuple):
@@ -89,11 +101,10 @@ class CostRule(NamedTuple):
     critic_loss: Callable[[Any, Tensor, Tensor, Batch], Tensor]
     """(config, costs, target critics' costs of the next action, batch) -> [R]."""
     penalty: Callable[[Any, Tensor, Tensor], Tensor]
-    """(config, risk, multiplier [R, 1]) -> [R, B]: added to the actor's loss."""
-    multiplier: Callable[[Tensor], Tensor]
-    """(parameter [R, LANES]) -> [R, LANES]: the multiplier, which cannot be negative."""
-    multiplier_gradient: Callable[[Any, Tensor, Tensor], Tensor]
-    """(config, parameter [R, LANES], risk [R, B]) -> [R, LANES]: of the loss it descends."""
+    """(config, risk [R, B], multiplier [R, 1]) -> [R, B]: added to the actor's loss. The multiplier
+    is 0 where the rule has none."""
+    multiplier: Multiplier | None = None
+    """None for an algorithm without one."""
 
 
 class Nets(NamedTuple):
@@ -117,12 +128,12 @@ class SACState(NamedTuple):
     """[R, 4, critic size]"""
     log_temperature: Tensor
     """[R, LANES]"""
-    multiplier: Tensor
-    """[R, LANES]: the parameter that `CostRule.multiplier` maps to the multiplier"""
+    multiplier: Tensor | None
+    """[R, LANES]: the parameter that `Multiplier.value` maps to the multiplier"""
     actor_moments: Moments
     critic_moments: Moments
     temperature_moments: Moments
-    multiplier_moments: Moments
+    multiplier_moments: Moments | None
 
 
 class UpdateNoise(NamedTuple):
@@ -140,17 +151,34 @@ def make_nets(config: SACConfig, observation_size: int, action_size: int) -> Net
     )
 
 
-def initial_state(nets: Nets, seeds: Sequence[int], multiplier_parameter: float) -> SACState:
+def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int]) -> SACState:
     """The state of runs before their first update; each run's comes from its seed alone."""
     streams = [stream(seed, Purpose.PARAMETERS) for seed in seeds]
     actor = torch.from_numpy(np.stack([nets.actor.initial(rng) for rng in streams]))
     critics = [[nets.critic.initial(rng) for _ in range(4)] for rng in streams]
     critics = torch.from_numpy(np.array(critics))
     log_temperature = torch.zeros(len(seeds), LANES)
-    multiplier = torch.full((len(seeds), LANES), multiplier_parameter)
-    parameters = (actor, critics, critics.clone(), log_temperature, multiplier)
-    moments = (no_moments(p) for p in (actor, critics, log_temperature, multiplier))
-    return SACState(*parameters, *moments)
+    multiplier = None
+    if rule.multiplier:
+        multiplier = torch.full((len(seeds), LANES), float(config.initial_multiplier))
+    return SACState(
+        actor=actor,
+        critics=critics,
+        targets=critics.clone(),
+        log_temperature=log_temperature,
+        multiplier=multiplier,
+        actor_moments=no_moments(actor),
+        critic_moments=no_moments(critics),
+        temperature_moments=no_moments(log_temperature),
+        multiplier_moments=None if multiplier is None else no_moments(multiplier),
+    )
+
+
+def multiplier_of(rule: CostRule, state: SACState) -> Tensor:
+    """The multiplier of each run, [R, 1]; 0 where the rule has none."""
+    if rule.multiplier is None or state.multiplier is None:
+        return torch.zeros(len(state.actor), 1)
+    return rule.multiplier.value(state.multiplier)[:, :1]
 
 
 def values(nets: Nets, critics: Tensor, observation: Tensor, action: Tensor) -> Tensor:
@@ -201,7 +229,7 @@ def actor_loss(
     q = values(nets, critics, batch.observation, action)
     risk = rule.risk(config, q[:, 2:])
     temperature = state.log_temperature.exp()[:, :1]
-    penalty = rule.penalty(config, risk, rule.multiplier(state.multiplier)[:, :1])
+    penalty = rule.penalty(config, risk, multiplier_of(rule, state))
     reward = torch.minimum(q[:, 0], q[:, 1])
     loss = (temperature * log_prob - reward + penalty).mean(dim=-1)
     return loss.sum(), (loss.detach(), risk.detach(), log_prob.detach())
@@ -226,10 +254,10 @@ def update(
 ) -> tuple[SACState, dict[str, Tensor]]:
     """One gradient step of critics, actor, temperature and multiplier, in this order.
 
-    The multiplier sees the risk of the actions that the actor's step was computed from. Returns the
+    Temperature and multiplier see the actions that the actor's step was computed from. Returns the
     new state and, for the records, means over the batch, [R] each.
     """
-    rate, action_size = config.learning_rate, batch.action.shape[-1]
+    rate = config.learning_rate
     reward_target, next_costs = targets_of(nets, config, state, batch, noise.next_action)
 
     def of_critics(critics: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
@@ -243,32 +271,42 @@ def update(
 
     gradient, (loss, risk, log_prob) = torch.func.grad(of_actor, has_aux=True)(state.actor)
     actor, actor_moments = adam(state.actor, gradient, state.actor_moments, rate)
-
-    # d/d(log α) of -α (log π + target entropy), with the target entropy -action_size
-    excess = log_prob.mean(dim=-1, keepdim=True) - action_size
-    gradient = -state.log_temperature.exp() * excess
-    log_temperature, temperature_moments = adam(
-        state.log_temperature, gradient, state.temperature_moments, rate
-    )
-    gradient = rule.multiplier_gradient(config, state.multiplier, risk)
-    multiplier, multiplier_moments = adam(
-        state.multiplier, gradient, state.multiplier_moments, config.multiplier_lr
-    )
     metrics |= {
         "actor_loss": loss,
         "temperature": state.log_temperature.exp()[:, 0],
-        "multiplier": rule.multiplier(state.multiplier)[:, 0],
+        "multiplier": multiplier_of(rule, state)[:, 0],
         "risk": risk.mean(dim=-1),
         "entropy": -log_prob.mean(dim=-1),
     }
-    return SACState(
-        actor,
-        critics,
-        state.targets.lerp(critics, config.target_rate),
-        log_temperature,
-        multiplier,
-        actor_moments,
-        critic_moments,
-        temperature_moments,
-        multiplier_moments,
-    ), metrics
+    state = state._replace(
+        actor=actor,
+        critics=critics,
+        targets=state.targets.lerp(critics, config.target_rate),
+        actor_moments=actor_moments,
+        critic_moments=critic_moments,
+    )
+    state = temperature_step(config, state, log_prob, batch.action.shape[-1])
+    return multiplier_step(config, rule, state, risk), metrics
+
+
+def temperature_step(
+    config: SACConfig, state: SACState, log_prob: Tensor, action_size: int
+) -> SACState:
+    """Descend `-α E[log π + target entropy]`, target entropy -A, along log α; log_prob: [R, B]."""
+    excess = log_prob.mean(dim=-1, keepdim=True) - action_size
+    gradient = -state.log_temperature.exp() * excess
+    log_temperature, moments = adam(
+        state.log_temperature, gradient, state.temperature_moments, config.learning_rate
+    )
+    return state._replace(log_temperature=log_temperature, temperature_moments=moments)
+
+
+def multiplier_step(config: Any, rule: CostRule, state: SACState, risk: Tensor) -> SACState:
+    """Let the multiplier, where there is one, follow the risk [R, B]."""
+    if rule.multiplier is None or state.multiplier is None or state.multiplier_moments is None:
+        return state
+    gradient = rule.multiplier.gradient(config, state.multiplier, risk)
+    multiplier, moments = adam(
+        state.multiplier, gradient, state.multiplier_moments, config.multiplier_lr
+    )
+    return state._replace(multiplier=multiplier, multiplier_moments=moments)

@@ -1,0 +1,52 @@
+"""SAC-LB: soft actor-critic with a log barrier in the place of a Lagrange multiplier.
+
+Source: Zhang et al. 2024, "Constrained reinforcement learning with smoothed log barrier function"
+(CSAC-LB); in the paper's grid as "SAC-LB".
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from agents.algorithms.sac_lag import critic_loss, risk
+from agents.errors import check
+from agents.updates.sac import CostRule, SACConfig
+
+
+@dataclass(frozen=True)
+class SACLBConfig(SACConfig):
+    """Hyper-parameters of SAC-LB."""
+
+    log_barrier_factor: float = 3.0
+    """Factor t of the barrier: the larger, the closer to a wall at the limit. Paper: 3 (printed in
+    SAC-Lag's column of table HP_Circle2D; it can only be SAC-LB's)."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the value that is not allowed."""
+        super().__post_init__()
+        check(self, "log_barrier_factor", above=0)
+
+
+def log_barrier(z: Tensor, t: float) -> Tensor:
+    """`ψ(z) = -log(-z) / t` up to `z = -1/t²`, from there on its tangent.
+
+    z: by how much the cost exceeds its limit. The tangent, `t z - log(1/t²)/t + 1/t`, is there also
+    where the limit is violated.
+    """
+    switch = -1.0 / t**2
+    # Inside the clamp both branches are finite, so that no gradient is 0 · inf.
+    barrier = -torch.log(-z.clamp(max=switch)) / t
+    tangent = t * z - math.log(-switch) / t + 1.0 / t
+    return torch.where(z <= switch, barrier, tangent)
+
+
+def penalty(config: SACLBConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
+    """`ψ(max Q_c - d)`."""
+    return log_barrier(risk - config.cost_limit, config.log_barrier_factor)
+
+
+RULE = CostRule(risk, critic_loss, penalty)

@@ -1,0 +1,71 @@
+"""TRPO-Lag: trust-region policy optimisation with a Lagrange multiplier on the episode cost.
+
+Source: Ray, Achiam & Amodei 2019, "Benchmarking safe exploration in deep reinforcement learning";
+in the paper's grid as "TRPO-Lag".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from agents.errors import check, check_choice
+from agents.lockstep.adam import Moments, adam
+from agents.updates.trpo import StepRule, TRPOConfig
+from agents.updates.trust_region import Problem, Step
+
+
+@dataclass(frozen=True)
+class TRPOLagConfig(TRPOConfig):
+    """Hyper-parameters of TRPO-Lag."""
+
+    initial_multiplier: float = 0.001
+    """Initial multiplier λ, at least 0. Paper: 0.001."""
+    multiplier_lr: float = 0.005
+    """Step size of the multiplier. Paper: 0.005."""
+    multiplier_optimizer: Literal["adam", "sgd"] = "adam"
+    """How the multiplier ascends: Adam, or by the plain gradient. It decides how runs end. Inferred
+    for the paper, not printed: adam."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the value that is not allowed."""
+        super().__post_init__()
+        check(self, "initial_multiplier", low=0)
+        check(self, "multiplier_lr", low=0)
+        check_choice(self, "multiplier_optimizer", "adam", "sgd")
+
+
+def objective(
+    config: TRPOLagConfig, reward_advantage: Tensor, cost_advantage: Tensor, multiplier: Tensor
+) -> Tensor:
+    """`(A_r - λ A_c) / (1 + λ)`: the divisor keeps its scale as λ grows."""
+    return (reward_advantage - multiplier * cost_advantage) / (1.0 + multiplier)
+
+
+def step(config: TRPOLagConfig, problem: Problem) -> Step:
+    """The natural gradient, to the boundary of the trust region: TRPO's own step."""
+    runs = len(problem.excess)
+    return Step(
+        step=problem.to_boundary(problem.solve(problem.gradient)),
+        must_improve=torch.ones(runs, dtype=torch.bool),
+        cost_bound=torch.full((runs,), torch.inf),
+        case=torch.ones(runs),
+    )
+
+
+def multiplier(
+    config: TRPOLagConfig, value: Tensor, moments: Moments, excess: Tensor
+) -> tuple[Tensor, Moments]:
+    """Ascent on `λ (J_C - d)`, projected to λ ≥ 0."""
+    gradient = -excess.expand_as(value)
+    if config.multiplier_optimizer == "adam":
+        value, moments = adam(value, gradient, moments, config.multiplier_lr)
+    else:
+        value = value - config.multiplier_lr * gradient
+    return value.clamp(min=0.0), moments
+
+
+RULE = StepRule(objective, step, multiplier, metrics=("multiplier",))

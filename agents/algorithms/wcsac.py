@@ -1,0 +1,101 @@
+"""WCSAC: soft actor-critic that bounds the conditional value-at-risk of the cost.
+
+The first cost critic is the mean of the discounted cost return, the second its variance.
+Source: Yang et al. 2021, "WCSAC: Worst-case soft actor critic for safety-constrained reinforcement
+learning"; in the paper's grid as "WCSAC" with the index 0.5, its risk level.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import torch
+from torch import Tensor
+from torch.nn.functional import softplus
+
+from agents.errors import check
+from agents.lockstep.replay import Batch
+from agents.updates.sac import CostRule, Multiplier, MultiplierConfig
+
+VARIANCE = (1e-8, 1e8)
+"""Where variances are clamped."""
+
+
+@dataclass(frozen=True)
+class WCSACConfig(MultiplierConfig):
+    """Hyper-parameters of WCSAC.
+
+    The parameter 0 that the multiplier starts from makes it exp(0) = 1.
+    """
+
+    risk_level: float = 0.5
+    """Share α of the worst cost returns whose mean is bounded; 1 bounds the mean of all.
+    Paper: 0.5."""
+    damping: float = 10.0
+    """Scale of the damping of the multiplier in the actor's loss. Not printed in the paper; 10 in
+    the code of Yang et al."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the value that is not allowed."""
+        super().__post_init__()
+        check(self, "risk_level", above=0, high=1)
+        check(self, "damping", low=0)
+
+
+def tail_factor(level: float) -> float:
+    """How many standard deviations the mean of the worst share `level` of a Gaussian lies above
+    its mean: `φ(Φ⁻¹(α)) / α`."""
+    if level == 1:
+        return 0.0
+    return NormalDist().pdf(NormalDist().inv_cdf(level)) / level
+
+
+def variance(output: Tensor) -> Tensor:
+    """What the second critic says, as a variance: `softplus`, clamped."""
+    return softplus(output).clamp(*VARIANCE)
+
+
+def risk(config: WCSACConfig, costs: Tensor) -> Tensor:
+    """`Γ = Q_c + φ(Φ⁻¹(α))/α √V_c`: the CVaR of a Gaussian."""
+    return costs[:, 0] + tail_factor(config.risk_level) * variance(costs[:, 1]).sqrt()
+
+
+def critic_loss(config: WCSACConfig, costs: Tensor, next_costs: Tensor, batch: Batch) -> Tensor:
+    """Half the mean squared error of the mean, plus half the 2-Wasserstein distance of the
+    deviations, `V + V* - 2 √(V V*)`.
+    """
+    discount = config.discount * (1.0 - batch.terminal)
+    mean_target, variance_target = targets(discount, costs[:, 0].detach(), next_costs, batch.cost)
+    error = costs[:, 0] - mean_target
+    spread = variance(costs[:, 1])
+    distance = spread + variance_target - 2.0 * (spread * variance_target).sqrt()
+    return 0.5 * (error * error).mean(dim=-1) + 0.5 * distance.mean(dim=-1)
+
+
+def targets(
+    discount: Tensor, mean: Tensor, next_costs: Tensor, cost: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Of the mean, `c + γ Q_c'`, and of the variance,
+    `c² - Q_c² + 2 γ c Q_c' + γ² V_c' + γ² Q_c'²`, clamped. Everything is [R, B] but next_costs,
+    [R, 2, B].
+    """
+    next_mean, next_variance = next_costs[:, 0], variance(next_costs[:, 1])
+    future = discount * discount * (next_variance + next_mean * next_mean)
+    second_moment = cost * cost + 2.0 * discount * cost * next_mean + future
+    return cost + discount * next_mean, (second_moment - mean * mean).clamp(*VARIANCE)
+
+
+def penalty(config: WCSACConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
+    """`(κ - κ_d) Γ`, damped by `κ_d = scale · E[d - Γ]`, which no gradient goes through."""
+    damping = config.damping * (config.cost_limit - risk.detach().mean(dim=-1, keepdim=True))
+    return (multiplier - damping) * risk
+
+
+def multiplier_gradient(config: WCSACConfig, parameter: Tensor, risk: Tensor) -> Tensor:
+    """Of `-κ E[Γ - d]` with `κ = exp(parameter)`: κ rises where the risk is too high."""
+    excess = risk.mean(dim=-1, keepdim=True) - config.cost_limit
+    return -parameter.exp() * excess
+
+
+RULE = CostRule(risk, critic_loss, penalty, Multiplier(torch.exp, multiplier_gradient))

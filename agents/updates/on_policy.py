@@ -1,0 +1,137 @@
+"""How an on-policy algorithm goes through an epoch: whole episodes, then one step of the policy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from agents.lockstep import tree
+from agents.lockstep.noise import Purpose, normal, steps_of_noise, stream
+from agents.lockstep.rollout import Act, Policy, Rollout
+from agents.updates import trpo
+from agents.updates.packing import Packing, blocks, minibatches
+from agents.updates.returns import advantages
+
+METRICS = ("kl", "step_scale", "critic_loss", "cost_critic_loss", "std")
+"""What every algorithm of the family records; a rule adds its own. A step_scale of 0: the line
+search found nothing, and the policy stayed as it was."""
+
+
+class OnPolicy:
+    """The runs of one algorithm of the trust-region family."""
+
+    def __init__(
+        self,
+        config: Any,
+        rule: trpo.StepRule,
+        seeds: Sequence[int],
+        observation_size: int,
+        action_size: int,
+    ) -> None:
+        self.config, self.rule, self.seeds = config, rule, tuple(seeds)
+        self.episodes: int = config.episodes
+        self.metrics = (*METRICS, *rule.metrics)
+        self.action_size = action_size
+        self.nets = trpo.make_nets(config, observation_size, action_size)
+        self._state = trpo.initial_state(self.nets, config, rule, seeds)
+
+    def policy(self) -> Policy:
+        """The policy as it stands now."""
+        params = self._state.actor.numpy()
+        return lambda observation, noise: self.nets.actor.act(params, observation, noise)
+
+    def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
+        """How the runs act in an epoch: by the policy, with its noise."""
+        policy, runs = self.policy(), len(self.seeds)
+        shape = (self.episodes, self.action_size)
+        noise = steps_of_noise(normal, self.seeds, Purpose.EXPLORATION, epoch, shape)
+        return lambda observation: policy(
+            observation.reshape(runs, self.episodes, -1), next(noise)
+        ).reshape(runs * self.episodes, -1)
+
+    def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
+        """Step the policy, then the critics and the multiplier; active: [R], runs that take part.
+
+        rollout: N = R·E episodes, those of a run beside each other. Returns each of `metrics`,
+        [R, metrics]; NaN for runs that take no part.
+        """
+        length = np.where(np.repeat(active, self.episodes), rollout.length, 0)
+        rollout = rollout._replace(length=length)
+        packing = Packing(rollout.during, len(self.seeds))
+        data = self._epoch(rollout, packing)
+        actor, records = trpo.policy_step(self.nets, self.config, self.rule, self._state, data)
+        state = self._state._replace(actor=actor)
+        streams = [stream(seed, Purpose.UPDATE, epoch) for seed in self.seeds]
+        losses = []
+        for _ in range(self.config.critic_iterations):
+            for rows, weight in minibatches(packing.steps, self.config.batch_size, streams):
+                state, loss = trpo.critic_step(self.nets, self.config, state, data, rows, weight)
+                losses.append(loss)
+        state = trpo.multiplier_step(self.config, self.rule, state, data.excess)
+        self._state = tree.where(active, state, self._state)
+        records["critic_loss"], records["cost_critic_loss"] = torch.stack(losses).mean(dim=0).T
+        records["std"] = self._std()
+        columns = np.stack([records[name].numpy() for name in self.metrics], axis=-1)
+        return np.where(active[:, None], columns, np.nan)
+
+    def _epoch(self, rollout: Rollout, packing: Packing) -> trpo.Epoch:
+        """Advantages and value targets of an epoch's steps, packed."""
+        observation = torch.from_numpy(packing.pack(rollout.observation))
+        value = self._values(observation)
+        next_value = self._values(torch.from_numpy(packing.pack(rollout.next_observation)))
+        terminal = rollout.terminated
+        if self.config.time_limit == "terminal":
+            terminal = terminal | rollout.truncated
+        of_both = []
+        for k, signal in enumerate((rollout.reward, rollout.cost)):
+            unpacked = packing.unpack(value[:, k]), packing.unpack(next_value[:, k])
+            discounts = self.config.discount, self.config.gae_lambda
+            found = advantages(signal, *unpacked, terminal, rollout.during, *discounts)
+            of_both.append(packing.pack(found))
+        targets = torch.from_numpy(np.stack(of_both, axis=1)) + torch.from_numpy(value)
+        reward, cost = of_both
+        for run, n in enumerate(packing.steps):
+            if n:
+                reward[run, :n] -= reward[run, :n].mean()
+                reward[run, :n] /= reward[run, :n].std() + 1e-8
+                cost[run, :n] -= cost[run, :n].mean()
+        shape = (len(self.seeds), self.episodes)
+        costs = rollout.cost_returns.reshape(shape).mean(axis=1)
+        return trpo.Epoch(
+            observation=observation,
+            action=torch.from_numpy(packing.pack(rollout.action)),
+            weight=torch.from_numpy(packing.weight),
+            reward_advantage=torch.from_numpy(reward),
+            cost_advantage=torch.from_numpy(cost),
+            value_targets=targets,
+            length=torch.from_numpy(rollout.length.reshape(shape).mean(axis=1)).float(),
+            excess=torch.from_numpy(costs - self.config.cost_limit).float(),
+        )
+
+    def _values(self, observation: torch.Tensor) -> NDArray[np.float32]:
+        """What the critics say, block by block: [R, 2, B]."""
+        parts = [
+            trpo.values(self.nets, self._state.critics, *block) for block in blocks(observation)
+        ]
+        return torch.cat(parts, dim=-1).numpy()
+
+    def _std(self) -> torch.Tensor:
+        """Standard deviation of each run's policy, mean over action components: [R]."""
+        start, actions = self.nets.actor.net.size, self.action_size
+        return self._state.actor[:, start : start + actions].exp().mean(dim=-1)
+
+    def finite(self) -> NDArray[np.bool_]:
+        """Which runs hold only finite numbers, [R]."""
+        return tree.finite(self._state)
+
+    def state(self) -> dict[str, NDArray]:
+        """The whole training state as named arrays."""
+        return tree.flatten(self._state)
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take over what `state` returned, bit for bit."""
+        self._state = tree.unflatten(self._state, state)

@@ -1,0 +1,304 @@
+"""The update that the on-policy family shares: a trust-region step of the policy, then the critics.
+
+What an algorithm adds is a `StepRule`. Source: Schulman et al. 2015, "Trust region policy
+optimization", with the cost terms of the algorithm's paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from agents.errors import check, check_choice, check_integers
+from agents.lockstep import tree
+from agents.lockstep.adam import Moments, adam, no_moments
+from agents.lockstep.nets import LANES, MLP, check_lanes
+from agents.lockstep.noise import Purpose, stream
+from agents.updates.gaussian import Gaussian, GaussianPolicy
+from agents.updates.packing import blocks
+from agents.updates.trust_region import Problem, Step, Tangent, conjugate_gradient, line_search
+
+
+@dataclass(frozen=True)
+class TRPOConfig:
+    """Hyper-parameters of the on-policy family.
+
+    The defaults are the paper's (table HP_Circle2D) but for the cost limit, 25 as on its other
+    tasks; presets set it for Circle2D.
+    """
+
+    cost_limit: float = 25.0
+    """Limit d of the cost of an episode. Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
+    discount: float = 0.99
+    """Discount factor γ of rewards and costs, in [0, 1]. Paper: 0.99."""
+    gae_lambda: float = 0.95
+    """Weight λ of longer returns in advantages (GAE), in [0, 1]. Paper: 0.95."""
+    episodes: int = 10
+    """Whole episodes an epoch. Paper: 10; 20 on SafetyPointCircle1."""
+    target_kl: float = 0.01
+    """Largest mean KL divergence δ of a step of the policy. Paper: 0.01."""
+    cg_iterations: int = 15
+    """Iterations of conjugate gradients. Paper: 15."""
+    cg_damping: float = 0.1
+    """Added to the diagonal of the KL divergence's Hessian. Not printed in the paper; 0.1 as in
+    Stable-Baselines3."""
+    line_search_steps: int = 15
+    """Lengths of a step that are tried at most. Paper: 15."""
+    line_search_decay: float = 0.8
+    """Factor between the lengths tried, in (0, 1). Not printed in the paper; 0.8 as in
+    Stable-Baselines3."""
+    learning_rate: float = 3e-4
+    """Adam's step size for the critics. Paper: 3e-4."""
+    critic_iterations: int = 10
+    """Passes of the critics over an epoch's steps. Paper: 10."""
+    batch_size: int = 256
+    """Steps in a minibatch of the critics; a multiple of 32. Paper: 256."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Sizes of the hidden layers of actor and critics (tanh); multiples of 32. Paper: 64, 64."""
+    initial_log_std: float = 0.0
+    """Initial logarithm of the policy's standard deviation. Not printed in the paper; 0 as in
+    Stable-Baselines3."""
+    time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
+    """Whether values go on behind a time limit. Not printed in the paper."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the value that is not allowed."""
+        check_integers(self, "episodes", "cg_iterations", "line_search_steps", low=1)
+        check_integers(self, "critic_iterations", "batch_size", low=1)
+        check(self, "cost_limit", "cg_damping", low=0)
+        check(self, "discount", "gae_lambda", low=0, high=1)
+        check(self, "learning_rate", "line_search_decay", above=0, high=1)
+        check(self, "target_kl", above=0)
+        check(self, "initial_log_std")
+        check_lanes(self)
+        check_choice(self, "time_limit", "bootstrap", "terminal")
+
+
+class StepRule(NamedTuple):
+    """What an algorithm of the family does with costs. Every function takes its config first."""
+
+    objective: Callable[[Any, Tensor, Tensor, Tensor], Tensor]
+    """(config, reward advantages [R, B], cost advantages [R, B], multiplier [R, 1]) -> [R, B]: the
+    advantages that the policy's step raises. The multiplier is 0 where the rule has none."""
+    step: Callable[[Any, Problem], Step]
+    """(config, problem) -> the step that is tried."""
+    multiplier: Callable[[Any, Tensor, Moments, Tensor], tuple[Tensor, Moments]] | None = None
+    """(config, multiplier [R, LANES], its moments, excess [R, 1]) -> both after an epoch."""
+    metrics: tuple[str, ...] = ()
+    """Which of "multiplier" and "case" are worth recording."""
+
+
+class TRPOState(NamedTuple):
+    """Everything an update reads and writes."""
+
+    actor: Tensor
+    """[R, actor size]"""
+    critics: Tensor
+    """[R, 2, critic size]: of the reward, of the cost"""
+    critic_moments: Moments
+    multiplier: Tensor | None
+    """[R, LANES], every lane the same: see `nets`"""
+    multiplier_moments: Moments | None
+
+
+class Epoch(NamedTuple):
+    """The steps of an epoch, run by run: see `packing`."""
+
+    observation: Tensor
+    """[R, B, observation size]"""
+    action: Tensor
+    """[R, B, A]"""
+    weight: Tensor
+    """[R, B]: adds up to 1"""
+    reward_advantage: Tensor
+    """[R, B], standardised"""
+    cost_advantage: Tensor
+    """[R, B], centred"""
+    value_targets: Tensor
+    """[R, 2, B]: of the reward, of the cost"""
+    length: Tensor
+    """[R]: mean length of the episodes"""
+    excess: Tensor
+    """[R]: mean undiscounted cost of the episodes above the limit"""
+
+
+class Nets(NamedTuple):
+    """The shapes of the networks."""
+
+    actor: GaussianPolicy
+    critic: MLP
+
+
+def make_nets(config: TRPOConfig, observation_size: int, action_size: int) -> Nets:
+    """Nets for flat observations and actions."""
+    return Nets(
+        actor=GaussianPolicy(MLP((observation_size, *config.hidden, action_size))),
+        critic=MLP((observation_size, *config.hidden, 1)),
+    )
+
+
+def initial_state(nets: Nets, config: Any, rule: StepRule, seeds: Sequence[int]) -> TRPOState:
+    """The state of runs before their first update; each run's comes from its seed alone."""
+    streams = [stream(seed, Purpose.PARAMETERS) for seed in seeds]
+    actor = np.stack([nets.actor.initial(rng, config.initial_log_std) for rng in streams])
+    critics = np.array([[nets.critic.initial(rng) for _ in range(2)] for rng in streams])
+    critics = torch.from_numpy(critics)
+    multiplier = None
+    if rule.multiplier:
+        multiplier = torch.full((len(seeds), LANES), float(config.initial_multiplier))
+    return TRPOState(
+        torch.from_numpy(actor),
+        critics,
+        no_moments(critics),
+        multiplier,
+        None if multiplier is None else no_moments(multiplier),
+    )
+
+
+def values(nets: Nets, critics: Tensor, observation: Tensor) -> Tensor:
+    """What both critics of each run say of observations [R, B, observation size]: [R, 2, B]."""
+    runs, batch, width = observation.shape
+    inputs = observation[:, None].expand(runs, 2, batch, width).reshape(runs * 2, batch, width)
+    return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, 2, batch)
+
+
+class Block(NamedTuple):
+    """Steps of an epoch, and what the policy that took them says of them."""
+
+    observation: Tensor
+    """[R, BLOCK, observation size]"""
+    action: Tensor
+    """[R, BLOCK, A]"""
+    weight: Tensor
+    """[R, BLOCK]"""
+    gains: Tensor
+    """[R, 2, BLOCK]: advantages of the objective and of the cost"""
+    old: Gaussian
+    """The policy before its step."""
+    old_log_prob: Tensor
+    """[R, BLOCK]"""
+
+
+def blocks_of(nets: Nets, actor: Tensor, epoch: Epoch, objective: Tensor) -> list[Block]:
+    """The epoch's steps under the policy that took them; objective: advantages [R, B]."""
+    columns = (epoch.observation, epoch.action, epoch.weight, objective, epoch.cost_advantage)
+    found = []
+    for observation, action, weight, of_objective, of_cost in blocks(*columns):
+        old = nets.actor.distribution(actor, observation)
+        gains = torch.stack((of_objective, of_cost), dim=1)
+        found.append(Block(observation, action, weight, gains, old, old.log_prob(action)))
+    return found
+
+
+def fisher_product(
+    nets: Nets, actor: Tensor, steps: list[Block], damping: float
+) -> Callable[[Tensor], Tensor]:
+    """v -> H v for the Hessian of the mean KL divergence at the policy itself, plus the damping.
+
+    There it is `Jᵀ M J`, J the Jacobian of mean and log-std, and M the Fisher information of a
+    Gaussian in them: `1/σ²` and 2.
+    """
+
+    def parameters(params: Tensor, observation: Tensor) -> Tensor:
+        policy = nets.actor.distribution(params, observation)
+        return torch.cat([policy.mean, policy.log_std.expand_as(policy.mean)], dim=-1)
+
+    tangents = []
+    for block in steps:
+        tangent = Tangent.at(lambda params, at=block.observation: parameters(params, at), actor)
+        std = block.old.std
+        information = torch.cat([1.0 / (std * std), torch.full_like(std, 2.0)], dim=-1)
+        tangents.append((tangent, block.weight[..., None] * information))
+
+    def product(v: Tensor) -> Tensor:
+        parts = (tangent.pull(tangent.push(v) * metric) for tangent, metric in tangents)
+        return sum(parts, start=damping * v)
+
+    return product
+
+
+def compared(nets: Nets, actor: Tensor, steps: list[Block]) -> tuple[Tensor, Tensor]:
+    """A policy against the one before: `E[π(a|s) / π_old(a|s) · A]` for the objective and the cost,
+    [R, 2], and the mean KL divergence from the old to the new one, [R]."""
+    surrogates, kl = torch.zeros(len(actor), 2), torch.zeros(len(actor))
+    for block in steps:
+        policy = nets.actor.distribution(actor, block.observation)
+        ratio = (policy.log_prob(block.action) - block.old_log_prob).exp()
+        weighted = (block.weight * ratio)[:, None] * block.gains
+        surrogates = surrogates + weighted.sum(dim=-1)
+        kl = kl + (block.weight * block.old.kl(policy)).sum(dim=-1)
+    return surrogates, kl
+
+
+def policy_step(
+    nets: Nets, config: Any, rule: StepRule, state: TRPOState, epoch: Epoch
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """The policy after the rule's step and its line search -> [R, actor size], records [R]."""
+    old = state.actor
+    multiplier = torch.zeros(len(old), 1) if state.multiplier is None else state.multiplier[:, :1]
+    objective = rule.objective(config, epoch.reward_advantage, epoch.cost_advantage, multiplier)
+    steps = blocks_of(nets, old, epoch, objective)
+
+    def gradient(of: int) -> Tensor:
+        return torch.func.grad(lambda actor: compared(nets, actor, steps)[0][:, of].sum())(old)
+
+    product = fisher_product(nets, old, steps, config.cg_damping)
+    problem = Problem(
+        gradient=gradient(0),
+        cost_gradient=lambda: gradient(1) * epoch.length[:, None],
+        excess=epoch.excess,
+        product=product,
+        solve=lambda b: conjugate_gradient(product, b, config.cg_iterations),
+        target_kl=config.target_kl,
+    )
+    step = rule.step(config, problem)
+    before, _ = compared(nets, old, steps)
+
+    def judge(actor: Tensor) -> tuple[Tensor, Tensor]:
+        after, kl = compared(nets, actor, steps)
+        growth, cost_growth = (after - before).unbind(dim=-1)
+        allowed = (kl <= config.target_kl) & ((growth > 0) | ~step.must_improve)
+        return allowed & (cost_growth * epoch.length <= step.cost_bound), kl
+
+    found = line_search(old, step.step, judge, config.line_search_steps, config.line_search_decay)
+    records = {"kl": found.kl, "step_scale": found.scale, "case": step.case.float()}
+    return found.params, records | {"multiplier": multiplier[:, 0]}
+
+
+def critic_step(
+    nets: Nets, config: Any, state: TRPOState, epoch: Epoch, rows: Tensor, weight: Tensor
+) -> tuple[TRPOState, Tensor]:
+    """One Adam step of both critics on half the mean squared error of a minibatch.
+
+    rows, weight: [R, B]. A run without rows in it waits. Returns the new state and the losses,
+    [R, 2].
+    """
+    run = torch.arange(len(rows))[:, None]
+    observation = epoch.observation[run, rows]
+    target = epoch.value_targets.gather(2, rows[:, None].expand(-1, 2, -1))
+
+    def loss(critics: Tensor) -> tuple[Tensor, Tensor]:
+        error = values(nets, critics, observation) - target
+        parts = 0.5 * (weight[:, None] * error * error).sum(dim=-1)
+        return parts.sum(), parts.detach()
+
+    gradient, parts = torch.func.grad(loss, has_aux=True)(state.critics)
+    critics, moments = adam(state.critics, gradient, state.critic_moments, config.learning_rate)
+    present = (weight[:, 0] > 0).numpy()
+    new = state._replace(critics=critics, critic_moments=moments)
+    return tree.where(present, new, state), parts
+
+
+def multiplier_step(config: Any, rule: StepRule, state: TRPOState, excess: Tensor) -> TRPOState:
+    """Let the multiplier, where there is one, follow the excess cost [R] of the epoch."""
+    if rule.multiplier is None or state.multiplier is None or state.multiplier_moments is None:
+        return state
+    multiplier, moments = rule.multiplier(
+        config, state.multiplier, state.multiplier_moments, excess[:, None]
+    )
+    return state._replace(multiplier=multiplier, multiplier_moments=moments)
