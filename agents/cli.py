@@ -13,9 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import tyro
 
 from agents.algorithms import ALGORITHMS, algorithm
+from agents.bench.hyperparameters import explain_all
 from agents.bench.presets import preset
 from agents.bench.report import report
 from agents.errors import UserError
@@ -23,8 +25,9 @@ from agents.runs.config import TrainConfig, versions
 from agents.runs.evaluate import evaluate
 from agents.runs.files import read_json
 from agents.runs.progress import show_progress
-from agents.runs.tasks import check_task
-from agents.runs.train import EVALUATION_EPISODES, restored, train
+from agents.runs.tasks import Vectorization, check_task
+from agents.runs.tensorboard import require_tensorboard
+from agents.runs.train import EVALUATION_EPISODES, Training, restored, train
 
 USAGE = f"""\
 usage: circle2d COMMAND ...
@@ -57,6 +60,11 @@ class TrainOptions:
     """Environment steps of a run between checkpoints, from which a killed run goes on."""
     task_parameters: dict[str, str] = field(default_factory=dict)
     """Keyword arguments for the task, as NAME VALUE ..., e.g. constraint_radius 3.0."""
+    vectorization: Vectorization = "auto"
+    """How environments run side by side: the task's own vector environment or one process (auto),
+    gymnasium's SyncVectorEnv (sync), a process each, for slow tasks (async)."""
+    tensorboard: bool = False
+    """Write TensorBoard event files too, into each run's folder."""
 
 
 @dataclass(frozen=True)
@@ -86,46 +94,56 @@ class ReportOptions:
     """Folder of runs, or one with several such folders below it."""
 
 
-def run_train(args: Sequence[str]) -> None:
+def run_train(args: Sequence[str]) -> int:
     name, task = _algorithm_and_task(args)
     config = preset(name, task) if name else None
+    if config is None and {"-h", "--help"} & set(args):
+        with contextlib.suppress(SystemExit):
+            _parse(TrainOptions, "train", ["--help"])
+        print(explain_all(task), end="")
+        return 0
     options = _parse(_train_options(config), "train", args)
     values = {f.name: getattr(options, f.name) for f in dataclasses.fields(TrainOptions)}
     folder = values.pop("out")
     values["task_parameters"] = {k: _literal(v) for k, v in values["task_parameters"].items()}
     config = TrainConfig(**values, hyperparameters=options.hyperparameters)
     check_task(config.task, config.task_parameters)  # before anything is written
+    if config.tensorboard:
+        require_tensorboard()
     config.write(folder)
-    _train(folder)
+    return _train(folder)
 
 
-def run_resume(args: Sequence[str]) -> None:
+def run_resume(args: Sequence[str]) -> int:
     folder = _parse(ResumeOptions, "resume", args).folder
     TrainConfig.read(folder)
     before = read_json(folder / "config.json").get("versions")
     if before != versions():
         print(f"circle2d: begun with other versions, {before}: results may differ", file=sys.stderr)
-    _train(folder)
+    return _train(folder)
 
 
-def run_evaluate(args: Sequence[str]) -> None:
+def run_evaluate(args: Sequence[str]) -> int:
     options = _parse(EvaluateOptions, "evaluate", args)
     training = restored(options.folder)
     policy = training.learner.policy()
-    results = evaluate(options.folder, training.config, policy, options.episodes)
+    active = ~training.failed
+    results = evaluate(options.folder, training.config, policy, options.episodes, active)
     steps = f"after {training.steps.min()} of {training.config.steps} steps"
     print(f"{options.folder}, {steps}: means over {options.episodes} episodes")
     for name, of_runs in results.items():
         for seed, measures in zip(training.config.seeds, of_runs, strict=True):
             numbers = ", ".join(f"{k} {v:.2f}" for k, v in measures.items() if isinstance(v, float))
-            print(f"seed {seed}, {name} policy: {numbers}")
+            print(f"seed {seed}, {name} policy: {numbers or 'no finite numbers'}")
+    return _failures(training)
 
 
-def run_report(args: Sequence[str]) -> None:
+def run_report(args: Sequence[str]) -> int:
     print(report(_parse(ReportOptions, "report", args).folder))
+    return 0
 
 
-COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
+COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "train": run_train,
     "resume": run_resume,
     "evaluate": run_evaluate,
@@ -134,7 +152,8 @@ COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit status: 0 done, 2 a mistake of the user, 130 interrupted."""
+    """Run a command; returns the exit status: 0 done, 1 a run failed, 2 a mistake of the user,
+    130 interrupted."""
     args = sys.argv[1:] if args is None else args
     if not args or args[0] in ("-h", "--help"):
         print(USAGE, end="")
@@ -143,7 +162,7 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         if command not in COMMANDS:
             raise UserError(f"unknown command {command!r}: valid are {', '.join(COMMANDS)}")
-        COMMANDS[command](args[1:])
+        return COMMANDS[command](args[1:])
     except UserError as error:
         print(f"circle2d: {error}", file=sys.stderr)
         return 2
@@ -153,17 +172,26 @@ def main(args: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("circle2d: interrupted; 'circle2d resume' goes on with a training", file=sys.stderr)
         return 130
-    return 0
 
 
-def _train(folder: Path) -> None:
+def _train(folder: Path) -> int:
     config = TrainConfig.read(folder)
     with show_progress(config, folder) as on_epoch:
-        train(folder, on_epoch)
+        training = train(folder, on_epoch)
     try:
         print(report(folder))
     except UserError as error:  # the training itself is done
         print(f"circle2d: no table: {error}", file=sys.stderr)
+    return _failures(training)
+
+
+def _failures(training: Training) -> int:
+    """Name the runs that failed; the exit status."""
+    for run in np.flatnonzero(training.failed):
+        seed, step = training.config.seeds[run], training.steps[run]
+        told = f"seed {seed} failed at step {step}: it met a number that is not finite"
+        print(f"circle2d: {told}", file=sys.stderr)
+    return int(training.failed.any())
 
 
 def _algorithm_and_task(args: Sequence[str]) -> tuple[str | None, str]:

@@ -10,18 +10,23 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn.functional import softplus
 
 from agents.lockstep.replay import Batch
-from agents.updates.sac import CostRule, Multiplier, MultiplierConfig
+from agents.updates.multiplier import SOFTPLUS, MultiplierConfig
+from agents.updates.sac import CostRule, SACConfig
 
 
 @dataclass(frozen=True)
-class SACLagConfig(MultiplierConfig):
+class SACLagConfig(MultiplierConfig, SACConfig):
     """Hyper-parameters of SAC-Lag.
 
-    The parameter 0 that the multiplier starts from makes it softplus(0) = 0.69.
+    The multiplier is β = softplus(parameter): 0.69 for the parameter 0 it starts from.
     """
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the value that is not allowed."""
+        super().__post_init__()
+        self.check_multiplier()
 
 
 def risk(config: SACLagConfig, costs: Tensor) -> Tensor:
@@ -41,10 +46,4 @@ def penalty(config: SACLagConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
     return multiplier * risk
 
 
-def multiplier_gradient(config: SACLagConfig, parameter: Tensor, risk: Tensor) -> Tensor:
-    """Of `-β E[Q_c - d]` with `β = softplus(parameter)`: β rises where the cost is too high."""
-    excess = risk.mean(dim=-1, keepdim=True) - config.cost_limit
-    return -torch.sigmoid(parameter) * excess
-
-
-RULE = CostRule(risk, critic_loss, penalty, Multiplier(softplus, multiplier_gradient))
+RULE = CostRule(risk, critic_loss, penalty, SOFTPLUS)

@@ -12,14 +12,14 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from agents.errors import check, check_choice
-from agents.lockstep.adam import Moments, adam
+from agents.errors import check
+from agents.updates.multiplier import PROJECTED, MultiplierConfig
 from agents.updates.trpo import StepRule, TRPOConfig
 from agents.updates.trust_region import Problem, Step
 
 
 @dataclass(frozen=True)
-class TRPOLagConfig(TRPOConfig):
+class TRPOLagConfig(MultiplierConfig, TRPOConfig):
     """Hyper-parameters of TRPO-Lag."""
 
     initial_multiplier: float = 0.001
@@ -33,9 +33,8 @@ class TRPOLagConfig(TRPOConfig):
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         super().__post_init__()
+        self.check_multiplier()
         check(self, "initial_multiplier", low=0)
-        check(self, "multiplier_lr", low=0)
-        check_choice(self, "multiplier_optimizer", "adam", "sgd")
 
 
 def objective(
@@ -56,16 +55,4 @@ def step(config: TRPOLagConfig, problem: Problem) -> Step:
     )
 
 
-def multiplier(
-    config: TRPOLagConfig, value: Tensor, moments: Moments, excess: Tensor
-) -> tuple[Tensor, Moments]:
-    """Ascent on `λ (J_C - d)`, projected to λ ≥ 0."""
-    gradient = -excess.expand_as(value)
-    if config.multiplier_optimizer == "adam":
-        value, moments = adam(value, gradient, moments, config.multiplier_lr)
-    else:
-        value = value - config.multiplier_lr * gradient
-    return value.clamp(min=0.0), moments
-
-
-RULE = StepRule(objective, step, multiplier, metrics=("multiplier",))
+RULE = StepRule(objective, step, PROJECTED, metrics=("multiplier",))

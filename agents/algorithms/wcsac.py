@@ -10,23 +10,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from statistics import NormalDist
 
-import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
 from agents.errors import check
 from agents.lockstep.replay import Batch
-from agents.updates.sac import CostRule, Multiplier, MultiplierConfig
+from agents.updates.multiplier import EXP, MultiplierConfig
+from agents.updates.sac import CostRule, SACConfig
 
 VARIANCE = (1e-8, 1e8)
 """Where variances are clamped."""
 
 
 @dataclass(frozen=True)
-class WCSACConfig(MultiplierConfig):
+class WCSACConfig(MultiplierConfig, SACConfig):
     """Hyper-parameters of WCSAC.
 
-    The parameter 0 that the multiplier starts from makes it exp(0) = 1.
+    The multiplier is κ = exp(parameter): 1 for the parameter 0 it starts from.
     """
 
     risk_level: float = 0.5
@@ -39,6 +39,7 @@ class WCSACConfig(MultiplierConfig):
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         super().__post_init__()
+        self.check_multiplier()
         check(self, "risk_level", above=0, high=1)
         check(self, "damping", low=0)
 
@@ -92,10 +93,4 @@ def penalty(config: WCSACConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
     return (multiplier - damping) * risk
 
 
-def multiplier_gradient(config: WCSACConfig, parameter: Tensor, risk: Tensor) -> Tensor:
-    """Of `-κ E[Γ - d]` with `κ = exp(parameter)`: κ rises where the risk is too high."""
-    excess = risk.mean(dim=-1, keepdim=True) - config.cost_limit
-    return -parameter.exp() * excess
-
-
-RULE = CostRule(risk, critic_loss, penalty, Multiplier(torch.exp, multiplier_gradient))
+RULE = CostRule(risk, critic_loss, penalty, EXP)

@@ -17,7 +17,7 @@ import numpy as np
 from agents.algorithms import algorithm
 from agents.bench.presets import preset
 from agents.errors import UserError
-from agents.runs.config import TrainConfig, run_folder
+from agents.runs.config import FAILURE, TrainConfig, run_folder
 from agents.runs.files import read_json, write_whole
 from circle2d_mj import Circle2DConfig
 from emcc import EpisodeRecords, cost_rate, emcc_by_part, estimate
@@ -85,6 +85,9 @@ def _read_runs(folder: Path, config: TrainConfig, notes: list[str]) -> list[Run]
 
 
 def _read_run(path: Path, config: TrainConfig, seed: int) -> Run:
+    if (path / FAILURE).exists():
+        step = read_json(path / FAILURE)["step"]
+        raise UserError(f"failed at step {step}: it met a number that is not finite")
     if not (path / "episodes.csv").exists():
         raise UserError("has no checkpoint yet")
     records = EpisodeRecords.load(path / "episodes.csv")

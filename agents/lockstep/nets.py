@@ -19,6 +19,9 @@ from torch import Tensor
 from agents.errors import UserError
 
 LANES = 32
+SMALL_PRODUCT = 4096
+"""Multiplications of a matrix product up to which torch may compute it otherwise than among others:
+it hands batches of products to oneDNN by the size of the whole batch."""
 
 
 def check_lanes(config: Any) -> None:
@@ -72,10 +75,12 @@ class MLP:
                 weight = 2.0 * weight
             if i < len(self.sizes) - 2:
                 weight, bias = 2.0 * weight, 2.0 * bias
-            if self.sizes[i + 1] > 1:
-                x = torch.baddbmm(bias, x, weight)
-            else:  # a single column is slow as a matrix product
+            if self.sizes[i + 1] == 1:  # slow as a matrix product
                 x = (x * weight.transpose(-1, -2)).sum(dim=-1, keepdim=True) + bias
+            elif x.shape[-2] * weight[0].numel() <= SMALL_PRODUCT:
+                x = (x[..., None] * weight[:, None]).sum(dim=-2) + bias
+            else:
+                x = torch.baddbmm(bias, x, weight)
         return x
 
     def layers(self, params: NDArray[np.float32]) -> list[NDArray[np.float32]]:

@@ -92,7 +92,7 @@ def collect(
     steps: list[tuple] = []
     while running.any():
         action = act(observation)
-        finite = np.isfinite(action).all(axis=-1)
+        finite = np.all(np.isfinite(action), axis=-1)
         if not finite.all():
             diverged |= running & ~finite
             running &= finite

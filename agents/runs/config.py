@@ -8,11 +8,12 @@ import platform
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from agents.algorithms import algorithm
-from agents.errors import UserError, check_integers
+from agents.errors import UserError, check_choice, check_integers
 from agents.runs.files import read_json, write_json
+from agents.runs.tasks import Vectorization
 
 PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
 FAILURE = "failed.json"
@@ -34,6 +35,10 @@ class TrainConfig:
     """Keyword arguments for `gymnasium.make`."""
     checkpoint_every: int = 50_000
     """Environment steps of a run between checkpoints."""
+    vectorization: Vectorization = "auto"
+    """How environments run side by side: see `make_envs`."""
+    tensorboard: bool = False
+    """Whether to write TensorBoard event files too."""
 
     def __post_init__(self) -> None:
         expected = algorithm(self.algorithm).config
@@ -43,6 +48,7 @@ class TrainConfig:
                 f"got {self.hyperparameters!r}"
             )
         check_integers(self, "steps", "checkpoint_every", low=1)
+        check_choice(self, "vectorization", *get_args(Vectorization))
         if not isinstance(self.seeds, tuple) or not all(type(seed) is int for seed in self.seeds):
             raise UserError(f"seeds must be a tuple of integers, got {self.seeds!r}")
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):

@@ -44,7 +44,7 @@ class Log:
         columns = (start.ravel(), rollout.length, rollout.returns, rollout.cost_returns, streaks)
         rows = np.column_stack(columns).astype(np.float64).reshape(self._shapes[0])
         self._episodes.append(np.where(active[:, None, None], rows, np.nan))
-        self._updates.append(np.where(active[:, None], metrics, np.nan))
+        self._updates.append(np.where(active[:, None], metrics, np.nan).astype(np.float64))
 
     @property
     def episodes(self) -> NDArray[np.float64]:
@@ -55,6 +55,11 @@ class Log:
     def updates(self) -> NDArray[np.float64]:
         """[epochs, R, metrics]; NaN where a run learned nothing."""
         return np.array(self._updates).reshape(-1, *self._shapes[1])
+
+    @property
+    def latest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Of the last epoch: [R, E, columns], [R, metrics]."""
+        return self._episodes[-1], self._updates[-1]
 
     def state(self) -> dict[str, NDArray]:
         """Everything, as named arrays."""

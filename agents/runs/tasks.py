@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -15,17 +15,22 @@ from gymnasium.wrappers.vector import RescaleAction
 from agents.errors import UserError
 from agents.lockstep.rollout import require_cost
 
+Vectorization = Literal["auto", "sync", "async"]
 
-def make_envs(task: str, num_envs: int, parameters: dict[str, Any]) -> VectorEnv:
+
+def make_envs(
+    task: str, num_envs: int, parameters: dict[str, Any], vectorization: Vectorization = "auto"
+) -> VectorEnv:
     """`num_envs` environments that take actions in [-1, 1] and do not reset themselves.
 
-    A native vector environment where the task has one that can be told so, gymnasium's
-    `SyncVectorEnv` otherwise. Raises UserError for an unknown task, parameters it refuses, and
-    spaces that are not flat Boxes (actions: bounded).
+    auto: a native vector environment where the task has one that can be told so, gymnasium's
+    `SyncVectorEnv` otherwise; async: `AsyncVectorEnv`, a process for each environment. All give the
+    same numbers. Raises UserError for an unknown task, parameters it refuses, and spaces that are
+    not flat Boxes (actions: bounded).
     """
     try:
         spec = gym.spec(task)
-        if _is_native(spec):
+        if vectorization == "auto" and _is_native(spec):
             envs = gym.make_vec(
                 task,
                 num_envs,
@@ -37,7 +42,7 @@ def make_envs(task: str, num_envs: int, parameters: dict[str, Any]) -> VectorEnv
             envs = gym.make_vec(
                 task,
                 num_envs,
-                vectorization_mode="sync",
+                vectorization_mode="async" if vectorization == "async" else "sync",
                 vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
                 wrappers=(FloatCost,),
                 **parameters,

@@ -19,6 +19,7 @@ from agents.runs.evaluate import evaluate
 from agents.runs.files import locked, read_arrays, write_arrays, write_json
 from agents.runs.log import Log
 from agents.runs.tasks import make_envs, sizes
+from agents.runs.tensorboard import Events
 
 EVALUATION_EPISODES = 100
 
@@ -34,7 +35,12 @@ class Training:
         self.learner = learner(
             config.algorithm, config.hyperparameters, config.seeds, *sizes_of_one
         )
-        self._envs = make_envs(config.task, runs * self.learner.episodes, config.task_parameters)
+        self._envs = make_envs(
+            config.task,
+            runs * self.learner.episodes,
+            config.task_parameters,
+            config.vectorization,
+        )
         self.log = Log(runs, self.learner.episodes, self.learner.metrics)
         self.epoch = 0
         self.steps = np.zeros(runs, dtype=np.int64)
@@ -60,7 +66,9 @@ class Training:
         rollout = collect(self._envs, resets, act, np.repeat(active, episodes))
         diverged = rollout.diverged.reshape(-1, episodes).any(axis=1)
         learning = active & ~diverged
-        metrics = self.learner.learn(rollout, self.epoch, learning)
+        metrics = np.full((len(seeds), len(self.learner.metrics)), np.nan)
+        if learning.any():
+            metrics = self.learner.learn(rollout, self.epoch, learning)
         self.log.add(rollout, self.steps, learning, metrics)
         self.steps += np.where(active, rollout.length.reshape(-1, episodes).sum(axis=1), 0)
         self.failed |= active & (diverged | ~self.learner.finite())
@@ -121,12 +129,17 @@ def _train(training: Training, folder: Path, on_epoch: Callable[[Training], None
     if (folder / "checkpoint.npz").exists():
         training.restore(folder)
     every = training.config.checkpoint_every
+    events = Events(folder, training) if training.config.tensorboard else None
     while not training.done:
         before = training.steps.max() // every
         training.run_epoch()
+        if events:
+            events.write(training)
         if training.done or training.steps.max() // every > before:
             training.save(folder)
         on_epoch(training)
+    if events:
+        events.close()
     training.close()
     evaluate(
         folder, training.config, training.learner.policy(), EVALUATION_EPISODES, ~training.failed

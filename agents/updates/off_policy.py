@@ -64,17 +64,15 @@ class OffPolicy:
         random_actions = steps_of_noise(uniform, self.seeds, Purpose.RANDOM_ACTIONS, epoch, shape)
         step = steps.copy()
 
+        def act_by_policy(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+            return policy(observation[:, None], next(noise)[:, None])[:, 0]
+
         def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
             at_random = step < self.config.random_steps
             step[:] += 1
-            if at_random.all():
-                return next(random_actions)
-            action = policy(observation[:, None], next(noise)[:, None])[:, 0]
-            if at_random.any():
-                action = np.where(at_random[:, None], next(random_actions), action)
-            return action
+            return np.where(at_random[:, None], next(random_actions), act_by_policy(observation))
 
-        return act
+        return act if (steps < self.config.random_steps).any() else act_by_policy
 
     def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
         """Store an epoch's episodes and take its gradient steps; active: [R], runs that take part.

@@ -13,6 +13,7 @@ from agents.lockstep import tree
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, stream
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.updates import trpo
+from agents.updates.multiplier import ascend
 from agents.updates.packing import Packing, blocks, minibatches
 from agents.updates.returns import advantages
 
@@ -66,14 +67,14 @@ class OnPolicy:
         actor, records = trpo.policy_step(self.nets, self.config, self.rule, self._state, data)
         state = self._state._replace(actor=actor)
         streams = [stream(seed, Purpose.UPDATE, epoch) for seed in self.seeds]
-        losses = []
+        losses, count = torch.zeros(len(self.seeds), 2), torch.zeros(len(self.seeds), 1)
         for _ in range(self.config.critic_iterations):
             for rows, weight in minibatches(packing.steps, self.config.batch_size, streams):
                 state, loss = trpo.critic_step(self.nets, self.config, state, data, rows, weight)
-                losses.append(loss)
-        state = trpo.multiplier_step(self.config, self.rule, state, data.excess)
-        self._state = tree.where(active, state, self._state)
-        records["critic_loss"], records["cost_critic_loss"] = torch.stack(losses).mean(dim=0).T
+                losses, count = losses + loss, count + (weight[:, :1] > 0)
+        followed = ascend(self.rule.multiplier, self.config, state.multiplier, data.excess[:, None])
+        self._state = tree.where(active, state._replace(multiplier=followed), self._state)
+        records["critic_loss"], records["cost_critic_loss"] = (losses / count).T
         records["std"] = self._std()
         columns = np.stack([records[name].numpy() for name in self.metrics], axis=-1)
         return np.where(active[:, None], columns, np.nan)

@@ -20,7 +20,8 @@ from agents.lockstep.adam import Moments, adam, no_moments
 from agents.lockstep.nets import LANES, MLP, check_lanes
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.replay import Batch
-from agents.updates import squashed_gaussian
+from agents.updates import multiplier, squashed_gaussian
+from agents.updates.multiplier import Multiplier
 
 
 @dataclass(frozen=True)
@@ -34,21 +35,24 @@ class SACConfig:
     cost_limit: float = 25.0
     """Limit d of the discounted cost return. Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
     discount: float = 0.99
-    """Discount factor γ of rewards and costs, in [0, 1]."""
+    """Discount factor γ of rewards and costs, in [0, 1]. Paper: 0.99."""
     learning_rate: float = 3e-4
-    """Adam's step size for actor, critics and temperature."""
+    """Adam's step size for actor, critics and temperature. Paper: 3e-4."""
     batch_size: int = 256
-    """Transitions a gradient step; a multiple of 32, at most the replay's size."""
+    """Transitions a gradient step; a multiple of 32, at most the replay's size. Paper: 256."""
     gradient_steps: int = 5
-    """Gradient steps an epoch, which is one episode."""
+    """Gradient steps an epoch, which is one episode. Paper: 5."""
     random_steps: int = 5_000
-    """Environment steps at the start that take uniformly random actions."""
+    """Environment steps at the start that take uniformly random actions. Paper: 5000 on Circle2D,
+    50000 on Safety-Gymnasium."""
     replay_size: int = 50_000
-    """Transitions the replay of a run holds."""
+    """Transitions the replay of a run holds. Paper: 50000 on Circle2D, 500000 on
+    Safety-Gymnasium."""
     hidden: tuple[int, ...] = (64, 64)
-    """Sizes of the hidden layers of actor and critics (tanh); multiples of 32."""
+    """Sizes of the hidden layers of actor and critics (tanh); multiples of 32. Paper: 64, 64."""
     target_rate: float = 0.005
-    """Share τ by which the target critics follow (SAC's default; not printed in the paper)."""
+    """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
+    al."""
     time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
     """Whether values go on behind a time limit. Inferred for the paper, not printed: terminal."""
 
@@ -64,32 +68,6 @@ class SACConfig:
         check_choice(self, "time_limit", "bootstrap", "terminal")
 
 
-@dataclass(frozen=True)
-class MultiplierConfig(SACConfig):
-    """Hyper-parameters of the algorithms of the family that have a Lagrange multiplier."""
-
-    initial_multiplier: float = 0.0
-    """Initial parameter of the multiplier, before it is mapped to positive numbers. Paper: 0 for
-    SAC-Lag; not printed for WCSAC."""
-    multiplier_lr: float = 3e-4
-    """Adam's step size for the multiplier's parameter. Paper: 3e-4 for SAC-Lag."""
-
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        super().__post_init__()
-        check(self, "multiplier_lr", low=0, high=1)
-        check(self, "initial_multiplier")
-
-
-class Multiplier(NamedTuple):
-    """How a multiplier follows the risk. Every number of a run fills a row of lanes: see `nets`."""
-
-    value: Callable[[Tensor], Tensor]
-    """(parameter [R, LANES]) -> [R, LANES]: the multiplier, which cannot be negative."""
-    gradient: Callable[[Any, Tensor, Tensor], Tensor]
-    """(config, parameter [R, LANES], risk [R, B]) -> [R, LANES]: of the loss it descends."""
-
-
 class CostRule(NamedTuple):
     """What an algorithm of the family does with costs. Every function takes its config first.
 
@@ -103,8 +81,8 @@ class CostRule(NamedTuple):
     penalty: Callable[[Any, Tensor, Tensor], Tensor]
     """(config, risk [R, B], multiplier [R, 1]) -> [R, B]: added to the actor's loss. The multiplier
     is 0 where the rule has none."""
-    multiplier: Multiplier | None = None
-    """None for an algorithm without one."""
+    multiplier: multiplier.Form | None = None
+    """What the multiplier is; it ascends on `E[risk - d]`. None for an algorithm without one."""
 
 
 class Nets(NamedTuple):
@@ -128,12 +106,10 @@ class SACState(NamedTuple):
     """[R, 4, critic size]"""
     log_temperature: Tensor
     """[R, LANES]"""
-    multiplier: Tensor | None
-    """[R, LANES]: the parameter that `Multiplier.value` maps to the multiplier"""
+    multiplier: Multiplier | None
     actor_moments: Moments
     critic_moments: Moments
     temperature_moments: Moments
-    multiplier_moments: Moments | None
 
 
 class UpdateNoise(NamedTuple):
@@ -158,27 +134,16 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
     critics = [[nets.critic.initial(rng) for _ in range(4)] for rng in streams]
     critics = torch.from_numpy(np.array(critics))
     log_temperature = torch.zeros(len(seeds), LANES)
-    multiplier = None
-    if rule.multiplier:
-        multiplier = torch.full((len(seeds), LANES), float(config.initial_multiplier))
     return SACState(
         actor=actor,
         critics=critics,
         targets=critics.clone(),
         log_temperature=log_temperature,
-        multiplier=multiplier,
+        multiplier=multiplier.initial(rule.multiplier, config, len(seeds)),
         actor_moments=no_moments(actor),
         critic_moments=no_moments(critics),
         temperature_moments=no_moments(log_temperature),
-        multiplier_moments=None if multiplier is None else no_moments(multiplier),
     )
-
-
-def multiplier_of(rule: CostRule, state: SACState) -> Tensor:
-    """The multiplier of each run, [R, 1]; 0 where the rule has none."""
-    if rule.multiplier is None or state.multiplier is None:
-        return torch.zeros(len(state.actor), 1)
-    return rule.multiplier.value(state.multiplier)[:, :1]
 
 
 def values(nets: Nets, critics: Tensor, observation: Tensor, action: Tensor) -> Tensor:
@@ -229,7 +194,8 @@ def actor_loss(
     q = values(nets, critics, batch.observation, action)
     risk = rule.risk(config, q[:, 2:])
     temperature = state.log_temperature.exp()[:, :1]
-    penalty = rule.penalty(config, risk, multiplier_of(rule, state))
+    factor = multiplier.value(rule.multiplier, state.multiplier, len(actor))
+    penalty = rule.penalty(config, risk, factor)
     reward = torch.minimum(q[:, 0], q[:, 1])
     loss = (temperature * log_prob - reward + penalty).mean(dim=-1)
     return loss.sum(), (loss.detach(), risk.detach(), log_prob.detach())
@@ -274,7 +240,7 @@ def update(
     metrics |= {
         "actor_loss": loss,
         "temperature": state.log_temperature.exp()[:, 0],
-        "multiplier": multiplier_of(rule, state)[:, 0],
+        "multiplier": multiplier.value(rule.multiplier, state.multiplier, len(actor))[:, 0],
         "risk": risk.mean(dim=-1),
         "entropy": -log_prob.mean(dim=-1),
     }
@@ -286,7 +252,9 @@ def update(
         critic_moments=critic_moments,
     )
     state = temperature_step(config, state, log_prob, batch.action.shape[-1])
-    return multiplier_step(config, rule, state, risk), metrics
+    excess = risk.mean(dim=-1, keepdim=True) - config.cost_limit
+    followed = multiplier.ascend(rule.multiplier, config, state.multiplier, excess)
+    return state._replace(multiplier=followed), metrics
 
 
 def temperature_step(
@@ -299,14 +267,3 @@ def temperature_step(
         state.log_temperature, gradient, state.temperature_moments, config.learning_rate
     )
     return state._replace(log_temperature=log_temperature, temperature_moments=moments)
-
-
-def multiplier_step(config: Any, rule: CostRule, state: SACState, risk: Tensor) -> SACState:
-    """Let the multiplier, where there is one, follow the risk [R, B]."""
-    if rule.multiplier is None or state.multiplier is None or state.multiplier_moments is None:
-        return state
-    gradient = rule.multiplier.gradient(config, state.multiplier, risk)
-    multiplier, moments = adam(
-        state.multiplier, gradient, state.multiplier_moments, config.multiplier_lr
-    )
-    return state._replace(multiplier=multiplier, multiplier_moments=moments)

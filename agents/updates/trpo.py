@@ -17,9 +17,11 @@ from torch import Tensor
 from agents.errors import check, check_choice, check_integers
 from agents.lockstep import tree
 from agents.lockstep.adam import Moments, adam, no_moments
-from agents.lockstep.nets import LANES, MLP, check_lanes
+from agents.lockstep.nets import MLP, check_lanes
 from agents.lockstep.noise import Purpose, stream
+from agents.updates import multiplier
 from agents.updates.gaussian import Gaussian, GaussianPolicy
+from agents.updates.multiplier import Multiplier
 from agents.updates.packing import blocks
 from agents.updates.trust_region import Problem, Step, Tangent, conjugate_gradient, line_search
 
@@ -87,8 +89,8 @@ class StepRule(NamedTuple):
     advantages that the policy's step raises. The multiplier is 0 where the rule has none."""
     step: Callable[[Any, Problem], Step]
     """(config, problem) -> the step that is tried."""
-    multiplier: Callable[[Any, Tensor, Moments, Tensor], tuple[Tensor, Moments]] | None = None
-    """(config, multiplier [R, LANES], its moments, excess [R, 1]) -> both after an epoch."""
+    multiplier: multiplier.Form | None = None
+    """What the multiplier is; it ascends on `J_C - d`. None for an algorithm without one."""
     metrics: tuple[str, ...] = ()
     """Which of "multiplier" and "case" are worth recording."""
 
@@ -101,9 +103,7 @@ class TRPOState(NamedTuple):
     critics: Tensor
     """[R, 2, critic size]: of the reward, of the cost"""
     critic_moments: Moments
-    multiplier: Tensor | None
-    """[R, LANES], every lane the same: see `nets`"""
-    multiplier_moments: Moments | None
+    multiplier: Multiplier | None
 
 
 class Epoch(NamedTuple):
@@ -148,15 +148,11 @@ def initial_state(nets: Nets, config: Any, rule: StepRule, seeds: Sequence[int])
     actor = np.stack([nets.actor.initial(rng, config.initial_log_std) for rng in streams])
     critics = np.array([[nets.critic.initial(rng) for _ in range(2)] for rng in streams])
     critics = torch.from_numpy(critics)
-    multiplier = None
-    if rule.multiplier:
-        multiplier = torch.full((len(seeds), LANES), float(config.initial_multiplier))
     return TRPOState(
         torch.from_numpy(actor),
         critics,
         no_moments(critics),
-        multiplier,
-        None if multiplier is None else no_moments(multiplier),
+        multiplier.initial(rule.multiplier, config, len(seeds)),
     )
 
 
@@ -240,8 +236,8 @@ def policy_step(
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The policy after the rule's step and its line search -> [R, actor size], records [R]."""
     old = state.actor
-    multiplier = torch.zeros(len(old), 1) if state.multiplier is None else state.multiplier[:, :1]
-    objective = rule.objective(config, epoch.reward_advantage, epoch.cost_advantage, multiplier)
+    factor = multiplier.value(rule.multiplier, state.multiplier, len(old))
+    objective = rule.objective(config, epoch.reward_advantage, epoch.cost_advantage, factor)
     steps = blocks_of(nets, old, epoch, objective)
 
     def gradient(of: int) -> Tensor:
@@ -267,7 +263,7 @@ def policy_step(
 
     found = line_search(old, step.step, judge, config.line_search_steps, config.line_search_decay)
     records = {"kl": found.kl, "step_scale": found.scale, "case": step.case.float()}
-    return found.params, records | {"multiplier": multiplier[:, 0]}
+    return found.params, records | {"multiplier": factor[:, 0]}
 
 
 def critic_step(
@@ -292,13 +288,3 @@ def critic_step(
     present = (weight[:, 0] > 0).numpy()
     new = state._replace(critics=critics, critic_moments=moments)
     return tree.where(present, new, state), parts
-
-
-def multiplier_step(config: Any, rule: StepRule, state: TRPOState, excess: Tensor) -> TRPOState:
-    """Let the multiplier, where there is one, follow the excess cost [R] of the epoch."""
-    if rule.multiplier is None or state.multiplier is None or state.multiplier_moments is None:
-        return state
-    multiplier, moments = rule.multiplier(
-        config, state.multiplier, state.multiplier_moments, excess[:, None]
-    )
-    return state._replace(multiplier=multiplier, multiplier_moments=moments)

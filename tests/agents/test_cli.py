@@ -83,7 +83,7 @@ def test_help_explains_every_option(capsys):
     ("arguments", "message"),
     [
         (["fly"], "unknown command 'fly': valid are train, resume, evaluate, report"),
-        (["train", "--algorithm", "sac-log"], "unknown algorithm 'sac-log': valid are sac-lag"),
+        (["train", "--algorithm", "sac-log"], "unknown algorithm 'sac-log': valid are trpo-lag, "),
         (["train", "--out", "{tmp}"], "--algorithm"),
         ([*TRAIN], "--out"),
         ([*TRAIN, "--out", "{tmp}/x", "--task", "Nope-v1"], "cannot make task 'Nope-v1'"),

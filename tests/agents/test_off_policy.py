@@ -49,15 +49,14 @@ def test_metrics_are_means_over_gradient_steps():
     it = training(gradient_steps=20)
     for _ in range(6):
         it.run_epoch()
-    table = it.log.table()
-    column = it.log.COLUMNS.__len__() + it.learner.METRICS.index("temperature")
-    assert np.isnan(table[4, :, column]).all()
-    np.testing.assert_allclose(table[5, :, column], 1.0, atol=20 * 3e-4 + 1e-6)
+    temperature = it.log.updates[:, :, it.learner.metrics.index("temperature")]
+    assert np.isnan(temperature[4]).all()
+    np.testing.assert_allclose(temperature[5], 1.0, atol=20 * 3e-4 + 1e-6)
 
 
 def test_initial_multiplier():
     it = training(initial_multiplier=3.0)
     for _ in range(6):
         it.run_epoch()
-    column = len(it.log.COLUMNS) + it.learner.METRICS.index("multiplier")
-    np.testing.assert_allclose(it.log.table()[5, :, column], np.log1p(np.exp(3.0)), rtol=1e-3)
+    multiplier = it.log.updates[5, :, it.learner.metrics.index("multiplier")]
+    np.testing.assert_allclose(multiplier, np.log1p(np.exp(3.0)), rtol=1e-3)

@@ -14,9 +14,8 @@ def random_rollout(rng, steps, lengths):
         return rng.normal(size=(steps, len(lengths), *shape)).astype(np.float32)
 
     flags = rng.random((2, steps, len(lengths))) < 0.2
-    return Rollout(
-        numbers(3), numbers(2), numbers(), numbers(), numbers(3), *flags, np.array(lengths)
-    )
+    columns = (numbers(3), numbers(2), numbers(), numbers(), numbers(3), *flags)
+    return Rollout(*columns, np.array(lengths), np.zeros(len(lengths), dtype=bool))
 
 
 def fill(replay, capacity, epochs=9):

@@ -70,7 +70,8 @@ def test_native_and_sync_environments_give_the_same():
     ours, theirs = collect(native, seeds, act), collect(sync, seeds, act)
     assert ours.length.min() < 50
     np.testing.assert_array_equal(ours.length, theirs.length)
-    for mine, its in zip(ours[:-1], theirs[:-1], strict=True):
+    assert not ours.diverged.any()
+    for mine, its in zip(ours[:-2], theirs[:-2], strict=True):
         np.testing.assert_array_equal(mine[ours.during], its[theirs.during])
 
 

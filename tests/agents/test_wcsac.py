@@ -1,0 +1,114 @@
+"""WCSAC's risk, targets and damping against sampling, hand arithmetic and a known distribution."""
+
+import numpy as np
+import pytest
+import torch
+from torch.nn.functional import softplus
+
+from agents.algorithms.wcsac import RULE, WCSACConfig, tail_factor, targets
+from agents.lockstep.replay import Batch
+
+CONFIG = WCSACConfig(cost_limit=5.0, discount=0.9, damping=10.0)
+
+
+def inverse_softplus(x):
+    return float(np.log(np.expm1(x)))
+
+
+def outputs(mean, variance):
+    """The two cost critics' outputs [1, 2, B] that stand for these."""
+    raw = [[inverse_softplus(v) for v in variance]]
+    return torch.stack((torch.tensor([mean]), torch.tensor(raw)), dim=1)
+
+
+@pytest.mark.parametrize("level", [0.1, 0.5, 0.9, 1.0])
+def test_risk_is_the_mean_of_the_worst_share_of_a_gaussian(level):
+    samples = np.sort(np.random.default_rng(0).normal(2.0, 1.5, 2_000_000))
+    worst = samples[int((1 - level) * len(samples)) :].mean()
+    config = WCSACConfig(risk_level=level)
+    risk = RULE.risk(config, outputs([2.0], [1.5**2]))
+    assert risk.item() == pytest.approx(worst, abs=0.005)
+
+
+def test_tail_factor_by_hand():
+    """α = 0.5: φ(0)/0.5 = 2/√(2π)."""
+    assert tail_factor(0.5) == pytest.approx(2 / np.sqrt(2 * np.pi))
+
+
+def test_targets_by_hand():
+    """γ = 0.9, c = 1, Q_c = 2, Q_c' = 3, V_c' = 0.5: the mean's target is 1 + 0.9·3 = 3.7, the
+    variance's 1 - 4 + 2·0.9·1·3 + 0.81·0.5 + 0.81·9 = 10.095. Without the square on the last term,
+    as some implementations have it, that would be 1 - 4 + 5.4 + 0.405 + 0.81·3 = 5.235.
+
+    Terminal, with Q_c = 0.5: 1 and 1 - 0.25 = 0.75."""
+    following = outputs([3.0, 3.0], [0.5, 0.5])
+    discount = torch.tensor([[0.9, 0.0]])
+    mean, variance = targets(
+        discount, torch.tensor([[2.0, 0.5]]), following, torch.tensor([[1.0, 1.0]])
+    )
+    assert mean[0].tolist() == pytest.approx([3.7, 1.0])
+    assert variance[0].tolist() == pytest.approx([10.095, 0.75], rel=1e-6)
+
+
+def test_variance_target_is_the_variance_of_the_return():
+    """A cost of 0 or 2 by a fair coin, then a future of mean 3 and variance 0.5.
+
+    The return c + γ C' has mean 1 + γ 3 and variance 1 + γ² 0.5. Averaged over the coin, with
+    Q_c = 1 + γ 3, the targets must say so."""
+    gamma, cost = 0.9, torch.tensor([[0.0, 2.0]])
+    following = outputs([3.0, 3.0], [0.5, 0.5])
+    q = torch.full((1, 2), 1 + gamma * 3)
+    mean, variance = targets(torch.full((1, 2), gamma), q, following, cost)
+    assert mean.mean().item() == pytest.approx(1 + gamma * 3)
+    # each half is clamped at 1e-8; this coin keeps one below: c = 0 gives -5.8, c = 2 gives 9.0
+    raw = cost**2 - q**2 + 2 * gamma * cost * 3 + gamma**2 * (0.5 + 9)
+    assert raw.mean().item() == pytest.approx(1 + gamma**2 * 0.5, rel=1e-6)
+    assert variance[0, 1].item() == pytest.approx(raw[0, 1].item(), rel=1e-6)
+    assert variance[0, 0].item() == pytest.approx(1e-8)
+
+
+def test_critic_loss_by_hand():
+    """Q_c = 2, V = 4; targets 3.7 and 10.095 (above).
+
+    ½ (2 - 3.7)² + ½ (4 + 10.095 - 2 √40.38) = 1.445 + ½ (14.095 - 12.7090519) = 2.1379740
+    """
+    batch = Batch(
+        *[torch.zeros(1, 1, 2)] * 2,
+        reward=torch.zeros(1, 1),
+        cost=torch.ones(1, 1),
+        next_observation=torch.zeros(1, 1, 2),
+        terminal=torch.zeros(1, 1),
+    )
+    loss = RULE.critic_loss(CONFIG, outputs([2.0], [4.0]), outputs([3.0], [0.5]), batch)
+    assert loss.item() == pytest.approx(2.1379740, rel=1e-5)
+
+
+def test_critics_learn_mean_and_variance_of_a_known_return():
+    """Terminal costs from a known distribution: the loss is least at its mean and variance."""
+    rng = np.random.default_rng(0)
+    cost = torch.from_numpy(rng.gamma(2.0, 1.0, (1, 100_000)).astype(np.float32))
+    zeros = torch.zeros_like(cost)
+    batch = Batch(zeros[..., None], zeros[..., None], zeros, cost, zeros[..., None], zeros + 1)
+    parameters = torch.zeros(1, 2, 1, requires_grad=True)
+    optimizer = torch.optim.Adam([parameters], lr=0.05)
+    for _ in range(1500):
+        of_all = parameters.expand(1, 2, cost.shape[1])
+        loss = RULE.critic_loss(CONFIG, of_all, of_all.detach(), batch).sum()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    mean, raw = parameters.detach().flatten().tolist()
+    assert mean == pytest.approx(2.0, abs=0.02)
+    # The distance √V - √V* is averaged over samples whose V* = (c² - Q²)⁺, so the fixed point is
+    # (E √V*)², not E V*: what the samples say, by the definition.
+    fixed_point = np.sqrt(np.maximum(cost.numpy() ** 2 - mean**2, 1e-8)).mean() ** 2
+    assert softplus(torch.tensor(raw)).item() == pytest.approx(fixed_point, rel=0.02)
+
+
+def test_penalty_is_damped_without_a_gradient_through_the_damping():
+    """d = 5, Γ = 4 and 8: the damping is 10 (5 - 6) = -10; (κ - κ_d) Γ = (1 + 10) Γ."""
+    risk = torch.tensor([[4.0, 8.0]], requires_grad=True)
+    penalty = RULE.penalty(CONFIG, risk, torch.ones(1, 1))
+    assert penalty[0].tolist() == pytest.approx([44.0, 88.0])
+    (slope,) = torch.autograd.grad(penalty.sum(), risk)
+    assert slope[0].tolist() == pytest.approx([11.0, 11.0])

@@ -1,0 +1,68 @@
+"""Small tasks that tests register and train in."""
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.spaces import Box
+
+
+class Target(gym.Env):
+    """One step: reward -(a - 0.8)² and noise, cost (1 + a) / 2, a in [-1, 1].
+
+    With the cost limited to 0.6 the best action is a = 0.2, and the multiplier there is 2.4: it
+    balances the slopes, 2 (0.8 - 0.2) = λ / 2. The cost is linear, so that the policy's noise does
+    not move the optimum.
+    """
+
+    observation_space = Box(-1.0, 1.0, (1,))
+    action_space = Box(-1.0, 1.0, (1,))
+
+    def __init__(self, noise=0.0):
+        self.noise = noise
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        a = float(action[0])
+        assert -1 <= a <= 1
+        reward = -((a - 0.8) ** 2) + self.np_random.normal(0, self.noise)
+        return np.zeros(1, np.float32), reward, True, False, {"cost": (1 + a) / 2}
+
+
+class Walk(gym.Env):
+    """A walk on a line that ends early: when |x| > 1, or after at most 40 steps.
+
+    Actions in [-2, 2] move x by a tenth of them and some noise; a step with x > 0.5 costs 1. Its
+    observations are float64. Bad luck of probability `poison` makes a reward NaN.
+    """
+
+    observation_space = Box(-np.inf, np.inf, (2,), np.float64)
+    action_space = Box(-2.0, 2.0, (1,))
+
+    def __init__(self, poison=0.0):
+        self.poison = poison
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.x, self.t = self.np_random.uniform(-0.5, 0.5), 0
+        return self.observation(), {}
+
+    def observation(self):
+        return np.array([self.x, self.t / 40])
+
+    def step(self, action):
+        assert self.action_space.contains(np.asarray(action, np.float32)), action
+        self.x += 0.1 * float(action[0]) + self.np_random.normal(0, 0.1)
+        self.t += 1
+        reward = np.nan if self.np_random.random() < self.poison else self.x
+        out = abs(self.x) > 1
+        info = {"cost": float(self.x > 0.5)}
+        return self.observation(), float(reward), out, not out and self.t == 40, info
+
+
+def register():
+    """Make `Target-v0` and `Walk-v0` known to gymnasium."""
+    for cls in (Target, Walk):
+        if f"{cls.__name__}-v0" not in gym.registry:
+            gym.register(f"{cls.__name__}-v0", entry_point=cls, disable_env_checker=True)
