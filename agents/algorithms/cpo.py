@@ -39,55 +39,39 @@ def step(config: CPOConfig, problem: Problem) -> Step:
     search lets the predicted cost come up to the limit, or not grow where it is above, and asks for
     a better objective only where the limit is kept.
     """
-    excess = problem.excess[:, None]
+    c = problem.excess[:, None]
     natural = problem.solve(problem.gradient)
     b = problem.cost_gradient()
     natural_b = problem.solve(b)
     s = dot(b, natural_b)
-    # Half the squared distance, in KL, of the limit's plane less that of the region's boundary
-    room = 2.0 * config.target_kl - excess**2 / s.clamp(min=1e-12)
     vanishing = s < 1e-8
-    kept = torch.where(vanishing | (room < 0), INSIDE, PARTLY)
-    broken = torch.where(vanishing, INSIDE, torch.where(room < 0, RECOVERY, RECOVERABLE))
-    case = torch.where(excess <= 0, kept, broken)
-    along = problem.to_boundary(torch.where(case == RECOVERY, -natural_b, natural))
-    by_dual = dual_step(problem, natural, natural_b, b)
+    reaches = c**2 <= 2.0 * config.target_kl * s  # the limit's plane cuts the trust region
+    kept = torch.where(vanishing | ~reaches, INSIDE, PARTLY)
+    broken = torch.where(vanishing, INSIDE, torch.where(reaches, RECOVERABLE, RECOVERY))
+    case = torch.where(c <= 0, kept, broken)
+    plain = problem.to_boundary(torch.where(case == RECOVERY, -natural_b, natural))
+    cut = ((case == PARTLY) | (case == RECOVERABLE)) & (c + dot(b, plain) > 0)
     return Step(
-        step=torch.where((case == PARTLY) | (case == RECOVERABLE), by_dual, along),
-        must_improve=(case <= PARTLY)[:, 0],
+        step=torch.where(cut, on_limit(problem, natural, natural_b, b, s), plain),
+        must_improve=problem.excess <= 0,
         cost_bound=(-problem.excess).clamp(min=0.0),
         case=case[:, 0],
     )
 
 
-def dual_step(problem: Problem, natural: Tensor, natural_b: Tensor, b: Tensor) -> Tensor:
-    """`x = H⁻¹(g - ν b) / λ` with the multipliers of trust region and cost from the dual, [R, P].
+def on_limit(problem: Problem, natural: Tensor, natural_b: Tensor, b: Tensor, s: Tensor) -> Tensor:
+    """The best step with `c + b·x = 0` within the trust region, [R, P].
 
-    With `q = gᵀH⁻¹g`, `r = gᵀH⁻¹b`, `s = bᵀH⁻¹b` the dual function of λ has a branch for `ν > 0`,
-    `-½ ((q - r²/s)/λ + (2δ - c²/s) λ) + r c/s`, and one for `ν = 0`, `-½ (q/λ + 2δ λ)`; they meet
-    at `λ c + r = 0`. Each is maximised on its own interval, and the better one is taken.
+    The shortest way to that plane, `-c/s H⁻¹b`, and from there along the natural gradient within
+    the plane as far as the trust region goes. It is the `H⁻¹(g - ν b)/λ` of the dual's branch with
+    ν > 0, without the differences of multipliers that rounding spoils where g is nearly along b.
     """
-    tiny = 1e-12
-    c, delta = problem.excess[:, None].double(), problem.target_kl
-    q, r, s = (
-        dot(*pair).double()
-        for pair in ((problem.gradient, natural), (problem.gradient, natural_b), (b, natural_b))
-    )
-    s = s.clamp(min=tiny)
-    c = torch.where(c.abs() < tiny, -tiny, c)
-    a_reward, a_room = (q - r * r / s).clamp(min=0.0), (2.0 * delta - c * c / s).clamp(min=tiny)
-    meeting = (-r / c).clamp(min=tiny)
-    nothing, everything = torch.full_like(c, tiny), torch.full_like(c, torch.inf)
-    # λ c + r > 0 holds below the meeting point where c < 0, above it where c > 0.
-    bound = (torch.where(c < 0, nothing, meeting), torch.where(c < 0, meeting, everything))
-    free = (torch.where(c < 0, meeting, nothing), torch.where(c < 0, everything, meeting))
-    lambda_bound = (a_reward / a_room).sqrt().clamp(*bound)
-    lambda_free = (q / (2.0 * delta)).sqrt().clamp(*free)
-    dual_bound = -0.5 * (a_reward / lambda_bound + a_room * lambda_bound) + r * c / s
-    dual_free = -0.5 * (q / lambda_free + 2.0 * delta * lambda_free)
-    multiplier = torch.where(dual_bound >= dual_free, lambda_bound, lambda_free)
-    nu = (multiplier * c + r).clamp(min=0.0) / s
-    return ((natural - nu.float() * natural_b) / multiplier.float()).float()
+    c, s = problem.excess[:, None], s.clamp(min=1e-12)
+    across = natural
+    for _ in range(2):  # again, for what the first leaves of b in float32
+        across = across - dot(b, across) / s * natural_b
+    room = (1.0 - c**2 / (2.0 * problem.target_kl * s)).clamp(min=0.0).sqrt()
+    return room * problem.to_boundary(across) - c / s * natural_b
 
 
 RULE = StepRule(objective, step, metrics=("case",))

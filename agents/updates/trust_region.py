@@ -33,7 +33,7 @@ def conjugate_gradient(product: Product, b: Tensor, iterations: int) -> Tensor:
         step = torch.where(going, square / curvature, 0.0)
         x, residual = x + step * direction, residual - step * image
         before, square = square, dot(residual, residual)
-        direction = residual + square / torch.where(going, before, 1.0) * direction
+        direction = residual + torch.where(going, square / before, 0.0) * direction
     return x
 
 

@@ -2,12 +2,15 @@
 
 import re
 import shutil
+import sys
 
 import pytest
+from toys import register
 
 from agents.cli import main
 from agents.runs.files import locked
 
+register()
 TRAIN = ["train", "--algorithm", "sac-lag", "--seeds", "0", "1", "--steps", "600"]
 
 
@@ -77,6 +80,39 @@ def test_help_explains_every_option(capsys):
     assert "(default: 5.0)" in text
     assert main(["--help"]) == 0
     assert main([]) == 2
+
+
+def test_help_without_an_algorithm_explains_those_of_all(capsys):
+    assert main(["train", "--help"]) == 0
+    out = capsys.readouterr().out
+    for option in ("--seeds", "--cg-damping", "--log-barrier-factor", "--risk-level"):
+        assert option in out
+
+
+def test_a_failed_run_is_named_and_the_status_is_1(tmp_path, capsys):
+    out = tmp_path / "runs"
+    walk = ["--task", "Walk-v0", "--task-parameters", "poison", "0.003"]
+    small = ["--random-steps", "0", "--batch-size", "32", "--seeds", "0", "1", "2"]
+    steps = ["--steps", "300", "--checkpoint-every", "100"]
+    given = ["train", "--algorithm", "sac-lb", *walk, *small, *steps, "--out", str(out)]
+    assert main(given) == 1
+    table, err = capsys.readouterr()
+    named = re.findall(r"circle2d: seed (\d) failed at step (\d+): it met a number", err)
+    assert 0 < len(named) < 3
+    for seed, step in named:
+        assert f"seed-{seed}: failed at step {step}" in table
+        assert f"seed {seed} |" not in table
+    assert f"mean of {3 - len(named)}" in table
+    assert main(["resume", str(out)]) == 1
+    assert main(["evaluate", str(out), "--episodes", "2"]) == 1
+    assert capsys.readouterr().out.count("no finite numbers") == 2 * len(named)
+
+
+def test_tensorboard_where_it_is_missing(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    assert main([*TRAIN, "--out", str(tmp_path / "x"), "--tensorboard"]) == 2
+    assert "pip install 'circle2d-mj[tensorboard]'" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
 
 
 @pytest.mark.parametrize(

@@ -35,10 +35,8 @@ plain_sac, plain_trpo = plain_module("plain_sac"), plain_module("plain_trpo")
 
 
 def double(tree):
-    if tree is None:
-        return None
-    if isinstance(tree, Tensor):
-        return tree.double()
+    if tree is None or isinstance(tree, Tensor):
+        return tree if tree is None else tree.double()
     return type(tree)(*map(double, tree))
 
 
@@ -128,7 +126,7 @@ def invented_rollout(runs):
     length = rng.integers(30, 51, size=n)
     path = np.cumsum(0.1 * rng.normal(size=(51, n, 2)), axis=0).astype(np.float32)
     action = rng.normal(size=(50, n, 2)).astype(np.float32)
-    reward = -np.abs(path[1:]).sum(axis=-1).astype(np.float64)
+    reward = (action[..., 0] - np.abs(path[1:]).sum(axis=-1)).astype(np.float64)
     cost = (path[1:, :, 0] + 0.3 * action[..., 0] > 0.3).astype(np.float64)
     never = np.zeros((50, n), dtype=bool)
     ends = np.arange(50)[:, None] == length - 1
@@ -151,24 +149,32 @@ def assert_same_actor(agent, it, params, **tolerance):
 
 
 @pytest.mark.parametrize("name", plain_trpo.AGENTS)
-def test_policy_steps(name):
-    """In float64, with an excess cost for each case of CPO; costs of the last run are constant."""
-    it = learner(name, preset(name, TASK), range(5), 2, 2)
-    rollout = invented_rollout(5)
-    packing = Packing(rollout.during, 5)
+@pytest.mark.parametrize("target_kl", [0.01, 1.0])
+def test_policy_steps(name, target_kl):
+    """In float64, with an excess cost for each case of CPO; then costs that are constant, that are
+    what the reward rewards, and what it punishes.
+
+    A trust region far too large for its quadratic model makes the line search work."""
+    it = learner(name, replace(preset(name, TASK), target_kl=target_kl), range(7), 2, 2)
+    rollout = invented_rollout(7)
+    packing = Packing(rollout.during, 7)
     epoch = double(it._epoch(rollout, packing))
-    excess = torch.tensor([-20.0, -1.0, 1.0, 20.0, 1.0]).double()
-    epoch.cost_advantage[4] = 0.0
+    excess = torch.tensor([-20.0, -1.0, 1.0, 20.0, 1.0, 1.0, -1.0]).double()
+    excess = excess * (target_kl / 0.01) ** 0.5
+    for run, factor in ((4, 0.0), (5, 1.0), (6, -1.0)):
+        epoch.cost_advantage[run] = factor * epoch.reward_advantage[run]
     epoch, state = epoch._replace(excess=excess), double(it._state)
     params, records = trpo.policy_step(it.nets, it.config, it.rule, state, epoch)
     if name == "cpo":
-        assert records["case"].tolist() == [1, 2, 3, 4, 1]
-    assert (records["step_scale"] > 0).sum() >= 4
+        assert records["case"].tolist() == [1, 2, 3, 4, 1, 3, 2]
+        assert (records["step_scale"] > 0).all()
+    assert (records["step_scale"] < 1).any() == (target_kl == 1.0)
     for run, steps in enumerate(packing.steps):
         agent = on_policy_agent(name, it, run)
+        agent.target_kl = target_kl
         agent.actor.double()
-        names = ("observation", "action", "reward_advantage", "cost_advantage")
-        columns = (getattr(epoch, column)[run, :steps] for column in names)
+        columns = (epoch.observation, epoch.action, epoch.reward_advantage, epoch.cost_advantage)
+        columns = (column[run, :steps] for column in columns)
         agent.policy_step(*columns, excess[run].item(), steps / EPISODES)
         assert_same_actor(agent, it, params[run], rtol=0, atol=1e-7)
 

@@ -271,21 +271,21 @@ def test_multiplier_follows_the_cost_of_episodes(optimizer):
 
 
 def noisy(seed, epoch):
-    """Episodes of a seed and an epoch; the actions are those of a policy of deviation 1."""
+    """Episodes of a seed and an epoch, of a cost of about 1; actions of deviation 1."""
 
     def draw(k, length):
         rng = np.random.default_rng((seed, epoch, k))
         observation, following = rng.normal(size=(2, length, OBSERVATION))
         action, reward = rng.normal(size=(length, ACTION)), rng.normal(size=length)
-        return observation, action, reward, (action[:, 0] > 0).astype(float), following
+        return observation, action, reward, 2.0 / length * (action[:, 0] > 0), following
 
     return draw
 
 
-LENGTHS = {0: (37, 60), 1: (700, 401), 2: (1, 2), 3: (250, 263)}
+LENGTHS = {0: (37, 60), 1: (900, 201), 2: (1, 2), 3: (250, 263)}
 
 
-def trained(rule, config, seeds, epochs=3, absent=()):
+def trained(rule, config, seeds, epochs=2, absent=()):
     """What learning leaves behind and its metrics, after epochs on each seed's own episodes."""
     it, metrics = learner(rule, config, seeds), []
     for epoch in range(epochs):
@@ -301,10 +301,11 @@ def trained(rule, config, seeds, epochs=3, absent=()):
     ("rule", "config"), [(trpo_lag.RULE, TRPOLagConfig), (cpo.RULE, CPOConfig)], ids=["lag", "cpo"]
 )
 def test_a_run_is_bitwise_the_same_alone(rule, config):
-    """Beside runs of up to 1101 steps, three blocks, where it has 97, 3, 513 itself."""
-    config = config(cost_limit=40.0, **SMALL)
+    """Beside one of 1101 steps, in three blocks, where others have 97, 3 and 513. Costs are about
+    their limit, so that CPO comes to more than its plain step."""
+    config = config(cost_limit=1.0, **SMALL)
     together, their_metrics = trained(rule, config, (1, 0, 2, 3))
-    assert (their_metrics[..., METRICS.index("step_scale")] > 0).all(axis=0).any()
+    assert (their_metrics[..., METRICS.index("step_scale")] > 0).any()
     for k, seed in enumerate((1, 0, 2, 3)):
         alone, metrics = trained(rule, config, (seed,))
         np.testing.assert_array_equal(metrics[:, 0], their_metrics[:, k])
