@@ -184,7 +184,7 @@ class CPO(TRPOLag):
         bound = max(0.0, -c)
         outside = s >= 1e-8 and c**2 / s > 2 * delta
         if s < 1e-8 or (outside and c <= 0):  # no b, or the trust region wholly within the limit
-            return self.to_boundary(to_g, product), True, bound
+            return self.to_boundary(to_g, product), c <= 0, bound
         if outside:  # wholly beyond it: back
             return self.to_boundary(-to_b, product), False, bound
         free = to_g * math.sqrt(2 * delta / q) if q > 0 else to_g

@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from agents.algorithms import algorithm
+from agents.algorithms import ALGORITHMS, algorithm
 from agents.bench.presets import preset
 from agents.errors import UserError
 from agents.runs.config import FAILURE, TrainConfig, run_folder
@@ -116,18 +116,20 @@ def _ends(config: TrainConfig, evaluation: dict[str, Any]) -> str:
 
 
 def _table(groups: Sequence[tuple[TrainConfig, list[Run]]]) -> Table:
-    """One task: for each algorithm the means, every run, and the paper's numbers."""
+    """One task: for each algorithm the means above the paper's numbers, then every run."""
     config = groups[0][0]
     head = [config.task, *(name.replace("cost_rate", "cost rate") for name in MEASURES), "ends in"]
-    rows = []
-    for config, runs in groups:
-        title = _title(config)
-        if runs:
-            rows.append([f"{title}, mean of {len(runs)}", *_means(runs), ""])
-        for run in runs:
-            cells = [f"{run.measures[name]:.2f}" for name in MEASURES]
-            rows.append([f"{title}, seed {run.seed}", *cells, run.ends])
-    for title in dict.fromkeys(algorithm(config.algorithm).title for config, _ in groups):
+    names = {config.algorithm for config, _ in groups}
+    rows, of_runs = [], []
+    for name in (name for name in ALGORITHMS if name in names):
+        for config, runs in (group for group in groups if group[0].algorithm == name):
+            title = _title(config)
+            if runs:
+                rows.append([f"{title}, mean of {len(runs)}", *_means(runs), ""])
+            for run in runs:
+                cells = [f"{run.measures[measure]:.2f}" for measure in MEASURES]
+                of_runs.append([f"{title}, seed {run.seed}", *cells, run.ends])
+        title = algorithm(name).title
         paper = paper_results(config.task, title)
         if paper:
             rows.append([f"{title}, paper (3 seeds)", *(f"{v:.2f}" for v in paper.values()), ""])
@@ -137,7 +139,7 @@ def _table(groups: Sequence[tuple[TrainConfig, list[Run]]]) -> Table:
         f"undiscounted, deterministic policy, {' or '.join(map(str, episodes)) or 'no'} episodes; "
         "[95 % bootstrap interval over seeds]"
     )
-    return Table(caption, head, rows, _paper_notes(groups))
+    return Table(caption, head, [*rows, *of_runs], _paper_notes(groups))
 
 
 def _title(config: TrainConfig) -> str:

@@ -159,8 +159,7 @@ def test_policy_steps(name, target_kl):
     rollout = invented_rollout(7)
     packing = Packing(rollout.during, 7)
     epoch = double(it._epoch(rollout, packing))
-    excess = torch.tensor([-20.0, -1.0, 1.0, 20.0, 1.0, 1.0, -1.0]).double()
-    excess = excess * (target_kl / 0.01) ** 0.5
+    excess = torch.tensor([-20, -1, 1, 20, 1, 1, -1]).double() * (target_kl / 0.01) ** 0.5
     for run, factor in ((4, 0.0), (5, 1.0), (6, -1.0)):
         epoch.cost_advantage[run] = factor * epoch.reward_advantage[run]
     epoch, state = epoch._replace(excess=excess), double(it._state)
@@ -173,9 +172,10 @@ def test_policy_steps(name, target_kl):
         agent = on_policy_agent(name, it, run)
         agent.target_kl = target_kl
         agent.actor.double()
-        columns = (epoch.observation, epoch.action, epoch.reward_advantage, epoch.cost_advantage)
-        columns = (column[run, :steps] for column in columns)
-        agent.policy_step(*columns, excess[run].item(), steps / EPISODES)
+        data = (epoch.observation, epoch.action, epoch.reward_advantage, epoch.cost_advantage)
+        agent.policy_step(
+            *(column[run, :steps] for column in data), excess[run].item(), steps / EPISODES
+        )
         assert_same_actor(agent, it, params[run], rtol=0, atol=1e-7)
 
 
@@ -190,10 +190,9 @@ def test_on_policy_epoch(name):
         episodes = []
         for k in range(run * EPISODES, (run + 1) * EPISODES):
             steps = slice(rollout.length[k])
-            parts = (rollout.observation, rollout.action, rollout.reward, rollout.cost)
-            path, *others = (part[steps, k] for part in parts)
-            path = np.concatenate([path, rollout.final_observation[k : k + 1]])
-            episodes.append((path, *others))
+            path = [rollout.observation[steps, k], rollout.final_observation[k : k + 1]]
+            others = (part[steps, k] for part in (rollout.action, rollout.reward, rollout.cost))
+            episodes.append((np.concatenate(path), *others))
         agent.learn(episodes)
         assert_same_actor(agent, it, it._state.actor[run], rtol=0, atol=1e-5)
         for k, critic in enumerate(agent.critics):
