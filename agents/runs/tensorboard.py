@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agents.errors import UserError
-from agents.runs.config import run_folder
-
-if TYPE_CHECKING:
-    from agents.runs.train import Training
+from agents.runs.log import Log
 
 
 def require_tensorboard() -> None:
@@ -27,22 +25,24 @@ def require_tensorboard() -> None:
 class Events:
     """Writes the epochs of a training, each run into `tensorboard` in its folder.
 
+    folders: one a run; steps: [R], environment steps taken when the training begins or goes on.
+
     Event files hold times of day, unlike the other records. After a resume, what an interrupted
     training had written beyond its checkpoint is marked as void.
     """
 
-    def __init__(self, folder: Path, training: Training) -> None:
+    def __init__(self, folders: Sequence[Path], steps: NDArray[np.int64]) -> None:
         require_tensorboard()
         from torch.utils.tensorboard import SummaryWriter
 
         self._writers = [
-            SummaryWriter(str(run_folder(folder, seed) / "tensorboard"), purge_step=int(steps) + 1)
-            for seed, steps in zip(training.config.seeds, training.steps, strict=True)
+            SummaryWriter(str(folder / "tensorboard"), purge_step=int(taken) + 1)
+            for folder, taken in zip(folders, steps, strict=True)
         ]
 
-    def write(self, training: Training) -> None:
-        """Write the last epoch, at the environment steps that each run has taken."""
-        episodes, updates = training.log.latest
+    def write(self, log: Log, steps: NDArray[np.int64]) -> None:
+        """Write the last epoch; steps: [R], environment steps taken by its end."""
+        episodes, updates = log.latest
         for run, writer in enumerate(self._writers):
             rows = episodes[run]
             if np.isnan(rows).any():
@@ -54,10 +54,10 @@ class Events:
                 "rollout/length": length.mean(),
                 "rollout/mcc": (streak / length).max(),
             }
-            metrics = zip(training.log.metrics, updates[run], strict=True)
+            metrics = zip(log.metrics, updates[run], strict=True)
             values |= {f"update/{name}": v for name, v in metrics if not np.isnan(v)}
             for name, v in values.items():
-                writer.add_scalar(name, v, int(training.steps[run]))
+                writer.add_scalar(name, v, int(steps[run]))
 
     def close(self) -> None:
         """Write what is held back."""

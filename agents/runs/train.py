@@ -129,12 +129,13 @@ def _train(training: Training, folder: Path, on_epoch: Callable[[Training], None
     if (folder / "checkpoint.npz").exists():
         training.restore(folder)
     every = training.config.checkpoint_every
-    events = Events(folder, training) if training.config.tensorboard else None
+    folders = [run_folder(folder, seed) for seed in training.config.seeds]
+    events = Events(folders, training.steps) if training.config.tensorboard else None
     while not training.done:
         before = training.steps.max() // every
         training.run_epoch()
         if events:
-            events.write(training)
+            events.write(training.log, training.steps)
         if training.done or training.steps.max() // every > before:
             training.save(folder)
         on_epoch(training)
