@@ -70,6 +70,9 @@ def on_limit(problem: Problem, natural: Tensor, natural_b: Tensor, b: Tensor, s:
     across = natural
     for _ in range(2):  # again, for what the first leaves of b in float32
         across = across - dot(b, across) / s * natural_b
+    # Where the reward is what costs, rounding alone is left of g, which is no direction.
+    gain = dot(problem.gradient, across)
+    across = torch.where(gain > 1e-6 * dot(problem.gradient, natural), across, 0.0)
     room = (1.0 - c**2 / (2.0 * problem.target_kl * s)).clamp(min=0.0).sqrt()
     return room * problem.to_boundary(across) - c / s * natural_b
 

@@ -84,8 +84,8 @@ def off_policy_agent(name, config, state, run):
 def test_off_policy_updates(name):
     """Three updates of two runs, in float64. The limit lies among what the critics say, so that
     both branches of the barrier are met."""
-    rule, config, runs = ALGORITHMS[name].rule, preset(name, TASK), 2
-    config = replace(config, cost_limit=0.1)
+    rule, runs = ALGORITHMS[name].rule, 2
+    config = replace(preset(name, TASK), cost_limit=0.1)
     nets = sac.make_nets(config, 2, 2)
     state = double(sac.initial_state(nets, config, rule, range(runs)))
     generator = torch.Generator().manual_seed(0)
@@ -105,8 +105,8 @@ def test_off_policy_updates(name):
             losses.append(torch.stack(agent.learn(rows[run])))
         noise = sac.UpdateNoise(*torch.stack(noises, dim=1))
         state, metrics = sac.update(nets, config, rule, state, batch, noise)
-        of_critics = metrics["critic_loss"] + metrics["cost_critic_loss"]
-        found = torch.stack((of_critics, metrics["actor_loss"]), dim=1)
+        found = metrics["critic_loss"] + metrics["cost_critic_loss"], metrics["actor_loss"]
+        found = torch.stack(found, dim=1)
         torch.testing.assert_close(found, torch.stack(losses), rtol=0, atol=1e-9)
     for run, agent in enumerate(agents):
         for network, flat in networks(agent, state, run):
@@ -128,8 +128,7 @@ def invented_rollout(runs):
     action = rng.normal(size=(50, n, 2)).astype(np.float32)
     reward = (action[..., 0] - np.abs(path[1:]).sum(axis=-1)).astype(np.float64)
     cost = (path[1:, :, 0] + 0.3 * action[..., 0] > 0.3).astype(np.float64)
-    never = np.zeros((50, n), dtype=bool)
-    ends = np.arange(50)[:, None] == length - 1
+    never, ends = np.zeros((50, n), dtype=bool), np.arange(50)[:, None] == length - 1
     return Rollout(path[:-1], action, reward, cost, path[1:], never, ends, length, never[0])
 
 
@@ -152,14 +151,13 @@ def assert_same_actor(agent, it, params, **tolerance):
 @pytest.mark.parametrize("target_kl", [0.01, 1.0])
 def test_policy_steps(name, target_kl):
     """In float64, with an excess cost for each case of CPO; then costs that are constant, that are
-    what the reward rewards, and what it punishes.
-
-    A trust region far too large for its quadratic model makes the line search work."""
+    what the reward rewards, and what it punishes. A trust region far too large for its quadratic
+    model makes the line search work."""
     it = learner(name, replace(preset(name, TASK), target_kl=target_kl), range(7), 2, 2)
     rollout = invented_rollout(7)
     packing = Packing(rollout.during, 7)
     epoch = double(it._epoch(rollout, packing))
-    excess = torch.tensor([-20, -1, 1, 20, 1, 1, -1]).double() * (target_kl / 0.01) ** 0.5
+    excess = torch.tensor([-20, -1, 1, 20, 1, 1, -1]).double() * (100 * target_kl) ** 0.5
     for run, factor in ((4, 0.0), (5, 1.0), (6, -1.0)):
         epoch.cost_advantage[run] = factor * epoch.reward_advantage[run]
     epoch, state = epoch._replace(excess=excess), double(it._state)
@@ -182,8 +180,7 @@ def test_policy_steps(name, target_kl):
 @pytest.mark.parametrize("name", plain_trpo.AGENTS)
 def test_on_policy_epoch(name):
     """Advantages, step, passes of the critics and multiplier, as training does them: in float32."""
-    it = learner(name, preset(name, TASK), range(2), 2, 2)
-    rollout = invented_rollout(2)
+    it, rollout = learner(name, preset(name, TASK), range(2), 2, 2), invented_rollout(2)
     agents = [on_policy_agent(name, it, run) for run in range(2)]
     it.learn(rollout, 0, np.ones(2, dtype=bool))
     for run, agent in enumerate(agents):
