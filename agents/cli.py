@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import tyro
 
 from agents.algorithms import ALGORITHMS, algorithm
@@ -21,7 +20,7 @@ from agents.bench.hyperparameters import explain_all
 from agents.bench.presets import preset
 from agents.bench.report import report
 from agents.errors import UserError
-from agents.runs.config import TrainConfig, versions
+from agents.runs.config import TrainConfig, run_folder, versions
 from agents.runs.evaluate import evaluate
 from agents.runs.files import read_json
 from agents.runs.progress import show_progress
@@ -135,7 +134,7 @@ def run_evaluate(args: Sequence[str]) -> int:
         for seed, measures in zip(training.config.seeds, of_runs, strict=True):
             numbers = ", ".join(f"{k} {v:.2f}" for k, v in measures.items() if isinstance(v, float))
             print(f"seed {seed}, {name} policy: {numbers or 'no finite numbers'}")
-    return _failures(training)
+    return _failures(options.folder, training)
 
 
 def run_report(args: Sequence[str]) -> int:
@@ -182,16 +181,22 @@ def _train(folder: Path) -> int:
         print(report(folder))
     except UserError as error:  # the training itself is done
         print(f"circle2d: no table: {error}", file=sys.stderr)
-    return _failures(training)
+    return _failures(folder, training)
 
 
-def _failures(training: Training) -> int:
-    """Name the runs that failed; the exit status."""
-    for run in np.flatnonzero(training.failed):
-        seed, step = training.config.seeds[run], training.steps[run]
-        told = f"seed {seed} failed at step {step}: it met a number that is not finite"
-        print(f"circle2d: {told}", file=sys.stderr)
-    return int(training.failed.any())
+def _failures(folder: Path, training: Training) -> int:
+    """Name the runs that failed, in training or evaluation; the exit status."""
+    told = []
+    for seed, failed, step in zip(
+        training.config.seeds, training.failed, training.steps, strict=True
+    ):
+        if failed:
+            told.append(f"seed {seed} failed at step {step}: it met a number that is not finite")
+        elif not (run_folder(folder, seed) / "evaluation.json").exists():
+            told.append(f"the evaluation of seed {seed} met a number that is not finite")
+    for line in told:
+        print(f"circle2d: {line}", file=sys.stderr)
+    return int(bool(told))
 
 
 def _algorithm_and_task(args: Sequence[str]) -> tuple[str | None, str]:

@@ -77,4 +77,4 @@ def on_limit(problem: Problem, natural: Tensor, natural_b: Tensor, b: Tensor, s:
     return room * problem.to_boundary(across) - c / s * natural_b
 
 
-RULE = StepRule(objective, step, metrics=("case",))
+RULE = StepRule(objective, step, has_cases=True)

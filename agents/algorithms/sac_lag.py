@@ -23,11 +23,6 @@ class SACLagConfig(MultiplierConfig, SACConfig):
     The multiplier is β = softplus(parameter): 0.69 for the parameter 0 it starts from.
     """
 
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        super().__post_init__()
-        self.check_multiplier()
-
 
 def risk(config: SACLagConfig, costs: Tensor) -> Tensor:
     """The larger of both cost critics: errors then err on the side of caution."""

@@ -28,7 +28,7 @@ class SACLBConfig(SACConfig):
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         super().__post_init__()
-        check(self, "log_barrier_factor", above=0)
+        check(self, "log_barrier_factor", low=1e-3, high=1e3)
 
 
 def log_barrier(z: Tensor, t: float) -> Tensor:

@@ -33,7 +33,6 @@ class TRPOLagConfig(MultiplierConfig, TRPOConfig):
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         super().__post_init__()
-        self.check_multiplier()
         check(self, "initial_multiplier", low=0)
 
 
@@ -55,4 +54,4 @@ def step(config: TRPOLagConfig, problem: Problem) -> Step:
     )
 
 
-RULE = StepRule(objective, step, PROJECTED, metrics=("multiplier",))
+RULE = StepRule(objective, step, PROJECTED)

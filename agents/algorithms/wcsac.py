@@ -39,7 +39,7 @@ class WCSACConfig(MultiplierConfig, SACConfig):
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         super().__post_init__()
-        self.check_multiplier()
+        check(self, "initial_multiplier", high=50)  # far from where exp overflows
         check(self, "risk_level", above=0, high=1)
         check(self, "damping", low=0)
 

@@ -8,6 +8,7 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import fields
 from textwrap import dedent, fill
+from typing import Any
 
 from agents.algorithms import ALGORITHMS
 from agents.bench.presets import preset
@@ -34,10 +35,16 @@ def _entries(cls: type, names: list[str], task: str) -> Iterator[str]:
     configs = [preset(name, task) for name in names]
     for name, text in texts(cls).items():
         default = getattr(ALGORITHMS[names[0]].config(), name)
-        (on_task,) = {getattr(config, name) for config in configs}
-        other = f"; {on_task} on {task}" if on_task != default else ""
-        entry = f"--{name.replace('_', '-')} ({default}{other}): {text}"
+        chosen = dict.fromkeys(getattr(config, name) for config in configs)
+        on_task = " or ".join(map(_typed, chosen))
+        other = f"; {on_task} on {task}" if on_task != _typed(default) else ""
+        entry = f"--{name.replace('_', '-')} ({_typed(default)}{other}): {text}"
         yield fill(entry, 96, initial_indent="  ", subsequent_indent="      ")
+
+
+def _typed(value: Any) -> str:
+    """As one types it."""
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def _declaring(config: type, field: str) -> type:

@@ -144,11 +144,15 @@ def _table(groups: Sequence[tuple[TrainConfig, list[Run]]]) -> Table:
 
 def _title(config: TrainConfig) -> str:
     """The algorithm, with what differs from the preset and from the task as it is registered."""
+    inside = ", ".join(f"{k} {v}" for k, v in _changes(config).items())
+    return algorithm(config.algorithm).title + (f" ({inside})" if inside else "")
+
+
+def _changes(config: TrainConfig) -> dict[str, Any]:
+    """What differs from the preset and from the task as it is registered."""
     usual = dataclasses.asdict(preset(config.algorithm, config.task))
     chosen = dataclasses.asdict(config.hyperparameters)
-    differs = {k: v for k, v in chosen.items() if v != usual[k]} | config.task_parameters
-    inside = ", ".join(f"{k} {v}" for k, v in differs.items())
-    return algorithm(config.algorithm).title + (f" ({inside})" if inside else "")
+    return {k: v for k, v in chosen.items() if v != usual[k]} | config.task_parameters
 
 
 def _means(runs: list[Run]) -> list[str]:
@@ -179,14 +183,24 @@ def _as_meant(task: str, title: str, measure: str, value: float) -> float:
 
 
 def _paper_notes(groups: Sequence[tuple[TrainConfig, list[Run]]]) -> list[str]:
-    terminal = [
-        algorithm(config.algorithm).title
-        for config, _ in groups
-        if getattr(config.hyperparameters, "time_limit", None) == "terminal"
-    ]
-    if not terminal:
-        return []
-    return [
-        f"{', '.join(dict.fromkeys(terminal))}: the last step of an episode counts as terminal. "
-        "That the paper did so is inferred from its results, not printed."
-    ]
+    """What in our presets the paper does not print, where it matters."""
+    configs = [config for config, _ in groups if config.task.startswith("Circle2D-")]
+    choices = {
+        "the last step of an episode counts as terminal": [
+            config
+            for config in configs
+            if "time_limit" not in _changes(config)
+            and config.hyperparameters.time_limit == "terminal"
+        ],
+        "the multiplier ascends by Adam": [
+            config
+            for config in configs
+            if "multiplier_optimizer" not in _changes(config) and config.algorithm == "trpo-lag"
+        ],
+    }
+    titles = {
+        choice: dict.fromkeys(algorithm(config.algorithm).title for config in chosen)
+        for choice, chosen in choices.items()
+    }
+    inferred = "That the paper did so is inferred from its results, not printed."
+    return [f"{', '.join(of)}: {choice}. {inferred}" for choice, of in titles.items() if of]

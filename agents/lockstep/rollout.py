@@ -1,4 +1,4 @@
-"""One episode of every run, collected in step."""
+"""Whole episodes of every run, collected in step."""
 
 from __future__ import annotations
 
@@ -39,6 +39,10 @@ class Rollout(NamedTuple):
         """Which steps belong to the episodes, [T, N]."""
         return np.arange(len(self.reward))[:, None] < self.length
 
+    def terminal(self, time_limit: str) -> NDArray[np.bool_]:
+        """Steps that nothing follows, [T, N]: with "terminal" also those that were cut off."""
+        return self.terminated | self.truncated if time_limit == "terminal" else self.terminated
+
     @property
     def returns(self) -> NDArray[np.float64]:
         """Undiscounted return of each episode, [N]."""
@@ -74,6 +78,10 @@ Policy = Callable[[NDArray[np.float32], NDArray[np.float32] | None], NDArray[np.
 deterministic policy) -> actions [R, N, A]"""
 
 
+MAX_STEPS = 100_000
+"""Steps after which an episode is taken to be one that never ends."""
+
+
 def collect(
     envs: VectorEnv, seeds: Sequence[int], act: Act, active: NDArray[np.bool_] | None = None
 ) -> Rollout:
@@ -83,7 +91,7 @@ def collect(
     [N, observation size] -> actions [N, action size]; active: [N], the environments of which an
     episode is wanted, all by default. One whose episode has ended waits for the others; what it
     does meanwhile is left out, and so is one that was given an action that is not finite. Raises
-    UserError where the environment gives no `info["cost"]`, or a negative one.
+    UserError where the environment gives no `info["cost"]` or a negative one, or does not end.
     """
     observation = _reset(envs, seed=list(seeds))
     running = np.ones(len(seeds), dtype=bool) if active is None else active.copy()
@@ -91,7 +99,10 @@ def collect(
     diverged = np.zeros(len(seeds), dtype=bool)
     steps: list[tuple] = []
     while running.any():
-        action = act(observation)
+        if len(steps) == MAX_STEPS:
+            raise UserError(f"an episode of {envs} has not ended after {MAX_STEPS} steps")
+        with np.errstate(over="ignore", invalid="ignore"):  # found by the next line
+            action = act(observation)
         finite = np.all(np.isfinite(action), axis=-1)
         if not finite.all():
             diverged |= running & ~finite
@@ -116,7 +127,8 @@ def _reset(envs: VectorEnv, **kwargs: Any) -> NDArray[np.float32]:
 
 
 def _checked(rollout: Rollout, envs: VectorEnv) -> Rollout:
-    """Mark episodes with numbers that are not finite."""
+    """The rollout with episodes marked that hold numbers which are not finite. Raises UserError for
+    a negative cost."""
     if (rollout.cost[rollout.during] < 0).any():
         raise UserError(f"{envs} gives a negative cost")
     finite = np.isfinite(rollout.reward) & np.isfinite(rollout.cost)

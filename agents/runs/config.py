@@ -13,7 +13,7 @@ from typing import Any, get_args
 from agents.algorithms import algorithm
 from agents.errors import UserError, check_choice, check_integers
 from agents.runs.files import read_json, write_json
-from agents.runs.tasks import Vectorization
+from agents.runs.tasks import Vectorization, is_native
 
 PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
 FAILURE = "failed.json"
@@ -55,6 +55,11 @@ class TrainConfig:
             raise UserError(f"seeds must be different numbers, at least one, got {self.seeds}")
         if not all(0 <= seed < 2**63 for seed in self.seeds):
             raise UserError(f"seeds must be in [0, 2**63), got {self.seeds}")
+
+    @property
+    def is_native(self) -> bool:
+        """Whether the task's own vector environment is used."""
+        return self.vectorization == "auto" and is_native(self.task)
 
     def write(self, folder: Path) -> None:
         """Make the run folder. Raises UserError where there is one already."""

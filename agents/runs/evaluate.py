@@ -40,19 +40,21 @@ def evaluate(
     if episodes < 1:
         raise UserError(f"episodes must be at least 1, got {episodes}")
     active = np.ones(len(config.seeds), dtype=bool) if active is None else active
-    if not active.any():
-        return {name: [{} for _ in config.seeds] for name in POLICIES}
-    envs = make_envs(config.task, len(config.seeds) * episodes, config.task_parameters)
-    with contextlib.closing(envs):
-        results = {
-            name: _play(envs, config, policy, episodes, active, name == "stochastic")
-            for name in POLICIES
-        }
+    results = {name: [{} for _ in config.seeds] for name in POLICIES}
+    if active.any():
+        # A native vector environment plays all at once; others are a model or a process each.
+        at_once = episodes if config.is_native else min(episodes, 10)
+        arguments = (config.task, len(config.seeds) * at_once, config.task_parameters)
+        with contextlib.closing(make_envs(*arguments, config.vectorization)) as envs:
+            for name in POLICIES:
+                noisy = name == "stochastic"
+                results[name] = _play(envs, config, policy, episodes, at_once, active, noisy)
     for run, seed in enumerate(config.seeds):
         of_run = {name: result[run] for name, result in results.items()}
+        path = run_folder(folder, seed) / "evaluation.json"
+        path.unlink(missing_ok=True)
         if all(of_run.values()):
-            content = {"seed": seed, "episodes": episodes, **of_run}
-            write_json(run_folder(folder, seed) / "evaluation.json", content)
+            write_json(path, {"seed": seed, "episodes": episodes, **of_run})
     return results
 
 
@@ -61,36 +63,61 @@ def _play(
     config: TrainConfig,
     policy: Policy,
     episodes: int,
+    at_once: int,
     active: NDArray[np.bool_],
     noisy: bool,
 ) -> list[dict[str, Any]]:
     """For each run the means and, per episode, the undiscounted sums of rewards and costs."""
-    runs, (_, action_size) = len(config.seeds), sizes(envs)
-    seeds = environment_seeds(config.seeds, Purpose.EVALUATION, 0, episodes)
-    shape = (episodes, action_size)
-    noise = steps_of_noise(normal, config.seeds, Purpose.EVALUATION, 1, shape)
-
-    def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        observation = observation.reshape(runs, episodes, -1)
-        action = policy(observation, next(noise) if noisy else None)
-        return action.reshape(runs * episodes, -1)
-
-    rollout = collect(envs, seeds, act, np.repeat(active, episodes))
-    valid = active & ~rollout.diverged.reshape(runs, episodes).any(axis=1)
-    columns = {
-        "returns": rollout.returns,
-        "cost_returns": rollout.cost_returns,
-        "lengths": rollout.length,
-        "final_observations": rollout.final_observation,
-    }
+    starts = range(0, episodes, at_once)
+    parts = [_episodes(envs, config, policy, episodes, k, at_once, active, noisy) for k in starts]
+    columns = {name: np.concatenate([part[name] for part in parts], axis=1) for name in parts[0]}
+    valid = active & ~columns.pop("diverged")[:, :episodes].any(axis=1)
     results = []
-    for run in range(runs):
-        of_run = {k: v[run * episodes : (run + 1) * episodes] for k, v in columns.items()}
+    for run in range(len(config.seeds)):
+        if not valid[run]:
+            results.append({})
+            continue
+        of_run = {name: column[run, :episodes] for name, column in columns.items()}
         means = {
             "J_R": float(np.mean(of_run["returns"])),
             "J_C": float(np.mean(of_run["cost_returns"])),
             f"CVaR_{CVAR_ALPHA:g}": cvar(of_run["cost_returns"], CVAR_ALPHA),
         }
-        lists = {name: column.tolist() for name, column in of_run.items()}
-        results.append(means | lists if valid[run] else {})
+        results.append(means | {name: column.tolist() for name, column in of_run.items()})
     return results
+
+
+def _episodes(
+    envs: VectorEnv,
+    config: TrainConfig,
+    policy: Policy,
+    episodes: int,
+    first: int,
+    count: int,
+    active: NDArray[np.bool_],
+    noisy: bool,
+) -> dict[str, NDArray]:
+    """`count` episodes of each run from the `first` on, of `episodes`: arrays [R, count, ...]."""
+    runs, (_, action_size) = len(config.seeds), sizes(envs)
+    chosen = np.arange(first, first + count) % episodes  # beyond the last: played, and left out
+    seeds = environment_seeds(config.seeds, Purpose.EVALUATION, 0, episodes)
+    seeds = np.array(seeds).reshape(runs, episodes)[:, chosen].ravel().tolist()
+    shape = (episodes, action_size)
+    noise = steps_of_noise(normal, config.seeds, Purpose.EVALUATION, 1, shape)
+
+    def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        observation = observation.reshape(runs, count, -1)
+        action = policy(observation, next(noise)[:, chosen] if noisy else None)
+        return action.reshape(runs * count, -1)
+
+    rollout = collect(envs, seeds, act, np.repeat(active, count))
+    columns = {
+        "returns": rollout.returns,
+        "cost_returns": rollout.cost_returns,
+        "lengths": rollout.length,
+        "final_observations": rollout.final_observation,
+        "diverged": rollout.diverged,
+    }
+    return {
+        name: column.reshape(runs, count, *column.shape[1:]) for name, column in columns.items()
+    }

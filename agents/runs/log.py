@@ -39,8 +39,10 @@ class Log:
         length = rollout.length.reshape(runs, episodes)
         start = steps[:, None] + np.cumsum(length, axis=1) - length
         streaks = np.zeros(runs * episodes, dtype=np.int64)
-        played = rollout.length > 0
-        streaks[played] = longest_streaks(rollout.cost.T[rollout.during.T], rollout.length[played])
+        kept = np.repeat(active, episodes)
+        if kept.any():
+            costs = rollout.cost.T[(rollout.during & kept).T]
+            streaks[kept] = longest_streaks(costs, rollout.length[kept])
         columns = (start.ravel(), rollout.length, rollout.returns, rollout.cost_returns, streaks)
         rows = np.column_stack(columns).astype(np.float64).reshape(self._shapes[0])
         self._episodes.append(np.where(active[:, None, None], rows, np.nan))

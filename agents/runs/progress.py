@@ -34,14 +34,16 @@ def show_progress(config: TrainConfig, folder: Path) -> Iterator[Callable[[Train
 
         def on_epoch(training: Training) -> None:
             nonlocal first, shown, tenth
-            now, steps = time.monotonic(), int(training.steps.min())
-            first = steps if first is None else first
+            now, total = time.monotonic(), int(training.steps.sum())
+            first = total if first is None else first
+            going = training.steps[~training.failed]
+            steps = int(going.min()) if len(going) else config.steps
             share = min(1.0, steps / config.steps)
             due = int(10 * share) > tenth
             if now - shown < EVERY_SECONDS and not training.done and not due:
                 return
             shown = now
-            speed = f"{runs * (steps - first) / max(now - started, 1e-9):,.0f} steps/s"
+            speed = f"{(total - first) / max(now - started, 1e-9):,.0f} steps/s"
             returns, cost = training.log.recent()
             recent = f"return {returns:.2f}, cost {cost:.2f}"
             bar.update(task, completed=min(steps, config.steps), speed=speed, recent=recent)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
+from numbers import Real
 from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.envs.registration import EnvSpec, load_env_creator
+from gymnasium.envs.registration import load_env_creator
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import RescaleAction
@@ -28,11 +30,12 @@ def make_envs(
     same numbers. Raises UserError for an unknown task, parameters it refuses, and spaces that are
     not flat Boxes (actions: bounded).
     """
+    name = registered(task)
+    native = vectorization == "auto" and is_native(task)
     try:
-        spec = gym.spec(task)
-        if vectorization == "auto" and _is_native(spec):
+        if native:
             envs = gym.make_vec(
-                task,
+                name,
                 num_envs,
                 vectorization_mode="vector_entry_point",
                 autoreset_mode=AutoresetMode.DISABLED,
@@ -40,15 +43,15 @@ def make_envs(
             )
         else:
             envs = gym.make_vec(
-                task,
+                name,
                 num_envs,
                 vectorization_mode="async" if vectorization == "async" else "sync",
                 vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
                 wrappers=(FloatCost,),
                 **parameters,
             )
-    except (gym.error.Error, TypeError, ValueError) as error:
-        raise UserError(f"cannot make task {task!r}: {error}") from None
+    except Exception as error:  # of the task's own code
+        raise UserError(f"cannot make task {task!r}: {error or type(error).__name__}") from None
     _check_space(task, "observation", envs.single_observation_space)
     _check_space(task, "action", envs.single_action_space)
     actions = envs.single_action_space
@@ -72,6 +75,8 @@ class FloatCost(gym.Wrapper):
         """As the environment's. Raises UserError where it gives no cost."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         require_cost(self.env, info)
+        if not isinstance(info["cost"], (Real, np.number, np.bool_)):
+            raise UserError(f"{self.env} gives info['cost'] = {info['cost']!r}, which is no number")
         info = {**info, "cost": float(info["cost"])}
         return observation, reward, terminated, truncated, info
 
@@ -80,7 +85,7 @@ def check_task(task: str, parameters: dict[str, Any]) -> None:
     """Raise UserError for a task that cannot be made, never ends, or whose steps give no cost."""
     if parameters.get("max_episode_steps", 1) is None:
         raise UserError("task_parameters: max_episode_steps must not be None, episodes must end")
-    if task.startswith("Circle2D-") and "level" in parameters:
+    if registered(task).startswith("Circle2D-") and "level" in parameters:
         raise UserError("task_parameters: the level is part of the task's id, as in Circle2D-3-v0")
     envs = make_envs(task, 1, parameters)
     envs.reset(seed=0)
@@ -97,8 +102,21 @@ def sizes(envs: VectorEnv) -> tuple[int, int]:
     return observation[0], action[0]
 
 
-def _is_native(spec: EnvSpec) -> bool:
-    entry_point = spec.vector_entry_point
+def registered(task: str) -> str:
+    """The id of a task, of which "module:id" imports the module first, as gymnasium does it."""
+    module, _, name = task.rpartition(":")
+    try:
+        if module:
+            importlib.import_module(module)
+        gym.spec(name)
+    except (gym.error.Error, ImportError) as error:
+        raise UserError(f"cannot make task {task!r}: {error}") from None
+    return name
+
+
+def is_native(task: str) -> bool:
+    """Whether a task has a vector environment of its own that need not reset itself."""
+    entry_point = gym.spec(registered(task)).vector_entry_point
     if entry_point is None:
         return False
     make = load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
@@ -106,5 +124,7 @@ def _is_native(spec: EnvSpec) -> bool:
 
 
 def _check_space(task: str, name: str, space: gym.Space) -> None:
-    if not isinstance(space, Box) or len(space.shape) != 1:
+    if not isinstance(space, Box) or len(space.shape) != 1 or not space.shape[0]:
         raise UserError(f"the {name} space of task {task!r} must be a flat Box, got {space}")
+    if name == "action" and not np.issubdtype(space.dtype, np.floating):
+        raise UserError(f"the action space of task {task!r} must be of floats, got {space}")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from agents.algorithms import learner
@@ -35,18 +37,18 @@ class Training:
         self.learner = learner(
             config.algorithm, config.hyperparameters, config.seeds, *sizes_of_one
         )
-        self._envs = make_envs(
-            config.task,
-            runs * self.learner.episodes,
-            config.task_parameters,
-            config.vectorization,
-        )
         self.log = Log(runs, self.learner.episodes, self.learner.metrics)
         self.epoch = 0
         self.steps = np.zeros(runs, dtype=np.int64)
         """Environment steps each run has taken, [R]."""
         self.failed = np.zeros(runs, dtype=bool)
         """Runs that met a number which is not finite, [R]. They stop; the others go on."""
+
+    @functools.cached_property
+    def _envs(self) -> VectorEnv:
+        """The environments of an epoch; made when they are first needed."""
+        config, count = self.config, len(self.config.seeds) * self.learner.episodes
+        return make_envs(config.task, count, config.task_parameters, config.vectorization)
 
     @property
     def active(self) -> NDArray[np.bool_]:
@@ -78,8 +80,10 @@ class Training:
         """Write the records, then the checkpoint from which all of it can be written again."""
         folders = [run_folder(folder, seed) for seed in self.config.seeds]
         self.log.write(folders)
-        for run in np.flatnonzero(self.failed):
-            write_json(folders[run] / FAILURE, {"step": int(self.steps[run])})
+        for of_run, failed, steps in zip(folders, self.failed, self.steps, strict=True):
+            (of_run / FAILURE).unlink(missing_ok=True)
+            if failed:
+                write_json(of_run / FAILURE, {"step": int(steps)})
         counters = {"epoch": np.array(self.epoch), "seeds": np.array(self.config.seeds)}
         counters |= {"steps": self.steps, "failed": self.failed}
         write_arrays(folder / "checkpoint.npz", counters | self.log.state() | self.learner.state())
@@ -102,7 +106,8 @@ class Training:
 
     def close(self) -> None:
         """Let go of the environments."""
-        self._envs.close()
+        if "_envs" in vars(self):
+            self._envs.close()
 
 
 def restored(folder: Path) -> Training:
@@ -128,21 +133,20 @@ def train(folder: Path, on_epoch: Callable[[Training], None] = lambda training: 
 def _train(training: Training, folder: Path, on_epoch: Callable[[Training], None]) -> Training:
     if (folder / "checkpoint.npz").exists():
         training.restore(folder)
-    every = training.config.checkpoint_every
-    folders = [run_folder(folder, seed) for seed in training.config.seeds]
-    events = Events(folders, training.steps) if training.config.tensorboard else None
-    while not training.done:
-        before = training.steps.max() // every
-        training.run_epoch()
-        if events:
-            events.write(training.log, training.steps)
-        if training.done or training.steps.max() // every > before:
-            training.save(folder)
-        on_epoch(training)
-    if events:
-        events.close()
-    training.close()
-    evaluate(
-        folder, training.config, training.learner.policy(), EVALUATION_EPISODES, ~training.failed
-    )
+    config, every = training.config, training.config.checkpoint_every
+    with contextlib.ExitStack() as stack:
+        stack.callback(training.close)
+        events = None
+        if config.tensorboard:
+            folders = [run_folder(folder, seed) for seed in config.seeds]
+            events = stack.enter_context(contextlib.closing(Events(folders, training.steps)))
+        while not training.done:
+            before = training.steps // every
+            training.run_epoch()
+            if events:
+                events.write(training.log, training.steps)
+            if training.done or (training.steps // every > before).any():
+                training.save(folder)
+            on_epoch(training)
+    evaluate(folder, config, training.learner.policy(), EVALUATION_EPISODES, ~training.failed)
     return training

@@ -32,11 +32,14 @@ class MultiplierConfig:
     """How the multiplier's parameter ascends: by Adam, or by the plain gradient. Not printed in the
     paper."""
 
-    def check_multiplier(self) -> None:
+    def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         check(self, "initial_multiplier")
         check(self, "multiplier_lr", low=0)
         check_choice(self, "multiplier_optimizer", "adam", "sgd")
+        of_family = getattr(super(), "__post_init__", None)
+        if of_family:
+            of_family()
 
 
 class Form(NamedTuple):

@@ -80,10 +80,8 @@ class OffPolicy:
         Returns the mean of each of `metrics` over the steps, [R, metrics]; NaN for runs that took
         none, since their replay holds less than a batch.
         """
-        terminal = rollout.terminated
-        if self.config.time_limit == "terminal":
-            terminal = terminal | rollout.truncated
         length = np.where(active, rollout.length, 0)
+        terminal = rollout.terminal(self.config.time_limit)
         self._replay.add(rollout._replace(length=length), terminal)
         learning = active & (self._replay.size >= self.config.batch_size)
         if not learning.any():

@@ -18,8 +18,8 @@ from agents.updates.packing import Packing, blocks, minibatches
 from agents.updates.returns import advantages
 
 METRICS = ("kl", "step_scale", "critic_loss", "cost_critic_loss", "std")
-"""What every algorithm of the family records; a rule adds its own. A step_scale of 0: the line
-search found nothing, and the policy stayed as it was."""
+"""What every algorithm of the family records; beside it "multiplier" or "case" where it has one. A
+step_scale of 0: the line search found nothing, and the policy stayed as it was."""
 
 
 class OnPolicy:
@@ -35,7 +35,8 @@ class OnPolicy:
     ) -> None:
         self.config, self.rule, self.seeds = config, rule, tuple(seeds)
         self.episodes: int = config.episodes
-        self.metrics = (*METRICS, *rule.metrics)
+        own = {"multiplier": rule.multiplier is not None, "case": rule.has_cases}
+        self.metrics = (*METRICS, *(name for name, has in own.items() if has))
         self.action_size = action_size
         self.nets = trpo.make_nets(config, observation_size, action_size)
         self._state = trpo.initial_state(self.nets, config, rule, seeds)
@@ -84,9 +85,7 @@ class OnPolicy:
         observation = torch.from_numpy(packing.pack(rollout.observation))
         value = self._values(observation)
         next_value = self._values(torch.from_numpy(packing.pack(rollout.next_observation)))
-        terminal = rollout.terminated
-        if self.config.time_limit == "terminal":
-            terminal = terminal | rollout.truncated
+        terminal = rollout.terminal(self.config.time_limit)
         of_both = []
         for k, signal in enumerate((rollout.reward, rollout.cost)):
             unpacked = packing.unpack(value[:, k]), packing.unpack(next_value[:, k])

@@ -52,7 +52,7 @@ class TRPOConfig:
     line_search_steps: int = 15
     """Lengths of a step that are tried at most. Paper: 15."""
     line_search_decay: float = 0.8
-    """Factor between the lengths tried, in (0, 1). Not printed in the paper; 0.8 as in
+    """Factor between the lengths tried, in (0, 1]. Not printed in the paper; 0.8 as in
     Stable-Baselines3."""
     learning_rate: float = 3e-4
     """Adam's step size for the critics. Paper: 3e-4."""
@@ -75,7 +75,7 @@ class TRPOConfig:
         check(self, "cost_limit", "cg_damping", low=0)
         check(self, "discount", "gae_lambda", low=0, high=1)
         check(self, "learning_rate", "line_search_decay", above=0, high=1)
-        check(self, "target_kl", above=0)
+        check(self, "target_kl", low=1e-8, high=10)
         check(self, "initial_log_std")
         check_lanes(self)
         check_choice(self, "time_limit", "bootstrap", "terminal")
@@ -91,8 +91,8 @@ class StepRule(NamedTuple):
     """(config, problem) -> the step that is tried."""
     multiplier: multiplier.Form | None = None
     """What the multiplier is; it ascends on `J_C - d`. None for an algorithm without one."""
-    metrics: tuple[str, ...] = ()
-    """Which of "multiplier" and "case" are worth recording."""
+    has_cases: bool = False
+    """Whether `Step.case` is worth recording."""
 
 
 class TRPOState(NamedTuple):
@@ -224,10 +224,12 @@ def compared(nets: Nets, actor: Tensor, steps: list[Block]) -> tuple[Tensor, Ten
     surrogates, kl = torch.zeros(len(actor), 2), torch.zeros(len(actor))
     for block in steps:
         policy = nets.actor.distribution(actor, block.observation)
-        ratio = (policy.log_prob(block.action) - block.old_log_prob).exp()
-        weighted = (block.weight * ratio)[:, None] * block.gains
+        held = block.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
+        change = torch.where(held, policy.log_prob(block.action) - block.old_log_prob, 0.0)
+        weighted = (block.weight * change.exp())[:, None] * block.gains
         surrogates = surrogates + weighted.sum(dim=-1)
-        kl = kl + (block.weight * block.old.kl(policy)).sum(dim=-1)
+        of_steps = torch.where(held, block.old.kl(policy), 0.0)
+        kl = kl + (block.weight * of_steps).sum(dim=-1)
     return surrogates, kl
 
 

@@ -9,6 +9,7 @@ from toys import register
 
 from agents.algorithms import ALGORITHMS, algorithm
 from agents.lockstep import tree
+from agents.runs import train as train_module
 from agents.runs.config import TrainConfig
 from agents.runs.evaluate import evaluate
 from agents.runs.files import read_json
@@ -102,9 +103,10 @@ def test_a_poisoned_run_fails_alone(name, tmp_path):
     assert restored.done
 
 
+@pytest.mark.parametrize("poisons", ["reward", "cost", "observation"])
 @pytest.mark.parametrize("name", ["trpo-lag", "sac-lag"])
-def test_a_reward_that_is_not_finite_fails_its_run(name, tmp_path):
-    it = config(name, tuple(range(6)), 600, poison=0.0004)
+def test_an_environment_that_gives_nan_fails_its_run(name, poisons, tmp_path):
+    it = config(name, tuple(range(6)), 600, poison=0.0004, poisons=poisons)
     it.write(tmp_path)
     training = train(tmp_path)
     assert 0 < training.failed.sum() < 6
@@ -113,6 +115,8 @@ def test_a_reward_that_is_not_finite_fails_its_run(name, tmp_path):
         rows = training.log.episodes[:, run].reshape(-1, 5)
         assert np.isfinite(rows[~np.isnan(rows[:, 0])]).all()
         assert (tmp_path / f"seed-{run}" / "failed.json").exists() == failed
+        if failed:
+            assert not (tmp_path / f"seed-{run}" / "evaluation.json").exists()
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
@@ -143,11 +147,41 @@ def test_records_are_of_what_the_environments_did(name, tmp_path):
         starts = np.cumsum(records.length) - records.length
         assert records.start_step.tolist() == starts.tolist()
         assert records.total_steps == training.steps[run]
-        updates = np.genfromtxt(
-            tmp_path / f"seed-{run}/updates.csv", delimiter=",", names=True
-        )
+        updates = np.genfromtxt(tmp_path / f"seed-{run}/updates.csv", delimiter=",", names=True)
         assert updates.dtype.names[2:] == training.learner.metrics
         assert np.isfinite(updates.tolist()).all()
+
+
+def test_evaluation_in_parts_is_that_at_once(tmp_path):
+    """Of a task without a vector environment of its own ten episodes of a run are played at once."""
+    it = TrainConfig("cpo", "Circle2D-2-v0", (0, 1), 100, algorithm("cpo").config())
+    it.write(tmp_path)
+    policy = Training(it).learner.policy()
+    whole = evaluate(tmp_path, it, policy, 23)
+    parts = evaluate(tmp_path, replace(it, vectorization="sync"), policy, 23)
+    assert whole == parts
+    assert len(whole["stochastic"][1]["returns"]) == 23
+    assert len(set(whole["stochastic"][1]["returns"])) == 23
+
+
+def test_saves_go_on_when_the_run_ahead_has_ended(tmp_path):
+    it = config("trpo-lag", (0, 1), 900)
+    it.write(tmp_path)
+    training, saved = Training(it), []
+    training.steps[0], save = 900, training.save
+    training.save = lambda folder: (saved.append(int(training.steps[1])), save(folder))
+    train_module._train(training, tmp_path, lambda training: None)
+    assert [steps // 300 for steps in saved] == [1, 2, 3]
+
+
+def test_all_runs_fail_at_once():
+    it = config("cpo", (0, 1), 300)
+    training = Training(
+        replace(it, hyperparameters=replace(it.hyperparameters, initial_log_std=1e6))
+    )
+    finished(training)
+    assert training.failed.all()
+    assert np.isnan(training.log.episodes).all()
 
 
 def test_what_each_algorithm_records():

@@ -6,6 +6,7 @@ import torch
 from torch.nn.functional import softplus
 
 from agents.algorithms.wcsac import RULE, WCSACConfig, tail_factor, targets
+from agents.errors import UserError
 from agents.lockstep.replay import Batch
 
 CONFIG = WCSACConfig(cost_limit=5.0, discount=0.9, damping=10.0)
@@ -103,6 +104,11 @@ def test_critics_learn_mean_and_variance_of_a_known_return():
     # (E √V*)², not E V*: what the samples say, by the definition.
     fixed_point = np.sqrt(np.maximum(cost.numpy() ** 2 - mean**2, 1e-8)).mean() ** 2
     assert softplus(torch.tensor(raw)).item() == pytest.approx(fixed_point, rel=0.02)
+
+
+def test_a_multiplier_that_would_overflow_is_refused():
+    with pytest.raises(UserError, match="initial_multiplier must be at most 50, got 90"):
+        WCSACConfig(initial_multiplier=90)
 
 
 def test_penalty_is_damped_without_a_gradient_through_the_damping():

@@ -34,14 +34,15 @@ class Walk(gym.Env):
     """A walk on a line that ends early: when |x| > 1, or after at most 40 steps.
 
     Actions in [-2, 2] move x by a tenth of them and some noise; a step with x > 0.5 costs 1. Its
-    observations are float64. Bad luck of probability `poison` makes a reward NaN.
+    observations are float64. Bad luck of probability `poison` makes the reward, the cost or the
+    observation NaN.
     """
 
     observation_space = Box(-np.inf, np.inf, (2,), np.float64)
     action_space = Box(-2.0, 2.0, (1,))
 
-    def __init__(self, poison=0.0):
-        self.poison = poison
+    def __init__(self, poison=0.0, poisons="reward"):
+        self.poison, self.poisons = poison, poisons
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -55,10 +56,12 @@ class Walk(gym.Env):
         assert self.action_space.contains(np.asarray(action, np.float32)), action
         self.x += 0.1 * float(action[0]) + self.np_random.normal(0, 0.1)
         self.t += 1
-        reward = np.nan if self.np_random.random() < self.poison else self.x
         out = abs(self.x) > 1
-        info = {"cost": float(self.x > 0.5)}
-        return self.observation(), float(reward), out, not out and self.t == 40, info
+        given = {"reward": self.x, "cost": float(self.x > 0.5), "observation": self.observation()}
+        if self.np_random.random() < self.poison:
+            given[self.poisons] *= np.nan
+        info = {"cost": float(given["cost"])}
+        return given["observation"], float(given["reward"]), out, not out and self.t == 40, info
 
 
 def register():
