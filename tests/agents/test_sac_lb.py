@@ -54,6 +54,6 @@ def test_penalty_is_of_the_cost_above_its_limit():
 
 
 def test_the_factor_must_be_positive():
-    with pytest.raises(UserError, match="log_barrier_factor must be at least 0.001 and at most 1000, got 0"):
+    with pytest.raises(UserError, match=r"log_barrier_factor must be at least 0\.001"):
         SACLBConfig(log_barrier_factor=0)
     assert SACLBConfig().log_barrier_factor == Fraction(3)
