@@ -78,3 +78,24 @@ def test_native_and_sync_environments_give_the_same():
 def test_without_costs():
     with pytest.raises(UserError, match=r"gives no info\['cost'\]; it gives nothing"):
         collect(scripted(gives_cost=False), [1, 2, 3], lambda obs: obs)
+
+
+def test_actions_are_kept_as_chosen_and_taken_clipped():
+    taken = []
+
+    class Noted(Countdown):
+        def step(self, action):
+            taken.append(float(action[0]))
+            return super().step(action)
+
+    envs = SyncVectorEnv([Noted], autoreset_mode=AutoresetMode.DISABLED)
+    rollout = collect(envs, [3], lambda observation: observation - 1.5)
+    assert rollout.action.ravel().tolist() == [-1.5, -0.5, 0.5]
+    assert taken == [-1.0, -0.5, 0.5]
+
+
+def test_an_episode_that_never_ends(monkeypatch):
+    monkeypatch.setattr("agents.lockstep.rollout.MAX_STEPS", 6)
+    assert collect(scripted(), [2, 6, 4], lambda observation: observation).length.max() == 6
+    with pytest.raises(UserError, match="has not ended after 6 steps"):
+        collect(scripted(), [2, 7, 4], lambda observation: observation)

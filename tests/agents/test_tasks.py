@@ -66,3 +66,32 @@ def test_a_missing_cost_is_not_taken_for_none():
 def test_spaces_that_do_not_fit(kind, message):
     with pytest.raises(UserError, match=message):
         make_envs("Other-v0", 2, {"kind": kind})
+
+
+@pytest.mark.parametrize("cost", [None, np.zeros(1), "1"])
+def test_a_cost_that_is_no_number(cost):
+    class Odd(Other):
+        def step(self, action):
+            return (*super().step(action)[:4], {"cost": cost})
+
+    gym.register("Odd-v0", entry_point=Odd, disable_env_checker=True)
+    with pytest.raises(UserError, match=r"gives info\['cost'\] = .*, which is no number"):
+        check_task("Odd-v0", {})
+    del gym.registry["Odd-v0"]
+
+
+def test_an_id_with_its_module():
+    envs = make_envs("circle2d_mj:Circle2D-2-v0", 3, {})
+    assert type(envs).__name__ == "Circle2DVectorEnv"
+    with pytest.raises(UserError, match="cannot make task 'no_such:Circle2D-2-v0'"):
+        make_envs("no_such:Circle2D-2-v0", 3, {})
+
+
+def test_a_task_whose_constructor_fails():
+    def fail():
+        raise RuntimeError("no licence")
+
+    gym.register("Failing-v0", entry_point=fail)
+    with pytest.raises(UserError, match="cannot make task 'Failing-v0': no licence"):
+        make_envs("Failing-v0", 2, {})
+    del gym.registry["Failing-v0"]

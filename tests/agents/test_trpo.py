@@ -368,3 +368,34 @@ def test_learns_what_pays():
     assert (mean[:, 1] < -0.5).all()
     std = metrics[:, METRICS.index("std")]
     assert (std < 0.9).all()
+
+
+def test_rows_of_weight_zero_do_not_change_a_sharp_policy():
+    """At σ = e⁻⁷ the density of an action far from the mean may grow by more than e^100."""
+    actor = torch.zeros(1, ACTOR.size)
+    mean = sum(a * b + b for a, b in ((OBSERVATION, 32),)) + 32 * ACTION
+    actor[:, mean : mean + ACTION] = 1.0
+    actor[:, ACTOR.net.size : ACTOR.net.size + ACTION] = -7.0
+    nearer = actor.clone()
+    nearer[:, mean : mean + ACTION] = 1.0 - 2e-4
+    found = []
+    for size in (BLOCK, 2 * BLOCK):
+        zeros = torch.zeros(1, size)
+        there = (torch.arange(size) < 500).float()[None]
+        epoch = trpo.Epoch(
+            observation=torch.zeros(1, size, OBSERVATION),
+            action=there[..., None].expand(1, size, ACTION).contiguous(),
+            weight=there / 500,
+            reward_advantage=there,
+            cost_advantage=zeros,
+            value_targets=torch.zeros(1, 2, size),
+            length=torch.ones(1),
+            excess=torch.zeros(1),
+        )
+        steps = trpo.blocks_of(NETS, actor, epoch, epoch.reward_advantage)
+        at_padding = NETS.actor.distribution(nearer, epoch.observation).log_prob(epoch.action)
+        assert (at_padding - steps[0].old_log_prob[:, -1])[0, -1] > 100
+        found.append(trpo.compared(NETS, nearer, steps))
+    for short, long in zip(*found, strict=True):
+        assert short.isfinite().all()
+        assert torch.equal(short, long)
