@@ -1,4 +1,4 @@
-# make demo: train SAC-Lag on Circle2D-1 for about a minute and read its table.
+# make demo: train TRPO-Lag on Circle2D-1 for about a minute and read its tables.
 # make test: run the tests. Both build .venv first; Python 3.10 or newer is all they need.
 
 PYTHON ?= python3
@@ -15,8 +15,8 @@ $(VENV)/installed: pyproject.toml constraints.txt
 
 demo: $(VENV)/installed
 	rm -rf runs/demo
-	$(BIN)/circle2d train --algorithm sac-lag --task Circle2D-1-v0 --seeds 0 1 2 --steps 60000 \
-		--checkpoint-every 15000 --out runs/demo
+	$(BIN)/circle2d train --algorithm trpo-lag --task Circle2D-1-v0 --seeds 0 1 2 --steps 250000 \
+		--out runs/demo
 	$(BIN)/python -m emcc runs/demo --per-run
 
 test: $(VENV)/installed
