@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from torch import nn
+from modules import flat, module
 
 from agents.algorithms.sac_lag import RULE, SACLagConfig
 from agents.lockstep import tree
@@ -111,27 +111,9 @@ class Separate:
     """One run of SAC-Lag with PyTorch modules, from the same parameters: losses and gradients."""
 
     def __init__(self, nets, state, run):
-        self.actor = self.module(nets.actor, state.actor[run])
-        self.critics = [self.module(nets.critic, p) for p in state.critics[run]]
-        self.targets = [self.module(nets.critic, p) for p in state.targets[run]]
-
-    @staticmethod
-    def module(net, vector):
-        layers, start = [], 0
-        for n_in, n_out in zip(net.sizes[:-1], net.sizes[1:], strict=True):
-            linear = nn.Linear(n_in, n_out).double()
-            weight = vector[start : start + n_in * n_out].reshape(n_in, n_out)
-            linear.weight.data = weight.T.double()
-            start += n_in * n_out
-            linear.bias.data = vector[start : start + n_out].double()
-            start += n_out
-            layers += [linear, nn.Tanh()]
-        return nn.Sequential(*layers[:-1])
-
-    @staticmethod
-    def gradient(module):
-        linears = [m for m in module if isinstance(m, nn.Linear)]
-        return torch.cat([g for m in linears for g in (m.weight.grad.T.flatten(), m.bias.grad)])
+        self.actor = module(nets.actor, state.actor[run])
+        self.critics = [module(nets.critic, p) for p in state.critics[run]]
+        self.targets = [module(nets.critic, p) for p in state.targets[run]]
 
     def policy(self, observation, noise):
         mean, log_std = self.actor(observation).chunk(2, dim=-1)
@@ -151,14 +133,14 @@ class Separate:
             target = reward_target if k < 2 else cost_target
             q_k = critic(torch.cat([b.observation, b.action], -1))[:, 0]
             (0.5 * ((q_k - target) ** 2).mean()).backward()
-        return [self.gradient(critic) for critic in self.critics]
+        return [flat(critic) for critic in self.critics]
 
     def actor_gradient(self, b, noise):
         action, log_prob = self.policy(b.observation, noise)
         q = [c(torch.cat([b.observation, action], -1))[:, 0] for c in self.critics]
         penalty = math.log(2.0) * torch.maximum(q[2], q[3])
         (log_prob - torch.minimum(q[0], q[1]) + penalty).mean().backward()
-        return self.gradient(self.actor)
+        return flat(self.actor)
 
 
 def random_batch(runs, size=64, seed=0):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from torch import nn
+from modules import flat, module
 from torch.distributions import Independent, Normal, kl_divergence
 
 from agents.algorithms import cpo, trpo_lag
@@ -27,27 +27,6 @@ NETS = trpo.Nets(ACTOR, MLP((OBSERVATION, 32, 1)))
 
 def normal(*shape, seed=0):
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed)).double()
-
-
-def module(net, vector):
-    """The same network of nn.Linear layers; vector: its parameters."""
-    layers, start = [], 0
-    for n_in, n_out in zip(net.sizes[:-1], net.sizes[1:], strict=True):
-        linear = nn.Linear(n_in, n_out).double()
-        weight = vector[start : start + n_in * n_out].reshape(n_in, n_out)
-        linear.weight.data = weight.T.double()
-        start += n_in * n_out
-        linear.bias.data = vector[start : start + n_out].double()
-        start += n_out
-        layers += [linear, nn.Tanh()]
-    return nn.Sequential(*layers[:-1])
-
-
-def flat(layers, of=lambda parameter: parameter.grad):
-    """The gradients, or what else `of` gives, of a module in the order of our parameters."""
-    linears = [layer for layer in layers if isinstance(layer, nn.Linear)]
-    parts = [part for layer in linears for part in (of(layer.weight).T.flatten(), of(layer.bias))]
-    return torch.cat(parts)
 
 
 class Separate:
