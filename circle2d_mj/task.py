@@ -14,13 +14,30 @@ from numpy.typing import NDArray
 
 from circle2d_mj.config import Circle2DConfig
 
+STEP = 0.11
+"""How far a full action moves the agent along each axis in a step, as a multiple of R."""
 
-def observe(config: Circle2DConfig, position: NDArray[np.float64]) -> NDArray[np.float32]:
-    """The position as a fraction of the arena's half-width.
 
-    position: [..., 2] world units -> [..., 2] float32 in [-1, 1].
+def observe(
+    config: Circle2DConfig,
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64] | None = None,
+) -> NDArray[np.float32]:
+    """The position as a fraction of the arena's half-width; then the velocity, where there is one.
+
+    position: [..., 2] world units -> [..., 2] float32 in [-1, 1]. velocity: [..., 2] world units a
+    step -> [..., 4], its last two numbers as multiples of a full action's step.
     """
-    return (position * (1.0 / config.arena)).astype(np.float32)
+    scaled = (position * (1.0 / config.arena)).astype(np.float32)
+    if velocity is None:
+        return scaled
+    of_full_step = velocity * (1.0 / (STEP * config.constraint_radius))
+    return np.concatenate((scaled, of_full_step.astype(np.float32)), axis=-1)
+
+
+def position(config: Circle2DConfig, observation: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The position that was observed: [..., 2 or 4] -> [..., 2] world units."""
+    return observation[..., :2].astype(np.float64) * config.arena
 
 
 def reward(config: Circle2DConfig, position: NDArray[np.float64]) -> NDArray[np.float64]:
