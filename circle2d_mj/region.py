@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -49,8 +50,11 @@ class CostRegion:
     """
 
     def __init__(self, config: Circle2DConfig) -> None:
-        self.radius = config.constraint_radius
-        self.cutouts = cutouts(config.level, self.radius, config.corridor_height_factor)
+        radius = config.constraint_radius
+        self._shape(radius, cutouts(config.level, radius, config.corridor_height_factor))
+
+    def _shape(self, radius: float, cutouts: tuple[CutOut, ...]) -> None:
+        self.radius, self.cutouts = radius, cutouts
         self._strips = [
             (_Linear.of(cut.cos, cut.sin, cut.inner), _Linear.of(-cut.sin, cut.cos, cut.half_width))
             for cut in self.cutouts
@@ -69,6 +73,31 @@ class CostRegion:
         points: [..., 2] world units -> [...] bool.
         """
         return _test(self._in_cutout, points)
+
+    def depth(self, points: ArrayLike) -> NDArray[np.float64]:
+        """How far points are from free space: 0 outside the region.
+
+        points: [..., 2] world units -> [...] world units.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        x, y = points[..., 0], np.abs(points[..., 1])  # of mirror images, the nearer one
+        depth = self.radius - np.hypot(x, y)
+        for cut in self.cutouts:
+            before = cut.inner - (x * cut.cos + y * cut.sin)
+            beside = np.abs(y * cut.cos - x * cut.sin) - cut.half_width
+            depth = np.minimum(depth, np.hypot(np.maximum(before, 0), np.maximum(beside, 0)))
+        return np.asarray(np.where(self.contains(points), depth, 0.0))
+
+    def grown(self, margin: float) -> CostRegion:
+        """The region with everything that is nearer to it than `margin`, world units, and, at the
+        corners where a cut-out meets the rim, a little more."""
+        grown = copy.copy(self)
+        narrower = [
+            cut._replace(inner=cut.inner + margin, half_width=cut.half_width - margin)
+            for cut in self.cutouts
+        ]
+        grown._shape(self.radius + margin, tuple(narrower))
+        return grown
 
     def places(self, points: ArrayLike) -> list[str]:
         """Where points lie, in words: "cost region", "corridor", "top cut-out",
