@@ -1,6 +1,7 @@
 """MuJoCo's dynamics: a ball with inertia, and a region that its contacts tell of."""
 
-# pyright: reportAttributeAccessIssue=false (mujoco has no stubs for its enums)
+# mujoco has no stubs for its enums.
+# pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from circle2d_mj import task
 from circle2d_mj.config import Circle2DConfig
-from circle2d_mj.scene import BODY_RADIUS, SUBSTEPS, Actuation, scene
+from circle2d_mj.scene import SUBSTEPS, Actuation, scene
 from circle2d_mj.simulation import State, positive_integer
 from circle2d_mj.start import StartArea
 
@@ -43,10 +44,11 @@ class Physics:
         self.num_threads = positive_integer("num_threads", num_threads)
         self._rigid = not config.infeasible_region_penetratable
         self.start_area = config.start_area
-        if self._rigid and not config.allow_infeasible_init:
-            grown = config.region.grown(BODY_RADIUS * config.constraint_radius)
-            self.start_area = StartArea(config, grown)  # where the ball touches nothing
         self.model = scene(config, actuation).compile()
+        if self._rigid and not config.allow_infeasible_init:
+            body_radius = self.model.geom("agent").size[0]
+            # Where the ball touches nothing.
+            self.start_area = StartArea(config, config.region.grown(body_radius))
         # A region that never pushes need not be looked for until the step's end.
         self._without_contacts = copy.copy(self.model)
         self._without_contacts.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -100,7 +102,7 @@ class Physics:
         contacts = np.column_stack((rows["ncon"][:, 1:], self._contacts))
         return {
             "cost": (contacts > 0).any(axis=1).astype(np.float64),
-            "contact_force": np.sqrt((forces * forces).sum(axis=-1).max(axis=1)),
+            "contact_force": np.linalg.norm(forces, axis=-1).max(axis=1),
             "penetration": np.maximum(-distances, 0.0).max(axis=1),
         }
 

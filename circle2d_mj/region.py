@@ -81,7 +81,7 @@ class CostRegion:
         """
         points = np.asarray(points, dtype=np.float64)
         x, y = points[..., 0], np.abs(points[..., 1])  # of mirror images, the nearer one
-        depth = self.radius - np.hypot(x, y)
+        depth: NDArray[np.float64] = self.radius - np.hypot(x, y)
         for cut in self.cutouts:
             before = cut.inner - (x * cut.cos + y * cut.sin)
             beside = np.abs(y * cut.cos - x * cut.sin) - cut.half_width

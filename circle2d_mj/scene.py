@@ -1,6 +1,7 @@
 """The MuJoCo scene of a configuration: the ball, its actuators, and the region's prisms."""
 
-# pyright: reportAttributeAccessIssue=false (mujoco has no stubs for MjSpec)
+# mujoco has no stubs for MjSpec.
+# pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
@@ -20,8 +21,6 @@ BASE_RADIUS = 10.0
 """R of the scene in that file; a scene of another R is that much larger or smaller."""
 SUBSTEPS = 10
 """Physics steps in a control step."""
-BODY_RADIUS = 0.02
-"""Radius of the ball as a multiple of R: `geom agent` of the base scene."""
 HEIGHT = 0.1
 """Of the prisms, as a multiple of R; the ball moves at half of it, so it touches sides alone."""
 # Radii for which lengths, their squares and MuJoCo's float32 meshes keep their digits.
@@ -47,29 +46,29 @@ def scene(
     """
     if actuation not in get_args(Actuation):
         raise ValueError(f"actuation must be one of {get_args(Actuation)}, got {actuation!r}")
-    _check(config)
-    spec = mujoco.MjSpec.from_file(str(asset(BASE)))
-    _scale(spec, config)
-    _actuate(spec, config, actuation)
-    if with_region:
-        _add_region(spec, config)
-    return spec
-
-
-def _check(config: Circle2DConfig) -> None:
     low, high = _RADII
     if not low <= config.constraint_radius <= high:
         raise ValueError(
             f"constraint_radius must be in [{low:g}, {high:g}] in the MuJoCo mode, "
             f"got {config.constraint_radius!r}"
         )
-    if not config.infeasible_region_penetratable:
-        width = 2 * BODY_RADIUS
-        if config.corridor_height_factor <= width:
-            raise ValueError(
-                f"corridor_height_factor must be above {width:g} where the region is rigid, for the "
-                f"agent's body to fit into the corridor, got {config.corridor_height_factor!r}"
-            )
+    spec = mujoco.MjSpec.from_file(str(asset(BASE)))
+    _scale(spec, config)
+    _check_corridor(spec, config)
+    _actuate(spec, config, actuation)
+    if with_region:
+        _add_region(spec, config)
+    return spec
+
+
+def _check_corridor(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
+    narrowest = 2 * spec.geom("agent").size[0] / config.constraint_radius
+    factor = config.corridor_height_factor
+    if not config.infeasible_region_penetratable and factor <= narrowest:
+        raise ValueError(
+            f"corridor_height_factor must be above {narrowest:g} where the region is rigid, "
+            f"so that the agent's body fits into the corridor, got {factor!r}"
+        )
 
 
 def _scale(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
