@@ -85,6 +85,9 @@ def _scale(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
         joint.solimp_limit[2] *= scale  # a width, as the next one
     agent.solimp[2] *= scale
     spec.stat.extent, spec.stat.center = 2 * arena, [0.0, 0.0, 0.0]
+    # A length, and an energy over a mass: absolute ones make small worlds less exact.
+    spec.option.ccd_tolerance *= scale
+    spec.option.tolerance *= scale**2
 
 
 def _actuate(spec: mujoco.MjSpec, config: Circle2DConfig, actuation: Actuation) -> None:
