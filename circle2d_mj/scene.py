@@ -25,6 +25,9 @@ HEIGHT = 0.1
 """Of the prisms, as a multiple of R; the ball moves at half of it, so it touches sides alone."""
 # Radii for which lengths, their squares and MuJoCo's float32 meshes keep their digits.
 _RADII = (1e-3, 1e6)
+# MuJoCo compiles no camera of 180 or more, though the top one's is a length: whoever draws a larger
+# arena has to set `model.cam_fovy`.
+_MAX_FOVY = 179.0
 # A contact is found within margin + gap, and its force sets in at the margin: so far inside the
 # region as never to be reached.
 _NEVER = -100.0
@@ -79,7 +82,7 @@ def _scale(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
     agent.size = np.array(agent.size) * scale
     body = spec.body("agent")
     body.pos = [0.0, 0.0, HEIGHT * config.constraint_radius / 2]
-    top.pos, top.fovy = [0.0, 0.0, 2 * config.constraint_radius], 2 * arena
+    top.pos, top.fovy = [0.0, 0.0, 2 * config.constraint_radius], min(2 * arena, _MAX_FOVY)
     for joint in spec.joints:
         joint.range = [-arena, arena]
         joint.solimp_limit[2] *= scale  # a width, as the next one
