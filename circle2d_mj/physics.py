@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from circle2d_mj import task
 from circle2d_mj.config import Circle2DConfig
+from circle2d_mj.pieces import OVERHANG
 from circle2d_mj.scene import SUBSTEPS, Actuation, scene
 from circle2d_mj.simulation import State, positive_integer
 from circle2d_mj.start import StartArea
@@ -46,9 +47,9 @@ class Physics:
         self.start_area = config.start_area
         self.model = scene(config, actuation).compile()
         if self._rigid and not config.allow_infeasible_init:
-            body_radius = self.model.geom("agent").size[0]
             # Where the ball touches nothing.
-            self.start_area = StartArea(config, config.region.grown(body_radius))
+            clearance = self.model.geom("agent").size[0] + OVERHANG * config.constraint_radius
+            self.start_area = StartArea(config, config.region.grown(clearance))
         # A region that never pushes need not be looked for until the step's end.
         self._without_contacts = copy.copy(self.model)
         self._without_contacts.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
