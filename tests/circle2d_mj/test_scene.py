@@ -8,7 +8,6 @@ from mujoco.batch import Batch
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.assets import asset
 from circle2d_mj.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
-from circle2d_mj.physics import Physics
 from circle2d_mj.scene import BASE, scene
 
 LEVELS = range(4)
@@ -100,10 +99,17 @@ def prisms(model):
     return corners
 
 
+NUMBERS = [
+    *("geom_margin", "geom_gap", "geom_size", "geom_solimp", "geom_condim", "body_mass"),
+    *("jnt_range", "jnt_solimp", "dof_damping", "cam_pos", "cam_fovy"),
+    *("actuator_ctrlrange", "actuator_gainprm", "actuator_biasprm"),
+]
+
+
 @pytest.mark.parametrize("actuation", ["velocity", "force"])
 @pytest.mark.parametrize("level", LEVELS)
 def test_written_out_and_read_again(level, actuation):
-    config = Circle2DConfig(level=level, constraint_radius=3.0)
+    config = Circle2DConfig(level=level, constraint_radius=1.0012345)
     spec = scene(config, actuation)
     model = spec.compile()
     read = mujoco.MjModel.from_xml_string(spec.to_xml())
@@ -111,13 +117,12 @@ def test_written_out_and_read_again(level, actuation):
         model.geom(i).name for i in range(model.ngeom)
     ]
     for ours, theirs in zip(prisms(model), prisms(read), strict=True):
-        np.testing.assert_allclose(theirs, ours, atol=1e-5 * 3)
-    for name in (
-        "geom_margin geom_gap geom_solimp geom_size geom_condim jnt_range dof_damping body_mass "
-        "actuator_ctrlrange actuator_gainprm actuator_biasprm jnt_solimp cam_pos cam_fovy"
-    ).split():
-        np.testing.assert_allclose(getattr(read, name), getattr(model, name), rtol=1e-5, atol=1e-9)
-    points = np.random.default_rng(0).uniform(-4.5, 4.5, (5000, 2))
+        np.testing.assert_allclose(theirs, ours, atol=1e-5)
+    for name in NUMBERS:
+        np.testing.assert_allclose(getattr(read, name), getattr(model, name), rtol=2e-5, atol=1e-9)
+    reach, expected = read.geom_margin + read.geom_gap, model.geom_margin + model.geom_gap
+    np.testing.assert_allclose(reach, expected, atol=1e-5)
+    points = np.random.default_rng(0).uniform(-1.5, 1.5, (5000, 2))
     touches = Contacts(model, 5000)(points)
     assert (touches != Contacts(read, 5000)(points)).sum() <= 1
     assert touches.any()
