@@ -29,8 +29,8 @@ _RADII = (1e-3, 1e6)
 # arena has to set `model.cam_fovy`.
 _MAX_FOVY = 179.0
 # A contact is found within margin + gap, and its force sets in at the margin: so far inside the
-# region as never to be reached.
-_NEVER = -100.0
+# region as never to be reached (and no farther: XML keeps six digits of their sum).
+_NEVER = -1.0
 
 
 def scene(
