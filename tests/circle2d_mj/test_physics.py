@@ -66,13 +66,13 @@ def drift_left(seed, steps=50, num_envs=4):
 def test_the_environment_is_a_loop_of_mj_step(level, actuation):
     """Bit for bit, contacts on all the while; and where the region can be entered, also without
     a region."""
-    envs = Circle2DMuJoCoVectorEnv(4, level=level, actuation=actuation, autoreset_mode="Disabled")
+    envs = Circle2DMuJoCoVectorEnv(3, level=level, actuation=actuation, autoreset_mode="Disabled")
     envs.reset(seed=level)
     config = envs.config
     loops = [Loop(config, actuation, p) for p in envs.position]
     alone = [Loop(config, actuation, p, with_region=False) for p in envs.position]
     cost_steps = 0
-    for action in drift_left(level):
+    for action in drift_left(level, steps=40, num_envs=3):
         _, reward, _, _, info = envs.step(action)
         told = np.array([loop.step(a) for loop, a in zip(loops, action, strict=True)])
         for loop, a in zip(alone, action, strict=True):
@@ -92,7 +92,7 @@ def test_the_environment_is_a_loop_of_mj_step(level, actuation):
             np.testing.assert_array_equal([loop.data.qpos for loop in alone], position)
             np.testing.assert_array_equal([loop.data.qvel for loop in alone], envs_velocity(envs))
         cost_steps += info["cost"].sum()
-    assert 10 < cost_steps < 190
+    assert 10 < cost_steps < 110
 
 
 def envs_velocity(envs):
