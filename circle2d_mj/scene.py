@@ -114,7 +114,9 @@ def _add_region(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
     for k, piece in enumerate(convex_pieces(config.region)):
         name = f"region{k}"
         prism = [np.column_stack((piece, np.full(len(piece), z))) for z in (0.0, height)]
-        spec.add_mesh(name=name, uservert=np.concatenate(prism).ravel())
+        # Nobody asks for its inertia; a shell's is the one that exists in small worlds as well.
+        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        spec.add_mesh(name=name, uservert=np.concatenate(prism).ravel(), inertia=shell)
         geom = spec.worldbody.add_geom(
             spec.find_default("region"), name=name, meshname=name, solimp=agent.solimp
         )

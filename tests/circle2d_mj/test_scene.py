@@ -157,6 +157,17 @@ def test_large_arenas_compile(multiplier):
     assert env.observation_space.contains(env.step([1.0, -1.0])[0])
 
 
+@pytest.mark.parametrize("radius", [1e-3, 1e6])
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_slivers_compile(level, radius):
+    """Cut-outs that leave next to nothing of the disc, or of a piece of it."""
+    for height in (2.0, 1.999, 2.0**0.5, 1.41407, 0.051):
+        config = Circle2DConfig(
+            level=level, constraint_radius=radius, corridor_height_factor=height
+        )
+        assert scene(config).compile().nmesh >= 1
+
+
 @pytest.mark.parametrize("radius", [0.9e-3, 1.1e6])
 def test_a_radius_out_of_range_is_refused(radius):
     message = r"constraint_radius must be in \[0.001, 1e\+06\] in the MuJoCo mode, got "
