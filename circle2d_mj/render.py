@@ -60,14 +60,19 @@ class Renderer:
         mujoco.mj_forward(self._model, self._data)
         return self._offscreen.draw(self._data, self._model.camera("top").id)
 
-    def trajectories(self, paths: Sequence[ArrayLike], costs: Sequence[ArrayLike]) -> Picture:
+    def trajectories(
+        self,
+        paths: Sequence[ArrayLike],
+        costs: Sequence[ArrayLike],
+        agent: ArrayLike | None = None,
+    ) -> Picture:
         """Trajectories as blue dots, their chains of consecutive cost steps boxed in orange.
 
-        paths: [T + 1, 2] each, world units, the start first; costs: [T] each.
+        paths: [T + 1, 2] each, world units, the start first; costs: [T] each; agent: where to draw
+        the agent, [2], if anywhere.
         """
-        return self.frame(
-            floor=canvas.with_trajectories(self.background, self.config, paths, costs)
-        )
+        floor = canvas.with_trajectories(self.background, self.config, paths, costs)
+        return self.frame(agent, floor)
 
     def heatmap(self, positions: ArrayLike, cells: int = CELLS) -> Picture:
         """Visited states, from dark blue (one visit) to red (the most), in steps of the logarithm.
