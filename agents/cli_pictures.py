@@ -63,6 +63,7 @@ class SceneOptions:
 
 
 def run_heatmap(args: Sequence[str]) -> int:
+    """`circle2d heatmap`; returns the exit status, as the others do."""
     options = parse(HeatmapOptions, "heatmap", args)
     if not options.part or not set(options.part) <= set(pictures.PARTS):
         raise UserError(f"part must be some of {list(pictures.PARTS)}, got {list(options.part)}")
@@ -78,6 +79,7 @@ def run_heatmap(args: Sequence[str]) -> int:
 
 
 def run_render(args: Sequence[str]) -> int:
+    """`circle2d render`."""
     options = parse(RenderOptions, "render", args)
     _check_size(options.size)
     out = options.out or options.folder / "trajectories.png"
@@ -95,6 +97,7 @@ def run_render(args: Sequence[str]) -> int:
 
 
 def run_scene(args: Sequence[str]) -> int:
+    """`circle2d scene`."""
     options = parse(SceneOptions, "scene", args)
     from circle2d_mj.scene import scene
 

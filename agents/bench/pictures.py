@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,7 +51,7 @@ class Visits(NamedTuple):
 
 
 def visits(folder: Path, config: TrainConfig, part: float, alpha: float) -> Visits:
-    """The states of a part's rollouts that dominate its EMCC, of all runs of a folder.
+    """The states of a part's rollouts that dominate its EMCC, of all runs of a configuration.
 
     part: one of `PARTS`. alpha: the share of rollouts with the highest MCC, those equal to the last
     of them included; 1 takes all. Source: the figures of visited states, which show the rollouts
@@ -89,13 +90,20 @@ def _records(folder: Path) -> EpisodeRecords:
         raise UserError(str(error)) from None
 
 
-def heatmap(folder: Path, parts: Sequence[float], alpha: float, size: int = SIZE) -> Picture:
+def heatmap(
+    folder: Path,
+    parts: Sequence[float],
+    alpha: float,
+    size: int = SIZE,
+    seeds: tuple[int, ...] | None = None,
+) -> Picture:
     """Heat maps of the parts of a training, side by side: [height, width, 3].
 
-    folder: of runs of one algorithm, which are taken together; parts and alpha: see `visits`;
-    size: pixels along the side of each map.
+    folder: of runs of one algorithm, of which those of the seeds (all by default) are taken
+    together; parts and alpha: see `visits`; size: pixels along the side of each map.
     """
     config, task = _circle2d_runs(folder)
+    config = replace(config, seeds=config.seeds if seeds is None else seeds)
     of_parts = [visits(folder, config, part, alpha) for part in parts]
     with _renderer(task, size) as renderer:
         pictures = [renderer.heatmap(of_part.positions) for of_part in of_parts]
@@ -177,17 +185,18 @@ def _renderer(task: Circle2DConfig, size: int) -> Renderer:
         raise UserError(f"no pictures: {error}") from None
 
 
-def draw_heatmaps(out: Path, folders: Sequence[Path], notes: list[str]) -> list[Path]:
-    """Heat maps of the three parts of training of each folder, into `out/pictures`.
+def draw_heatmaps(out: Path, runs: Mapping[Path, tuple[int, ...]], notes: list[str]) -> list[Path]:
+    """Heat maps of the three parts of training, into `out/pictures`, one of each folder's runs.
 
-    Returns the files, relative to `out`; folders that none can be drawn of go into the notes.
+    runs: seeds by folder. Returns the files, relative to `out`; folders that none can be drawn of
+    go into the notes.
     """
     drawn = []
-    for folder in folders:
+    for folder, seeds in runs.items():
         name = "-".join(folder.relative_to(out).parts) or "heatmap"
         path = Path("pictures") / f"{name}.png"
         try:
-            write_picture(out / path, heatmap(folder, list(PARTS), ALPHA))
+            write_picture(out / path, heatmap(folder, list(PARTS), ALPHA, seeds=seeds))
         except UserError as error:
             notes.append(f"no heat map of {folder}: {error}")
         else:

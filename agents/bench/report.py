@@ -54,11 +54,16 @@ def report(folder: Path, with_pictures: bool = False) -> str:
         raise UserError(f"{folder} holds no complete runs" + "".join(f"; {n}" for n in notes))
     tasks = dict.fromkeys(config.task for config, _ in groups)
     tables = [_table([g for g in groups if g[0].task == task]) for task in tasks]
-    drawn = draw_heatmaps(folder, list(configs), notes) if with_pictures else []
+    seeds = {
+        path: tuple(run.seed for run in runs)
+        for path, (_, runs) in zip(configs, groups, strict=True)
+        if runs
+    }
+    drawn = draw_heatmaps(folder, seeds, notes) if with_pictures else []
     tables[-1] = dataclasses.replace(tables[-1], notes=[*tables[-1].notes, *notes])
     markdown = "\n".join(table.render("md") for table in tables)
     images = [f"![Visited states: {path.stem}]({path})" for path in drawn]
-    write_whole(folder / "report.md", "\n\n".join([markdown, *images]))
+    write_whole(folder / "report.md", "\n".join([markdown, *images]))
     write_whole(folder / "report.csv", "\n".join(table.render("csv") for table in tables))
     return markdown
 
