@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -13,6 +13,9 @@ from circle2d_mj.config import Circle2DConfig
 from circle2d_mj.simulation import Outcome, State
 from circle2d_mj.start import StartArea
 from circle2d_mj.streams import Streams
+
+if TYPE_CHECKING:
+    from circle2d_mj.render import Renderer, Window
 
 
 class Dynamics(Protocol):
@@ -68,6 +71,8 @@ class Circle2D:
         bounds = np.array(dynamics.observation_bounds, dtype=np.float32)
         self.observation_space = Box(-bounds, bounds)
         self.action_space = Box(-1.0, 1.0, (2,), np.float32)
+        self._renderer: Renderer | None = None
+        self._window: Window | None = None
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
         """Put the agents `index` somewhere in the start area."""
@@ -92,3 +97,29 @@ class Circle2D:
     def restore(self, state: State) -> None:
         """Take over what `state` returned."""
         self.dynamics.restore(state)
+
+    def frame(self, index: int) -> NDArray[np.uint8]:
+        """The agent `index` in its arena, [640, 640, 3]."""
+        if self._renderer is None:
+            from circle2d_mj.render import Renderer
+
+            self._renderer = Renderer(self.config)
+        return self._renderer.frame(self.dynamics.position[index])
+
+    def show(self, index: int) -> None:
+        """The agent `index` in MuJoCo's viewer."""
+        if self._window is None:
+            from circle2d_mj.render import Window
+
+            self._window = Window(self.config)
+        self._window.show(self.dynamics.position[index])
+
+    def close(self) -> None:
+        """Let go of what `frame` and `show` hold."""
+        for drawer in (self._renderer, self._window):
+            if drawer is not None:
+                drawer.close()
+        self._renderer = self._window = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_renderer": None, "_window": None}  # they cannot be copied

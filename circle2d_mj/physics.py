@@ -98,13 +98,13 @@ class Physics:
         # Each row holds the state before a physics step and the forces during it.
         rows = self._batch.rollout(SUBSTEPS, record=("ncon", "sensordata"))
         self._refresh()
-        forces, distances = rows["sensordata"][..., :3], rows["sensordata"][..., 3]
-        distances = np.column_stack((distances[:, 1:], self._sensors[:, 3]))
+        force, distance = np.split(rows["sensordata"], [3], axis=-1)
+        distance = np.column_stack((distance[:, 1:, 0], self._sensors[:, 3]))
         contacts = np.column_stack((rows["ncon"][:, 1:], self._contacts))
         return {
-            "cost": (contacts > 0).any(axis=1).astype(np.float64),
-            "contact_force": np.linalg.norm(forces, axis=-1).max(axis=1),
-            "penetration": np.maximum(-distances, 0.0).max(axis=1),
+            "cost": np.where(contacts.max(axis=1) > 0, 1.0, 0.0),
+            "contact_force": np.sqrt(np.square(force).sum(axis=-1).max(axis=1)),
+            "penetration": np.maximum(-distance, 0.0).max(axis=1),
         }
 
     def _refresh(self) -> None:

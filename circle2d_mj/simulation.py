@@ -64,6 +64,18 @@ class Simulation(Protocol):
         """Take over what `state` returned."""
         ...
 
+    def frame(self, index: int) -> NDArray[np.uint8]:
+        """A picture of one environment, [height, width, 3]."""
+        ...
+
+    def show(self, index: int) -> None:
+        """Show one environment in a window, opened when it is first called."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what `frame` and `show` hold."""
+        ...
+
 
 def checked_action(action: ArrayLike, shape: tuple[int, ...] | None) -> NDArray[np.float64]:
     """The action as float64. Raises ValueError where it has another shape or is not finite."""

@@ -31,6 +31,7 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
         """Start a new episode."""
         super().reset(seed=seed)
         observation, info = self._envs.reset(seed=seed, options=options)
+        self._show()
         return observation[0], self._floats(info)
 
     def step(
@@ -39,6 +40,7 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
         """Move the agent by its action, [action size]."""
         action = checked_action(action, self.action_space.shape)
         observation, reward, terminated, truncated, info = self._envs.advance(action[None])
+        self._show()
         return (
             observation[0],
             float(reward[0]),
@@ -47,6 +49,17 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
             self._floats(info),
         )
 
+    def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """A picture, [height, width, 3] uint8; None without render_mode "rgb_array"."""
+        if self.render_mode == "rgb_array":
+            return self._envs.simulation.frame(0)
+        self._show()
+        return None
+
+    def close(self) -> None:
+        """Let go of what drawing needed."""
+        self._envs.close()
+
     def state(self) -> State:
         """All that the following steps and resets depend on: see `TaskVectorEnv.state`."""
         return self._envs.state()
@@ -54,6 +67,10 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
     def restore(self, state: State) -> None:
         """Take over what `state` returned."""
         self._envs.restore(state)
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._envs.simulation.show(0)
 
     def _floats(self, info: dict[str, Any]) -> dict[str, float]:
         return {key: float(info[key][0]) for key in self._envs.simulation.info_keys}

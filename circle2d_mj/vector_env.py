@@ -44,7 +44,8 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
-            raise ValueError(f"render_mode must be None or one of {modes}, got {render_mode!r}")
+            valid = f"None or one of {modes} ('human' where there is a screen)"
+            raise ValueError(f"render_mode must be {valid}, got {render_mode!r}")
         self.render_mode = render_mode
         self.single_observation_space = simulation.observation_space
         self.single_action_space = simulation.action_space
@@ -123,6 +124,16 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
             state.pop("stream_counters"),
         )
         self.simulation.restore(state)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """A picture of each environment, [height, width, 3] uint8; None without render_mode."""
+        if self.render_mode is None:
+            return None
+        return tuple(self.simulation.frame(i) for i in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Let go of what drawing needed."""
+        self.simulation.close()
 
     def _reset_finished(self, *results: NDArray) -> None:
         """What follows an episode's last step is a reset: no end, no reward, no cost."""

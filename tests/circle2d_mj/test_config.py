@@ -93,7 +93,7 @@ def test_config_or_parameters_but_not_both():
         ({"num_envs": 2.0}, TypeError, r"num_envs must be an integer, got 2\.0"),
         ({"max_episode_steps": 0}, ValueError, "max_episode_steps must be at least 1"),
         ({"autoreset_mode": "Never"}, ValueError, "Never"),
-        ({"render_mode": "rgb_array"}, ValueError, "render_mode"),
+        ({"render_mode": "ansi"}, ValueError, "render_mode must be None or one of"),
     ],
 )
 def test_vector_arguments(arguments, error, message):

@@ -1,0 +1,139 @@
+"""Off-screen OpenGL for MuJoCo, found late: EGL or OSMesa, without a screen.
+
+MuJoCo settles on a backend when it is imported, and dies there of one that is named but missing.
+Here it is chosen when the first picture is drawn, whatever was imported before.
+"""
+
+# mujoco has no stubs for its enums.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import os
+import platform
+import weakref
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+LIBRARIES = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
+"""What each backend needs, in the order in which they are tried."""
+VARIABLE = "MUJOCO_GL"
+HOW = (
+    "drawing without a screen needs EGL (Debian, Ubuntu: apt-get install libegl1 libopengl0) or "
+    f"OSMesa (apt-get install libosmesa6); {VARIABLE}=egl or {VARIABLE}=osmesa chooses one, and "
+    "unset takes the first that works"
+)
+
+
+class NoOpenGL(RuntimeError):
+    """No way to draw pictures off-screen was found; says what to install and what to set."""
+
+
+def has_screen() -> bool:
+    """Whether a window could be opened."""
+    return platform.system() != "Linux" or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))
+
+
+def check_backend() -> None:
+    """Raise NoOpenGL where MUJOCO_GL names a backend whose library is missing.
+
+    To be called before `import mujoco`, which ends in an AttributeError then.
+    """
+    named = _named()
+    if named in LIBRARIES:
+        _load(named)
+
+
+class Offscreen:
+    """A buffer that a model is drawn into.
+
+    size: width and height of pictures in pixels. Raises NoOpenGL.
+    """
+
+    def __init__(self, model: Any, size: int) -> None:
+        context = _gl_context(size)
+        import mujoco
+
+        self._model, self._context = model, context
+        with context.as_current():
+            self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 10)
+        self._camera, self._option = mujoco.MjvCamera(), mujoco.MjvOption()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._rectangle = mujoco.MjrRect(0, 0, size, size)
+        self._picture = np.empty((size, size, 3), dtype=np.uint8)
+        # Freed at exit too, while the libraries that this needs are still there.
+        self._free = weakref.finalize(self, _free, context, self._mjr)
+
+    def upload(self, texture: int, pixels: NDArray[np.uint8]) -> None:
+        """Replace a texture of the model by pixels, [height, width, 3]."""
+        import mujoco
+
+        start = self._model.tex_adr[texture]
+        self._model.tex_data[start : start + pixels.size] = pixels.reshape(-1)
+        with self._context.as_current():
+            mujoco.mjr_uploadTexture(self._model, self._mjr, texture)
+
+    def draw(self, data: Any, camera: int) -> NDArray[np.uint8]:
+        """What a camera of the model sees: [size, size, 3], its first row on top."""
+        import mujoco
+
+        self._camera.fixedcamid = camera
+        mujoco.mjv_updateScene(
+            self._model,
+            data,
+            self._option,
+            None,
+            self._camera,
+            mujoco.mjtCatBit.mjCAT_ALL,
+            self._scene,
+        )
+        with self._context.as_current():
+            mujoco.mjr_render(self._rectangle, self._scene, self._mjr)
+            mujoco.mjr_readPixels(self._picture, None, self._rectangle, self._mjr)
+        return self._picture[::-1].copy()
+
+    def close(self) -> None:
+        """Free what is held on the graphics side."""
+        self._free()
+
+
+def _free(context: Any, mjr: Any) -> None:
+    with context.as_current():
+        mjr.free()
+    context.free()
+
+
+def _named() -> str:
+    return os.environ.get(VARIABLE, "").lower().strip()
+
+
+def _load(backend: str) -> None:
+    try:
+        ctypes.CDLL(LIBRARIES[backend])
+    except OSError:
+        raise NoOpenGL(f"{LIBRARIES[backend]} is missing: {HOW}") from None
+
+
+def _gl_context(size: int) -> Any:
+    """An OpenGL context of the backend that MUJOCO_GL names, else of the first that works."""
+    named = _named()
+    if platform.system() != "Linux" or named == "glfw":
+        import mujoco
+
+        return mujoco.GLContext(size, size)  # MuJoCo's own choice
+    failures = []
+    for backend in [named] if named in LIBRARIES else LIBRARIES:
+        try:
+            _load(backend)
+            return importlib.import_module(f"mujoco.{backend}").GLContext(size, size)
+        except NoOpenGL:
+            failures.append(f"{backend}: {LIBRARIES[backend]} is missing")
+        except Exception as error:  # whatever a driver may meet
+            failures.append(f"{backend}: {error}")
+    raise NoOpenGL(f"{HOW}. Tried {'; '.join(failures)}")

@@ -1,0 +1,153 @@
+"""Pictures of Circle2D from above, drawn by MuJoCo off-screen: see `circle2d_mj.gl`."""
+
+# mujoco has no stubs for its enums.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from circle2d_mj import canvas
+from circle2d_mj.canvas import Picture
+from circle2d_mj.config import Circle2DConfig
+from circle2d_mj.gl import Offscreen, check_backend
+
+SIZE = 640
+CELLS = 160
+
+
+class Renderer:
+    """Draws a task: frames, trajectories, heat maps, each [size, size, 3] uint8.
+
+    size: pixels along each side of the arena. What is painted on the floor is a texture of the
+    scene; the agent is its ball. A context manager; `close` frees what it holds. Raises
+    `circle2d_mj.gl.NoOpenGL` where nothing can draw off-screen, with what to do about it.
+    """
+
+    def __init__(self, config: Circle2DConfig, size: int = SIZE) -> None:
+        check_backend()
+        import mujoco
+
+        self.config, self.size = config, size
+        self.background = canvas.background(config, size)
+        self._model = _model(config, size)
+        self._data = mujoco.MjData(self._model)
+        self._agent = self._model.geom("agent").id
+        self._offscreen = Offscreen(self._model, size)
+        self._floor = self.background
+        self._offscreen.upload(0, self._floor)
+
+    def frame(self, position: ArrayLike | None = None, floor: Picture | None = None) -> Picture:
+        """The task with the agent at `position`, [2] world units, or without it.
+
+        floor: what to paint on the floor, [size, size, 3]; by default the task's background.
+        """
+        import mujoco
+
+        floor = self.background if floor is None else floor
+        if floor is not self._floor:
+            self._offscreen.upload(0, floor)
+            self._floor = floor
+        self._model.geom_rgba[self._agent, 3] = position is not None
+        if position is not None:
+            self._data.qpos[:] = position
+        mujoco.mj_forward(self._model, self._data)
+        return self._offscreen.draw(self._data, self._model.camera("top").id)
+
+    def trajectories(
+        self,
+        paths: Sequence[ArrayLike],
+        costs: Sequence[ArrayLike],
+        agent: ArrayLike | None = None,
+    ) -> Picture:
+        """Trajectories as blue dots, their chains of consecutive cost steps boxed in orange.
+
+        paths: [T + 1, 2] each, world units, the start first; costs: [T] each; agent: where to draw
+        the agent, [2], if anywhere.
+        """
+        floor = canvas.with_trajectories(self.background, self.config, paths, costs)
+        return self.frame(agent, floor)
+
+    def heatmap(self, positions: ArrayLike, cells: int = CELLS) -> Picture:
+        """Visited states, from dark blue (one visit) to red (the most), in steps of the logarithm.
+
+        positions: [N, 2] world units; cells: along each side of the arena.
+        """
+        heat, _ = canvas.with_heat(self.background, self.config, positions, cells)
+        return self.frame(floor=heat)
+
+    def close(self) -> None:
+        """Free what is held on the graphics side."""
+        self._offscreen.close()
+
+    def __enter__(self) -> Renderer:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+class Window:
+    """MuJoCo's viewer on a task, in real time: a step takes 0.1 s."""
+
+    def __init__(self, config: Circle2DConfig) -> None:
+        import mujoco
+        import mujoco.viewer
+
+        from circle2d_mj.scene import SUBSTEPS, scene
+
+        model = scene(config).compile()
+        self._step_time = SUBSTEPS * model.opt.timestep
+        self._data = mujoco.MjData(model)
+        before = set(threading.enumerate())
+        self._viewer = mujoco.viewer.launch_passive(model, self._data)
+        self._threads = set(threading.enumerate()) - before
+        self._shown = time.monotonic()
+
+    def show(self, position: NDArray[np.float64]) -> None:
+        """The agent at `position`, [2] world units; returns when its step is over."""
+        import mujoco
+
+        with self._viewer.lock():
+            self._data.qpos[:] = position
+            mujoco.mj_forward(self._viewer.m, self._data)
+        self._viewer.sync()
+        time.sleep(max(self._shown + self._step_time - time.monotonic(), 0.0))
+        self._shown = time.monotonic()
+
+    def close(self) -> None:
+        """Close the window."""
+        self._viewer.close()
+        for thread in self._threads:
+            thread.join(timeout=5.0)  # a program that ends before it does crashes
+
+
+def _model(config: Circle2DConfig, size: int) -> Any:
+    """The scene without the region's prisms: the region is painted on the floor instead."""
+    import mujoco
+
+    from circle2d_mj.scene import scene
+
+    spec = scene(config, with_region=False)
+    spec.visual.global_.offwidth = spec.visual.global_.offheight = size
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [1, 1, 1], [0, 0, 0]
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        width=size,
+        height=size,
+    )
+    material = spec.add_material(name="floor")
+    textures = material.textures
+    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    material.textures = textures
+    floor = spec.geom("floor")
+    floor.material, floor.rgba = "floor", [1, 1, 1, 1]
+    return spec.compile()
