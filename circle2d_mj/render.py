@@ -150,4 +150,6 @@ def _model(config: Circle2DConfig, size: int) -> Any:
     material.textures = textures
     floor = spec.geom("floor")
     floor.material, floor.rgba = "floor", [1, 1, 1, 1]
-    return spec.compile()
+    model = spec.compile()
+    model.cam_fovy[model.camera("top").id] = 2 * config.arena  # see `scene`
+    return model
