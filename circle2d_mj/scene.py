@@ -79,7 +79,8 @@ def _scale(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
     agent.size = np.array(agent.size) * scale
     body = spec.body("agent")
     body.pos = [0.0, 0.0, HEIGHT * config.constraint_radius / 2]
-    top.pos, top.fovy = [0.0, 0.0, 2 * config.constraint_radius], 2 * arena
+    # MuJoCo takes this height of view, though a length, for an angle: less than 180.
+    top.pos, top.fovy = [0.0, 0.0, 2 * config.constraint_radius], min(2 * arena, 179.0)
     for joint in spec.joints:
         joint.range = [-arena, arena]
         joint.solimp_limit[2] *= scale  # a width, as the next one
