@@ -79,6 +79,7 @@ class Renderer:
 
         positions: [N, 2] world units; cells: along each side of the arena.
         """
+        cells = positive_integer("cells", cells)
         heat, _ = canvas.with_heat(self.background, self.config, positions, cells)
         return self.frame(floor=heat)
 
