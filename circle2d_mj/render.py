@@ -165,6 +165,7 @@ def _model(config: Circle2DConfig, size: int) -> Any:
     floor.size = [1, 1, 0.1]
     spec.stat.extent, spec.stat.center = 2, [0, 0, 0]
     spec.visual.global_.offwidth = spec.visual.global_.offheight = size
+    spec.visual.quality.shadowsize = 0  # there are none, but their buffer would take 64 MB
     spec.add_texture(
         name="floor",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
