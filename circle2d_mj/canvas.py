@@ -47,7 +47,7 @@ def background(config: Circle2DConfig, size: int) -> Picture:
         ring *= 2
     distance = np.hypot(x - config.optima_perturbation[0], y - config.optima_perturbation[1])
     line = 0.6 * 2 * config.arena / size  # half of 1.2 pixels
-    on_ring = (np.abs(distance - ring * np.round(distance / ring)) < line) & (distance > line)
+    on_ring = np.abs(distance - ring * np.round(distance / ring)) < line
     image[on_ring] *= RING_SHADE
     painted = Image.fromarray(np.round(image).astype(np.uint8))
     column, row = pixels(config, config.optima_perturbation, fine)

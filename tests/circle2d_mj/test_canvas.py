@@ -247,6 +247,11 @@ def test_a_dot_at_each_state():
             assert len(near) > 30
             assert np.abs(near.mean(axis=0) + 0.5 - (row - r + 7, column - c + 7)).max() < 1
     assert dots.sum() < 21 * 60  # one state is common to both
+    between = (PATH[1:] + PATH[:-1]) / 2
+    for column, row in ((between * (1, -1) + 15) * 4 * SIZE / 30).astype(int):
+        assert painted_like(
+            image[row - 1 : row + 2, column - 1 : column + 2], canvas.LINE, 60
+        ).any()
     assert not boxes(image)
     assert (large == 252).all()
 
