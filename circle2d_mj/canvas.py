@@ -15,7 +15,8 @@ from circle2d_mj.config import Circle2DConfig
 
 Picture = NDArray[np.uint8]
 
-FREE, REGION, START = (252, 252, 252), (190, 190, 190), (222, 238, 218)
+FREE, REGION = (252, 252, 252), (190, 190, 190)
+START, START_IN_REGION = (222, 238, 218), (166, 190, 160)
 CROSS, DOT, LINE, BOX = (20, 20, 20), (28, 84, 200), (140, 170, 225), (240, 130, 10)
 RING_SHADE = 0.82
 """How much darker the circles of equal reward are than what lies below them."""
@@ -28,8 +29,8 @@ _FINER = 2
 
 
 def background(config: Circle2DConfig, size: int) -> Picture:
-    """The task: the region grey, the start area green, circles of equal reward every R/4, and an X
-    on the optimum."""
+    """The task: the region grey, the start area green, circles of equal reward every R/4, in wide
+    arenas R/2, R and so on, and an X on the optimum."""
     fine = size * _FINER
     axis = (np.arange(fine) + 0.5) / fine * 2 - 1
     x, y = np.meshgrid(axis * config.arena, -axis * config.arena)
@@ -40,11 +41,13 @@ def background(config: Circle2DConfig, size: int) -> Picture:
     if not config.allow_infeasible_init:
         starts &= ~inside
     image = np.where(inside[..., None], REGION, FREE).astype(np.float64)
-    image[starts] = np.where(inside[starts, None], REGION, START)
+    image[starts] = np.where(inside[starts, None], START_IN_REGION, START)
     ring = config.constraint_radius / 4
+    while ring * size < 16 * config.arena:  # closer than 8 pixels they would look like one shade
+        ring *= 2
     distance = np.hypot(x - config.optima_perturbation[0], y - config.optima_perturbation[1])
     line = 0.6 * 2 * config.arena / size  # half of 1.2 pixels
-    on_ring = (np.abs(distance - ring * np.round(distance / ring)) < line) & (distance > line)
+    on_ring = np.abs(distance - ring * np.round(distance / ring)) < line
     image[on_ring] *= RING_SHADE
     painted = Image.fromarray(np.round(image).astype(np.uint8))
     column, row = pixels(config, config.optima_perturbation, fine)
@@ -66,19 +69,18 @@ def with_trajectories(
     of consecutive cost steps.
 
     paths: [T + 1, 2] each, world units, the start first; costs: [T] each, those of the steps.
-    Source: the figure of two trajectories with equal costs. ValueError where the lengths of a path
-    and its costs do not fit.
+    Source: the figure of two trajectories with equal costs. ValueError where paths and costs do not
+    fit together or are not finite.
     """
+    if len(paths) != len(costs):
+        raise ValueError(f"{len(paths)} paths need as many rows of costs, got {len(costs)}")
     fine = len(image) * _FINER
     painted = Image.fromarray(image).resize((fine, fine), Image.Resampling.NEAREST)
     draw = ImageDraw.Draw(painted)
     dot, line = fine / 160, max(fine // 500, 1)
-    lines = [pixels(config, path, fine) for path in paths]
-    for at, of_path in zip(lines, costs, strict=True):
-        if np.shape(of_path) != (len(at) - 1,):
-            raise ValueError(
-                f"a path of {len(at)} states needs {len(at) - 1} costs, got {np.shape(of_path)}"
-            )
+    checked = [_checked(*given) for given in zip(paths, costs, strict=True)]
+    lines = [pixels(config, path, fine) for path in checked]
+    for at in lines:
         draw.line([tuple(p) for p in at.tolist()], fill=LINE, width=line)
     for at in lines:
         for column, row in at.tolist():
@@ -90,6 +92,20 @@ def with_trajectories(
             corners = (*(low - 2.2 * dot), *(high + 2.2 * dot))
             draw.rectangle(corners, outline=BOX, width=3 * line)
     return np.asarray(painted.reduce(_FINER))
+
+
+def _checked(path: ArrayLike, costs: ArrayLike) -> NDArray[np.float64]:
+    points, of_steps = np.asarray(path, dtype=np.float64), np.asarray(costs, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or not len(points):
+        raise ValueError(f"a path must have shape [T + 1, 2], got {list(points.shape)}")
+    steps = len(points) - 1
+    if of_steps.shape != (steps,):
+        raise ValueError(
+            f"a path of {len(points)} states needs {steps} costs, got {list(of_steps.shape)}"
+        )
+    if not (np.isfinite(points).all() and np.isfinite(of_steps).all()):
+        raise ValueError("paths and costs must be finite")
+    return points
 
 
 def with_heat(

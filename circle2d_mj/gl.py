@@ -9,11 +9,15 @@ Here it is chosen when the first picture is drawn, whatever was imported before.
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import ctypes
 import importlib
 import os
 import platform
+import sys
 import weakref
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -22,6 +26,8 @@ from numpy.typing import NDArray
 LIBRARIES = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
 """What each backend needs, in the order in which they are tried."""
 VARIABLE = "MUJOCO_GL"
+# Set by MuJoCo to the backend that PyOpenGL, once imported, stays with.
+_BOUND = "PYOPENGL_PLATFORM"
 HOW = (
     "drawing without a screen needs EGL (Debian, Ubuntu: apt-get install libegl1 libopengl0) or "
     f"OSMesa (apt-get install libosmesa6); {VARIABLE}=egl or {VARIABLE}=osmesa chooses one, and "
@@ -51,7 +57,7 @@ def check_backend() -> None:
 class Offscreen:
     """A buffer that a model is drawn into.
 
-    size: width and height of pictures in pixels. Raises NoOpenGL.
+    size: width and height of pictures in pixels. Raises NoOpenGL, and RuntimeError once closed.
     """
 
     def __init__(self, model: Any, size: int) -> None:
@@ -59,30 +65,38 @@ class Offscreen:
         import mujoco
 
         self._model, self._context = model, context
-        with context.as_current():
-            self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
+        try:
+            with _current(context):
+                self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+                mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
+        except mujoco.FatalError as error:  # glfw without a screen gets as far as this
+            raise NoOpenGL(f"{HOW}. MuJoCo says: {error}") from None
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 10)
         self._camera, self._option = mujoco.MjvCamera(), mujoco.MjvOption()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._rectangle = mujoco.MjrRect(0, 0, size, size)
         self._picture = np.empty((size, size, 3), dtype=np.uint8)
-        # Freed at exit too, while the libraries that this needs are still there.
         self._free = weakref.finalize(self, _free, context, self._mjr)
+        # At exit too, but before MuJoCo lets go of EGL, as it registered just now: finalizers
+        # all run when the first of them was made, perhaps by another package long before.
+        self._free.atexit = False
+        atexit.register(self._free)
 
     def upload(self, texture: int, pixels: NDArray[np.uint8]) -> None:
         """Replace a texture of the model by pixels, [height, width, 3]."""
         import mujoco
 
+        self._check_open()
         start = self._model.tex_adr[texture]
         self._model.tex_data[start : start + pixels.size] = pixels.reshape(-1)
-        with self._context.as_current():
+        with _current(self._context):
             mujoco.mjr_uploadTexture(self._model, self._mjr, texture)
 
     def draw(self, data: Any, camera: int) -> NDArray[np.uint8]:
         """What a camera of the model sees: [size, size, 3], its first row on top."""
         import mujoco
 
+        self._check_open()
         self._camera.fixedcamid = camera
         mujoco.mjv_updateScene(
             self._model,
@@ -93,7 +107,7 @@ class Offscreen:
             mujoco.mjtCatBit.mjCAT_ALL,
             self._scene,
         )
-        with self._context.as_current():
+        with _current(self._context):
             mujoco.mjr_render(self._rectangle, self._scene, self._mjr)
             mujoco.mjr_readPixels(self._picture, None, self._rectangle, self._mjr)
         return self._picture[::-1].copy()
@@ -101,10 +115,26 @@ class Offscreen:
     def close(self) -> None:
         """Free what is held on the graphics side."""
         self._free()
+        atexit.unregister(self._free)
+
+    def _check_open(self) -> None:
+        if not self._free.alive:
+            raise RuntimeError("the renderer is closed")
+
+
+@contextlib.contextmanager
+def _current(context: Any) -> Iterator[None]:
+    """The context made current, and the one before it again, where MuJoCo can (4.0)."""
+    if hasattr(context, "as_current"):
+        with context.as_current():
+            yield
+    else:
+        context.make_current()
+        yield
 
 
 def _free(context: Any, mjr: Any) -> None:
-    with context.as_current():
+    with _current(context):
         mjr.free()
     context.free()
 
@@ -129,11 +159,26 @@ def _gl_context(size: int) -> Any:
         return mujoco.GLContext(size, size)  # MuJoCo's own choice
     failures = []
     for backend in [named] if named in LIBRARIES else LIBRARIES:
+        modules, bound = set(sys.modules), os.environ.get(_BOUND)
         try:
             _load(backend)
-            return importlib.import_module(f"mujoco.{backend}").GLContext(size, size)
+            context = importlib.import_module(f"mujoco.{backend}").GLContext(size, size)
         except NoOpenGL:
             failures.append(f"{backend}: {LIBRARIES[backend]} is missing")
         except Exception as error:  # whatever a driver may meet
             failures.append(f"{backend}: {error}")
+            _unbind(modules, bound)
+        else:
+            if failures:  # MuJoCo, looking for OpenGL's functions, would again begin with EGL
+                os.environ[VARIABLE] = backend
+            return context
     raise NoOpenGL(f"{HOW}. Tried {'; '.join(failures)}")
+
+
+def _unbind(modules: set[str], bound: str | None) -> None:
+    """Forget the OpenGL modules beyond `modules`: they are bound to a backend that failed."""
+    for name in set(sys.modules) - modules:
+        if name.startswith(("OpenGL", "mujoco.egl", "mujoco.osmesa")):
+            del sys.modules[name]
+    if bound is None:
+        os.environ.pop(_BOUND, None)

@@ -20,9 +20,6 @@ from circle2d_mj.scene import SUBSTEPS, Actuation, scene
 from circle2d_mj.simulation import State, positive_integer
 from circle2d_mj.start import StartArea
 
-# What mjSTATE_INTEGRATION holds of a model without plug-ins, mocap bodies and the like, in order.
-_STATE = ("time", "qpos", "qvel", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied")
-
 
 class Physics:
     """`num_envs` balls, each in a world of its own, on one model that is compiled once.
@@ -54,7 +51,6 @@ class Physics:
         self._without_contacts = copy.copy(self.model)
         self._without_contacts.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self._batch = Batch(self.model, num_envs, self.num_threads)
-        self._state = [self._batch.bind(name) for name in _STATE]
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
         self._contacts, self._sensors = self._batch.bind("ncon"), self._batch.bind("sensordata")
@@ -67,8 +63,7 @@ class Physics:
 
     def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
         """Put the agents `index` at rest at `position`, [len(index), 2]."""
-        for of_state in self._state:
-            of_state[index] = 0.0
+        self._batch.state[index] = 0.0
         self._qpos[index] = position
 
     def step(self, action: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
@@ -118,16 +113,11 @@ class Physics:
 
     def state(self) -> State:
         """MuJoCo's whole state, `mjSTATE_INTEGRATION`: [num_envs, mj_stateSize]."""
-        columns = [of_state.reshape(self.num_envs, -1) for of_state in self._state]
-        return {"mujoco": np.concatenate(columns, axis=1)}
+        return {"mujoco": self._batch.state.copy()}
 
     def restore(self, state: State) -> None:
         """Take over what `state` returned."""
-        taken = 0
-        for of_state in self._state:
-            size = of_state[0].size
-            of_state[:] = state["mujoco"][:, taken : taken + size].reshape(of_state.shape)
-            taken += size
+        self._batch.state[:] = state["mujoco"]
 
     def __getstate__(self) -> dict[str, Any]:
         arguments = (self.config, self.num_envs, self.actuation, self.num_threads)

@@ -14,12 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from circle2d_mj import canvas
+from circle2d_mj.assets import asset
 from circle2d_mj.canvas import Picture
 from circle2d_mj.config import Circle2DConfig
 from circle2d_mj.gl import Offscreen, check_backend
+from circle2d_mj.simulation import positive_integer
 
 SIZE = 640
 CELLS = 160
+LEAST_BALL = 2.5
+"""Radius in pixels that the agent has at least: in a wide arena its body would be invisible."""
 
 
 class Renderer:
@@ -31,6 +35,7 @@ class Renderer:
     """
 
     def __init__(self, config: Circle2DConfig, size: int = SIZE) -> None:
+        size = positive_integer("size", size)
         check_backend()
         import mujoco
 
@@ -40,23 +45,23 @@ class Renderer:
         self._data = mujoco.MjData(self._model)
         self._agent = self._model.geom("agent").id
         self._offscreen = Offscreen(self._model, size)
-        self._floor = self.background
-        self._offscreen.upload(0, self._floor)
+        self._offscreen.upload(0, self.background)
+        self._painted = False  # whether the floor shows anything but the background
 
     def frame(self, position: ArrayLike | None = None, floor: Picture | None = None) -> Picture:
         """The task with the agent at `position`, [2] world units, or without it.
 
-        floor: what to paint on the floor, [size, size, 3]; by default the task's background.
+        floor: what to paint on the floor, [size, size, 3] uint8; by default the task's background.
+        ValueError where either is something else.
         """
         import mujoco
 
-        floor = self.background if floor is None else floor
-        if floor is not self._floor:
-            self._offscreen.upload(0, floor)
-            self._floor = floor
-        self._model.geom_rgba[self._agent, 3] = position is not None
         if position is not None:
-            self._data.qpos[:] = position
+            self._data.qpos[:] = _checked(position) / self.config.arena
+        if floor is not None or self._painted:
+            self._offscreen.upload(0, self.background if floor is None else self._fitting(floor))
+            self._painted = floor is not None
+        self._model.geom_rgba[self._agent, 3] = position is not None
         mujoco.mj_forward(self._model, self._data)
         return self._offscreen.draw(self._data, self._model.camera("top").id)
 
@@ -79,12 +84,21 @@ class Renderer:
 
         positions: [N, 2] world units; cells: along each side of the arena.
         """
+        cells = positive_integer("cells", cells)
         heat, _ = canvas.with_heat(self.background, self.config, positions, cells)
         return self.frame(floor=heat)
 
     def close(self) -> None:
         """Free what is held on the graphics side."""
         self._offscreen.close()
+
+    def _fitting(self, floor: Picture) -> Picture:
+        if floor.shape != self.background.shape or floor.dtype != np.uint8:
+            raise ValueError(
+                f"floor must be a picture {list(self.background.shape)} uint8, "
+                f"got {list(floor.shape)} {floor.dtype}"
+            )
+        return floor
 
     def __enter__(self) -> Renderer:
         return self
@@ -128,15 +142,37 @@ class Window:
             thread.join(timeout=5.0)  # a program that ends before it does crashes
 
 
+def _checked(position: ArrayLike) -> NDArray[np.float64]:
+    try:
+        values = np.asarray(position, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (2,) or not np.isfinite(values).all():
+        raise ValueError(f"position must be two finite numbers, got {position!r}")
+    return values
+
+
 def _model(config: Circle2DConfig, size: int) -> Any:
-    """The scene without the region's prisms: the region is painted on the floor instead."""
+    """The base scene with a texture on its floor, where the region is painted.
+
+    In units of the arena's half-width, so that it holds any task, those included that are too
+    large, small or narrow for the physics.
+    """
     import mujoco
 
-    from circle2d_mj.scene import scene
+    from circle2d_mj.scene import BASE, BASE_RADIUS
 
-    spec = scene(config, with_region=False)
+    spec = mujoco.MjSpec.from_file(str(asset(BASE)))
+    floor, agent, top = spec.geom("floor"), spec.geom("agent"), spec.camera("top")
+    body = agent.size[0] / (BASE_RADIUS * config.init_radius_multiplier)
+    agent.size = [max(body, LEAST_BALL * 2 / size), 0, 0]
+    top.pos, top.fovy = [0, 0, 2], 2
+    floor.size = [1, 1, 0.1]
+    spec.stat.extent, spec.stat.center = 2, [0, 0, 0]
     spec.visual.global_.offwidth = spec.visual.global_.offheight = size
+    # Flat light: what is painted shows in its own colours.
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [1, 1, 1], [0, 0, 0]
+    spec.visual.quality.shadowsize = 0  # there are none, but their buffer would take 64 MB
     spec.add_texture(
         name="floor",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -148,8 +184,5 @@ def _model(config: Circle2DConfig, size: int) -> Any:
     textures = material.textures
     textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
     material.textures = textures
-    floor = spec.geom("floor")
     floor.material, floor.rgba = "floor", [1, 1, 1, 1]
-    model = spec.compile()
-    model.cam_fovy[model.camera("top").id] = 2 * config.arena  # see `scene`
-    return model
+    return spec.compile()

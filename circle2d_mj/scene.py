@@ -25,8 +25,7 @@ HEIGHT = 0.1
 """Of the prisms, as a multiple of R; the ball moves at half of it, so it touches sides alone."""
 # Radii for which lengths, their squares and MuJoCo's float32 meshes keep their digits.
 _RADII = (1e-3, 1e6)
-# MuJoCo compiles no camera of 180 or more, though the top one's is a length: whoever draws a larger
-# arena has to set `model.cam_fovy`.
+# MuJoCo takes the height that the top camera sees, a length, for an angle: below 180.
 _MAX_FOVY = 179.0
 # A contact is found within margin + gap, and its force sets in at the margin: so far inside the
 # region as never to be reached (and no farther: XML keeps six digits of their sum).

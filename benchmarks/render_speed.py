@@ -1,0 +1,103 @@
+"""Milliseconds of pictures without a screen, by EGL and by OSMesa, one core.
+
+python benchmarks/render_speed.py
+
+Each backend is measured in a process of its own, in turns. The yardstick is a frame of gymnasium's
+own Reacher-v5 at its default size, by the same backend.
+"""
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+VISITS, STATES, EPISODE = 1_000_000, 10_000, 50
+TURNS, REPEATS = 5, 5
+# numpy's threads, and those of Mesa's llvmpipe.
+ONE_CORE = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
+
+
+def milliseconds(call, repeats=1):
+    """The median of some calls."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        times.append(1e3 * (time.perf_counter() - start))
+    return statistics.median(times)
+
+
+def walks(config, episodes):
+    """Random walks from the right edge inwards: [episodes, EPISODE + 1, 2], and their costs."""
+    rng = np.random.default_rng(0)
+    steps = rng.normal((-0.3, 0.0), 0.8, (episodes, EPISODE, 2))
+    starts = np.tile((12.0, 0.0), (episodes, 1, 1))
+    paths = np.clip(np.concatenate((starts, steps), axis=1).cumsum(axis=1), -15.0, 15.0)
+    return paths, config.region.contains(paths[:, 1:]).astype(float)
+
+
+def measure():
+    """One turn of the backend that MUJOCO_GL names: name -> milliseconds."""
+    from circle2d_mj import Circle2DConfig
+    from circle2d_mj.render import Renderer
+
+    config = Circle2DConfig(level=3)
+    visited = walks(config, VISITS // EPISODE)[0][:, 1:].reshape(-1, 2)
+    paths, costs = walks(config, STATES // EPISODE)
+    start = time.perf_counter()
+    renderer = Renderer(config)
+    times = {"new renderer": 1e3 * (time.perf_counter() - start)}
+    times["heat map of 1 000 000 states, the first"] = milliseconds(
+        lambda: renderer.heatmap(visited)
+    )
+    times["heat map of 1 000 000 states, each further one"] = milliseconds(
+        lambda: renderer.heatmap(visited), REPEATS
+    )
+    times["trajectories of 10 000 states"] = milliseconds(
+        lambda: renderer.trajectories(paths, costs), REPEATS
+    )
+    renderer.frame()
+    times["frame, 640 x 640"] = milliseconds(lambda: renderer.frame((5.0, 3.0)), 4 * REPEATS)
+    return times | yardstick()
+
+
+def yardstick():
+    """A frame of gymnasium's Reacher-v5, 480 x 480."""
+    import gymnasium as gym
+
+    env = gym.make("Reacher-v5", render_mode="rgb_array")
+    env.reset(seed=0)
+    env.render()
+    times = {"gymnasium's Reacher-v5, a frame, 480 x 480": milliseconds(env.render, 4 * REPEATS)}
+    env.close()
+    return times
+
+
+def main():
+    """Measure both backends in turns and print the medians."""
+    backends = ("egl", "osmesa")
+    turns = {backend: [] for backend in backends}
+    for _ in range(TURNS):
+        for backend in backends:
+            done = subprocess.run(
+                [sys.executable, __file__, "--turn"],
+                env=os.environ | ONE_CORE | {"MUJOCO_GL": backend},
+                check=True,
+                capture_output=True,
+            )
+            turns[backend].append(json.loads(done.stdout))
+    print(f"| milliseconds, median of {TURNS} processes | EGL | OSMesa |\n| --- | --- | --- |")
+    for name in turns["egl"][0]:
+        medians = (statistics.median(turn[name] for turn in turns[b]) for b in backends)
+        print(f"| {name} | {' | '.join(f'{value:.0f}' for value in medians)} |")
+
+
+if __name__ == "__main__":
+    if "--turn" in sys.argv:
+        print(json.dumps(measure()))
+    else:
+        main()
