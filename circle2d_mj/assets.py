@@ -1,0 +1,25 @@
+"""Where the files that are shipped with the package lie."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+# A wheel holds them inside the package, a checkout beside it.
+_FOLDERS = (Path(__file__).parent / "assets", Path(__file__).parents[1] / "assets")
+
+
+def asset(name: str) -> Path:
+    """The path of a shipped file, as in `asset("xml/circle2d.xml")`.
+
+    Raises FileNotFoundError for a name that is not shipped, with those that are.
+    """
+    for folder in _FOLDERS:
+        if (folder / name).is_file():
+            return folder / name
+    shipped = sorted(
+        path.relative_to(folder).as_posix()
+        for folder in _FOLDERS
+        for path in folder.rglob("*")
+        if path.is_file()
+    )
+    raise FileNotFoundError(f"no asset {name!r}; there are {shipped}")
