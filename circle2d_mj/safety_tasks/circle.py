@@ -69,6 +69,6 @@ class SafetyPointCircle(MuJoCoTask):
 
     def observe(self) -> NDArray[np.float64]:
         """What the agents see: [num_envs, 28]."""
-        position, heading = self.qpos[:, :2], self.qpos[:, 2]
-        seen = rules.lidar(position, heading, self._centre, rules.CIRCLE_LIDAR_REACH)
-        return np.concatenate((self.sensors, seen), axis=1)
+        seen = rules.sight(self.qpos[:, :2], self._centre)
+        lidar = rules.lidar(seen, self.qpos[:, 2], rules.CIRCLE_LIDAR_REACH)
+        return np.concatenate((self.sensors, lidar), axis=1)

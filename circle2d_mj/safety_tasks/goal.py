@@ -21,7 +21,7 @@ OUT_OF_REACH = 0.4
 AT_REST = 1e-8
 """m/s and rad/s: a vase slower than this stands."""
 
-# Columns of the distances from the agent to everything else.
+# What the agent sees: everything else.
 _GOAL, _HAZARDS, _VASE = 0, slice(1, 9), 9
 _LIDAR_OF_TARGET = np.array((0, *[1] * 8, 2))
 _GEOMS = {"goal": layout.GOAL, **{f"hazard{i}": layout.HAZARDS.start + i for i in range(8)}}
@@ -55,7 +55,7 @@ class SafetyPointGoal(MuJoCoTask):
         self._disabled = self.batch.expand("opt.disableflags")
         # Where everything is now, m: [num_envs, 11, 2]; see `layout`.
         self._places = np.zeros((self.num_envs, len(layout.KEEPOUT), 2))
-        self._measure()
+        self._look()
         # New goals are drawn in the middle of an episode, from streams which `start` seeds.
         self._goals = Streams(np.zeros(self.num_envs, dtype=np.uint64))
 
@@ -77,12 +77,12 @@ class SafetyPointGoal(MuJoCoTask):
 
     def step(self, action: NDArray[np.float64]) -> Outcome:
         """Move all agents by their actions, [num_envs, 2], and the goals that they reach."""
-        before = self._distance[:, _GOAL]
+        before = self._seen.distance[:, _GOAL]
         self._move(np.minimum(np.maximum(action, -1.0), 1.0))
-        after = self._distance[:, _GOAL]
+        after = self._seen.distance[:, _GOAL]
         reward = rules.goal_reward(before, after)
         met = rules.goal_met(after)
-        cost = rules.goal_cost(self._distance[:, _HAZARDS])
+        cost = rules.goal_cost(self._seen.distance[:, _HAZARDS])
         terminated = np.zeros(self.num_envs, dtype=bool)
         if met.any():
             terminated[met] = ~self._move_goals(np.flatnonzero(met))
@@ -90,10 +90,9 @@ class SafetyPointGoal(MuJoCoTask):
 
     def observe(self) -> NDArray[np.float64]:
         """What the agents see: [num_envs, 60]."""
-        position, heading, targets = self.qpos[:, :2], self.qpos[:, 2], self._places[:, 1:]
-        reach = rules.GOAL_LIDAR_REACH
-        seen = rules.lidar(position, heading, targets, reach, _LIDAR_OF_TARGET)
-        return np.concatenate((self.sensors, seen), axis=1)
+        heading, reach = self.qpos[:, 2], rules.GOAL_LIDAR_REACH
+        lidars = rules.lidar(self._seen, heading, reach, _LIDAR_OF_TARGET)
+        return np.concatenate((self.sensors, lidars), axis=1)
 
     def state(self) -> State:
         """All that steps depend on."""
@@ -104,7 +103,7 @@ class SafetyPointGoal(MuJoCoTask):
         """Take over what `state` returned."""
         super().restore(state)
         self._places[:] = state["places"]
-        self._measure()
+        self._look()
         self._goals.keys[:] = state["goal_keys"]
         self._goals.counters[:] = state["goal_counters"]
 
@@ -121,7 +120,7 @@ class SafetyPointGoal(MuJoCoTask):
     def _move(self, control: NDArray[np.float64]) -> None:
         speed = np.abs(self.qvel[:, 3:]).max(axis=1)
         # At the start it is 0 exactly, and the vase has yet to settle, by some micrometres.
-        stands = (speed > 0.0) & (speed < AT_REST) & (self._distance[:, _VASE] > OUT_OF_REACH)
+        stands = (speed > 0.0) & (speed < AT_REST) & (self._seen.distance[:, _VASE] > OUT_OF_REACH)
         self._disabled[:] = stands * models.NO_CONTACTS
         qpos, qvel = self.qpos[:, 3:].copy(), self.qvel[:, 3:].copy()
         self.advance(control)
@@ -129,14 +128,14 @@ class SafetyPointGoal(MuJoCoTask):
         np.copyto(self.qvel[:, 3:], qvel, where=stands[:, None])
         self._places[:, layout.AGENT] = self.qpos[:, :2]
         self._places[:, layout.VASE] = self.qpos[:, 3:5]
-        self._measure()
+        self._look()
 
     def _move_goals(self, index: NDArray[np.intp]) -> NDArray[np.bool_]:
         """New goals in the environments `index`; whether there was a place: [len(index)]."""
         goal, found = layout.sample_goal(self._goals, index, self._places[index])
         self._places[index, layout.GOAL] = goal
-        self._measure()
+        self._look()
         return found
 
-    def _measure(self) -> None:
-        self._distance = rules.distance(self._places[:, layout.AGENT], self._places[:, 1:])
+    def _look(self) -> None:
+        self._seen = rules.sight(self._places[:, layout.AGENT], self._places[:, 1:])

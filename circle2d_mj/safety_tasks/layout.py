@@ -96,21 +96,23 @@ def _first_free(
     points: the first block of them, in units of half_width, [n, block, 2]; others: [n, k, 2];
     apart: [k], distances to keep -> [n, 2] (the first point where none is free), and bool [n].
     """
-    n = len(index)
-    place, found = np.empty((n, 2)), np.zeros(n, dtype=bool)
-    waiting = np.arange(n)
-    for _ in range(tries // _BLOCK):
-        points = points * half_width
-        dx = points[..., None, 0] - others[waiting, None, :, 0]
-        dy = points[..., None, 1] - others[waiting, None, :, 1]
-        free = (np.sqrt(dx * dx + dy * dy) >= apart).all(axis=-1)
-        place[waiting] = points[np.arange(len(waiting)), free.argmax(axis=-1)]
-        found[waiting] = free.any(axis=-1)
+    place, found = _pick(points * half_width, others, apart)
+    for _ in range(tries // _BLOCK - 1):
         waiting = np.flatnonzero(~found)
         if not len(waiting):
             break
-        points = _unit_points(streams, index[waiting], _BLOCK)
+        points = _unit_points(streams, index[waiting], _BLOCK) * half_width
+        place[waiting], found[waiting] = _pick(points, others[waiting], apart)
     return place, found
+
+
+def _pick(points: Floats, others: Floats, apart: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """The first of points [n, block, 2] that is `apart` from others [n, k, 2]: see above."""
+    dx = points[:, :, None, 0] - others[:, None, :, 0]
+    dy = points[:, :, None, 1] - others[:, None, :, 1]
+    free = np.logical_and.reduce(np.sqrt(dx * dx + dy * dy) >= apart, axis=-1)
+    rows, first = np.arange(len(points)), free.argmax(axis=-1)
+    return points[rows, first], free[rows, first]
 
 
 def _unit_points(streams: Streams, index: NDArray[np.intp], count: int) -> Floats:

@@ -6,6 +6,8 @@ radians. Source of everything here: safety-gymnasium 1.0.0, whose recorded episo
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,50 +31,56 @@ _UPRIGHT_LOW = np.array((0.7, -0.2, *[-100.0] * 9))
 _UPRIGHT_HIGH = np.array((np.inf, 0.2, *[100.0] * 9))
 
 
-def distance(position: Floats, targets: Floats) -> Floats:
-    """From the agent to each target: [..., 2] and [..., k, 2] -> [..., k]."""
+class Sight(NamedTuple):
+    """Where targets are from an agent, in the world's directions: [..., k] each, metres."""
+
+    dx: Floats
+    dy: Floats
+    distance: Floats
+
+
+def sight(position: Floats, targets: Floats) -> Sight:
+    """Where each target is from the agent: [..., 2] and [..., k, 2]."""
     dx = targets[..., 0] - position[..., None, 0]
     dy = targets[..., 1] - position[..., None, 1]
-    return np.sqrt(dx * dx + dy * dy)
+    return Sight(dx, dy, np.sqrt(dx * dx + dy * dy))
 
 
 def lidar(
-    position: Floats,
-    heading: Floats,
-    targets: Floats,
-    reach: float,
-    group: NDArray[np.intp] | None = None,
+    seen: Sight, heading: Floats, reach: float, group: NDArray[np.intp] | None = None
 ) -> Floats:
     """How near the nearest target in each of 16 directions is, for each group of targets.
 
-    position [..., 2], heading [...], targets [..., k, 2] -> [..., 16] in [0, 1], or
-    [..., 16 * groups] where `group` [k] numbers the target's group from 0. Bin b looks from
-    b to b + 1 sixteenths of a turn left of ahead. A target at distance d, a share a into its bin,
-    shows there with s = max(0, reach - d) / reach, in the next bin with a s and in the one before
-    with (1 - a) s; each bin keeps the greatest.
+    seen: k targets, heading [...], reach in metres -> [..., 16] in [0, 1], or [..., 16 * groups]
+    where `group` [k] numbers the target's group from 0. Bin b looks from b to b + 1 sixteenths of
+    a turn left of ahead. A target at distance d, a share a into its bin, shows there with
+    s = max(0, reach - d) / reach, in the next bin with a s and in the one before with (1 - a) s;
+    each bin keeps the greatest.
     """
-    # All of arctan2's arguments are fresh arrays: numpy's vectorised and plain code paths may
-    # differ in the last bit, and memory layout, which depends on the number of environments,
-    # would choose between them.
-    dx = targets[..., 0] - position[..., None, 0]
-    dy = targets[..., 1] - position[..., None, 1]
-    strength = np.maximum(reach - np.sqrt(dx * dx + dy * dy), 0.0) / reach
-    turn = (np.arctan2(dy, dx) - heading[..., None]) * (LIDAR_BINS / (2 * np.pi)) % LIDAR_BINS
-    near = turn.astype(np.intp)  # 16 where % has rounded up to it
+    strength = np.maximum(reach - seen.distance, 0.0)
+    strength /= reach
+    # arctan2's arguments are fresh arrays: numpy's vectorised and plain code may differ in the last
+    # bit, and memory layout, which depends on the number of environments, chooses between them.
+    turn = np.arctan2(seen.dy, seen.dx)
+    turn -= heading[..., None]
+    turn *= LIDAR_BINS / (2 * np.pi)
+    turn %= LIDAR_BINS
+    near = turn.astype(np.intp)
     share = turn - near
     values = np.empty((*turn.shape, 3))
     values[..., 0] = strength
     np.multiply(share, strength, out=values[..., 1])
     np.multiply(1.0 - share, strength, out=values[..., 2])
-    bins = (near[..., None] + _NEIGHBOURS) % LIDAR_BINS
+    bins = near[..., None] + _NEIGHBOURS
+    bins &= LIDAR_BINS - 1  # modulo 16; `near` is 16 where % has rounded up to it
     width = LIDAR_BINS
     if group is not None:
         bins += LIDAR_BINS * group[:, None]
         width *= int(group[-1]) + 1
-    seen = np.zeros((*turn.shape[:-1], width))
-    bins += np.arange(0, seen.size, width).reshape(*turn.shape[:-1], 1, 1)
-    np.maximum.at(seen.reshape(-1), bins, values)
-    return seen
+    shown = np.zeros((*turn.shape[:-1], width))
+    bins += np.arange(0, shown.size, width).reshape(*turn.shape[:-1], 1, 1)
+    np.maximum.at(shown.reshape(-1), bins, values)
+    return shown
 
 
 def circle_reward(position: Floats, velocity: Floats) -> Floats:

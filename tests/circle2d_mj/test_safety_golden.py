@@ -31,7 +31,7 @@ def test_circle_rules():
     same(rules.circle_reward(position, velocity), golden.of_step("reward"), **EXACT)
     same(rules.circle_cost(position), golden.of_step("cost"), **EXACT)
     centre = golden.of_episode("circle_center")[:, None, :2]
-    seen = rules.lidar(position, qpos[:, 2], centre, 6.0)
+    seen = rules.lidar(rules.sight(position, centre), qpos[:, 2], 6.0)
     same(seen, golden.after("obs")[:, 12:], **EXACT)
     assert 0 < golden.of_step("cost").mean() < 1
     assert not golden.of_step("terminated").any()
@@ -42,12 +42,12 @@ def test_goal_rules():
     pose, _ = world(golden, "after")
     position, targets = pose[:, :2], goal_targets(golden, "after")
     old = goal_targets(golden, "before")
-    before = rules.distance(world(golden, "before")[0][:, :2], old)[:, 0]
-    distance = rules.distance(position, old)
+    before = rules.sight(world(golden, "before")[0][:, :2], old).distance[:, 0]
+    distance = rules.sight(position, old).distance
     same(rules.goal_reward(before, distance[:, 0]), golden.of_step("reward"), **EXACT)
     same(rules.goal_met(distance[:, 0]), golden.of_step("goal_met"))
     same(rules.goal_cost(distance[:, 1:9]), golden.of_step("cost"), **EXACT)
-    seen = rules.lidar(position, pose[:, 2], targets, 3.0, GROUPS)
+    seen = rules.lidar(rules.sight(position, targets), pose[:, 2], 3.0, GROUPS)
     same(seen, golden.after("obs")[:, 12:], **EXACT)
     assert golden.of_step("goal_met").sum() == 10
     assert 0 < golden.of_step("cost").mean() < 1
