@@ -35,7 +35,7 @@ class SafetyPointCircle(MuJoCoTask):
     | 9-11 | magnetometer: a field along the world's -y | |
     | 12-27 | lidar of the circle's centre, reach 6 m: see `rules.lidar` | |
 
-    | action | meaning, clipped to [-1, 1] |
+    | action | meaning; MuJoCo clips it to [-1, 1] |
     | --- | --- |
     | 0 | thrust ahead, which saturates at 0.05 |
     | 1 | turning rate aimed at |
@@ -61,7 +61,7 @@ class SafetyPointCircle(MuJoCoTask):
 
     def step(self, action: NDArray[np.float64]) -> Outcome:
         """Move all agents by their actions, [num_envs, 2]."""
-        self.advance(np.minimum(np.maximum(action, -1.0), 1.0))
+        self.advance(action)
         position = self.qpos[:, :2]
         reward = rules.circle_reward(position, self.qvel[:, :2])
         info = {"cost": rules.circle_cost(position)}

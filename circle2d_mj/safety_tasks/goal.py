@@ -53,6 +53,7 @@ class SafetyPointGoal(MuJoCoTask):
         self.observation_space = point_observation_space(lidars=3)
         self.action_space = Box(-1.0, 1.0, (2,), np.float64)
         self._disabled = self.batch.expand("opt.disableflags")
+        self._vase = self.qpos[:, 3:], self.qvel[:, 3:]
         # Where everything is now, m: [num_envs, 11, 2]; see `layout`.
         self._places = np.zeros((self.num_envs, len(layout.KEEPOUT), 2))
         self._look()
@@ -78,7 +79,7 @@ class SafetyPointGoal(MuJoCoTask):
     def step(self, action: NDArray[np.float64]) -> Outcome:
         """Move all agents by their actions, [num_envs, 2], and the goals that they reach."""
         before = self._seen.distance[:, _GOAL]
-        self._move(np.minimum(np.maximum(action, -1.0), 1.0))
+        self._move(action)
         after = self._seen.distance[:, _GOAL]
         reward = rules.goal_reward(before, after)
         met = rules.goal_met(after)
@@ -118,16 +119,18 @@ class SafetyPointGoal(MuJoCoTask):
         return data
 
     def _move(self, control: NDArray[np.float64]) -> None:
-        speed = np.abs(self.qvel[:, 3:]).max(axis=1)
-        # At the start it is 0 exactly, and the vase has yet to settle, by some micrometres.
-        stands = (speed > 0.0) & (speed < AT_REST) & (self._seen.distance[:, _VASE] > OUT_OF_REACH)
+        pose, speed = self._vase
+        # The speed is 0 exactly at the start, where the vase has yet to settle by micrometres.
+        fastest = np.maximum.reduce(np.abs(speed), axis=1)
+        stands = (fastest > 0.0) & (fastest < AT_REST)
+        stands &= self._seen.distance[:, _VASE] > OUT_OF_REACH
         self._disabled[:] = stands * models.NO_CONTACTS
-        qpos, qvel = self.qpos[:, 3:].copy(), self.qvel[:, 3:].copy()
+        kept = pose.copy(), speed.copy()
         self.advance(control)
-        np.copyto(self.qpos[:, 3:], qpos, where=stands[:, None])
-        np.copyto(self.qvel[:, 3:], qvel, where=stands[:, None])
+        np.copyto(pose, kept[0], where=stands[:, None])
+        np.copyto(speed, kept[1], where=stands[:, None])
         self._places[:, layout.AGENT] = self.qpos[:, :2]
-        self._places[:, layout.VASE] = self.qpos[:, 3:5]
+        self._places[:, layout.VASE] = pose[:, :2]
         self._look()
 
     def _move_goals(self, index: NDArray[np.intp]) -> NDArray[np.bool_]:
