@@ -73,7 +73,7 @@ class SafetyPointGoal(MuJoCoTask):
         qpos[:, :2], qpos[:, 2] = places[:, layout.AGENT], 2.0 * np.pi * draw[:, 2]
         qpos[:, 3:5], qpos[:, 5] = places[:, layout.VASE], VASE_HEIGHT
         qpos[:, 6], qpos[:, 9] = np.cos(np.pi * draw[:, 3]), np.sin(np.pi * draw[:, 3])
-        self._disabled[index] = 0
+        self._disabled[index] = 0  # so that a start does not depend on the episode before
         self.begin(index, qpos)
 
     def step(self, action: NDArray[np.float64]) -> Outcome:
