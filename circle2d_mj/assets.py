@@ -1,17 +1,25 @@
-"""Where the package's files that are not code lie."""
+"""Where the files that are shipped with the package lie."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+# A wheel holds them inside the package, a checkout beside it.
+_FOLDERS = (Path(__file__).parent / "assets", Path(__file__).parents[1] / "assets")
+
 
 def asset(name: str) -> Path:
-    """The path of an asset, such as "xml/circle2d.xml": in an installed package or a checkout.
+    """The path of a shipped file, as in `asset("xml/circle2d.xml")`.
 
-    Raises FileNotFoundError naming it where there is none.
+    Raises FileNotFoundError for a name that is not shipped, with those that are.
     """
-    here = Path(__file__).parent
-    for folder in (here / "assets", here.parent / "assets"):
+    for folder in _FOLDERS:
         if (folder / name).is_file():
             return folder / name
-    raise FileNotFoundError(f"no asset {name!r} in the package circle2d_mj")
+    shipped = sorted(
+        path.relative_to(folder).as_posix()
+        for folder in _FOLDERS
+        for path in folder.rglob("*")
+        if path.is_file()
+    )
+    raise FileNotFoundError(f"no asset {name!r}; there are {shipped}")

@@ -1,5 +1,8 @@
 """Circle2D as a simulation: starts, rewards and ends, whatever moves the agents."""
 
+# mujoco has no stubs for what is compiled.
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
@@ -15,7 +18,8 @@ from circle2d_mj.start import StartArea
 from circle2d_mj.streams import Streams
 
 if TYPE_CHECKING:
-    from circle2d_mj.render import Renderer, Window
+    from circle2d_mj.render import Renderer
+    from circle2d_mj.window import Window
 
 
 class Dynamics(Protocol):
@@ -73,6 +77,7 @@ class Circle2D:
         self.action_space = Box(-1.0, 1.0, (2,), np.float32)
         self._renderer: Renderer | None = None
         self._window: Window | None = None
+        self._shown: Any = None
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
         """Put the agents `index` somewhere in the start area."""
@@ -108,18 +113,26 @@ class Circle2D:
 
     def show(self, index: int) -> None:
         """The agent `index` in MuJoCo's viewer."""
-        if self._window is None:
-            from circle2d_mj.render import Window
+        import mujoco
 
-            self._window = Window(self.config)
-        self._window.show(self.dynamics.position[index])
+        if self._window is None:
+            from circle2d_mj.scene import SUBSTEPS, scene
+            from circle2d_mj.window import Window
+
+            model = scene(self.config).compile()
+            self._shown = mujoco.MjData(model)
+            self._window = Window(model, SUBSTEPS * model.opt.timestep)
+        self._shown.qpos[:] = self.dynamics.position[index]
+        mujoco.mj_forward(self._shown.model, self._shown)
+        self._window.show(self._shown)
 
     def close(self) -> None:
         """Let go of what `frame` and `show` hold."""
         for drawer in (self._renderer, self._window):
             if drawer is not None:
                 drawer.close()
-        self._renderer = self._window = None
+        self._renderer = self._window = self._shown = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_renderer": None, "_window": None}  # they cannot be copied
+        # What draws cannot be copied.
+        return self.__dict__ | {"_renderer": None, "_window": None, "_shown": None}

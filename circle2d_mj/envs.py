@@ -11,17 +11,14 @@ from numpy.typing import NDArray
 
 from circle2d_mj.circle2d import Circle2D, Dynamics
 from circle2d_mj.config import Circle2DConfig
-from circle2d_mj.gl import has_screen
+from circle2d_mj.gl import render_modes
 from circle2d_mj.kinematic import Kinematic
 from circle2d_mj.simulation import positive_integer
 from circle2d_mj.single_env import TaskEnv
 from circle2d_mj.vector_env import TaskVectorEnv
 
 MAX_EPISODE_STEPS = 50
-METADATA: dict[str, Any] = {
-    "render_modes": ["rgb_array", "human"] if has_screen() else ["rgb_array"],
-    "render_fps": 10,
-}
+METADATA: dict[str, Any] = {"render_modes": render_modes(), "render_fps": 10}
 
 
 class Circle2DVectorEnv(TaskVectorEnv):

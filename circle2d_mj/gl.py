@@ -39,9 +39,10 @@ class NoOpenGL(RuntimeError):
     """No way to draw pictures off-screen was found; says what to install and what to set."""
 
 
-def has_screen() -> bool:
-    """Whether a window could be opened."""
-    return platform.system() != "Linux" or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))
+def render_modes() -> list[str]:
+    """What environments can offer here: "human" only where a window could be opened."""
+    has_screen = platform.system() != "Linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
+    return ["rgb_array", "human"] if has_screen else ["rgb_array"]
 
 
 def check_backend() -> None:
@@ -65,6 +66,8 @@ class Offscreen:
         import mujoco
 
         self._model, self._context = model, context
+        buffer = model.vis.global_
+        buffer.offwidth, buffer.offheight = max(buffer.offwidth, size), max(buffer.offheight, size)
         try:
             with _current(context):
                 self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)

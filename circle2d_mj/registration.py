@@ -2,27 +2,44 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium as gym
 
 from circle2d_mj.config import LEVELS
 from circle2d_mj.envs import MAX_EPISODE_STEPS
 
+# Version and steps an episode of the tasks in `safety_tasks.envs.TASKS`, which this module must
+# not import, since that loads MuJoCo.
+_SAFETY_TASKS = {
+    "SafetyPointCircle1": ("v0", 500),
+    "SafetyPointGoal1": ("v0", 1000),
+    "SafetyHopperVelocity": ("v1", 1000),
+}
+
 
 def register() -> None:
-    """Register `Circle2D-{0..3}-v0` and `Circle2DMuJoCo-{0..3}-v0`; again, it changes nothing."""
+    """Register `Circle2D-{0..3}-v0`, `Circle2DMuJoCo-{0..3}-v0` and the tasks of Safety-Gymnasium,
+    the latter as `circle2d_mj/...`; calling it again changes nothing."""
     for level in LEVELS:
-        _register(f"Circle2D-{level}-v0", "envs", "Circle2DVectorEnv", level)
-        # Named by strings: MuJoCo is imported when one is made.
-        _register(f"Circle2DMuJoCo-{level}-v0", "mujoco_envs", "Circle2DMuJoCoVectorEnv", level)
+        _register(f"Circle2D-{level}-v0", "envs:Circle2DVectorEnv", level=level)
+        _register(f"Circle2DMuJoCo-{level}-v0", "mujoco_envs:Circle2DMuJoCoVectorEnv", level=level)
+    for task, (version, steps) in _SAFETY_TASKS.items():
+        name = f"circle2d_mj/{task}-{version}"
+        _register(name, "safety_tasks.envs:SafetyVectorEnv", steps, task=task)
 
 
-def _register(name: str, module: str, vector_env: str, level: int) -> None:
+def _register(
+    name: str, vector_env: str, steps: int = MAX_EPISODE_STEPS, **parameters: Any
+) -> None:
     if name in gym.registry:
         return
+    module, _, _ = vector_env.partition(":")
+    # By name, so that MuJoCo is imported only when an environment needs it.
     gym.register(
         id=name,
         entry_point=f"circle2d_mj.{module}:for_gym_make",
-        vector_entry_point=f"circle2d_mj.{module}:{vector_env}",
-        max_episode_steps=MAX_EPISODE_STEPS,
-        kwargs={"level": level},
+        vector_entry_point=f"circle2d_mj.{vector_env}",
+        max_episode_steps=steps,
+        kwargs=parameters,
     )

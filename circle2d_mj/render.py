@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -105,41 +103,6 @@ class Renderer:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-
-class Window:
-    """MuJoCo's viewer on a task, in real time: a step takes 0.1 s."""
-
-    def __init__(self, config: Circle2DConfig) -> None:
-        import mujoco
-        import mujoco.viewer
-
-        from circle2d_mj.scene import SUBSTEPS, scene
-
-        model = scene(config).compile()
-        self._step_time = SUBSTEPS * model.opt.timestep
-        self._data = mujoco.MjData(model)
-        before = set(threading.enumerate())
-        self._viewer = mujoco.viewer.launch_passive(model, self._data)
-        self._threads = set(threading.enumerate()) - before
-        self._shown = time.monotonic()
-
-    def show(self, position: NDArray[np.float64]) -> None:
-        """The agent at `position`, [2] world units; returns when its step is over."""
-        import mujoco
-
-        with self._viewer.lock():
-            self._data.qpos[:] = position
-            mujoco.mj_forward(self._viewer.m, self._data)
-        self._viewer.sync()
-        time.sleep(max(self._shown + self._step_time - time.monotonic(), 0.0))
-        self._shown = time.monotonic()
-
-    def close(self) -> None:
-        """Close the window."""
-        self._viewer.close()
-        for thread in self._threads:
-            thread.join(timeout=5.0)  # a program that ends before it does crashes
 
 
 def _checked(position: ArrayLike) -> NDArray[np.float64]:

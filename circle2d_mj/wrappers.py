@@ -1,10 +1,13 @@
-"""The six-value interface of Safety-Gymnasium, for code that was written for it."""
+"""Safety-Gymnasium's interface of six values: ours for code written for it, and its for ours."""
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
+from gymnasium.spaces import Box, Discrete, Space
 from gymnasium.vector import VectorEnv, VectorWrapper
 
 
@@ -38,3 +41,86 @@ def _with_cost(result: tuple[Any, ...]) -> tuple[Any, ...]:
     if "cost" not in info:
         raise KeyError(f"info has no 'cost'; its keys are {sorted(info)}")
     return observation, reward, info["cost"], terminated, truncated, info
+
+
+class FromSafetyGymnasium(gym.Env):
+    """An environment whose `step` returns Safety-Gymnasium's six values, as one of gymnasium.
+
+    `step` gives gymnasium's five values and `info["cost"]`, a float; `reset`'s info holds cost 0.0.
+    The environment need not be a `gymnasium.Env`: its spaces are copied by their attributes where
+    they are another package's Box or Discrete. `render` and `close` are passed through. Of a seed
+    above 2**32 - 1, which numpy's RandomState in older environments refuses, it gets
+    `numpy.random.SeedSequence(seed).generate_state(1)[0]`.
+
+    To train on a task of Safety-Gymnasium by `circle2d train --task my_tasks:Goal-v0`, write a
+    module my_tasks.py with
+
+        gym.register(
+            id="Goal-v0",
+            entry_point=lambda **kw: FromSafetyGymnasium(
+                safety_gymnasium.make("SafetyPointGoal1-v0", **kw)
+            ),
+        )
+
+    Raises TypeError for something that is no environment, spaces of another kind and costs that are
+    not numbers; ValueError where `step` or `reset` returns another number of values.
+    """
+
+    def __init__(self, env: Any) -> None:
+        needed = ("reset", "step", "observation_space", "action_space")
+        if missing := [name for name in needed if not hasattr(env, name)]:
+            raise TypeError(f"env must be an environment; {env!r} has no {', '.join(missing)}")
+        self.env = env
+        self.observation_space = _as_gymnasium(env.observation_space, "observation_space")
+        self.action_space = _as_gymnasium(env.action_space, "action_space")
+        self.metadata = dict(getattr(env, "metadata", None) or {"render_modes": []})
+        self.render_mode = getattr(env, "render_mode", None)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode."""
+        super().reset(seed=seed)
+        arguments: dict[str, Any] = {} if options is None else {"options": options}
+        if seed is not None:
+            small = seed < 2**32
+            arguments["seed"] = (
+                seed if small else int(np.random.SeedSequence(seed).generate_state(1)[0])
+            )
+        observation, info = _values(self.env, "reset", self.env.reset(**arguments), 2)
+        return observation, {**info, "cost": 0.0}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """The five values of gymnasium, with the sixth in the info."""
+        values = _values(self.env, "step", self.env.step(action), 6)
+        observation, reward, cost, terminated, truncated, info = values
+        if not isinstance(cost, (Real, np.number, np.bool_)):
+            raise TypeError(f"the cost from {self.env!r} must be a number, got {cost!r}")
+        info = {**info, "cost": float(cost)}
+        return observation, float(reward), bool(terminated), bool(truncated), info
+
+    def render(self) -> Any:
+        """As the environment's."""
+        return self.env.render()
+
+    def close(self) -> None:
+        """As the environment's, if it has any."""
+        if hasattr(self.env, "close"):
+            self.env.close()
+
+
+def _values(env: Any, method: str, result: Any, count: int) -> tuple[Any, ...]:
+    if isinstance(result, tuple) and len(result) == count:
+        return result
+    got = f"{len(result)} values" if isinstance(result, tuple) else type(result).__name__
+    raise ValueError(f"{method} of {env!r} must return {count} values, got {got}")
+
+
+def _as_gymnasium(space: Any, name: str) -> Space:
+    if isinstance(space, Space):
+        return space
+    if all(hasattr(space, attribute) for attribute in ("low", "high", "shape", "dtype")):
+        return Box(space.low, space.high, tuple(space.shape), space.dtype)
+    if hasattr(space, "n"):
+        return Discrete(int(space.n), start=int(getattr(space, "start", 0)))
+    raise TypeError(f"{name} must be a Box or Discrete, got {space!r}")

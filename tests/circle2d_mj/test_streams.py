@@ -40,6 +40,15 @@ def test_a_stream_does_not_depend_on_the_others():
         np.testing.assert_array_equal(together[1:], alone.uniform(np.array([0])))
 
 
+def test_several_draws_are_those_of_as_many_calls():
+    once, often = (Streams(np.arange(5, dtype=np.uint64)) for _ in range(2))
+    index = np.array([3, 1])
+    calls = [often.uniform(index) for _ in range(3)]
+    np.testing.assert_array_equal(once.uniform(index, draws=3), np.hstack(calls))
+    np.testing.assert_array_equal(once.uniform(index), often.uniform(index))
+    np.testing.assert_array_equal(once.counters, often.counters)
+
+
 def test_uniform():
     draws = Streams(np.arange(50_000, dtype=np.uint64)).uniform(np.arange(50_000))
     assert (draws > 0).all()

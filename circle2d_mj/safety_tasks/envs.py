@@ -1,0 +1,83 @@
+"""The paper's other three tasks as gymnasium environments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from gymnasium.vector import AutoresetMode
+
+from circle2d_mj.gl import render_modes
+from circle2d_mj.safety_tasks.circle import SafetyPointCircle
+from circle2d_mj.safety_tasks.goal import SafetyPointGoal
+from circle2d_mj.safety_tasks.hopper import SafetyHopperVelocity
+from circle2d_mj.simulation import Simulation
+from circle2d_mj.single_env import TaskEnv
+from circle2d_mj.vector_env import TaskVectorEnv
+
+TASKS: dict[str, Callable[[int, int], Simulation]] = {
+    "SafetyPointCircle1": SafetyPointCircle,
+    "SafetyPointGoal1": SafetyPointGoal,
+    "SafetyHopperVelocity": SafetyHopperVelocity,
+}
+METADATA: dict[str, Any] = {"render_modes": render_modes(), "render_fps": 50}
+
+
+class SafetyVectorEnv(TaskVectorEnv):
+    """Many copies of one of `TASKS`, stepped together by MuJoCo.
+
+    Observations, actions, rewards and costs: see the task's simulation. num_threads: for MuJoCo's
+    steps; it changes no number. Seeds, autoreset and errors: see `TaskVectorEnv`.
+    """
+
+    metadata = METADATA
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        *,
+        num_threads: int = 1,
+        max_episode_steps: int | None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+    ) -> None:
+        if task not in TASKS:
+            raise ValueError(f"task must be one of {list(TASKS)}, got {task!r}")
+        super().__init__(
+            TASKS[task](num_envs, num_threads),
+            max_episode_steps=max_episode_steps,
+            autoreset_mode=autoreset_mode,
+            render_mode=render_mode,
+        )
+
+
+class SafetyEnv(TaskEnv):
+    """One copy of one of `TASKS`: see `SafetyVectorEnv`."""
+
+    metadata = METADATA
+
+    def __init__(
+        self,
+        task: str,
+        *,
+        num_threads: int = 1,
+        max_episode_steps: int | None,
+        render_mode: str | None = None,
+    ) -> None:
+        envs = SafetyVectorEnv(
+            task,
+            num_threads=num_threads,
+            max_episode_steps=max_episode_steps,
+            autoreset_mode=AutoresetMode.DISABLED,
+            render_mode=render_mode,
+        )
+        super().__init__(envs)
+
+
+def for_gym_make(**kwargs: Any) -> SafetyEnv:
+    """What `gymnasium.make` calls: without a time limit, since it adds its own `TimeLimit`."""
+    return SafetyEnv(max_episode_steps=None, **kwargs)
+
+
+for_gym_make.metadata = METADATA  # pyright: ignore[reportFunctionMemberAccess]
