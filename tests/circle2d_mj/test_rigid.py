@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
-from circle2d_mj import Circle2DConfig
+from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
 from circle2d_mj.mujoco_envs import Circle2DMuJoCoVectorEnv
 from circle2d_mj.physics import Physics
 from circle2d_mj.scene import scene
@@ -139,6 +139,26 @@ def test_starts_touch_nothing(parameters):
     assert not physics._batch.bind("ncon").any()
     # They are a body's width away from the region, and no more than that.
     assert 10.25 < np.hypot(*starts.T).min() < 10.26
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"level": 1},
+        {"level": 3, "init_region_size": 1.9, "init_radius_multiplier": 1.05},
+        {"level": 2, "allow_infeasible_init": True, "init_region_size": 2.5},
+        {"level": 0, "allow_infeasible_init": True, "constraint_radius": 3.0},
+    ],
+)
+def test_starts_are_those_of_the_papers_mode_but_for_room_for_the_body(parameters):
+    starts = []
+    for make in (Circle2DVectorEnv, Circle2DMuJoCoVectorEnv):
+        envs = make(500, **parameters)
+        observation, info = envs.reset(seed=4)
+        assert all(not info[key].any() for key in ("cost", *envs.simulation.info_keys))
+        starts.append(envs.position)
+    np.testing.assert_array_equal(*starts)
+    assert not observation[:, 2:].any()
 
 
 @actuations
