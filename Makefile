@@ -1,4 +1,4 @@
-# make demo: train TRPO-Lag on Circle2D-1 for about a minute and read its tables.
+# make demo: train TRPO-Lag on Circle2D-1 for about a minute; tables, heat map, trajectories.
 # make test: run the tests. Both build .venv first; Python 3.10 or newer is all they need.
 
 PYTHON ?= python3
@@ -18,6 +18,9 @@ demo: $(VENV)/installed
 	$(BIN)/circle2d train --algorithm trpo-lag --task Circle2D-1-v0 --seeds 0 1 2 --steps 250000 \
 		--out runs/demo
 	$(BIN)/python -m emcc runs/demo --per-run
+	$(BIN)/circle2d report runs/demo > runs/demo/report.txt
+	-$(BIN)/circle2d render runs/demo
+	@echo "The report with its heat map: runs/demo/report.md, runs/demo/pictures/heatmap.png"
 
 test: $(VENV)/installed
 	$(BIN)/python -m pytest

@@ -1,12 +1,10 @@
-"""The command `circle2d`: train, resume, evaluate, report."""
+"""The command `circle2d`: train, resume, evaluate, report; what draws is in `cli_pictures`."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 import dataclasses
-import io
-import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -19,7 +17,9 @@ from agents.algorithms import ALGORITHMS, algorithm
 from agents.bench.hyperparameters import explain_all
 from agents.bench.presets import preset
 from agents.bench.report import report
+from agents.cli_pictures import run_heatmap, run_render, run_scene
 from agents.errors import UserError
+from agents.options import parse
 from agents.runs.config import TrainConfig, run_folder, versions
 from agents.runs.evaluate import evaluate
 from agents.runs.files import read_json
@@ -34,7 +34,10 @@ usage: circle2d COMMAND ...
   train      train runs of an algorithm on a task, evaluate them and print their table
   resume     go on with runs that were interrupted
   evaluate   play episodes with trained policies
-  report     tables of trained runs (Markdown, CSV)
+  report     tables of trained runs (Markdown, CSV) and their heat maps
+  heatmap    draw which states were visited in training
+  render     draw episodes of a trained policy: PNG, GIF, MP4
+  scene      print the MuJoCo scene of a task (MJCF)
 
 circle2d COMMAND --help explains the options of a command.
 Algorithms: {", ".join(ALGORITHMS)}.
@@ -87,7 +90,8 @@ class EvaluateOptions:
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """Print the table of trained runs beside the paper's; write report.md and report.csv."""
+    """Print the table of trained runs beside the paper's; write report.md and report.csv, and heat
+    maps of what the agents visited in training."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of runs, or one with several such folders below it."""
@@ -98,10 +102,10 @@ def run_train(args: Sequence[str]) -> int:
     config = preset(name, task) if name else None
     if config is None and {"-h", "--help"} & set(args):
         with contextlib.suppress(SystemExit):
-            _parse(TrainOptions, "train", ["--help"])
+            parse(TrainOptions, "train", ["--help"])
         print(explain_all(task), end="")
         return 0
-    options = _parse(_train_options(config), "train", args)
+    options = parse(_train_options(config), "train", args)
     values = {f.name: getattr(options, f.name) for f in dataclasses.fields(TrainOptions)}
     folder = values.pop("out")
     values["task_parameters"] = {k: _literal(v) for k, v in values["task_parameters"].items()}
@@ -114,7 +118,7 @@ def run_train(args: Sequence[str]) -> int:
 
 
 def run_resume(args: Sequence[str]) -> int:
-    folder = _parse(ResumeOptions, "resume", args).folder
+    folder = parse(ResumeOptions, "resume", args).folder
     TrainConfig.read(folder)
     before = read_json(folder / "config.json").get("versions")
     if before != versions():
@@ -123,7 +127,7 @@ def run_resume(args: Sequence[str]) -> int:
 
 
 def run_evaluate(args: Sequence[str]) -> int:
-    options = _parse(EvaluateOptions, "evaluate", args)
+    options = parse(EvaluateOptions, "evaluate", args)
     training = restored(options.folder)
     policy = training.learner.policy()
     active = ~training.failed
@@ -138,7 +142,7 @@ def run_evaluate(args: Sequence[str]) -> int:
 
 
 def run_report(args: Sequence[str]) -> int:
-    print(report(_parse(ReportOptions, "report", args).folder))
+    print(report(parse(ReportOptions, "report", args).folder, with_pictures=True))
     return 0
 
 
@@ -147,6 +151,9 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "resume": run_resume,
     "evaluate": run_evaluate,
     "report": run_report,
+    "heatmap": run_heatmap,
+    "render": run_render,
+    "scene": run_scene,
 }
 
 
@@ -222,19 +229,6 @@ def _train_options(config: Any) -> type:
         frozen=True,
         namespace={"__doc__": TrainOptions.__doc__},
     )
-
-
-def _parse(options: type, command: str, args: Sequence[str]) -> Any:
-    """The options given. Raises UserError with tyro's message in one line."""
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said):
-            return tyro.cli(options, prog=f"circle2d {command}", args=list(args))
-    except SystemExit as exit_:
-        if not exit_.code:
-            raise
-        words = re.sub(r"\x1b\[[0-9;]*m|[─│╭╮╰╯═]+", " ", said.getvalue())
-        raise UserError(" ".join(words.split()) or "the options cannot be understood") from None
 
 
 def _literal(text: str) -> Any:

@@ -113,8 +113,7 @@ def with_heat(
 ) -> tuple[Picture, int]:
     """The image with the cells that were visited coloured by how often, and the most visits.
 
-    positions: [N, 2] world units; cells: along each side of the arena. What lies outside the arena
-    by less than a cell, as a ball pressed against its edge does, counts for the cell at the edge.
+    positions: [N, 2] world units; cells: along each side of the arena; see `visits`.
     """
     counts = visits(config, positions, cells)
     most = int(counts.max(initial=0))
@@ -129,17 +128,21 @@ def with_heat(
 def visits(config: Circle2DConfig, positions: ArrayLike, cells: int) -> NDArray[np.int64]:
     """How often each cell was visited: [cells, cells], the row of the greatest y first.
 
-    positions: [N, 2] world units. ValueError where one is not in the arena, or not finite.
+    positions: [N, 2] world units. What lies up to a tenth beyond the arena, as a ball pressed
+    against its edge may, counts for the cell at the edge. ValueError for what lies farther out or
+    is not finite.
     """
     positions = np.asarray(positions)
     if positions.ndim != 2 or positions.shape[1] != 2:
         raise ValueError(f"positions must have shape [N, 2], got {list(positions.shape)}")
+    if positions.size and not np.abs(positions).max() <= 1.1 * config.arena:
+        raise ValueError(
+            f"positions must be finite and in the arena, up to {config.arena:g} on each axis, "
+            f"got one as far as {np.abs(positions).max():g}"
+        )
     scale = cells / (2 * config.arena)
     column = (positions[:, 0] + config.arena) * scale
     row = (config.arena - positions[:, 1]) * scale
-    for name, values in (("x", column), ("y", row)):
-        if len(values) and not (values.min() > -1 and values.max() < cells + 1):
-            raise ValueError(f"positions must lie in the arena: one has an {name} outside it")
     index = np.clip(row.astype(np.int32), 0, cells - 1) * np.int32(cells)
     index += np.clip(column.astype(np.int32), 0, cells - 1)
     return np.bincount(index, minlength=cells * cells).reshape(cells, cells)

@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from circle2d_mj import task
 from circle2d_mj.config import Circle2DConfig
+from circle2d_mj.pieces import OVERHANG
 from circle2d_mj.scene import SUBSTEPS, Actuation, scene
 from circle2d_mj.simulation import State, positive_integer
 from circle2d_mj.start import StartArea
-
-# What mjSTATE_INTEGRATION holds of a model without plug-ins, mocap bodies and the like, in order.
-_STATE = ("time", "qpos", "qvel", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied")
 
 
 class Physics:
@@ -46,14 +44,13 @@ class Physics:
         self.start_area = config.start_area
         self.model = scene(config, actuation).compile()
         if self._rigid and not config.allow_infeasible_init:
-            body_radius = self.model.geom("agent").size[0]
             # Where the ball touches nothing.
-            self.start_area = StartArea(config, config.region.grown(body_radius))
+            clearance = self.model.geom("agent").size[0] + OVERHANG * config.constraint_radius
+            self.start_area = StartArea(config, config.region.grown(clearance))
         # A region that never pushes need not be looked for until the step's end.
         self._without_contacts = copy.copy(self.model)
         self._without_contacts.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self._batch = Batch(self.model, num_envs, self.num_threads)
-        self._state = [self._batch.bind(name) for name in _STATE]
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
         self._contacts, self._sensors = self._batch.bind("ncon"), self._batch.bind("sensordata")
@@ -66,8 +63,7 @@ class Physics:
 
     def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
         """Put the agents `index` at rest at `position`, [len(index), 2]."""
-        for of_state in self._state:
-            of_state[index] = 0.0
+        self._batch.state[index] = 0.0
         self._qpos[index] = position
 
     def step(self, action: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
@@ -117,16 +113,11 @@ class Physics:
 
     def state(self) -> State:
         """MuJoCo's whole state, `mjSTATE_INTEGRATION`: [num_envs, mj_stateSize]."""
-        columns = [of_state.reshape(self.num_envs, -1) for of_state in self._state]
-        return {"mujoco": np.concatenate(columns, axis=1)}
+        return {"mujoco": self._batch.state.copy()}
 
     def restore(self, state: State) -> None:
         """Take over what `state` returned."""
-        taken = 0
-        for of_state in self._state:
-            size = of_state[0].size
-            of_state[:] = state["mujoco"][:, taken : taken + size].reshape(of_state.shape)
-            taken += size
+        self._batch.state[:] = state["mujoco"]
 
     def __getstate__(self) -> dict[str, Any]:
         arguments = (self.config, self.num_envs, self.actuation, self.num_threads)

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from circle2d_mj.region import CostRegion
 
 VERTICES = 256
-"""Of the polygon in place of the disc. It lies within 1e-4 R of the circle and has its area."""
+"""Of the polygon in place of the disc, which has the disc's area."""
+OVERHANG = 1e-4
+"""What its rim keeps within of the circle, on either side, as a multiple of R."""
 
 
 def convex_pieces(region: CostRegion) -> list[NDArray[np.float64]]:

@@ -90,7 +90,7 @@ class CostRegion:
 
     def grown(self, margin: float) -> CostRegion:
         """The region with everything that is nearer to it than `margin`, world units, and, at the
-        corners where a cut-out meets the rim, a little more."""
+        corners where a cut-out meets the rim or another cut-out, a little more."""
         grown = copy.copy(self)
         narrower = [
             cut._replace(inner=cut.inner + margin, half_width=cut.half_width - margin)

@@ -65,14 +65,19 @@ class Renderer:
         mujoco.mj_forward(self._model, self._data)
         return self._offscreen.draw(self._data, self._model.camera("top").id)
 
-    def trajectories(self, paths: Sequence[ArrayLike], costs: Sequence[ArrayLike]) -> Picture:
+    def trajectories(
+        self,
+        paths: Sequence[ArrayLike],
+        costs: Sequence[ArrayLike],
+        agent: ArrayLike | None = None,
+    ) -> Picture:
         """Trajectories as blue dots, their chains of consecutive cost steps boxed in orange.
 
-        paths: [T + 1, 2] each, world units, the start first; costs: [T] each.
+        paths: [T + 1, 2] each, world units, the start first; costs: [T] each; agent: where to draw
+        the agent, [2], if anywhere.
         """
-        return self.frame(
-            floor=canvas.with_trajectories(self.background, self.config, paths, costs)
-        )
+        floor = canvas.with_trajectories(self.background, self.config, paths, costs)
+        return self.frame(agent, floor)
 
     def heatmap(self, positions: ArrayLike, cells: int = CELLS) -> Picture:
         """Visited states, from dark blue (one visit) to red (the most), in steps of the logarithm.
@@ -165,6 +170,8 @@ def _model(config: Circle2DConfig, size: int) -> Any:
     floor.size = [1, 1, 0.1]
     spec.stat.extent, spec.stat.center = 2, [0, 0, 0]
     spec.visual.global_.offwidth = spec.visual.global_.offheight = size
+    # Flat light: what is painted shows in its own colours.
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [1, 1, 1], [0, 0, 0]
     spec.visual.quality.shadowsize = 0  # there are none, but their buffer would take 64 MB
     spec.add_texture(
         name="floor",

@@ -25,9 +25,11 @@ HEIGHT = 0.1
 """Of the prisms, as a multiple of R; the ball moves at half of it, so it touches sides alone."""
 # Radii for which lengths, their squares and MuJoCo's float32 meshes keep their digits.
 _RADII = (1e-3, 1e6)
+# MuJoCo takes the height that the top camera sees, a length, for an angle: below 180.
+_MAX_FOVY = 179.0
 # A contact is found within margin + gap, and its force sets in at the margin: so far inside the
-# region as never to be reached.
-_NEVER = -100.0
+# region as never to be reached (and no farther: XML keeps six digits of their sum).
+_NEVER = -1.0
 
 
 def scene(
@@ -79,13 +81,15 @@ def _scale(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
     agent.size = np.array(agent.size) * scale
     body = spec.body("agent")
     body.pos = [0.0, 0.0, HEIGHT * config.constraint_radius / 2]
-    # MuJoCo takes this height of view, though a length, for an angle: less than 180.
-    top.pos, top.fovy = [0.0, 0.0, 2 * config.constraint_radius], min(2 * arena, 179.0)
+    top.pos, top.fovy = [0.0, 0.0, 2 * config.constraint_radius], min(2 * arena, _MAX_FOVY)
     for joint in spec.joints:
         joint.range = [-arena, arena]
         joint.solimp_limit[2] *= scale  # a width, as the next one
     agent.solimp[2] *= scale
     spec.stat.extent, spec.stat.center = 2 * arena, [0.0, 0.0, 0.0]
+    # A length, and an energy over a mass: absolute ones make small worlds less exact.
+    spec.option.ccd_tolerance *= scale
+    spec.option.tolerance *= scale**2
 
 
 def _actuate(spec: mujoco.MjSpec, config: Circle2DConfig, actuation: Actuation) -> None:
@@ -109,7 +113,9 @@ def _add_region(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
     for k, piece in enumerate(convex_pieces(config.region)):
         name = f"region{k}"
         prism = [np.column_stack((piece, np.full(len(piece), z))) for z in (0.0, height)]
-        spec.add_mesh(name=name, uservert=np.concatenate(prism).ravel())
+        # Nobody asks for its inertia; a shell's is the one that exists in small worlds as well.
+        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        spec.add_mesh(name=name, uservert=np.concatenate(prism).ravel(), inertia=shell)
         geom = spec.worldbody.add_geom(
             spec.find_default("region"), name=name, meshname=name, solimp=agent.solimp
         )

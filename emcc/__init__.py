@@ -13,7 +13,7 @@ from emcc.parts import cost_rate, emcc_by_part
 from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords
 from emcc.streaks import longest_streak, longest_streaks, mcc, streak_bounds
-from emcc.tail import cvar, emcc
+from emcc.tail import cvar, emcc, worst
 
 if TYPE_CHECKING:
     from emcc.wrappers import RecordCosts
@@ -32,6 +32,7 @@ __all__ = [
     "longest_streaks",
     "mcc",
     "streak_bounds",
+    "worst",
 ]
 
 

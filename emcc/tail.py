@@ -2,6 +2,7 @@
 
 import math
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,20 +37,35 @@ def cvar(values: ArrayLike, alpha: float = 0.5, ties: str = "all") -> float:
     return _tail_mean(as_vector(values, "values"), alpha, ties)
 
 
+def worst(values: ArrayLike, alpha: float = 0.1) -> NDArray[np.bool_]:
+    """Which values `emcc` and `cvar` with ties="all" are the mean of: those at or above the
+    quantile F^-1(1 - alpha).
+
+    values: [D] finite numbers, such as the MCC of each rollout -> [D] bool. It tells which rollouts
+    dominate EMCC. ValueError: no values, NaN or infinite ones, alpha outside (0, 1].
+    """
+    values = as_vector(values, "values")
+    return values >= _quantile(np.sort(values), _as_fraction(alpha) * values.size)
+
+
 def _tail_mean(values: NDArray[np.float64], alpha: float, ties: str) -> float:
     share = _as_fraction(alpha) * values.size  # how many values the tail has, exactly
     if ties not in TIES:
         raise ValueError(f"ties must be one of {TIES}, got {ties!r}")
     ordered = np.sort(values.astype(np.float64))
     if ties == "all":
-        # F^-1(1 - alpha) is the value of rank ceil((1 - alpha) n), counted from 1.
-        rank = max(values.size - math.floor(share), 1)
-        return float(ordered[np.searchsorted(ordered, ordered[rank - 1]) :].mean())
+        return float(ordered[np.searchsorted(ordered, _quantile(ordered, share)) :].mean())
     whole, rest = divmod(share, 1)
     total = ordered[values.size - whole :].sum()
     if rest:
         total += float(rest) * ordered[values.size - whole - 1]
     return float(total / float(share))
+
+
+def _quantile(ordered: NDArray, share: Fraction) -> Any:
+    """F^-1(1 - alpha): the value of rank ceil((1 - alpha) n), counted from 1."""
+    rank = max(ordered.size - math.floor(share), 1)
+    return ordered[rank - 1]
 
 
 def _as_fraction(alpha: float) -> Fraction:

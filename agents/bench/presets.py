@@ -1,4 +1,4 @@
-"""The hyper-parameters that the paper used on Circle2D."""
+"""The hyper-parameters that the paper used, by task."""
 
 from __future__ import annotations
 
@@ -10,16 +10,23 @@ from agents.updates.sac import SACConfig
 
 
 def preset(name: str, task: str) -> Any:
-    """The hyper-parameters of an algorithm for a task: on Circle2D the paper's.
+    """The hyper-parameters of an algorithm for a task: on the paper's tasks the paper's.
 
     For any other task the defaults of the algorithm's config. Raises UserError for an unknown
     algorithm.
     """
     config = algorithm(name).config()
-    if not task.startswith("Circle2D"):
-        return config
-    config = replace(config, cost_limit=5.0)  # table Circle2DResults, caption
-    if isinstance(config, SACConfig):
-        # Inferred from the printed results, not printed itself; on-policy methods bootstrap.
-        config = replace(config, time_limit="terminal")
+    off_policy = isinstance(config, SACConfig)
+    task = task.rpartition(":")[2]  # "module:id" names the task that "id" does
+    if task.startswith("Circle2D"):
+        config = replace(config, cost_limit=5.0)  # table Circle2DResults, caption
+        if off_policy:
+            # Inferred from the printed results, not printed itself; on-policy methods bootstrap.
+            config = replace(config, time_limit="terminal")
+    elif task.startswith("circle2d_mj/Safety"):
+        # Table HP_SafetyGymnasium; the cost limit, 25, is the default.
+        if off_policy:
+            config = replace(config, random_steps=50_000, replay_size=500_000)
+        elif task.startswith("circle2d_mj/SafetyPointCircle1"):
+            config = replace(config, episodes=20)
     return config

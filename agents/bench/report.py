@@ -11,19 +11,19 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from agents.algorithms import ALGORITHMS, algorithm
+from agents.bench.pictures import ALPHA, draw_heatmaps
 from agents.bench.presets import preset
 from agents.errors import UserError
 from agents.runs.config import FAILURE, TrainConfig, run_folder
 from agents.runs.files import read_json, write_whole
-from circle2d_mj import Circle2DConfig
+from agents.runs.tasks import circle2d_config
+from circle2d_mj.task import position as task_position
 from emcc import EpisodeRecords, cost_rate, emcc_by_part, estimate
 from emcc.table import Table
 
-ALPHA = 0.1
 MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
 
 
@@ -37,11 +37,13 @@ class Run:
     ends: str
 
 
-def report(folder: Path) -> str:
+def report(folder: Path, with_pictures: bool = False) -> str:
     """The table of every folder of runs at or below `folder`, as Markdown.
 
-    Writes `report.md` and `report.csv` there. Runs that are missing, damaged or unfinished are
-    named below the table and left out of its means. Raises UserError where no run is left.
+    Writes `report.md` and `report.csv` there, with_pictures also a heat map of each folder's
+    training into `pictures`. Runs that are missing, damaged or unfinished are named below the
+    table and left out of its means; pictures that cannot be drawn are named too. Raises UserError
+    where no run is left.
     """
     notes: list[str] = []
     configs = _read_configs(folder, notes)
@@ -52,9 +54,16 @@ def report(folder: Path) -> str:
         raise UserError(f"{folder} holds no complete runs" + "".join(f"; {n}" for n in notes))
     tasks = dict.fromkeys(config.task for config, _ in groups)
     tables = [_table([g for g in groups if g[0].task == task]) for task in tasks]
+    seeds = {
+        path: tuple(run.seed for run in runs)
+        for path, (_, runs) in zip(configs, groups, strict=True)
+        if runs
+    }
+    drawn = draw_heatmaps(folder, seeds, notes) if with_pictures else []
     tables[-1] = dataclasses.replace(tables[-1], notes=[*tables[-1].notes, *notes])
     markdown = "\n".join(table.render("md") for table in tables)
-    write_whole(folder / "report.md", markdown)
+    images = [f"![Visited states: {path.stem}]({path})" for path in drawn]
+    write_whole(folder / "report.md", "\n".join([markdown, *images]))
     write_whole(folder / "report.csv", "\n".join(table.render("csv") for table in tables))
     return markdown
 
@@ -106,11 +115,10 @@ def _read_run(path: Path, config: TrainConfig, seed: int) -> Run:
 
 def _ends(config: TrainConfig, evaluation: dict[str, Any]) -> str:
     """Where most of the evaluated episodes ended, for a Circle2D task."""
-    if not config.task.startswith("Circle2D"):
+    task = circle2d_config(config.task, config.task_parameters)
+    if task is None:
         return ""
-    given = {k: v for k, v in config.task_parameters.items() if k != "max_episode_steps"}
-    task = Circle2DConfig(**gym.spec(config.task).kwargs, **given)
-    position = np.array(evaluation["final_observations"])[:, :2] * task.arena
+    position = task_position(task, np.array(evaluation["final_observations"]))
     (place, count), *others = Counter(task.region.places(position)).most_common()
     return f"{place} ({100 * count / len(position):.0f} %)" if others else place
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.lockstep.noise import Purpose, environment_seeds, normal, steps_of_noise
-from agents.lockstep.rollout import Policy, collect
+from agents.lockstep.rollout import Policy, Rollout, collect
 from agents.runs.config import TrainConfig, run_folder
 from agents.runs.files import write_json
 from agents.runs.tasks import make_envs, sizes
@@ -97,7 +97,33 @@ def _episodes(
     active: NDArray[np.bool_],
     noisy: bool,
 ) -> dict[str, NDArray]:
-    """`count` episodes of each run from the `first` on, of `episodes`: arrays [R, count, ...]."""
+    """What `play` gave, in arrays [R, count, ...]."""
+    rollout = play(envs, config, policy, episodes, first, count, active, noisy)
+    columns = {
+        "returns": rollout.returns,
+        "cost_returns": rollout.cost_returns,
+        "lengths": rollout.length,
+        "final_observations": rollout.final_observation,
+        "diverged": rollout.diverged,
+    }
+    shape = (len(config.seeds), count)
+    return {name: column.reshape(*shape, *column.shape[1:]) for name, column in columns.items()}
+
+
+def play(
+    envs: VectorEnv,
+    config: TrainConfig,
+    policy: Policy,
+    episodes: int,
+    first: int,
+    count: int,
+    active: NDArray[np.bool_],
+    noisy: bool,
+) -> Rollout:
+    """Episodes `first`, `first + 1`, ... of an evaluation over `episodes`, `count` of each run.
+
+    envs: R·count environments. The rollout holds run after run, [T, R·count].
+    """
     runs, (_, action_size) = len(config.seeds), sizes(envs)
     chosen = np.arange(first, first + count) % episodes  # beyond the last: played, and left out
     seeds = environment_seeds(config.seeds, Purpose.EVALUATION, 0, episodes)
@@ -110,14 +136,4 @@ def _episodes(
         action = policy(observation, next(noise)[:, chosen] if noisy else None)
         return action.reshape(runs * count, -1)
 
-    rollout = collect(envs, seeds, act, np.repeat(active, count))
-    columns = {
-        "returns": rollout.returns,
-        "cost_returns": rollout.cost_returns,
-        "lengths": rollout.length,
-        "final_observations": rollout.final_observation,
-        "diverged": rollout.diverged,
-    }
-    return {
-        name: column.reshape(runs, count, *column.shape[1:]) for name, column in columns.items()
-    }
+    return collect(envs, seeds, act, np.repeat(active, count))

@@ -59,6 +59,12 @@ class Log:
         return np.array(self._updates).reshape(-1, *self._shapes[1])
 
     @property
+    def steps(self) -> NDArray[np.int64]:
+        """Environment steps recorded of each run, [R]."""
+        length = self.episodes[..., COLUMNS.index("length")]
+        return np.nansum(length, axis=(0, 2)).astype(np.int64)
+
+    @property
     def latest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Of the last epoch: [R, E, columns], [R, metrics]."""
         return self._episodes[-1], self._updates[-1]

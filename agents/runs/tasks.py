@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+from dataclasses import fields
 from numbers import Real
 from typing import Any, Literal
 
@@ -16,6 +17,7 @@ from gymnasium.wrappers.vector import RescaleAction
 
 from agents.errors import UserError
 from agents.lockstep.rollout import require_cost
+from circle2d_mj import Circle2DConfig
 
 Vectorization = Literal["auto", "sync", "async"]
 
@@ -85,13 +87,22 @@ def check_task(task: str, parameters: dict[str, Any]) -> None:
     """Raise UserError for a task that cannot be made, never ends, or whose steps give no cost."""
     if parameters.get("max_episode_steps", 1) is None:
         raise UserError("task_parameters: max_episode_steps must not be None, episodes must end")
-    if registered(task).startswith("Circle2D-") and "level" in parameters:
+    if registered(task).startswith("Circle2D") and "level" in parameters:
         raise UserError("task_parameters: the level is part of the task's id, as in Circle2D-3-v0")
     envs = make_envs(task, 1, parameters)
     envs.reset(seed=0)
     info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
     envs.close()
     require_cost(f"task {task!r}", info)
+
+
+def circle2d_config(task: str, parameters: dict[str, Any]) -> Circle2DConfig | None:
+    """The configuration of a Circle2D task of either mode; None for any other task."""
+    if not registered(task).startswith("Circle2D"):
+        return None
+    names = {field.name for field in fields(Circle2DConfig)}
+    given = {**gym.spec(task).kwargs, **parameters}
+    return Circle2DConfig(**{k: v for k, v in given.items() if k in names})
 
 
 def sizes(envs: VectorEnv) -> tuple[int, int]:

@@ -20,8 +20,9 @@ from agents.runs.config import FAILURE, TrainConfig, run_folder
 from agents.runs.evaluate import evaluate
 from agents.runs.files import locked, read_arrays, write_arrays, write_json
 from agents.runs.log import Log
-from agents.runs.tasks import make_envs, sizes
+from agents.runs.tasks import circle2d_config, make_envs, sizes
 from agents.runs.tensorboard import Events
+from agents.runs.visited import Visited
 
 EVALUATION_EPISODES = 100
 
@@ -38,6 +39,8 @@ class Training:
             config.algorithm, config.hyperparameters, config.seeds, *sizes_of_one
         )
         self.log = Log(runs, self.learner.episodes, self.learner.metrics)
+        circle2d = circle2d_config(config.task, config.task_parameters)
+        self.visited = Visited(circle2d, runs) if circle2d else None
         self.epoch = 0
         self.steps = np.zeros(runs, dtype=np.int64)
         """Environment steps each run has taken, [R]."""
@@ -72,14 +75,18 @@ class Training:
         if learning.any():
             metrics = self.learner.learn(rollout, self.epoch, learning)
         self.log.add(rollout, self.steps, learning, metrics)
+        if self.visited:
+            self.visited.add(rollout, learning)
         self.steps += np.where(active, rollout.length.reshape(-1, episodes).sum(axis=1), 0)
         self.failed |= active & (diverged | ~self.learner.finite())
         self.epoch += 1
 
     def save(self, folder: Path) -> None:
         """Write the records, then the checkpoint from which all of it can be written again."""
-        folders = [run_folder(folder, seed) for seed in self.config.seeds]
+        folders = self._folders(folder)
         self.log.write(folders)
+        if self.visited:
+            self.visited.write(folders)
         for of_run, failed, steps in zip(folders, self.failed, self.steps, strict=True):
             (of_run / FAILURE).unlink(missing_ok=True)
             if failed:
@@ -103,6 +110,11 @@ class Training:
             self.learner.restore(state)
         except (KeyError, ValueError) as error:
             raise UserError(f"{path} is damaged or of another version: {error}") from None
+        if self.visited:
+            self.visited.restore(self._folders(folder), self.log.steps)
+
+    def _folders(self, folder: Path) -> list[Path]:
+        return [run_folder(folder, seed) for seed in self.config.seeds]
 
     def close(self) -> None:
         """Let go of the environments."""

@@ -41,6 +41,24 @@ def test_presets_are_the_papers(name):
         assert getattr(config, field) == value, field
 
 
+# Table HP_SafetyGymnasium: what differs there.
+SAFETY = {"SafetyPointCircle1-v0": 20, "SafetyPointGoal1-v0": 10, "SafetyHopperVelocity-v1": 10}
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.parametrize("task", SAFETY)
+def test_presets_of_the_safety_tasks(name, task):
+    printed = SHARED | PRINTED[name] | {"cost_limit": 25}
+    if "episodes" in printed:
+        printed |= {"episodes": SAFETY[task]}
+    else:
+        printed |= {"random_steps": 50_000, "replay_size": 500_000, "time_limit": "bootstrap"}
+    config = preset(name, f"circle2d_mj/{task}")
+    for field, value in printed.items():
+        assert getattr(config, field) == value, field
+    assert preset(name, f"circle2d_mj:circle2d_mj/{task}") == config
+
+
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_every_hyperparameter_says_its_source(name):
     config = ALGORITHMS[name].config

@@ -12,49 +12,60 @@ from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode
 
 from circle2d_mj import Circle2DEnv, Circle2DVectorEnv
+from circle2d_mj.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
 
 LEVELS = range(4)
+SINGLE = {"Circle2D": Circle2DEnv, "Circle2DMuJoCo": Circle2DMuJoCoEnv}
+VECTOR = {"Circle2D": Circle2DVectorEnv, "Circle2DMuJoCo": Circle2DMuJoCoVectorEnv}
+tasks = pytest.mark.parametrize("task", list(SINGLE))
 
 
 class AsSingle(gym.Env):
     """The vector environment of size 1 behind the interface of a single one."""
 
-    def __init__(self, **parameters):
-        self.envs = Circle2DVectorEnv(1, autoreset_mode="Disabled", **parameters)
+    def __init__(self, task, **parameters):
+        self.envs = VECTOR[task](1, autoreset_mode="Disabled", **parameters)
         self.observation_space = self.envs.single_observation_space
         self.action_space = self.envs.single_action_space
 
     def reset(self, *, seed=None, options=None):
         observation, info = self.envs.reset(seed=seed, options=options)
-        return observation[0], {"cost": float(info["cost"][0])}
+        return observation[0], self._floats(info)
 
     def step(self, action):
         observation, *values, info = self.envs.step([action])
-        return observation[0], *(v.item() for v in values), {"cost": float(info["cost"][0])}
+        return observation[0], *(v.item() for v in values), self._floats(info)
+
+    def _floats(self, info):
+        return {key: float(info[key][0]) for key in info if not key.startswith("_")}
 
 
+@tasks
 @pytest.mark.parametrize("level", LEVELS)
-def test_check_env(level):
-    check_env(gym.make(f"Circle2D-{level}-v0").unwrapped)
-    other = gym.make(f"Circle2D-{level}-v0", sparse_reward=True, reset_on_cost=True)
+def test_check_env(level, task):
+    check_env(gym.make(f"{task}-{level}-v0").unwrapped)
+    other = gym.make(f"{task}-{level}-v0", sparse_reward=True, reset_on_cost=True)
     check_env(other.unwrapped)
 
 
+@tasks
 @pytest.mark.parametrize("level", LEVELS)
-def test_single_matches_vector(level):
-    check_environments_match(Circle2DEnv(level=level), AsSingle(level=level), num_steps=300)
+def test_single_matches_vector(level, task):
+    single, vector = SINGLE[task](level=level), AsSingle(task, level=level)
+    check_environments_match(single, vector, num_steps=300)
 
 
 MODES = list(AutoresetMode)
 
 
+@tasks
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("parameters", [{"level": 0}, {"level": 3, "reset_on_cost": True}])
-def test_native_equals_gymnasiums_own_vector_env(mode, parameters):
+def test_native_equals_gymnasiums_own_vector_env(mode, parameters, task):
     """Every value of 150 steps of 5 environments, bit for bit; infos but for same-step costs."""
-    native = Circle2DVectorEnv(5, autoreset_mode=mode, max_episode_steps=20, **parameters)
+    native = VECTOR[task](5, autoreset_mode=mode, max_episode_steps=20, **parameters)
     sync = gym.vector.SyncVectorEnv(
-        [lambda: Circle2DEnv(max_episode_steps=20, **parameters)] * 5, autoreset_mode=mode
+        [lambda: SINGLE[task](max_episode_steps=20, **parameters)] * 5, autoreset_mode=mode
     )
     assert native.observation_space == sync.observation_space
     assert native.action_space == sync.action_space
@@ -69,10 +80,11 @@ def test_native_equals_gymnasiums_own_vector_env(mode, parameters):
         ends += done.sum()
         if mode is AutoresetMode.SAME_STEP and done.any():
             # gymnasium gives the cost of the reset here; ours that of the step, as the reward is.
-            np.testing.assert_array_equal(
-                ours[4]["cost"][done], theirs[4]["final_info"]["cost"][done]
-            )
-            theirs[4]["cost"][done] = ours[4]["cost"][done]
+            for key in native.simulation.info_keys:
+                np.testing.assert_array_equal(
+                    ours[4][key][done], theirs[4]["final_info"][key][done]
+                )
+                theirs[4][key][done] = ours[4][key][done]
         for mine, its in zip(ours, theirs, strict=True):
             assert data_equivalence(mine, its, exact=True), (mine, its)
         if mode is AutoresetMode.DISABLED and done.any():
@@ -111,20 +123,26 @@ def test_same_step_keeps_the_final_observation():
     assert (np.abs(observation - final).max(axis=1) > 0.01).all()
 
 
-def test_returned_arrays_are_fresh():
-    envs = Circle2DVectorEnv(2, level=0)
-    observation, info = envs.reset(seed=0)
-    kept = copy.deepcopy((observation, info))
-    envs.step(np.full((2, 2), -1.0))
-    assert data_equivalence((observation, info), kept, exact=True)
+@tasks
+@pytest.mark.parametrize("level", [0, 1])
+def test_returned_arrays_are_fresh(level, task):
+    envs = VECTOR[task](2, level=level)
+    results = [envs.reset(seed=0)]
+    kept = copy.deepcopy(results)
+    for _ in range(12):
+        results.append(envs.step(np.full((2, 2), -1.0)))
+        kept.append(copy.deepcopy(results[-1]))
+    assert data_equivalence(results, kept, exact=True)
     position = envs.position
     position += 100
-    assert np.abs(envs.position).max() <= 15
+    assert np.abs(envs.position).max() <= 15.2
 
 
-def test_two_seeded_runs_are_equal_and_others_are_not():
+@tasks
+@pytest.mark.parametrize("level", [0, 2])
+def test_two_seeded_runs_are_equal_and_others_are_not(level, task):
     def run(seed):
-        env = gym.make("Circle2D-2-v0")
+        env = gym.make(f"{task}-{level}-v0")
         env.action_space.seed(0)
         results = [env.reset(seed=seed)]
         for _ in range(50):
@@ -138,9 +156,10 @@ def test_two_seeded_runs_are_equal_and_others_are_not():
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-@pytest.mark.parametrize("make", [Circle2DEnv, lambda **kw: Circle2DVectorEnv(3, **kw)])
-def test_copies_go_on_alike(make, copied):
-    env = make(level=3)
+@pytest.mark.parametrize("level", [0, 3])
+@pytest.mark.parametrize("make", [*SINGLE.values(), *VECTOR.values()])
+def test_copies_go_on_alike(make, level, copied):
+    env = make(level=level, **({} if make in SINGLE.values() else {"num_envs": 3}))
     env.reset(seed=1)
     for _ in range(20):
         env.step(env.action_space.sample())
@@ -153,10 +172,12 @@ def test_copies_go_on_alike(make, copied):
             assert data_equivalence(env.reset(), twin.reset(), exact=True)
 
 
-def test_seeds_per_environment():
-    whole = Circle2DVectorEnv(4, level=1)
+@tasks
+@pytest.mark.parametrize("level", [0, 1])
+def test_seeds_per_environment(level, task):
+    whole = VECTOR[task](4, level=level)
     start, _ = whole.reset(seed=10)
-    shuffled, _ = Circle2DVectorEnv(4, level=1).reset(seed=[13, 10, 12, 11])
+    shuffled, _ = VECTOR[task](4, level=level).reset(seed=[13, 10, 12, 11])
     np.testing.assert_array_equal(shuffled, start[[3, 0, 2, 1]])
     kept, _ = whole.reset(seed=[10, None, 12, None])
     np.testing.assert_array_equal(kept[[0, 2]], start[[0, 2]])
@@ -173,7 +194,8 @@ def test_unseeded_first_reset_follows_np_random():
     assert (Circle2DVectorEnv(2, level=1).reset()[0] != starts[0]).any()
 
 
-def test_time_limit_belongs_to_make():
+@tasks
+def test_time_limit_belongs_to_make(task):
     """`make(max_episode_steps=...)` may raise and lower the limit; the class has its own."""
 
     def length(env):
@@ -184,13 +206,13 @@ def test_time_limit_belongs_to_make():
                 return steps
         return None
 
-    assert length(gym.make("Circle2D-1-v0")) == 50
-    assert length(gym.make("Circle2D-1-v0", max_episode_steps=100)) == 100
-    assert length(gym.make("Circle2D-1-v0", max_episode_steps=-1)) is None
-    assert length(gym.make_vec("Circle2D-1-v0", num_envs=2)) == 50
-    assert length(gym.make_vec("Circle2D-1-v0", num_envs=2, max_episode_steps=7)) == 7
-    assert length(Circle2DEnv(level=1)) == 50
-    assert length(Circle2DEnv(level=1, max_episode_steps=None)) is None
+    assert length(gym.make(f"{task}-1-v0")) == 50
+    assert length(gym.make(f"{task}-1-v0", max_episode_steps=100)) == 100
+    assert length(gym.make(f"{task}-1-v0", max_episode_steps=-1)) is None
+    assert length(gym.make_vec(f"{task}-1-v0", num_envs=2)) == 50
+    assert length(gym.make_vec(f"{task}-1-v0", num_envs=2, max_episode_steps=7)) == 7
+    assert length(SINGLE[task](level=1)) == 50
+    assert length(SINGLE[task](level=1, max_episode_steps=None)) is None
 
 
 @pytest.mark.parametrize(
@@ -204,21 +226,23 @@ def test_time_limit_belongs_to_make():
         (None, "action must"),
     ],
 )
-def test_bad_actions(action, message):
-    env = Circle2DEnv(level=1)
+@tasks
+def test_bad_actions(action, message, task):
+    env = SINGLE[task](level=1)
     env.reset(seed=0)
     before = env.position
     with pytest.raises(ValueError, match=message):
         env.step(action)
     np.testing.assert_array_equal(env.position, before)
     with pytest.raises(ValueError, match=r"action must have shape \(3, 2\), got shape \(2,\)"):
-        vector = Circle2DVectorEnv(3)
+        vector = VECTOR[task](3)
         vector.reset(seed=0)
         vector.step([0.0, 0.0])
 
 
-def test_step_before_reset():
-    for env in (Circle2DEnv(level=1), Circle2DVectorEnv(2, level=1), gym.make("Circle2D-1-v0")):
+@tasks
+def test_step_before_reset(task):
+    for env in (SINGLE[task](level=1), VECTOR[task](2, level=1), gym.make(f"{task}-1-v0")):
         with pytest.raises(ResetNeeded, match="reset"):
             env.step(env.action_space.sample())
     mask = np.array([True, False])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emcc import cost_rate, cvar, emcc, emcc_by_part
+from emcc import cost_rate, cvar, emcc, emcc_by_part, worst
 
 
 def tail_by_definition(values, alpha, ties):
@@ -31,6 +31,11 @@ def test_equals_the_definition(values, alpha, ties):
     expected = float(tail_by_definition(values, alpha, ties))
     floats = [float(value) for value in values]
     assert emcc(floats, float(alpha), ties) == pytest.approx(expected, rel=1e-12)
+    if ties == "all":
+        is_worst = worst(floats, float(alpha))
+        kept = [value for value, chosen in zip(values, is_worst, strict=True) if chosen]
+        assert float(sum(kept) / len(kept)) == pytest.approx(expected, rel=1e-12)
+        assert len(kept) == sum(value >= min(kept) for value in values)
     scaled = [10 * value - 5 for value in floats]
     assert cvar(scaled, float(alpha), ties) == pytest.approx(10 * expected - 5, abs=1e-12)
 

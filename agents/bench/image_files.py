@@ -1,0 +1,45 @@
+"""Pictures and films as files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import track
+
+from circle2d_mj.canvas import Picture
+
+FRAMES_A_SECOND = 10
+"""A step of the task takes 0.1 s."""
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write an image file, whole or not at all."""
+    import imageio.v3 as imageio
+
+    unfinished = _unfinished(path)
+    imageio.imwrite(unfinished, picture)
+    os.replace(unfinished, path)
+
+
+def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:
+    """Write `total` frames into a .gif or .mp4 file, whole or not at all, showing progress."""
+    import imageio.v2 as imageio
+
+    timing: dict[str, Any] = {"fps": FRAMES_A_SECOND}
+    if path.suffix.lower() == ".gif":
+        timing = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0}
+    unfinished = _unfinished(path)
+    writer: Any = imageio.get_writer(unfinished, **timing)
+    with writer:
+        for frame in track(frames, "drawing", total, console=Console(stderr=True), transient=True):
+            writer.append_data(frame)
+    os.replace(unfinished, path)
+
+
+def _unfinished(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path.with_name(f".unfinished-{path.name}")

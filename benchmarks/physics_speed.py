@@ -1,0 +1,152 @@
+"""Steps a second of Circle2D with MuJoCo's physics, beside MuJoCo's own rollout and gymnasium's
+MuJoCo environments, in turns, on one core (two where the table says so).
+
+python benchmarks/physics_speed.py
+"""
+
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"
+
+import argparse
+import statistics
+import time
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from circle2d_mj.mujoco_envs import Circle2DMuJoCoVectorEnv
+from circle2d_mj.scene import SUBSTEPS
+
+SIZE, TURNS = 1024, 5
+ACTIONS = np.random.default_rng(0).uniform(-1, 1, (50, SIZE, 2))
+SPAN = 1.1  # seconds a turn of a single environment lasts
+LEVELS = range(4)
+
+
+def vector(level, num_threads=1):
+    """An episode of 50 steps and its reset, 1024 times."""
+    envs = Circle2DMuJoCoVectorEnv(SIZE, level=level, num_threads=num_threads)
+    envs.reset(seed=0)
+
+    def run():
+        start = time.perf_counter()
+        # With the autoreset mode of gymnasium's default, the 51st step is the reset.
+        for action in (*ACTIONS, ACTIONS[0]):
+            envs.step(action)
+        return SIZE * len(ACTIONS) / (time.perf_counter() - start)
+
+    return run
+
+
+def open_loop(level):
+    """The same starts and actions through mujoco.rollout, which is physics and nothing else."""
+    envs = Circle2DMuJoCoVectorEnv(SIZE, level=level)
+    envs.reset(seed=0)
+    model = envs.simulation.dynamics.model
+    data = mujoco.MjData(model)
+    full = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    starts = np.zeros((SIZE, full))
+    starts[:, 1:3] = envs.position
+    most = model.actuator_ctrlrange[:, 1]
+    control = np.repeat(ACTIONS.swapaxes(0, 1) * most, SUBSTEPS, axis=1)
+
+    def run():
+        start = time.perf_counter()
+        rollout.rollout(model, data, starts, control)
+        return SIZE * len(ACTIONS) / (time.perf_counter() - start)
+
+    return run
+
+
+def resets(level):
+    """Seconds for a reset of all 1024."""
+    envs = Circle2DMuJoCoVectorEnv(SIZE, level=level)
+    envs.reset(seed=0)
+
+    def run():
+        start = time.perf_counter()
+        for _ in range(20):
+            envs.reset()
+        return (time.perf_counter() - start) / 20
+
+    return run
+
+
+def through_gymnasium(task, mode=None, num_envs=8):
+    """Of a single environment (mode None) or gymnasium's own vector of them; resets included."""
+    env = gym.make(task) if mode is None else gym.make_vec(task, num_envs, mode)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(64)]
+
+    def run():
+        start, count = time.perf_counter(), 0
+        while time.perf_counter() - start < SPAN:
+            for action in actions:
+                *_, terminated, truncated, _ = env.step(action)
+                if mode is None and (terminated or truncated):
+                    env.reset()
+            count += len(actions)
+        return (1 if mode is None else num_envs) * count / (time.perf_counter() - start)
+
+    return run
+
+
+def measurements():
+    """Name of a row -> what a turn measures."""
+    runs = {}
+    for level in LEVELS:
+        runs[f"level {level}"] = vector(level)
+        runs[f"level {level}, open loop"] = open_loop(level)
+        runs[f"level {level}, 2 threads"] = vector(level, num_threads=2)
+        runs[f"level {level}, resets"] = resets(level)
+    for task in ("Circle2DMuJoCo-1-v0", "Reacher-v5", "InvertedPendulum-v5"):
+        runs[f"{task}, single"] = through_gymnasium(task)
+        for mode in ("sync", "async"):
+            runs[f"{task}, {mode}"] = through_gymnasium(task, mode)
+    return runs
+
+
+def table(seen):
+    """Medians over the turns, and medians of each turn's ratios. seen: row -> [turns]."""
+
+    def ratio(name, of):
+        pairs = zip(seen[name], seen[of], strict=True)
+        return f"{statistics.median(a / b for a, b in pairs):.2f}"
+
+    def speed(name):
+        return f"{statistics.median(seen[name]):,.0f}"
+
+    yield "| | steps/s | mujoco.rollout, open loop | ratio | 2 threads over 1 | reset, ms |"
+    yield "| --- | --- | --- | --- | --- | --- |"
+    for level in LEVELS:
+        name = f"level {level}"
+        free, threads, reset = (f"{name}, {what}" for what in ("open loop", "2 threads", "resets"))
+        yield (
+            f"| Circle2DMuJoCo-{level}-v0, vector of {SIZE} | {speed(name)} | {speed(free)} "
+            f"| {ratio(name, free)} | {ratio(threads, name)} "
+            f"| {1000 * statistics.median(seen[reset]):.2f} |"
+        )
+    for name in seen:
+        if "-v" in name:
+            yield f"| {name}{'' if 'single' in name else ' vector of 8'} | {speed(name)} | | | | |"
+
+
+def main():
+    """Prints one Markdown table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--turns", type=int, default=TURNS)
+    turns = parser.parse_args().turns
+    runs = measurements()
+    seen = {name: [] for name in runs}
+    for _ in range(turns):
+        for name, run in runs.items():
+            seen[name].append(run())
+    print("\n".join(table(seen)))
+
+
+if __name__ == "__main__":
+    main()
