@@ -165,6 +165,16 @@ def test_heat_colours_the_visited_cells_alone():
     assert (BLANK == 252).all()
 
 
+@pytest.mark.parametrize("cells", [37, 200])
+def test_a_pixel_shows_the_cell_of_its_centre(cells):
+    positions = np.random.default_rng(0).uniform(-15, 15, (cells * cells // 2, 2))
+    image, _ = canvas.with_heat(BLANK, TASK, positions, cells)
+    edges = np.linspace(-15, 15, cells + 1)
+    visited = np.histogram2d(*positions.T, bins=(edges, edges))[0] > 0
+    x, y = (np.searchsorted(edges, centres(TASK, SIZE)[..., k]) - 1 for k in (0, 1))
+    np.testing.assert_array_equal((image != BLANK).any(axis=-1), visited[x, y])
+
+
 def test_heat_colours():
     dark_blue, *between, red = canvas.heat_colours(np.linspace(0, 1, 101)).astype(int)
     assert dark_blue[2] > 90

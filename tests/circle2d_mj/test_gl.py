@@ -207,6 +207,15 @@ def test_named_backend_is_not_replaced(python):
     assert f"{LIBRARIES[named]} is missing" in message
 
 
+@needs("egl")
+def test_named_egl_that_fails(python):
+    message = python(DRAW, MUJOCO_GL="egl", MUJOCO_EGL_DEVICE_ID="99")
+    assert says_what_to_do(message)
+    tried = message.partition("Tried egl: ")[2]
+    assert "got 99" in tried
+    assert "osmesa: " not in tried
+
+
 def test_glfw_without_a_screen(python):
     quiet = {"PYTHONWARNINGS": "ignore", "PYGLFW_LIBRARY_VARIANT": "x11"}
     code = f"import warnings; warnings.simplefilter('ignore')\n{DRAW}"

@@ -162,7 +162,10 @@ def test_rgb_array(make):
             env.close()
             env.close()
             env.reset()
+    drawn_by = env._envs.simulation._renderer
     env.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        drawn_by.frame()
     still = make(level=1)
     still.reset(seed=0)
     assert still.render() is None
@@ -180,6 +183,8 @@ def test_rgb_array_of_many(make):
         for picture, position in zip(pictures, envs.position, strict=True):
             place, _ = ball(picture)
             assert np.abs(place - expected_at(envs.config, position, 640)).max() < 1
+            with Renderer(envs.config) as renderer:
+                np.testing.assert_array_equal(picture, renderer.frame(position))
         envs.step(np.full((3, 2), -1.0))
     envs.close()
     envs.close()
