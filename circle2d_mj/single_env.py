@@ -58,7 +58,7 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
 
     def close(self) -> None:
         """Let go of what drawing needed."""
-        self._envs.close()
+        self._envs.close_extras()  # `close` would do so only once
 
     def state(self) -> State:
         """All that the following steps and resets depend on: see `TaskVectorEnv.state`."""

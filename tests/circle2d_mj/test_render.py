@@ -200,6 +200,21 @@ def test_other_render_modes(make, monkeypatch):
         make(level=1, render_mode="human")
 
 
+@pytest.mark.parametrize("make", SINGLE)
+def test_human_mode_shows_every_state(make, monkeypatch):
+    monkeypatch.setitem(circle2d_mj.envs.METADATA, "render_modes", ["rgb_array", "human"])
+    env, shown = make(level=1, render_mode="human"), []
+    monkeypatch.setattr(env._envs.simulation, "show", lambda i: shown.append((i, *env.position)))
+    env.reset(seed=0)
+    expected = [(0, *env.position)]
+    for _ in range(2):
+        env.step(np.array((-1.0, 0.0)))
+        expected.append((0, *env.position))
+    assert env.render() is None
+    assert shown == [*expected, expected[-1]]
+    env.close()
+
+
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @pytest.mark.parametrize("make", [*SINGLE, lambda **kw: Circle2DVectorEnv(2, **kw)])
 def test_copies_of_an_environment_that_has_rendered(make, copied):
