@@ -17,8 +17,14 @@ Picture = NDArray[np.uint8]
 
 FREE, REGION = (252, 252, 252), (190, 190, 190)
 START, START_IN_REGION = (222, 238, 218), (166, 190, 160)
-CROSS, DOT, LINE, BOX = (20, 20, 20), (28, 84, 200), (140, 170, 225), (240, 130, 10)
-RING_SHADE = 0.82
+CROSS, WALL, DOT, LINE, BOX = (
+    (20, 20, 20),
+    (90, 90, 90),
+    (28, 84, 200),
+    (85, 125, 210),
+    (240, 130, 10),
+)
+RING_SHADE = 0.75
 """How much darker the circles of equal reward are than what lies below them."""
 HEAT = ((0, 0, 110), (0, 70, 255), (0, 200, 215), (250, 215, 20), (215, 20, 0))
 """From one visit to the most, in equal steps of the visits' logarithm."""
@@ -29,8 +35,13 @@ _FINER = 2
 
 
 def background(config: Circle2DConfig, size: int) -> Picture:
-    """The task: the region grey, the start area green, circles of equal reward every R/4, in wide
-    arenas R/2, R and so on, and an X on the optimum."""
+    """The task: what `ground` shows, and an X on the optimum."""
+    return with_cross(ground(config, size), config)
+
+
+def ground(config: Circle2DConfig, size: int) -> Picture:
+    """The region grey, with a wall round it where it is rigid, the start area green, and circles of
+    equal reward every R/4, in wide arenas R/2, R and so on."""
     fine = size * _FINER
     axis = (np.arange(fine) + 0.5) / fine * 2 - 1
     x, y = np.meshgrid(axis * config.arena, -axis * config.arena)
@@ -42,6 +53,8 @@ def background(config: Circle2DConfig, size: int) -> Picture:
         starts &= ~inside
     image = np.where(inside[..., None], REGION, FREE).astype(np.float64)
     image[starts] = np.where(inside[starts, None], START_IN_REGION, START)
+    if not config.infeasible_region_penetratable:
+        image[inside & ~_within(inside, fine // 400)] = WALL
     ring = config.constraint_radius / 4
     while ring * size < 16 * config.arena:  # closer than 8 pixels they would look like one shade
         ring *= 2
@@ -49,14 +62,7 @@ def background(config: Circle2DConfig, size: int) -> Picture:
     line = 0.6 * 2 * config.arena / size  # half of 1.2 pixels
     on_ring = np.abs(distance - ring * np.round(distance / ring)) < line
     image[on_ring] *= RING_SHADE
-    painted = Image.fromarray(np.round(image).astype(np.uint8))
-    column, row = pixels(config, config.optima_perturbation, fine)
-    arm, width = fine // 55, max(fine // 160, 1)
-    draw = ImageDraw.Draw(painted)
-    for slope in (1, -1):
-        ends = (column - arm, row - slope * arm, column + arm, row + slope * arm)
-        draw.line(ends, fill=CROSS, width=width)
-    return np.asarray(painted.reduce(_FINER))
+    return np.asarray(Image.fromarray(np.round(image).astype(np.uint8)).reduce(_FINER))
 
 
 def with_trajectories(
@@ -123,6 +129,33 @@ def with_heat(
     visited = (counts > 0)[cell[:, None], cell, None]
     blended = (colours * OPACITY + image * (1 - OPACITY)).astype(np.uint8)
     return np.where(visited, blended, image), most
+
+
+def with_cross(image: Picture, config: Circle2DConfig) -> Picture:
+    """The image with an X on the optimum, on top of whatever was painted there."""
+    painted, size = Image.fromarray(image), len(image)
+    column, row = pixels(config, config.optima_perturbation, size)
+    arm, width, reach = size / 55, max(size // 160, 1), size // 40 + 2
+    left, top = int(column) - reach, int(row) - reach
+    patch = painted.crop((left, top, left + 2 * reach, top + 2 * reach))
+    patch = patch.resize((2 * reach * _FINER,) * 2, Image.Resampling.NEAREST)
+    draw = ImageDraw.Draw(patch)
+    x, y, arm = (column - left) * _FINER, (row - top) * _FINER, arm * _FINER
+    for colour, thickness in ((FREE, 2 * width * _FINER), (CROSS, width * _FINER)):
+        for slope in (1, -1):
+            ends = (x - arm, y - slope * arm, x + arm, y + slope * arm)
+            draw.line(ends, fill=colour, width=thickness)
+    painted.paste(patch.reduce(_FINER), (left, top))
+    return np.asarray(painted)
+
+
+def _within(inside: NDArray[np.bool_], distance: int) -> NDArray[np.bool_]:
+    """What is inside together with all that lies `distance` up, down, left and right of it."""
+    within = inside.copy()
+    for axis in (0, 1):
+        for shift in (distance, -distance):
+            within &= np.roll(inside, shift, axis)
+    return within
 
 
 def visits(config: Circle2DConfig, positions: ArrayLike, cells: int) -> NDArray[np.int64]:

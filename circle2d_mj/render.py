@@ -38,7 +38,8 @@ class Renderer:
         import mujoco
 
         self.config, self.size = config, size
-        self.background = canvas.background(config, size)
+        self._ground = canvas.ground(config, size)
+        self.background = canvas.with_cross(self._ground, config)
         self._model = _model(config, size)
         self._data = mujoco.MjData(self._model)
         self._agent = self._model.geom("agent").id
@@ -74,8 +75,8 @@ class Renderer:
         paths: [T + 1, 2] each, world units, the start first; costs: [T] each; agent: where to draw
         the agent, [2], if anywhere.
         """
-        floor = canvas.with_trajectories(self.background, self.config, paths, costs)
-        return self.frame(agent, floor)
+        floor = canvas.with_trajectories(self._ground, self.config, paths, costs)
+        return self.frame(agent, canvas.with_cross(floor, self.config))
 
     def heatmap(self, positions: ArrayLike, cells: int = CELLS) -> Picture:
         """Visited states, from dark blue (one visit) to red (the most), in steps of the logarithm.
@@ -83,8 +84,8 @@ class Renderer:
         positions: [N, 2] world units; cells: along each side of the arena.
         """
         cells = positive_integer("cells", cells)
-        heat, _ = canvas.with_heat(self.background, self.config, positions, cells)
-        return self.frame(floor=heat)
+        heat, _ = canvas.with_heat(self._ground, self.config, positions, cells)
+        return self.frame(floor=canvas.with_cross(heat, self.config))
 
     def close(self) -> None:
         """Free what is held on the graphics side."""

@@ -51,10 +51,8 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """A picture, [height, width, 3] uint8; None without render_mode "rgb_array"."""
-        if self.render_mode == "rgb_array":
-            return self._envs.simulation.frame(0)
-        self._show()
-        return None
+        frames = self._envs.render()
+        return None if frames is None else frames[0]
 
     def close(self) -> None:
         """Let go of what drawing needed."""
@@ -70,7 +68,7 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
 
     def _show(self) -> None:
         if self.render_mode == "human":
-            self._envs.simulation.show(0)
+            self._envs.render()
 
     def _floats(self, info: dict[str, Any]) -> dict[str, float]:
         return {key: float(info[key][0]) for key in self._envs.simulation.info_keys}

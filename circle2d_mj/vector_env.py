@@ -46,6 +46,8 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         if render_mode is not None and render_mode not in modes:
             valid = f"None or one of {modes} ('human' where there is a screen)"
             raise ValueError(f"render_mode must be {valid}, got {render_mode!r}")
+        if render_mode == "human" and self.num_envs > 1:
+            raise ValueError("render_mode 'human' shows one environment; use 'rgb_array' for many")
         self.render_mode = render_mode
         self.single_observation_space = simulation.observation_space
         self.single_action_space = simulation.action_space
@@ -126,8 +128,10 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         self.simulation.restore(state)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """A picture of each environment, [height, width, 3] uint8; None without render_mode."""
-        if self.render_mode is None:
+        """A picture of each environment, [height, width, 3] uint8, with "rgb_array", else None."""
+        if self.render_mode == "human":
+            self.simulation.show(0)
+        if self.render_mode != "rgb_array":
             return None
         return tuple(self.simulation.frame(i) for i in range(self.num_envs))
 

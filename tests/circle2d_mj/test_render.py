@@ -15,7 +15,7 @@ from circle2d_mj import Circle2DConfig, Circle2DEnv, Circle2DVectorEnv, canvas, 
 from circle2d_mj.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
 from circle2d_mj.render import Renderer
 
-BALL = (26, 77, 230)
+BALL = (217, 26, 115)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -100,14 +100,15 @@ def test_trajectories_and_heat_are_what_is_painted():
     path = np.linspace((12.0, 1.0), (-3.0, 6.0), 12)
     costs = config.region.contains(path[1:]).astype(float)
     with Renderer(config, 200) as renderer:
-        background = renderer.background
-        np.testing.assert_array_equal(
-            renderer.trajectories([path], [costs]),
-            canvas.with_trajectories(background, config, [path], [costs]),
-        )
-        np.testing.assert_array_equal(
-            renderer.heatmap(path, cells=25), canvas.with_heat(background, config, path, 25)[0]
-        )
+        background, ground = renderer.background, canvas.ground(config, 200)
+        for picture, painted in (
+            (
+                renderer.trajectories([path], [costs]),
+                canvas.with_trajectories(ground, config, [path], [costs]),
+            ),
+            (renderer.heatmap(path, cells=25), canvas.with_heat(ground, config, path, 25)[0]),
+        ):
+            np.testing.assert_array_equal(picture, canvas.with_cross(painted, config))
         np.testing.assert_array_equal(renderer.heatmap(np.zeros((0, 2))), background)
         assert (renderer.trajectories([path], [costs]) != background).any()
         with pytest.raises(ValueError, match="cells must be at least 1, got 0"):
