@@ -138,7 +138,7 @@ def with_cross(image: Picture, config: Circle2DConfig) -> Picture:
     arm, width, reach = size / 55, max(size // 160, 1), size // 40 + 2
     left, top = int(column) - reach, int(row) - reach
     patch = painted.crop((left, top, left + 2 * reach, top + 2 * reach))
-    patch = patch.resize((2 * reach * _FINER,) * 2, Image.Resampling.NEAREST)
+    patch = patch.resize((2 * reach * _FINER, 2 * reach * _FINER), Image.Resampling.NEAREST)
     draw = ImageDraw.Draw(patch)
     x, y, arm = (column - left) * _FINER, (row - top) * _FINER, arm * _FINER
     for colour, thickness in ((FREE, 2 * width * _FINER), (CROSS, width * _FINER)):
