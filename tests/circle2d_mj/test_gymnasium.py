@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
@@ -155,11 +156,18 @@ def test_two_seeded_runs_are_equal_and_others_are_not(level, task):
     assert not data_equivalence(run(7)[0], run(7)[-1])
 
 
+COPIED = [
+    *SINGLE.values(),
+    *(partial(make, 3) for make in VECTOR.values()),
+    partial(Circle2DMuJoCoVectorEnv, 3, actuation="force", num_threads=2),
+]
+
+
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @pytest.mark.parametrize("level", [0, 3])
-@pytest.mark.parametrize("make", [*SINGLE.values(), *VECTOR.values()])
+@pytest.mark.parametrize("make", COPIED)
 def test_copies_go_on_alike(make, level, copied):
-    env = make(level=level, **({} if make in SINGLE.values() else {"num_envs": 3}))
+    env = make(level=level)
     env.reset(seed=1)
     for _ in range(20):
         env.step(env.action_space.sample())
