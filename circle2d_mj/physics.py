@@ -54,7 +54,7 @@ class Physics:
         self._batch = Batch(self.model, num_envs, self.num_threads)
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
-        self._contacts, self._sensors = self._batch.bind("ncon"), self._batch.bind("sensordata")
+        self._sensors = self._batch.bind("sensordata")
         self._full_action = self.model.actuator_ctrlrange[:, 1]
 
     @property
@@ -83,35 +83,36 @@ class Physics:
         self._batch.set_models(self._without_contacts)
         self._batch.step(nstep=SUBSTEPS)
         self._batch.set_models(self.model)
-        contacts, _ = self._touching()
+        inside = self._distance() < 0
+        depth = np.zeros(self.num_envs)
+        if inside.any():
+            depth[inside] = self.config.region.depth(self._qpos[inside])
         return {
-            "cost": np.where(contacts > 0, 1.0, 0.0),
+            "cost": inside.astype(np.float64),
             "contact_force": np.zeros(self.num_envs),
-            "penetration": self.config.region.depth(self._qpos),
+            "penetration": depth,
         }
 
     def _push(self) -> dict[str, NDArray[np.float64]]:
         # Each row holds the state before a physics step and the forces during it.
-        rows = self._batch.rollout(SUBSTEPS, record=("ncon", "sensordata"))
-        contacts, distance = self._touching()
-        force, distances = np.split(rows["sensordata"], [3], axis=-1)
-        distance = np.column_stack((distances[:, 1:, 0], distance))
-        contacts = np.column_stack((rows["ncon"][:, 1:], contacts))
+        rows = self._batch.rollout(SUBSTEPS, record=("sensordata",))["sensordata"]
+        force, distance = rows[..., :3], rows[:, 1:, 3]
+        overlap = 0.0 - np.minimum(distance.min(axis=1), self._distance())
         return {
-            "cost": np.where(contacts.max(axis=1) > 0, 1.0, 0.0),
+            "cost": (overlap > 0).astype(np.float64),
             "contact_force": np.sqrt(np.square(force).sum(axis=-1).max(axis=1)),
-            "penetration": np.maximum(-distance, 0.0).max(axis=1),
+            "penetration": overlap,
         }
 
-    def _touching(self) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-        """Contacts now, and the distance of the nearest, below 0: [num_envs] each.
+    def _distance(self) -> NDArray[np.float64]:
+        """Of ball and region now, below 0 where there is a contact, else 0: [num_envs].
 
-        mj_step leaves those of the state before its last physics step. Looking for them again costs
-        a tenth of a step, so only balls near the region are looked at.
+        mj_step leaves the contacts of the state before its last physics step. Looking for them
+        again costs a tenth of a step, so only balls near the region are looked at.
         """
         near = self._reach.contains(self._qpos)
         self._batch.forward(near, mujoco.mjtStage.mjSTAGE_POS)
-        return np.where(near, self._contacts, 0), np.where(near, self._sensors[:, 3], 0.0)
+        return np.where(near, self._sensors[:, 3], 0.0)
 
     def observe(self) -> NDArray[np.float32]:
         """Position and velocity, scaled: [num_envs, 4] float32."""
