@@ -22,7 +22,7 @@ from circle2d_mj.scene import SUBSTEPS
 
 SIZE, TURNS = 1024, 5
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (50, SIZE, 2))
-SPAN = 1.1  # seconds a turn of a single environment lasts
+SPAN = 0.6  # seconds a turn of a single environment lasts
 LEVELS = range(4)
 
 
