@@ -1,4 +1,5 @@
-"""The command `circle2d`: train, resume, evaluate, report; what draws is in `cli_pictures`."""
+"""The command `circle2d`: train, resume, evaluate, report; `cli_grid` and `cli_pictures` hold the
+others."""
 
 from __future__ import annotations
 
@@ -17,6 +18,7 @@ from agents.algorithms import ALGORITHMS, algorithm
 from agents.bench.hyperparameters import explain_all
 from agents.bench.presets import preset
 from agents.bench.report import report
+from agents.cli_grid import run_reproduce
 from agents.cli_pictures import run_heatmap, run_render, run_scene
 from agents.errors import UserError
 from agents.options import parse
@@ -34,6 +36,7 @@ usage: circle2d COMMAND ...
   train      train runs of an algorithm on a task, evaluate them and print their table
   resume     go on with runs that were interrupted
   evaluate   play episodes with trained policies
+  reproduce  run the paper's experiments, or a part of them, and report
   report     tables of trained runs (Markdown, CSV) and their heat maps
   heatmap    draw which states were visited in training
   render     draw episodes of a trained policy: PNG, GIF, MP4
@@ -151,6 +154,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "resume": run_resume,
     "evaluate": run_evaluate,
     "report": run_report,
+    "reproduce": run_reproduce,
     "heatmap": run_heatmap,
     "render": run_render,
     "scene": run_scene,
@@ -176,7 +180,8 @@ def main(args: Sequence[str] | None = None) -> int:
         print(f"circle2d: {error or 'out of memory'}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("circle2d: interrupted; 'circle2d resume' goes on with a training", file=sys.stderr)
+        how = "'circle2d resume' of a training, or the same 'circle2d reproduce', goes on"
+        print(f"circle2d: interrupted; {how}", file=sys.stderr)
         return 130
 
 

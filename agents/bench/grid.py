@@ -1,0 +1,95 @@
+"""The paper's experiments as data: which runs there are, in which order, and what is done."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from agents.bench.presets import preset
+from agents.errors import UserError
+from agents.runs.config import FAILURE, TrainConfig, run_folder
+from agents.runs.files import read_json
+from circle2d_mj.config import LEVELS
+from emcc import EpisodeRecords
+
+SEEDS = (0, 1, 2)
+STEPS = 1_000_000
+QUICK_SEEDS, QUICK_STEPS = (0, 1), 10_000
+WORK = {"trpo-lag": 1.0, "cpo": 1.3, "sac-lag": 5.0, "sac-lb": 5.0, "wcsac": 5.2}
+"""What a step of an algorithm takes on Circle2D, beside TRPO-Lag's. Decides the order (what takes
+longest goes first) and the time left that is shown; no result."""
+
+
+def circle2d_tasks(levels: Sequence[int], mujoco: bool) -> list[str]:
+    """The ids of Circle2D on some levels, kinematic or with physics. Raises UserError."""
+    if not levels or not set(levels) <= set(LEVELS):
+        raise UserError(f"levels must be some of {list(LEVELS)}, got {list(levels)}")
+    name = "Circle2DMuJoCo" if mujoco else "Circle2D"
+    return [f"{name}-{level}-v0" for level in dict.fromkeys(levels)]
+
+
+def grid(
+    out: Path,
+    tasks: Sequence[str],
+    algorithms: Sequence[str],
+    seeds: Sequence[int],
+    steps: int,
+) -> dict[Path, TrainConfig]:
+    """The runs of every algorithm on every task with its preset, by folder; what takes longest
+    first. The seeds of a folder train in lockstep. Raises UserError for what is unknown."""
+    order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, max(WORK.values())))
+    return {
+        out / task.replace("/", "-") / name: TrainConfig(
+            name,
+            task,
+            tuple(seeds),
+            steps,
+            preset(name, task),
+            # Twenty checkpoints at the most: those of a long off-policy training hold gigabytes.
+            checkpoint_every=max(50_000, steps // 20),
+        )
+        for name in order
+        for task in dict.fromkeys(tasks)
+    }
+
+
+def prepare(folders: dict[Path, TrainConfig]) -> None:
+    """Make the folders that are not there yet.
+
+    Raises UserError, before anything is made, where one holds runs of another configuration.
+    """
+    there = [folder for folder in folders if (folder / "config.json").exists()]
+    for folder in there:
+        if TrainConfig.read(folder) != folders[folder]:
+            raise UserError(
+                f"{folder} holds runs with other settings (seeds, steps or hyper-parameters): "
+                "choose another folder for out"
+            )
+    for folder, config in folders.items():
+        if folder not in there:
+            config.write(folder)
+
+
+def finished(folder: Path, config: TrainConfig) -> bool:
+    """Whether all runs of a folder have come to their end, be it a failure."""
+    return all(_finished(run_folder(folder, seed), config.steps) for seed in config.seeds)
+
+
+def _finished(folder: Path, steps: int) -> bool:
+    if (folder / FAILURE).exists():
+        return True
+    try:
+        read_json(folder / "evaluation.json")
+        return EpisodeRecords.load(folder / "episodes.csv").total_steps >= steps
+    except (OSError, ValueError):
+        return False
+
+
+def work_left(folders: dict[Path, float], configs: dict[Path, TrainConfig]) -> tuple[float, float]:
+    """Work done and work in all, in steps of TRPO-Lag. folders: the share done of each."""
+    total = {
+        folder: WORK.get(config.algorithm, 1.0) * config.steps * len(config.seeds)
+        for folder, config in configs.items()
+    }
+    done = sum(folders.get(folder, 0.0) * work for folder, work in total.items())
+    return done, sum(total.values())

@@ -1,0 +1,119 @@
+"""The command that reproduces the paper: reproduce."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from agents.algorithms import ALGORITHMS
+from agents.bench import grid
+from agents.bench.report import report
+from agents.errors import UserError
+from agents.options import parse
+from agents.runs.config import TrainConfig
+from agents.runs.tasks import check_task
+from agents.runs.workers import Workers, last_words, share_done
+
+
+@dataclass(frozen=True)
+class ReproduceOptions:
+    """Run the paper's experiments, or a part of them, and write the report.
+
+    Given again, the same command goes on where it was interrupted.
+    """
+
+    out: Path
+    """Folder for the runs and the report."""
+    quick: bool = False
+    """A small version of everything: 2 seeds of 10 000 steps."""
+    algorithms: tuple[str, ...] = tuple(ALGORITHMS)
+    """Algorithms to run."""
+    levels: tuple[int, ...] = (0, 1, 2, 3)
+    """Levels of Circle2D."""
+    mujoco: bool = False
+    """Run Circle2D with MuJoCo's physics instead of the kinematic mode."""
+    tasks: tuple[str, ...] = ()
+    """Ids of other tasks to run instead, such as circle2d_mj/SafetyPointGoal1-v0."""
+    seeds: tuple[int, ...] | None = None
+    """Seeds of each algorithm and task; by default 0 1 2."""
+    steps: int | None = None
+    """Environment steps of each run; by default 1 000 000."""
+    workers: int = os.cpu_count() or 1
+    """Processes, of one thread each; by default one for each core."""
+
+
+def run_reproduce(args: Sequence[str]) -> int:
+    """`circle2d reproduce`; returns the exit status."""
+    options = parse(ReproduceOptions, "reproduce", args)
+    if options.workers < 1:
+        raise UserError(f"workers must be at least 1, got {options.workers}")
+    tasks = options.tasks or grid.circle2d_tasks(options.levels, options.mujoco)
+    for task in tasks:
+        check_task(task, {})
+    configs = grid.grid(
+        options.out,
+        tasks,
+        options.algorithms,
+        options.seeds or (grid.QUICK_SEEDS if options.quick else grid.SEEDS),
+        options.steps or (grid.QUICK_STEPS if options.quick else grid.STEPS),
+    )
+    grid.prepare(configs)
+    failed = _train(configs, options.workers)
+    print(report(options.out, with_pictures=True))
+    for folder in failed:
+        print(f"circle2d: {folder} failed: {last_words(folder)}", file=sys.stderr)
+    return int(bool(failed))
+
+
+def _train(configs: dict[Path, TrainConfig], count: int) -> list[Path]:
+    """Train what is not finished; the folders that failed."""
+    left = [folder for folder, config in configs.items() if not grid.finished(folder, config)]
+    shares = {folder: float(folder not in left) for folder in configs}
+    started, (before, total) = time.monotonic(), grid.work_left(shares, configs)
+    console = Console(stderr=True)
+    with Workers(left, count) as workers, Live(console=console, auto_refresh=False) as live:
+        told = 0
+
+        def show() -> None:
+            nonlocal told
+            for folder in left:
+                shares[folder] = 1.0 if folder in workers.over else share_done(folder)
+            done, _ = grid.work_left(shares, configs)
+            seconds = time.monotonic() - started
+            rest = seconds * (total - done) / (done - before) if done > before else None
+            if console.is_terminal:
+                live.update(_table(workers.running, shares, done / total, rest), refresh=True)
+                return
+            for folder in workers.over[told:]:
+                how = "failed" if folder in workers.failed else "done"
+                print(f"{folder}: {how} after {seconds:.0f} s", file=sys.stderr, flush=True)
+            told = len(workers.over)
+
+        workers.run(show)
+        return workers.failed
+
+
+def _table(
+    running: Sequence[Path], shares: dict[Path, float], done: float, rest: float | None
+) -> Table:
+    over = sum(share == 1.0 for share in shares.values())
+    left = "" if rest is None else f", {_duration(rest)} left"
+    table = Table(title=f"{100 * done:.0f} % done, {over} of {len(shares)} trainings{left}")
+    table.add_column("training")
+    table.add_column("done", justify="right")
+    for folder in running:
+        table.add_row(str(folder), f"{100 * shares[folder]:.0f} %")
+    return table
+
+
+def _duration(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"

@@ -1,0 +1,91 @@
+"""Trainings in processes of their own, as many at a time as there are cores."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+LOG = "worker.log"
+"""In the folder of the runs: what the process that trained them said."""
+
+
+class Workers:
+    """Trains the runs of some folders, in order, `count` folders at a time.
+
+    Each is a process of one thread that goes on from the folder's last checkpoint, if it has one. A
+    training that fails does not stop the others. Used as a context manager: leaving it ends the
+    processes that still run, which lose what they did since their last checkpoints.
+    """
+
+    def __init__(self, folders: Sequence[Path], count: int) -> None:
+        self._waiting, self._count = list(folders), count
+        self._running: dict[Path, subprocess.Popen] = {}
+        self.over: list[Path] = []
+        """Folders whose process has ended, those that failed among them."""
+        self.failed: list[Path] = []
+
+    @property
+    def running(self) -> list[Path]:
+        """Folders that are trained now."""
+        return list(self._running)
+
+    def run(self, on_change: Callable[[], None], every: float = 1.0) -> None:
+        """Train all; `on_change` is called every so many seconds, and at the end."""
+        while self._waiting or self._running:
+            while self._waiting and len(self._running) < self._count:
+                folder = self._waiting.pop(0)
+                self._running[folder] = _start(folder)
+            on_change()
+            time.sleep(every)
+            for folder, process in list(self._running.items()):
+                if process.poll() is not None:
+                    del self._running[folder]
+                    self.over.append(folder)
+                    if process.returncode:
+                        self.failed.append(folder)
+        on_change()
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for process in self._running.values():
+            process.send_signal(signal.SIGTERM)
+        for process in self._running.values():
+            process.wait()
+
+
+def share_done(folder: Path) -> float:
+    """How far the training of a folder last was, in [0, 1], by its `timing.log`."""
+    try:
+        last = (folder / "timing.log").read_text().splitlines()[-1]
+        return float(last.split(" % after ")[0].rpartition(" ")[2]) / 100
+    except (OSError, IndexError, ValueError):
+        return 0.0
+
+
+def _start(folder: Path) -> subprocess.Popen:
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    with (folder / LOG).open("ab") as log:
+        return subprocess.Popen(
+            [sys.executable, "-m", "agents.cli", "resume", str(folder)],
+            stdout=log,
+            stderr=log,
+            stdin=subprocess.DEVNULL,
+            env=os.environ | threads,
+            start_new_session=True,  # Ctrl-C reaches us alone; we end them
+        )
+
+
+def last_words(folder: Path) -> str:
+    """The last line that a folder's process said, for an error message."""
+    try:
+        lines = (folder / LOG).read_text(errors="replace").strip().splitlines()
+    except OSError:
+        lines = []
+    return lines[-1] if lines else "it said nothing"

@@ -1,0 +1,119 @@
+"""The grid of experiments: all of it is run, wherever it was stopped, and failures are named."""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from agents.bench import grid
+from agents.bench.presets import preset
+from agents.cli import main
+from agents.errors import UserError
+from agents.runs.config import TrainConfig
+from agents.runs.train import train
+
+COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3", "4"]
+COMMAND += ["--steps", "2000", "--workers", "2", "--out"]
+RESULTS = ("episodes.csv", "updates.csv", "evaluation.json", "visited.npy")
+
+
+def results(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for name in RESULTS
+        for path in folder.rglob(name)
+    }
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    out = tmp_path_factory.mktemp("grid") / "whole"
+    assert main([*COMMAND, str(out)]) == 0
+    return out
+
+
+def test_the_papers_grid():
+    tasks = grid.circle2d_tasks((0, 1, 2, 3), mujoco=False)
+    algorithms = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
+    configs = grid.grid(grid.Path("x"), tasks, algorithms, grid.SEEDS, grid.STEPS)
+    assert sum(len(config.seeds) for config in configs.values()) == 60
+    assert {(c.task, c.algorithm) for c in configs.values()} == {
+        (task, name) for task in tasks for name in algorithms
+    }
+    for config in configs.values():
+        assert config.hyperparameters == preset(config.algorithm, config.task)
+        assert config.steps == 1_000_000
+    assert [config.algorithm for config in configs.values()][-4:] == ["trpo-lag"] * 4
+
+
+def test_runs_are_those_of_train(whole, tmp_path, capsys):
+    task = "Circle2D-1-v0"
+    config = TrainConfig("cpo", task, (3, 4), 2000, preset("cpo", task))
+    config.write(tmp_path / "alone")
+    train(tmp_path / "alone")
+    assert results(tmp_path / "alone") == results(whole / task / "cpo")
+    assert "CPO, mean of 2" in (whole / "report.md").read_text()
+    assert "TRPO-Lag, mean of 2" in (whole / "report.md").read_text()
+
+
+def test_again_nothing_is_trained(whole, capsys):
+    before = results(whole)
+    assert main([*COMMAND, str(whole)]) == 0
+    assert results(whole) == before
+    logs = [path.read_text() for path in whole.rglob("worker.log")]
+    assert len(logs) == 2
+    assert all(log.count("100 % after") == 1 for log in logs)
+
+
+def test_stopped_in_the_middle_it_goes_on(whole, tmp_path):
+    out = tmp_path / "stopped"
+    command = [sys.executable, "-m", "agents.cli", *COMMAND, str(out)]
+    for seconds in (4, 6):
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        time.sleep(seconds)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+        assert process.returncode in (130, 0), err
+    assert main([*COMMAND, str(out)]) == 0
+    assert results(out) == results(whole)
+    assert (out / "report.csv").read_bytes() == (whole / "report.csv").read_bytes()
+
+
+def test_one_failure_does_not_stop_the_others(tmp_path, capsys):
+    out = tmp_path / "grid"
+    command = [*COMMAND, str(out), "--workers", "1"]
+    configs = grid.grid(out, ["Circle2D-1-v0"], ["cpo", "trpo-lag"], (3, 4), 2000)
+    grid.prepare(configs)
+    (out / "Circle2D-1-v0" / "cpo" / "checkpoint.npz").write_bytes(b"no checkpoint")
+    assert main(command) == 1
+    out_text, err = capsys.readouterr()
+    assert re.search(r"circle2d: .*Circle2D-1-v0/cpo failed: circle2d: .*damaged", err)
+    assert "TRPO-Lag, mean of 2" in out_text
+    assert "left out: " in out_text
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--levels", "5"], r"levels must be some of \[0, 1, 2, 3\], got \[5\]"),
+        (["--algorithms", "ppo"], "unknown algorithm 'ppo'"),
+        (["--workers", "0"], "workers must be at least 1, got 0"),
+        (["--tasks", "Nope-v3"], "Nope"),
+        (["--steps", "3000"], "holds runs with other settings"),
+    ],
+)
+def test_mistakes(whole, options, message, capsys):
+    assert main([*COMMAND, str(whole), *options]) == 2
+    assert re.search(message, capsys.readouterr().err)
+
+
+def test_unknown_levels():
+    with pytest.raises(UserError, match="levels"):
+        grid.circle2d_tasks((), mujoco=True)
+    assert grid.circle2d_tasks((1, 0, 1), mujoco=True) == [
+        "Circle2DMuJoCo-1-v0",
+        "Circle2DMuJoCo-0-v0",
+    ]
