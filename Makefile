@@ -20,7 +20,7 @@ demo: $(VENV)/installed
 	$(BIN)/python -m emcc runs/demo --per-run
 	$(BIN)/circle2d report runs/demo > runs/demo/report.txt
 	-$(BIN)/circle2d render runs/demo
-	@echo "The report with its heat map: runs/demo/report.md, runs/demo/pictures/heatmap.png"
+	@echo "The report, with training curves and heat map: runs/demo/index.html"
 
 test: $(VENV)/installed
 	$(BIN)/python -m pytest

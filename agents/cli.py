@@ -37,7 +37,7 @@ usage: circle2d COMMAND ...
   resume     go on with runs that were interrupted
   evaluate   play episodes with trained policies
   reproduce  run the paper's experiments, or a part of them, and report
-  report     tables of trained runs (Markdown, CSV) and their heat maps
+  report     tables, training curves and heat maps of trained runs
   heatmap    draw which states were visited in training
   render     draw episodes of a trained policy: PNG, GIF, MP4
   scene      print the MuJoCo scene of a task (MJCF)
@@ -93,8 +93,8 @@ class EvaluateOptions:
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """Print the table of trained runs beside the paper's; write report.md and report.csv, and heat
-    maps of what the agents visited in training."""
+    """Print the table of trained runs beside the paper's; write report.md, report.csv,
+    and index.html with training curves and heat maps as well."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of runs, or one with several such folders below it."""
@@ -145,7 +145,7 @@ def run_evaluate(args: Sequence[str]) -> int:
 
 
 def run_report(args: Sequence[str]) -> int:
-    print(report(parse(ReportOptions, "report", args).folder, with_pictures=True))
+    print(report(parse(ReportOptions, "report", args).folder, with_figures=True))
     return 0
 
 

@@ -67,7 +67,7 @@ def run_reproduce(args: Sequence[str]) -> int:
     )
     grid.prepare(configs)
     failed = _train(configs, options.workers)
-    print(report(options.out, with_pictures=True))
+    print(report(options.out, with_figures=True))
     for folder in failed:
         print(f"circle2d: {folder} failed: {last_words(folder)}", file=sys.stderr)
     return int(bool(failed))

@@ -185,13 +185,15 @@ def _renderer(task: Circle2DConfig, size: int) -> Renderer:
         raise UserError(f"no pictures: {error}") from None
 
 
-def draw_heatmaps(out: Path, runs: Mapping[Path, tuple[int, ...]], notes: list[str]) -> list[Path]:
+def draw_heatmaps(
+    out: Path, runs: Mapping[Path, tuple[int, ...]], notes: list[str]
+) -> dict[Path, Path]:
     """Heat maps of the three parts of training, into `out/pictures`, one of each folder's runs.
 
-    runs: seeds by folder. Returns the files, relative to `out`; folders that none can be drawn of
-    go into the notes.
+    runs: seeds by folder. Returns the files by folder, relative to `out`; folders that none can be
+    drawn of go into the notes.
     """
-    drawn = []
+    drawn = {}
     for folder, seeds in runs.items():
         name = "-".join(folder.relative_to(out).parts) or "heatmap"
         path = Path("pictures") / f"{name}.png"
@@ -200,5 +202,5 @@ def draw_heatmaps(out: Path, runs: Mapping[Path, tuple[int, ...]], notes: list[s
         except UserError as error:
             notes.append(f"no heat map of {folder}: {error}")
         else:
-            drawn.append(path)
+            drawn[folder] = path
     return drawn

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +95,8 @@ class Log:
             epochs = np.flatnonzero(~np.isnan(episodes[:, run, 0, 0]))
             rows = episodes[epochs, run]
             rollout = np.repeat(epochs, rows.shape[1])
-            records = EpisodeRecords(rollout, *rows.reshape(-1, len(COLUMNS)).T)
+            columns: Any = rows.reshape(-1, len(COLUMNS)).T  # the class types each anew
+            records = EpisodeRecords(rollout, *columns)
             records.save(folder / "episodes.csv")
             steps = rows[:, :, 1].sum(axis=1).cumsum().astype(np.int64)
             write_whole(folder / "updates.csv", self._table(epochs, steps, updates[epochs, run]))

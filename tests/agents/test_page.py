@@ -1,0 +1,130 @@
+"""Training curves against loops over the episodes, and the page that holds everything."""
+
+import re
+import shutil
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from agents.bench.curves import POINTS, WINDOW, curves_svg, episode_means, midpoints, running_emcc
+from agents.bench.grid import grid, prepare
+from agents.bench.page import Section, page
+from agents.bench.report import report
+from agents.runs.train import train
+from emcc import EpisodeRecords, emcc
+from emcc.table import Table
+
+TOTAL = 4000
+
+
+def records(seed):
+    """Episodes of 5 to 40 steps, two a rollout."""
+    rng = np.random.default_rng(seed)
+    length = rng.integers(5, 41, 200)
+    length = length[: np.searchsorted(np.cumsum(length), TOTAL) + 1]
+    start = np.cumsum(length) - length
+    streak = rng.integers(0, length + 1)
+    return EpisodeRecords(
+        np.arange(len(length)) // 2, start, length, rng.normal(size=len(length)), streak, streak
+    )
+
+
+RUNS = [records(seed) for seed in (0, 1, 2)]
+
+
+@pytest.mark.parametrize("column", ["reward", "cost"])
+def test_episode_means_by_a_loop(column):
+    curve = episode_means(RUNS, column, TOTAL)
+    for k in range(POINTS):
+        means = []
+        for run in RUNS:
+            low, high = k * TOTAL / POINTS, (k + 1) * TOTAL / POINTS
+            inside = [
+                value
+                for start, value in zip(run.start_step, getattr(run, column), strict=True)
+                if low <= start < high
+            ]
+            means.append(sum(inside) / len(inside) if inside else np.nan)
+        assert curve.mean[k] == pytest.approx(np.mean(means), nan_ok=True)
+        assert curve.spread[k] == pytest.approx(np.std(means), nan_ok=True)
+    assert np.isfinite(curve.mean).sum() > POINTS // 2
+
+
+def test_running_emcc_by_a_loop():
+    curve = running_emcc(RUNS, TOTAL, 0.3)
+    for k, middle in enumerate(midpoints(TOTAL)):
+        values = []
+        for run in RUNS:
+            mcc = {}
+            for rollout, start, length, streak in zip(
+                run.rollout, run.start_step, run.length, run.longest_streak, strict=True
+            ):
+                first, share = mcc.get(rollout, (start, 0.0))
+                mcc[rollout] = (first, max(share, streak / length))
+            near = [v for s, v in mcc.values() if abs(s - middle) <= WINDOW / 2 * TOTAL]
+            values.append(emcc(near, 0.3))
+        assert curve.mean[k] == pytest.approx(np.mean(values))
+
+
+def test_curves_are_the_same_bytes_and_name_what_they_show():
+    arguments = ("Task", {"A": RUNS, "B": RUNS[:1]}, {"A": TOTAL, "B": TOTAL}, 5.0, 0.1)
+    svg = curves_svg(*arguments)
+    assert svg == curves_svg(*arguments)
+    assert svg.lstrip().startswith("<?xml")
+
+
+class Page(HTMLParser):
+    """Cells, and whatever a browser would fetch."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.cells, self.fetched = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.open.append(tag)
+        if tag == "td":
+            self.cells.append("")
+        for name, value in attributes:
+            if name in ("src", "href", "xlink:href") and not value.startswith(("data:", "#")):
+                self.fetched.append(value)
+
+    def handle_endtag(self, tag):
+        while self.open and self.open.pop() != tag:
+            pass
+
+    def handle_data(self, data):
+        if "td" in self.open:
+            self.cells[-1] += data
+
+
+def test_a_page_escapes_and_keeps_every_cell():
+    table = Table("caption <1>", ["t", "v"], [["a & b", "1.00 [0.50, 2.00]"]], ["note <x>"])
+    text = page("<title>", [Section("task", table, "", {})], {"seeds": "0 < 1"})
+    assert Page(text).cells == ["a & b", "1.00[0.50, 2.00]"]
+    for escaped in ("caption &lt;1&gt;", "note &lt;x&gt;", "&lt;title&gt;", "0 &lt; 1"):
+        assert escaped in text
+
+
+def test_the_report_of_a_small_grid(tmp_path):
+    configs = grid(tmp_path, ["Circle2D-1-v0"], ["trpo-lag"], (0, 1), 2000)
+    prepare(configs)
+    for folder in configs:
+        train(folder)
+    markdown = report(tmp_path, with_figures=True)
+    text = (tmp_path / "index.html").read_text()
+    shown = Page(text)
+    assert shown.fetched == []  # no network, no files beside it
+    rows = [line for line in markdown.splitlines() if line.startswith("| TRPO-Lag")]
+    cells = [cell.strip() for row in rows for cell in row.split("|")[1:-1]]
+    assert [re.sub(r"\s", "", c) for c in shown.cells] == [re.sub(r"\s", "", c) for c in cells]
+    assert "<svg" in text
+    assert "torch 2" in text
+    curves = tmp_path / "pictures" / "curves-Circle2D-1-v0.svg"
+    before = {p: p.read_bytes() for p in (tmp_path / "index.html", curves)}
+    report(tmp_path, with_figures=True)
+    assert {p: p.read_bytes() for p in before} == before
+    shutil.rmtree(tmp_path / "Circle2D-1-v0" / "trpo-lag" / "seed-1")
+    assert "left out: " in report(tmp_path, with_figures=True)
+    assert "left out: " in (tmp_path / "index.html").read_text()
