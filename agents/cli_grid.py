@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,8 +21,10 @@ from agents.bench.report import report
 from agents.errors import UserError
 from agents.options import parse
 from agents.runs.config import TrainConfig
+from agents.runs.files import locked
 from agents.runs.tasks import check_task
 from agents.runs.workers import Workers, last_words, share_done
+from circle2d_mj.config import LEVELS
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ class ReproduceOptions:
     """A small version of everything: 2 seeds of 10 000 steps."""
     algorithms: tuple[str, ...] = tuple(ALGORITHMS)
     """Algorithms to run."""
-    levels: tuple[int, ...] = (0, 1, 2, 3)
+    levels: tuple[int, ...] = LEVELS
     """Levels of Circle2D."""
     mujoco: bool = False
     """Run Circle2D with MuJoCo's physics instead of the kinematic mode."""
@@ -55,22 +59,52 @@ def run_reproduce(args: Sequence[str]) -> int:
     options = parse(ReproduceOptions, "reproduce", args)
     if options.workers < 1:
         raise UserError(f"workers must be at least 1, got {options.workers}")
-    tasks = options.tasks or grid.circle2d_tasks(options.levels, options.mujoco)
+    tasks = _tasks(options)
     for task in tasks:
         check_task(task, {})
-    configs = grid.grid(
-        options.out,
-        tasks,
-        options.algorithms,
-        options.seeds or (grid.QUICK_SEEDS if options.quick else grid.SEEDS),
-        options.steps or (grid.QUICK_STEPS if options.quick else grid.STEPS),
-    )
+    seeds, steps = options.seeds, options.steps
+    if seeds is None:
+        seeds = grid.QUICK_SEEDS if options.quick else grid.SEEDS
+    if steps is None:
+        steps = grid.QUICK_STEPS if options.quick else grid.STEPS
+    configs = grid.grid(options.out, tasks, options.algorithms, seeds, steps)
     grid.prepare(configs)
-    failed = _train(configs, options.workers)
-    print(report(options.out, with_figures=True))
+    with locked(options.out), _ended_by_signals():
+        failed = _train(configs, options.workers)
     for folder in failed:
         print(f"circle2d: {folder} failed: {last_words(folder)}", file=sys.stderr)
-    return int(bool(failed))
+    try:
+        print(report(options.out, with_figures=True))
+    except UserError as error:
+        print(f"circle2d: no report: {error}", file=sys.stderr)
+        return 1
+    return int(bool(failed) or any(grid.has_failures(f, c) for f, c in configs.items()))
+
+
+def _tasks(options: ReproduceOptions) -> Sequence[str]:
+    if not options.tasks:
+        return grid.circle2d_tasks(options.levels, options.mujoco)
+    if options.mujoco or options.levels != LEVELS:
+        raise UserError("give either tasks, or levels and mujoco, which choose tasks of Circle2D")
+    if options.quick and options.steps is None:
+        raise UserError("quick is of Circle2D: give steps as well for other tasks")
+    return options.tasks
+
+
+@contextlib.contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """What a batch system or a closed terminal sends ends us as Ctrl-C does, workers included."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    signals = (signal.SIGTERM, signal.SIGHUP)
+    before = [signal.signal(number, interrupt) for number in signals]
+    try:
+        yield
+    finally:
+        for number, handler in zip(signals, before, strict=True):
+            signal.signal(number, handler)
 
 
 def _train(configs: dict[Path, TrainConfig], count: int) -> list[Path]:

@@ -14,6 +14,7 @@ from agents.bench import pictures
 from agents.errors import UserError
 from agents.options import parse
 from circle2d_mj import Circle2DConfig
+from circle2d_mj.gl import NoOpenGL, check_backend
 
 
 @dataclass(frozen=True)
@@ -99,11 +100,12 @@ def run_render(args: Sequence[str]) -> int:
 def run_scene(args: Sequence[str]) -> int:
     """`circle2d scene`."""
     options = parse(SceneOptions, "scene", args)
-    from circle2d_mj.scene import scene
-
     try:
+        check_backend()
+        from circle2d_mj.scene import scene
+
         spec = scene(options.config, options.actuation)
-    except ValueError as error:
+    except (ValueError, NoOpenGL) as error:
         raise UserError(str(error)) from None
     spec.compile()
     print(spec.to_xml(), end="")

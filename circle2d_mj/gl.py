@@ -26,6 +26,9 @@ from numpy.typing import NDArray
 LIBRARIES = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
 """What each backend needs, in the order in which they are tried."""
 VARIABLE = "MUJOCO_GL"
+# What MuJoCo takes besides.
+_OFF = ("disable", "disabled", "off", "false", "0")
+_ON = ("", "enable", "enabled", "on", "true", "1", "glfw", "glx", "wgl", "cgl")
 # Set by MuJoCo to the backend that PyOpenGL, once imported, stays with.
 _BOUND = "PYOPENGL_PLATFORM"
 HOW = (
@@ -46,13 +49,19 @@ def render_modes() -> list[str]:
 
 
 def check_backend() -> None:
-    """Raise NoOpenGL where MUJOCO_GL names a backend whose library is missing.
+    """Raise NoOpenGL where MUJOCO_GL names a backend that is missing or unknown, or none.
 
-    To be called before `import mujoco`, which ends in an AttributeError then.
+    To be called before `import mujoco`, which ends in an AttributeError or RuntimeError then.
     """
     named = _named()
     if named in LIBRARIES:
         _load(named)
+    elif named == "glfw" and "human" not in render_modes():
+        raise NoOpenGL(f"{VARIABLE}=glfw needs a screen; {HOW}")
+    elif named in _OFF:
+        raise NoOpenGL(f"{VARIABLE}={named} forbids it; {HOW}")
+    elif named not in _ON:
+        raise NoOpenGL(f"{VARIABLE}={named!r} is none that MuJoCo knows; {HOW}")
 
 
 class Offscreen:

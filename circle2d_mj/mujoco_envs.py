@@ -61,13 +61,14 @@ class Circle2DMuJoCoEnv(Circle2DEnv):
         config: Circle2DConfig | None = None,
         *,
         actuation: Actuation = "velocity",
+        num_threads: int = 1,
         max_episode_steps: int | None = MAX_EPISODE_STEPS,
         render_mode: str | None = None,
         **parameters: Any,
     ) -> None:
         super().__init__(
             config,
-            dynamics=partial(Physics, actuation=actuation),
+            dynamics=partial(Physics, actuation=actuation, num_threads=num_threads),
             max_episode_steps=max_episode_steps,
             render_mode=render_mode,
             **parameters,

@@ -102,30 +102,30 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         """
         if self._streams is None:
             raise ResetNeeded("reset() must be called before there is a state")
-        return {
-            "steps": self._steps.copy(),
-            "finished": self._finished.copy(),
-            "stream_keys": self._streams.keys.copy(),
-            "stream_counters": self._streams.counters.copy(),
-            **self.simulation.state(),
-        }
+        return self._state_with(self._streams)
 
     def restore(self, state: State) -> None:
         """Take over what `state` returned. ValueError where names or shapes are others."""
-        if self._streams is None:
-            self._streams = Streams(np.zeros(self.num_envs, dtype=np.uint64))
-        own = self.state()
+        streams = self._streams or Streams(np.zeros(self.num_envs, dtype=np.uint64))
+        own = self._state_with(streams)
         got = {name: np.shape(array) for name, array in state.items()}
         expected = {name: array.shape for name, array in own.items()}
         if got != expected:
             raise ValueError(f"state must hold arrays of the shapes {expected}, got {got}")
         state = {name: np.array(array, dtype=own[name].dtype) for name, array in state.items()}
         self._steps, self._finished = state.pop("steps"), state.pop("finished")
-        self._streams.keys, self._streams.counters = (
-            state.pop("stream_keys"),
-            state.pop("stream_counters"),
-        )
+        streams.keys, streams.counters = state.pop("stream_keys"), state.pop("stream_counters")
+        self._streams = streams
         self.simulation.restore(state)
+
+    def _state_with(self, streams: Streams) -> State:
+        return {
+            "steps": self._steps.copy(),
+            "finished": self._finished.copy(),
+            "stream_keys": streams.keys.copy(),
+            "stream_counters": streams.counters.copy(),
+            **self.simulation.state(),
+        }
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """A picture of each environment, [height, width, 3] uint8, with "rgb_array", else None."""

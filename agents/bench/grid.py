@@ -75,6 +75,11 @@ def finished(folder: Path, config: TrainConfig) -> bool:
     return all(_finished(run_folder(folder, seed), config.steps) for seed in config.seeds)
 
 
+def has_failures(folder: Path, config: TrainConfig) -> bool:
+    """Whether a run of a folder stopped at a number which is not finite."""
+    return any((run_folder(folder, seed) / FAILURE).exists() for seed in config.seeds)
+
+
 def _finished(folder: Path, steps: int) -> bool:
     if (folder / FAILURE).exists():
         return True
@@ -85,11 +90,11 @@ def _finished(folder: Path, steps: int) -> bool:
         return False
 
 
-def work_left(folders: dict[Path, float], configs: dict[Path, TrainConfig]) -> tuple[float, float]:
-    """Work done and work in all, in steps of TRPO-Lag. folders: the share done of each."""
+def work_left(shares: dict[Path, float], configs: dict[Path, TrainConfig]) -> tuple[float, float]:
+    """Work done and work in all, in steps of TRPO-Lag. shares: how much of each folder is done."""
     total = {
         folder: WORK.get(config.algorithm, 1.0) * config.steps * len(config.seeds)
         for folder, config in configs.items()
     }
-    done = sum(folders.get(folder, 0.0) * work for folder, work in total.items())
+    done = sum(shares.get(folder, 0.0) * work for folder, work in total.items())
     return done, sum(total.values())

@@ -10,6 +10,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import track
 
+from agents.errors import UserError
+from agents.runs.files import write_whole
 from circle2d_mj.canvas import Picture
 
 FRAMES_A_SECOND = 10
@@ -20,26 +22,33 @@ def write_picture(path: Path, picture: Picture) -> None:
     """Write an image file, whole or not at all."""
     import imageio.v3 as imageio
 
-    unfinished = _unfinished(path)
-    imageio.imwrite(unfinished, picture)
-    os.replace(unfinished, path)
+    _prepare(path)
+    write_whole(path, imageio.imwrite("<bytes>", picture, extension=path.suffix))
 
 
 def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:
     """Write `total` frames into a .gif or .mp4 file, whole or not at all, showing progress."""
     import imageio.v2 as imageio
 
-    timing: dict[str, Any] = {"fps": FRAMES_A_SECOND}
+    # Blocks of two pixels: sizes are even, and would be changed to multiples of 16 otherwise.
+    timing: dict[str, Any] = {"fps": FRAMES_A_SECOND, "macro_block_size": 2}
     if path.suffix.lower() == ".gif":
         timing = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0}
-    unfinished = _unfinished(path)
-    writer: Any = imageio.get_writer(unfinished, **timing)
-    with writer:
-        for frame in track(frames, "drawing", total, console=Console(stderr=True), transient=True):
-            writer.append_data(frame)
-    os.replace(unfinished, path)
+    _prepare(path)
+    unfinished = path.with_name(f".unfinished-{path.name}")
+    try:
+        writer: Any = imageio.get_writer(unfinished, **timing)
+        with writer:
+            for frame in track(
+                frames, "drawing", total, console=Console(stderr=True), transient=True
+            ):
+                writer.append_data(frame)
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
-def _unfinished(path: Path) -> Path:
+def _prepare(path: Path) -> None:
+    if path.is_dir():
+        raise UserError(f"{path} is a folder; a file is to be written")
     path.parent.mkdir(parents=True, exist_ok=True)
-    return path.with_name(f".unfinished-{path.name}")

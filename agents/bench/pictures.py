@@ -105,8 +105,13 @@ def heatmap(
     config, task = _circle2d_runs(folder)
     config = replace(config, seeds=config.seeds if seeds is None else seeds)
     of_parts = [visits(folder, config, part, alpha) for part in parts]
-    with _renderer(task, size) as renderer:
-        pictures = [renderer.heatmap(of_part.positions) for of_part in of_parts]
+    try:
+        with _renderer(task, size) as renderer:
+            pictures = [renderer.heatmap(of_part.positions) for of_part in of_parts]
+    except UserError:
+        raise
+    except ValueError as error:
+        raise UserError(f"{folder}: the record of visited states is damaged: {error}") from None
     title = f"{algorithm(config.algorithm).title} on {config.task}"
     captions = [
         f"EMCC {of_part.emcc:.2f}, from {of_part.rollouts:,} of {of_part.of:,} rollouts"
@@ -195,8 +200,11 @@ def draw_heatmaps(
     """
     drawn = {}
     for folder, seeds in runs.items():
-        name = "-".join(folder.relative_to(out).parts) or "heatmap"
-        path = Path("pictures") / f"{name}.png"
+        config = TrainConfig.read(folder)
+        if circle2d_config(config.task, config.task_parameters) is None:
+            continue
+        relative = folder.relative_to(out)
+        path = Path("pictures") / relative.parent / f"{relative.name or 'heatmap'}.png"
         try:
             write_picture(out / path, heatmap(folder, list(PARTS), ALPHA, seeds=seeds))
         except UserError as error:

@@ -40,9 +40,9 @@ def report(folder: Path, with_figures: bool = False) -> str:
                 path = Path("pictures") / f"curves-{task.replace('/', '-')}.svg"
                 (folder / "pictures").mkdir(exist_ok=True)
                 write_whole(folder / path, curves)
-                images.append(f"![Training curves on {task}]({path})")
+                images.append(f"![Training curves on {task}](<{path}>)")
             drawn = {g.folder: heatmaps[g.folder] for g in of_task if g.folder in heatmaps}
-            images += [f"![Visited states: {path.stem}]({path})" for path in drawn.values()]
+            images += [f"![Visited states: {path.stem}](<{path}>)" for path in drawn.values()]
             shown = {str(runs): folder / path for runs, path in drawn.items()}
             sections.append(Section(task, tables[task], curves, shown))
         write_whole(folder / "index.html", page(folder.resolve().name, sections, _made(groups)))

@@ -72,6 +72,7 @@ def _means(runs: list[Run]) -> list[str]:
 def paper_results(task: str, title: str) -> dict[str, float]:
     """The paper's printed numbers for an algorithm on a task; empty where it prints none."""
     printed = json.loads(files("agents.bench").joinpath("paper.json").read_text())["results"]
+    task = task.rpartition(":")[2]  # "module:id" names the task that "id" does
     task = task.removesuffix("-v0") if task.startswith("Circle2D-") else task.split("/")[-1]
     return {
         name: _as_meant(task, title, name, printed[task][name][title])
@@ -88,7 +89,7 @@ def _as_meant(task: str, title: str, measure: str, value: float) -> float:
 
 def _paper_notes(groups: Sequence[Group]) -> list[str]:
     """What in our presets the paper does not print, where it matters."""
-    configs = [g.config for g in groups if g.config.task.startswith("Circle2D-")]
+    configs = [g.config for g in groups if "Circle2D-" in g.config.task]
     choices = {
         "the last step of an episode counts as terminal": [
             config

@@ -98,10 +98,11 @@ def check_task(task: str, parameters: dict[str, Any]) -> None:
 
 def circle2d_config(task: str, parameters: dict[str, Any]) -> Circle2DConfig | None:
     """The configuration of a Circle2D task of either mode; None for any other task."""
-    if not registered(task).startswith("Circle2D"):
+    name = registered(task)
+    if not name.startswith("Circle2D"):
         return None
     names = {field.name for field in fields(Circle2DConfig)}
-    given = {**gym.spec(task).kwargs, **parameters}
+    given = {**gym.spec(name).kwargs, **parameters}
     return Circle2DConfig(**{k: v for k, v in given.items() if k in names})
 
 

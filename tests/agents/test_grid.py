@@ -71,12 +71,14 @@ def test_again_nothing_is_trained(whole, capsys):
 def test_stopped_in_the_middle_it_goes_on(whole, tmp_path):
     out = tmp_path / "stopped"
     command = [sys.executable, "-m", "agents.cli", *COMMAND, str(out)]
-    for seconds in (4, 6):
+    for seconds, number in ((4, signal.SIGINT), (6, signal.SIGTERM)):
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         time.sleep(seconds)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         _, err = process.communicate(timeout=60)
         assert process.returncode in (130, 0), err
+        workers = subprocess.run(["pgrep", "-f", str(out)], capture_output=True, check=False)
+        assert not workers.stdout  # none is left behind
     assert main([*COMMAND, str(out)]) == 0
     assert results(out) == results(whole)
     assert (out / "report.csv").read_bytes() == (whole / "report.csv").read_bytes()
@@ -101,7 +103,9 @@ def test_one_failure_does_not_stop_the_others(tmp_path, capsys):
         (["--levels", "5"], r"levels must be some of \[0, 1, 2, 3\], got \[5\]"),
         (["--algorithms", "ppo"], "unknown algorithm 'ppo'"),
         (["--workers", "0"], "workers must be at least 1, got 0"),
-        (["--tasks", "Nope-v3"], "Nope"),
+        (["--tasks", "Nope-v3", "--levels", "0", "1", "2", "3"], "Nope"),
+        (["--tasks", "Nope-v3"], "give either tasks, or levels and mujoco"),
+        (["--steps", "0"], "steps must be at least 1, got 0"),
         (["--steps", "3000"], "holds runs with other settings"),
     ],
 )

@@ -147,7 +147,7 @@ def test_report_shows_the_heat_map(folder, tmp_path, capsys, opengl):
     assert main(["report", str(copy)]) == 0
     written, picture = (copy / "report.md").read_text().split("![Visited states: heatmap]")
     assert written.startswith(capsys.readouterr().out)
-    assert picture == "(pictures/heatmap.png)"
+    assert picture == "(<pictures/heatmap.png>)"
     assert imageio.imread(copy / "pictures" / "heatmap.png").std() > 10
 
 
