@@ -14,7 +14,7 @@ from circle2d_mj.config import Circle2DConfig
 from circle2d_mj.gl import render_modes
 from circle2d_mj.kinematic import Kinematic
 from circle2d_mj.simulation import positive_integer
-from circle2d_mj.single_env import TaskEnv
+from circle2d_mj.single_env import TaskEnv, without_time_limit
 from circle2d_mj.vector_env import TaskVectorEnv
 
 MAX_EPISODE_STEPS = 50
@@ -100,12 +100,4 @@ class Circle2DEnv(TaskEnv):
         return self._circle2d.position[0]
 
 
-def for_gym_make(**kwargs: Any) -> Circle2DEnv:
-    """What `gymnasium.make` calls: without a time limit, since it adds its own `TimeLimit`.
-
-    A second limit inside would cut short whoever raises it by `make(..., max_episode_steps=100)`.
-    """
-    return Circle2DEnv(max_episode_steps=None, **kwargs)
-
-
-for_gym_make.metadata = METADATA  # pyright: ignore[reportFunctionMemberAccess]
+for_gym_make = without_time_limit(Circle2DEnv)

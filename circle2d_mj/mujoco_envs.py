@@ -8,9 +8,10 @@ from typing import Any
 from gymnasium.vector import AutoresetMode
 
 from circle2d_mj.config import Circle2DConfig
-from circle2d_mj.envs import MAX_EPISODE_STEPS, METADATA, Circle2DEnv, Circle2DVectorEnv
+from circle2d_mj.envs import MAX_EPISODE_STEPS, Circle2DEnv, Circle2DVectorEnv
 from circle2d_mj.physics import Physics
 from circle2d_mj.scene import Actuation
+from circle2d_mj.single_env import without_time_limit
 
 
 class Circle2DMuJoCoVectorEnv(Circle2DVectorEnv):
@@ -75,9 +76,4 @@ class Circle2DMuJoCoEnv(Circle2DEnv):
         )
 
 
-def for_gym_make(**kwargs: Any) -> Circle2DMuJoCoEnv:
-    """What `gymnasium.make` calls: without a time limit, since it adds its own `TimeLimit`."""
-    return Circle2DMuJoCoEnv(max_episode_steps=None, **kwargs)
-
-
-for_gym_make.metadata = METADATA  # pyright: ignore[reportFunctionMemberAccess]
+for_gym_make = without_time_limit(Circle2DMuJoCoEnv)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -72,3 +73,16 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
 
     def _floats(self, info: dict[str, Any]) -> dict[str, float]:
         return {key: float(info[key][0]) for key in self._envs.simulation.info_keys}
+
+
+def without_time_limit(env: type[TaskEnv]) -> Callable[..., TaskEnv]:
+    """What `gymnasium.make` calls to make such an environment, since it adds its own `TimeLimit`.
+
+    A second limit inside would cut short whoever raises it by `make(..., max_episode_steps=100)`.
+    """
+
+    def make(**kwargs: Any) -> TaskEnv:
+        return env(max_episode_steps=None, **kwargs)  # pyright: ignore[reportCallIssue]
+
+    make.metadata = env.metadata  # pyright: ignore[reportFunctionMemberAccess]
+    return make

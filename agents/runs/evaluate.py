@@ -69,7 +69,8 @@ def _play(
 ) -> list[dict[str, Any]]:
     """For each run the means and, per episode, the undiscounted sums of rewards and costs."""
     starts = range(0, episodes, at_once)
-    parts = [_episodes(envs, config, policy, episodes, k, at_once, active, noisy) for k in starts]
+    rollouts = (play(envs, config, policy, episodes, k, at_once, active, noisy) for k in starts)
+    parts = [_columns(rollout, len(config.seeds)) for rollout in rollouts]
     columns = {name: np.concatenate([part[name] for part in parts], axis=1) for name in parts[0]}
     valid = active & ~columns.pop("diverged")[:, :episodes].any(axis=1)
     results = []
@@ -87,18 +88,8 @@ def _play(
     return results
 
 
-def _episodes(
-    envs: VectorEnv,
-    config: TrainConfig,
-    policy: Policy,
-    episodes: int,
-    first: int,
-    count: int,
-    active: NDArray[np.bool_],
-    noisy: bool,
-) -> dict[str, NDArray]:
-    """What `play` gave, in arrays [R, count, ...]."""
-    rollout = play(envs, config, policy, episodes, first, count, active, noisy)
+def _columns(rollout: Rollout, runs: int) -> dict[str, NDArray]:
+    """What the episodes of a rollout came to, in arrays [R, episodes of each, ...]."""
     columns = {
         "returns": rollout.returns,
         "cost_returns": rollout.cost_returns,
@@ -106,8 +97,7 @@ def _episodes(
         "final_observations": rollout.final_observation,
         "diverged": rollout.diverged,
     }
-    shape = (len(config.seeds), count)
-    return {name: column.reshape(*shape, *column.shape[1:]) for name, column in columns.items()}
+    return {name: column.reshape(runs, -1, *column.shape[1:]) for name, column in columns.items()}
 
 
 def play(

@@ -12,7 +12,7 @@ from circle2d_mj.safety_tasks.circle import SafetyPointCircle
 from circle2d_mj.safety_tasks.goal import SafetyPointGoal
 from circle2d_mj.safety_tasks.hopper import SafetyHopperVelocity
 from circle2d_mj.simulation import Simulation
-from circle2d_mj.single_env import TaskEnv
+from circle2d_mj.single_env import TaskEnv, without_time_limit
 from circle2d_mj.vector_env import TaskVectorEnv
 
 TASKS: dict[str, Callable[[int, int], Simulation]] = {
@@ -75,9 +75,4 @@ class SafetyEnv(TaskEnv):
         super().__init__(envs)
 
 
-def for_gym_make(**kwargs: Any) -> SafetyEnv:
-    """What `gymnasium.make` calls: without a time limit, since it adds its own `TimeLimit`."""
-    return SafetyEnv(max_episode_steps=None, **kwargs)
-
-
-for_gym_make.metadata = METADATA  # pyright: ignore[reportFunctionMemberAccess]
+for_gym_make = without_time_limit(SafetyEnv)
