@@ -7,9 +7,10 @@ learning"; in the paper's grid as "WCSAC" with the index 0.5, its risk level.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from statistics import NormalDist
 
+import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
@@ -44,12 +45,11 @@ class WCSACConfig(MultiplierConfig, SACConfig):
         check(self, "damping", low=0)
 
 
-def tail_factor(level: float) -> float:
+def tail_factor(level: float) -> Tensor:
     """How many standard deviations the mean of the worst share `level` of a Gaussian lies above
-    its mean: `φ(Φ⁻¹(α)) / α`."""
-    if level == 1:
-        return 0.0
-    return NormalDist().pdf(NormalDist().inv_cdf(level)) / level
+    its mean: `φ(Φ⁻¹(α)) / α`, [] in double precision."""
+    quantile = torch.special.ndtri(torch.tensor(level, dtype=torch.float64))
+    return torch.exp(-0.5 * quantile**2) / (math.sqrt(2.0 * math.pi) * level)
 
 
 def variance(output: Tensor) -> Tensor:

@@ -3,21 +3,77 @@
 from __future__ import annotations
 
 import ctypes
+import functools
+import os
 import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import ParamSpec, TypeVar
 
 import torch
+
+P, T = ParamSpec("P"), TypeVar("T")
 
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 
 
-def configure() -> None:
+_compiles = False
+"""Whether functions marked `compiled` are; as `configure` was last told."""
+
+
+def configure(compiles: bool = False) -> None:
     """Prepare this process for training: one thread, kept memory, the faster matrix products.
 
-    One thread a process, since lockstep runs fill a core and processes fill the others.
+    compiles: run what is marked `compiled` as compiled code from now on. One thread a process,
+    since lockstep runs fill a core and processes fill the others.
     """
+    global _compiles
     torch.set_num_threads(1)
     _keep_freed_memory()
     _use_onednn_products()
+    _compiles = compiles
+    if compiles:
+        _keep_compiled_code()
+
+
+def compiled(function: Callable[P, T]) -> Callable[P, T]:
+    """Mark a pure function of tensors to run as one piece of compiled code where `configure` says.
+
+    Otherwise it is what it was. The source is ordinary PyTorch, gradients by `torch.func` included;
+    nothing in it may look at a tensor's value. Each set of shapes is compiled on its own.
+    """
+
+    @functools.cache
+    def whole() -> Callable[P, T]:
+        return torch.compile(function, fullgraph=True, dynamic=False)
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        inside = torch.compiler.is_compiling()  # of another such function
+        return (whole() if _compiles and not inside else function)(*args, **kwargs)
+
+    return call
+
+
+@functools.cache
+def cannot_compile() -> str:
+    """Why this machine cannot compile, in a line; empty where it can. Found by trying."""
+    _keep_compiled_code()
+    try:
+        torch.compile(lambda x: 2.0 * x, fullgraph=True)(torch.ones(32))
+    except Exception as error:  # whatever the compiler, its headers or the cache lack
+        return (str(error).strip() or type(error).__name__).splitlines()[0]
+    return ""
+
+
+def _keep_compiled_code() -> None:
+    """Keep compiled code between processes, where it outlasts a restart of the machine, and for as
+    many sets of shapes as a process meets."""
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(Path(cache) / "circle2d-mj"))
+    import torch._dynamo  # here, since it takes a second
+
+    torch._dynamo.config.recompile_limit = 1024
 
 
 def _keep_freed_memory() -> None:

@@ -13,26 +13,33 @@ import torch
 from numpy.typing import DTypeLike, NDArray
 from torch import Tensor
 
+from agents.lockstep.backend import compiled
+
 Tree = TypeVar("Tree")
 
 
 def where(mask: NDArray[np.bool_], new: Tree, old: Tree) -> Tree:
     """The new state of the runs in mask [R], the old state of the others."""
-    return new if mask.all() else _where(torch.from_numpy(mask), new, old)
+    return new if mask.all() else select(torch.from_numpy(mask), new, old)
 
 
-def _where(mask: Tensor, new: Any, old: Any) -> Any:
+def select(mask: Tensor, new: Any, old: Any) -> Any:
+    """`where` for a mask that is a tensor, whose values are not looked at."""
     if new is None:
-        return None
+        return new
     if isinstance(new, Tensor):
         return torch.where(mask.view(-1, *[1] * (new.dim() - 1)), new, old)
-    return type(new)(*(_where(mask, a, b) for a, b in zip(new, old, strict=True)))
+    return type(new)(*(select(mask, a, b) for a, b in zip(new, old, strict=True)))
 
 
 def finite(tree: Any) -> NDArray[np.bool_]:
     """Which runs hold only finite numbers, [R]."""
-    leaves = [leaf.flatten(1) for leaf in _leaves(tree)]
-    return torch.stack([leaf.isfinite().all(dim=1) for leaf in leaves]).all(dim=0).numpy()
+    return _finite(list(_leaves(tree))).numpy()
+
+
+@compiled
+def _finite(leaves: list[Tensor]) -> Tensor:
+    return torch.stack([leaf.flatten(1).isfinite().all(dim=1) for leaf in leaves]).all(dim=0)
 
 
 def _leaves(tree: Any) -> Iterator[Tensor]:

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from agents.errors import check, check_choice, check_integers
 from agents.lockstep.adam import Moments, adam, no_moments
+from agents.lockstep.backend import compiled
 from agents.lockstep.nets import LANES, MLP, check_lanes
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.replay import Batch
@@ -215,6 +216,7 @@ def targets_of(
     return batch.reward + config.discount * (1.0 - batch.terminal) * soft_value, q[:, 2:]
 
 
+@compiled
 def update(
     nets: Nets, config: Any, rule: CostRule, state: SACState, batch: Batch, noise: UpdateNoise
 ) -> tuple[SACState, dict[str, Tensor]]:

@@ -17,13 +17,14 @@ from torch import Tensor
 from agents.errors import check, check_choice, check_integers
 from agents.lockstep import tree
 from agents.lockstep.adam import Moments, adam, no_moments
+from agents.lockstep.backend import compiled
 from agents.lockstep.nets import MLP, check_lanes
 from agents.lockstep.noise import Purpose, stream
 from agents.updates import multiplier
 from agents.updates.gaussian import Gaussian, GaussianPolicy
 from agents.updates.multiplier import Multiplier
 from agents.updates.packing import blocks
-from agents.updates.trust_region import Problem, Step, Tangent, conjugate_gradient, line_search
+from agents.updates.trust_region import Problem, Step, conjugate_gradient, line_search
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,7 @@ def initial_state(nets: Nets, config: Any, rule: StepRule, seeds: Sequence[int])
     )
 
 
+@compiled
 def values(nets: Nets, critics: Tensor, observation: Tensor) -> Tensor:
     """What both critics of each run say of observations [R, B, observation size]: [R, 2, B]."""
     runs, batch, width = observation.shape
@@ -191,31 +193,40 @@ def blocks_of(nets: Nets, actor: Tensor, epoch: Epoch, objective: Tensor) -> lis
     return found
 
 
+@compiled
+def fisher_in(nets: Nets, actor: Tensor, block: Block, v: Tensor) -> Tensor:
+    """`Jᵀ M J v` of a block, J the Jacobian of mean and log-std, and M the Fisher information of a
+    Gaussian in them: `1/σ²` and 2. All [R, actor size].
+    """
+
+    def parameters(params: Tensor) -> Tensor:
+        policy = nets.actor.distribution(params, block.observation)
+        return torch.cat([policy.mean, policy.log_std.expand_as(policy.mean)], dim=-1)
+
+    outputs, pull = torch.func.vjp(parameters, actor)
+    # J v is the gradient in u of `Jᵀ u · v`; forward mode gives the same, slower.
+    _, push = torch.func.vjp(lambda u: pull(u)[0], torch.zeros_like(outputs))
+    variance = block.old.std * block.old.std
+    information = torch.cat([1.0 / variance, torch.full_like(variance, 2.0)], dim=-1)
+    return pull(push(v)[0] * (block.weight[..., None] * information))[0]
+
+
 def fisher_product(
     nets: Nets, actor: Tensor, steps: list[Block], damping: float
 ) -> Callable[[Tensor], Tensor]:
-    """v -> H v for the Hessian of the mean KL divergence at the policy itself, plus the damping.
+    """v -> H v for the Hessian of the mean KL divergence at the policy itself, plus the damping."""
+    return lambda v: sum((fisher_in(nets, actor, block, v) for block in steps), start=damping * v)
 
-    There it is `Jᵀ M J`, J the Jacobian of mean and log-std, and M the Fisher information of a
-    Gaussian in them: `1/σ²` and 2.
-    """
 
-    def parameters(params: Tensor, observation: Tensor) -> Tensor:
-        policy = nets.actor.distribution(params, observation)
-        return torch.cat([policy.mean, policy.log_std.expand_as(policy.mean)], dim=-1)
-
-    tangents = []
-    for block in steps:
-        tangent = Tangent.at(lambda params, at=block.observation: parameters(params, at), actor)
-        std = block.old.std
-        information = torch.cat([1.0 / (std * std), torch.full_like(std, 2.0)], dim=-1)
-        tangents.append((tangent, block.weight[..., None] * information))
-
-    def product(v: Tensor) -> Tensor:
-        parts = (tangent.pull(tangent.push(v) * metric) for tangent, metric in tangents)
-        return sum(parts, start=damping * v)
-
-    return product
+@compiled
+def compared_in(nets: Nets, actor: Tensor, block: Block) -> tuple[Tensor, Tensor]:
+    """What `compared` adds up over blocks."""
+    policy = nets.actor.distribution(actor, block.observation)
+    held = block.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
+    change = torch.where(held, policy.log_prob(block.action) - block.old_log_prob, 0.0)
+    weighted = (block.weight * change.exp())[:, None] * block.gains
+    divergence = torch.where(held, block.old.kl(policy), 0.0)
+    return weighted.sum(dim=-1), (block.weight * divergence).sum(dim=-1)
 
 
 def compared(nets: Nets, actor: Tensor, steps: list[Block]) -> tuple[Tensor, Tensor]:
@@ -223,14 +234,15 @@ def compared(nets: Nets, actor: Tensor, steps: list[Block]) -> tuple[Tensor, Ten
     [R, 2], and the mean KL divergence from the old to the new one, [R]."""
     surrogates, kl = torch.zeros(len(actor), 2), torch.zeros(len(actor))
     for block in steps:
-        policy = nets.actor.distribution(actor, block.observation)
-        held = block.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
-        change = torch.where(held, policy.log_prob(block.action) - block.old_log_prob, 0.0)
-        weighted = (block.weight * change.exp())[:, None] * block.gains
-        surrogates = surrogates + weighted.sum(dim=-1)
-        of_steps = torch.where(held, block.old.kl(policy), 0.0)
-        kl = kl + (block.weight * of_steps).sum(dim=-1)
+        of_block, kl_of_block = compared_in(nets, actor, block)
+        surrogates, kl = surrogates + of_block, kl + kl_of_block
     return surrogates, kl
+
+
+@compiled
+def gradient_in(nets: Nets, actor: Tensor, block: Block, of: int) -> Tensor:
+    """A block's part of the gradient of `compared`'s surrogate `of`, [R, actor size]."""
+    return torch.func.grad(lambda params: compared_in(nets, params, block)[0][:, of].sum())(actor)
 
 
 def policy_step(
@@ -243,7 +255,9 @@ def policy_step(
     steps = blocks_of(nets, old, epoch, objective)
 
     def gradient(of: int) -> Tensor:
-        return torch.func.grad(lambda actor: compared(nets, actor, steps)[0][:, of].sum())(old)
+        return sum(
+            (gradient_in(nets, old, block, of) for block in steps), start=torch.zeros_like(old)
+        )
 
     product = fisher_product(nets, old, steps, config.cg_damping)
     problem = Problem(
@@ -279,14 +293,31 @@ def critic_step(
     run = torch.arange(len(rows))[:, None]
     observation = epoch.observation[run, rows]
     target = epoch.value_targets.gather(2, rows[:, None].expand(-1, 2, -1))
+    critics, moments, losses = critics_update(
+        nets, config, state.critics, state.critic_moments, observation, target, weight
+    )
+    return state._replace(critics=critics, critic_moments=moments), losses
+
+
+@compiled
+def critics_update(
+    nets: Nets,
+    config: Any,
+    critics: Tensor,
+    moments: Moments,
+    observation: Tensor,
+    target: Tensor,
+    weight: Tensor,
+) -> tuple[Tensor, Moments, Tensor]:
+    """What `critic_step` does with the rows it fetched."""
 
     def loss(critics: Tensor) -> tuple[Tensor, Tensor]:
         error = values(nets, critics, observation) - target
         parts = 0.5 * (weight[:, None] * error * error).sum(dim=-1)
         return parts.sum(), parts.detach()
 
-    gradient, parts = torch.func.grad(loss, has_aux=True)(state.critics)
-    critics, moments = adam(state.critics, gradient, state.critic_moments, config.learning_rate)
-    present = (weight[:, 0] > 0).numpy()
-    new = state._replace(critics=critics, critic_moments=moments)
-    return tree.where(present, new, state), parts
+    gradient, parts = torch.func.grad(loss, has_aux=True)(critics)
+    stepped, followed = adam(critics, gradient, moments, config.learning_rate)
+    present = weight[:, 0] > 0
+    stepped = torch.where(present[:, None, None], stepped, critics)
+    return stepped, tree.select(present, followed, moments), parts

@@ -37,41 +37,6 @@ def conjugate_gradient(product: Product, b: Tensor, iterations: int) -> Tensor:
     return x
 
 
-class Tangent(NamedTuple):
-    """A function's outputs at some parameters, with the graphs of its Jacobian kept.
-
-    Both products reuse the activations of one forward pass.
-    """
-
-    params: Tensor
-    """[R, P], the leaf that gradients are taken for"""
-    outputs: Tensor
-    """[R, ...]"""
-    cotangent: Tensor
-    """[R, ...], a leaf of zeros"""
-    pulled_back: Tensor
-    """`Jᵀ cotangent`, [R, P]"""
-
-    @classmethod
-    def at(cls, function: Callable[[Tensor], Tensor], params: Tensor) -> Tangent:
-        """Of a function of params [R, P] whose output of a run depends on that run alone."""
-        params = params.detach().requires_grad_()
-        outputs = function(params)
-        cotangent = torch.zeros_like(outputs, requires_grad=True)
-        (pulled,) = torch.autograd.grad(outputs, params, cotangent, create_graph=True)
-        return cls(params, outputs, cotangent, pulled)
-
-    def push(self, v: Tensor) -> Tensor:
-        """`J v`: how the outputs move along v; the gradient in u of `Jᵀu · v`."""
-        (pushed,) = torch.autograd.grad(self.pulled_back, self.cotangent, v, retain_graph=True)
-        return pushed
-
-    def pull(self, u: Tensor) -> Tensor:
-        """`Jᵀ u`: the gradient of `outputs · u`."""
-        (pulled,) = torch.autograd.grad(self.outputs, self.params, u, retain_graph=True)
-        return pulled
-
-
 class Problem(NamedTuple):
     """What a step of the policy is computed from; each run's own."""
 

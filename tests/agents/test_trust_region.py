@@ -10,7 +10,7 @@ from agents.lockstep.nets import MLP
 from agents.updates import trpo
 from agents.updates.gaussian import GaussianPolicy
 from agents.updates.packing import BLOCK
-from agents.updates.trust_region import Problem, Step, Tangent, conjugate_gradient, line_search
+from agents.updates.trust_region import Problem, Step, conjugate_gradient, line_search
 
 NETS = trpo.Nets(GaussianPolicy(MLP((2, 3, 2))), MLP((2, 3, 1)))
 
@@ -91,21 +91,6 @@ def test_a_run_that_is_solved_waits_for_the_others(scale):
     found = conjugate_gradient(times(matrix), b, 100)
     expected = torch.linalg.solve(matrix, b)
     torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-4 * scale)
-
-
-def test_tangent_against_jacobian():
-    def function(params):
-        hidden = torch.tanh(params[:, None, :4] * torch.linspace(-1, 1, 7)[:, None])
-        return hidden[..., :3] * params[:, None, 4:7] ** 2 + hidden[..., 1:]
-
-    params, v, u = normal(3, 8), normal(3, 8, seed=1), normal(3, 7, 3, seed=2)
-    tangent = Tangent.at(function, params)
-    for run in range(3):
-        jacobian = torch.func.jacrev(lambda p: function(p[None])[0])(params[run])
-        torch.testing.assert_close(tangent.outputs[run], function(params)[run])
-        torch.testing.assert_close(tangent.push(v)[run], jacobian @ v[run])
-        pulled = torch.einsum("bkp,bk->p", jacobian, u[run])
-        torch.testing.assert_close(tangent.pull(u)[run], pulled)
 
 
 @pytest.mark.parametrize(("steps", "size"), [((100, 30), BLOCK), ((700, 40), 2 * BLOCK)])
