@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 
@@ -36,6 +39,16 @@ def configure(compiles: bool = False) -> None:
         _keep_compiled_code()
 
 
+def tensor(array: NDArray) -> Tensor:
+    """The array on the device that trains; on a CPU it shares its memory."""
+    return torch.from_numpy(array).to(torch.get_default_device())
+
+
+def array(tensor: Tensor) -> NDArray:
+    """The tensor in main memory; a CPU's shares it."""
+    return tensor.cpu().numpy()
+
+
 def compiled(function: Callable[P, T]) -> Callable[P, T]:
     """Mark a pure function of tensors to run as one piece of compiled code where `configure` says.
 
@@ -43,14 +56,16 @@ def compiled(function: Callable[P, T]) -> Callable[P, T]:
     nothing in it may look at a tensor's value. Each set of shapes is compiled on its own.
     """
 
-    @functools.cache
-    def whole() -> Callable[P, T]:
-        return torch.compile(function, fullgraph=True, dynamic=False)
+    whole: Callable[P, T] | None = None
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        inside = torch.compiler.is_compiling()  # of another such function
-        return (whole() if _compiles and not inside else function)(*args, **kwargs)
+        nonlocal whole
+        if not _compiles or torch.compiler.is_compiling():  # the latter: as a part of another
+            return function(*args, **kwargs)
+        if whole is None:  # not sooner, since what it imports takes seconds
+            whole = torch.compile(function, fullgraph=True, dynamic=False)
+        return whole(*args, **kwargs)
 
     return call
 

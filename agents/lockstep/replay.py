@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from agents.lockstep import tree
+from agents.lockstep.backend import tensor
 from agents.lockstep.rollout import Rollout
 
 
@@ -58,9 +58,7 @@ class Replay:
 
     def gather(self, index: NDArray[np.int64]) -> Batch:
         """The transitions in slots index [R, B]."""
-        rows = torch.from_numpy(self._rows)[
-            torch.arange(len(index))[:, None], torch.from_numpy(index)
-        ]
+        rows = tensor(self._rows[np.arange(len(index))[:, None], index])
         parts = (part.contiguous() for part in rows.split(self._widths, dim=-1))
         observation, action, reward, cost, next_observation, terminal = parts
         return Batch(

@@ -13,14 +13,14 @@ import torch
 from numpy.typing import DTypeLike, NDArray
 from torch import Tensor
 
-from agents.lockstep.backend import compiled
+from agents.lockstep.backend import array, compiled, tensor
 
 Tree = TypeVar("Tree")
 
 
 def where(mask: NDArray[np.bool_], new: Tree, old: Tree) -> Tree:
     """The new state of the runs in mask [R], the old state of the others."""
-    return new if mask.all() else select(torch.from_numpy(mask), new, old)
+    return new if mask.all() else select(tensor(mask), new, old)
 
 
 def select(mask: Tensor, new: Any, old: Any) -> Any:
@@ -34,7 +34,7 @@ def select(mask: Tensor, new: Any, old: Any) -> Any:
 
 def finite(tree: Any) -> NDArray[np.bool_]:
     """Which runs hold only finite numbers, [R]."""
-    return _finite(list(_leaves(tree))).numpy()
+    return array(_finite(list(_leaves(tree))))
 
 
 @compiled
@@ -54,11 +54,11 @@ def expect(
     name: str, arrays: dict[str, NDArray], shape: tuple[int, ...], dtype: DTypeLike
 ) -> NDArray:
     """The array of that name. KeyError where it is missing, ValueError where it is another kind."""
-    array = arrays[name]
-    if array.shape != shape or array.dtype != dtype:
-        found = f"{list(array.shape)} {array.dtype}"
-        raise ValueError(f"{name} is {found}, expected {list(shape)} {np.dtype(dtype)}")
-    return array
+    found = arrays[name]
+    if found.shape != shape or found.dtype != dtype:
+        given = f"{list(found.shape)} {found.dtype}"
+        raise ValueError(f"{name} is {given}, expected {list(shape)} {np.dtype(dtype)}")
+    return found
 
 
 def flatten(tree: Any, prefix: str = "") -> dict[str, NDArray]:
@@ -66,7 +66,7 @@ def flatten(tree: Any, prefix: str = "") -> dict[str, NDArray]:
     if tree is None:
         return {}
     if isinstance(tree, Tensor):
-        return {prefix: tree.numpy()}
+        return {prefix: array(tree)}
     named = zip(tree._fields, tree, strict=True)
     dot = f"{prefix}." if prefix else ""
     return {k: v for name, part in named for k, v in flatten(part, f"{dot}{name}").items()}
@@ -78,8 +78,8 @@ def unflatten(like: Any, arrays: dict[str, NDArray], prefix: str = "") -> Any:
     if like is None:
         return None
     if isinstance(like, Tensor):
-        expected = like.numpy()
-        return torch.from_numpy(expect(prefix, arrays, expected.shape, expected.dtype).copy())
+        expected = array(like)
+        return tensor(expect(prefix, arrays, expected.shape, expected.dtype).copy())
     dot = f"{prefix}." if prefix else ""
     return type(like)(
         *(

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from agents.lockstep import tree
+from agents.lockstep.backend import array, tensor
 from agents.lockstep.nets import forward_numpy
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, stream, uniform
 from agents.lockstep.replay import Replay
@@ -49,7 +49,7 @@ class OffPolicy:
 
     def policy(self) -> Policy:
         """The policy as it stands now."""
-        layers = self.nets.actor.layers(self._state.actor.numpy())
+        layers = self.nets.actor.layers(array(self._state.actor))
         return lambda observation, noise: squashed_gaussian.act(
             forward_numpy(layers, observation), noise
         )
@@ -93,7 +93,7 @@ class OffPolicy:
                 self.nets, self.config, self.rule, self._state, batch, noise
             )
             self._state = tree.where(learning, state, self._state)
-            total = total + np.stack([metrics[name].numpy() for name in self.metrics], axis=-1)
+            total = total + np.stack([array(metrics[name]) for name in self.metrics], axis=-1)
         return np.where(learning[:, None], total / self.config.gradient_steps, np.nan)
 
     def finite(self) -> NDArray[np.bool_]:
@@ -110,7 +110,7 @@ class OffPolicy:
             action_noise.append(normal(rng, (steps, 2, batch, self.action_size)))
         held = np.maximum(self._replay.size, 1)[:, None]
         index = (np.stack(share, axis=1) * held).astype(np.int64)
-        noise = torch.from_numpy(np.stack(action_noise, axis=1))
+        noise = tensor(np.stack(action_noise, axis=1))
         return [
             (index[k], sac.UpdateNoise(noise[k, :, 0].contiguous(), noise[k, :, 1].contiguous()))
             for k in range(steps)

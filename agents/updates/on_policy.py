@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from agents.lockstep import tree
+from agents.lockstep.backend import array, tensor
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, stream
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.updates import trpo
@@ -43,7 +44,7 @@ class OnPolicy:
 
     def policy(self) -> Policy:
         """The policy as it stands now."""
-        params = self._state.actor.numpy()
+        params = array(self._state.actor)
         return lambda observation, noise: self.nets.actor.act(params, observation, noise)
 
     def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
@@ -77,14 +78,14 @@ class OnPolicy:
         self._state = tree.where(active, state._replace(multiplier=followed), self._state)
         records["critic_loss"], records["cost_critic_loss"] = (losses / count).T
         records["std"] = self._std()
-        columns = np.stack([records[name].numpy() for name in self.metrics], axis=-1)
+        columns = np.stack([array(records[name]) for name in self.metrics], axis=-1)
         return np.where(active[:, None], columns, np.nan)
 
     def _epoch(self, rollout: Rollout, packing: Packing) -> trpo.Epoch:
         """Advantages and value targets of an epoch's steps, packed."""
-        observation = torch.from_numpy(packing.pack(rollout.observation))
+        observation = tensor(packing.pack(rollout.observation))
         value = self._values(observation)
-        next_value = self._values(torch.from_numpy(packing.pack(rollout.next_observation)))
+        next_value = self._values(tensor(packing.pack(rollout.next_observation)))
         terminal = rollout.terminal(self.config.time_limit)
         of_both = []
         for k, signal in enumerate((rollout.reward, rollout.cost)):
@@ -92,7 +93,7 @@ class OnPolicy:
             discounts = self.config.discount, self.config.gae_lambda
             found = advantages(signal, *unpacked, terminal, rollout.during, *discounts)
             of_both.append(packing.pack(found))
-        targets = torch.from_numpy(np.stack(of_both, axis=1)) + torch.from_numpy(value)
+        targets = tensor(np.stack(of_both, axis=1)) + tensor(value)
         reward, cost = of_both
         for run, n in enumerate(packing.steps):
             if n:
@@ -103,13 +104,13 @@ class OnPolicy:
         costs = rollout.cost_returns.reshape(shape).mean(axis=1)
         return trpo.Epoch(
             observation=observation,
-            action=torch.from_numpy(packing.pack(rollout.action)),
-            weight=torch.from_numpy(packing.weight),
-            reward_advantage=torch.from_numpy(reward),
-            cost_advantage=torch.from_numpy(cost),
+            action=tensor(packing.pack(rollout.action)),
+            weight=tensor(packing.weight),
+            reward_advantage=tensor(reward),
+            cost_advantage=tensor(cost),
             value_targets=targets,
-            length=torch.from_numpy(rollout.length.reshape(shape).mean(axis=1)).float(),
-            excess=torch.from_numpy(costs - self.config.cost_limit).float(),
+            length=tensor(rollout.length.reshape(shape).mean(axis=1)).float(),
+            excess=tensor(costs - self.config.cost_limit).float(),
         )
 
     def _values(self, observation: torch.Tensor) -> NDArray[np.float32]:
@@ -117,7 +118,7 @@ class OnPolicy:
         parts = [
             trpo.values(self.nets, self._state.critics, *block) for block in blocks(observation)
         ]
-        return torch.cat(parts, dim=-1).numpy()
+        return array(torch.cat(parts, dim=-1))
 
     def _std(self) -> torch.Tensor:
         """Standard deviation of each run's policy, mean over action components: [R]."""

@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
+
+from agents.lockstep.backend import tensor
 
 BLOCK = 512
 """Rows of a block: a multiple of 32 (see `nets`) that holds the paper's epoch of 500 steps."""
@@ -73,4 +74,4 @@ def minibatches(
         part = slice(start, start + size)
         here = held[:, part]
         weight = here / np.maximum(here.sum(axis=1, keepdims=True), 1)
-        yield torch.from_numpy(order[:, part]), torch.from_numpy(weight.astype(np.float32))
+        yield tensor(order[:, part]), tensor(weight.astype(np.float32))

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from agents.errors import check, check_choice, check_integers
 from agents.lockstep.adam import Moments, adam, no_moments
-from agents.lockstep.backend import compiled
+from agents.lockstep.backend import compiled, tensor
 from agents.lockstep.nets import LANES, MLP, check_lanes
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.replay import Batch
@@ -131,9 +131,9 @@ def make_nets(config: SACConfig, observation_size: int, action_size: int) -> Net
 def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int]) -> SACState:
     """The state of runs before their first update; each run's comes from its seed alone."""
     streams = [stream(seed, Purpose.PARAMETERS) for seed in seeds]
-    actor = torch.from_numpy(np.stack([nets.actor.initial(rng) for rng in streams]))
+    actor = tensor(np.stack([nets.actor.initial(rng) for rng in streams]))
     critics = [[nets.critic.initial(rng) for _ in range(4)] for rng in streams]
-    critics = torch.from_numpy(np.array(critics))
+    critics = tensor(np.array(critics))
     log_temperature = torch.zeros(len(seeds), LANES)
     return SACState(
         actor=actor,

@@ -17,7 +17,7 @@ from torch import Tensor
 from agents.errors import check, check_choice, check_integers
 from agents.lockstep import tree
 from agents.lockstep.adam import Moments, adam, no_moments
-from agents.lockstep.backend import compiled
+from agents.lockstep.backend import compiled, tensor
 from agents.lockstep.nets import MLP, check_lanes
 from agents.lockstep.noise import Purpose, stream
 from agents.updates import multiplier
@@ -148,9 +148,9 @@ def initial_state(nets: Nets, config: Any, rule: StepRule, seeds: Sequence[int])
     streams = [stream(seed, Purpose.PARAMETERS) for seed in seeds]
     actor = np.stack([nets.actor.initial(rng, config.initial_log_std) for rng in streams])
     critics = np.array([[nets.critic.initial(rng) for _ in range(2)] for rng in streams])
-    critics = torch.from_numpy(critics)
+    critics = tensor(critics)
     return TRPOState(
-        torch.from_numpy(actor),
+        tensor(actor),
         critics,
         no_moments(critics),
         multiplier.initial(rule.multiplier, config, len(seeds)),
@@ -203,9 +203,9 @@ def fisher_in(nets: Nets, actor: Tensor, block: Block, v: Tensor) -> Tensor:
         policy = nets.actor.distribution(params, block.observation)
         return torch.cat([policy.mean, policy.log_std.expand_as(policy.mean)], dim=-1)
 
-    outputs, pull = torch.func.vjp(parameters, actor)
+    outputs, pull, *_ = torch.func.vjp(parameters, actor)
     # J v is the gradient in u of `Jᵀ u · v`; forward mode gives the same, slower.
-    _, push = torch.func.vjp(lambda u: pull(u)[0], torch.zeros_like(outputs))
+    _, push, *_ = torch.func.vjp(lambda u: pull(u)[0], torch.zeros_like(outputs))
     variance = block.old.std * block.old.std
     information = torch.cat([1.0 / variance, torch.full_like(variance, 2.0)], dim=-1)
     return pull(push(v)[0] * (block.weight[..., None] * information))[0]
