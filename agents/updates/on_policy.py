@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from agents.lockstep import tree
-from agents.lockstep.noise import Purpose, normal, steps_of_noise, stream
+from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.updates import trpo
 from agents.updates.multiplier import ascend
@@ -41,12 +41,12 @@ class OnPolicy:
         self.nets = trpo.make_nets(config, observation_size, action_size)
         self._state = trpo.initial_state(self.nets, config, rule, seeds)
 
-    def policy(self) -> Policy:
-        """The policy as it stands now."""
-        params = self._state.actor.numpy()
+    def policy(self, runs: slice = tree.ALL) -> Policy:
+        """The policy of some runs as it stands now."""
+        params = self._state.actor[runs].numpy()
         return lambda observation, noise: self.nets.actor.act(params, observation, noise)
 
-    def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
+    def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
         """How the runs act in an epoch: by the policy, with its noise."""
         policy, runs = self.policy(), len(self.seeds)
         shape = (self.episodes, self.action_size)
@@ -55,7 +55,7 @@ class OnPolicy:
             observation.reshape(runs, self.episodes, -1), next(noise)
         ).reshape(runs * self.episodes, -1)
 
-    def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
+    def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray:
         """Step the policy, then the critics and the multiplier; active: [R], runs that take part.
 
         rollout: N = R·E episodes, those of a run beside each other. Returns each of `metrics`,
@@ -67,10 +67,10 @@ class OnPolicy:
         data = self._epoch(rollout, packing)
         actor, records = trpo.policy_step(self.nets, self.config, self.rule, self._state, data)
         state = self._state._replace(actor=actor)
-        streams = [stream(seed, Purpose.UPDATE, epoch) for seed in self.seeds]
+        generators = streams(self.seeds, Purpose.UPDATE, epoch)
         losses, count = torch.zeros(len(self.seeds), 2), torch.zeros(len(self.seeds), 1)
         for _ in range(self.config.critic_iterations):
-            for rows, weight in minibatches(packing.steps, self.config.batch_size, streams):
+            for rows, weight in minibatches(packing.steps, self.config.batch_size, generators):
                 state, loss = trpo.critic_step(self.nets, self.config, state, data, rows, weight)
                 losses, count = losses + loss, count + (weight[:, :1] > 0)
         followed = ascend(self.rule.multiplier, self.config, state.multiplier, data.excess[:, None])
@@ -128,10 +128,10 @@ class OnPolicy:
         """Which runs hold only finite numbers, [R]."""
         return tree.finite(self._state)
 
-    def state(self) -> dict[str, NDArray]:
-        """The whole training state as named arrays."""
-        return tree.flatten(self._state)
+    def state(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
+        """The whole training state of some runs as named arrays."""
+        return tree.flatten(self._state, runs)
 
-    def restore(self, state: dict[str, NDArray]) -> None:
+    def restore(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
         """Take over what `state` returned, bit for bit."""
-        self._state = tree.unflatten(self._state, state)
+        self._state = tree.unflatten(self._state, state, runs)
