@@ -86,7 +86,8 @@ def groups(configs: dict[Path, TrainConfig], workers: int) -> list[Group]:
     the ways to do that, with 12 runs in a group at most, the one that so many workers end first.
     """
     kinds: dict[str, list[Path]] = {}
-    sizes = {config.task: sizes_of(config.task, {}) for config in configs.values()}
+    of_tasks = {config.task: config.task_parameters for config in configs.values()}
+    sizes = {task: sizes_of(task, parameters) for task, parameters in of_tasks.items()}
     for folder, config in configs.items():
         kind = repr((config.shared, sizes[config.task], share_done(folder)))
         kinds.setdefault(kind, []).append(folder)
