@@ -212,7 +212,7 @@ def _failures(folder: Path, training: Training) -> int:
         elif not (run_folder(folder, seed) / "evaluation.json").exists():
             told.append(f"the evaluation of seed {seed} met a number that is not finite")
     for line in told:
-        print(f"circle2d: {line}", file=sys.stderr)
+        print(f"circle2d: {folder}: {line}", file=sys.stderr)
     return int(bool(told))
 
 

@@ -133,7 +133,13 @@ def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
             told = len(workers.over)
 
         workers.run(show)
-        return workers.failed
+        return {
+            folder: said
+            for folder, said in workers.failed.items()
+            # Of a group one run may have failed, and the other folders be done.
+            if grid.has_failures(folder, configs[folder])
+            or not grid.finished(folder, configs[folder])
+        }
 
 
 def _table(

@@ -131,7 +131,7 @@ def test_records_are_of_what_the_environments_did(name, tmp_path):
         for n in np.flatnonzero(np.repeat(active, episodes)):
             end = rollout.length[n]
             columns = (rollout.reward[:end, n], rollout.cost[:end, n])
-            noted.append((n // episodes, epoch, *(c.tolist() for c in columns)))
+            noted.append((n // episodes, epoch[n // episodes], *(c.tolist() for c in columns)))
         return learn(rollout, epoch, active)
 
     training.learner.learn = note

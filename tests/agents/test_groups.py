@@ -111,7 +111,7 @@ def test_killed_between_two_checkpoints_and_resumed_in_another_grouping(alone, t
 
 
 @pytest.mark.parametrize("name", ["sac-lb", "cpo"])
-def test_folders_that_fail_and_end_at_different_times(name, tmp_path):
+def test_folders_that_fail_and_end_at_different_times(name, tmp_path, capsys):
     """Episodes end early, on their own; luck as in `Walk` poisons runs of one folder."""
     hyperparameters = algorithm(name).config(cost_limit=1.0, batch_size=32, hidden=(32, 32))
     it = TrainConfig(name, "Walk-v0", (0, 1, 2, 3), 400, hyperparameters, checkpoint_every=100)
@@ -122,6 +122,10 @@ def test_folders_that_fail_and_end_at_different_times(name, tmp_path):
     assert not healthy.failed.any()
     assert poisoned.failed.any()
     assert healthy.epoch != poisoned.epoch
+    assert main(["resume", *map(str, folders)]) == 1
+    err = capsys.readouterr().err
+    assert f"circle2d: {folders[1]}: seed " in err
+    assert f"circle2d: {folders[0]}: seed " not in err
     assert_same(folders, expected)
     assert len(np.unique(restored(folders[0]).steps)) > 1
 
