@@ -77,8 +77,8 @@ class ResumeOptions:
     """Go on with interrupted runs from their last checkpoint; the results are bit for bit those of
     runs that were never interrupted."""
 
-    folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of the runs."""
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Folder of the runs; several, which differ in task and seeds only, train together."""
 
 
 @dataclass(frozen=True)
@@ -121,12 +121,16 @@ def run_train(args: Sequence[str]) -> int:
 
 
 def run_resume(args: Sequence[str]) -> int:
-    folder = parse(ResumeOptions, "resume", args).folder
-    TrainConfig.read(folder)
-    before = read_json(folder / "config.json").get("versions")
-    if before != versions():
-        print(f"circle2d: begun with other versions, {before}: results may differ", file=sys.stderr)
-    return _train(folder)
+    folders = parse(ResumeOptions, "resume", args).folders
+    if not folders:
+        raise UserError("resume needs a folder of runs")
+    for folder in folders:
+        TrainConfig.read(folder)
+        before = read_json(folder / "config.json").get("versions")
+        if before != versions():
+            how = f"begun with other versions, {before}: results may differ"
+            print(f"circle2d: {folder}: {how}", file=sys.stderr)
+    return _train(*folders)
 
 
 def run_evaluate(args: Sequence[str]) -> int:
@@ -185,15 +189,16 @@ def main(args: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _train(folder: Path) -> int:
-    config = TrainConfig.read(folder)
-    with show_progress(config, folder) as on_epoch:
-        training = train(folder, on_epoch)
-    try:
-        print(report(folder))
-    except UserError as error:  # the training itself is done
-        print(f"circle2d: no table: {error}", file=sys.stderr)
-    return _failures(folder, training)
+def _train(*folders: Path) -> int:
+    configs = {folder: TrainConfig.read(folder) for folder in folders}
+    with show_progress(configs) as on_epoch:
+        trainings = train(*configs, on_epoch=on_epoch)
+    for folder in configs:
+        try:
+            print(report(folder))
+        except UserError as error:  # the training itself is done
+            print(f"circle2d: no table: {error}", file=sys.stderr)
+    return max([_failures(*pair) for pair in zip(configs, trainings, strict=True)])
 
 
 def _failures(folder: Path, training: Training) -> int:
@@ -207,7 +212,7 @@ def _failures(folder: Path, training: Training) -> int:
         elif not (run_folder(folder, seed) / "evaluation.json").exists():
             told.append(f"the evaluation of seed {seed} met a number that is not finite")
     for line in told:
-        print(f"circle2d: {line}", file=sys.stderr)
+        print(f"circle2d: {folder}: {line}", file=sys.stderr)
     return int(bool(told))
 
 

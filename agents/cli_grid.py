@@ -23,7 +23,7 @@ from agents.options import parse
 from agents.runs.config import TrainConfig
 from agents.runs.files import locked
 from agents.runs.tasks import check_task
-from agents.runs.workers import Workers, last_words, share_done
+from agents.runs.workers import Workers, share_done
 from circle2d_mj.config import LEVELS
 
 
@@ -71,8 +71,8 @@ def run_reproduce(args: Sequence[str]) -> int:
     grid.prepare(configs)
     with locked(options.out), _ended_by_signals():
         failed = _train(configs, options.workers)
-    for folder in failed:
-        print(f"circle2d: {folder} failed: {last_words(folder)}", file=sys.stderr)
+    for folder, said in failed.items():
+        print(f"circle2d: {folder} failed: {said}", file=sys.stderr)
     try:
         print(report(options.out, with_figures=True))
     except UserError as error:
@@ -107,13 +107,14 @@ def _ended_by_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _train(configs: dict[Path, TrainConfig], count: int) -> list[Path]:
-    """Train what is not finished; the folders that failed."""
+def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
+    """Train what is not finished; the folders that failed, and what was said of it."""
     left = [folder for folder, config in configs.items() if not grid.finished(folder, config)]
     shares = {folder: float(folder not in left) for folder in configs}
     started, (before, total) = time.monotonic(), grid.work_left(shares, configs)
     console = Console(stderr=True)
-    with Workers(left, count) as workers, Live(console=console, auto_refresh=False) as live:
+    groups = grid.groups({folder: configs[folder] for folder in left}, count)
+    with Workers(groups, count) as workers, Live(console=console, auto_refresh=False) as live:
         told = 0
 
         def show() -> None:
@@ -132,7 +133,13 @@ def _train(configs: dict[Path, TrainConfig], count: int) -> list[Path]:
             told = len(workers.over)
 
         workers.run(show)
-        return workers.failed
+        return {
+            folder: said
+            for folder, said in workers.failed.items()
+            # Of a group one run may have failed, and the other folders be done.
+            if grid.has_failures(folder, configs[folder])
+            or not grid.finished(folder, configs[folder])
+        }
 
 
 def _table(

@@ -10,25 +10,30 @@ from numpy.typing import NDArray
 
 from agents.algorithms import cpo, sac_lag, sac_lb, trpo_lag, wcsac
 from agents.errors import UserError
+from agents.lockstep.noise import Epochs
 from agents.lockstep.rollout import Act, Policy, Rollout
+from agents.lockstep.tree import ALL
 from agents.updates.off_policy import OffPolicy
 from agents.updates.on_policy import OnPolicy
 
 
 class Learner(Protocol):
-    """The runs of one algorithm, as the training loop sees them: what a family provides."""
+    """The runs of one algorithm, as the training loop sees them: what a family provides.
+
+    `policy`, `state` and `restore` are of the runs in a slice, by default of all.
+    """
 
     episodes: int
     """Whole episodes of each run in an epoch."""
     metrics: tuple[str, ...]
     """Names of what `learn` returns."""
 
-    def policy(self) -> Policy: ...
-    def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act: ...
-    def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray: ...
+    def policy(self, runs: slice = ALL) -> Policy: ...
+    def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act: ...
+    def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray: ...
     def finite(self) -> NDArray[np.bool_]: ...
-    def state(self) -> dict[str, NDArray]: ...
-    def restore(self, state: dict[str, NDArray]) -> None: ...
+    def state(self, runs: slice = ALL) -> dict[str, NDArray]: ...
+    def restore(self, state: dict[str, NDArray], runs: slice = ALL) -> None: ...
 
 
 class Algorithm(NamedTuple):

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
+from math import ceil
 from pathlib import Path
 
 from agents.bench.presets import preset
 from agents.errors import UserError
 from agents.runs.config import FAILURE, TrainConfig, run_folder
 from agents.runs.files import read_json
+from agents.runs.tasks import sizes_of
+from agents.runs.workers import Group, share_done
 from circle2d_mj.config import LEVELS
 from emcc import EpisodeRecords
 
@@ -17,7 +21,12 @@ STEPS = 1_000_000
 QUICK_SEEDS, QUICK_STEPS = (0, 1), 10_000
 WORK = {"trpo-lag": 1.0, "cpo": 1.3, "sac-lag": 5.0, "sac-lb": 5.0, "wcsac": 5.2}
 """What a step of an algorithm takes on Circle2D, beside TRPO-Lag's. Decides the order (what takes
-longest goes first) and the time left that is shown; no result."""
+longest goes first), the groups and the time left that is shown; no result."""
+MOST_RUNS = 12
+"""In a group; more make a step of each hardly cheaper."""
+OVERHEAD = 2
+"""A step of a group takes what this many runs more would take, by the difference between 3 runs and
+12 (`benchmarks/training_speed.py`). Decides the groups; no result."""
 
 
 def circle2d_tasks(levels: Sequence[int], mujoco: bool) -> list[str]:
@@ -68,6 +77,51 @@ def prepare(folders: dict[Path, TrainConfig]) -> None:
     for folder, config in folders.items():
         if folder not in there:
             config.write(folder)
+
+
+def groups(configs: dict[Path, TrainConfig], workers: int) -> list[Group]:
+    """Which folders train together, in a process each; what takes longest first.
+
+    Those of equal settings and sizes that have come equally far are dealt evenly into groups. Of
+    the ways to do that, with 12 runs in a group at most, the one that so many workers end first.
+    """
+    kinds: dict[str, list[Path]] = {}
+    of_tasks = {config.task: config.task_parameters for config in configs.values()}
+    sizes = {task: sizes_of(task, parameters) for task, parameters in of_tasks.items()}
+    for folder, config in configs.items():
+        kind = repr((config.shared, sizes[config.task], share_done(folder)))
+        kinds.setdefault(kind, []).append(folder)
+    ways = []
+    for most in range(max(map(len, kinds.values()), default=0), 0, -1):
+        way = [group for kind in kinds.values() for group in _dealt(kind, configs, most)]
+        times = {group: _time(group, configs) for group in way}
+        way.sort(key=lambda group: -times[group])
+        ways.append((_end([times[group] for group in way], workers), way))
+    return min(ways, key=lambda way: way[0])[1] if ways else []
+
+
+def _dealt(kind: list[Path], configs: dict[Path, TrainConfig], most: int) -> list[Group]:
+    """Folders in groups as equal as may be, of `most` folders and 12 runs at most."""
+    runs = max(len(configs[folder].seeds) for folder in kind)
+    count = ceil(len(kind) / min(most, max(1, MOST_RUNS // runs)))
+    ends = [len(kind) * k // count for k in range(count + 1)]
+    return [tuple(kind[a:b]) for a, b in pairwise(ends)]
+
+
+def _time(group: Group, configs: dict[Path, TrainConfig]) -> float:
+    """How long a group trains, in steps of a run of TRPO-Lag."""
+    config = configs[group[0]]
+    runs = sum(len(configs[folder].seeds) for folder in group)
+    return WORK.get(config.algorithm, 1.0) * config.steps * (runs + OVERHEAD)
+
+
+def _end(times: Sequence[float], workers: int) -> float:
+    """When the last of the workers is done, of which one that is free takes what is next."""
+    busy = [0.0] * workers
+    for time in times:
+        busy.sort()
+        busy[0] += time
+    return max(busy)
 
 
 def finished(folder: Path, config: TrainConfig) -> bool:

@@ -32,9 +32,21 @@ def stream(seed: int, purpose: Purpose, epoch: int = 0) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=(seed, purpose), counter=(0, 0, 0, epoch)))
 
 
-def environment_seeds(seeds: Sequence[int], purpose: Purpose, epoch: int, each: int) -> list[int]:
+Epochs = int | NDArray[np.int64]
+"""The epoch of all runs, or that of each, [R]: folders that train together may be unequally far."""
+
+
+def streams(seeds: Sequence[int], purpose: Purpose, epoch: Epochs) -> list[np.random.Generator]:
+    """The generator of every run."""
+    of_runs = np.broadcast_to(epoch, len(seeds))
+    return [stream(seed, purpose, int(k)) for seed, k in zip(seeds, of_runs, strict=True)]
+
+
+def environment_seeds(
+    seeds: Sequence[int], purpose: Purpose, epoch: Epochs, each: int
+) -> list[int]:
     """Seeds for the resets of an epoch, `each` of them a run, one run after the other."""
-    draws = [stream(seed, purpose, epoch).integers(2**63, size=each) for seed in seeds]
+    draws = [rng.integers(2**63, size=each) for rng in streams(seeds, purpose, epoch)]
     return [int(draw) for draw in np.concatenate(draws)]
 
 
@@ -52,9 +64,9 @@ def uniform(rng: np.random.Generator, size: tuple[int, ...]) -> NDArray[np.float
 
 
 def steps_of_noise(
-    draw: Draw, seeds: Sequence[int], purpose: Purpose, epoch: int, shape: tuple[int, ...]
+    draw: Draw, seeds: Sequence[int], purpose: Purpose, epoch: Epochs, shape: tuple[int, ...]
 ) -> Iterator[NDArray[np.float32]]:
     """For each step of an epoch what `draw` gives, [R, *shape]."""
-    streams = [stream(seed, purpose, epoch) for seed in seeds]
+    generators = streams(seeds, purpose, epoch)
     while True:
-        yield from np.stack([draw(rng, (BLOCK, *shape)) for rng in streams], axis=1)
+        yield from np.stack([draw(rng, (BLOCK, *shape)) for rng in generators], axis=1)

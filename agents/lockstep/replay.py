@@ -65,13 +65,15 @@ class Replay:
             observation, action, reward[..., 0], cost[..., 0], next_observation, terminal[..., 0]
         )
 
-    def state(self) -> dict[str, NDArray]:
-        """What a checkpoint keeps: the rows held, not the empty ones."""
-        return {"rows": self._rows[:, : self.size.max(initial=0)], "stored": self.stored}
+    def state(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
+        """What a checkpoint of some runs keeps: the rows they hold, not the empty ones."""
+        held = self.size[runs].max(initial=0)
+        return {"rows": self._rows[runs, :held], "stored": self.stored[runs]}
 
-    def restore(self, state: dict[str, NDArray]) -> None:
+    def restore(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
         """Take over what `state` returned. ValueError or KeyError for anything else."""
-        self.stored = tree.expect("stored", state, self.stored.shape, np.int64)
-        held = int(self.size.max(initial=0))
-        shape = (len(self._rows), held, self._rows.shape[2])
-        self._rows[:, :held] = tree.expect("rows", state, shape, np.float32)
+        stored = tree.expect("stored", state, self.stored[runs].shape, np.int64)
+        self.stored[runs] = stored
+        held = int(self.size[runs].max(initial=0))
+        shape = (len(stored), held, self._rows.shape[2])
+        self._rows[runs, :held] = tree.expect("rows", state, shape, np.float32)

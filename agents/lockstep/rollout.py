@@ -34,6 +34,12 @@ class Rollout(NamedTuple):
     diverged: NDArray[np.bool_]
     """[N]: the policy or the environment gave a number that is not finite; the episode is void"""
 
+    def of(self, episodes: slice) -> Rollout:
+        """Some of the episodes."""
+        *columns, length, diverged = self
+        columns = [column[:, episodes] for column in columns]
+        return Rollout._make([*columns, length[episodes], diverged[episodes]])
+
     @property
     def during(self) -> NDArray[np.bool_]:
         """Which steps belong to the episodes, [T, N]."""

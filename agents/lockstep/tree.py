@@ -16,6 +16,8 @@ from torch import Tensor
 from agents.lockstep.backend import array, compiled, tensor
 
 Tree = TypeVar("Tree")
+ALL = slice(None)
+"""All runs, where some can be chosen."""
 
 
 def where(mask: NDArray[np.bool_], new: Tree, old: Tree) -> Tree:
@@ -61,29 +63,30 @@ def expect(
     return found
 
 
-def flatten(tree: Any, prefix: str = "") -> dict[str, NDArray]:
-    """Every tensor under its dotted name."""
+def flatten(tree: Any, runs: slice = ALL, prefix: str = "") -> dict[str, NDArray]:
+    """Every tensor of some runs under its dotted name."""
     if tree is None:
         return {}
     if isinstance(tree, Tensor):
-        return {prefix: array(tree)}
+        return {prefix: array(tree[runs])}
     named = zip(tree._fields, tree, strict=True)
     dot = f"{prefix}." if prefix else ""
-    return {k: v for name, part in named for k, v in flatten(part, f"{dot}{name}").items()}
+    return {k: v for name, part in named for k, v in flatten(part, runs, f"{dot}{name}").items()}
 
 
-def unflatten(like: Any, arrays: dict[str, NDArray], prefix: str = "") -> Any:
-    """The tree shaped as `like` with the arrays that `flatten` named. KeyError for a missing one,
-    ValueError for one of another shape or type."""
+def unflatten(like: Any, arrays: dict[str, NDArray], runs: slice = ALL, prefix: str = "") -> Any:
+    """The tree `like`, but for some runs with the arrays that `flatten` named. KeyError for a
+    missing one, ValueError for one of another shape or type."""
     if like is None:
         return None
     if isinstance(like, Tensor):
-        expected = array(like)
-        return tensor(expect(prefix, arrays, expected.shape, expected.dtype).copy())
+        whole = array(like).copy()
+        whole[runs] = expect(prefix, arrays, whole[runs].shape, whole.dtype)
+        return tensor(whole)
     dot = f"{prefix}." if prefix else ""
     return type(like)(
         *(
-            unflatten(part, arrays, f"{dot}{name}")
+            unflatten(part, arrays, runs, f"{dot}{name}")
             for name, part in zip(like._fields, like, strict=True)
         )
     )

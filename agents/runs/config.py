@@ -13,7 +13,7 @@ from typing import Any, get_args
 from agents.algorithms import algorithm
 from agents.errors import UserError, check_choice, check_integers
 from agents.runs.files import read_json, write_json
-from agents.runs.tasks import Vectorization, is_native
+from agents.runs.tasks import Vectorization, is_native, sizes_of
 
 PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
 FAILURE = "failed.json"
@@ -61,6 +61,15 @@ class TrainConfig:
         """Whether the task's own vector environment is used."""
         return self.vectorization == "auto" and is_native(self.task)
 
+    @property
+    def shared(self) -> dict[str, Any]:
+        """What folders whose runs train together have in common: all but tasks and seeds."""
+        content = dataclasses.asdict(self)
+        hyperparameters = content.pop("hyperparameters")
+        own = ("task", "task_parameters", "seeds")
+        content |= {f"hyperparameters.{name}": value for name, value in hyperparameters.items()}
+        return {name: value for name, value in content.items() if name not in own}
+
     def write(self, folder: Path) -> None:
         """Make the run folder. Raises UserError where there is one already."""
         if (folder / "config.json").exists():
@@ -95,9 +104,29 @@ class TrainConfig:
             raise UserError(f"{path} is damaged: {error}") from None
 
 
+def check_together(configs: dict[Path, TrainConfig]) -> None:
+    """Raise UserError where folders cannot train together."""
+    found: dict[str, tuple[Path, Any]] = {}
+    for folder, config in configs.items():
+        sizes = sizes_of(config.task, config.task_parameters)
+        of_task = dict(zip(("observation size", "action size"), sizes, strict=True))
+        for name, value in (config.shared | of_task).items():
+            first, expected = found.setdefault(name, (folder, value))
+            if value != expected:
+                raise UserError(
+                    f"folders that train together must have equal settings: {name} is {expected} "
+                    f"in {first}, {value} in {folder}"
+                )
+
+
 def run_folder(folder: Path, seed: int) -> Path:
     """Where the files of one run are."""
     return folder / f"seed-{seed}"
+
+
+def run_folders(folder: Path, config: TrainConfig) -> list[Path]:
+    """`run_folder` of each run."""
+    return [run_folder(folder, seed) for seed in config.seeds]
 
 
 def versions() -> dict[str, str]:

@@ -4,58 +4,68 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from agents.runs.config import TrainConfig
-from agents.runs.train import Training
+from agents.runs.train import OnEpoch, Training
 
 EVERY_SECONDS = 0.5
 
 
 @contextlib.contextmanager
-def show_progress(config: TrainConfig, folder: Path) -> Iterator[Callable[[Training], None]]:
-    """Show steps, speed, recent returns and the time left on stderr.
+def show_progress(configs: dict[Path, TrainConfig]) -> Iterator[OnEpoch]:
+    """Show steps, speed, recent returns and the time left of folders that train together, on
+    stderr.
 
-    Yields the function to call after each epoch. `timing.log` gets a line for every hundredth of
-    the training, stderr one for every tenth where it is no terminal.
+    Yields the function to call after each epoch. `timing.log` of each folder gets a line for every
+    hundredth of the training, stderr one for every tenth where it is no terminal.
     """
     console = Console(stderr=True)
-    runs = len(config.seeds)
+    total_steps = next(iter(configs.values())).steps
     started = shown = time.monotonic()
     first: int | None = None
     percent = -1
-    with (folder / "timing.log").open("a") as log, _bar(console) as bar:
-        title = f"{config.algorithm} {config.task} x {runs}"
-        task = bar.add_task(title, total=config.steps, speed="", recent="")
+    with contextlib.ExitStack() as stack:
+        logs = [stack.enter_context((folder / "timing.log").open("a")) for folder in configs]
+        bar, title = stack.enter_context(_bar(console)), _title(list(configs.values()))
+        task = bar.add_task(title, total=total_steps, speed="", recent="")
 
-        def on_epoch(training: Training) -> None:
+        def on_epoch(trainings: Sequence[Training]) -> None:
             nonlocal first, shown, percent
-            now, total = time.monotonic(), int(training.steps.sum())
+            taken = np.concatenate([training.steps for training in trainings])
+            failed = np.concatenate([training.failed for training in trainings])
+            now, total = time.monotonic(), int(taken.sum())
             first = total if first is None else first
-            going = training.steps[~training.failed]
-            steps = int(going.min()) if len(going) else config.steps
-            share = min(1.0, steps / config.steps)
+            steps = int(taken[~failed].min(initial=total_steps))
+            share, done = steps / total_steps, all(training.done for training in trainings)
             due = int(100 * share) > percent
-            if now - shown < EVERY_SECONDS and not training.done and not due:
+            if now - shown < EVERY_SECONDS and not done and not due:
                 return
             shown = now
             speed = f"{(total - first) / max(now - started, 1e-9):,.0f} steps/s"
-            returns, cost = training.log.recent()
+            returns, cost = np.mean([training.log.recent() for training in trainings], axis=0)
             recent = f"return {returns:.2f}, cost {cost:.2f}"
-            bar.update(task, completed=min(steps, config.steps), speed=speed, recent=recent)
-            if due or training.done:
+            bar.update(task, completed=steps, speed=speed, recent=recent)
+            if due or done:
                 tenth = int(10 * share) > percent // 10
                 percent = int(100 * share)
                 line = f"{title}: {percent} % after {now - started:.0f} s, {speed}"
-                print(line, file=log, flush=True)
+                for log in logs:
+                    print(line, file=log, flush=True)
                 if tenth and not console.is_terminal:
                     print(f"{line}, {recent}", file=console.file, flush=True)
 
         yield on_epoch
+
+
+def _title(configs: Sequence[TrainConfig]) -> str:
+    tasks = " ".join(dict.fromkeys(config.task for config in configs))
+    return f"{configs[0].algorithm} {tasks} x {sum(len(config.seeds) for config in configs)}"
 
 
 def _bar(console: Console) -> Progress:

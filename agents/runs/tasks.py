@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import inspect
 from dataclasses import fields
@@ -112,6 +113,12 @@ def sizes(envs: VectorEnv) -> tuple[int, int]:
     assert observation is not None
     assert action is not None
     return observation[0], action[0]
+
+
+def sizes_of(task: str, parameters: dict[str, Any]) -> tuple[int, int]:
+    """`sizes` of a task."""
+    with contextlib.closing(make_envs(task, 1, parameters)) as envs:
+        return sizes(envs)
 
 
 def registered(task: str) -> str:

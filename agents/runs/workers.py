@@ -11,43 +11,47 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 LOG = "worker.log"
-"""In the folder of the runs: what the process that trained them said."""
+"""In the folder of the runs, the first of a group: what the process that trained them said."""
+Group = tuple[Path, ...]
+"""Folders that train together."""
 
 
 class Workers:
-    """Trains the runs of some folders, in order, `count` folders at a time.
+    """Trains groups of folders, in order, `count` groups at a time.
 
-    Each is a process of one thread that goes on from the folder's last checkpoint, if it has one. A
-    training that fails does not stop the others. Used as a context manager: leaving it ends the
-    processes that still run, which lose what they did since their last checkpoints.
+    Each is a process of one thread, in which the runs of a group's folders train together, from
+    their last checkpoints if they have any. A group that fails does not stop the others. Used as a
+    context manager: leaving it ends the processes that still run, which lose what they did since
+    their last checkpoints.
     """
 
-    def __init__(self, folders: Sequence[Path], count: int) -> None:
-        self._waiting, self._count = list(folders), count
-        self._running: dict[Path, subprocess.Popen] = {}
+    def __init__(self, groups: Sequence[Group], count: int) -> None:
+        self._waiting, self._count = list(groups), count
+        self._running: dict[Group, subprocess.Popen] = {}
         self.over: list[Path] = []
         """Folders whose process has ended, those that failed among them."""
-        self.failed: list[Path] = []
+        self.failed: dict[Path, str] = {}
+        """Those that failed, and the last line that their process said."""
 
     @property
     def running(self) -> list[Path]:
         """Folders that are trained now."""
-        return list(self._running)
+        return [folder for group in self._running for folder in group]
 
     def run(self, on_change: Callable[[], None], every: float = 1.0) -> None:
         """Train all; `on_change` is called every so many seconds, and at the end."""
         while self._waiting or self._running:
             while self._waiting and len(self._running) < self._count:
-                folder = self._waiting.pop(0)
-                self._running[folder] = _start(folder)
+                group = self._waiting.pop(0)
+                self._running[group] = _start(group)
             on_change()
             time.sleep(every)
-            for folder, process in list(self._running.items()):
+            for group, process in list(self._running.items()):
                 if process.poll() is not None:
-                    del self._running[folder]
-                    self.over.append(folder)
+                    del self._running[group]
+                    self.over.extend(group)
                     if process.returncode:
-                        self.failed.append(folder)
+                        self.failed |= dict.fromkeys(group, _last_words(group))
         on_change()
 
     def __enter__(self) -> Workers:
@@ -69,11 +73,11 @@ def share_done(folder: Path) -> float:
         return 0.0
 
 
-def _start(folder: Path) -> subprocess.Popen:
+def _start(group: Group) -> subprocess.Popen:
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    with (folder / LOG).open("ab") as log:
+    with (group[0] / LOG).open("ab") as log:
         return subprocess.Popen(
-            [sys.executable, "-m", "agents.cli", "resume", str(folder)],
+            [sys.executable, "-m", "agents.cli", "resume", *map(str, group)],
             stdout=log,
             stderr=log,
             stdin=subprocess.DEVNULL,
@@ -82,10 +86,9 @@ def _start(folder: Path) -> subprocess.Popen:
         )
 
 
-def last_words(folder: Path) -> str:
-    """The last line that a folder's process said, for an error message."""
+def _last_words(group: Group) -> str:
     try:
-        lines = (folder / LOG).read_text(errors="replace").strip().splitlines()
+        lines = (group[0] / LOG).read_text(errors="replace").strip().splitlines()
     except OSError:
         lines = []
     return lines[-1] if lines else "it said nothing"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from agents.lockstep import tree
 from agents.lockstep.backend import array, tensor
 from agents.lockstep.nets import forward_numpy
-from agents.lockstep.noise import Purpose, normal, steps_of_noise, stream, uniform
+from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams, uniform
 from agents.lockstep.replay import Replay
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.updates import sac, squashed_gaussian
@@ -47,14 +47,14 @@ class OffPolicy:
         self._state = sac.initial_state(self.nets, config, rule, seeds)
         self._replay = Replay(len(seeds), config.replay_size, observation_size, action_size)
 
-    def policy(self) -> Policy:
-        """The policy as it stands now."""
-        layers = self.nets.actor.layers(array(self._state.actor))
+    def policy(self, runs: slice = tree.ALL) -> Policy:
+        """The policy of some runs as it stands now."""
+        layers = self.nets.actor.layers(array(self._state.actor[runs]))
         return lambda observation, noise: squashed_gaussian.act(
             forward_numpy(layers, observation), noise
         )
 
-    def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
+    def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
         """How the runs act in an epoch: at random until `random_steps`, then by the policy.
 
         steps: [R], environment steps each run has taken before.
@@ -74,7 +74,7 @@ class OffPolicy:
 
         return act if (steps < self.config.random_steps).any() else act_by_policy
 
-    def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
+    def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray:
         """Store an epoch's episodes and take its gradient steps; active: [R], runs that take part.
 
         Returns the mean of each of `metrics` over the steps, [R, metrics]; NaN for runs that took
@@ -100,12 +100,11 @@ class OffPolicy:
         """Which runs hold only finite numbers, [R]."""
         return tree.finite(self._state)
 
-    def _draws(self, epoch: int) -> list[tuple[NDArray[np.int64], sac.UpdateNoise]]:
+    def _draws(self, epoch: Epochs) -> list[tuple[NDArray[np.int64], sac.UpdateNoise]]:
         """What each gradient step of an epoch draws: slots [R, B] and action noise."""
         steps, batch = self.config.gradient_steps, self.config.batch_size
         share, action_noise = [], []
-        for seed in self.seeds:
-            rng = stream(seed, Purpose.UPDATE, epoch)
+        for rng in streams(self.seeds, Purpose.UPDATE, epoch):
             share.append(rng.random((steps, batch)))
             action_noise.append(normal(rng, (steps, 2, batch, self.action_size)))
         held = np.maximum(self._replay.size, 1)[:, None]
@@ -116,14 +115,15 @@ class OffPolicy:
             for k in range(steps)
         ]
 
-    def state(self) -> dict[str, NDArray]:
-        """The whole training state as named arrays."""
-        replay = {f"replay.{name}": array for name, array in self._replay.state().items()}
-        return {**tree.flatten(self._state), **replay}
+    def state(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
+        """The whole training state of some runs as named arrays."""
+        replay = {f"replay.{name}": array for name, array in self._replay.state(runs).items()}
+        return {**tree.flatten(self._state, runs), **replay}
 
-    def restore(self, state: dict[str, NDArray]) -> None:
+    def restore(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
         """Take over what `state` returned, bit for bit."""
-        self._state = tree.unflatten(self._state, state)
+        self._state = tree.unflatten(self._state, state, runs)
         self._replay.restore(
-            {k.removeprefix("replay."): v for k, v in state.items() if k.startswith("replay.")}
+            {k.removeprefix("replay."): v for k, v in state.items() if k.startswith("replay.")},
+            runs,
         )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agents.lockstep import tree
 from agents.lockstep.backend import array, tensor
-from agents.lockstep.noise import Purpose, normal, steps_of_noise, stream
+from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.updates import trpo
 from agents.updates.multiplier import ascend
@@ -42,12 +42,12 @@ class OnPolicy:
         self.nets = trpo.make_nets(config, observation_size, action_size)
         self._state = trpo.initial_state(self.nets, config, rule, seeds)
 
-    def policy(self) -> Policy:
-        """The policy as it stands now."""
-        params = array(self._state.actor)
+    def policy(self, runs: slice = tree.ALL) -> Policy:
+        """The policy of some runs as it stands now."""
+        params = array(self._state.actor[runs])
         return lambda observation, noise: self.nets.actor.act(params, observation, noise)
 
-    def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
+    def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
         """How the runs act in an epoch: by the policy, with its noise."""
         policy, runs = self.policy(), len(self.seeds)
         shape = (self.episodes, self.action_size)
@@ -56,7 +56,7 @@ class OnPolicy:
             observation.reshape(runs, self.episodes, -1), next(noise)
         ).reshape(runs * self.episodes, -1)
 
-    def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
+    def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray:
         """Step the policy, then the critics and the multiplier; active: [R], runs that take part.
 
         rollout: N = R·E episodes, those of a run beside each other. Returns each of `metrics`,
@@ -68,10 +68,10 @@ class OnPolicy:
         data = self._epoch(rollout, packing)
         actor, records = trpo.policy_step(self.nets, self.config, self.rule, self._state, data)
         state = self._state._replace(actor=actor)
-        streams = [stream(seed, Purpose.UPDATE, epoch) for seed in self.seeds]
+        generators = streams(self.seeds, Purpose.UPDATE, epoch)
         losses, count = torch.zeros(len(self.seeds), 2), torch.zeros(len(self.seeds), 1)
         for _ in range(self.config.critic_iterations):
-            for rows, weight in minibatches(packing.steps, self.config.batch_size, streams):
+            for rows, weight in minibatches(packing.steps, self.config.batch_size, generators):
                 state, loss = trpo.critic_step(self.nets, self.config, state, data, rows, weight)
                 losses, count = losses + loss, count + (weight[:, :1] > 0)
         followed = ascend(self.rule.multiplier, self.config, state.multiplier, data.excess[:, None])
@@ -129,10 +129,10 @@ class OnPolicy:
         """Which runs hold only finite numbers, [R]."""
         return tree.finite(self._state)
 
-    def state(self) -> dict[str, NDArray]:
-        """The whole training state as named arrays."""
-        return tree.flatten(self._state)
+    def state(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
+        """The whole training state of some runs as named arrays."""
+        return tree.flatten(self._state, runs)
 
-    def restore(self, state: dict[str, NDArray]) -> None:
+    def restore(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
         """Take over what `state` returned, bit for bit."""
-        self._state = tree.unflatten(self._state, state)
+        self._state = tree.unflatten(self._state, state, runs)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from agents.cli import main
+from agents.runs import train as train_module
 from agents.runs.files import locked
-from agents.runs.train import Training
 
 TRAIN = ["train", "--algorithm", "sac-lag", "--seeds", "0", "1", "--steps", "600"]
 
@@ -90,21 +90,22 @@ def test_help_without_an_algorithm_explains_those_of_all(capsys):
 
 
 def test_a_failed_run_is_named_and_the_status_is_1(tmp_path, capsys, monkeypatch):
-    run_epoch = Training.run_epoch
+    run_epoch = train_module.run_epoch
 
-    def poisoned(training):
+    def poisoned(trainings):
+        [training] = trainings
         if training.epoch == 5:
             training.learner._state.actor[1, 0] = np.nan
-        run_epoch(training)
+        run_epoch(trainings)
 
-    monkeypatch.setattr(Training, "run_epoch", poisoned)
+    monkeypatch.setattr(train_module, "run_epoch", poisoned)
     out = tmp_path / "runs"
     options = ["--algorithm", "sac-lb", "--seeds", "3", "4", "5", "--random-steps", "0"]
     assert main(["train", *options, "--steps", "600", "--out", str(out)]) == 1
     table, err = capsys.readouterr()
     # NaN actions void the sixth episode at its first step.
     assert err.splitlines()[-1] == (
-        "circle2d: seed 4 failed at step 250: it met a number that is not finite"
+        f"circle2d: {out}: seed 4 failed at step 250: it met a number that is not finite"
     )
     assert "seed-4: failed at step 250" in table
     assert "mean of 2" in table

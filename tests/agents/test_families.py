@@ -108,7 +108,7 @@ def test_a_poisoned_run_fails_alone(name, tmp_path):
 def test_an_environment_that_gives_nan_fails_its_run(name, poisons, tmp_path):
     it = config(name, tuple(range(6)), 600, poison=0.0004, poisons=poisons)
     it.write(tmp_path)
-    training = train(tmp_path)
+    [training] = train(tmp_path)
     assert 0 < training.failed.sum() < 6
     assert (training.steps[~training.failed] >= 600).all()
     for run, failed in enumerate(training.failed):
@@ -131,7 +131,7 @@ def test_records_are_of_what_the_environments_did(name, tmp_path):
         for n in np.flatnonzero(np.repeat(active, episodes)):
             end = rollout.length[n]
             columns = (rollout.reward[:end, n], rollout.cost[:end, n])
-            noted.append((n // episodes, epoch, *(c.tolist() for c in columns)))
+            noted.append((n // episodes, epoch[n // episodes], *(c.tolist() for c in columns)))
         return learn(rollout, epoch, active)
 
     training.learner.learn = note
@@ -172,7 +172,7 @@ def test_saves_go_on_when_the_run_ahead_has_ended(tmp_path):
     training, saved = Training(it), []
     training.steps[0], save = 900, training.save
     training.save = lambda folder: (saved.append(int(training.steps[1])), save(folder))
-    train_module._train(training, tmp_path, lambda training: None)
+    train_module._train({tmp_path: training}, lambda trainings: None)
     assert [steps // 300 for steps in saved] == [1, 2, 3]
 
 
@@ -222,7 +222,7 @@ def test_tensorboard(tmp_path):
 
     it = replace(config("trpo-lag", (0, 1), 300), tensorboard=True)
     it.write(tmp_path)
-    training = train(tmp_path)
+    [training] = train(tmp_path)
     events = EventAccumulator(str(tmp_path / "seed-1" / "tensorboard")).Reload()
     returns = events.Scalars("rollout/return")
     rows = training.log.episodes[:, 1]

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -47,6 +48,68 @@ def test_the_papers_grid():
         assert config.hyperparameters == preset(config.algorithm, config.task)
         assert config.steps == 1_000_000
     assert [config.algorithm for config in configs.values()][-4:] == ["trpo-lag"] * 4
+
+
+def groups(workers, algorithms=("sac-lag", "trpo-lag"), levels=(0, 1, 2, 3), seeds=grid.SEEDS):
+    tasks = grid.circle2d_tasks(levels, mujoco=False)
+    configs = grid.grid(grid.Path("x"), tasks, algorithms, seeds, grid.STEPS)
+    found = grid.groups(configs, workers)
+    assert sorted(folder for group in found for folder in group) == sorted(configs)
+    assert all(len({folder.name for folder in group}) == 1 for group in found)
+    return [(group[0].name, len(group)) for group in found]
+
+
+def test_groups_keep_the_workers_busy():
+    """Times in steps of TRPO-Lag, x 1e6, where n folders of 3 runs take (3 n + 2) each: SAC-Lag 70
+    as one group, 40 as two, 25 as four; TRPO-Lag 14, 8, 5."""
+    assert groups(1) == [("sac-lag", 4), ("trpo-lag", 4)]  # 84, or 96, or 120
+    assert groups(2) == [("sac-lag", 2)] * 2 + [("trpo-lag", 2)] * 2  # 70, or 48, or 60
+    assert groups(3) == [("sac-lag", 2)] * 2 + [("trpo-lag", 2)] * 2  # 70, or 40, or 50
+    assert groups(5) == [("sac-lag", 1)] * 4 + [("trpo-lag", 1)] * 4  # 70, or 40, or 25
+    assert groups(64) == [("sac-lag", 1)] * 4 + [("trpo-lag", 1)] * 4
+
+
+def test_groups_have_twelve_runs_at_most():
+    assert groups(1, ["cpo"], seeds=range(6)) == [("cpo", 2)] * 2
+    assert groups(1, ["cpo"], seeds=range(5)) == [("cpo", 2)] * 2
+    assert groups(1, ["cpo"], (0, 1, 2), range(5)) == [("cpo", 1), ("cpo", 2)][::-1]
+    assert groups(1, ["cpo"], seeds=range(13)) == [("cpo", 1)] * 4
+    assert grid.groups({}, 2) == []
+
+
+def test_groups_are_of_equal_settings_sizes_and_progress(tmp_path):
+    tasks = ["Circle2D-0-v0", "Circle2D-1-v0", "Circle2DMuJoCo-1-v0"]
+    configs = grid.grid(tmp_path, tasks, ["cpo"], (0,), 100)
+    (flat, second, physics) = configs
+    assert grid.groups(configs, 1) == [(flat, second), (physics,)]  # observations of 2 and of 4
+    flat.mkdir(parents=True)
+    (flat / "timing.log").write_text("cpo Circle2D-0-v0 x 1: 40 % after 3 s, 9 steps/s\n")
+    assert len(grid.groups(configs, 1)) == 3
+    (flat / "timing.log").unlink()
+    configs[second] = replace(configs[second], checkpoint_every=7)
+    assert len(grid.groups(configs, 1)) == 3
+
+
+def test_a_group_that_fails_is_named_folder_by_folder(tmp_path, capsys):
+    out = tmp_path / "grid"
+    command = ["reproduce", "--levels", "0", "1", "--seeds", "3", "--steps", "2000"]
+    command += ["--algorithms", "cpo", "trpo-lag", "--workers", "1", "--out", str(out)]
+    tasks = grid.circle2d_tasks((0, 1), mujoco=False)
+    grid.prepare(grid.grid(out, tasks, ["cpo", "trpo-lag"], (3,), 2000))
+    damaged = out / "Circle2D-1-v0" / "cpo" / "checkpoint.npz"
+    damaged.write_bytes(b"no checkpoint")
+    assert main(command) == 1
+    _, err = capsys.readouterr()
+    for level in (0, 1):
+        line = rf"circle2d: .*Circle2D-{level}-v0/cpo failed: circle2d: .*1-v0/cpo/.*damaged"
+        assert re.search(line, err)
+        assert f"Circle2D-{level}-v0/trpo-lag: done" in err
+    damaged.unlink()
+    assert main(command) == 0
+    config = TrainConfig("cpo", "Circle2D-1-v0", (3,), 2000, preset("cpo", "Circle2D-1-v0"))
+    config.write(tmp_path / "alone")
+    train(tmp_path / "alone")
+    assert results(tmp_path / "alone") == results(out / "Circle2D-1-v0" / "cpo")
 
 
 def test_runs_are_those_of_train(whole, tmp_path, capsys):

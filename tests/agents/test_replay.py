@@ -61,6 +61,19 @@ def test_holds_the_last_transitions(capacity):
             assert found == expected
 
 
+def test_runs_taken_over_from_replays_of_their_own():
+    """Into runs 0 and 1-2 of three: of less and more rows than the replay of all holds at most."""
+    parts = Replay(1, 50, 3, 2), Replay(2, 50, 3, 2)
+    whole = Replay(3, 50, 3, 2)
+    fill(parts[1], 50)
+    for part, runs in zip(parts, (slice(0, 1), slice(1, 3)), strict=True):
+        whole.restore({k: v.copy() for k, v in part.state().items()}, runs)
+    assert whole.size.tolist() == [0, *parts[1].size]
+    for part, runs in zip(parts, (slice(0, 1), slice(1, 3)), strict=True):
+        for name, array in part.state().items():
+            np.testing.assert_array_equal(whole.state(runs)[name], array)
+
+
 def test_restore():
     replay, other = Replay(2, 50, 3, 2), Replay(2, 50, 3, 2)
     fill(replay, 50)

@@ -8,6 +8,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from agents.errors import UserError
 from agents.lockstep.rollout import collect
+from agents.runs.side_by_side import SideBySide
 from circle2d_mj import Circle2DEnv, Circle2DVectorEnv
 
 
@@ -36,6 +37,27 @@ class Countdown(gym.Env):
 
 def scripted(**kwargs):
     return SyncVectorEnv([lambda: Countdown(**kwargs)] * 3, autoreset_mode=AutoresetMode.DISABLED)
+
+
+def test_side_by_side():
+    """As 3 and 3 environments of their own; scripted ones refuse steps beyond their end."""
+    parts = [scripted(), scripted(truncates=True)]
+    seeds, active = [2, 7, 4, 3, 3, 9], np.array([True] * 5 + [False])
+    rollout = collect(SideBySide(parts), seeds, lambda obs: -0.1 * obs, active)
+    assert rollout.length.tolist() == [2, 7, 4, 3, 3, 0]
+    for k, truncates in enumerate((False, True)):
+        own = slice(3 * k, 3 * k + 3)
+        alone = collect(
+            scripted(truncates=truncates), seeds[own], lambda obs: -0.1 * obs, active[own]
+        )
+        end = len(alone.reward)
+        of_part = rollout.of(own)
+        np.testing.assert_array_equal(of_part.length, alone.length)
+        for ours, theirs in zip(of_part[:7], alone[:7], strict=True):
+            during = alone.during
+            np.testing.assert_array_equal(ours[:end][during], theirs[during])
+    with pytest.raises(UserError, match="gives no info"):
+        collect(SideBySide([scripted(), scripted(gives_cost=False)]), seeds, lambda obs: obs)
 
 
 @pytest.mark.parametrize("truncates", [False, True])

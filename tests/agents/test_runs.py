@@ -82,13 +82,13 @@ from pathlib import Path
 from agents.runs.train import train
 
 epochs = 0
-def on_epoch(training):
+def on_epoch(trainings):
     global epochs
     epochs += 1
     if epochs == int(sys.argv[2]):
         os.kill(os.getpid(), signal.SIGKILL)
 
-train(Path(sys.argv[1]), on_epoch)
+train(Path(sys.argv[1]), on_epoch=on_epoch)
 """
 
 
