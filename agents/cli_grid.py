@@ -23,7 +23,7 @@ from agents.options import parse
 from agents.runs.config import TrainConfig
 from agents.runs.files import locked
 from agents.runs.tasks import check_task
-from agents.runs.workers import Workers, last_words, share_done
+from agents.runs.workers import Workers, last_words, share_done, speed
 from circle2d_mj.config import LEVELS
 
 
@@ -140,11 +140,18 @@ def _table(
 ) -> Table:
     over = sum(share == 1.0 for share in shares.values())
     left = "" if rest is None else f", {_duration(rest)} left"
-    table = Table(title=f"{100 * done:.0f} % done, {over} of {len(shares)} trainings{left}")
+    speeds = {folder: speed(folder) for folder in running}
+    in_all = sum(filter(None, speeds.values()))
+    table = Table(
+        title=f"{100 * done:.0f} % done, {over} of {len(shares)} trainings{left}, "
+        f"{in_all:,.0f} steps/s in all"
+    )
     table.add_column("training")
     table.add_column("done", justify="right")
-    for folder in running:
-        table.add_row(str(folder), f"{100 * shares[folder]:.0f} %")
+    table.add_column("steps/s", justify="right")
+    for folder, of_one in speeds.items():
+        words = "" if of_one is None else f"{of_one:,.0f}"
+        table.add_row(str(folder), f"{100 * shares[folder]:.0f} %", words)
     return table
 
 

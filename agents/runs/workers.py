@@ -69,6 +69,16 @@ def share_done(folder: Path) -> float:
         return 0.0
 
 
+def speed(folder: Path) -> float | None:
+    """Environment steps a second of the training of a folder, all its runs together, by its
+    `timing.log`; None where it does not say."""
+    try:
+        last = (folder / "timing.log").read_text().splitlines()[-1]
+        return float(last.rpartition(" s, ")[2].removesuffix(" steps/s").replace(",", ""))
+    except (OSError, IndexError, ValueError):
+        return None
+
+
 def _start(folder: Path) -> subprocess.Popen:
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     with (folder / LOG).open("ab") as log:
