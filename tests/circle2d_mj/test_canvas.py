@@ -245,6 +245,18 @@ def boxes(image):
 PATH = np.array([(-13 + 2.6 * k, 8 - 1.6 * k) for k in range(11)])
 
 
+def test_without_boxes_states_that_cost_are_orange():
+    """Each dot has the colour of the step that ended there; the start has none."""
+    costs = np.isin(np.arange(10), [0, 4, 5, 9]).astype(float)
+    image = canvas.with_trajectories(BLANK, TASK, [PATH], [costs], boxed=False)
+    for column, row, cost in zip(
+        *(((PATH * (1, -1) + 15) * SIZE / 30).T), [0, *costs], strict=True
+    ):
+        wanted = canvas.BOX if cost else canvas.DOT
+        assert np.abs(image[int(row), int(column)].astype(int) - wanted).max() <= 60
+    assert (np.abs(image[:, :, 0].astype(int) - canvas.BOX[0]) < 5).sum() < 4 * 9
+
+
 @pytest.mark.parametrize(
     "unsafe", [[], [0], [9], [4], [0, 1, 2], [8, 9], [2, 3, 6], [0, 4, 5, 9], list(range(10))]
 )
