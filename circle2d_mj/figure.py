@@ -24,8 +24,8 @@ def figure(
     """Pictures of one size in rows, [height, width, 3] uint8.
 
     None leaves a gap. columns: a title above each column; title: one above all; row_titles: one
-    left of each row; captions: a line below each picture; most_visits: explain the colours of heat
-    maps at the bottom, whose last stands for as many.
+    left of each row, of one line or more; captions: a line below each picture; most_visits: explain
+    the colours of heat maps at the bottom, whose last stands for as many.
     """
     size = next(len(picture) for row in rows for picture in row if picture is not None)
     text, small = _font(size, 17), _font(size, 20)
@@ -44,7 +44,7 @@ def figure(
     for row, pictures in enumerate(rows):
         top = head + above + row * (size + below)
         if row_titles:
-            draw.text((gap, top + size // 2), row_titles[row], INK, text, anchor="lm")
+            draw.multiline_text((gap, top + size // 2), row_titles[row], INK, text, anchor="lm")
         for column, picture in enumerate(pictures):
             corner = left + column * (size + gap)
             if picture is not None:
@@ -97,4 +97,4 @@ def _font(size: int, lines: int) -> ImageFont.FreeTypeFont:
 
 
 def _width(font: ImageFont.FreeTypeFont, text: str) -> int:
-    return round(font.getlength(text))
+    return round(max(map(font.getlength, text.split("\n"))))

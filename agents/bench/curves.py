@@ -113,12 +113,12 @@ def curves_svg(title: str, lines: Sequence[Line], cost_limit: float | None, alph
             _draw(running, steps, running_emcc(records, steps, alpha), style)
             _draw_thirds(thirds, thirds_emcc(records, steps, alpha), k, len(lines), style)
         if cost_limit is not None:
-            costs.axhline(cost_limit, color="black", linestyle="--", linewidth=0.9)
-            place = {"xycoords": costs.get_yaxis_transform(), "ha": "right", "va": "bottom"}
-            costs.annotate("cost limit", (1, cost_limit), **place)
+            dashes = {"color": "black", "linestyle": "--", "linewidth": 0.9}
+            costs.axhline(cost_limit, label="cost limit", **dashes)
         _label(((returns, costs), (running, thirds)), max(line.total_steps for line in lines))
-        handles = returns.get_legend_handles_labels()
-        figure.legend(*handles, loc="outside lower center", ncols=5, frameon=False)
+        columns = max(1, 100 // (8 + max(len(line.name) for line in lines)))
+        handles = costs.get_legend_handles_labels()
+        figure.legend(*handles, loc="outside lower center", ncols=min(columns, 6), frameon=False)
         image = io.StringIO()
         figure.savefig(image, format="svg", metadata={"Date": None})
         pyplot.close(figure)

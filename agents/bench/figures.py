@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-from PIL import Image
-
 from agents.algorithms import ALGORITHMS
 from agents.bench import example
 from agents.bench.curves import Line, curves_svg
+from agents.bench.image_files import png
 from agents.bench.pictures import ALPHA, PARTS, Episodes, caption, counts, episodes_by_seed, visits
 from agents.bench.results import Group, Run
 from agents.bench.tables import title_of
@@ -80,6 +77,11 @@ def _task(group: Group) -> Circle2DConfig | None:
     return circle2d_config(group.config.task, group.config.task_parameters)
 
 
+def _row_title(group: Group) -> str:
+    """The algorithm, and each of its settings that are not the preset's, in lines of their own."""
+    return title_of(group.config).replace(" (", "\n(").replace(", ", ",\n")
+
+
 def _file(kind: str, groups: Sequence[Group], suffix: str) -> str:
     return f"{kind}-{groups[0].config.task.replace('/', '-')}.{suffix}"
 
@@ -120,7 +122,7 @@ def _heatmaps(groups: Sequence[Group], notes: list[str]) -> Figure | None:
         except UserError as error:
             notes.append(f"no heat map of {group.folder}: {error}")
             continue
-        titles.append(title_of(group.config))
+        titles.append(_row_title(group))
         captions.append([caption(part) for part in parts])
     if not rows:
         return None
@@ -156,7 +158,7 @@ def _trained(groups: Sequence[Group], notes: list[str]) -> Figure | None:
         runs = [*group.runs, *[None] * columns][:columns]
         pictures.append([run and _of_run(played[run.seed], task) for run in runs])
         captions.append([_words(run) if run else "" for run in runs])
-        titles.append(title_of(group.config))
+        titles.append(_row_title(group))
     if not pictures:
         return None
     shown = figure(pictures, [""] * columns, row_titles=titles, captions=captions)
@@ -178,11 +180,3 @@ def _of_run(played: Episodes | None, task: Circle2DConfig) -> Picture | None:
 
 def _words(run: Run) -> str:
     return f"seed {run.seed}: J_R {run.measures['J_R']:.1f}, J_C {run.measures['J_C']:.1f}"
-
-
-def png(picture: Picture) -> bytes:
-    """The picture as a small PNG: 256 colours, chosen to fit it."""
-    image = Image.fromarray(np.ascontiguousarray(picture)).quantize(256, dither=Image.Dither.NONE)
-    file = io.BytesIO()
-    image.save(file, "PNG", optimize=True)
-    return file.getvalue()

@@ -13,7 +13,7 @@ from emcc.table import Table
 
 STYLE = """
 * { box-sizing: border-box; }
-body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; max-width: 1180px; margin: 0 auto;
+body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; max-width: 1120px; margin: 0 auto;
   padding: 1rem; overflow-wrap: break-word; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.35rem; margin: 3rem 0 0.75rem; padding-top: 0.75rem;
   border-top: 1px solid #ccc; } h3 { font-size: 1.05rem; margin: 2rem 0 0.5rem; }
@@ -26,9 +26,10 @@ th:first-child, td:first-child { text-align: left; position: sticky; left: 0; ba
 td small { color: #595959; }
 tr.paper td { color: #595959; font-style: italic; }
 figure { margin: 0; } figcaption, .note { color: #444; font-size: 0.9rem; max-width: 60rem; }
-img { display: block; max-width: min(100%, 60rem); min-width: 34rem; height: auto; }
+img { display: block; max-width: 100%; height: auto; }
 dt { font-weight: 600; } dd { margin: 0 0 0.5rem 0; }
-@media (max-width: 40rem) { td:first-child { white-space: normal; min-width: 6.5rem; } }
+@media (max-width: 40rem) { td:first-child { white-space: normal; min-width: 6.5rem; }
+  img { max-width: none; zoom: 0.6; } }
 """
 KINDS = {"png": "image/png", "svg": "image/svg+xml"}
 

@@ -167,9 +167,7 @@ def test_episodes_of_trained_policies_by_algorithm_and_run(groups, monkeypatch):
         assert np.abs(first[1][row, column].astype(int) - wanted).max() <= 60
 
 
-def test_a_small_png_is_close_to_its_picture():
-    picture = example.levels(160)
-    content = figures.png(picture)
-    shown = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
-    assert np.abs(shown.astype(int) - picture).max() <= 12
-    assert content == figures.png(picture)
+def test_files_hold_the_pictures_without_loss():
+    levels, trajectories = figures.introduction()
+    np.testing.assert_array_equal(image_of(levels), example.levels(figures.SIZE))
+    assert trajectories == figures.introduction()[1]  # byte for byte
