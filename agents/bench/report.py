@@ -18,9 +18,9 @@ def report(folder: Path, with_figures: bool = False) -> str:
     """The table of every folder of runs at or below `folder`, as Markdown.
 
     Writes `report.md` and `report.csv` there; with_figures also figures into `pictures`, and
-    `index.html`, which holds everything. Runs that are missing, damaged or
-    unfinished are named below the table and left out of its means; pictures that cannot be drawn
-    are named too. Raises UserError where no run is left.
+    `index.html`, which holds everything. Runs that are missing, damaged or unfinished are named
+    below the table and left out of its means; figures that cannot be drawn are named too. Raises
+    UserError where no run is left.
     """
     notes: list[str] = []
     groups = read_groups(folder, notes)

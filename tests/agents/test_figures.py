@@ -167,6 +167,18 @@ def test_episodes_of_trained_policies_by_algorithm_and_run(groups, monkeypatch):
         assert np.abs(first[1][row, column].astype(int) - wanted).max() <= 60
 
 
+def test_other_tasks_have_curves_alone(groups):
+    other = [
+        g._replace(config=replace(g.config, task="circle2d_mj/SafetyPointGoal1-v0")) for g in groups
+    ]
+    notes = []
+    (curves,) = figures.figures(other, notes)
+    assert curves.name == "curves-circle2d_mj-SafetyPointGoal1-v0.svg"
+    assert "Dashed: the cost limit, 5." in curves.caption
+    assert notes == []
+    assert figures.figures([g._replace(runs=[]) for g in other], notes) == []
+
+
 def test_files_hold_the_pictures_without_loss():
     levels, trajectories = figures.introduction()
     np.testing.assert_array_equal(image_of(levels), example.levels(figures.SIZE))
