@@ -23,7 +23,7 @@ from agents.options import parse
 from agents.runs.config import TrainConfig
 from agents.runs.files import locked
 from agents.runs.tasks import check_task
-from agents.runs.workers import Workers, share_done
+from agents.runs.workers import Group, Workers, share_done, speed
 from circle2d_mj.config import LEVELS
 
 
@@ -143,15 +143,23 @@ def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
 
 
 def _table(
-    running: Sequence[Path], shares: dict[Path, float], done: float, rest: float | None
+    running: Sequence[Group], shares: dict[Path, float], done: float, rest: float | None
 ) -> Table:
     over = sum(share == 1.0 for share in shares.values())
     left = "" if rest is None else f", {_duration(rest)} left"
-    table = Table(title=f"{100 * done:.0f} % done, {over} of {len(shares)} trainings{left}")
+    speeds = {group: speed(group[0]) for group in running}
+    in_all = sum(filter(None, speeds.values()))
+    table = Table(
+        title=f"{100 * done:.0f} % done, {over} of {len(shares)} trainings{left}, "
+        f"{in_all:,.0f} steps/s in all"
+    )
     table.add_column("training")
     table.add_column("done", justify="right")
-    for folder in running:
-        table.add_row(str(folder), f"{100 * shares[folder]:.0f} %")
+    table.add_column("steps/s", justify="right")
+    for group, of_group in speeds.items():
+        words = "" if of_group is None else f"{of_group:,.0f}"
+        names = "\n".join(map(str, group))
+        table.add_row(names, f"{100 * shares[group[0]]:.0f} %", words)
     return table
 
 

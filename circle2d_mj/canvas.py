@@ -70,11 +70,13 @@ def with_trajectories(
     config: Circle2DConfig,
     paths: Sequence[ArrayLike],
     costs: Sequence[ArrayLike],
+    boxed: bool = True,
 ) -> Picture:
     """The image with trajectories: a blue dot for each state, and an orange box around each chain
     of consecutive cost steps.
 
-    paths: [T + 1, 2] each, world units, the start first; costs: [T] each, those of the steps.
+    paths: [T + 1, 2] each, world units, the start first; costs: [T] each, those of the steps;
+    boxed: or else states that cost are orange dots, since boxes of many trajectories overlap.
     Source: the figure of two trajectories with equal costs. ValueError where paths and costs do not
     fit together or are not finite.
     """
@@ -88,10 +90,12 @@ def with_trajectories(
     lines = [pixels(config, path, fine) for path in checked]
     for at in lines:
         draw.line([tuple(p) for p in at.tolist()], fill=LINE, width=line)
-    for at in lines:
-        for column, row in at.tolist():
-            draw.ellipse((column - dot, row - dot, column + dot, row + dot), fill=DOT)
     for at, of_path in zip(lines, costs, strict=True):
+        costly = np.concatenate(([False], np.asarray(of_path) > 0)) & (not boxed)
+        for (column, row), orange in zip(at.tolist(), costly, strict=True):
+            corners = (column - dot, row - dot, column + dot, row + dot)
+            draw.ellipse(corners, fill=BOX if orange else DOT)
+    for at, of_path in zip(lines, costs, strict=True) if boxed else ():
         for first, last in chains(of_path):
             # A step's cost is that of the state it ends in.
             low, high = at[first + 1 : last + 2].min(axis=0), at[first + 1 : last + 2].max(axis=0)
@@ -114,21 +118,18 @@ def _checked(path: ArrayLike, costs: ArrayLike) -> NDArray[np.float64]:
     return points
 
 
-def with_heat(
-    image: Picture, config: Circle2DConfig, positions: ArrayLike, cells: int
-) -> tuple[Picture, int]:
-    """The image with the cells that were visited coloured by how often, and the most visits.
+def with_counts(image: Picture, counts: NDArray[np.int64], most: int) -> Picture:
+    """The image with the cells that were visited coloured by how often.
 
-    positions: [N, 2] world units; cells: along each side of the arena; see `visits`.
+    counts: [cells, cells] of `visits`; most: the visits that the last colour stands for, which
+    pictures that are to be compared have in common.
     """
-    counts = visits(config, positions, cells)
-    most = int(counts.max(initial=0))
-    cell = ((np.arange(len(image)) + 0.5) * cells / len(image)).astype(np.intp)
+    cell = ((np.arange(len(image)) + 0.5) * len(counts) / len(image)).astype(np.intp)
     share = np.log(np.maximum(counts, 1)) / np.log(max(most, 2))
     colours = heat_colours(share)[cell[:, None], cell]
     visited = (counts > 0)[cell[:, None], cell, None]
     blended = (colours * OPACITY + image * (1 - OPACITY)).astype(np.uint8)
-    return np.where(visited, blended, image), most
+    return np.where(visited, blended, image)
 
 
 def with_cross(image: Picture, config: Circle2DConfig) -> Picture:

@@ -78,13 +78,16 @@ class Renderer:
         floor = canvas.with_trajectories(self._ground, self.config, paths, costs)
         return self.frame(agent, canvas.with_cross(floor, self.config))
 
-    def heatmap(self, positions: ArrayLike, cells: int = CELLS) -> Picture:
+    def heatmap(self, positions: ArrayLike, cells: int = CELLS, most: int | None = None) -> Picture:
         """Visited states, from dark blue (one visit) to red (the most), in steps of the logarithm.
 
-        positions: [N, 2] world units; cells: along each side of the arena.
+        positions: [N, 2] world units; cells: along each side of the arena; most: the visits that
+        red stands for, by default those of the cell that has most.
         """
         cells = positive_integer("cells", cells)
-        heat, _ = canvas.with_heat(self._ground, self.config, positions, cells)
+        counts = canvas.visits(self.config, positions, cells)
+        most = int(counts.max()) if most is None else positive_integer("most", most)
+        heat = canvas.with_counts(self._ground, counts, most)
         return self.frame(floor=canvas.with_cross(heat, self.config))
 
     def close(self) -> None:

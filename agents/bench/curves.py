@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emcc import EpisodeRecords, emcc
+from emcc import EpisodeRecords, emcc, emcc_by_part
 
 POINTS = 50
 """Along the training."""
@@ -17,10 +17,11 @@ WINDOW = 0.1
 """Of the running EMCC, as a share of the training."""
 # Okabe and Ito's palette, which people with any colour vision can tell apart.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+DASHES = ("-", "--", ":", "-.")
 
 
 class Curve(NamedTuple):
-    """Of some runs: mean and standard deviation over them, at `POINTS` points of training."""
+    """Of some runs: mean and standard deviation over them, at some points of training."""
 
     mean: NDArray[np.float64]
     spread: NDArray[np.float64]
@@ -55,63 +56,105 @@ def running_emcc(records: Sequence[EpisodeRecords], total_steps: int, alpha: flo
     return _over_runs(rows)
 
 
+def thirds_emcc(records: Sequence[EpisodeRecords], total_steps: int, alpha: float) -> Curve:
+    """EMCC of the thirds of training: mean and spread [3]."""
+    return _over_runs(
+        [
+            list(emcc_by_part(*of_run.mcc_per_rollout(), total_steps, alpha).values())
+            for of_run in records
+        ]
+    )
+
+
 def _over_runs(rows: Sequence[Sequence[float] | NDArray]) -> Curve:
     values = np.array(rows)
     known = ~np.isnan(values).any(axis=0)
-    mean, spread = np.full(POINTS, np.nan), np.full(POINTS, np.nan)
+    mean, spread = np.full((2, values.shape[1]), np.nan)
     mean[known], spread[known] = values[:, known].mean(axis=0), values[:, known].std(axis=0)
     return Curve(mean, spread)
 
 
-def curves_svg(
-    title: str,
-    groups: Mapping[str, Sequence[EpisodeRecords]],
-    total_steps: Mapping[str, int],
-    cost_limit: float | None,
-    alpha: float,
-) -> str:
-    """The figure of a task as SVG: return, cost return and running EMCC; lines by group.
+class Line(NamedTuple):
+    """Runs that the figure draws as one line."""
 
-    groups: the records of the runs of each; cost_limit: a dashed line, if they share one. Equal
-    input gives equal bytes.
+    name: str
+    colour: int
+    """Place in `COLOURS`; lines of one colour differ in their dashes"""
+    records: Sequence[EpisodeRecords]
+    """Of each run"""
+    total_steps: int
+
+
+def curves_svg(title: str, lines: Sequence[Line], cost_limit: float | None, alpha: float) -> str:
+    """The figure of a task as SVG: return, cost return, running EMCC, and EMCC of the thirds.
+
+    cost_limit: a dashed line, if the runs share one. Equal input gives equal bytes.
     """
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    with pyplot.rc_context({"svg.hashsalt": "circle2d", "font.size": 9}):
-        figure, axes = pyplot.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
+    with pyplot.rc_context({"svg.hashsalt": "circle2d", "font.size": 10}):
+        figure, ((returns, costs), (running, thirds)) = pyplot.subplots(
+            2, 2, figsize=(9, 6), layout="constrained"
+        )
         figure.suptitle(title)
-        for colour, (name, records) in zip(_cycle(len(groups)), groups.items(), strict=True):
-            steps = total_steps[name]
-            for axis, curve in zip(
-                axes,
-                (
-                    episode_means(records, "reward", steps),
-                    episode_means(records, "cost", steps),
-                    running_emcc(records, steps, alpha),
-                ),
-                strict=True,
-            ):
-                low, high = curve.mean - curve.spread, curve.mean + curve.spread
-                axis.plot(midpoints(steps), curve.mean, color=colour, label=name, linewidth=1.4)
-                axis.fill_between(
-                    midpoints(steps), low, high, color=colour, alpha=0.15, linewidth=0
-                )
-        for axis, words in zip(
-            axes, ("return", "cost return", f"EMCC, α = {alpha:g}, window of a tenth"), strict=True
-        ):
-            axis.set(xlabel="environment steps", title=words)
-            axis.spines[["top", "right"]].set_visible(False)
+        for k, line in enumerate(lines):
+            records, steps = line.records, line.total_steps
+            before = sum(other.colour == line.colour for other in lines[:k])
+            style = {
+                "color": COLOURS[line.colour % len(COLOURS)],
+                "linestyle": DASHES[before % len(DASHES)],
+                "label": line.name,
+            }
+            _draw(returns, steps, episode_means(records, "reward", steps), style)
+            _draw(costs, steps, episode_means(records, "cost", steps), style)
+            _draw(running, steps, running_emcc(records, steps, alpha), style)
+            _draw_thirds(thirds, thirds_emcc(records, steps, alpha), k, len(lines), style)
         if cost_limit is not None:
-            axes[1].axhline(cost_limit, color="black", linestyle="--", linewidth=0.8)
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=7)
+            dashes = {"color": "black", "linestyle": "--", "linewidth": 0.9}
+            costs.axhline(cost_limit, label="cost limit", **dashes)
+        _label(((returns, costs), (running, thirds)), max(line.total_steps for line in lines))
+        columns = max(1, 100 // (8 + max(len(line.name) for line in lines)))
+        handles = costs.get_legend_handles_labels()
+        figure.legend(*handles, loc="outside lower center", ncols=min(columns, 6), frameon=False)
         image = io.StringIO()
         figure.savefig(image, format="svg", metadata={"Date": None})
         pyplot.close(figure)
     return image.getvalue()
 
 
-def _cycle(count: int) -> list[str]:
-    return [COLOURS[k % len(COLOURS)] for k in range(count)]
+def _draw(axis: Any, total_steps: int, curve: Curve, style: dict[str, Any]) -> None:
+    at, low, high = midpoints(total_steps), curve.mean - curve.spread, curve.mean + curve.spread
+    axis.plot(at, curve.mean, linewidth=1.5, **style)
+    axis.fill_between(at, low, high, color=style["color"], alpha=0.15, linewidth=0)
+
+
+def _draw_thirds(axis: Any, curve: Curve, k: int, count: int, style: dict[str, Any]) -> None:
+    """The k-th of `count` lines, beside the others of each third."""
+    at = np.arange(len(curve.mean)) + (k - (count - 1) / 2) * 0.6 / count
+    bars = axis.errorbar(at, curve.mean, curve.spread, fmt="o", markersize=5, color=style["color"])
+    for bar in bars[2]:
+        bar.set_linestyle(style["linestyle"])
+
+
+def _label(axes: Any, total_steps: int) -> None:
+    from matplotlib.ticker import EngFormatter
+
+    (returns, costs), (running, thirds) = axes
+    names = ("return of an episode", "cost of an episode", "EMCC, running", "EMCC of the thirds")
+    for axis, name in zip((returns, costs, running, thirds), names, strict=True):
+        axis.set_ylabel(name)
+        axis.spines[["top", "right"]].set_visible(False)
+        if axis is not thirds:
+            axis.set_xlabel("environment steps")
+            axis.set_xlim(0, total_steps)
+            axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+    for part in (0.33, 0.66, 0.99):
+        running.axvline(part * total_steps, color="grey", linestyle=":", linewidth=0.9)
+    for axis in (running, thirds):
+        axis.set_ylim(0, 1.02)
+    thirds.set_xticks(range(3), ["0 to 33 %", "33 to 66 %", "66 to 99 %"])
+    thirds.set_xlabel("part of training")
+    thirds.set_xlim(-0.5, 2.5)

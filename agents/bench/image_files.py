@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
 from rich.console import Console
 from rich.progress import track
 
@@ -24,6 +26,13 @@ def write_picture(path: Path, picture: Picture) -> None:
 
     _prepare(path)
     write_whole(path, imageio.imwrite("<bytes>", picture, extension=path.suffix))
+
+
+def png(picture: Picture) -> bytes:
+    """The picture as a PNG, as small as can be without loss."""
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "PNG", optimize=True)
+    return file.getvalue()
 
 
 def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:

@@ -3,72 +3,91 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
-from pathlib import Path
 from typing import NamedTuple
 
+from agents.bench.figures import Figure
 from emcc.table import Table
 
 STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #1a1a1a; max-width: 1180px; margin: 0 auto;
-  padding: 1rem; }
-h1 { font-size: 1.5rem; } h2 { font-size: 1.2rem; margin-top: 2.5rem; }
+* { box-sizing: border-box; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; max-width: 1120px; margin: 0 auto;
+  padding: 1rem; overflow-wrap: break-word; }
+h1 { font-size: 1.6rem; } h2 { font-size: 1.35rem; margin: 3rem 0 0.75rem; padding-top: 0.75rem;
+  border-top: 1px solid #ccc; } h3 { font-size: 1.05rem; margin: 2rem 0 0.5rem; }
+a { color: #0b57a4; } nav ul { padding-left: 1.2rem; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-size: 0.85rem; font-variant-numeric: tabular-nums; }
-th, td { padding: 0.25rem 0.6rem; text-align: right; white-space: nowrap;
-  border-bottom: 1px solid #ddd; }
+th, td { padding: 0.3rem 0.6rem; text-align: right; white-space: nowrap;
+  border-bottom: 1px solid #ddd; vertical-align: top; }
 th:first-child, td:first-child { text-align: left; position: sticky; left: 0; background: #fff; }
-td small { color: #666; } td { vertical-align: top; }
-tr.paper td { color: #777; font-style: italic; }
-img, svg { max-width: 100%; height: auto; }
-.note, figcaption { color: #555; font-size: 0.85rem; }
-figure { margin: 1rem 0; }
+td small { color: #595959; }
+tr.paper td { color: #595959; font-style: italic; }
+figure { margin: 0; } figcaption, .note { color: #444; font-size: 0.9rem; max-width: 60rem; }
+img { display: block; max-width: 100%; height: auto; }
 dt { font-weight: 600; } dd { margin: 0 0 0.5rem 0; }
+@media (max-width: 40rem) { td:first-child { white-space: normal; min-width: 6.5rem; }
+  img { max-width: none; zoom: 0.6; } }
 """
+KINDS = {"png": "image/png", "svg": "image/svg+xml"}
 
 
 class Section(NamedTuple):
-    """What the page shows of one task."""
+    """A part of the page: a task, with its tables and then its figures."""
 
-    task: str
-    table: Table
-    curves: str
-    """SVG"""
-    heatmaps: Mapping[str, Path]
-    """PNG files, by title"""
+    title: str
+    tables: Sequence[Table]
+    figures: Sequence[Figure]
 
 
 def page(title: str, sections: Sequence[Section], made: Mapping[str, str]) -> str:
     """The page. made: how the numbers came about, by name."""
-    parts = [
-        "<!doctype html>",
-        '<html lang="en"><head><meta charset="utf-8">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
-        f"<h1>{escape(title)}</h1>",
-    ]
-    for section in sections:
-        parts.append(f"<h2>{escape(section.task)}</h2>")
-        parts.append(_table(section.table))
-        if section.curves:
-            svg = section.curves[section.curves.index("<svg") :]
-            parts.append(
-                f'<figure class="curves">{svg}<figcaption>Mean over seeds and, faint, the '
-                "standard deviation. Dashed: the cost limit.</figcaption></figure>"
-            )
-        for name, path in section.heatmaps.items():
-            image = base64.b64encode(path.read_bytes()).decode()
-            alt = escape(f"Visited states of {name}")
-            parts.append(
-                f'<figure><img alt="{alt}" src="data:image/png;base64,{image}">'
-                "<figcaption>States visited in the rollouts that dominate EMCC."
-                "</figcaption></figure>"
-            )
+    last = "How it was made"
+    contents = "".join(
+        f'<li><a href="#{_id(name)}">{escape(name)}</a></li>'
+        for name in [*(section.title for section in sections), last]
+    )
     rows = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in made.items())
-    parts.append(f"<h2>How it was made</h2><dl>{rows}</dl>")
-    parts.append("</body></html>\n")
-    return "\n".join(parts)
+    return "\n".join(
+        [
+            "<!doctype html>",
+            '<html lang="en"><head><meta charset="utf-8">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            '<link rel="icon" href="data:,">',  # or a browser would ask a server for one
+            f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
+            f"<h1>{escape(title)}</h1><nav><ul>{contents}</ul></nav><main>",
+            *map(_section, sections),
+            f'<section id="{_id(last)}"><h2>{last}</h2><dl>{rows}</dl></section>',
+            "</main></body></html>\n",
+        ]
+    )
+
+
+def _id(title: str) -> str:
+    """What a link within the page calls a section. Titles differ in more than punctuation."""
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+
+
+def _section(section: Section) -> str:
+    name = _id(section.title)
+    parts = [f'<section id="{name}"><h2>{escape(section.title)}</h2>']
+    parts += map(_table, section.tables)
+    parts += [_figure(shown, section.title) for shown in section.figures]
+    return "\n".join([*parts, "</section>"])
+
+
+def _figure(shown: Figure, of: str) -> str:
+    """An image, which scrolls in its box where it would become too small to be read."""
+    content = base64.b64encode(shown.content).decode()
+    kind = KINDS[shown.name.rpartition(".")[2]]
+    return (
+        f"<h3>{escape(shown.title)}</h3>\n<figure>"
+        f'<div class="wide"><img alt="{escape(shown.title)}: {escape(of)}" '
+        f'src="data:{kind};base64,{content}"></div>'
+        f"<figcaption>{escape(shown.caption)}</figcaption></figure>"
+    )
 
 
 def _cell(text: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -12,18 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.algorithms import algorithm
-from agents.bench.image_files import write_picture
 from agents.errors import UserError
 from agents.runs.config import TrainConfig, run_folder
 from agents.runs.evaluate import play
 from agents.runs.tasks import circle2d_config, make_envs
 from agents.runs.train import EVALUATION_EPISODES, restored
 from agents.runs.visited import read_visited
-from circle2d_mj import Circle2DConfig
+from circle2d_mj import Circle2DConfig, canvas
 from circle2d_mj.canvas import Picture
 from circle2d_mj.figure import figure
 from circle2d_mj.gl import NoOpenGL
-from circle2d_mj.render import SIZE, Renderer
+from circle2d_mj.render import CELLS, SIZE, Renderer
 from circle2d_mj.task import position
 from emcc import EpisodeRecords, emcc, worst
 from emcc.parts import rollouts_by_part
@@ -105,20 +104,32 @@ def heatmap(
     config, task = _circle2d_runs(folder)
     config = replace(config, seeds=config.seeds if seeds is None else seeds)
     of_parts = [visits(folder, config, part, alpha) for part in parts]
+    most = max(int(counts(folder, task, of_part).max()) for of_part in of_parts)
+    with _renderer(task, size) as renderer:
+        pictures = [renderer.heatmap(of_part.positions, most=most) for of_part in of_parts]
+    return figure(
+        [pictures],
+        [PARTS[part] for part in parts],
+        title=f"{algorithm(config.algorithm).title} on {config.task}",
+        captions=[[caption(of_part) for of_part in of_parts]],
+        most_visits=most,
+    )
+
+
+def counts(folder: Path, task: Circle2DConfig, found: Visits) -> NDArray[np.int64]:
+    """How often each cell of a heat map was visited, [CELLS, CELLS]: see `canvas.visits`.
+
+    folder: of the runs, for the UserError where positions are none of the task.
+    """
     try:
-        with _renderer(task, size) as renderer:
-            pictures = [renderer.heatmap(of_part.positions) for of_part in of_parts]
-    except UserError:
-        raise
+        return canvas.visits(task, found.positions, CELLS)
     except ValueError as error:
         raise UserError(f"{folder}: the record of visited states is damaged: {error}") from None
-    title = f"{algorithm(config.algorithm).title} on {config.task}"
-    captions = [
-        f"EMCC {of_part.emcc:.2f}, from {of_part.rollouts:,} of {of_part.of:,} rollouts"
-        for of_part in of_parts
-    ]
-    columns = [PARTS[part] for part in parts]
-    return figure([pictures], columns, title=title, captions=[captions], heat_scale=True)
+
+
+def caption(found: Visits) -> str:
+    """What stands below a heat map."""
+    return f"EMCC {found.emcc:.2f} ({found.rollouts:,} of {found.of:,} rollouts)"
 
 
 class Episodes(NamedTuple):
@@ -158,20 +169,34 @@ def evaluation_episodes(
         raise UserError(f"{folder} has no run of seed {seed}: its seeds are {list(config.seeds)}")
     if not 1 <= episodes <= EVALUATION_EPISODES:
         raise UserError(f"episodes must be in [1, {EVALUATION_EPISODES}], got {episodes}")
-    run, count = config.seeds.index(seed), len(config.seeds) * episodes
-    policy = restored(folder).learner.policy()
-    everyone = np.ones(len(config.seeds), dtype=bool)
-    with contextlib.closing(make_envs(config.task, count, config.task_parameters)) as envs:
-        rollout = play(envs, config, policy, EVALUATION_EPISODES, 0, episodes, everyone, noisy)
-    columns = range(run * episodes, (run + 1) * episodes)
-    if rollout.diverged[columns].any():
+    found = episodes_by_seed(folder, episodes, noisy)[seed]
+    if found is None:
         raise UserError(f"the policy of seed {seed} gives numbers that are not finite")
+    return found, task
+
+
+def episodes_by_seed(folder: Path, episodes: int, noisy: bool) -> dict[int, Episodes | None]:
+    """The first episodes of the evaluation of every run of a folder, by seed.
+
+    None where a policy gives numbers that are not finite. episodes: in [1, 100]; noisy: of the
+    stochastic policy. Raises UserError for another task than Circle2D, or without a checkpoint.
+    """
+    config, task = _circle2d_runs(folder)
+    runs = len(config.seeds)
+    policy, everyone = restored(folder).learner.policy(), np.ones(runs, dtype=bool)
+    with contextlib.closing(make_envs(config.task, runs * episodes, config.task_parameters)) as e:
+        rollout = play(e, config, policy, EVALUATION_EPISODES, 0, episodes, everyone, noisy)
     start, then = (
         position(task, observation)
         for observation in (rollout.observation, rollout.next_observation)
     )
-    paths = [np.concatenate((start[:1, k], then[: rollout.length[k], k])) for k in columns]
-    return Episodes(paths, [rollout.cost[: rollout.length[k], k] for k in columns]), task
+    found: dict[int, Episodes | None] = {}
+    for run, seed in enumerate(config.seeds):
+        columns = range(run * episodes, (run + 1) * episodes)
+        paths = [np.concatenate((start[:1, k], then[: rollout.length[k], k])) for k in columns]
+        costs = [rollout.cost[: rollout.length[k], k] for k in columns]
+        found[seed] = None if rollout.diverged[columns].any() else Episodes(paths, costs)
+    return found
 
 
 def _circle2d_runs(folder: Path) -> tuple[TrainConfig, Circle2DConfig]:
@@ -188,27 +213,3 @@ def _renderer(task: Circle2DConfig, size: int) -> Renderer:
         return Renderer(task, size)
     except (NoOpenGL, ValueError) as error:
         raise UserError(f"no pictures: {error}") from None
-
-
-def draw_heatmaps(
-    out: Path, runs: Mapping[Path, tuple[int, ...]], notes: list[str]
-) -> dict[Path, Path]:
-    """Heat maps of the three parts of training, into `out/pictures`, one of each folder's runs.
-
-    runs: seeds by folder. Returns the files by folder, relative to `out`; folders that none can be
-    drawn of go into the notes.
-    """
-    drawn = {}
-    for folder, seeds in runs.items():
-        config = TrainConfig.read(folder)
-        if circle2d_config(config.task, config.task_parameters) is None:
-            continue
-        relative = folder.relative_to(out)
-        path = Path("pictures") / relative.parent / f"{relative.name or 'heatmap'}.png"
-        try:
-            write_picture(out / path, heatmap(folder, list(PARTS), ALPHA, seeds=seeds))
-        except UserError as error:
-            notes.append(f"no heat map of {folder}: {error}")
-        else:
-            drawn[folder] = path
-    return drawn

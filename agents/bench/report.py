@@ -3,68 +3,64 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
-from agents.bench.curves import curves_svg
+from agents.bench.figures import Figure, figures, introduction
 from agents.bench.page import Section, page
-from agents.bench.pictures import ALPHA, draw_heatmaps
 from agents.bench.results import Group, read_groups
-from agents.bench.tables import task_table, title_of
+from agents.bench.tables import task_table
 from agents.runs.files import read_json, write_whole
+from agents.runs.tasks import circle2d_config
 
 
 def report(folder: Path, with_figures: bool = False) -> str:
     """The table of every folder of runs at or below `folder`, as Markdown.
 
-    Writes `report.md` and `report.csv` there; with_figures also training curves and heat maps into
-    `pictures`, and `index.html`, which holds everything. Runs that are missing, damaged or
-    unfinished are named below the table and left out of its means; pictures that cannot be drawn
-    are named too. Raises UserError where no run is left.
+    Writes `report.md` and `report.csv` there; with_figures also figures into `pictures`, and
+    `index.html`, which holds everything. Runs that are missing, damaged or unfinished are named
+    below the table and left out of its means; figures that cannot be drawn are named too. Raises
+    UserError where no run is left.
     """
     notes: list[str] = []
     groups = read_groups(folder, notes)
     tasks = list(dict.fromkeys(group.config.task for group in groups))
     by_task = {task: [g for g in groups if g.config.task == task] for task in tasks}
-    complete = {g.folder: tuple(run.seed for run in g.runs) for g in groups if g.runs}
-    heatmaps = draw_heatmaps(folder, complete, notes) if with_figures else {}
     tables = {task: task_table(of_task) for task, of_task in by_task.items()}
+    shown = _figures(by_task, notes) if with_figures else {}
     last = tables[tasks[-1]]
     tables[tasks[-1]] = dataclasses.replace(last, notes=[*last.notes, *notes])
     markdown = "\n".join(table.render("md") for table in tables.values())
     images = []
     if with_figures:
-        sections = []
-        for task, of_task in by_task.items():
-            curves = _curves(task, of_task)
-            if curves:
-                path = Path("pictures") / f"curves-{task.replace('/', '-')}.svg"
-                (folder / "pictures").mkdir(exist_ok=True)
-                write_whole(folder / path, curves)
-                images.append(f"![Training curves on {task}](<{path}>)")
-            drawn = {g.folder: heatmaps[g.folder] for g in of_task if g.folder in heatmaps}
-            images += [f"![Visited states: {path.stem}](<{path}>)" for path in drawn.values()]
-            shown = {str(runs): folder / path for runs, path in drawn.items()}
-            sections.append(Section(task, tables[task], curves, shown))
+        images = _write(folder / "pictures", [f for of_task in shown.values() for f in of_task])
+        sections = [
+            Section(title, [tables[title]] if title in tables else [], of_title)
+            for title, of_title in shown.items()
+        ]
         write_whole(folder / "index.html", page(folder.resolve().name, sections, _made(groups)))
     write_whole(folder / "report.md", "\n".join([markdown, *images]))
     write_whole(folder / "report.csv", "\n".join(t.render("csv") for t in tables.values()))
     return markdown
 
 
-def _curves(task: str, groups: list[Group]) -> str:
-    """Training curves of the complete runs as SVG; nothing where there are none."""
-    groups = [group for group in groups if group.runs]
-    if not groups:
-        return ""
-    names = {title_of(group.config): group for group in groups}
-    limits = {group.config.hyperparameters.cost_limit for group in groups}
-    return curves_svg(
-        task,
-        {name: [run.records for run in group.runs] for name, group in names.items()},
-        {name: group.config.steps for name, group in names.items()},
-        limits.pop() if len(limits) == 1 else None,
-        ALPHA,
-    )
+def _figures(by_task: dict[str, list[Group]], notes: list[str]) -> dict[str, list[Figure]]:
+    """The figures of every section of the page, by its title."""
+    configs = [of_task[0].config for of_task in by_task.values()]
+    is_circle2d = any(circle2d_config(c.task, c.task_parameters) for c in configs)
+    first = {"Circle2D and EMCC": introduction()} if is_circle2d else {}
+    return first | {task: figures(of_task, notes) for task, of_task in by_task.items()}
+
+
+def _write(folder: Path, shown: Sequence[Figure]) -> list[str]:
+    """Write the figures into a folder; returns the lines of Markdown that show them."""
+    folder.mkdir(exist_ok=True)
+    for figure in shown:
+        write_whole(folder / figure.name, figure.content)
+    return [
+        f"![{figure.title}](<{folder.name}/{figure.name}>)\n\n{figure.caption}\n"
+        for figure in shown
+    ]
 
 
 def _made(groups: list[Group]) -> dict[str, str]:

@@ -34,9 +34,9 @@ class Workers:
         """Those that failed, and the last line that their process said."""
 
     @property
-    def running(self) -> list[Path]:
-        """Folders that are trained now."""
-        return [folder for group in self._running for folder in group]
+    def running(self) -> list[Group]:
+        """Groups that are trained now."""
+        return list(self._running)
 
     def run(self, on_change: Callable[[], None], every: float = 1.0) -> None:
         """Train all; `on_change` is called every so many seconds, and at the end."""
@@ -71,6 +71,16 @@ def share_done(folder: Path) -> float:
         return float(last.split(" % after ")[0].rpartition(" ")[2]) / 100
     except (OSError, IndexError, ValueError):
         return 0.0
+
+
+def speed(folder: Path) -> float | None:
+    """Environment steps a second of the training of a folder, all runs of its group together, by
+    its `timing.log`; None where it does not say."""
+    try:
+        last = (folder / "timing.log").read_text().splitlines()[-1]
+        return float(last.rpartition(" s, ")[2].removesuffix(" steps/s").replace(",", ""))
+    except (OSError, IndexError, ValueError):
+        return None
 
 
 def _start(group: Group) -> subprocess.Popen:

@@ -12,9 +12,11 @@ import pytest
 from agents.bench import grid
 from agents.bench.presets import preset
 from agents.cli import main
+from agents.cli_grid import _table
 from agents.errors import UserError
 from agents.runs.config import TrainConfig
 from agents.runs.train import train
+from agents.runs.workers import share_done, speed
 
 COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3", "4"]
 COMMAND += ["--steps", "2000", "--workers", "2", "--out"]
@@ -145,6 +147,26 @@ def test_stopped_in_the_middle_it_goes_on(whole, tmp_path):
     assert main([*COMMAND, str(out)]) == 0
     assert results(out) == results(whole)
     assert (out / "report.csv").read_bytes() == (whole / "report.csv").read_bytes()
+
+
+def test_the_display_shows_speeds(tmp_path):
+    """Of each training as its log last said, and of all together; none where it says nothing."""
+    folders = [tmp_path / name for name in ("a", "b", "new", "odd")]
+    for folder in folders:
+        folder.mkdir()
+    lines = "cpo X x 2: {} % after {} s, {} steps/s\n"
+    (folders[0] / "timing.log").write_text(lines.format(4, 1, "900") + lines.format(50, 9, "1,200"))
+    (folders[1] / "timing.log").write_text(lines.format(25, 3, "34"))
+    (folders[3] / "timing.log").write_text("no such line\n")
+    assert [speed(folder) for folder in folders] == [1200, 34, None, None]
+    assert [share_done(folder) for folder in folders] == [0.5, 0.25, 0, 0]
+    groups = [(folders[0], tmp_path / "with a"), *((folder,) for folder in folders[1:])]
+    table = _table(groups, {folder: share_done(folder) for folder in folders}, 0.2, None)
+    assert table.title == "20 % done, 0 of 4 trainings, 1,234 steps/s in all"
+    names, done, speeds = (list(column.cells) for column in table.columns)
+    assert names[:2] == [f"{folders[0]}\n{tmp_path / 'with a'}", str(folders[1])]
+    assert done == ["50 %", "25 %", "0 %", "0 %"]
+    assert speeds == ["1,200", "34", "", ""]
 
 
 def test_one_failure_does_not_stop_the_others(tmp_path, capsys):

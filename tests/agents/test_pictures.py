@@ -5,6 +5,7 @@ import shutil
 import imageio.v3 as imageio
 import numpy as np
 import pytest
+from small_runs import TASK, write_runs
 
 from agents.bench import pictures
 from agents.bench.presets import preset
@@ -14,25 +15,6 @@ from agents.runs.config import TrainConfig
 from agents.runs.train import train
 from circle2d_mj.figure import figure
 from circle2d_mj.gl import NoOpenGL
-
-TASK = "Circle2D-3-v0"
-# Of 12 rollouts with two episodes of 5 steps each, 120 steps: the longest streaks.
-STREAKS = [(0, 4), (5, 1), (2, 2), (3, 0), (5, 5), (1, 0), (2, 4), (0, 0), (1, 1), (3, 2), (2, 2)]
-STREAKS += [(0, 1)]
-
-
-def write_runs(folder):
-    config = TrainConfig("sac-lag", TASK, (0, 1), 120, preset("sac-lag", TASK))
-    config.write(folder)
-    for seed in (0, 1):
-        lines = ["rollout,start_step,length,return,cost,longest_streak"]
-        for k, streaks in enumerate(STREAKS):
-            for e, streak in enumerate(streaks):
-                lines.append(f"{k},{10 * k + 5 * e},5,-1.0,{streak}.0,{streak}")
-        (folder / f"seed-{seed}" / "episodes.csv").write_text("\n".join([*lines, ""]))
-        rows = np.arange(240, dtype=np.float32).reshape(120, 2) / 100 + seed
-        np.save(folder / f"seed-{seed}" / "visited.npy", rows)
-    return config
 
 
 @pytest.mark.parametrize(
@@ -64,9 +46,6 @@ def test_runs_without_records_are_named(tmp_path):
     np.save(tmp_path / "seed-1" / "visited.npy", np.zeros((100, 2), np.float32))
     with pytest.raises(UserError, match="seed-1 is damaged: 100 positions of 120 steps"):
         pictures.visits(tmp_path, config, 0.33, 0.1)
-    notes = []
-    assert pictures.draw_heatmaps(tmp_path, {tmp_path: (0, 1)}, notes) == {}
-    assert "no heat map of" in notes[0]
 
 
 @pytest.fixture(scope="module")
@@ -141,17 +120,7 @@ def test_mistakes(arguments, message, folder, capsys):
     assert re.search(message, err), err
 
 
-def test_report_shows_the_heat_map(folder, tmp_path, capsys, opengl):
-    copy = tmp_path / "x"
-    shutil.copytree(folder, copy)
-    assert main(["report", str(copy)]) == 0
-    written, picture = (copy / "report.md").read_text().split("![Visited states: heatmap]")
-    assert written.startswith(capsys.readouterr().out)
-    assert picture == "(<pictures/heatmap.png>)"
-    assert imageio.imread(copy / "pictures" / "heatmap.png").std() > 10
-
-
-def test_without_opengl_the_report_still_has_its_tables(folder, tmp_path, capsys, monkeypatch):
+def test_without_opengl_the_report_still_has_its_figures(folder, tmp_path, capsys, monkeypatch):
     def nothing(config, size):
         raise NoOpenGL("install one")
 
@@ -159,7 +128,8 @@ def test_without_opengl_the_report_still_has_its_tables(folder, tmp_path, capsys
     shutil.copytree(folder, copy)
     monkeypatch.setattr(pictures, "Renderer", nothing)
     assert main(["report", str(copy)]) == 0
-    assert "no heat map of" in capsys.readouterr().out
+    assert (copy / "report.md").read_text().startswith(capsys.readouterr().out)
+    assert imageio.imread(copy / "pictures" / f"visited-{TASK}.png").std() > 10
     assert main(["heatmap", str(copy)]) == 2
     assert "no pictures: install one" in capsys.readouterr().err
 

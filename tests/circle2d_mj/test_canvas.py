@@ -21,6 +21,13 @@ def centres(config, size):
     return np.stack(np.meshgrid(steps, -steps), axis=-1)
 
 
+def with_heat(positions, cells):
+    """The heat of some positions on a blank picture, scaled to the most visits, and these."""
+    counts = canvas.visits(TASK, positions, cells)
+    most = int(counts.max())
+    return canvas.with_counts(BLANK, counts, most), most
+
+
 def near_an_edge(mask):
     """Where a pixel or one of its eight neighbours has another value."""
     padded = np.pad(mask, 1, mode="edge")
@@ -142,7 +149,7 @@ def test_visits_at_the_edge_of_the_arena():
 )
 def test_positions_that_are_none(positions):
     with pytest.raises(ValueError, match="positions must"):
-        canvas.with_heat(BLANK, TASK, positions, 40)
+        with_heat(positions, 40)
 
 
 def test_heat_colours_the_visited_cells_alone():
@@ -152,7 +159,7 @@ def test_heat_colours_the_visited_cells_alone():
     corners = np.array([top_left] + [right_below] * 3 + [bottom] * 9)
     positions = corners + np.array((0.3, -0.4)) * cell
     before = positions.copy()
-    image, most = canvas.with_heat(BLANK, TASK, positions, 20)
+    image, most = with_heat(positions, 20)
     assert most == 9
     expected = BLANK.copy()
     stops = {(0, 0): canvas.HEAT[0], (1, 19): canvas.HEAT[2], (19, 10): canvas.HEAT[4]}
@@ -165,10 +172,19 @@ def test_heat_colours_the_visited_cells_alone():
     assert (BLANK == 252).all()
 
 
+def test_a_common_scale_colours_by_its_own_most():
+    """Nine visits are half of the way to 81, and what is beyond the most is as the most."""
+    counts = np.array([[9, 200]])[[0, 0]]
+    image = canvas.with_counts(np.full((2, 2, 3), 252, np.uint8), counts, 81)
+    for column, colour in ((0, canvas.HEAT[2]), (1, canvas.HEAT[4])):
+        blended = np.array(colour) * canvas.OPACITY + 252 * (1 - canvas.OPACITY)
+        assert np.abs(image[:, column] - blended).max() <= 1
+
+
 @pytest.mark.parametrize("cells", [37, 200])
 def test_a_pixel_shows_the_cell_of_its_centre(cells):
     positions = np.random.default_rng(0).uniform(-15, 15, (cells * cells // 2, 2))
-    image, _ = canvas.with_heat(BLANK, TASK, positions, cells)
+    image, _ = with_heat(positions, cells)
     edges = np.linspace(-15, 15, cells + 1)
     visited = np.histogram2d(*positions.T, bins=(edges, edges))[0] > 0
     x, y = (np.searchsorted(edges, centres(TASK, SIZE)[..., k]) - 1 for k in (0, 1))
@@ -192,7 +208,7 @@ def test_heat_colours():
 def test_cells_visited_equally_often(times, colour):
     """One visit each is dark blue; none leaves the picture as it is."""
     positions = np.tile([(1.0, 1.0), (-5.0, 8.0)], (times, 1))
-    image, most = canvas.with_heat(BLANK, TASK, positions, 20)
+    image, most = with_heat(positions, 20)
     assert most == times
     changed = image[(image != BLANK).any(axis=-1)].astype(int)
     assert len(changed) == (128 if times else 0)
@@ -227,6 +243,18 @@ def boxes(image):
 
 
 PATH = np.array([(-13 + 2.6 * k, 8 - 1.6 * k) for k in range(11)])
+
+
+def test_without_boxes_states_that_cost_are_orange():
+    """Each dot has the colour of the step that ended there; the start has none."""
+    costs = np.isin(np.arange(10), [0, 4, 5, 9]).astype(float)
+    image = canvas.with_trajectories(BLANK, TASK, [PATH], [costs], boxed=False)
+    for column, row, cost in zip(
+        *(((PATH * (1, -1) + 15) * SIZE / 30).T), [0, *costs], strict=True
+    ):
+        wanted = canvas.BOX if cost else canvas.DOT
+        assert np.abs(image[int(row), int(column)].astype(int) - wanted).max() <= 60
+    assert (np.abs(image[:, :, 0].astype(int) - canvas.BOX[0]) < 5).sum() < 4 * 9
 
 
 @pytest.mark.parametrize(
@@ -291,7 +319,7 @@ def test_nothing_drawn_is_nothing_changed():
             canvas.with_trajectories(background, TASK, [], []), background
         )
         np.testing.assert_array_equal(
-            canvas.with_heat(background, TASK, np.zeros((0, 2)), 20)[0], background
+            canvas.with_counts(background, np.zeros((20, 20), np.int64), 0), background
         )
     one_state = canvas.with_trajectories(BLANK, TASK, [[(3.0, 3.0)]], [[]])
     assert 1 <= (~painted_like(one_state, 252)).sum() < 20

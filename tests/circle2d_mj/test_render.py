@@ -106,13 +106,18 @@ def test_trajectories_and_heat_are_what_is_painted():
                 renderer.trajectories([path], [costs]),
                 canvas.with_trajectories(ground, config, [path], [costs]),
             ),
-            (renderer.heatmap(path, cells=25), canvas.with_heat(ground, config, path, 25)[0]),
+            (
+                renderer.heatmap(path, cells=25, most=5),
+                canvas.with_counts(ground, canvas.visits(config, path, 25), 5),
+            ),
         ):
             np.testing.assert_array_equal(picture, canvas.with_cross(painted, config))
         np.testing.assert_array_equal(renderer.heatmap(np.zeros((0, 2))), background)
         assert (renderer.trajectories([path], [costs]) != background).any()
         with pytest.raises(ValueError, match="cells must be at least 1, got 0"):
             renderer.heatmap(path, cells=0)
+        with pytest.raises(ValueError, match="most must be at least 1, got 0"):
+            renderer.heatmap(path, most=0)
 
 
 def test_what_cannot_be_drawn():

@@ -1,0 +1,26 @@
+"""Records of a small training, written by hand."""
+
+import numpy as np
+
+from agents.bench.presets import preset
+from agents.runs.config import TrainConfig
+
+TASK = "Circle2D-3-v0"
+# Of 12 rollouts with two episodes of 5 steps each, 120 steps: the longest streaks.
+STREAKS = [(0, 4), (5, 1), (2, 2), (3, 0), (5, 5), (1, 0), (2, 4), (0, 0), (1, 1), (3, 2), (2, 2)]
+STREAKS += [(0, 1)]
+
+
+def write_runs(folder):
+    """Two runs on a task of Circle2D: what they recorded, and no checkpoint."""
+    config = TrainConfig("sac-lag", TASK, (0, 1), 120, preset("sac-lag", TASK))
+    config.write(folder)
+    for seed in (0, 1):
+        lines = ["rollout,start_step,length,return,cost,longest_streak"]
+        for k, streaks in enumerate(STREAKS):
+            for e, streak in enumerate(streaks):
+                lines.append(f"{k},{10 * k + 5 * e},5,-1.0,{streak}.0,{streak}")
+        (folder / f"seed-{seed}" / "episodes.csv").write_text("\n".join([*lines, ""]))
+        rows = np.arange(240, dtype=np.float32).reshape(120, 2) / 100 + seed
+        np.save(folder / f"seed-{seed}" / "visited.npy", rows)
+    return config
