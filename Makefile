@@ -16,7 +16,7 @@ $(VENV)/installed: pyproject.toml constraints.txt
 demo: $(VENV)/installed
 	rm -rf runs/demo
 	$(BIN)/circle2d train --algorithm trpo-lag --task Circle2D-1-v0 --seeds 0 1 2 --steps 250000 \
-		--out runs/demo
+		--backend eager --out runs/demo
 	$(BIN)/python -m emcc runs/demo --per-run
 	$(BIN)/circle2d report runs/demo > runs/demo/report.txt
 	-$(BIN)/circle2d render runs/demo

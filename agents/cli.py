@@ -21,8 +21,8 @@ from agents.bench.report import report
 from agents.cli_grid import run_reproduce
 from agents.cli_pictures import run_heatmap, run_render, run_scene
 from agents.errors import UserError
-from agents.options import parse
-from agents.runs.config import TrainConfig, run_folder, versions
+from agents.options import BackendChoice, chosen_backend, parse
+from agents.runs.config import Device, TrainConfig, run_folder, versions
 from agents.runs.evaluate import evaluate
 from agents.runs.files import read_json
 from agents.runs.progress import show_progress
@@ -70,6 +70,12 @@ class TrainOptions:
     gymnasium's SyncVectorEnv (sync), a process each, for slow tasks (async)."""
     tensorboard: bool = False
     """Write TensorBoard event files too, into each run's folder."""
+    backend: BackendChoice = "auto"
+    """How updates run: as compiled code, twice as fast once compiled, which takes a minute at
+    first and seconds from then on (compiled); operation by operation (eager); compiled where there
+    is a C++ compiler (auto)."""
+    device: Device = "cpu"
+    """Where updates run: cuda on a GPU."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +118,7 @@ def run_train(args: Sequence[str]) -> int:
     values = {f.name: getattr(options, f.name) for f in dataclasses.fields(TrainOptions)}
     folder = values.pop("out")
     values["task_parameters"] = {k: _literal(v) for k, v in values["task_parameters"].items()}
+    values["backend"] = chosen_backend(options.backend)
     config = TrainConfig(**values, hyperparameters=options.hyperparameters)
     check_task(config.task, config.task_parameters)  # before anything is written
     if config.tensorboard:

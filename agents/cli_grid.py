@@ -19,8 +19,8 @@ from agents.algorithms import ALGORITHMS
 from agents.bench import grid
 from agents.bench.report import report
 from agents.errors import UserError
-from agents.options import parse
-from agents.runs.config import TrainConfig
+from agents.options import BackendChoice, chosen_backend, parse
+from agents.runs.config import Device, TrainConfig
 from agents.runs.files import locked
 from agents.runs.tasks import check_task
 from agents.runs.workers import Group, Workers, share_done, speed
@@ -50,6 +50,11 @@ class ReproduceOptions:
     """Seeds of each algorithm and task; by default 0 1 2."""
     steps: int | None = None
     """Environment steps of each run; by default 1 000 000."""
+    backend: BackendChoice | None = None
+    """How updates run, see `circle2d train --help`; by default auto, and eager with quick, which
+    is over before anything is compiled."""
+    device: Device = "cpu"
+    """Where updates run: cuda on a GPU."""
     workers: int = os.cpu_count() or 1
     """Processes, of one thread each; by default one for each core."""
 
@@ -67,7 +72,10 @@ def run_reproduce(args: Sequence[str]) -> int:
         seeds = grid.QUICK_SEEDS if options.quick else grid.SEEDS
     if steps is None:
         steps = grid.QUICK_STEPS if options.quick else grid.STEPS
-    configs = grid.grid(options.out, tasks, options.algorithms, seeds, steps)
+    backend = chosen_backend(options.backend or ("eager" if options.quick else "auto"))
+    configs = grid.grid(
+        options.out, tasks, options.algorithms, seeds, steps, backend, options.device
+    )
     grid.prepare(configs)
     with locked(options.out), _ended_by_signals():
         failed = _train(configs, options.workers)

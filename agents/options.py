@@ -5,12 +5,27 @@ from __future__ import annotations
 import contextlib
 import io
 import re
+import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import tyro
 
 from agents.errors import UserError
+from agents.lockstep.backend import cannot_compile
+from agents.runs.config import Backend
+
+BackendChoice = Literal["auto", "compiled", "eager"]
+
+
+def chosen_backend(choice: BackendChoice) -> Backend:
+    """What `auto` comes to on this machine; a line on stderr says where that is eager."""
+    if choice != "auto":
+        return choice
+    why = cannot_compile()
+    if why:
+        print(f"circle2d: updates run in eager PyTorch, half as fast: {why}", file=sys.stderr)
+    return "eager" if why else "compiled"
 
 
 def parse(options: type, command: str, args: Sequence[str]) -> Any:

@@ -1,6 +1,11 @@
 """What tests of all packages share."""
 
+import os
+
 import pytest
+
+# Compiling takes longer than most tests; those of compiled code take it back.
+os.environ.setdefault("TORCH_COMPILE_DISABLE", "1")
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from agents.bench.presets import preset
 from agents.errors import UserError
-from agents.runs.config import FAILURE, TrainConfig, run_folder
+from agents.runs.config import FAILURE, Backend, Device, TrainConfig, run_folder
 from agents.runs.files import read_json
 from agents.runs.tasks import sizes_of
 from agents.runs.workers import Group, share_done
@@ -43,6 +43,8 @@ def grid(
     algorithms: Sequence[str],
     seeds: Sequence[int],
     steps: int,
+    backend: Backend = "eager",
+    device: Device = "cpu",
 ) -> dict[Path, TrainConfig]:
     """The runs of every algorithm on every task with its preset, by folder; what takes longest
     first. The seeds of a folder train in lockstep. Raises UserError for what is unknown."""
@@ -56,6 +58,8 @@ def grid(
             preset(name, task),
             # Twenty checkpoints at the most: those of a long off-policy training hold gigabytes.
             checkpoint_every=max(50_000, steps // 20),
+            backend=backend,
+            device=device,
         )
         for name in order
         for task in dict.fromkeys(tasks)

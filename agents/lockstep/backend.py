@@ -6,6 +6,7 @@ import ctypes
 import functools
 import os
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -13,6 +14,8 @@ from typing import ParamSpec, TypeVar
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+
+from agents.errors import UserError
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -24,19 +27,44 @@ _compiles = False
 """Whether functions marked `compiled` are; as `configure` was last told."""
 
 
-def configure(compiles: bool = False) -> None:
+class CompileClock:
+    """How long this process has been compiling, for those who show progress."""
+
+    def __init__(self) -> None:
+        self.began: float | None = None
+        """When the compilation that goes on began, `time.monotonic`; None where none does."""
+        self.seconds = 0.0
+        """Seconds of those that are over."""
+
+    def start(self, _: object) -> None:
+        self.began = time.monotonic()
+
+    def stop(self, _: object) -> None:
+        if self.began is not None:
+            self.seconds += time.monotonic() - self.began
+        self.began = None
+
+
+CLOCK = CompileClock()
+
+
+def configure(compiles: bool = False, device: str = "cpu") -> None:
     """Prepare this process for training: one thread, kept memory, the faster matrix products.
 
-    compiles: run what is marked `compiled` as compiled code from now on. One thread a process,
-    since lockstep runs fill a core and processes fill the others.
+    compiles: run what is marked `compiled` as compiled code from now on; device: "cpu" or "cuda",
+    where new tensors go. One thread a process, since lockstep runs fill a core and processes fill
+    the others. Raises UserError where torch sees no such device or cannot compile.
     """
     global _compiles
+    if device != "cpu" and not torch.cuda.is_available():
+        raise UserError(f"device {device!r}: torch {torch.__version__} sees no GPU; 'cpu' is there")
     torch.set_num_threads(1)
+    torch.set_default_device(device if device != "cpu" else None)
     _keep_freed_memory()
     _use_onednn_products()
+    if compiles and (why := cannot_compile()):
+        raise UserError(f"backend 'compiled' cannot be had here ({why}); 'eager' can")
     _compiles = compiles
-    if compiles:
-        _keep_compiled_code()
 
 
 def tensor(array: NDArray) -> Tensor:
@@ -73,6 +101,8 @@ def compiled(function: Callable[P, T]) -> Callable[P, T]:
 @functools.cache
 def cannot_compile() -> str:
     """Why this machine cannot compile, in a line; empty where it can. Found by trying."""
+    if os.environ.get("TORCH_COMPILE_DISABLE", "0") != "0":
+        return "TORCH_COMPILE_DISABLE is set"
     _keep_compiled_code()
     try:
         torch.compile(lambda x: 2.0 * x, fullgraph=True)(torch.ones(32))
@@ -81,14 +111,18 @@ def cannot_compile() -> str:
     return ""
 
 
+@functools.cache
 def _keep_compiled_code() -> None:
     """Keep compiled code between processes, where it outlasts a restart of the machine, and for as
     many sets of shapes as a process meets."""
-    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(Path(cache) / "circle2d-mj"))
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache / "circle2d-mj"))
     import torch._dynamo  # here, since it takes a second
+    from torch._dynamo.callback import callback_handler
 
     torch._dynamo.config.recompile_limit = 1024
+    callback_handler.register_start_callback(CLOCK.start)
+    callback_handler.register_end_callback(CLOCK.stop)
 
 
 def _keep_freed_memory() -> None:

@@ -8,13 +8,15 @@ import platform
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 from agents.algorithms import algorithm
 from agents.errors import UserError, check_choice, check_integers
 from agents.runs.files import read_json, write_json
 from agents.runs.tasks import Vectorization, is_native, sizes_of
 
+Backend = Literal["compiled", "eager"]
+Device = Literal["cpu", "cuda"]
 PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
 FAILURE = "failed.json"
 """In the folder of a run that stopped at a number which is not finite: the step it had come to."""
@@ -39,6 +41,11 @@ class TrainConfig:
     """How environments run side by side: see `make_envs`."""
     tensorboard: bool = False
     """Whether to write TensorBoard event files too."""
+    backend: Backend = "eager"
+    """How updates run: as compiled code, or operation by operation. Results differ in their last
+    bits, and so, in the end, in where chaos leads."""
+    device: Device = "cpu"
+    """Where updates run."""
 
     def __post_init__(self) -> None:
         expected = algorithm(self.algorithm).config
@@ -49,6 +56,8 @@ class TrainConfig:
             )
         check_integers(self, "steps", "checkpoint_every", low=1)
         check_choice(self, "vectorization", *get_args(Vectorization))
+        check_choice(self, "backend", *get_args(Backend))
+        check_choice(self, "device", *get_args(Device))
         if not isinstance(self.seeds, tuple) or not all(type(seed) is int for seed in self.seeds):
             raise UserError(f"seeds must be a tuple of integers, got {self.seeds!r}")
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):

@@ -9,8 +9,17 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
 
+from agents.lockstep import backend
 from agents.runs.config import TrainConfig
 from agents.runs.train import OnEpoch, Training
 
@@ -30,13 +39,14 @@ def show_progress(configs: dict[Path, TrainConfig]) -> Iterator[OnEpoch]:
     started = shown = time.monotonic()
     first: int | None = None
     percent = -1
+    compiled = compiled_before = backend.CLOCK.seconds
     with contextlib.ExitStack() as stack:
         logs = [stack.enter_context((folder / "timing.log").open("a")) for folder in configs]
         bar, title = stack.enter_context(_bar(console)), _title(list(configs.values()))
         task = bar.add_task(title, total=total_steps, speed="", recent="")
 
         def on_epoch(trainings: Sequence[Training]) -> None:
-            nonlocal first, shown, percent
+            nonlocal first, shown, percent, compiled
             taken = np.concatenate([training.steps for training in trainings])
             failed = np.concatenate([training.failed for training in trainings])
             now, total = time.monotonic(), int(taken.sum())
@@ -47,7 +57,15 @@ def show_progress(configs: dict[Path, TrainConfig]) -> Iterator[OnEpoch]:
             if now - shown < EVERY_SECONDS and not done and not due:
                 return
             shown = now
-            speed = f"{(total - first) / max(now - started, 1e-9):,.0f} steps/s"
+            if backend.CLOCK.seconds > compiled:
+                compiled = backend.CLOCK.seconds
+                line = f"{title}: compiled in {compiled - compiled_before:.0f} s"
+                for log in logs:
+                    print(line, file=log, flush=True)
+                if not console.is_terminal:
+                    print(line, file=console.file, flush=True)
+            training_for = now - started - (compiled - compiled_before)
+            speed = f"{(total - first) / max(training_for, 1e-9):,.0f} steps/s"
             returns, cost = np.mean([training.log.recent() for training in trainings], axis=0)
             recent = f"return {returns:.2f}, cost {cost:.2f}"
             bar.update(task, completed=steps, speed=speed, recent=recent)
@@ -68,11 +86,20 @@ def _title(configs: Sequence[TrainConfig]) -> str:
     return f"{configs[0].algorithm} {tasks} x {sum(len(config.seeds) for config in configs)}"
 
 
+class _Compiling(ProgressColumn):
+    """Says that, and since when, the compiler works; nothing otherwise."""
+
+    def render(self, task: Task) -> Text:
+        began = backend.CLOCK.began
+        return Text("" if began is None else f"compiling, {time.monotonic() - began:.0f} s")
+
+
 def _bar(console: Console) -> Progress:
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.percentage:.0f} %"),
+        _Compiling(),
         TextColumn("{task.fields[speed]}"),
         TextColumn("{task.fields[recent]}"),
         TimeRemainingColumn(),

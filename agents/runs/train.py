@@ -195,10 +195,11 @@ def train(*folders: Path, on_epoch: OnEpoch = lambda trainings: None) -> list[Tr
     with an evaluation over 100 episodes. `on_epoch` is called after every epoch, to show progress.
     Raises UserError where folders cannot train together, or are being trained in.
     """
-    backend.configure()
     configs = {folder: TrainConfig.read(folder) for folder in folders}
     if len(configs) > 1:
         check_together(configs)
+    one = next(iter(configs.values()))
+    backend.configure(one.backend == "compiled", one.device)
     with contextlib.ExitStack() as stack:
         for folder in configs:
             stack.enter_context(locked(folder))
