@@ -109,12 +109,13 @@ def collect(
             raise UserError(f"an episode of {envs} has not ended after {MAX_STEPS} steps")
         with np.errstate(over="ignore", invalid="ignore"):  # found by the next line
             action = act(observation)
-        finite = np.all(np.isfinite(action), axis=-1)
-        if not finite.all():
+        if not np.isfinite(action).all():
+            finite = np.isfinite(action).all(axis=-1)
             diverged |= running & ~finite
             running &= finite
             action = np.where(finite[:, None], action, np.float32(0.0))
-        following, reward, terminated, truncated, info = envs.step(np.clip(action, -1.0, 1.0))
+        clipped = np.minimum(np.maximum(action, -1.0), 1.0)  # `clip` takes twice as long
+        following, reward, terminated, truncated, info = envs.step(clipped)
         require_cost(envs, info)
         following = np.asarray(following, dtype=np.float32)
         steps.append((observation, action, reward, info["cost"], following, terminated, truncated))

@@ -36,4 +36,5 @@ def act(outputs: NDArray[np.float32], noise: NDArray[np.float32] | None) -> NDAr
     mean, log_std = outputs[..., :half], outputs[..., half:]
     if noise is None:
         return np.tanh(mean)
-    return np.tanh(mean + np.exp(np.clip(log_std, *LOG_STD)) * noise)
+    log_std = np.minimum(np.maximum(log_std, LOG_STD[0]), LOG_STD[1])
+    return np.tanh(mean + np.exp(log_std) * noise)
