@@ -21,6 +21,7 @@ th, td { padding: 0.25rem 0.6rem; text-align: right; white-space: nowrap;
 th:first-child, td:first-child { text-align: left; position: sticky; left: 0; background: #fff; }
 td small { color: #666; } td { vertical-align: top; }
 tr.paper td { color: #777; font-style: italic; }
+td.best { font-weight: 700; } td.best small { font-weight: 400; }
 img, svg { max-width: 100%; height: auto; }
 .note, figcaption { color: #555; font-size: 0.85rem; }
 figure { margin: 1rem 0; }
@@ -71,20 +72,22 @@ def page(title: str, sections: Sequence[Section], made: Mapping[str, str]) -> st
     return "\n".join(parts)
 
 
-def _cell(text: str) -> str:
+def _cell(text: str, best: bool) -> str:
     """A cell; the interval of a mean goes below it."""
     value, bracket, interval = escape(text).partition(" [")
-    return f"<td>{value}" + (f"<br><small>[{interval}</small>" if bracket else "") + "</td>"
+    kind = ' class="best"' if best else ""
+    return f"<td{kind}>{value}" + (f"<br><small>[{interval}</small>" if bracket else "") + "</td>"
 
 
 def _table(table: Table) -> str:
     head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
     rows = []
-    for row in table.rows:
+    for index, row in enumerate(table.rows):
         kind = ' class="paper"' if "paper (" in row[0] else ""
-        rows.append(f"<tr{kind}>" + "".join(map(_cell, row)) + "</tr>")
+        cells = "".join(_cell(t, (index, k) in table.marked) for k, t in enumerate(row))
+        rows.append(f"<tr{kind}>" + cells + "</tr>")
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in table.notes)
     return (
         f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody>'
-        f'</table></div><p class="note">{escape(table.caption)}</p>{notes}'
+        f'</table></div><p class="note">{escape(table.legend)}</p>{notes}'
     )
