@@ -40,8 +40,8 @@ class Section(NamedTuple):
     """PNG files, by title"""
 
 
-def page(title: str, sections: Sequence[Section], made: Mapping[str, str]) -> str:
-    """The page. made: how the numbers came about, by name."""
+def page(title: str, sections: Sequence[Section], made: Mapping[str, str], more: str = "") -> str:
+    """The page. made: how the numbers came about, by name; more: HTML behind the tasks."""
     parts = [
         "<!doctype html>",
         '<html lang="en"><head><meta charset="utf-8">',
@@ -66,6 +66,7 @@ def page(title: str, sections: Sequence[Section], made: Mapping[str, str]) -> st
                 "<figcaption>States visited in the rollouts that dominate EMCC."
                 "</figcaption></figure>"
             )
+    parts.append(more)
     rows = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in made.items())
     parts.append(f"<h2>How it was made</h2><dl>{rows}</dl>")
     parts.append("</body></html>\n")

@@ -7,6 +7,16 @@ from typing import Any
 
 from agents.algorithms import algorithm
 from agents.updates.sac import SACConfig
+from circle2d_mj.config import LEVELS
+
+_SAFETY = ("SafetyPointCircle1-v0", "SafetyPointGoal1-v0", "SafetyHopperVelocity-v1")
+PAPER_STEPS = {f"Circle2D-{level}-v0": 1_000_000 for level in LEVELS} | {
+    f"circle2d_mj/{name}": 10_000_000 for name in _SAFETY
+}
+"""Environment steps of a run, by the id of every task of the paper. Tables HP_Circle2D and
+HP_SafetyGymnasium, total timesteps."""
+PAPER_SEEDS = 3
+"""Runs of an algorithm on a task. Tables Circle2DResults and SafetyGymnasiumResults, captions."""
 
 
 def preset(name: str, task: str) -> Any:

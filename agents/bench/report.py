@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+from agents.bench.claims import check_claims
+from agents.bench.claims_text import claims_html, claims_markdown
 from agents.bench.curves import curves_svg
 from agents.bench.page import Section, page
 from agents.bench.pictures import ALPHA, draw_heatmaps
@@ -16,10 +18,10 @@ from agents.runs.files import read_json, write_whole
 def report(folder: Path, with_figures: bool = False) -> str:
     """The table of every folder of runs at or below `folder`, as Markdown.
 
-    Writes `report.md` and `report.csv` there; with_figures also training curves and heat maps into
-    `pictures`, and `index.html`, which holds everything. Runs that are missing, damaged or
-    unfinished are named below the table and left out of its means; pictures that cannot be drawn
-    are named too. Raises UserError where no run is left.
+    Writes `report.md` and `report.csv` there; with_figures also the paper's claims, training curves
+    and heat maps into `pictures`, and `index.html`, which holds everything. Runs that are missing,
+    damaged or unfinished are named below the table and left out of its means; pictures that cannot
+    be drawn are named too. Raises UserError where no run is left.
     """
     notes: list[str] = []
     groups = read_groups(folder, notes)
@@ -33,6 +35,8 @@ def report(folder: Path, with_figures: bool = False) -> str:
     markdown = "\n".join(table.render("md") for table in tables.values())
     images = []
     if with_figures:
+        checked = check_claims(groups)
+        markdown += "\n" + claims_markdown(checked) if checked else ""
         sections = []
         for task, of_task in by_task.items():
             curves = _curves(task, of_task)
@@ -45,7 +49,10 @@ def report(folder: Path, with_figures: bool = False) -> str:
             images += [f"![Visited states: {path.stem}](<{path}>)" for path in drawn.values()]
             shown = {str(runs): folder / path for runs, path in drawn.items()}
             sections.append(Section(task, tables[task], curves, shown))
-        write_whole(folder / "index.html", page(folder.resolve().name, sections, _made(groups)))
+        write_whole(
+            folder / "index.html",
+            page(folder.resolve().name, sections, _made(groups), claims_html(checked)),
+        )
     write_whole(folder / "report.md", "\n".join([markdown, *images]))
     write_whole(folder / "report.csv", "\n".join(t.render("csv") for t in tables.values()))
     return markdown

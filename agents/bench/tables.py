@@ -12,10 +12,10 @@ import numpy as np
 
 from agents.algorithms import ALGORITHMS, algorithm
 from agents.bench.pictures import ALPHA
-from agents.bench.presets import preset
+from agents.bench.presets import PAPER_SEEDS, preset
 from agents.bench.results import MEASURES, Group, Run
 from agents.runs.config import TrainConfig
-from emcc import estimate
+from emcc import Difference, Estimate, estimate
 from emcc.table import Table
 
 MARKING = (
@@ -41,7 +41,7 @@ def task_table(groups: Sequence[Group]) -> Table:
         if paper:
             papers[len(rows)] = paper, preset(name, task).cost_limit
             cells = [f"{value:.2f}" for value in paper.values()]
-            rows.append([f"{algorithm(name).title}, paper (3 seeds)", *cells, ""])
+            rows.append([f"{algorithm(name).title}, paper ({PAPER_SEEDS} seeds)", *cells, ""])
     marked = {(row, 1 + MEASURES.index(m)) for row, m in best(ours) | best(papers)}
     rows += [row for name in ALGORITHMS for row in run_rows(groups, name)]
     return Table(caption(groups), head, rows, _paper_notes(groups), frozenset(marked), MARKING)
@@ -102,18 +102,26 @@ def run_rows(groups: Sequence[Group], name: str, prefix: str = "") -> Iterator[l
 
 def mean_cell(values: Sequence[float]) -> str:
     """A mean over seeds as text, with its 95 % bootstrap interval where there are several."""
-    mean = estimate({"": values}, rng=np.random.default_rng(0))[""]
-    interval = "" if mean.low is None else f" [{mean.low:.2f}, {mean.high:.2f}]"
-    return f"{mean.value:.2f}{interval}"
+    return _estimate_cell(estimate({"": values}, rng=np.random.default_rng(0))[""], "")
+
+
+def difference_cell(difference: Difference) -> str:
+    """A difference of means as text, with its interval where there are several seeds."""
+    return _estimate_cell(difference, "+")
+
+
+def _estimate_cell(found: Estimate | Difference, sign: str) -> str:
+    interval = "" if found.low is None else f" [{found.low:{sign}.2f}, {found.high:{sign}.2f}]"
+    return f"{found.value:{sign}.2f}{interval}"
 
 
 def title_of(config: TrainConfig) -> str:
     """The algorithm, with what differs from the preset and from the task as it is registered."""
-    inside = ", ".join(f"{k} {v}" for k, v in _changes(config).items())
+    inside = ", ".join(f"{k} {v}" for k, v in changes(config).items())
     return algorithm(config.algorithm).title + (f" ({inside})" if inside else "")
 
 
-def _changes(config: TrainConfig) -> dict[str, Any]:
+def changes(config: TrainConfig) -> dict[str, Any]:
     """What differs from the preset and from the task as it is registered."""
     usual = dataclasses.asdict(preset(config.algorithm, config.task))
     chosen = dataclasses.asdict(config.hyperparameters)
@@ -145,13 +153,13 @@ def _paper_notes(groups: Sequence[Group]) -> list[str]:
         "the last step of an episode counts as terminal": [
             config
             for config in configs
-            if "time_limit" not in _changes(config)
+            if "time_limit" not in changes(config)
             and config.hyperparameters.time_limit == "terminal"
         ],
         "the multiplier ascends by Adam": [
             config
             for config in configs
-            if "multiplier_optimizer" not in _changes(config) and config.algorithm == "trpo-lag"
+            if "multiplier_optimizer" not in changes(config) and config.algorithm == "trpo-lag"
         ],
     }
     titles = {
