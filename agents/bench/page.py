@@ -25,7 +25,7 @@ td.best { font-weight: 700; } td.best small { font-weight: 400; }
 img, svg { max-width: 100%; height: auto; }
 .note, figcaption { color: #555; font-size: 0.85rem; }
 figure { margin: 1rem 0; }
-dt { font-weight: 600; } dd { margin: 0 0 0.5rem 0; }
+dt { font-weight: 600; } dd { margin: 0 0 0.5rem 0; white-space: pre-line; }
 """
 
 

@@ -10,9 +10,10 @@ from agents.bench.claims_text import claims_html, claims_markdown
 from agents.bench.curves import curves_svg
 from agents.bench.page import Section, page
 from agents.bench.pictures import ALPHA, draw_heatmaps
+from agents.bench.provenance import made
 from agents.bench.results import Group, read_groups
 from agents.bench.tables import task_table, title_of
-from agents.runs.files import read_json, write_whole
+from agents.runs.files import write_whole
 
 
 def report(folder: Path, with_figures: bool = False) -> str:
@@ -51,7 +52,7 @@ def report(folder: Path, with_figures: bool = False) -> str:
             sections.append(Section(task, tables[task], curves, shown))
         write_whole(
             folder / "index.html",
-            page(folder.resolve().name, sections, _made(groups), claims_html(checked)),
+            page(folder.resolve().name, sections, made(folder, groups), claims_html(checked)),
         )
     write_whole(folder / "report.md", "\n".join([markdown, *images]))
     write_whole(folder / "report.csv", "\n".join(t.render("csv") for t in tables.values()))
@@ -72,19 +73,3 @@ def _curves(task: str, groups: list[Group]) -> str:
         limits.pop() if len(limits) == 1 else None,
         ALPHA,
     )
-
-
-def _made(groups: list[Group]) -> dict[str, str]:
-    """How the numbers came about."""
-    versions = {
-        f"{name} {version}"
-        for group in groups
-        for name, version in read_json(group.folder / "config.json").get("versions", {}).items()
-    }
-    return {
-        "command": "circle2d train, or reproduce; circle2d report",
-        "versions": ", ".join(sorted(versions)),
-        "runs": str(sum(len(group.runs) for group in groups)),
-        "seeds": ", ".join(map(str, sorted({s for g in groups for s in g.config.seeds}))),
-        "steps": ", ".join(f"{s:,}" for s in sorted({g.config.steps for g in groups})),
-    }

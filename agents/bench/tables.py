@@ -123,9 +123,14 @@ def title_of(config: TrainConfig) -> str:
 
 def changes(config: TrainConfig) -> dict[str, Any]:
     """What differs from the preset and from the task as it is registered."""
+    return hyperparameter_changes(config) | config.task_parameters
+
+
+def hyperparameter_changes(config: TrainConfig) -> dict[str, Any]:
+    """The hyper-parameters that differ from the preset."""
     usual = dataclasses.asdict(preset(config.algorithm, config.task))
     chosen = dataclasses.asdict(config.hyperparameters)
-    return {k: v for k, v in chosen.items() if v != usual[k]} | config.task_parameters
+    return {k: v for k, v in chosen.items() if v != usual[k]}
 
 
 def paper_results(task: str, title: str) -> dict[str, float]:
