@@ -30,14 +30,13 @@ def made(folder: Path, groups: Sequence[Group]) -> dict[str, str]:
         for of in contents
         if "machine" in of
     }
-    seconds = seconds_trained(group.folder for group in groups)
     told = {
         "command": "\n".join(
             command(group.config, _name(folder, group.folder)) for group in groups
         ),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
-        "training time": "" if seconds is None else f"{duration(seconds)}, all processes together",
+        "training time": _training_time([group.folder for group in groups]),
         "runs": str(sum(len(group.runs) for group in groups)),
         "seeds": _list(seed for group in groups for seed in group.config.seeds),
         "steps": _list(group.config.steps for group in groups),
@@ -64,6 +63,15 @@ def duration(seconds: int) -> str:
     if seconds < 100:
         return f"{seconds} s"
     return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"
+
+
+def _training_time(folders: Sequence[Path]) -> str:
+    logged = [folder for folder in folders if (folder / "timing.log").exists()]
+    seconds = seconds_trained(logged)
+    if seconds is None:
+        return ""
+    of = "" if logged == folders else f", of {len(logged)} of {len(folders)} folders"
+    return f"{duration(seconds)}, all processes together{of}"
 
 
 def _content(folder: Path) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+from agents.bench import ablations
 from agents.bench.claims import check_claims
 from agents.bench.claims_text import claims_html, claims_markdown
 from agents.bench.curves import curves_svg
@@ -25,7 +26,8 @@ def report(folder: Path, with_figures: bool = False) -> str:
     be drawn are named too. Raises UserError where no run is left.
     """
     notes: list[str] = []
-    groups = read_groups(folder, notes)
+    everything = read_groups(folder, notes)
+    groups, ablated = ablations.split(everything)
     tasks = list(dict.fromkeys(group.config.task for group in groups))
     by_task = {task: [g for g in groups if g.config.task == task] for task in tasks}
     complete = {g.folder: tuple(run.seed for run in g.runs) for g in groups if g.runs}
@@ -33,6 +35,8 @@ def report(folder: Path, with_figures: bool = False) -> str:
     tables = {task: task_table(of_task) for task, of_task in by_task.items()}
     last = tables[tasks[-1]]
     tables[tasks[-1]] = dataclasses.replace(last, notes=[*last.notes, *notes])
+    if ablated:
+        tables[ablations.TITLE] = ablations.ablation_table(ablated)
     markdown = "\n".join(table.render("md") for table in tables.values())
     images = []
     if with_figures:
@@ -50,10 +54,10 @@ def report(folder: Path, with_figures: bool = False) -> str:
             images += [f"![Visited states: {path.stem}](<{path}>)" for path in drawn.values()]
             shown = {str(runs): folder / path for runs, path in drawn.items()}
             sections.append(Section(task, tables[task], curves, shown))
-        write_whole(
-            folder / "index.html",
-            page(folder.resolve().name, sections, made(folder, groups), claims_html(checked)),
-        )
+        if ablated:
+            sections.append(Section(ablations.TITLE, tables[ablations.TITLE], "", {}))
+        title, how = folder.resolve().name, made(folder, everything)
+        write_whole(folder / "index.html", page(title, sections, how, claims_html(checked)))
     write_whole(folder / "report.md", "\n".join([markdown, *images]))
     write_whole(folder / "report.csv", "\n".join(t.render("csv") for t in tables.values()))
     return markdown

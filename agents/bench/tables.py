@@ -12,7 +12,7 @@ import numpy as np
 
 from agents.algorithms import ALGORITHMS, algorithm
 from agents.bench.pictures import ALPHA
-from agents.bench.presets import PAPER_SEEDS, preset
+from agents.bench.presets import PAPER_SEEDS, inferred, preset
 from agents.bench.results import MEASURES, Group, Run
 from agents.runs.config import TrainConfig
 from emcc import Difference, Estimate, estimate
@@ -153,23 +153,10 @@ def _as_meant(task: str, title: str, measure: str, value: float) -> float:
 
 def _paper_notes(groups: Sequence[Group]) -> list[str]:
     """What in our presets the paper does not print, where it matters."""
-    configs = [g.config for g in groups if "Circle2D-" in g.config.task]
-    choices = {
-        "the last step of an episode counts as terminal": [
-            config
-            for config in configs
-            if "time_limit" not in changes(config)
-            and config.hyperparameters.time_limit == "terminal"
-        ],
-        "the multiplier ascends by Adam": [
-            config
-            for config in configs
-            if "multiplier_optimizer" not in changes(config) and config.algorithm == "trpo-lag"
-        ],
-    }
-    titles = {
-        choice: dict.fromkeys(algorithm(config.algorithm).title for config in chosen)
-        for choice, chosen in choices.items()
-    }
-    inferred = "That the paper did so is inferred from its results, not printed."
-    return [f"{', '.join(of)}: {choice}. {inferred}" for choice, of in titles.items() if of]
+    titles: dict[str, dict[str, None]] = {}
+    for config in (group.config for group in groups if "Circle2D-" in group.config.task):
+        setting = inferred(config.algorithm)
+        if setting and getattr(config.hyperparameters, setting.field) == setting.choices[0]:
+            titles.setdefault(setting.meaning, {})[algorithm(config.algorithm).title] = None
+    told = "That the paper did so is inferred from its results, not printed."
+    return [f"{', '.join(of)}: {meaning}. {told}" for meaning, of in titles.items()]

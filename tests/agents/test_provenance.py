@@ -84,6 +84,8 @@ def test_what_is_told(tmp_path):
     content = (tmp_path / "cpo" / "config.json").read_text().replace('"machine"', '"versions"')
     (tmp_path / "cpo" / "config.json").write_text(content)
     (tmp_path / "cpo" / "timing.log").unlink()
+    told = made(tmp_path, groups)["training time"]
+    assert told == "5 min, all processes together, of 1 of 2 folders"
     assert made(tmp_path, groups[:1]).keys() == {"command", "versions", "runs", "seeds", "steps"}
 
 
