@@ -1,5 +1,5 @@
-"""The command `circle2d`: train, resume, evaluate, report; `cli_grid` and `cli_pictures` hold the
-others."""
+"""The command `circle2d`: train, resume, evaluate, report; `cli_compare`, `cli_grid` and
+`cli_pictures` hold the others."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from agents.algorithms import ALGORITHMS, algorithm
 from agents.bench.hyperparameters import explain_all
 from agents.bench.presets import preset
 from agents.bench.report import report
+from agents.cli_compare import run_compare
 from agents.cli_grid import run_reproduce
 from agents.cli_pictures import run_heatmap, run_render, run_scene
 from agents.errors import UserError
@@ -38,6 +39,7 @@ usage: circle2d COMMAND ...
   evaluate   play episodes with trained policies
   reproduce  run the paper's experiments, or a part of them, and report
   report     tables, training curves and heat maps of trained runs
+  compare    two sets of runs side by side, with the differences
   heatmap    draw which states were visited in training
   render     draw episodes of a trained policy: PNG, GIF, MP4
   scene      print the MuJoCo scene of a task (MJCF)
@@ -116,14 +118,14 @@ def run_train(args: Sequence[str]) -> int:
         return 0
     options = parse(_train_options(config), "train", args)
     values = {f.name: getattr(options, f.name) for f in dataclasses.fields(TrainOptions)}
-    folder = values.pop("out")
+    folder, choice = values.pop("out"), values.pop("backend")
     values["task_parameters"] = {k: _literal(v) for k, v in values["task_parameters"].items()}
-    values["backend"] = chosen_backend(options.backend)
     config = TrainConfig(**values, hyperparameters=options.hyperparameters)
     check_task(config.task, config.task_parameters)  # before anything is written
     if config.tensorboard:
         require_tensorboard()
-    config.write(folder)
+    # Last, since it may have to compile something, or something to say.
+    dataclasses.replace(config, backend=chosen_backend(choice)).write(folder)
     return _train(folder)
 
 
@@ -165,6 +167,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "resume": run_resume,
     "evaluate": run_evaluate,
     "report": run_report,
+    "compare": run_compare,
     "reproduce": run_reproduce,
     "heatmap": run_heatmap,
     "render": run_render,

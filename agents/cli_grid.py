@@ -46,6 +46,9 @@ class ReproduceOptions:
     """Run Circle2D with MuJoCo's physics instead of the kinematic mode."""
     tasks: tuple[str, ...] = ()
     """Ids of other tasks to run instead, such as circle2d_mj/SafetyPointGoal1-v0."""
+    ablations: bool = False
+    """Run the other choice of the two settings that are inferred, not printed, as well: the
+    multiplier's optimiser of TRPO-Lag, and what a time limit is to the off-policy algorithms."""
     seeds: tuple[int, ...] | None = None
     """Seeds of each algorithm and task; by default 0 1 2."""
     steps: int | None = None
@@ -74,7 +77,14 @@ def run_reproduce(args: Sequence[str]) -> int:
         steps = grid.QUICK_STEPS if options.quick else grid.STEPS
     backend = chosen_backend(options.backend or ("eager" if options.quick else "auto"))
     configs = grid.grid(
-        options.out, tasks, options.algorithms, seeds, steps, backend, options.device
+        options.out,
+        tasks,
+        options.algorithms,
+        seeds,
+        steps,
+        backend,
+        options.device,
+        options.ablations,
     )
     grid.prepare(configs)
     with locked(options.out), _ended_by_signals():

@@ -8,7 +8,7 @@ Arrays in, numbers or frozen dataclasses out. numpy is all it imports; gymnasium
 
 from typing import TYPE_CHECKING, Any
 
-from emcc.interval import Estimate, estimate
+from emcc.interval import Difference, Estimate, difference, estimate
 from emcc.parts import cost_rate, emcc_by_part
 from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords
@@ -20,11 +20,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CostRecorder",
+    "Difference",
     "EpisodeRecords",
     "Estimate",
     "RecordCosts",
     "cost_rate",
     "cvar",
+    "difference",
     "emcc",
     "emcc_by_part",
     "estimate",

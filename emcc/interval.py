@@ -23,6 +23,18 @@ class Estimate:
     per_run: NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Difference:
+    """A difference of two means over runs with its interval; the unit is that of the values.
+
+    low and high are None where either side has only one seed.
+    """
+
+    value: float
+    low: float | None
+    high: float | None
+
+
 def estimate(
     results: Mapping[str, ArrayLike],
     *,
@@ -38,16 +50,43 @@ def estimate(
     TypeError: `rng` is no numpy Generator. ValueError: no values, NaN or infinite ones, values that
     are not 1-D or 2-D, level outside (0, 1).
     """
+    _check(rng, level, resamples)
+    return {
+        name: _estimate(_as_runs(values, name), rng, level, resamples)
+        for name, values in results.items()
+    }
+
+
+def difference(
+    first: ArrayLike,
+    second: ArrayLike,
+    *,
+    rng: np.random.Generator,
+    level: float = 0.95,
+    resamples: int = 10_000,
+) -> Difference:
+    """The mean of `second` minus the mean of `first`, with a percentile bootstrap interval.
+
+    first, second: values of independent runs, [seeds] or [seeds, tasks] as in `estimate`; the two
+    may differ in their seeds. The seeds of either side are resampled independently of the other's.
+    level, resamples and errors: as in `estimate`.
+    """
+    _check(rng, level, resamples)
+    sides = _as_runs(first, "first"), _as_runs(second, "second")
+    value = float(sides[1].mean() - sides[0].mean())
+    if min(map(len, sides)) == 1:
+        return Difference(value, None, None)
+    before, after = (_resampled_means(side, rng, resamples) for side in sides)
+    return Difference(value, *_interval(after - before, level))
+
+
+def _check(rng: np.random.Generator, level: float, resamples: int) -> None:
     if not isinstance(rng, np.random.Generator):
         raise TypeError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
     level = as_number(level, "level")
     if not 0 < level < 1:
         raise ValueError(f"level must be in (0, 1), got {level}")
     as_count(resamples, "resamples")
-    return {
-        name: _estimate(_as_runs(values, name), rng, level, resamples)
-        for name, values in results.items()
-    }
 
 
 def _as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
@@ -66,12 +105,24 @@ def _as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
 def _estimate(
     runs: NDArray[np.float64], rng: np.random.Generator, level: float, resamples: int
 ) -> Estimate:
-    value, seeds = float(runs.mean()), len(runs)
-    if seeds == 1:
-        return Estimate(value, None, None, runs)
+    if len(runs) == 1:
+        return Estimate(float(runs.mean()), None, None, runs)
+    means = _resampled_means(runs, rng, resamples)
+    return Estimate(float(runs.mean()), *_interval(means, level), runs)
+
+
+def _resampled_means(
+    runs: NDArray[np.float64], rng: np.random.Generator, resamples: int
+) -> NDArray[np.float64]:
+    """[resamples], means over seeds drawn with replacement, in each task anew."""
+    seeds = len(runs)
     tasks = runs.reshape(seeds, -1).T
     means = np.zeros(resamples)
     for task in tasks:
         means += task[rng.integers(seeds, size=(resamples, seeds))].mean(axis=1)
-    low, high = np.quantile(means / len(tasks), [(1 - level) / 2, (1 + level) / 2])
-    return Estimate(value, float(low), float(high), runs)
+    return means / len(tasks)
+
+
+def _interval(means: NDArray[np.float64], level: float) -> tuple[float, float]:
+    low, high = np.quantile(means, [(1 - level) / 2, (1 + level) / 2])
+    return float(low), float(high)

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +27,15 @@ class Table:
     head: list[str]
     rows: list[list[str]]
     notes: list[str]
+    marked: frozenset[tuple[int, int]] = frozenset()
+    """Row and column of the cells whose value stands out: bold in Markdown, as ever elsewhere."""
+    marking: str = ""
+    """What a mark says."""
+
+    @property
+    def legend(self) -> str:
+        """The caption, and what a mark says where there are marks."""
+        return self.caption + (f"; bold: {self.marking}" if self.marked else "")
 
     def render(self, form: str) -> str:
         """Lines of aligned text, Markdown, or CSV whose comment lines begin with '#'."""
@@ -37,7 +47,7 @@ class Table:
             return "\n".join([*comments, body.getvalue()])
         lines = [self.head, *self.rows]
         if form == "md":
-            lines.insert(1, ["---"] * len(self.head))
+            lines = [self.head, ["---"] * len(self.head), *self._bold_rows()]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         padded = [
             [cell.ljust(width) for cell, width in zip(line, widths, strict=True)] for line in lines
@@ -48,7 +58,17 @@ class Table:
         else:
             body = ["  ".join(line).rstrip() for line in padded]
             notes = ["", *notes] if notes else []
-        return "\n".join([self.caption, "", *body, *notes, ""])
+        return "\n".join([self.legend if form == "md" else self.caption, "", *body, *notes, ""])
+
+    def _bold_rows(self) -> list[list[str]]:
+        """The rows with marked values in bold; the interval behind a value is not."""
+        return [
+            [
+                re.sub(r"^(\S+)", r"**\1**", cell) if (row, column) in self.marked else cell
+                for column, cell in enumerate(cells)
+            ]
+            for row, cells in enumerate(self.rows)
+        ]
 
 
 def emcc_table(

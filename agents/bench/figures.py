@@ -67,7 +67,7 @@ def figures(groups: Sequence[Group], notes: list[str]) -> list[Figure]:
     )
     if not groups:
         return []
-    drawn = [_curves(groups)]
+    drawn = [curves([(title_of(group.config), group) for group in groups])]
     if _task(groups[0]):
         drawn += [shown for shown in (_heatmaps(groups, notes), _trained(groups, notes)) if shown]
     return drawn
@@ -86,17 +86,19 @@ def _file(kind: str, groups: Sequence[Group], suffix: str) -> str:
     return f"{kind}-{groups[0].config.task.replace('/', '-')}.{suffix}"
 
 
-def _curves(groups: Sequence[Group]) -> Figure:
+def curves(named: Sequence[tuple[str, Group]]) -> Figure:
+    """Training curves of groups on one task, each with what it is called."""
+    groups = [group for _, group in named]
     limits = {group.config.hyperparameters.cost_limit for group in groups}
     limit = limits.pop() if len(limits) == 1 else None
     lines = [
         Line(
-            title_of(group.config),
+            name,
             list(ALGORITHMS).index(group.config.algorithm),
             [run.records for run in group.runs],
             group.config.steps,
         )
-        for group in groups
+        for name, group in named
     ]
     svg = curves_svg(groups[0].config.task, lines, limit, ALPHA)
     words = (

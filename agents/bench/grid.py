@@ -7,7 +7,7 @@ from itertools import pairwise
 from math import ceil
 from pathlib import Path
 
-from agents.bench.presets import preset
+from agents.bench.presets import ablation, preset
 from agents.errors import UserError
 from agents.runs.config import FAILURE, Backend, Device, TrainConfig, run_folder
 from agents.runs.files import read_json
@@ -45,25 +45,28 @@ def grid(
     steps: int,
     backend: Backend = "eager",
     device: Device = "cpu",
+    ablations: bool = False,
 ) -> dict[Path, TrainConfig]:
     """The runs of every algorithm on every task with its preset, by folder; what takes longest
-    first. The seeds of a folder train in lockstep. Raises UserError for what is unknown."""
+    first. The seeds of a folder train in lockstep.
+
+    ablations: those with the other choice of what is inferred in a preset as well, in folders like
+    trpo-lag-sgd. Raises UserError for what is unknown.
+    """
     order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, max(WORK.values())))
-    return {
-        out / task.replace("/", "-") / name: TrainConfig(
-            name,
-            task,
-            tuple(seeds),
-            steps,
-            preset(name, task),
-            # Twenty checkpoints at the most: those of a long off-policy training hold gigabytes.
-            checkpoint_every=max(50_000, steps // 20),
-            backend=backend,
-            device=device,
-        )
-        for name in order
-        for task in dict.fromkeys(tasks)
-    }
+    # Twenty checkpoints at the most: those of a long off-policy training hold gigabytes.
+    common = {"checkpoint_every": max(50_000, steps // 20), "backend": backend, "device": device}
+    found = {}
+    for name in order:
+        for task in dict.fromkeys(tasks):
+            chosen = {name: preset(name, task)}
+            other = ablation(name, task) if ablations else None
+            if other:
+                chosen[f"{name}-{other[0]}"] = other[1]
+            for folder, hyperparameters in chosen.items():
+                config = TrainConfig(name, task, tuple(seeds), steps, hyperparameters, **common)
+                found[out / task.replace("/", "-") / folder] = config
+    return found
 
 
 def prepare(folders: dict[Path, TrainConfig]) -> None:

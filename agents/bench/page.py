@@ -25,9 +25,10 @@ th, td { padding: 0.3rem 0.6rem; text-align: right; white-space: nowrap;
 th:first-child, td:first-child { text-align: left; position: sticky; left: 0; background: #fff; }
 td small { color: #595959; }
 tr.paper td { color: #595959; font-style: italic; }
+td.best { font-weight: 700; } td.best small { font-weight: 400; }
 figure { margin: 0; } figcaption, .note { color: #444; font-size: 0.9rem; max-width: 60rem; }
 img { display: block; max-width: 100%; height: auto; }
-dt { font-weight: 600; } dd { margin: 0 0 0.5rem 0; }
+dt { font-weight: 600; } dd { margin: 0 0 0.5rem 0; white-space: pre-line; }
 @media (max-width: 40rem) { td:first-child { white-space: normal; min-width: 6.5rem; }
   img { max-width: none; zoom: 0.6; } }
 """
@@ -40,6 +41,8 @@ class Section(NamedTuple):
     title: str
     tables: Sequence[Table]
     figures: Sequence[Figure]
+    text: str = ""
+    """HTML, above both"""
 
 
 def page(title: str, sections: Sequence[Section], made: Mapping[str, str]) -> str:
@@ -72,7 +75,7 @@ def _id(title: str) -> str:
 
 def _section(section: Section) -> str:
     name = _id(section.title)
-    parts = [f'<section id="{name}"><h2>{escape(section.title)}</h2>']
+    parts = [f'<section id="{name}"><h2>{escape(section.title)}</h2>', section.text]
     parts += map(_table, section.tables)
     parts += [_figure(shown, section.title) for shown in section.figures]
     return "\n".join([*parts, "</section>"])
@@ -90,20 +93,22 @@ def _figure(shown: Figure, of: str) -> str:
     )
 
 
-def _cell(text: str) -> str:
+def _cell(text: str, best: bool) -> str:
     """A cell; the interval of a mean goes below it."""
     value, bracket, interval = escape(text).partition(" [")
-    return f"<td>{value}" + (f"<br><small>[{interval}</small>" if bracket else "") + "</td>"
+    kind = ' class="best"' if best else ""
+    return f"<td{kind}>{value}" + (f"<br><small>[{interval}</small>" if bracket else "") + "</td>"
 
 
 def _table(table: Table) -> str:
     head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
     rows = []
-    for row in table.rows:
+    for index, row in enumerate(table.rows):
         kind = ' class="paper"' if "paper (" in row[0] else ""
-        rows.append(f"<tr{kind}>" + "".join(map(_cell, row)) + "</tr>")
+        cells = "".join(_cell(t, (index, k) in table.marked) for k, t in enumerate(row))
+        rows.append(f"<tr{kind}>" + cells + "</tr>")
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in table.notes)
     return (
         f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody>'
-        f'</table></div><p class="note">{escape(table.caption)}</p>{notes}'
+        f'</table></div><p class="note">{escape(table.legend)}</p>{notes}'
     )

@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from agents.algorithms import algorithm
 from agents.updates.sac import SACConfig
+from circle2d_mj.config import LEVELS
+
+_SAFETY = ("SafetyPointCircle1-v0", "SafetyPointGoal1-v0", "SafetyHopperVelocity-v1")
+PAPER_STEPS = {f"Circle2D-{level}-v0": 1_000_000 for level in LEVELS} | {
+    f"circle2d_mj/{name}": 10_000_000 for name in _SAFETY
+}
+"""Environment steps of a run, by the id of every task of the paper. Tables HP_Circle2D and
+HP_SafetyGymnasium, total timesteps."""
+PAPER_SEEDS = 3
+"""Runs of an algorithm on a task. Tables Circle2DResults and SafetyGymnasiumResults, captions."""
 
 
 def preset(name: str, task: str) -> Any:
@@ -21,7 +31,7 @@ def preset(name: str, task: str) -> Any:
     if task.startswith("Circle2D"):
         config = replace(config, cost_limit=5.0)  # table Circle2DResults, caption
         if off_policy:
-            # Inferred from the printed results, not printed itself; on-policy methods bootstrap.
+            # See `inferred`; on-policy methods bootstrap.
             config = replace(config, time_limit="terminal")
     elif task.startswith("circle2d_mj/Safety"):
         # Table HP_SafetyGymnasium; the cost limit, 25, is the default.
@@ -30,3 +40,41 @@ def preset(name: str, task: str) -> Any:
         elif task.startswith("circle2d_mj/SafetyPointCircle1"):
             config = replace(config, episodes=20)
     return config
+
+
+class Inferred(NamedTuple):
+    """A hyper-parameter that the paper does not print, and that decides how runs end."""
+
+    field: str
+    choices: tuple[str, str]
+    """The preset's on Circle2D, inferred from the paper's results, and the other one."""
+    meaning: str
+    """Of the preset's choice, in words."""
+
+
+MULTIPLIER = Inferred("multiplier_optimizer", ("adam", "sgd"), "the multiplier ascends by Adam")
+TIME_LIMIT = Inferred(
+    "time_limit", ("terminal", "bootstrap"), "the last step of an episode counts as terminal"
+)
+
+
+def inferred(name: str) -> Inferred | None:
+    """What of an algorithm's preset is inferred; None where nothing is.
+
+    The printed step size of TRPO-Lag's multiplier fits one optimiser or the other; whether step 50
+    ends an episode for good decides where the off-policy methods end up. (The multipliers of
+    SAC-Lag and WCSAC ascend by Adam, as everything else of theirs does.)
+    """
+    if name == "trpo-lag":
+        return MULTIPLIER
+    return TIME_LIMIT if isinstance(algorithm(name).config(), SACConfig) else None
+
+
+def ablation(name: str, task: str) -> tuple[str, Any] | None:
+    """The preset with its inferred hyper-parameter at the other choice, and that choice's name."""
+    setting = inferred(name)
+    if setting is None:
+        return None
+    config = preset(name, task)
+    (other,) = set(setting.choices) - {getattr(config, setting.field)}
+    return other, replace(config, **{setting.field: other})

@@ -6,39 +6,52 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
+from agents.bench import ablations, claims_text
+from agents.bench.claims import check_claims
 from agents.bench.figures import Figure, figures, introduction
 from agents.bench.page import Section, page
+from agents.bench.provenance import made
 from agents.bench.results import Group, read_groups
 from agents.bench.tables import task_table
-from agents.runs.files import read_json, write_whole
+from agents.runs.files import write_whole
 from agents.runs.tasks import circle2d_config
 
 
 def report(folder: Path, with_figures: bool = False) -> str:
     """The table of every folder of runs at or below `folder`, as Markdown.
 
-    Writes `report.md` and `report.csv` there; with_figures also figures into `pictures`, and
-    `index.html`, which holds everything. Runs that are missing, damaged or unfinished are named
-    below the table and left out of its means; figures that cannot be drawn are named too. Raises
-    UserError where no run is left.
+    Writes `report.md` and `report.csv` there; with_figures also the paper's claims, figures into
+    `pictures`, and `index.html`, which holds everything. Runs that are missing, damaged or
+    unfinished are named below the table and left out of its means; figures that cannot be drawn are
+    named too. Raises UserError where no run is left.
     """
     notes: list[str] = []
-    groups = read_groups(folder, notes)
+    everything = read_groups(folder, notes)
+    groups, ablated = ablations.split(everything)
     tasks = list(dict.fromkeys(group.config.task for group in groups))
     by_task = {task: [g for g in groups if g.config.task == task] for task in tasks}
     tables = {task: task_table(of_task) for task, of_task in by_task.items()}
     shown = _figures(by_task, notes) if with_figures else {}
     last = tables[tasks[-1]]
     tables[tasks[-1]] = dataclasses.replace(last, notes=[*last.notes, *notes])
+    if ablated:
+        tables[ablations.TITLE] = ablations.ablation_table(ablated)
     markdown = "\n".join(table.render("md") for table in tables.values())
     images = []
     if with_figures:
+        checked = check_claims(groups)
+        markdown += "\n" + claims_text.markdown(checked) if checked else ""
         images = _write(folder / "pictures", [f for of_task in shown.values() for f in of_task])
         sections = [
             Section(title, [tables[title]] if title in tables else [], of_title)
             for title, of_title in shown.items()
         ]
-        write_whole(folder / "index.html", page(folder.resolve().name, sections, _made(groups)))
+        if ablated:
+            sections.append(Section(ablations.TITLE, [tables[ablations.TITLE]], []))
+        if checked:
+            sections.append(Section(claims_text.TITLE, [], [], claims_text.html(checked)))
+        how = made(folder, everything)
+        write_whole(folder / "index.html", page(folder.resolve().name, sections, how))
     write_whole(folder / "report.md", "\n".join([markdown, *images]))
     write_whole(folder / "report.csv", "\n".join(t.render("csv") for t in tables.values()))
     return markdown
@@ -61,19 +74,3 @@ def _write(folder: Path, shown: Sequence[Figure]) -> list[str]:
         f"![{figure.title}](<{folder.name}/{figure.name}>)\n\n{figure.caption}\n"
         for figure in shown
     ]
-
-
-def _made(groups: list[Group]) -> dict[str, str]:
-    """How the numbers came about."""
-    versions = {
-        f"{name} {version}"
-        for group in groups
-        for name, version in read_json(group.folder / "config.json").get("versions", {}).items()
-    }
-    return {
-        "command": "circle2d train, or reproduce; circle2d report",
-        "versions": ", ".join(sorted(versions)),
-        "runs": str(sum(len(group.runs) for group in groups)),
-        "seeds": ", ".join(map(str, sorted({s for g in groups for s in g.config.seeds}))),
-        "steps": ", ".join(f"{s:,}" for s in sorted({g.config.steps for g in groups})),
-    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -12,61 +12,125 @@ import numpy as np
 
 from agents.algorithms import ALGORITHMS, algorithm
 from agents.bench.pictures import ALPHA
-from agents.bench.presets import preset
+from agents.bench.presets import PAPER_SEEDS, inferred, preset
 from agents.bench.results import MEASURES, Group, Run
 from agents.runs.config import TrainConfig
-from emcc import estimate
+from emcc import Difference, Estimate, estimate
 from emcc.table import Table
+
+MARKING = (
+    "the lowest EMCC and cost rate; J_R, J_C and CVaR of the highest return within the cost limit; "
+    "among our means, and among the paper's"
+)
 
 
 def task_table(groups: Sequence[Group]) -> Table:
-    """One task: for each algorithm the means above the paper's numbers, then every run."""
-    config = groups[0].config
-    head = [config.task, *(name.replace("cost_rate", "cost rate") for name in MEASURES), "ends in"]
+    """One task: for each algorithm the means above the paper's numbers, then every run.
+
+    What is best among the means, and among the paper's numbers, is marked: see `best`.
+    """
+    task = groups[0].config.task
+    head = [task, *(name.replace("cost_rate", "cost rate") for name in MEASURES), "ends in"]
     names = {group.config.algorithm for group in groups}
-    rows, of_runs = [], []
+    rows, ours, papers = [], {}, {}
     for name in (name for name in ALGORITHMS if name in names):
-        for _, config, runs in (group for group in groups if group.config.algorithm == name):
-            title = title_of(config)
-            if runs:
-                rows.append([f"{title}, mean of {len(runs)}", *_means(runs), ""])
-            for run in runs:
-                cells = [f"{run.measures[measure]:.2f}" for measure in MEASURES]
-                of_runs.append([f"{title}, seed {run.seed}", *cells, run.ends])
-        title = algorithm(name).title
-        paper = paper_results(config.task, title)
+        for group in (group for group in groups if group.config.algorithm == name and group.runs):
+            ours[len(rows)] = means(group.runs), group.config.hyperparameters.cost_limit
+            rows.append(mean_row(group))
+        paper = paper_results(task, algorithm(name).title)
         if paper:
-            rows.append([f"{title}, paper (3 seeds)", *(f"{v:.2f}" for v in paper.values()), ""])
+            papers[len(rows)] = paper, preset(name, task).cost_limit
+            cells = [f"{value:.2f}" for value in paper.values()]
+            rows.append([f"{algorithm(name).title}, paper ({PAPER_SEEDS} seeds)", *cells, ""])
+    marked = {(row, 1 + MEASURES.index(m)) for row, m in best(ours) | best(papers)}
+    rows += [row for name in ALGORITHMS for row in run_rows(groups, name)]
+    return Table(caption(groups), head, rows, _paper_notes(groups), frozenset(marked), MARKING)
+
+
+def best(candidates: Mapping[int, tuple[Mapping[str, float], float]]) -> set[tuple[int, str]]:
+    """Which measures of which candidates are best, as the paper's tables highlight them.
+
+    candidates: measures and cost limit. The lowest of each EMCC part and of the cost rate; J_R, J_C
+    and CVaR of the candidates of the highest J_R among those whose J_C is within their limit. All
+    to the two digits that are printed, so that equal ones are marked together; nothing where there
+    is nothing to compare with. Source: caption of table Circle2DResults.
+    """
+    if len(candidates) < 2:
+        return set()
+    printed = {
+        key: {name: round(value, 2) for name, value in values.items()}
+        for key, (values, _) in candidates.items()
+    }
+    marked = set()
+    for name in MEASURES[:4]:
+        lowest = min(values[name] for values in printed.values())
+        marked |= {(key, name) for key, values in printed.items() if values[name] == lowest}
+    within = [key for key, (_, limit) in candidates.items() if printed[key]["J_C"] <= limit]
+    highest = max((printed[key]["J_R"] for key in within), default=None)
+    of_highest = [key for key in within if printed[key]["J_R"] == highest]
+    return marked | {(key, name) for key in of_highest for name in MEASURES[4:]}
+
+
+def caption(groups: Sequence[Group]) -> str:
+    """What the numbers of a table are."""
     episodes = sorted({run.episodes for group in groups for run in group.runs})
-    caption = (
+    return (
         f"EMCC with alpha = {ALPHA:g}, all values at the quantile kept; J_R, J_C and CVaR: "
         f"undiscounted, deterministic policy, {' or '.join(map(str, episodes)) or 'no'} episodes; "
         "[95 % bootstrap interval over seeds]"
     )
-    return Table(caption, head, [*rows, *of_runs], _paper_notes(groups))
+
+
+def means(runs: Sequence[Run]) -> dict[str, float]:
+    """The mean over some runs of each measure."""
+    return {name: float(np.mean([run.measures[name] for run in runs])) for name in MEASURES}
+
+
+def mean_row(group: Group, prefix: str = "") -> list[str]:
+    """The row of the means of a group, with their intervals over seeds."""
+    cells = [mean_cell([run.measures[name] for run in group.runs]) for name in MEASURES]
+    return [f"{prefix}{title_of(group.config)}, mean of {len(group.runs)}", *cells, ""]
+
+
+def run_rows(groups: Sequence[Group], name: str, prefix: str = "") -> Iterator[list[str]]:
+    """A row for each run of an algorithm."""
+    for _, config, runs in (group for group in groups if group.config.algorithm == name):
+        for run in runs:
+            cells = [f"{run.measures[measure]:.2f}" for measure in MEASURES]
+            yield [f"{prefix}{title_of(config)}, seed {run.seed}", *cells, run.ends]
+
+
+def mean_cell(values: Sequence[float]) -> str:
+    """A mean over seeds as text, with its 95 % bootstrap interval where there are several."""
+    return _estimate_cell(estimate({"": values}, rng=np.random.default_rng(0))[""], "")
+
+
+def difference_cell(difference: Difference) -> str:
+    """A difference of means as text, with its interval where there are several seeds."""
+    return _estimate_cell(difference, "+")
+
+
+def _estimate_cell(found: Estimate | Difference, sign: str) -> str:
+    interval = "" if found.low is None else f" [{found.low:{sign}.2f}, {found.high:{sign}.2f}]"
+    return f"{found.value:{sign}.2f}{interval}"
 
 
 def title_of(config: TrainConfig) -> str:
     """The algorithm, with what differs from the preset and from the task as it is registered."""
-    inside = ", ".join(f"{k} {v}" for k, v in _changes(config).items())
+    inside = ", ".join(f"{k} {v}" for k, v in changes(config).items())
     return algorithm(config.algorithm).title + (f" ({inside})" if inside else "")
 
 
-def _changes(config: TrainConfig) -> dict[str, Any]:
+def changes(config: TrainConfig) -> dict[str, Any]:
     """What differs from the preset and from the task as it is registered."""
+    return hyperparameter_changes(config) | config.task_parameters
+
+
+def hyperparameter_changes(config: TrainConfig) -> dict[str, Any]:
+    """The hyper-parameters that differ from the preset."""
     usual = dataclasses.asdict(preset(config.algorithm, config.task))
     chosen = dataclasses.asdict(config.hyperparameters)
-    return {k: v for k, v in chosen.items() if v != usual[k]} | config.task_parameters
-
-
-def _means(runs: list[Run]) -> list[str]:
-    cells = []
-    for name in MEASURES:
-        values = [run.measures[name] for run in runs]
-        mean = estimate({name: values}, rng=np.random.default_rng(0))[name]
-        interval = "" if mean.low is None else f" [{mean.low:.2f}, {mean.high:.2f}]"
-        cells.append(f"{mean.value:.2f}{interval}")
-    return cells
+    return {k: v for k, v in chosen.items() if v != usual[k]}
 
 
 def paper_results(task: str, title: str) -> dict[str, float]:
@@ -89,23 +153,10 @@ def _as_meant(task: str, title: str, measure: str, value: float) -> float:
 
 def _paper_notes(groups: Sequence[Group]) -> list[str]:
     """What in our presets the paper does not print, where it matters."""
-    configs = [g.config for g in groups if "Circle2D-" in g.config.task]
-    choices = {
-        "the last step of an episode counts as terminal": [
-            config
-            for config in configs
-            if "time_limit" not in _changes(config)
-            and config.hyperparameters.time_limit == "terminal"
-        ],
-        "the multiplier ascends by Adam": [
-            config
-            for config in configs
-            if "multiplier_optimizer" not in _changes(config) and config.algorithm == "trpo-lag"
-        ],
-    }
-    titles = {
-        choice: dict.fromkeys(algorithm(config.algorithm).title for config in chosen)
-        for choice, chosen in choices.items()
-    }
-    inferred = "That the paper did so is inferred from its results, not printed."
-    return [f"{', '.join(of)}: {choice}. {inferred}" for choice, of in titles.items() if of]
+    titles: dict[str, dict[str, None]] = {}
+    for config in (group.config for group in groups if "Circle2D-" in group.config.task):
+        setting = inferred(config.algorithm)
+        if setting and getattr(config.hyperparameters, setting.field) == setting.choices[0]:
+            titles.setdefault(setting.meaning, {})[algorithm(config.algorithm).title] = None
+    told = "That the paper did so is inferred from its results, not printed."
+    return [f"{', '.join(of)}: {meaning}. {told}" for meaning, of in titles.items()]

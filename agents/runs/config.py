@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args
 from agents.algorithms import algorithm
 from agents.errors import UserError, check_choice, check_integers
 from agents.runs.files import read_json, write_json
+from agents.runs.machine import machine
 from agents.runs.tasks import Vectorization, is_native, sizes_of
 
 Backend = Literal["compiled", "eager"]
@@ -86,7 +87,7 @@ class TrainConfig:
                 f"{folder} holds runs already: go on with them by 'circle2d resume {folder}', "
                 "or choose another folder"
             )
-        content = dataclasses.asdict(self) | {"versions": versions()}
+        content = dataclasses.asdict(self) | {"versions": versions(), "machine": machine()}
         try:
             json.dumps(content)
         except TypeError as error:
@@ -103,7 +104,8 @@ class TrainConfig:
         """The configuration of a run folder. Raises UserError where it is missing or damaged."""
         path = folder / "config.json"
         content = read_json(path)
-        content.pop("versions", None)
+        for name in ("versions", "machine"):
+            content.pop(name, None)
         try:
             hyperparameters = _tuples(content.pop("hyperparameters"))
             content["seeds"] = tuple(content["seeds"])

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from emcc import estimate
+from emcc import difference, estimate
 
 
 def one(values, **options):
@@ -86,3 +86,34 @@ def test_ragged_tasks_and_a_seed_for_a_generator():
         one([[0.1, 0.2], [0.1]])
     with pytest.raises(TypeError, match=r"rng must be a numpy.random.Generator, got int"):
         estimate({"x": [0.1]}, rng=0)  # pyright: ignore[reportArgumentType]
+
+
+def test_difference_against_every_possible_resample():
+    """27 resamples of one side times 4 of the other, all equally likely."""
+    first, second = [0.1, 0.5, 0.6], [0.9, 0.3]
+    gaps = [
+        np.mean(after) - np.mean(before)
+        for before in itertools.product(first, repeat=3)
+        for after in itertools.product(second, repeat=2)
+    ]
+    low, high = np.quantile(gaps, [0.08, 0.92])
+    result = difference(first, second, rng=np.random.default_rng(0), level=0.84, resamples=100_000)
+    assert result.value == pytest.approx(0.6 - 0.4)
+    assert result.low == pytest.approx(low, abs=1e-9)
+    assert result.high == pytest.approx(high, abs=1e-9)
+
+
+def test_difference_with_one_seed_on_a_side_has_no_interval():
+    for sides in (([0.5], [0.1, 0.2]), ([0.1, 0.2], [0.5])):
+        result = difference(*sides, rng=np.random.default_rng(0))
+        assert (result.low, result.high) == (None, None)
+        assert abs(result.value) == pytest.approx(0.35)
+
+
+def test_difference_names_bad_input():
+    with pytest.raises(ValueError, match="values of 'second' must be finite"):
+        difference([0.1], [np.nan], rng=np.random.default_rng(0))
+    with pytest.raises(TypeError, match="rng must be"):
+        difference([0.1], [0.1], rng=0)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="level must be"):
+        difference([0.1], [0.1], rng=np.random.default_rng(0), level=0)

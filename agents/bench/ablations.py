@@ -1,0 +1,73 @@
+"""Both choices of the settings that presets infer, side by side."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from agents.algorithms import algorithm
+from agents.bench.presets import ablation, inferred, preset
+from agents.bench.results import MEASURES, Group
+from agents.bench.tables import caption, mean_row
+from agents.runs.config import TrainConfig
+from emcc.table import Table
+
+TITLE = "Both choices of what the presets infer"
+MEANING = (
+    "TRPO-Lag's multiplier ascends by Adam or by the plain gradient (multiplier_optimizer); a time "
+    "limit ends an episode for good or not in the off-policy methods (time_limit). The paper "
+    "prints neither; runs of the choice that is not the preset's are in no other table, and decide "
+    "no claim"
+)
+
+
+def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group]]]:
+    """The groups to report as ever, and the pairs of a preset's group and its ablated one.
+
+    Ablated is a group whose inferred setting has the other choice while nothing else differs from
+    the preset, where the preset's group is there too; without it, it is a group like any other.
+    """
+    pairs = []
+    for group in groups:
+        beside = [other for other in groups if _is_ablation(group.config, other.config)]
+        pairs += [(beside[0], group)] if beside else []
+    ablated = {group.folder for _, group in pairs}
+    return [group for group in groups if group.folder not in ablated], pairs
+
+
+def _is_ablation(config: TrainConfig, of: TrainConfig) -> bool:
+    """Whether it is that of a preset but for the choice of what is inferred, on equal terms."""
+    other = ablation(config.algorithm, config.task)
+    if other is None or config.hyperparameters != other[1]:
+        return False
+    if of.algorithm != config.algorithm or of.hyperparameters != preset(of.algorithm, of.task):
+        return False
+    terms = [(c.task, c.task_parameters, c.steps) for c in (config, of)]
+    return terms[0] == terms[1]
+
+
+def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table:
+    """For each task and algorithm the preset's means above those of the other choice.
+
+    "ends in" counts the runs that end in each place.
+    """
+    head = [
+        "task, algorithm and choice",
+        *(name.replace("cost_rate", "cost rate") for name in MEASURES),
+    ]
+    rows = [_row(group) for pair in pairs for group in pair if group.runs]
+    groups = [group for pair in pairs for group in pair]
+    return Table(f"{TITLE}: {MEANING}. {caption(groups)}", [*head, "ends in"], rows, [])
+
+
+def _row(group: Group) -> list[str]:
+    config = group.config
+    setting = inferred(config.algorithm)
+    assert setting is not None
+    choice = f"{setting.field} {getattr(config.hyperparameters, setting.field)}"
+    if config.hyperparameters == preset(config.algorithm, config.task):
+        choice += " (preset)"
+    what = f"{config.task}, {algorithm(config.algorithm).title}, {choice}"
+    places = Counter(run.ends.partition(" (")[0] for run in group.runs if run.ends)
+    ends = ", ".join(f"{place} {count}" for place, count in places.most_common())
+    return [f"{what}, mean of {len(group.runs)}", *mean_row(group)[1:-1], ends]

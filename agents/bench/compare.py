@@ -1,0 +1,129 @@
+"""Two sets of runs side by side, with the differences of their means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.algorithms import ALGORITHMS
+from agents.bench.figures import curves
+from agents.bench.page import Section, page
+from agents.bench.provenance import made
+from agents.bench.results import MEASURES, Group, read_groups
+from agents.bench.tables import caption, difference_cell, mean_row, run_rows, title_of
+from agents.errors import UserError
+from agents.runs.files import write_whole
+from emcc import difference
+from emcc.table import Table
+
+METHOD = (
+    "B - A: difference of the means; its interval is the 95 % percentile bootstrap that resamples "
+    "the seeds of either side independently"
+)
+
+
+class Sides(NamedTuple):
+    """The complete runs of two folders on one task."""
+
+    a: list[Group]
+    b: list[Group]
+
+    @property
+    def named(self) -> list[tuple[str, Group]]:
+        """Every group with what it is called: A: TRPO-Lag, B: TRPO-Lag (cost_limit 3.0), ..."""
+        of_sides = zip(("A", "B"), self, strict=True)
+        return [(f"{k}: {title_of(g.config)}", g) for k, groups in of_sides for g in groups]
+
+
+def compare(a: Path, b: Path, out: Path | None = None) -> str:
+    """The tables of two folders of runs with the differences B - A, task by task, as Markdown.
+
+    a, b: folders as `report` takes them. A group of B stands against the one of A with the same
+    algorithm and settings, or where there is none against every group of A on the task. With out,
+    writes `compare.md`, `compare.csv`, and `compare.html` with training curves, both sides in one
+    figure. Raises UserError where a side has no complete run, or the two have no task in common.
+    """
+    notes: list[str] = []
+    found = [[g for g in read_groups(side, notes) if g.runs] for side in (a, b)]
+    tasks = [list(dict.fromkeys(group.config.task for group in groups)) for groups in found]
+    common = [task for task in tasks[0] if task in tasks[1]]
+    if not common:
+        raise UserError(
+            f"{a} and {b} have no task in common: {', '.join(tasks[0])} against "
+            f"{', '.join(tasks[1])}"
+        )
+    for name, of_side in zip("AB", tasks, strict=True):
+        alone = [task for task in of_side if task not in common]
+        notes += [f"only {name} has runs on {', '.join(alone)}."] if alone else []
+    by_task = {
+        task: Sides(*([g for g in groups if g.config.task == task] for groups in found))
+        for task in common
+    }
+    said = [f"A is {a}, B is {b}.", *notes]
+    tables = [
+        _table(task, sides, said if task == common[-1] else []) for task, sides in by_task.items()
+    ]
+    markdown = "\n".join(table.render("md") for table in tables)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        sections = [
+            Section(task, [table], [curves(sides.named)])
+            for (task, sides), table in zip(by_task.items(), tables, strict=True)
+        ]
+        how = {
+            f"{name}, {k}": text
+            for name, side, groups in zip("AB", (a, b), found, strict=True)
+            for k, text in made(side, groups).items()
+        }
+        title = f"{a.resolve().name} (A) and {b.resolve().name} (B)"
+        write_whole(out / "compare.html", page(title, sections, how))
+        write_whole(out / "compare.md", markdown)
+        write_whole(out / "compare.csv", "\n".join(table.render("csv") for table in tables))
+    return markdown
+
+
+def _table(task: str, sides: Sides, notes: Sequence[str]) -> Table:
+    """Means of both sides, the differences, then every run."""
+    head = [task, *(name.replace("cost_rate", "cost rate") for name in MEASURES), "ends in"]
+    pairs = _pairs(sides)
+    rows = [
+        mean_row(g, f"{side}: ") for side, groups in zip("AB", sides, strict=True) for g in groups
+    ]
+    rows += [_difference_row(*pair) for pair in pairs]
+    for side, groups in zip("AB", sides, strict=True):
+        rows += [row for name in ALGORITHMS for row in run_rows(groups, name, f"{side}: ")]
+    notes = [*notes, *_notes(task, sides)]
+    return Table(f"{caption([*sides.a, *sides.b])}; {METHOD}", head, rows, notes)
+
+
+def _pairs(sides: Sides) -> list[tuple[Group, Group]]:
+    pairs = []
+    for of_b in sides.b:
+        same = [of_a for of_a in sides.a if title_of(of_a.config) == title_of(of_b.config)]
+        pairs += [(of_a, of_b) for of_a in same or sides.a]
+    return pairs
+
+
+def _difference_row(a: Group, b: Group) -> list[str]:
+    titles = [title_of(group.config) for group in (b, a)]
+    what = titles[0] if titles[0] == titles[1] else " - ".join(titles)
+    cells = []
+    for name in MEASURES:
+        values = [[run.measures[name] for run in group.runs] for group in (a, b)]
+        cells.append(difference_cell(difference(*values, rng=np.random.default_rng(0))))
+    return [f"B - A: {what}", *cells, ""]
+
+
+def _notes(task: str, sides: Sides) -> list[str]:
+    notes = []
+    for name, group in sides.named:
+        if len(group.runs) == 1:
+            notes.append(f"{task}, {name} has one seed: no interval, of its mean or difference.")
+    steps = [sorted({group.config.steps for group in groups}) for groups in sides]
+    if steps[0] != steps[1]:
+        told = [", ".join(f"{count:,}" for count in of_side) for of_side in steps]
+        notes.append(f"{task}: A trained {told[0]} steps, B {told[1]}.")
+    return notes

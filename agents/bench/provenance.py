@@ -1,0 +1,98 @@
+"""How the numbers of a report came about: commands, versions, machines, time."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from agents.bench.results import Group
+from agents.bench.tables import hyperparameter_changes
+from agents.errors import UserError
+from agents.runs.config import TrainConfig
+from agents.runs.files import read_json
+from agents.runs.timing import seconds_trained
+
+
+def made(folder: Path, groups: Sequence[Group]) -> dict[str, str]:
+    """What a reader has to know to make the numbers again, by name.
+
+    folder: the report's. Versions and machine are those that the run folders hold; the time is that
+    of their `timing.log`, and left out where there is none.
+    """
+    contents = [_content(group.folder) for group in groups]
+    versions = {
+        f"{name} {version}" for of in contents for name, version in of.get("versions", {}).items()
+    }
+    machines = {
+        f"{of['machine']['processor']}, {of['machine']['cores']} cores"
+        for of in contents
+        if "machine" in of
+    }
+    told = {
+        "command": "\n".join(
+            command(group.config, _name(folder, group.folder)) for group in groups
+        ),
+        "versions": ", ".join(sorted(versions)),
+        "machine": "; ".join(sorted(machines)),
+        "training time": _training_time([group.folder for group in groups]),
+        "runs": str(sum(len(group.runs) for group in groups)),
+        "seeds": _list(seed for group in groups for seed in group.config.seeds),
+        "steps": _list(group.config.steps for group in groups),
+    }
+    return {name: text for name, text in told.items() if text}
+
+
+def command(config: TrainConfig, out: str) -> str:
+    """The command that trains some runs, with everything that decides their numbers."""
+    options = {"algorithm": config.algorithm, "task": config.task, "seeds": config.seeds}
+    options |= {"steps": config.steps} | hyperparameter_changes(config)
+    if config.task_parameters:
+        pairs = (part for pair in config.task_parameters.items() for part in pair)
+        options["task_parameters"] = tuple(pairs)
+    if config.vectorization != "auto":
+        options["vectorization"] = config.vectorization
+    typed = (f"--{k.replace('_', '-')} {_typed(v)}" for k, v in (options | {"out": out}).items())
+    return " ".join(["circle2d train", *typed])
+
+
+def duration(seconds: int) -> str:
+    """As a person says it: 3 h 2 min, 5 min, 40 s."""
+    minutes = round(seconds / 60)
+    if seconds < 100:
+        return f"{seconds} s"
+    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"
+
+
+def _training_time(folders: Sequence[Path]) -> str:
+    logged = [folder for folder in folders if (folder / "timing.log").exists()]
+    seconds = seconds_trained(logged)
+    if seconds is None:
+        return ""
+    of = "" if logged == folders else f", of {len(logged)} of {len(folders)} folders"
+    return f"{duration(seconds)}, all processes together{of}"
+
+
+def _content(folder: Path) -> dict[str, Any]:
+    try:
+        return read_json(folder / "config.json")
+    except UserError:
+        return {}
+
+
+def _name(folder: Path, of: Path) -> str:
+    """A folder of runs as seen from beside the report's."""
+    return str(Path(folder.resolve().name) / of.relative_to(folder))
+
+
+def _typed(value: Any) -> str:
+    return " ".join(map(_quoted, value)) if isinstance(value, tuple) else _quoted(value)
+
+
+def _quoted(value: Any) -> str:
+    return shlex.quote(str(value))
+
+
+def _list(numbers: Iterable[int]) -> str:
+    return ", ".join(f"{number:,}" for number in sorted(set(numbers)))
