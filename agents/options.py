@@ -12,18 +12,19 @@ from typing import Any, Literal
 import tyro
 
 from agents.errors import UserError
-from agents.lockstep.backend import cannot_compile
+from agents.lockstep.backend import cannot_compile, compiling_is_off
 from agents.runs.config import Backend
 
 BackendChoice = Literal["auto", "compiled", "eager"]
 
 
 def chosen_backend(choice: BackendChoice) -> Backend:
-    """What `auto` comes to on this machine; a line on stderr says where that is eager."""
+    """What `auto` comes to on this machine; a line on stderr says where that is eager for another
+    reason than that PyTorch was told so by its own TORCH_COMPILE_DISABLE."""
     if choice != "auto":
         return choice
     why = cannot_compile()
-    if why:
+    if why and not compiling_is_off():
         print(f"circle2d: updates run in eager PyTorch, half as fast: {why}", file=sys.stderr)
     return "eager" if why else "compiled"
 

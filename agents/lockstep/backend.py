@@ -98,10 +98,15 @@ def compiled(function: Callable[P, T]) -> Callable[P, T]:
     return call
 
 
+def compiling_is_off() -> bool:
+    """Whether PyTorch was told not to compile, by its own environment variable."""
+    return os.environ.get("TORCH_COMPILE_DISABLE", "0") != "0"
+
+
 @functools.cache
 def cannot_compile() -> str:
     """Why this machine cannot compile, in a line; empty where it can. Found by trying."""
-    if os.environ.get("TORCH_COMPILE_DISABLE", "0") != "0":
+    if compiling_is_off():
         return "TORCH_COMPILE_DISABLE is set"
     _keep_compiled_code()
     try:

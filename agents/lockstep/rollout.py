@@ -110,7 +110,7 @@ def collect(
         with np.errstate(over="ignore", invalid="ignore"):  # found by the next line
             action = act(observation)
         if not np.isfinite(action).all():
-            finite = np.isfinite(action).all(axis=-1)
+            finite = np.all(np.isfinite(action), axis=-1)
             diverged |= running & ~finite
             running &= finite
             action = np.where(finite[:, None], action, np.float32(0.0))
