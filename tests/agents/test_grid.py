@@ -136,9 +136,11 @@ def test_again_nothing_is_trained(whole, capsys):
 def test_stopped_in_the_middle_it_goes_on(whole, tmp_path):
     out = tmp_path / "stopped"
     command = [sys.executable, "-m", "agents.cli", *COMMAND, str(out)]
-    for seconds, number in ((4, signal.SIGINT), (6, signal.SIGTERM)):
+    for trainings, number in ((1, signal.SIGINT), (2, signal.SIGTERM)):
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-        time.sleep(seconds)
+        while process.poll() is None and len(list(out.rglob("timing.log"))) < trainings:
+            time.sleep(0.1)
+        time.sleep(1)
         process.send_signal(number)
         _, err = process.communicate(timeout=60)
         assert process.returncode in (130, 0), err
