@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import torch
 from numpy.typing import NDArray
@@ -81,7 +81,10 @@ def compiled(function: Callable[P, T]) -> Callable[P, T]:
     """Mark a pure function of tensors to run as one piece of compiled code where `configure` says.
 
     Otherwise it is what it was. The source is ordinary PyTorch, gradients by `torch.func` included;
-    nothing in it may look at a tensor's value. Each set of shapes is compiled on its own.
+    nothing in it may look at a tensor's value. The first axis of every tensor that comes in or goes
+    out is the run axis, of any length in the compiled code: so it is compiled once, and what it
+    does to a run does not depend, bit for bit, on how many there are. One run is computed beside a
+    copy of itself, since axes of length 1 lead to other code.
     """
 
     whole: Callable[P, T] | None = None
@@ -93,9 +96,34 @@ def compiled(function: Callable[P, T]) -> Callable[P, T]:
             return function(*args, **kwargs)
         if whole is None:  # not sooner, since what it imports takes seconds
             whole = torch.compile(function, fullgraph=True, dynamic=False)
-        return whole(*args, **kwargs)
+        alone = _runs(args) == 1
+        if alone:
+            args = _map(lambda x: torch.cat([x, x]), args)
+        _map(lambda x: torch._dynamo.mark_dynamic(x, 0), args)
+        results = whole(*args, **kwargs)
+        return _map(lambda x: x[:1], results) if alone else results
 
     return call
+
+
+def _map(of: Callable[[Tensor], Any], tree: Any) -> Any:
+    """`of` of every tensor in nested tuples, lists and dicts; whatever else there is stays."""
+    if isinstance(tree, Tensor):
+        return of(tree)
+    if isinstance(tree, dict):
+        return {name: _map(of, part) for name, part in tree.items()}
+    if isinstance(tree, (tuple, list)):
+        parts = [_map(of, part) for part in tree]
+        return type(tree)(*parts) if hasattr(tree, "_fields") else type(tree)(parts)
+    return tree
+
+
+def _runs(tree: Any) -> int:
+    """Length of the first axis of the tensors in it."""
+    lengths: set[int] = set()
+    _map(lambda x: lengths.add(len(x)), tree)
+    assert len(lengths) == 1, f"tensors of different numbers of runs: {lengths}"
+    return lengths.pop()
 
 
 def compiling_is_off() -> bool:
