@@ -1,8 +1,10 @@
 """Environment steps a second of training: runs in lockstep beside the plain one-run loop, one core.
 
 Every measurement has a process of its own, so that none has another's settings. What is timed
-begins after imports and a warm-up, and holds rollout, replay, updates and records. Turns go through
-all of them, so that a ratio is of neighbours; ratios and speeds are medians over turns.
+begins after imports, compiling and a warm-up, and holds rollout, replay, updates and records. Turns
+go through all of them, so that a ratio is of neighbours; ratios and speeds are medians over turns.
+The limit is what the matrix products of an epoch alone would allow, at the best speed of a batched
+product that this core has shown in the same run.
 
 python benchmarks/training_speed.py --algorithms cpo wcsac --runs 3 12 --turns 3
 """
@@ -48,26 +50,32 @@ def plain(algorithm):
     return (steps - before) / (time.perf_counter() - start)
 
 
-def lockstep(algorithm, runs):
-    """Speed of all runs together, as `circle2d train` trains them."""
-    import tempfile
+def prepared(algorithm, runs):
+    """Runs as `circle2d train` trains them, but that none acts at random."""
     from dataclasses import replace
-    from pathlib import Path
 
     from agents.bench.presets import preset
-    from agents.lockstep import backend
     from agents.runs.config import TrainConfig
     from agents.runs.train import Training
 
-    backend.configure()
     config = preset(algorithm, TASK)
     if algorithm not in ON_POLICY:
         config = replace(config, random_steps=0)
     seeds, steps = tuple(range(runs)), WARM_UP + STEPS[algorithm]
-    config = TrainConfig(algorithm, TASK, seeds, steps, config)
+    return Training(TrainConfig(algorithm, TASK, seeds, steps, config))
+
+
+def lockstep(algorithm, runs, how):
+    """Speed of all runs together; how: "compiled" or "eager"."""
+    import tempfile
+    from pathlib import Path
+
+    from agents.lockstep import backend
+
+    backend.configure(how == "compiled")
+    training = prepared(algorithm, runs)
     with tempfile.TemporaryDirectory() as folder:
-        config.write(Path(folder))
-        training = Training(config)
+        training.config.write(Path(folder))
         while training.steps[0] < WARM_UP:
             training.run_epoch()
         before, start = training.steps.sum(), time.perf_counter()
@@ -77,9 +85,39 @@ def lockstep(algorithm, runs):
         return (training.steps.sum() - before) / (time.perf_counter() - start)
 
 
-def speed(algorithm, runs):
-    """One measurement in a process of its own; 0 runs: of the plain loop."""
-    command = [sys.executable, __file__, "--one", algorithm, str(runs)]
+def limit(algorithm):
+    """Speed of one run if it had its matrix products alone to compute, at this core's best speed of
+    a batched product: that of the first hidden layer of 12 runs' critics."""
+    import torch
+    from torch.utils.flop_counter import FlopCounterMode
+
+    from agents.lockstep import backend
+
+    backend.configure()
+    training = prepared(algorithm, 1)
+    while training.steps[0] < WARM_UP:
+        training.run_epoch()
+    before = training.steps[0]
+    with FlopCounterMode(display=False) as counter:
+        training.run_epoch()
+    operations = counter.get_total_flops() / (training.steps[0] - before)
+    a, b = torch.randn(48, 256, 64), torch.randn(48, 64, 64)
+    best = 0.0
+    for _ in range(50):
+        start = time.perf_counter()
+        for _ in range(10):
+            torch.bmm(a, b)
+        best = max(best, 10 * 2 * 48 * 256 * 64 * 64 / (time.perf_counter() - start))
+    print(
+        f"{algorithm}: {operations / 1e6:.2f} MFLOP a step, {best / 1e9:.0f} GFLOP/s",
+        file=sys.stderr,
+    )
+    return best / operations
+
+
+def speed(algorithm, runs, how):
+    """One measurement in a process of its own; 0 runs: of the plain loop; -1: the limit."""
+    command = [sys.executable, __file__, "--one", algorithm, str(runs), how]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     return float(done.stdout)
@@ -90,6 +128,7 @@ def table(found, algorithms, runs):
     head = ["algorithm", "plain, 1 run"]
     for n in runs:
         head += [f"lockstep, {n} run{'s' if n > 1 else ''}", "over plain"]
+    head += ["limit", "share of it"]
     lines = [[*head, "others, 1 run, another machine"], ["---"] * (len(head) + 1)]
     for algorithm in algorithms:
         of_plain = found[algorithm, 0]
@@ -98,6 +137,11 @@ def table(found, algorithms, runs):
             speeds = found[algorithm, n]
             ratio = statistics.median(a / b for a, b in zip(speeds, of_plain, strict=True))
             cells += [f"{statistics.median(speeds):,.0f}", f"{ratio:.2f}"]
+        of_limit = [
+            a / b for a, b in zip(found[algorithm, runs[-1]], found[algorithm, -1], strict=True)
+        ]
+        cells.append(f"{statistics.median(found[algorithm, -1]):,.0f}")
+        cells.append(f"{100 * statistics.median(of_limit):.0f} %")
         lines.append([*cells, PEERS[algorithm]])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
@@ -107,17 +151,20 @@ def main():
     parser.add_argument("--algorithms", nargs="+", choices=STEPS, default=list(STEPS))
     parser.add_argument("--runs", nargs="+", type=int, default=[12], help="numbers in lockstep")
     parser.add_argument("--turns", type=int, default=3)
-    parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
+    parser.add_argument("--how", choices=["compiled", "eager"], default="compiled")
+    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.one:
-        algorithm, runs = args.one[0], int(args.one[1])
-        print(lockstep(algorithm, runs) if runs else plain(algorithm))
+        algorithm, runs, how = args.one[0], int(args.one[1]), args.one[2]
+        kinds = {0: plain, -1: limit}
+        print(kinds[runs](algorithm) if runs in kinds else lockstep(algorithm, runs, how))
         return
-    found = {(algorithm, n): [] for algorithm in args.algorithms for n in (0, *args.runs)}
+    found = {(algorithm, n): [] for algorithm in args.algorithms for n in (0, *args.runs, -1)}
     for turn in range(args.turns):
         for (algorithm, n), speeds in found.items():
-            speeds.append(speed(algorithm, n))
-            what = f"{algorithm}, {n} in lockstep" if n else f"{algorithm}, plain"
+            speeds.append(speed(algorithm, n, args.how))
+            names = {0: "plain", -1: "limit"}
+            what = f"{algorithm}, {names.get(n, f'{n} in lockstep, {args.how}')}"
             print(f"turn {turn + 1}: {what}: {speeds[-1]:,.0f}", file=sys.stderr)
     print(f"Environment steps a second of training on {TASK}, all runs together:\n")
     print(table(found, args.algorithms, args.runs))
