@@ -187,7 +187,7 @@ def _use_onednn_products() -> None:
     before = matmul.fp32_precision
     matmul.fp32_precision = "bf16"
     generator = torch.Generator().manual_seed(0)
-    a, b = (torch.randn(8, 64, 64, generator=generator) for _ in range(2))
+    a, b = (torch.randn(8, 64, 64, generator=generator, device="cpu") for _ in range(2))
     error = (torch.bmm(a, b) - torch.bmm(a.double(), b.double())).abs().max().item()
     if not error < 1e-4:
         matmul.fp32_precision = before
