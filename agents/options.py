@@ -12,7 +12,7 @@ from typing import Any, Literal
 import tyro
 
 from agents.errors import UserError
-from agents.lockstep.backend import cannot_compile, compiling_is_off
+from agents.lockstep.compiling import cannot_compile, compiling_is_off
 from agents.runs.config import Backend
 
 BackendChoice = Literal["auto", "compiled", "eager"]

@@ -13,7 +13,8 @@ import torch
 from numpy.typing import DTypeLike, NDArray
 from torch import Tensor
 
-from agents.lockstep.backend import array, compiled, tensor
+from agents.lockstep.backend import array, tensor
+from agents.lockstep.compiling import compiled
 
 Tree = TypeVar("Tree")
 ALL = slice(None)

@@ -19,7 +19,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from agents.lockstep import backend
+from agents.lockstep.compiling import CLOCK
 from agents.runs.config import TrainConfig
 from agents.runs.train import OnEpoch, Training
 
@@ -39,7 +39,7 @@ def show_progress(configs: dict[Path, TrainConfig]) -> Iterator[OnEpoch]:
     started = shown = time.monotonic()
     first: int | None = None
     percent = -1
-    compiled = compiled_before = backend.CLOCK.seconds
+    compiled = compiled_before = CLOCK.seconds
     with contextlib.ExitStack() as stack:
         logs = [stack.enter_context((folder / "timing.log").open("a")) for folder in configs]
         bar, title = stack.enter_context(_bar(console)), _title(list(configs.values()))
@@ -57,8 +57,8 @@ def show_progress(configs: dict[Path, TrainConfig]) -> Iterator[OnEpoch]:
             if now - shown < EVERY_SECONDS and not done and not due:
                 return
             shown = now
-            if backend.CLOCK.seconds > compiled:
-                compiled = backend.CLOCK.seconds
+            if CLOCK.seconds > compiled:
+                compiled = CLOCK.seconds
                 line = f"{title}: compiled in {compiled - compiled_before:.0f} s"
                 for log in logs:
                     print(line, file=log, flush=True)
@@ -90,7 +90,7 @@ class _Compiling(ProgressColumn):
     """Says that, and since when, the compiler works; nothing otherwise."""
 
     def render(self, task: Task) -> Text:
-        began = backend.CLOCK.began
+        began = CLOCK.began
         return Text("" if began is None else f"compiling, {time.monotonic() - began:.0f} s")
 
 

@@ -17,7 +17,8 @@ from torch import Tensor
 from agents.errors import check, check_choice, check_integers
 from agents.lockstep import tree
 from agents.lockstep.adam import Moments, adam, no_moments
-from agents.lockstep.backend import compiled, tensor
+from agents.lockstep.backend import tensor
+from agents.lockstep.compiling import compiled
 from agents.lockstep.nets import MLP, check_lanes
 from agents.lockstep.noise import Purpose, stream
 from agents.updates import multiplier

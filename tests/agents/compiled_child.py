@@ -10,6 +10,7 @@ from test_families import arrays_of, assert_same, config, finished
 
 from agents.algorithms import learner
 from agents.lockstep import backend
+from agents.lockstep.compiling import CLOCK
 from agents.lockstep.rollout import collect
 from agents.runs.tasks import make_envs
 from agents.runs.train import Training
@@ -79,7 +80,7 @@ def main(names):
             "moved": difference(eager[-1], eager[0]),
             "one update": max(map(difference, single, eager)),
             "all updates": difference(of_all[-1], eager[-1]),
-            "seconds of compiling": backend.CLOCK.seconds,
+            "seconds of compiling": CLOCK.seconds,
         }
     name = names[0]
     of_three = trained(name, 3, True)[-1]
