@@ -13,7 +13,7 @@ from agents.lockstep import tree
 from agents.lockstep.backend import array, tensor
 from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout
-from agents.updates import trpo
+from agents.updates import critics, trpo
 from agents.updates.multiplier import ascend
 from agents.updates.packing import Packing, blocks, minibatches
 from agents.updates.returns import advantages
@@ -72,7 +72,7 @@ class OnPolicy:
         losses, count = torch.zeros(len(self.seeds), 2), torch.zeros(len(self.seeds), 1)
         for _ in range(self.config.critic_iterations):
             for rows, weight in minibatches(packing.steps, self.config.batch_size, generators):
-                state, loss = trpo.critic_step(self.nets, self.config, state, data, rows, weight)
+                state, loss = critics.critic_step(self.nets, self.config, state, data, rows, weight)
                 losses, count = losses + loss, count + (weight[:, :1] > 0)
         followed = ascend(self.rule.multiplier, self.config, state.multiplier, data.excess[:, None])
         self._state = tree.where(active, state._replace(multiplier=followed), self._state)
@@ -116,7 +116,7 @@ class OnPolicy:
     def _values(self, observation: torch.Tensor) -> NDArray[np.float32]:
         """What the critics say, block by block: [R, 2, B]."""
         parts = [
-            trpo.values(self.nets, self._state.critics, *block) for block in blocks(observation)
+            critics.values(self.nets, self._state.critics, *block) for block in blocks(observation)
         ]
         return array(torch.cat(parts, dim=-1))
 

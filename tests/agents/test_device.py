@@ -12,7 +12,7 @@ from agents.algorithms import ALGORITHMS
 from agents.errors import UserError
 from agents.lockstep import backend
 from agents.lockstep.replay import Batch
-from agents.updates import sac, trpo
+from agents.updates import critics, sac, trpo
 
 R, B = 3, 64
 
@@ -48,7 +48,7 @@ def test_on_policy_updates(name, elsewhere):
     with pytest.raises(RuntimeError, match="cannot be called on meta tensors"):
         trpo.policy_step(nets, config, rule, state, epoch)
     rows, weight = backend.tensor(np.zeros((R, B), dtype=np.int64)), elsewhere(R, B)
-    after, losses = trpo.critic_step(nets, config, state, epoch, rows, weight)
+    after, losses = critics.critic_step(nets, config, state, epoch, rows, weight)
     assert after.critics.is_meta
     assert losses.is_meta
 

@@ -13,7 +13,7 @@ from agents.algorithms.cpo import CPOConfig
 from agents.algorithms.trpo_lag import TRPOLagConfig
 from agents.lockstep.nets import MLP
 from agents.lockstep.rollout import Rollout
-from agents.updates import trpo
+from agents.updates import critics, trpo
 from agents.updates.gaussian import GaussianPolicy
 from agents.updates.on_policy import METRICS, OnPolicy
 from agents.updates.packing import BLOCK, Packing
@@ -129,7 +129,7 @@ def test_critics_against_separate_runs():
     for held in torch.tensor([[32, 9], [32, 9], [32, 0], [7, 32]]):
         rows = torch.from_numpy(rng.integers((200, 40), size=(32, 2)).T.copy())
         weight = (torch.arange(32) < held[:, None]) / held[:, None].clamp(min=1)
-        state, losses = trpo.critic_step(NETS, config, state, epoch, rows, weight)
+        state, losses = critics.critic_step(NETS, config, state, epoch, rows, weight)
         for run, n in enumerate(held):
             if n == 0:
                 assert (losses[run] == 0).all()
