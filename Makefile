@@ -1,4 +1,4 @@
-# make demo: train TRPO-Lag on Circle2D-1 for about a minute; tables, heat map, trajectories.
+# make demo: train TRPO-Lag on Circle2D-1 for a minute or two; tables, heat map, trajectories.
 # make test: run the tests. Both build .venv first; Python 3.10 or newer is all they need.
 
 PYTHON ?= python3
