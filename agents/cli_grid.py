@@ -23,7 +23,8 @@ from agents.options import BackendChoice, chosen_backend, parse
 from agents.runs.config import Device, TrainConfig
 from agents.runs.files import locked
 from agents.runs.tasks import check_task
-from agents.runs.workers import Group, Workers, share_done, speed
+from agents.runs.timing import share_done, speed
+from agents.runs.workers import Group, Workers
 from circle2d_mj.config import LEVELS
 
 

@@ -12,7 +12,8 @@ from agents.errors import UserError
 from agents.runs.config import FAILURE, Backend, Device, TrainConfig, run_folder
 from agents.runs.files import read_json
 from agents.runs.tasks import sizes_of
-from agents.runs.workers import Group, share_done
+from agents.runs.timing import share_done
+from agents.runs.workers import Group
 from circle2d_mj.config import LEVELS
 from emcc import EpisodeRecords
 

@@ -1,4 +1,4 @@
-"""How long trainings took, by the `timing.log` that `show_progress` writes."""
+"""How far trainings are and how long they took, by the `timing.log` that `show_progress` writes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,32 @@ from pathlib import Path
 
 Session = tuple[str, ...]
 """The lines that one process wrote."""
+
+
+def share_done(folder: Path) -> float:
+    """How far the training of a folder last was, in [0, 1]; 0 where its log does not say."""
+    told = _last(folder, r" (\d+) % after ")
+    return int(told) / 100 if told else 0.0
+
+
+def speed(folder: Path) -> float | None:
+    """Environment steps a second of the training of a folder, all runs of its group together; None
+    where its log does not say."""
+    told = _last(folder, r" s, ([\d,]+) steps/s$")
+    return float(told.replace(",", "")) if told else None
+
+
+def _last(folder: Path, pattern: str) -> str | None:
+    """What the pattern's group was in the last line that it fits."""
+    found = (re.search(pattern, line) for line in reversed(_lines(folder)))
+    return next((match[1] for match in found if match), None)
+
+
+def _lines(folder: Path) -> list[str]:
+    try:
+        return (folder / "timing.log").read_text(errors="replace").splitlines()
+    except OSError:
+        return []
 
 
 def seconds_trained(folders: Iterable[Path]) -> int | None:
@@ -22,12 +48,8 @@ def seconds_trained(folders: Iterable[Path]) -> int | None:
 
 def _sessions(folder: Path) -> list[Session]:
     """A process begins where the seconds begin anew."""
-    try:
-        lines = (folder / "timing.log").read_text(errors="replace").splitlines()
-    except OSError:
-        return []
     sessions: list[list[str]] = []
-    for line in (line for line in lines if _after(line)):
+    for line in filter(_after, _lines(folder)):
         if not sessions or _seconds(sessions[-1]) > _seconds([line]):
             sessions.append([])
         sessions[-1].append(line)

@@ -64,25 +64,6 @@ class Workers:
             process.wait()
 
 
-def share_done(folder: Path) -> float:
-    """How far the training of a folder last was, in [0, 1], by its `timing.log`."""
-    try:
-        last = (folder / "timing.log").read_text().splitlines()[-1]
-        return float(last.split(" % after ")[0].rpartition(" ")[2]) / 100
-    except (OSError, IndexError, ValueError):
-        return 0.0
-
-
-def speed(folder: Path) -> float | None:
-    """Environment steps a second of the training of a folder, all runs of its group together, by
-    its `timing.log`; None where it does not say."""
-    try:
-        last = (folder / "timing.log").read_text().splitlines()[-1]
-        return float(last.rpartition(" s, ")[2].removesuffix(" steps/s").replace(",", ""))
-    except (OSError, IndexError, ValueError):
-        return None
-
-
 def _start(group: Group) -> subprocess.Popen:
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     with (group[0] / LOG).open("ab") as log:

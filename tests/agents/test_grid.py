@@ -15,8 +15,8 @@ from agents.cli import main
 from agents.cli_grid import _table
 from agents.errors import UserError
 from agents.runs.config import TrainConfig
+from agents.runs.timing import share_done, speed
 from agents.runs.train import train
-from agents.runs.workers import share_done, speed
 
 COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3", "4"]
 COMMAND += ["--steps", "2000", "--workers", "2", "--out"]
