@@ -17,6 +17,7 @@ from rich.table import Table
 
 from agents.algorithms import ALGORITHMS
 from agents.bench import grid
+from agents.bench.provenance import duration
 from agents.bench.report import report
 from agents.errors import UserError
 from agents.options import BackendChoice, chosen_backend, parse
@@ -134,22 +135,26 @@ def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
     console = Console(stderr=True)
     groups = grid.groups({folder: configs[folder] for folder in left}, count)
     with Workers(groups, count) as workers, Live(console=console, auto_refresh=False) as live:
-        told = 0
+        told, tenths = 0, 0
 
         def show() -> None:
-            nonlocal told
+            nonlocal told, tenths
             for folder in left:
                 shares[folder] = 1.0 if folder in workers.over else share_done(folder)
             done, _ = grid.work_left(shares, configs)
             seconds = time.monotonic() - started
             rest = seconds * (total - done) / (done - before) if done > before else None
+            headline = _headline(workers.running, shares, done / total, rest)
             if console.is_terminal:
-                live.update(_table(workers.running, shares, done / total, rest), refresh=True)
+                live.update(_table(headline, workers.running, shares), refresh=True)
                 return
             for folder in workers.over[told:]:
                 how = "failed" if folder in workers.failed else "done"
                 print(f"{folder}: {how} after {seconds:.0f} s", file=sys.stderr, flush=True)
             told = len(workers.over)
+            if int(10 * done / total) > tenths:
+                tenths = int(10 * done / total)
+                print(headline, file=sys.stderr, flush=True)
 
         workers.run(show)
         return {
@@ -161,27 +166,26 @@ def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
         }
 
 
-def _table(
+def _headline(
     running: Sequence[Group], shares: dict[Path, float], done: float, rest: float | None
-) -> Table:
+) -> str:
     over = sum(share == 1.0 for share in shares.values())
-    left = "" if rest is None else f", {_duration(rest)} left"
-    speeds = {group: speed(group[0]) for group in running}
-    in_all = sum(filter(None, speeds.values()))
-    table = Table(
-        title=f"{100 * done:.0f} % done, {over} of {len(shares)} trainings{left}, "
+    left = "" if rest is None else f", {duration(rest)} left"
+    in_all = sum(filter(None, (speed(group[0]) for group in running)))
+    return (
+        f"{100 * done:.0f} % done, {over} of {len(shares)} trainings{left}, "
         f"{in_all:,.0f} steps/s in all"
     )
+
+
+def _table(headline: str, running: Sequence[Group], shares: dict[Path, float]) -> Table:
+    table = Table(title=headline)
     table.add_column("training")
     table.add_column("done", justify="right")
     table.add_column("steps/s", justify="right")
-    for group, of_group in speeds.items():
+    for group in running:
+        of_group = speed(group[0])
         words = "" if of_group is None else f"{of_group:,.0f}"
         names = "\n".join(map(str, group))
         table.add_row(names, f"{100 * shares[group[0]]:.0f} %", words)
     return table
-
-
-def _duration(seconds: float) -> str:
-    minutes = round(seconds / 60)
-    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"

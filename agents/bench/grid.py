@@ -90,22 +90,38 @@ def prepare(folders: dict[Path, TrainConfig]) -> None:
 def groups(configs: dict[Path, TrainConfig], workers: int) -> list[Group]:
     """Which folders train together, in a process each; what takes longest first.
 
-    Those of equal settings and sizes that have come equally far are dealt evenly into groups. Of
-    the ways to do that, with 12 runs in a group at most, the one that so many workers end first.
+    Those of equal settings and sizes that have come equally far are dealt evenly into groups of 12
+    runs at most: as large as may be while that keeps all workers busy to the end.
     """
-    kinds: dict[str, list[Path]] = {}
+    kinds = _kinds(configs)
+    largest = range(max(map(len, kinds), default=0), 0, -1)
+
+    def dealt(sizes: Sequence[int]) -> list[Group]:
+        found = [
+            group
+            for kind, size in zip(kinds, sizes, strict=True)
+            for group in _dealt(kind, configs, size)
+        ]
+        return sorted(found, key=lambda group: -_time(group, configs))
+
+    def end(sizes: Sequence[int]) -> float:
+        return _end([_time(group, configs) for group in dealt(sizes)], workers)
+
+    sizes = min(([size] * len(kinds) for size in largest), key=end, default=[])
+    for k in range(len(kinds)):  # then each kind its own size
+        sizes = min(([*sizes[:k], size, *sizes[k + 1 :]] for size in largest), key=end)
+    return dealt(sizes)
+
+
+def _kinds(configs: dict[Path, TrainConfig]) -> list[list[Path]]:
+    """Folders that could train together."""
     of_tasks = {config.task: config.task_parameters for config in configs.values()}
     sizes = {task: sizes_of(task, parameters) for task, parameters in of_tasks.items()}
+    kinds: dict[str, list[Path]] = {}
     for folder, config in configs.items():
         kind = repr((config.shared, sizes[config.task], share_done(folder)))
         kinds.setdefault(kind, []).append(folder)
-    ways = []
-    for most in range(max(map(len, kinds.values()), default=0), 0, -1):
-        way = [group for kind in kinds.values() for group in _dealt(kind, configs, most)]
-        times = {group: _time(group, configs) for group in way}
-        way.sort(key=lambda group: -times[group])
-        ways.append((_end([times[group] for group in way], workers), way))
-    return min(ways, key=lambda way: way[0])[1] if ways else []
+    return list(kinds.values())
 
 
 def _dealt(kind: list[Path], configs: dict[Path, TrainConfig], most: int) -> list[Group]:

@@ -57,11 +57,11 @@ def command(config: TrainConfig, out: str) -> str:
     return " ".join(["circle2d train", *typed])
 
 
-def duration(seconds: int) -> str:
+def duration(seconds: float) -> str:
     """As a person says it: 3 h 2 min, 5 min, 40 s."""
     minutes = round(seconds / 60)
     if seconds < 100:
-        return f"{seconds} s"
+        return f"{seconds:.0f} s"
     return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"
 
 

@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import pytest
 
+from agents.algorithms import ALGORITHMS
 from agents.bench import grid
 from agents.bench.presets import preset
 from agents.cli import main
-from agents.cli_grid import _table
+from agents.cli_grid import _headline, _table
 from agents.errors import UserError
 from agents.runs.config import TrainConfig
 from agents.runs.timing import share_done, speed
@@ -66,9 +67,17 @@ def test_groups_keep_the_workers_busy():
     as one group, 40 as two, 25 as four; TRPO-Lag 14, 8, 5."""
     assert groups(1) == [("sac-lag", 4), ("trpo-lag", 4)]  # 84, or 96, or 120
     assert groups(2) == [("sac-lag", 2)] * 2 + [("trpo-lag", 2)] * 2  # 70, or 48, or 60
-    assert groups(3) == [("sac-lag", 2)] * 2 + [("trpo-lag", 2)] * 2  # 70, or 40, or 50
+    assert groups(3) == [("sac-lag", 2)] * 2 + [("trpo-lag", 4)]  # 70, or 40, or 50
     assert groups(5) == [("sac-lag", 1)] * 4 + [("trpo-lag", 1)] * 4  # 70, or 40, or 25
     assert groups(64) == [("sac-lag", 1)] * 4 + [("trpo-lag", 1)] * 4
+
+
+def test_an_algorithm_is_split_alone_where_that_fills_a_gap():
+    """One group each takes SAC-Lag and SAC-LB 70, WCSAC 72.8, CPO 18.2, TRPO-Lag 14: the last of two
+    workers ends after 140. With WCSAC in two groups of 41.6 it does after 70 + 41.6 + 18.2."""
+    alone = [("cpo", 4), ("trpo-lag", 4)]
+    halves = [("wcsac", 2)] * 2
+    assert groups(2, ALGORITHMS) == [("sac-lag", 4), ("sac-lb", 4), *halves, *alone]
 
 
 def test_groups_have_twelve_runs_at_most():
@@ -167,8 +176,12 @@ def test_the_display_shows_speeds(tmp_path):
     assert [speed(folder) for folder in folders] == [1200, 34, None, None]
     assert [share_done(folder) for folder in folders] == [0.5, 0.25, 0, 0]
     groups = [(folders[0], tmp_path / "with a"), *((folder,) for folder in folders[1:])]
-    table = _table(groups, {folder: share_done(folder) for folder in folders}, 0.2, None)
-    assert table.title == "20 % done, 0 of 4 trainings, 1,234 steps/s in all"
+    shares = {folder: share_done(folder) for folder in folders}
+    headline = _headline(groups, shares, 0.2, None)
+    assert headline == "20 % done, 0 of 4 trainings, 1,234 steps/s in all"
+    assert "trainings, 2 min left, 1,234" in _headline(groups, shares, 0.2, 118.0)
+    table = _table(headline, groups, shares)
+    assert table.title == headline
     names, done, speeds = (list(column.cells) for column in table.columns)
     assert names[:2] == [f"{folders[0]}\n{tmp_path / 'with a'}", str(folders[1])]
     assert done == ["50 %", "25 %", "0 %", "0 %"]
