@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from agents.algorithms import algorithm
 from agents.bench.presets import ablation, inferred, preset
-from agents.bench.results import MEASURES, Group
-from agents.bench.tables import caption, mean_row
+from agents.bench.results import Group
+from agents.bench.tables import caption, mean_row, measures_table
 from agents.runs.config import TrainConfig
 from emcc.table import Table
 
@@ -51,13 +51,10 @@ def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table:
 
     "ends in" counts the runs that end in each place.
     """
-    head = [
-        "task, algorithm and choice",
-        *(name.replace("cost_rate", "cost rate") for name in MEASURES),
-    ]
     rows = [_row(group) for pair in pairs for group in pair if group.runs]
     groups = [group for pair in pairs for group in pair]
-    return Table(f"{TITLE}: {MEANING}. {caption(groups)}", [*head, "ends in"], rows, [])
+    what = "task, algorithm and choice"
+    return measures_table(f"{TITLE}: {MEANING}. {caption(groups)}", what, rows)
 
 
 def _row(group: Group) -> list[str]:

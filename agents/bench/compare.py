@@ -13,7 +13,14 @@ from agents.bench.figures import curves
 from agents.bench.page import Section, page
 from agents.bench.provenance import made
 from agents.bench.results import MEASURES, Group, read_groups
-from agents.bench.tables import caption, difference_cell, mean_row, run_rows, title_of
+from agents.bench.tables import (
+    caption,
+    difference_cell,
+    mean_row,
+    measures_table,
+    run_rows,
+    title_of,
+)
 from agents.errors import UserError
 from agents.runs.files import write_whole
 from emcc import difference
@@ -87,7 +94,6 @@ def compare(a: Path, b: Path, out: Path | None = None) -> str:
 
 def _table(task: str, sides: Sides, notes: Sequence[str]) -> Table:
     """Means of both sides, the differences, then every run."""
-    head = [task, *(name.replace("cost_rate", "cost rate") for name in MEASURES), "ends in"]
     pairs = _pairs(sides)
     rows = [
         mean_row(g, f"{side}: ") for side, groups in zip("AB", sides, strict=True) for g in groups
@@ -96,7 +102,7 @@ def _table(task: str, sides: Sides, notes: Sequence[str]) -> Table:
     for side, groups in zip("AB", sides, strict=True):
         rows += [row for name in ALGORITHMS for row in run_rows(groups, name, f"{side}: ")]
     notes = [*notes, *_notes(task, sides)]
-    return Table(f"{caption([*sides.a, *sides.b])}; {METHOD}", head, rows, notes)
+    return measures_table(f"{caption([*sides.a, *sides.b])}; {METHOD}", task, rows, notes)
 
 
 def _pairs(sides: Sides) -> list[tuple[Group, Group]]:

@@ -51,8 +51,10 @@ def command(config: TrainConfig, out: str) -> str:
     if config.task_parameters:
         pairs = (part for pair in config.task_parameters.items() for part in pair)
         options["task_parameters"] = tuple(pairs)
-    if config.vectorization != "auto":
-        options["vectorization"] = config.vectorization
+    options |= {"backend": config.backend}  # without it the machine decides
+    for name, usual in (("vectorization", "auto"), ("device", "cpu")):
+        if getattr(config, name) != usual:
+            options[name] = getattr(config, name)
     typed = (f"--{k.replace('_', '-')} {_typed(v)}" for k, v in (options | {"out": out}).items())
     return " ".join(["circle2d train", *typed])
 

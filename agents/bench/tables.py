@@ -30,7 +30,6 @@ def task_table(groups: Sequence[Group]) -> Table:
     What is best among the means, and among the paper's numbers, is marked: see `best`.
     """
     task = groups[0].config.task
-    head = [task, *(name.replace("cost_rate", "cost rate") for name in MEASURES), "ends in"]
     names = {group.config.algorithm for group in groups}
     rows, ours, papers = [], {}, {}
     for name in (name for name in ALGORITHMS if name in names):
@@ -44,7 +43,18 @@ def task_table(groups: Sequence[Group]) -> Table:
             rows.append([f"{algorithm(name).title}, paper ({PAPER_SEEDS} seeds)", *cells, ""])
     marked = {(row, 1 + MEASURES.index(m)) for row, m in best(ours) | best(papers)}
     rows += [row for name in ALGORITHMS for row in run_rows(groups, name)]
-    return Table(caption(groups), head, rows, _paper_notes(groups), frozenset(marked), MARKING)
+    table = measures_table(caption(groups), task, rows, _paper_notes(groups))
+    return dataclasses.replace(table, marked=frozenset(marked), marking=MARKING)
+
+
+def measures_table(
+    caption: str, first: str, rows: list[list[str]], notes: Sequence[str] = ()
+) -> Table:
+    """A table of rows whose cells are a name (headed by `first`), each measure, and where runs end;
+    without the last column where no run's task has places."""
+    head = [first, *(name.replace("cost_rate", "cost rate") for name in MEASURES), "ends in"]
+    width = len(head) if any(row[-1] for row in rows) else -1
+    return Table(caption, head[:width], [row[:width] for row in rows], list(notes))
 
 
 def best(candidates: Mapping[int, tuple[Mapping[str, float], float]]) -> set[tuple[int, str]]:

@@ -64,7 +64,7 @@ def groups(workers, algorithms=("sac-lag", "trpo-lag"), levels=(0, 1, 2, 3), see
 
 def test_groups_keep_the_workers_busy():
     """Times in steps of TRPO-Lag, x 1e6, where n folders of 3 runs take (3 n + 2) each: SAC-Lag 70
-    as one group, 40 as two, 25 as four; TRPO-Lag 14, which is over sooner where there are 3."""
+    as one group, 40 as two, 25 as four; TRPO-Lag 14, 8, 5."""
     assert groups(1) == [("sac-lag", 4), ("trpo-lag", 4)]  # 84, or 96, or 120
     assert groups(2) == [("sac-lag", 2)] * 2 + [("trpo-lag", 2)] * 2  # 70, or 48, or 60
     assert groups(3) == [("sac-lag", 2)] * 2 + [("trpo-lag", 4)]  # 70, or 40, or 50

@@ -59,6 +59,9 @@ def test_the_command_trains_the_same(tmp_path):
     )
     assert "--hidden 32 64 " in said
     assert "--discount" not in said  # as the preset has it
+    assert "--device" not in said
+    on_gpu = replace(config, device="cuda", backend="compiled")
+    assert "--backend compiled --vectorization sync --device cuda" in command(on_gpu, "x")
 
 
 def test_what_is_told(tmp_path):
@@ -75,7 +78,7 @@ def test_what_is_told(tmp_path):
     first, second = made(tmp_path, groups)["command"].splitlines()
     assert first == (
         "circle2d train --algorithm cpo --task Circle2D-1-v0 --seeds 0 1 --steps 1000 "
-        f"--out {tmp_path.name}/cpo"
+        f"--backend eager --out {tmp_path.name}/cpo"
     )
     assert "wcsac" in second
     assert made(tmp_path, groups)["steps"] == "1,000"
