@@ -23,9 +23,9 @@ from agents.cli_grid import run_reproduce
 from agents.cli_pictures import run_heatmap, run_render, run_scene
 from agents.errors import UserError
 from agents.options import BackendChoice, chosen_backend, parse
-from agents.runs.config import Device, TrainConfig, run_folder, versions
+from agents.runs.config import Device, TrainConfig, run_folder
 from agents.runs.evaluate import evaluate
-from agents.runs.files import read_json
+from agents.runs.machine import note_session
 from agents.runs.progress import show_progress
 from agents.runs.tasks import Vectorization, check_task
 from agents.runs.tensorboard import require_tensorboard
@@ -135,10 +135,10 @@ def run_resume(args: Sequence[str]) -> int:
         raise UserError("resume needs a folder of runs")
     for folder in folders:
         TrainConfig.read(folder)
-        before = read_json(folder / "config.json").get("versions")
-        if before != versions():
-            how = f"begun with other versions, {before}: results may differ"
-            print(f"circle2d: {folder}: {how}", file=sys.stderr)
+    for folder in folders:
+        said = note_session(folder)
+        if said:
+            print(f"circle2d: {folder}: {said}", file=sys.stderr)
     return _train(*folders)
 
 
@@ -148,7 +148,8 @@ def run_evaluate(args: Sequence[str]) -> int:
     policy = training.learner.policy()
     active = ~training.failed
     results = evaluate(options.folder, training.config, policy, options.episodes, active)
-    steps = f"after {training.steps.min()} of {training.config.steps} steps"
+    took = training.steps[active].min(initial=training.config.steps)
+    steps = f"after {took} of {training.config.steps} steps"
     print(f"{options.folder}, {steps}: means over {options.episodes} episodes")
     for name, of_runs in results.items():
         for seed, measures in zip(training.config.seeds, of_runs, strict=True):

@@ -23,6 +23,7 @@ from agents.errors import UserError
 from agents.options import BackendChoice, chosen_backend, parse
 from agents.runs.config import Device, TrainConfig
 from agents.runs.files import locked
+from agents.runs.machine import note_session
 from agents.runs.tasks import check_task
 from agents.runs.timing import share_done, speed
 from agents.runs.workers import Group, Workers
@@ -54,10 +55,11 @@ class ReproduceOptions:
     seeds: tuple[int, ...] | None = None
     """Seeds of each algorithm and task; by default 0 1 2."""
     steps: int | None = None
-    """Environment steps of each run; by default 1 000 000."""
+    """Environment steps of each run; by default the paper's: 1 000 000 on Circle2D, 10 000 000 on
+    its Safety tasks."""
     backend: BackendChoice | None = None
-    """How updates run, see `circle2d train --help`; by default auto, and eager with quick, which
-    is over before anything is compiled."""
+    """How updates run, see `circle2d train --help`; by default auto, or what the runs in out began
+    with, and eager with quick, which is over before anything is compiled."""
     device: Device = "cpu"
     """Where updates run: cuda on a GPU."""
     workers: int = os.cpu_count() or 1
@@ -67,6 +69,8 @@ class ReproduceOptions:
 def run_reproduce(args: Sequence[str]) -> int:
     """`circle2d reproduce`; returns the exit status."""
     options = parse(ReproduceOptions, "reproduce", args)
+    if not options.algorithms:
+        raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
     if options.workers < 1:
         raise UserError(f"workers must be at least 1, got {options.workers}")
     tasks = _tasks(options)
@@ -75,9 +79,10 @@ def run_reproduce(args: Sequence[str]) -> int:
     seeds, steps = options.seeds, options.steps
     if seeds is None:
         seeds = grid.QUICK_SEEDS if options.quick else grid.SEEDS
-    if steps is None:
-        steps = grid.QUICK_STEPS if options.quick else grid.STEPS
-    backend = chosen_backend(options.backend or ("eager" if options.quick else "auto"))
+    if steps is None and options.quick:
+        steps = grid.QUICK_STEPS
+    usual = "eager" if options.quick else grid.backend_of(options.out) or "auto"
+    backend = chosen_backend(options.backend or usual)
     configs = grid.grid(
         options.out,
         tasks,
@@ -89,6 +94,10 @@ def run_reproduce(args: Sequence[str]) -> int:
         options.ablations,
     )
     grid.prepare(configs)
+    for folder in configs:
+        said = "" if grid.finished(folder, configs[folder]) else note_session(folder)
+        if said:
+            print(f"circle2d: {folder}: {said}", file=sys.stderr)
     with locked(options.out), _ended_by_signals():
         failed = _train(configs, options.workers)
     for folder, said in failed.items():
@@ -130,7 +139,7 @@ def _ended_by_signals() -> Iterator[None]:
 def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
     """Train what is not finished; the folders that failed, and what was said of it."""
     left = [folder for folder, config in configs.items() if not grid.finished(folder, config)]
-    shares = {folder: float(folder not in left) for folder in configs}
+    shares = {folder: share_done(folder) if folder in left else 1.0 for folder in configs}
     started, (before, total) = time.monotonic(), grid.work_left(shares, configs)
     console = Console(stderr=True)
     groups = grid.groups({folder: configs[folder] for folder in left}, count)

@@ -19,7 +19,7 @@ from circle2d_mj.gl import NoOpenGL, check_backend
 
 @dataclass(frozen=True)
 class HeatmapOptions:
-    """Draw which states the agents visited in training, in the rollouts that dominate EMCC, of all
+    """Draw which states the agents visited in training, in the rollouts that dominate EMCC, of the
     runs of a folder together: a PNG."""
 
     folder: Annotated[Path, tyro.conf.Positional]
@@ -28,6 +28,8 @@ class HeatmapOptions:
     """Parts of training, named as EMCC names them: 0.33, 0.66, 0.99."""
     alpha: float = pictures.ALPHA
     """Share of a part's rollouts, those of the highest MCC; 1 draws all."""
+    seeds: tuple[int, ...] | None = None
+    """Of the runs; by default all but those that failed."""
     out: Path | None = None
     """File to write; by default heatmap.png in the folder."""
     size: int = 640
@@ -73,7 +75,8 @@ def run_heatmap(args: Sequence[str]) -> int:
         raise UserError(f"alpha must be in (0, 1], got {options.alpha}")
     out = options.out or options.folder / "heatmap.png"
     _check_suffix(out, ".png")
-    picture = pictures.heatmap(options.folder, options.part, options.alpha, options.size)
+    of_file = (options.part, options.alpha, options.size, options.seeds)
+    picture = pictures.heatmap(options.folder, *of_file)
     files.write_picture(out, picture)
     print(out)
     return 0

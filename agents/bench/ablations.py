@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from agents.algorithms import algorithm
 from agents.bench.presets import ablation, inferred, preset
 from agents.bench.results import Group
-from agents.bench.tables import caption, mean_row, measures_table
+from agents.bench.tables import caption, mean_row, measures_table, unusual_steps
 from agents.runs.config import TrainConfig
 from emcc.table import Table
 
@@ -64,7 +64,8 @@ def _row(group: Group) -> list[str]:
     choice = f"{setting.field} {getattr(config.hyperparameters, setting.field)}"
     if config.hyperparameters == preset(config.algorithm, config.task):
         choice += " (preset)"
-    what = f"{config.task}, {algorithm(config.algorithm).title}, {choice}"
+    title = algorithm(config.algorithm).title
+    what = ", ".join([config.task, title, choice, *unusual_steps(config)])
     places = Counter(run.ends.partition(" (")[0] for run in group.runs if run.ends)
     ends = ", ".join(f"{place} {count}" for place, count in places.most_common())
     return [f"{what}, mean of {len(group.runs)}", *mean_row(group)[1:-1], ends]

@@ -58,7 +58,7 @@ class Checked(NamedTuple):
 
 
 def in_corridor(run: Run) -> bool:
-    """Whether most of a run's evaluated episodes end in the left corridor."""
+    """Whether a run's evaluated episodes end in the left corridor more often than elsewhere."""
     return run.ends.partition(" (")[0] == "corridor"
 
 
@@ -243,8 +243,8 @@ CLAIMS = (STRAIGHT_THROUGH, TREND, CORRIDOR, LOW_COST, NOBODY, TOLD_APART)
 def check_claims(groups: Sequence[Group]) -> list[Checked]:
     """Every claim against the runs of the paper's grid; nothing where no algorithm has them.
 
-    Runs with other settings or task parameters decide nothing, and neither do fewer seeds or steps
-    than the paper's.
+    Runs with other settings or task parameters decide nothing, and neither do runs of other length
+    than the paper's, or fewer.
     """
     evidence = gather(groups)
     if all(cell.lacking for cell in evidence.values()):

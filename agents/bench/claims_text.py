@@ -13,7 +13,7 @@ METHOD = (
     "Each claim is decided by the rule below it, a part at a time: confirmed where all its parts "
     "are, refuted where one is, open otherwise. Runs count that have the presets' settings; an "
     f"algorithm with fewer than {PAPER_SEEDS} complete runs of the paper's length on a task "
-    "decides nothing there. A run ends where most of its evaluated episodes do; the limit is "
+    "decides nothing there. A run ends where its evaluated episodes end most often; the limit is "
     f"{LIMIT:g}. Intervals: 95 % bootstrap over seeds (of a mean of three: from the lowest to the "
     "highest)."
 )

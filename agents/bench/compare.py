@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from agents.bench.provenance import made
 from agents.bench.results import MEASURES, Group, read_groups
 from agents.bench.tables import (
     caption,
+    changes,
     difference_cell,
     mean_row,
     measures_table,
@@ -108,9 +109,13 @@ def _table(task: str, sides: Sides, notes: Sequence[str]) -> Table:
 def _pairs(sides: Sides) -> list[tuple[Group, Group]]:
     pairs = []
     for of_b in sides.b:
-        same = [of_a for of_a in sides.a if title_of(of_a.config) == title_of(of_b.config)]
+        same = [of_a for of_a in sides.a if _settings(of_a) == _settings(of_b)]
         pairs += [(of_a, of_b) for of_a in same or sides.a]
     return pairs
+
+
+def _settings(group: Group) -> tuple[str, dict[str, Any]]:
+    return group.config.algorithm, changes(group.config)
 
 
 def _difference_row(a: Group, b: Group) -> list[str]:
@@ -128,8 +133,4 @@ def _notes(task: str, sides: Sides) -> list[str]:
     for name, group in sides.named:
         if len(group.runs) == 1:
             notes.append(f"{task}, {name} has one seed: no interval, of its mean or difference.")
-    steps = [sorted({group.config.steps for group in groups}) for groups in sides]
-    if steps[0] != steps[1]:
-        told = [", ".join(f"{count:,}" for count in of_side) for of_side in steps]
-        notes.append(f"{task}: A trained {told[0]} steps, B {told[1]}.")
     return notes

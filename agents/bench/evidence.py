@@ -23,7 +23,7 @@ class Cell(NamedTuple):
     algorithm: str
     runs: tuple[Run, ...]
     lacking: str
-    """Why they decide nothing: fewer seeds or steps than the paper's; empty where they do."""
+    """Why they decide nothing: fewer than the paper's, or of other length; empty where they do."""
 
     @property
     def title(self) -> str:
@@ -65,21 +65,24 @@ def gather(groups: Sequence[Group]) -> Evidence:
 
 
 def _cell(groups: Sequence[Group], task: str, name: str) -> Cell:
-    runs: dict[int, Run] = {}
-    steps = PAPER_STEPS[task]
+    """Runs of the paper's length, one for each seed; where there are none, the longest of the
+    others, which decide nothing."""
+    found: dict[int, dict[int, Run]] = {}  # by steps and seed
     for _, config, of_group in groups:
         same_task = config.task.rpartition(":")[2] == task
         if same_task and config.algorithm == name and not changes(config) and of_group:
-            runs = {run.seed: run for run in of_group} | runs
-            steps = min(steps, config.steps)
+            of_length = found.setdefault(config.steps, {})
+            found[config.steps] = {run.seed: run for run in of_group} | of_length
+    if not found:
+        return Cell(task, name, (), "no runs")
+    full = PAPER_STEPS[task]
+    steps = full if full in found else max(found)
     lacking = ""
-    if not runs:
-        lacking = "no runs"
-    elif steps < PAPER_STEPS[task]:
-        lacking = f"{steps:,} of {PAPER_STEPS[task]:,} steps"
-    elif len(runs) < PAPER_SEEDS:
-        lacking = f"{len(runs)} of {PAPER_SEEDS} runs"
-    return Cell(task, name, tuple(runs.values()), lacking)
+    if steps != full:
+        lacking = f"{steps:,} of {full:,} steps"
+    elif len(found[steps]) < PAPER_SEEDS:
+        lacking = f"{len(found[steps])} of {PAPER_SEEDS} runs"
+    return Cell(task, name, tuple(found[steps].values()), lacking)
 
 
 def all_of(verdicts: Iterable[Verdict]) -> Verdict:

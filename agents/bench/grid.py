@@ -7,7 +7,7 @@ from itertools import pairwise
 from math import ceil
 from pathlib import Path
 
-from agents.bench.presets import ablation, preset
+from agents.bench.presets import PAPER_SEEDS, ablation, preset, usual_steps
 from agents.errors import UserError
 from agents.runs.config import FAILURE, Backend, Device, TrainConfig, run_folder
 from agents.runs.files import read_json
@@ -17,8 +17,7 @@ from agents.runs.workers import Group
 from circle2d_mj.config import LEVELS
 from emcc import EpisodeRecords
 
-SEEDS = (0, 1, 2)
-STEPS = 1_000_000
+SEEDS = tuple(range(PAPER_SEEDS))
 QUICK_SEEDS, QUICK_STEPS = (0, 1), 10_000
 WORK = {"trpo-lag": 1.0, "cpo": 1.3, "sac-lag": 5.0, "sac-lb": 5.0, "wcsac": 5.2}
 """What a step of an algorithm takes on Circle2D, beside TRPO-Lag's. Decides the order (what takes
@@ -43,7 +42,7 @@ def grid(
     tasks: Sequence[str],
     algorithms: Sequence[str],
     seeds: Sequence[int],
-    steps: int,
+    steps: int | None = None,
     backend: Backend = "eager",
     device: Device = "cpu",
     ablations: bool = False,
@@ -51,12 +50,11 @@ def grid(
     """The runs of every algorithm on every task with its preset, by folder; what takes longest
     first. The seeds of a folder train in lockstep.
 
-    ablations: those with the other choice of what is inferred in a preset as well, in folders like
-    trpo-lag-sgd. Raises UserError for what is unknown.
+    steps: of each run; by default the usual ones of its task. ablations: those with the other
+    choice of what is inferred in a preset as well, in folders like trpo-lag-sgd. Raises
+    UserError for what is unknown.
     """
     order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, max(WORK.values())))
-    # Twenty checkpoints at the most: those of a long off-policy training hold gigabytes.
-    common = {"checkpoint_every": max(50_000, steps // 20), "backend": backend, "device": device}
     found = {}
     for name in order:
         for task in dict.fromkeys(tasks):
@@ -64,10 +62,20 @@ def grid(
             other = ablation(name, task) if ablations else None
             if other:
                 chosen[f"{name}-{other[0]}"] = other[1]
+            of_each = usual_steps(task) if steps is None else steps
+            # Twenty checkpoints at the most: those of a long off-policy training hold gigabytes.
+            common = {"checkpoint_every": max(50_000, of_each // 20)}
+            common |= {"backend": backend, "device": device}
             for folder, hyperparameters in chosen.items():
-                config = TrainConfig(name, task, tuple(seeds), steps, hyperparameters, **common)
+                config = TrainConfig(name, task, tuple(seeds), of_each, hyperparameters, **common)
                 found[out / task.replace("/", "-") / folder] = config
     return found
+
+
+def backend_of(out: Path) -> Backend | None:
+    """What the updates of the runs in a grid's folder began with; None where there are no runs."""
+    first = next((path.parent for path in sorted(out.glob("*/*/config.json"))), None)
+    return TrainConfig.read(first).backend if first else None
 
 
 def prepare(folders: dict[Path, TrainConfig]) -> None:
@@ -77,10 +85,12 @@ def prepare(folders: dict[Path, TrainConfig]) -> None:
     """
     there = [folder for folder in folders if (folder / "config.json").exists()]
     for folder in there:
-        if TrainConfig.read(folder) != folders[folder]:
+        theirs, ours = TrainConfig.read(folder).settings, folders[folder].settings
+        changed = [f"{k} {theirs[k]} (now {ours[k]})" for k in ours if theirs.get(k) != ours[k]]
+        if changed:
             raise UserError(
-                f"{folder} holds runs with other settings (seeds, steps or hyper-parameters): "
-                "choose another folder for out"
+                f"{folder} holds runs with other settings: {', '.join(changed)}; choose another "
+                "folder for out"
             )
     for folder, config in folders.items():
         if folder not in there:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from agents.algorithms import algorithm
 from agents.errors import UserError
-from agents.runs.config import TrainConfig, run_folder
+from agents.runs.config import FAILURE, TrainConfig, run_folder
 from agents.runs.evaluate import play
 from agents.runs.tasks import circle2d_config, make_envs
 from agents.runs.train import EVALUATION_EPISODES, restored
@@ -98,22 +98,37 @@ def heatmap(
 ) -> Picture:
     """Heat maps of the parts of a training, side by side: [height, width, 3].
 
-    folder: of runs of one algorithm, of which those of the seeds (all by default) are taken
-    together; parts and alpha: see `visits`; size: pixels along the side of each map.
+    folder: of runs of one algorithm, of which those of the seeds (by default all that have not
+    failed) are taken together; parts and alpha: see `visits`; size: pixels along the side of each
+    map. The title names the seeds where they are not all.
     """
     config, task = _circle2d_runs(folder)
-    config = replace(config, seeds=config.seeds if seeds is None else seeds)
+    everyone, config = config.seeds, _of_seeds(folder, config, seeds)
     of_parts = [visits(folder, config, part, alpha) for part in parts]
     most = max(int(counts(folder, task, of_part).max()) for of_part in of_parts)
     with _renderer(task, size) as renderer:
         pictures = [renderer.heatmap(of_part.positions, most=most) for of_part in of_parts]
+    title = f"{algorithm(config.algorithm).title} on {config.task}"
+    if set(config.seeds) != set(everyone):
+        title += f", of seed {' and '.join(map(str, config.seeds))}"
     return figure(
         [pictures],
         [PARTS[part] for part in parts],
-        title=f"{algorithm(config.algorithm).title} on {config.task}",
+        title=title,
         captions=[[caption(of_part) for of_part in of_parts]],
         most_visits=most,
     )
+
+
+def _of_seeds(folder: Path, config: TrainConfig, seeds: tuple[int, ...] | None) -> TrainConfig:
+    if seeds is None:
+        failed = [(run_folder(folder, seed) / FAILURE).exists() for seed in config.seeds]
+        seeds = tuple(seed for seed, f in zip(config.seeds, failed, strict=True) if not f)
+        if not seeds:
+            raise UserError(f"no heat map: all runs of {folder} have failed")
+    if not seeds or not set(seeds) <= set(config.seeds):
+        raise UserError(f"seeds must be some of {list(config.seeds)}, got {list(seeds)}")
+    return replace(config, seeds=seeds)
 
 
 def counts(folder: Path, task: Circle2DConfig, found: Visits) -> NDArray[np.int64]:

@@ -15,6 +15,8 @@ PAPER_STEPS = {f"Circle2D-{level}-v0": 1_000_000 for level in LEVELS} | {
 }
 """Environment steps of a run, by the id of every task of the paper. Tables HP_Circle2D and
 HP_SafetyGymnasium, total timesteps."""
+STEPS = 1_000_000
+"""Those of a run on any other task."""
 PAPER_SEEDS = 3
 """Runs of an algorithm on a task. Tables Circle2DResults and SafetyGymnasiumResults, captions."""
 
@@ -40,6 +42,11 @@ def preset(name: str, task: str) -> Any:
         elif task.startswith("circle2d_mj/SafetyPointCircle1"):
             config = replace(config, episodes=20)
     return config
+
+
+def usual_steps(task: str) -> int:
+    """Environment steps of a run: the paper's on its tasks, `STEPS` on any other."""
+    return PAPER_STEPS.get(task.rpartition(":")[2], STEPS)
 
 
 class Inferred(NamedTuple):

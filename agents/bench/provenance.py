@@ -12,6 +12,7 @@ from agents.bench.tables import hyperparameter_changes
 from agents.errors import UserError
 from agents.runs.config import TrainConfig
 from agents.runs.files import read_json
+from agents.runs.machine import sessions_of
 from agents.runs.timing import seconds_trained
 
 
@@ -21,14 +22,14 @@ def made(folder: Path, groups: Sequence[Group]) -> dict[str, str]:
     folder: the report's. Versions and machine are those that the run folders hold; the time is that
     of their `timing.log`, and left out where there is none.
     """
-    contents = [_content(group.folder) for group in groups]
+    sessions = [of for group in groups for of in sessions_of(_content(group.folder))]
     versions = {
-        f"{name} {version}" for of in contents for name, version in of.get("versions", {}).items()
+        f"{name} {version}" for of in sessions for name, version in (of["versions"] or {}).items()
     }
     machines = {
         f"{of['machine']['processor']}, {of['machine']['cores']} cores"
-        for of in contents
-        if "machine" in of
+        for of in sessions
+        if of["machine"]
     }
     told = {
         "command": "\n".join(

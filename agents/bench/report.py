@@ -59,7 +59,7 @@ def report(folder: Path, with_figures: bool = False) -> str:
 
 def _figures(by_task: dict[str, list[Group]], notes: list[str]) -> dict[str, list[Figure]]:
     """The figures of every section of the page, by its title."""
-    configs = [of_task[0].config for of_task in by_task.values()]
+    configs = [group.config for of_task in by_task.values() for group in of_task if group.runs]
     is_circle2d = any(circle2d_config(c.task, c.task_parameters) for c in configs)
     first = {"Circle2D and EMCC": introduction()} if is_circle2d else {}
     return first | {task: figures(of_task, notes) for task, of_task in by_task.items()}

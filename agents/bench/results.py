@@ -100,7 +100,7 @@ def _read_run(path: Path, config: TrainConfig, seed: int) -> Run:
 
 
 def _ends(config: TrainConfig, evaluation: dict[str, Any]) -> str:
-    """Where most of the evaluated episodes ended, for a Circle2D task."""
+    """Where the evaluated episodes ended most often, for a Circle2D task."""
     task = circle2d_config(config.task, config.task_parameters)
     if task is None:
         return ""

@@ -12,7 +12,7 @@ import numpy as np
 
 from agents.algorithms import ALGORITHMS, algorithm
 from agents.bench.pictures import ALPHA
-from agents.bench.presets import PAPER_SEEDS, inferred, preset
+from agents.bench.presets import PAPER_SEEDS, inferred, preset, usual_steps
 from agents.bench.results import MEASURES, Group, Run
 from agents.runs.config import TrainConfig
 from emcc import Difference, Estimate, estimate
@@ -126,9 +126,15 @@ def _estimate_cell(found: Estimate | Difference, sign: str) -> str:
 
 
 def title_of(config: TrainConfig) -> str:
-    """The algorithm, with what differs from the preset and from the task as it is registered."""
-    inside = ", ".join(f"{k} {v}" for k, v in changes(config).items())
-    return algorithm(config.algorithm).title + (f" ({inside})" if inside else "")
+    """The algorithm, with what differs from the preset, from the task as it is registered, and from
+    the usual number of steps."""
+    told = [f"{k} {v}" for k, v in changes(config).items()] + unusual_steps(config)
+    return algorithm(config.algorithm).title + (f" ({', '.join(told)})" if told else "")
+
+
+def unusual_steps(config: TrainConfig) -> list[str]:
+    """How long was trained, where that is not as long as usual: see `presets.usual_steps`."""
+    return [] if config.steps == usual_steps(config.task) else [f"{config.steps:,} steps"]
 
 
 def changes(config: TrainConfig) -> dict[str, Any]:

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import platform
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from agents.algorithms import algorithm
 from agents.errors import UserError, check_choice, check_integers
 from agents.runs.files import read_json, write_json
-from agents.runs.machine import machine
+from agents.runs.machine import made_with
 from agents.runs.tasks import Vectorization, is_native, sizes_of
 
 Backend = Literal["compiled", "eager"]
 Device = Literal["cpu", "cuda"]
-PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
 FAILURE = "failed.json"
 """In the folder of a run that stopped at a number which is not finite: the step it had come to."""
 
@@ -72,13 +69,17 @@ class TrainConfig:
         return self.vectorization == "auto" and is_native(self.task)
 
     @property
-    def shared(self) -> dict[str, Any]:
-        """What folders whose runs train together have in common: all but tasks and seeds."""
+    def settings(self) -> dict[str, Any]:
+        """Everything by name, the hyper-parameters one by one."""
         content = dataclasses.asdict(self)
         hyperparameters = content.pop("hyperparameters")
+        return content | {f"hyperparameters.{k}": value for k, value in hyperparameters.items()}
+
+    @property
+    def shared(self) -> dict[str, Any]:
+        """What folders whose runs train together have in common: all but tasks and seeds."""
         own = ("task", "task_parameters", "seeds")
-        content |= {f"hyperparameters.{name}": value for name, value in hyperparameters.items()}
-        return {name: value for name, value in content.items() if name not in own}
+        return {name: value for name, value in self.settings.items() if name not in own}
 
     def write(self, folder: Path) -> None:
         """Make the run folder. Raises UserError where there is one already."""
@@ -87,7 +88,7 @@ class TrainConfig:
                 f"{folder} holds runs already: go on with them by 'circle2d resume {folder}', "
                 "or choose another folder"
             )
-        content = dataclasses.asdict(self) | {"versions": versions(), "machine": machine()}
+        content = dataclasses.asdict(self) | made_with()
         try:
             json.dumps(content)
         except TypeError as error:
@@ -104,7 +105,7 @@ class TrainConfig:
         """The configuration of a run folder. Raises UserError where it is missing or damaged."""
         path = folder / "config.json"
         content = read_json(path)
-        for name in ("versions", "machine"):
+        for name in ("versions", "machine", "resumed"):
             content.pop(name, None)
         try:
             hyperparameters = _tuples(content.pop("hyperparameters"))
@@ -138,11 +139,6 @@ def run_folder(folder: Path, seed: int) -> Path:
 def run_folders(folder: Path, config: TrainConfig) -> list[Path]:
     """`run_folder` of each run."""
     return [run_folder(folder, seed) for seed in config.seeds]
-
-
-def versions() -> dict[str, str]:
-    """What the results were computed with."""
-    return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
 
 
 def _tuples(parameters: dict[str, Any]) -> dict[str, Any]:

@@ -1,12 +1,27 @@
-"""What a training ran on, as far as it may matter to its numbers and its speed."""
+"""What trained some runs, as far as it may matter to their numbers and their speed."""
 
 from __future__ import annotations
 
 import os
 import platform
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
+from agents.runs.files import read_json, write_json
+
+PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
 CPUINFO = Path("/proc/cpuinfo")
+
+
+def made_with() -> dict[str, Any]:
+    """Versions and machine of this process: always the same for the same, no times."""
+    return {"versions": versions(), "machine": machine()}
+
+
+def versions() -> dict[str, str]:
+    """Python and the packages that results depend on."""
+    return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
 
 
 def machine() -> dict[str, str | int]:
@@ -22,3 +37,23 @@ def _processor() -> str:
         lines = []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return next(filter(None, names), platform.processor() or platform.machine())
+
+
+def note_session(folder: Path) -> str:
+    """Record in a folder's configuration what goes on with its runs, where that is not what they
+    were trained with last; says so in words, and nothing where it is."""
+    now, path = made_with(), folder / "config.json"
+    content = read_json(path)
+    sessions = sessions_of(content)
+    if sessions[-1] == now:
+        return ""
+    write_json(path, content | {"resumed": [*sessions[1:], now]})
+    changed = [f"{name} {sessions[-1][name]}" for name in now if sessions[-1][name] != now[name]]
+    return f"trained so far with other {' and '.join(changed)}: results may differ"
+
+
+def sessions_of(content: dict[str, Any]) -> list[dict[str, Any]]:
+    """Versions and machine that began the runs of a configuration, then those that went on with
+    them; None for what was not recorded."""
+    sessions = (content, *content.get("resumed", []))
+    return [{name: of.get(name) for name in ("versions", "machine")} for of in sessions]

@@ -101,6 +101,7 @@ class Training:
             self.visited.write(folders)
         for of_run, failed, steps in zip(folders, self.failed, self.steps, strict=True):
             (of_run / FAILURE).unlink(missing_ok=True)
+            (of_run / "evaluation.json").unlink(missing_ok=True)  # of an earlier policy
             if failed:
                 write_json(of_run / FAILURE, {"step": int(steps)})
         counters = {"epoch": np.array(self.epoch), "seeds": np.array(self.config.seeds)}

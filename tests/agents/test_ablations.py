@@ -89,14 +89,14 @@ def test_both_choices_side_by_side(folder):
     start = markdown.index("Both choices of what the presets infer")
     main_table, ablated = rows(markdown[:start]), rows(markdown[start:])
     assert [row[0] for row in ablated[2:]] == [
-        f"{TASK}, TRPO-Lag, multiplier_optimizer adam (preset), mean of 3",
-        f"{TASK}, TRPO-Lag, multiplier_optimizer sgd, mean of 2",
+        f"{TASK}, TRPO-Lag, multiplier_optimizer adam (preset), 100 steps, mean of 3",
+        f"{TASK}, TRPO-Lag, multiplier_optimizer sgd, 100 steps, mean of 2",
     ]
     assert [row[5] for row in ablated[2:]] == ["-14.00 [-20.00, -10.00]", "-2.00 [-3.00, -1.00]"]
     assert [row[8] for row in ablated[2:]] == ["corridor 2, right rim 1", "corridor 1, right rim 1"]
     # The best J_R of the main table is the preset's, though the ablated runs' is higher.
     assert not any("sgd" in row[0] for row in main_table)
-    (of_preset,) = (row for row in main_table if row[0] == "TRPO-Lag, mean of 3")
+    (of_preset,) = (row for row in main_table if row[0] == "TRPO-Lag (100 steps), mean of 3")
     assert of_preset[5] == "**-14.00** [-20.00, -10.00]"
     assert "Both choices" in (folder / "report.csv").read_text()
 
@@ -105,13 +105,13 @@ def test_without_the_presets_runs_it_is_a_group_like_any_other(folder):
     shutil.rmtree(folder / "trpo-lag")
     markdown = report(folder)
     assert "Both choices" not in markdown
-    assert "TRPO-Lag (multiplier_optimizer sgd), mean of 2" in markdown
+    assert "TRPO-Lag (multiplier_optimizer sgd, 100 steps), mean of 2" in markdown
 
 
 def test_runs_of_other_steps_are_no_pair(folder):
     other = ablation("trpo-lag", TASK)[1]
     write_runs(folder / "longer", "trpo-lag", [-1.0], other, steps=200)
-    assert "TRPO-Lag (multiplier_optimizer sgd), mean of 1" in report(folder)
+    assert "TRPO-Lag (multiplier_optimizer sgd, 200 steps), mean of 1" in report(folder)
 
 
 def test_reproduce_with_ablations(tmp_path, capsys):
@@ -122,7 +122,7 @@ def test_reproduce_with_ablations(tmp_path, capsys):
     folders = {path.parent.name for path in out.glob("*/*/config.json")}
     assert folders == {"trpo-lag", "trpo-lag-sgd", "cpo"}
     printed = capsys.readouterr().out
-    assert "TRPO-Lag, multiplier_optimizer sgd, mean of 1" in printed
+    assert "TRPO-Lag, multiplier_optimizer sgd, 2,000 steps, mean of 1" in printed
     page = (out / "index.html").read_text()
     assert "Both choices of what the presets infer" in page
     assert len(re.findall(r"circle2d train .*--multiplier-optimizer sgd", page)) == 1

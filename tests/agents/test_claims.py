@@ -181,3 +181,17 @@ def test_the_page_says_the_same(world):
         "- Circle2D-1: 3 of 3 runs go through, J_C 9.40 [9.40, 9.40] (paper 9.39), "
         "EMCC_0.99 0.21 [0.20, 0.22] (paper 0.22): confirmed" in text
     )
+
+
+def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
+    """A demo of the same seeds, whose costs would refute the first claim, in a folder before the
+    others; longer ones behind them."""
+    demo = changed(world[LEVEL[1], "trpo-lag"], ALL, J_C=1.0, ends="right rim")
+    others = [group(LEVEL[1], "trpo-lag", demo, steps=steps) for steps in (250_000, 2_000_000)]
+    groups = [group(task, name, runs) for (task, name), runs in world.items()]
+    assert [c.verdict for c in check_claims([others[0], *groups, others[1]])] == ["confirmed"] * 6
+    del world[LEVEL[1], "trpo-lag"]
+    groups = [group(task, name, runs) for (task, name), runs in world.items()]
+    checked = check_claims([*others, *groups])[0]
+    assert checked.verdict == "open"
+    assert any("2,000,000 of 1,000,000 steps" in part.text for part in checked.findings)

@@ -29,10 +29,10 @@ def test_train_prints_and_writes_the_table(folder, capsys):
     rows = [line for line in out.splitlines() if line.startswith("| SAC-Lag")]
     names = [row.split("|")[1].strip() for row in rows]
     assert names == [
-        "SAC-Lag (random_steps 300), mean of 2",
+        "SAC-Lag (random_steps 300, 600 steps), mean of 2",
         "SAC-Lag, paper (3 seeds)",
-        "SAC-Lag (random_steps 300), seed 0",
-        "SAC-Lag (random_steps 300), seed 1",
+        "SAC-Lag (random_steps 300, 600 steps), seed 0",
+        "SAC-Lag (random_steps 300, 600 steps), seed 1",
     ]
     paper = [cell.strip() for cell in rows[1].split("|")[2:9]]
     assert paper == ["0.62", "0.63", "0.43", "0.20", "-13.70", "3.32", "3.64"]
@@ -113,6 +113,7 @@ def test_a_failed_run_is_named_and_the_status_is_1(tmp_path, capsys, monkeypatch
     assert main(["resume", str(out)]) == 1
     assert main(["evaluate", str(out), "--episodes", "2"]) == 1
     said = capsys.readouterr().out
+    assert f"{out}, after 600 of 600 steps: " in said  # those that are evaluated
     assert said.count("seed 4, ") == said.count("no finite numbers") == 2
 
 
@@ -180,7 +181,7 @@ def test_report_names_what_it_leaves_out(folder, tmp_path, capsys):
     episodes.write_text(episodes.read_text()[:-100])
     assert main(["report", str(copy)]) == 0
     out = capsys.readouterr().out
-    assert "(random_steps 300), mean of 1" in out
+    assert "(random_steps 300, 600 steps), mean of 1" in out
     assert "seed 0 |" not in out
     assert re.search(r"left out: .*seed-0: .*episodes\.csv", out)
     (copy / "seed-1" / "evaluation.json").unlink()
@@ -197,10 +198,14 @@ def test_one_damaged_folder_does_not_hide_the_others(folder, tmp_path, capsys):
     (tmp_path / "bad" / "config.json").write_text("{")
     (tmp_path / "foreign").mkdir()
     (tmp_path / "foreign" / "config.json").write_text("[1, 2]")
+    shutil.copytree(folder, tmp_path / "elsewhere")  # with a task that cannot be found here
+    config = tmp_path / "elsewhere" / "config.json"
+    config.write_text(config.read_text().replace("Circle2D-1-v0", "no_such_module:Mine-v0"))
     assert main(["report", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "mean of 2" in out
-    assert len(re.findall("left out", out)) == 2
+    assert len(re.findall("left out", out)) == 2 + 2
+    assert "No module named 'no_such_module'" in out
 
 
 def test_no_table_of_a_very_short_run_but_its_evaluation(tmp_path, capsys):

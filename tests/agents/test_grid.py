@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import pytest
 
+from agents import cli_grid
 from agents.algorithms import ALGORITHMS
 from agents.bench import grid
 from agents.bench.presets import preset
@@ -42,7 +43,7 @@ def whole(tmp_path_factory):
 def test_the_papers_grid():
     tasks = grid.circle2d_tasks((0, 1, 2, 3), mujoco=False)
     algorithms = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
-    configs = grid.grid(grid.Path("x"), tasks, algorithms, grid.SEEDS, grid.STEPS)
+    configs = grid.grid(grid.Path("x"), tasks, algorithms, grid.SEEDS)
     assert sum(len(config.seeds) for config in configs.values()) == 60
     assert {(c.task, c.algorithm) for c in configs.values()} == {
         (task, name) for task in tasks for name in algorithms
@@ -55,7 +56,7 @@ def test_the_papers_grid():
 
 def groups(workers, algorithms=("sac-lag", "trpo-lag"), levels=(0, 1, 2, 3), seeds=grid.SEEDS):
     tasks = grid.circle2d_tasks(levels, mujoco=False)
-    configs = grid.grid(grid.Path("x"), tasks, algorithms, seeds, grid.STEPS)
+    configs = grid.grid(grid.Path("x"), tasks, algorithms, seeds)
     found = grid.groups(configs, workers)
     assert sorted(folder for group in found for folder in group) == sorted(configs)
     assert all(len({folder.name for folder in group}) == 1 for group in found)
@@ -129,8 +130,8 @@ def test_runs_are_those_of_train(whole, tmp_path, capsys):
     config.write(tmp_path / "alone")
     train(tmp_path / "alone")
     assert results(tmp_path / "alone") == results(whole / task / "cpo")
-    assert "CPO, mean of 2" in (whole / "report.md").read_text()
-    assert "TRPO-Lag, mean of 2" in (whole / "report.md").read_text()
+    assert "CPO (2,000 steps), mean of 2" in (whole / "report.md").read_text()
+    assert "TRPO-Lag (2,000 steps), mean of 2" in (whole / "report.md").read_text()
 
 
 def test_again_nothing_is_trained(whole, capsys):
@@ -197,7 +198,7 @@ def test_one_failure_does_not_stop_the_others(tmp_path, capsys):
     assert main(command) == 1
     out_text, err = capsys.readouterr()
     assert re.search(r"circle2d: .*Circle2D-1-v0/cpo failed: circle2d: .*damaged", err)
-    assert "TRPO-Lag, mean of 2" in out_text
+    assert "TRPO-Lag (2,000 steps), mean of 2" in out_text
     assert "left out: " in out_text
 
 
@@ -210,12 +211,65 @@ def test_one_failure_does_not_stop_the_others(tmp_path, capsys):
         (["--tasks", "Nope-v3", "--levels", "0", "1", "2", "3"], "Nope"),
         (["--tasks", "Nope-v3"], "give either tasks, or levels and mujoco"),
         (["--steps", "0"], "steps must be at least 1, got 0"),
-        (["--steps", "3000"], "holds runs with other settings"),
+        (["--steps", "3000"], r"holds runs with other settings: steps 2000 \(now 3000\); choose"),
+        (["--algorithms"], "algorithms must be some of trpo-lag, .*, got none"),
     ],
 )
 def test_mistakes(whole, options, message, capsys):
     assert main([*COMMAND, str(whole), *options]) == 2
     assert re.search(message, capsys.readouterr().err)
+
+
+def test_it_goes_on_with_the_backend_that_its_runs_began_with(tmp_path, monkeypatch):
+    """Where a compiler came or went between two starts."""
+    assert grid.backend_of(tmp_path) is None
+    configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo"], (3,), 500, backend="compiled")
+    grid.prepare(configs)
+    assert grid.backend_of(tmp_path) == "compiled"
+    eager = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo"], (3,), 500, backend="eager")
+    with pytest.raises(UserError, match=r"backend compiled \(now eager\)"):
+        grid.prepare(eager)
+
+
+def test_lengths_are_the_papers():
+    tasks = ["Circle2D-1-v0", "Circle2DMuJoCo-1-v0", "circle2d_mj/SafetyPointGoal1-v0"]
+    configs = grid.grid(grid.Path("x"), tasks, ["cpo"], (0,))
+    assert [config.steps for config in configs.values()] == [10**6, 10**6, 10**7]
+
+
+def test_time_left_of_what_goes_on(tmp_path, monkeypatch):
+    """Half is done when it starts; a tenth more takes 10 s, and so do the other four, each."""
+    configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo"], (3,), 500)
+    grid.prepare(configs)
+    (folder,) = configs
+    headlines = []
+
+    class Trained:
+        running, over, failed = (), [], {}
+
+        def __init__(self, groups, count):
+            pass
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *exception):
+            pass
+
+        def run(self, show):
+            for clock, percent in ((100.0, 50), (110.0, 60)):
+                monkeypatch.setattr(cli_grid.time, "monotonic", lambda clock=clock: clock)
+                (folder / "timing.log").write_text(f"cpo: {percent} % after 9 s, 9 steps/s\n")
+                show()
+
+    (folder / "timing.log").write_text("cpo: 50 % after 9 s, 9 steps/s\n")
+    monkeypatch.setattr(cli_grid, "Workers", Trained)
+    monkeypatch.setattr(cli_grid.time, "monotonic", lambda: 100.0)
+    headline = cli_grid._headline
+    monkeypatch.setattr(cli_grid, "_headline", lambda *a: headlines.append(a[3]) or headline(*a))
+    cli_grid._train(configs, 1)
+    assert headlines[0] is None
+    assert headlines[1] == pytest.approx(40.0)
 
 
 def test_unknown_levels():

@@ -101,6 +101,10 @@ def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
         (["heatmap", "{folder}", "--alpha", "0"], r"alpha must be in \(0, 1\], got 0.0"),
         (["heatmap", "{folder}", "--size", "7"], "size must be an even number"),
         (["heatmap", "{folder}", "--out", "x.jpg"], "out must end in .png, got 'x.jpg'"),
+        (
+            ["heatmap", "{folder}", "--seeds", "5", "7"],
+            r"seeds must be some of \[5, 6\], got \[5, 7",
+        ),
         (["heatmap", "nothing"], r"nothing/config\.json is missing"),
         (["render", "{folder}", "--out", "film.avi"], "out must end in .png or .gif or .mp4"),
         (["render", "{folder}", "--seed", "7"], r"no run of seed 7: its seeds are \[5, 6\]"),
@@ -132,6 +136,24 @@ def test_without_opengl_the_report_still_has_its_figures(folder, tmp_path, capsy
     assert imageio.imread(copy / "pictures" / f"visited-{TASK}.png").std() > 10
     assert main(["heatmap", str(copy)]) == 2
     assert "no pictures: install one" in capsys.readouterr().err
+
+
+def test_a_heat_map_of_the_runs_that_did_not_fail(folder, tmp_path, capsys, monkeypatch, opengl):
+    drawn = {}
+    monkeypatch.setattr(pictures, "figure", lambda *a, **k: drawn.update(k) or figure(*a, **k))
+    copy = tmp_path / "x"
+    shutil.copytree(folder, copy)
+    assert main(["heatmap", str(copy)]) == 0
+    assert drawn["title"] == f"TRPO-Lag on {TASK}"
+    (copy / "seed-5" / "failed.json").write_text('{"step": 500}')
+    assert main(["heatmap", str(copy)]) == 0
+    assert drawn["title"] == f"TRPO-Lag on {TASK}, of seed 6"
+    assert main(["heatmap", str(copy), "--seeds", "5"]) == 0
+    assert drawn["title"] == f"TRPO-Lag on {TASK}, of seed 5"
+    (copy / "seed-6" / "failed.json").write_text('{"step": 500}')
+    capsys.readouterr()
+    assert main(["heatmap", str(copy)]) == 2
+    assert f"all runs of {copy} have failed" in capsys.readouterr().err
 
 
 def test_scene_prints_a_whole_model(capsys):

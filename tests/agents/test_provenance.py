@@ -92,6 +92,26 @@ def test_what_is_told(tmp_path):
     assert made(tmp_path, groups[:1]).keys() == {"command", "versions", "runs", "seeds", "steps"}
 
 
+def test_who_went_on_is_recorded_and_told(tmp_path, monkeypatch):
+    config = TrainConfig("cpo", "Circle2D-1-v0", (0,), 1000, preset("cpo", "Circle2D-1-v0"))
+    config.write(tmp_path)
+    before = (tmp_path / "config.json").read_bytes()
+    assert machine.note_session(tmp_path) == ""
+    assert (tmp_path / "config.json").read_bytes() == before
+    monkeypatch.setattr(machine, "machine", lambda: {"processor": "A Chip", "cores": 9})
+    said = machine.note_session(tmp_path)
+    assert said.startswith("trained so far with other machine {'processor': ")
+    assert machine.note_session(tmp_path) == ""
+    monkeypatch.setattr(machine, "versions", lambda: {"torch": "9.9"})
+    assert machine.note_session(tmp_path).startswith("trained so far with other versions {'python'")
+    assert TrainConfig.read(tmp_path) == config
+    told = made(tmp_path, [Group(tmp_path, config, [])])
+    assert told["machine"].count(" cores") == 2
+    assert "A Chip, 9 cores" in told["machine"]
+    assert "torch 9.9" in told["versions"]
+    assert "numpy" in told["versions"]
+
+
 def test_processor(tmp_path, monkeypatch):
     monkeypatch.setattr(machine, "CPUINFO", tmp_path / "cpuinfo")
     assert machine.machine()["processor"]  # where there is no such file

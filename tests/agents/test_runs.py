@@ -14,6 +14,7 @@ import pytest
 from agents.bench.presets import preset
 from agents.errors import UserError
 from agents.runs.config import TrainConfig
+from agents.runs.evaluate import evaluate
 from agents.runs.files import read_arrays, read_json, write_whole
 from agents.runs.train import Training, restored, train
 from emcc import EpisodeRecords
@@ -130,6 +131,18 @@ def test_killed_at_any_moment(tmp_path):
     train(folder)
     left = {name: data for name, data in results(folder).items() if "unfinished" not in name}
     assert left == expected
+
+
+def test_an_evaluation_of_an_earlier_policy_is_not_kept(tmp_path):
+    """Whoever finds one beside the last records may take it for that of the last policy."""
+    config([0]).write(tmp_path)
+    training = Training(config([0]))
+    for _ in range(2):
+        training.run_epoch()
+        training.save(tmp_path)
+        assert not (tmp_path / "seed-0" / "evaluation.json").exists()
+        evaluate(tmp_path, training.config, training.learner.policy(), 1)
+        assert (tmp_path / "seed-0" / "evaluation.json").exists()
 
 
 def test_write_whole_keeps_the_old_file_when_it_fails(tmp_path, monkeypatch):
