@@ -1,5 +1,5 @@
 # make demo: train TRPO-Lag on Circle2D-1 for a minute or two; tables, heat map, trajectories.
-# make test: run the tests. Both build .venv first; Python 3.10 or newer is all they need.
+# make test: run the tests. Both build .venv first; Python 3.11 or newer is all they need.
 
 PYTHON ?= python3
 VENV ?= .venv

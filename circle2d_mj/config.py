@@ -39,7 +39,8 @@ class Circle2DConfig:
     optima_perturbation: tuple[float, float] = (0.0, 0.0)
     """Where the optimum lies, as an offset from the centre; inside the disc."""
     infeasible_region_penetratable: bool | None = None
-    """Whether the region can be entered. None: as the level says (False for level 0)."""
+    """Whether the region can be entered. None: as the level says (False for level 0), resolved when
+    the config is made, so that `dataclasses.replace(config, level=...)` has to give it anew."""
     reset_on_cost: bool = False
     """Whether a step with cost ends the episode."""
     allow_infeasible_init: bool = False
@@ -93,14 +94,17 @@ class Circle2DConfig:
 
     @classmethod
     def of(cls, config: Circle2DConfig | None, parameters: dict[str, Any]) -> Circle2DConfig:
-        """The given configuration, or one made of named parameters (not both).
+        """The given configuration, or one made of named parameters.
 
-        Raises TypeError for an unknown name (with the nearest valid one), or where both are given.
+        Both may be given if the only parameter is the level, as a registered id gives it, and the
+        configuration's. Raises TypeError for an unknown name (with the nearest valid one), or where
+        more is given.
         """
-        if config is not None and parameters:
-            raise TypeError(f"give either config or {', '.join(sorted(parameters))}, not both")
         if config is not None and not isinstance(config, cls):
             raise TypeError(f"config must be a Circle2DConfig, got {config!r}")
+        if config is not None and parameters and parameters != {"level": config.level}:
+            given = ", ".join(f"{name}={value!r}" for name, value in sorted(parameters.items()))
+            raise TypeError(f"give either config or parameters, not both: got {config}, {given}")
         valid = [field.name for field in fields(cls)]
         for name in parameters:
             if name not in valid:

@@ -10,20 +10,30 @@ import sys
 
 
 class AfterGymnasium:
-    """An import hook that acts once, when gymnasium has been loaded."""
+    """An import hook that acts when gymnasium has been loaded, and is gone then.
+
+    Being asked where gymnasium is means little: programs ask that to see whether it is installed.
+    """
+
+    asking = False
 
     def find_spec(self, name, path=None, target=None):
-        if name != "gymnasium":
+        if name != "gymnasium" or self.asking:
             return None
-        sys.meta_path.remove(self)
         from importlib.util import find_spec
 
-        spec = find_spec(name)
+        self.asking = True
+        try:
+            spec = find_spec(name)
+        finally:
+            self.asking = False
         if spec is not None and spec.loader is not None:
             load = spec.loader.exec_module
 
             def load_and_register(module):
                 load(module)
+                if self in sys.meta_path:
+                    sys.meta_path.remove(self)
                 try:
                     import circle2d_mj  # noqa: F401
                 except Exception as error:  # gymnasium must work even if this package is broken

@@ -23,6 +23,7 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
     def __init__(self, envs: TaskVectorEnv) -> None:
         self._envs = envs
         self.render_mode = envs.render_mode
+        self.metadata = {k: v for k, v in envs.metadata.items() if k != "autoreset_mode"}
         self.observation_space = copy.deepcopy(envs.single_observation_space)
         self.action_space = copy.deepcopy(envs.single_action_space)
 
@@ -60,7 +61,10 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
         self._envs.close_extras()  # `close` would do so only once
 
     def state(self) -> State:
-        """All that the following steps and resets depend on: see `TaskVectorEnv.state`."""
+        """All that the following steps and resets depend on: see `TaskVectorEnv.state`.
+
+        The time limit of an environment from `gymnasium.make` is a wrapper's, and not in it.
+        """
         return self._envs.state()
 
     def restore(self, state: State) -> None:

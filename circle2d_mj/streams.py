@@ -78,4 +78,4 @@ def keys_of_seeds(seed: int | Sequence[int | None], num_envs: int) -> list[int |
             raise TypeError(f"seed must be an integer or a sequence of integers, got {seed!r}")
         if not 0 <= key < 2**64:
             raise ValueError(f"seed must be in [0, 2**64), got {key!r}")
-    return keys
+    return [key if key is None else int(key) for key in keys]  # numpy's integers are no Python ints

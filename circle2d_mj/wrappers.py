@@ -8,16 +8,18 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
-from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from numpy.typing import NDArray
 
 
 def SafetyGymnasiumAPI(env: gym.Env | VectorEnv) -> gym.Wrapper | VectorWrapper:
     """Wrap an environment so that `step` returns the cost as a value of its own.
 
     `step(action) -> observation, reward, cost, terminated, truncated, info`; `cost` is
-    `info["cost"]`, a float or, for a vector environment, an array [num_envs]. Any single or vector
-    environment with `info["cost"]` will do. TypeError for anything else, KeyError where a step
-    gives no cost.
+    `info["cost"]`, a float or, for a vector environment, a float array [num_envs]: of an episode's
+    last step in `AutoresetMode.SAME_STEP` that of `final_info`, of the step that only resets in
+    NEXT_STEP 0. Any single or vector environment with `info["cost"]` will do. TypeError for
+    anything else, KeyError where a step gives no cost.
     """
     if isinstance(env, VectorEnv):
         return _SixValueVector(env)
@@ -28,19 +30,50 @@ def SafetyGymnasiumAPI(env: gym.Env | VectorEnv) -> gym.Wrapper | VectorWrapper:
 
 class _SixValue(gym.Wrapper):
     def step(self, action: Any) -> tuple[Any, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return _with_cost(self.env.step(action))
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        _require_cost(info)
+        return observation, reward, info["cost"], terminated, truncated, info
 
 
 class _SixValueVector(VectorWrapper):
+    def __init__(self, env: VectorEnv) -> None:
+        super().__init__(env)
+        self._waits_to_reset = env.metadata.get("autoreset_mode") is AutoresetMode.NEXT_STEP
+        self._resetting = np.zeros(env.num_envs, dtype=bool)
+        """Whose next step is no step of an episode"""
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        self._resetting &= ~np.asarray((options or {}).get("reset_mask", True))
+        return self.env.reset(seed=seed, options=options)
+
     def step(self, actions: Any) -> tuple[Any, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return _with_cost(self.env.step(actions))
+        observation, reward, terminated, truncated, info = self.env.step(actions)
+        ended = np.asarray(terminated, dtype=bool) | np.asarray(truncated, dtype=bool)
+        cost = self._costs(info, ended)
+        if self._waits_to_reset:
+            self._resetting = ended & ~self._resetting
+        return observation, reward, cost, terminated, truncated, info
+
+    def _costs(self, info: dict[str, Any], ended: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """In SAME_STEP mode gymnasium's info is that of the next episode's reset already."""
+        final = info.get("final_info", {})
+        of_final = ended & ("cost" in final)
+        costs = np.zeros(self.num_envs)
+        for given, where in ((final, of_final), (info, ~of_final & ~self._resetting)):
+            if where.any():
+                _require_cost(given)
+                missing = where & ~np.asarray(given.get("_cost", where), dtype=bool)
+                if missing.any():
+                    raise KeyError(f"sub-environment {missing.argmax()} gave no 'cost' in its info")
+                costs[where] = np.asarray(given["cost"])[where]
+        return costs
 
 
-def _with_cost(result: tuple[Any, ...]) -> tuple[Any, ...]:
-    observation, reward, terminated, truncated, info = result
+def _require_cost(info: dict[str, Any]) -> None:
     if "cost" not in info:
         raise KeyError(f"info has no 'cost'; its keys are {sorted(info)}")
-    return observation, reward, info["cost"], terminated, truncated, info
 
 
 class FromSafetyGymnasium(gym.Env):

@@ -92,12 +92,15 @@ def as_number(value: float, name: str) -> float:
     return number
 
 
-def as_threshold(threshold: float) -> float:
-    """A cost that a cost step must exceed: a finite number >= 0."""
+def as_threshold(threshold: float) -> np.float64:
+    """A cost that a cost step must exceed: a finite number >= 0.
+
+    Of numpy's type, so that costs of lower precision are compared as float64, not rounded to.
+    """
     threshold = as_number(threshold, "threshold")
     if threshold < 0:
         raise ValueError(f"threshold must be >= 0, got {threshold}")
-    return threshold
+    return np.float64(threshold)
 
 
 def as_count(value: int, name: str) -> int:

@@ -74,6 +74,8 @@ def read(path: Path, threshold: float = 0.0) -> Run | EpisodeSums:
             raise ValueError(f"{path}: holds streaks, not costs of steps: leave the threshold out")
         return _labelled(_run_of_records(path, EpisodeRecords.load(path)))
     if "cost" in columns and "length" in columns:
+        if threshold != 0:
+            raise ValueError(f"{path}: holds sums, not costs of steps: leave the threshold out")
         return _read_sums(path, columns)
     if "cost" in columns:
         return _read_steps(path, columns, threshold)

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -85,8 +86,8 @@ def emcc_table(
         key = (run.task, run.algorithm or str(run.path), run.settings)
         groups.setdefault(key, []).append(run)
     rows = []
-    for (task, algorithm, _), members in groups.items():
-        label = [task or MISSING, algorithm]
+    for key, members in groups.items():
+        label = [key[0] or MISSING, _name(key, list(groups))]
         rows.append([*label, str(len(members)), *_cells(members, measures, seed)])
         if per_run:
             for run in members:
@@ -102,6 +103,19 @@ def emcc_table(
         rows,
         [note for run in runs for note in _notes(run, measures[run])] + _repeated_seeds(groups),
     )
+
+
+def _name(key: tuple[str, str, str], keys: Sequence[tuple[str, str, str]]) -> str:
+    """The algorithm, with its settings that differ where others have its name on the same task."""
+    others = [json.loads(other[2]) for other in keys if other[:2] == key[:2] and other[2]]
+    if len(others) < 2 or not key[2]:
+        return key[1]
+    told = []
+    for kind, own in json.loads(key[2]).items():
+        for name, value in own.items():
+            if any(other.get(kind, {}).get(name) != value for other in others):
+                told.append(f"{name} {value}")
+    return f"{key[1]} ({', '.join(told)})" if told else key[1]
 
 
 _READINGS = {

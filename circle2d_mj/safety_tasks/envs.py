@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from gymnasium.vector import AutoresetMode
@@ -11,16 +10,15 @@ from circle2d_mj.gl import render_modes
 from circle2d_mj.safety_tasks.circle import SafetyPointCircle
 from circle2d_mj.safety_tasks.goal import SafetyPointGoal
 from circle2d_mj.safety_tasks.hopper import SafetyHopperVelocity
-from circle2d_mj.simulation import Simulation
 from circle2d_mj.single_env import TaskEnv, without_time_limit
 from circle2d_mj.vector_env import TaskVectorEnv
 
-TASKS: dict[str, Callable[[int, int], Simulation]] = {
+TASKS = {
     "SafetyPointCircle1": SafetyPointCircle,
     "SafetyPointGoal1": SafetyPointGoal,
     "SafetyHopperVelocity": SafetyHopperVelocity,
 }
-METADATA: dict[str, Any] = {"render_modes": render_modes(), "render_fps": 50}
+METADATA: dict[str, Any] = {"render_modes": render_modes()}
 
 
 class SafetyVectorEnv(TaskVectorEnv):
@@ -44,12 +42,14 @@ class SafetyVectorEnv(TaskVectorEnv):
     ) -> None:
         if task not in TASKS:
             raise ValueError(f"task must be one of {list(TASKS)}, got {task!r}")
+        simulation = TASKS[task](num_envs, num_threads)
         super().__init__(
-            TASKS[task](num_envs, num_threads),
+            simulation,
             max_episode_steps=max_episode_steps,
             autoreset_mode=autoreset_mode,
             render_mode=render_mode,
         )
+        self.metadata["render_fps"] = round(1 / simulation.step_seconds)
 
 
 class SafetyEnv(TaskEnv):

@@ -52,6 +52,11 @@ class MuJoCoTask:
         stage = mujoco.mjtStage
         self._stage = int(stage.mjSTAGE_NONE if self._sensed is None else stage.mjSTAGE_ACC)
 
+    @property
+    def step_seconds(self) -> float:
+        """What a step of the task lasts in its world."""
+        return self._substeps * self.model.opt.timestep
+
     def begin(self, index: NDArray[np.intp], qpos: Floats, qvel: Floats | float = 0.0) -> None:
         """Put the copies `index` anew into this state: [len(index), nq] and [len(index), nv]."""
         self.batch.state[index] = self._initial
@@ -93,7 +98,7 @@ class MuJoCoTask:
         if self._window is None:
             from circle2d_mj.window import Window
 
-            self._window = Window(self.model, self._substeps * self.model.opt.timestep)
+            self._window = Window(self.model, self.step_seconds)
         self._window.show(self.data(index))
 
     def close(self) -> None:

@@ -80,7 +80,11 @@ def test_unknown_parameter_names_the_nearest():
 
 def test_config_or_parameters_but_not_both():
     assert Circle2DEnv(Circle2DConfig(level=3)).config.level == 3
-    with pytest.raises(TypeError, match="give either config or level, not both"):
+    # A registered id gives the level, too.
+    small = Circle2DConfig(level=3, constraint_radius=2.0)
+    assert gym.make("Circle2D-3-v0", config=small).unwrapped.config is small
+    assert gym.make_vec("Circle2D-3-v0", 2, config=small).unwrapped.config is small
+    with pytest.raises(TypeError, match=r"give either config or parameters, not both: .*, level="):
         Circle2DEnv(Circle2DConfig(level=3), level=2)
     with pytest.raises(TypeError, match="config must be a Circle2DConfig, got 3"):
         Circle2DEnv(3)

@@ -187,6 +187,8 @@ def test_seeds_per_environment(level, task):
     start, _ = whole.reset(seed=10)
     shuffled, _ = VECTOR[task](4, level=level).reset(seed=[13, 10, 12, 11])
     np.testing.assert_array_equal(shuffled, start[[3, 0, 2, 1]])
+    from_array, _ = VECTOR[task](4, level=level).reset(seed=np.arange(10, 14))
+    np.testing.assert_array_equal(from_array, start)
     kept, _ = whole.reset(seed=[10, None, 12, None])
     np.testing.assert_array_equal(kept[[0, 2]], start[[0, 2]])
     assert (kept[[1, 3]] != start[[1, 3]]).any()

@@ -37,6 +37,19 @@ print(type(envs).__name__, envs.reset(seed=0)[0].shape)
     ]
 
 
+def test_asking_whether_gymnasium_is_there_changes_nothing(tmp_path):
+    code = """
+import importlib.util, sys
+before = list(sys.meta_path)
+for _ in range(2):
+    assert importlib.util.find_spec("gymnasium") is not None
+assert "gymnasium" not in sys.modules and sys.meta_path == before
+import gymnasium as gym
+print(gym.make("Circle2D-1-v0").spec.id, len(sys.meta_path) - len(before))
+"""
+    assert run(code, tmp_path) == "Circle2D-1-v0 -1"
+
+
 def test_gymnasium_works_with_a_broken_circle2d(tmp_path):
     """The plug-in must not take gymnasium down with it."""
     (tmp_path / "circle2d_mj.py").write_text("raise RuntimeError('broken')")
@@ -106,6 +119,48 @@ def test_six_values():
     values = envs.step(np.zeros((3, 2)))
     assert len(values) == 6
     np.testing.assert_array_equal(values[2], np.zeros(3))
+
+
+class Rare(gym.Env):
+    """Episodes of two steps at costs of 0.25 and 2; the info of a reset holds no cost."""
+
+    observation_space = action_space = gym.spaces.Box(-1, 1, (1,))
+    silent = False
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.steps = 0
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        self.steps += 1
+        info = {} if self.silent else {"cost": (0.25, 2.0)[self.steps - 1]}
+        return np.zeros(1, np.float32), 0.0, self.steps == 2, False, info
+
+
+@pytest.mark.parametrize(
+    ("mode", "expected"),
+    [
+        (gym.vector.AutoresetMode.SAME_STEP, [0.25, 2.0, 0.25, 2.0]),
+        (gym.vector.AutoresetMode.NEXT_STEP, [0.25, 2.0, 0.0, 0.25, 2.0, 0.0]),
+    ],
+)
+def test_six_values_of_gymnasiums_vector_environments(mode, expected):
+    """The cost of an episode's last step is neither lost to the reset nor asked of it."""
+    envs = SafetyGymnasiumAPI(gym.vector.SyncVectorEnv([Rare, Rare], autoreset_mode=mode))
+    envs.reset(seed=0)
+    costs = [envs.step(np.zeros((2, 1), np.float32))[2] for _ in expected]
+    np.testing.assert_array_equal(np.array(costs), np.array([expected] * 2).T)
+
+
+def test_six_values_where_one_environment_gives_no_cost():
+    class Silent(Rare):
+        silent = True
+
+    envs = SafetyGymnasiumAPI(gym.vector.SyncVectorEnv([Rare, Silent]))
+    envs.reset(seed=0)
+    with pytest.raises(KeyError, match="sub-environment 1 gave no 'cost'"):
+        envs.step(np.zeros((2, 1), np.float32))
 
 
 def test_six_values_of_something_else():

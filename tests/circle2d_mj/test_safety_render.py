@@ -69,3 +69,13 @@ def test_pictures_change_nothing(opengl, task):
     assert len(pictures) == 3
     assert (pictures[0] != pictures[1]).any() or task == HOPPER
     frames.close()
+
+
+@pytest.mark.parametrize(
+    ("task", "fps"),
+    [("SafetyPointCircle1-v0", 50), ("SafetyPointGoal1-v0", 50), ("SafetyHopperVelocity-v1", 125)],
+)
+def test_films_run_as_fast_as_the_task(task, fps):
+    """Ten steps of 2 ms, or Hopper's four."""
+    assert gym.make(f"circle2d_mj/{task}").metadata["render_fps"] == fps
+    assert gym.make_vec(f"circle2d_mj/{task}", 2).metadata["render_fps"] == fps

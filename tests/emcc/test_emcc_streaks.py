@@ -73,6 +73,9 @@ def test_a_cut_episode_is_two_trajectories():
 
 def test_only_costs_above_the_threshold_count():
     assert longest_streak([0.1, 0.5, 0.6, 0.7], threshold=0.5) == 2
+    # The float32 next to 0.1 is above it, as it is when it comes as float64.
+    costs = np.full(3, 0.1, np.float32)
+    assert longest_streak(costs, 0.1) == longest_streak(costs.astype(float), 0.1) == 3
 
 
 def test_accepts_tensors_and_numpy_types():

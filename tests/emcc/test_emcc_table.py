@@ -105,6 +105,17 @@ def test_algorithms_and_tasks_are_apart(tmp_path, capsys):
     ]
 
 
+def test_settings_that_differ_are_named(tmp_path, capsys):
+    for name, settings in (("a", {"lr": 1, "n": 2}), ("b", {"lr": 3, "n": 2}), ("c", {"lr": 1})):
+        config = {"task": "t", "algorithm": "cpo", "hyperparameters": settings, "seed": 0}
+        write_run(tmp_path / name, NINE, config)
+    config = {"task": "t", "algorithm": "sac", "hyperparameters": {"lr": 7}, "seed": 0}
+    write_run(tmp_path / "d", NINE, config)
+    rows, _ = table(capsys, tmp_path)
+    names = ["cpo (lr 1, n 2)", "cpo (lr 3, n 2)", "cpo (lr 1)", "sac"]
+    assert [row["algorithm"] for row in rows] == names
+
+
 def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):
     config = {"task": "t", "algorithm": "cpo", "seed": 0, "steps": 200}
     write_run(tmp_path / "a", NINE, config)
@@ -211,6 +222,7 @@ def mistakes(tmp):
         "text.csv": "cost\nhigh\n",
         "mixed.csv": "episode,cost\n0,1\n1,1\n0,1\n",
         "no_steps.csv": "cost\n",
+        "sums.csv": "cost,length\n5,10\n",
         "real_sums.csv": "cost,length\n0.5,10\n",
         "no.npy": "nothing",
     }.items():
@@ -236,6 +248,7 @@ def mistakes(tmp):
         (["run", "--alpha", "0"], "alpha must be in (0, 1], got 0.0"),
         (["run", "--ties", "some"], "argument --ties: invalid choice: 'some'"),
         (["run", "--threshold", "1"], "holds streaks, not costs of steps"),
+        (["sums.csv", "--threshold", "1"], "sums.csv: holds sums, not costs of steps"),
         (["run", "--total-steps", "50"], "start_steps must be finite and in [0, 49]"),
         (["run", "--total-steps", "0"], "total_steps must be >= 1, got 0"),
         ([], "the following arguments are required: PATH"),

@@ -203,6 +203,9 @@ def test_a_reset_in_mid_episode_keeps_the_piece():
 def test_threshold():
     env = run_single(RecordCosts(Scripted(SCRIPTS[0]), threshold=1.0))
     assert env.records.longest_streak.tolist() == [0, 1, 0]
+    recorder = CostRecorder(1, threshold=0.1)
+    recorder.step(np.array([0.1], np.float32), [0.0], [True])
+    assert recorder.records.longest_streak.tolist() == [1]
 
 
 def test_equals_the_recorder_alone():
