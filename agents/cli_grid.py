@@ -98,15 +98,16 @@ def run_reproduce(args: Sequence[str]) -> int:
         said = "" if grid.finished(folder, configs[folder]) else note_session(folder)
         if said:
             print(f"circle2d: {folder}: {said}", file=sys.stderr)
-    with locked(options.out), _ended_by_signals():
-        failed = _train(configs, options.workers)
-    for folder, said in failed.items():
-        print(f"circle2d: {folder} failed: {said}", file=sys.stderr)
-    try:
-        print(report(options.out, with_figures=True))
-    except UserError as error:
-        print(f"circle2d: no report: {error}", file=sys.stderr)
-        return 1
+    with _ended_by_signals():
+        with locked(options.out):
+            failed = _train(configs, options.workers)
+        for folder, said in failed.items():
+            print(f"circle2d: {folder} failed: {said}", file=sys.stderr)
+        try:
+            print(report(options.out, with_figures=True))
+        except UserError as error:
+            print(f"circle2d: no report: {error}", file=sys.stderr)
+            return 1
     return int(bool(failed) or any(grid.has_failures(f, c) for f, c in configs.items()))
 
 

@@ -3,6 +3,11 @@
 import os
 
 import pytest
+from hypothesis import settings
+
+# The same examples each time, however slow the machine: a failure can be seen again.
+settings.register_profile("suite", deadline=None, derandomize=True)
+settings.load_profile("suite")
 
 # Compiling takes longer than most tests; those of compiled code take it back.
 os.environ.setdefault("TORCH_COMPILE_DISABLE", "1")

@@ -152,6 +152,21 @@ def test_records_are_of_what_the_environments_did(name, tmp_path):
         assert np.isfinite(updates.tolist()).all()
 
 
+def test_the_deterministic_policy_gets_no_noise(tmp_path):
+    """One that goes right without noise, left with it."""
+    it = TrainConfig("cpo", "Circle2D-1-v0", (0, 1), 100, algorithm("cpo").config())
+    it.write(tmp_path)
+
+    def policy(observation, noise):
+        to = 1.0 if noise is None else -1.0
+        return np.full((*observation.shape[:2], 2), to, np.float32)
+
+    results = evaluate(tmp_path, it, policy, 3)
+    for run in (0, 1):
+        assert (np.array(results["deterministic"][run]["final_observations"]) == 1).all()
+        assert (np.array(results["stochastic"][run]["final_observations"]) == -1).all()
+
+
 def test_evaluation_in_parts_is_that_at_once(tmp_path):
     """A task without a vector environment of its own plays ten episodes of a run at once."""
     it = TrainConfig("cpo", "Circle2D-2-v0", (0, 1), 100, algorithm("cpo").config())

@@ -105,7 +105,9 @@ def test_killed_between_two_checkpoints_and_resumed_in_another_grouping(alone, t
         assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
     epochs = [int(read_arrays(folder / "checkpoint.npz")["epoch"]) for folder in folders]
     assert len(set(epochs)) > 1
-    train(c, a)
+    seen = []
+    train(c, a, on_epoch=lambda trainings: seen.append([of.epoch for of in trainings]))
+    assert min(seen[0]) >= min(epochs[0], epochs[2]) > 1  # from the checkpoints, not the start
     train(b)
     assert_same(folders, expected)
 

@@ -16,7 +16,7 @@ from agents.runs.train import Training
 from agents.updates.sac import SACConfig
 
 register()
-OPTIMUM, LIMIT = 0.2, 0.6  # see Target
+LIMIT = 0.6
 SHARED = {"cost_limit": LIMIT, "learning_rate": 3e-3, "batch_size": 64, "hidden": (32, 32)}
 # Off-policy: one step is one epoch. On-policy: 64. The reward's noise keeps the standardised reward
 # advantages of TRPO-Lag, and so its multiplier, bounded as its policy sharpens.
@@ -31,14 +31,15 @@ SETTINGS = {
     "sac-lb": (1200, {}, {}),
     "wcsac": (1200, {"multiplier_lr": 1e-2}, {}),
 }
-DISTANCE = {"trpo-lag": 0.12, "cpo": 0.05, "sac-lag": 0.05, "sac-lb": 0.15, "wcsac": 0.07}
+OPTIMUM = dict.fromkeys(SETTINGS, 0.2) | {"sac-lb": 0.05}  # see Target, and below
+DISTANCE = {"trpo-lag": 0.12, "cpo": 0.05, "sac-lag": 0.05, "sac-lb": 0.1, "wcsac": 0.07}
 
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_comes_close_to_the_optimum_within_the_limit(name):
     """The mean deterministic action of the last third against a = 0.2, that of both runs; its cost
-    (1 + a) / 2 may exceed the limit by 0.03. SAC-LB keeps its distance: with t = 3 the slopes of
-    reward and barrier, 2 (0.8 - a) and 3/2, balance at a = 0.05."""
+    (1 + a) / 2 may exceed the limit by 0.03. SAC-LB keeps its distance from the limit: with t = 3
+    the slopes of reward and barrier, 2 (0.8 - a) and 3/2, balance at a = 0.05."""
     steps, changes, parameters = SETTINGS[name]
     config = replace(algorithm(name).config(), **SHARED, **changes)
     if isinstance(config, SACConfig):
@@ -46,13 +47,13 @@ def test_comes_close_to_the_optimum_within_the_limit(name):
     training = Training(TrainConfig(name, "Target-v0", (0, 1), steps, config, parameters))
     actions, nothing = [], np.zeros((2, 1, 1), np.float32)
     untrained = training.learner.policy()(nothing, None)
-    assert np.abs(untrained - OPTIMUM).max() > DISTANCE[name]
+    assert np.abs(untrained - OPTIMUM[name]).max() > DISTANCE[name]
     while not training.done:
         training.run_epoch()
         if training.steps[0] > 2 * steps // 3:
             actions.append(training.learner.policy()(nothing, None))
     found = np.mean(actions, axis=0).ravel()
-    assert np.abs(found - OPTIMUM).max() < DISTANCE[name], found
+    assert np.abs(found - OPTIMUM[name]).max() < DISTANCE[name], found
     assert ((1 + found) / 2).max() < LIMIT + 0.03, found
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from agents.bench.presets import preset
 from agents.bench.report import report
+from agents.bench.tables import paper_results
 from agents.runs.config import TrainConfig
 from circle2d_mj import Circle2DConfig
 
@@ -61,3 +62,24 @@ def test_places():
         (3, -11): "bottom rim",
     }
     assert places(list(points)) == list(points.values())
+
+
+def test_an_unfinished_run_is_in_no_mean(tmp_path):
+    """Though it has been evaluated, as anybody may do at any time."""
+    task = "Circle2D-1-v0"
+    TrainConfig("sac-lag", task, (0, 1), 100, preset("sac-lag", task)).write(tmp_path)
+    for seed in (0, 1):
+        write_run(tmp_path / f"seed-{seed}", -10.0)
+    episodes = tmp_path / "seed-1" / "episodes.csv"
+    episodes.write_text("".join(episodes.read_text().splitlines(keepends=True)[:-2]))
+    markdown = report(tmp_path)
+    assert "seed-1: is unfinished: 80 of 100 steps" in markdown
+    assert "mean of 1" in markdown
+    assert "seed 1 |" not in markdown
+
+
+def test_the_papers_misprint():
+    """It prints 4.68 for a sum of numbers below 0."""
+    for task in ("Circle2D-1-v0", "circle2d_mj:Circle2D-1-v0"):
+        assert paper_results(task, "TRPO-Lag")["J_R"] == -4.68
+    assert paper_results("Circle2D-2-v0", "TRPO-Lag")["J_R"] == -4.23

@@ -83,6 +83,21 @@ def test_temperature_moves_towards_the_target_entropy():
     torch.testing.assert_close(after.multiplier.parameter, torch.full((1, LANES), -2e-3))
 
 
+def test_the_target_entropy_is_minus_the_number_of_action_components():
+    """Of 3 observations and 2 actions: the gradient along log α is -α (log π - 2). At α = 1 Adam's
+    first mean is a tenth of it; by hand log π = -1.8378771, as above."""
+    nets = sac.make_nets(CONFIG, 3, 2)
+    state = sac.initial_state(nets, CONFIG, RULE, [0])
+    state = state._replace(actor=torch.zeros_like(state.actor))
+    batch = two_transitions()._replace(
+        observation=torch.zeros(1, 2, 3), next_observation=torch.zeros(1, 2, 3)
+    )
+    noise = sac.UpdateNoise(torch.zeros(1, 2, 2), torch.zeros(1, 2, 2))
+    after, _ = sac.update(nets, CONFIG, RULE, state, batch, noise)
+    expected = torch.full((1, LANES), 0.1 * (1.8378771 + 2.0))
+    torch.testing.assert_close(after.temperature_moments.mean, expected)
+
+
 @pytest.mark.parametrize("scale", [0.1, 1.0, 3.0])
 def test_squashed_gaussian_against_torch_distributions(scale):
     generator = torch.Generator().manual_seed(0)

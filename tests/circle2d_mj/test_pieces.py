@@ -79,7 +79,7 @@ def test_number_of_pieces(level, pieces):
     assert len(convex_pieces(region_of(level))) == pieces
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @shapes
 def test_pieces_are_convex_and_have_the_regions_area(level, height):
     pieces = convex_pieces(region_of(level, height))
@@ -91,7 +91,7 @@ def test_pieces_are_convex_and_have_the_regions_area(level, height):
     assert total == pytest.approx(area_of_region(level, height), abs=2e-5)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @shapes
 def test_pieces_do_not_overlap_and_leave_no_gap(level, height):
     region = region_of(level, height)

@@ -113,6 +113,13 @@ def test_six_values():
         )
         cost += step_cost
     assert cost >= 9
+    ends = [env.step([0.0, 0.0])[3:5] for _ in range(30)]
+    assert ends == [(False, False)] * 29 + [(False, True)]  # terminated, truncated
+    env = SafetyGymnasiumAPI(Circle2DEnv(level=1, reset_on_cost=True))
+    env.reset(seed=0)
+    ends = [env.step([-1.0, 0.0])[3:5] for _ in range(20)]
+    assert (True, False) in ends
+    assert (False, True) not in ends
     envs = SafetyGymnasiumAPI(Circle2DVectorEnv(3, level=1))
     assert isinstance(envs, gym.vector.VectorWrapper)
     envs.reset(seed=0)
@@ -149,8 +156,12 @@ def test_six_values_of_gymnasiums_vector_environments(mode, expected):
     """The cost of an episode's last step is neither lost to the reset nor asked of it."""
     envs = SafetyGymnasiumAPI(gym.vector.SyncVectorEnv([Rare, Rare], autoreset_mode=mode))
     envs.reset(seed=0)
-    costs = [envs.step(np.zeros((2, 1), np.float32))[2] for _ in expected]
-    np.testing.assert_array_equal(np.array(costs), np.array([expected] * 2).T)
+    steps = [envs.step(np.zeros((2, 1), np.float32)) for _ in expected]
+    costs = np.array([cost for _, _, cost, *_ in steps])
+    np.testing.assert_array_equal(costs, np.array([expected] * 2).T)
+    terminated = np.array([terminated for *_, terminated, _, _ in steps])
+    np.testing.assert_array_equal(terminated, costs == 2.0)
+    assert not any(truncated.any() for *_, truncated, _ in steps)
 
 
 def test_six_values_where_one_environment_gives_no_cost():

@@ -134,6 +134,14 @@ def test_another_number_of_values(result, message):
         env.step(np.zeros(2))
 
 
+def test_the_order_of_the_six_values():
+    for ends in ((True, False), (False, True)):
+        env = FromSafetyGymnasium(Six(result=(np.ones(2), 4.0, 5.0, *ends, {})))
+        env.reset(seed=0)
+        _, reward, *found, info = env.step(np.zeros(2))
+        assert (reward, info["cost"], *found) == (4.0, 5.0, *ends)
+
+
 @pytest.mark.parametrize("cost", ["high", [1.0], {"cost": 1.0}])
 def test_costs_that_are_no_numbers(cost):
     env = FromSafetyGymnasium(Six(cost=cost))

@@ -273,13 +273,13 @@ def test_data_shows_the_world():
     env = vector("SafetyPointGoal1", 3)
     env.reset(seed=0)
     task = env.simulation
+    before = env.state()
     data, places = task.data(1), task.state()["places"][1]
     names = ["agent", "goal", *[f"hazard{i}" for i in range(8)], "vase0"]
     for name, place in zip(names, places, strict=True):
         np.testing.assert_allclose(data.geom(name).xpos[:2], place, atol=1e-12)
     equal(data.qpos, task.qpos[1])
     equal(data.sensordata, task.sensors[1])
-    before = env.state()
     assert_alike(env.state(), before)
     for name in TASKS:
         assert (

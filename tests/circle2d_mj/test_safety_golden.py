@@ -10,8 +10,8 @@ from circle2d_mj.safety_tasks.circle import SafetyPointCircle
 from circle2d_mj.safety_tasks.goal import SafetyPointGoal
 
 CIRCLE, GOAL, HOPPER = "SafetyPointCircle1-v0", "SafetyPointGoal1-v0", "SafetyHopperVelocity-v1"
-EXACT = {"rtol": 0, "atol": 1e-9}
-CLOSE = {"rtol": 0, "atol": 1e-6}
+EXACT = {"rtol": 0, "atol": 1e-12}
+CLOSE = {"rtol": 0, "atol": 1e-8}
 GROUPS = np.array((0, *[1] * 8, 2))
 same = np.testing.assert_allclose
 

@@ -85,7 +85,6 @@ KNOWN = {  # steps of the vector environment, trajectories, environment steps
 }
 
 
-@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")  # torch's threads, Python >= 3.12
 @pytest.mark.parametrize("reset_cost", [True, False], ids=["reset_cost", "no_reset_cost"])
 @pytest.mark.parametrize("kind", [SyncVectorEnv, AsyncVectorEnv])
 @pytest.mark.parametrize("mode", KNOWN, ids=str)
