@@ -267,7 +267,8 @@ def policy_step(
         after, kl = compared(nets, actor, steps)
         growth, cost_growth = (after - before).unbind(dim=-1)
         allowed = (kl <= config.target_kl) & ((growth > 0) | ~step.must_improve)
-        return allowed & (cost_growth * epoch.length <= step.cost_bound), kl
+        allowed &= cost_growth * epoch.length <= step.cost_bound
+        return allowed | (epoch.length == 0), kl  # nobody waits for a run that takes no part
 
     found = line_search(old, step.step, judge, config.line_search_steps, config.line_search_decay)
     records = {"kl": found.kl, "step_scale": found.scale, "case": step.case.float()}

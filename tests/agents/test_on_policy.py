@@ -8,6 +8,7 @@ from agents.algorithms import cpo, trpo_lag
 from agents.algorithms.cpo import CPOConfig
 from agents.algorithms.trpo_lag import TRPOLagConfig
 from agents.lockstep.rollout import Rollout
+from agents.updates import trpo
 from agents.updates.on_policy import METRICS, OnPolicy
 from agents.updates.packing import Packing
 
@@ -132,11 +133,15 @@ def test_a_run_is_bitwise_the_same_alone(rule, config):
             np.testing.assert_array_equal(value[0], together[name][k], err_msg=name)
 
 
-def test_a_run_that_takes_no_part_stays_as_it_is():
+def test_a_run_that_takes_no_part_stays_as_it_is(monkeypatch):
+    compared, compares = trpo.compared, []
+    monkeypatch.setattr(trpo, "compared", lambda *a: compares.append(1) or compared(*a))
     config = TRPOLagConfig(**SMALL)
     before = learner(trpo_lag.RULE, config, (0, 1)).state()
     after, metrics = trained(trpo_lag.RULE, config, (0, 1), absent=(1,))
+    count = len(compares)
     alone, its_metrics = trained(trpo_lag.RULE, config, (0,))
+    assert len(compares) == 2 * count  # nor does the line search go on for it
     assert np.isnan(metrics[:, 1]).all()
     np.testing.assert_array_equal(metrics[:, 0], its_metrics[:, 0])
     for name, value in after.items():
