@@ -41,17 +41,6 @@ def test_imports_go_one_way(path):
         assert not within(names, package)
 
 
-def test_emcc_needs_numpy_alone():
-    allowed = {"numpy", "emcc", "gymnasium"}
-    for path in MODULES:
-        if path.is_relative_to(ROOT / "emcc"):
-            import sys
-
-            tops = {name.split(".")[0] for name in imports(path)} - set(sys.stdlib_module_names)
-            assert tops <= allowed, path
-            assert "gymnasium" not in tops or path.name == "wrappers.py"
-
-
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_files_and_functions_are_short(path):
     source = path.read_text()

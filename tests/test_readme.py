@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import gymnasium as gym
 import pytest
 
 from agents import cli
@@ -31,4 +32,24 @@ def sixth(monkeypatch, tmp_path):
 def test_the_sixth_algorithm_trains(sixth, tmp_path, capsys):
     options = ["--algorithm", "sac-fixed", "--price", "0.5", "--seeds", "0", "--steps", "1000"]
     assert cli.main(["train", *options, "--out", str(tmp_path / "runs")]) == 0
-    assert "SAC-Fixed (price 0.5), mean of 1" in capsys.readouterr().out
+    assert "SAC-Fixed (price 0.5, 1,000 steps), mean of 1" in capsys.readouterr().out
+
+
+def test_the_examples_run(opengl, tmp_path, monkeypatch):
+    """One after another, as a reader would type them; a random agent stands for the reader's."""
+    monkeypatch.chdir(tmp_path)
+    examples = re.findall(r"```python\n((?!# agents/|\").*?)```", README, re.DOTALL)
+    assert len(examples) == 3
+
+    def training(env):
+        env.reset(seed=0)
+        for _ in range(500):
+            *_, terminated, truncated, _ = env.step(env.action_space.sample())
+            if terminated or truncated:
+                env.reset()
+
+    names = {"your_env": gym.make("Circle2D-1-v0"), "your_training": training}
+    for example in examples:
+        exec(compile(example, "README.md", "exec"), names)
+    assert (tmp_path / "circle2d.png").stat().st_size > 1000
+    assert names["env"].records.total_steps == 500

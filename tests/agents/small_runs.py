@@ -1,4 +1,4 @@
-"""Records of a small training, written by hand."""
+"""Runs on the disk: records of a small training, written by hand; what a training left."""
 
 import numpy as np
 
@@ -24,3 +24,10 @@ def write_runs(folder):
         rows = np.arange(240, dtype=np.float32).reshape(120, 2) / 100 + seed
         np.save(folder / f"seed-{seed}" / "visited.npy", rows)
     return config
+
+
+def results(folder):
+    """The bytes of every file but the log of timings and the command's table."""
+    found = sorted(path for path in folder.rglob("*") if path.is_file())
+    kept = (path for path in found if path.name != "timing.log" and path.stem != "report")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in kept}

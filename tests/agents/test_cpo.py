@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 import torch
 from scipy.optimize import minimize
-from torch.distributions import Independent, Normal, kl_divergence
+from small_policy import NETS, normal, policy
+from torch.distributions import kl_divergence
 
 from agents.algorithms import cpo
 from agents.algorithms.cpo import INSIDE, PARTLY, RECOVERABLE, RECOVERY, CPOConfig
-from agents.lockstep.nets import MLP
 from agents.updates import trpo
-from agents.updates.gaussian import GaussianPolicy
 from agents.updates.packing import BLOCK
 from agents.updates.trust_region import Problem
 
@@ -38,11 +37,6 @@ CASES = [
     (1.5, 0.7, RECOVERY, False),
     (1.5, -0.7, RECOVERY, False),
 ]
-
-
-def normal(*shape, seed):
-    generator = torch.Generator().manual_seed(seed)
-    return torch.randn(*shape, generator=generator, dtype=torch.float64)
 
 
 def one_run(share, cosine, seed):
@@ -183,16 +177,6 @@ def test_nothing_to_gain():
         u = torch.linalg.solve(root, b)
         expected = torch.linalg.solve(root.T, -back * RADIUS * u / u.norm())
         assert close(x[run], expected)
-
-
-NETS = trpo.Nets(GaussianPolicy(MLP((2, 3, 2))), MLP((2, 3, 1)))
-
-
-def policy(params, observation):
-    """One run's distribution, from the layout of its parameters."""
-    w1, b1, w2, b2, _, log_std, _ = params.split((6, 3, 6, 2, 15, 2, 30))
-    mean = torch.tanh(observation @ w1.view(2, 3) + b1) @ w2.view(3, 2) + b2
-    return Independent(Normal(mean, log_std.exp().expand_as(mean)), 1)
 
 
 def test_a_policy_of_each_case():

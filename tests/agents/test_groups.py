@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_runs import results
 from toys import register
 
 from agents.algorithms import algorithm
@@ -48,16 +49,9 @@ def trained_alone(path, *configs):
     return folders
 
 
-def files(folder):
-    """The bytes of every file but the log of timings and the command's table."""
-    found = (p for p in folder.rglob("*") if p.is_file())
-    found = (p for p in found if p.name != "timing.log" and p.stem != "report")
-    return {str(p.relative_to(folder)): p.read_bytes() for p in found}
-
-
 def assert_same(folders, expected):
     for folder, other in zip(folders, expected, strict=True):
-        ours, theirs = files(folder), files(other)
+        ours, theirs = results(folder), results(other)
         assert ours.keys() == theirs.keys()
         for name, data in ours.items():
             assert data == theirs[name], f"{folder}: {name}"
@@ -75,7 +69,7 @@ def test_folders_together_are_as_alone(alone, tmp_path):
     folders = made(tmp_path, *(config(name, level) for level in (0, 1, 3)))
     assert [training.config.seeds for training in train(*folders)] == [(3, 4), (4,), (5, 3)]
     assert_same(folders, expected)
-    assert files(folders[0])["seed-4/visited.npy"] != files(folders[1])["seed-4/visited.npy"]
+    assert results(folders[0])["seed-4/visited.npy"] != results(folders[1])["seed-4/visited.npy"]
 
 
 KILLED = """

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_runs import results
 
 from agents.bench.presets import preset
 from agents.errors import UserError
@@ -33,12 +34,6 @@ def trained(folder, *args, **kwargs):
     config(*args, **kwargs).write(folder)
     train(folder)
     return folder
-
-
-def results(folder):
-    """The bytes of every result: all files but the log of timings."""
-    files = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != "timing.log")
-    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
 
 
 def test_twelve_runs_and_one(tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from modules import flat, module
+from small_policy import normal
 from torch.distributions import Independent, Normal, kl_divergence
 
 from agents.algorithms import cpo, trpo_lag
@@ -21,10 +22,6 @@ OBSERVATION, ACTION = 3, 2
 SMALL = {"hidden": (32,), "episodes": 2, "critic_iterations": 2}
 ACTOR = GaussianPolicy(MLP((OBSERVATION, 32, ACTION)))
 NETS = trpo.Nets(ACTOR, MLP((OBSERVATION, 32, 1)))
-
-
-def normal(*shape, seed=0):
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed)).double()
 
 
 class Separate:

@@ -3,24 +3,17 @@
 import numpy as np
 import pytest
 import torch
-from torch.distributions import Independent, Normal, kl_divergence
+from small_policy import NETS, normal, policy
+from torch.distributions import kl_divergence
 
 from agents.algorithms.cpo import CPOConfig
-from agents.lockstep.nets import MLP
 from agents.updates import trpo
-from agents.updates.gaussian import GaussianPolicy
 from agents.updates.packing import BLOCK
 from agents.updates.trust_region import Problem, Step, conjugate_gradient, line_search
-
-NETS = trpo.Nets(GaussianPolicy(MLP((2, 3, 2))), MLP((2, 3, 1)))
 
 
 def generator(seed):
     return torch.Generator().manual_seed(seed)
-
-
-def normal(*shape, seed=0):
-    return torch.randn(*shape, generator=generator(seed), dtype=torch.float64)
 
 
 def spd(eigenvalues, seed=0):
@@ -32,13 +25,6 @@ def spd(eigenvalues, seed=0):
 
 def times(matrix):
     return lambda v: (matrix @ v[..., None])[..., 0]
-
-
-def policy(params, observation):
-    """One run's distribution, from the layout of its parameters."""
-    w1, b1, w2, b2, _, log_std, _ = params.split((6, 3, 6, 2, 15, 2, 30))
-    mean = torch.tanh(observation @ w1.view(2, 3) + b1) @ w2.view(3, 2) + b2
-    return Independent(Normal(mean, log_std.exp().expand_as(mean)), 1)
 
 
 def random_epoch(steps, size, seed=0):

@@ -7,17 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import KDTree
+from strips import STRIPS
 
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.pieces import OVERHANG, convex_pieces
 
 R = 10.0
-# Level -> (angle in degrees, depth / R, width / R per corridor height factor), each strip apart.
-STRIPS = {
-    1: [(180, 0.95, 1.0)],
-    2: [(180, 0.95, 1.0), (90, 0.5, 1.0), (-90, 0.5, 1.0)],
-    3: [(180, 0.95, 1.0), (90, 0.5, 1.0), (-90, 0.5, 1.0), (45, 0.3, 0.5), (-45, 0.3, 0.5)],
-}
 levels = pytest.mark.parametrize("level", [1, 2, 3])
 shapes = given(st.integers(1, 3), st.floats(0.001, 2.0))
 

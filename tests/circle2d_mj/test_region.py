@@ -2,16 +2,9 @@
 
 import numpy as np
 import pytest
+from strips import STRIPS
 
 from circle2d_mj import Circle2DConfig, CostRegion
-
-# Level -> (angle in degrees, depth / R, width / R per corridor height factor), each strip apart.
-STRIPS = {
-    0: [(180, 0.95, 1.0)],
-    1: [(180, 0.95, 1.0)],
-    2: [(180, 0.95, 1.0), (90, 0.5, 1.0), (-90, 0.5, 1.0)],
-    3: [(180, 0.95, 1.0), (90, 0.5, 1.0), (-90, 0.5, 1.0), (45, 0.3, 0.5), (-45, 0.3, 0.5)],
-}
 
 
 def by_definition(level, radius, height, points):

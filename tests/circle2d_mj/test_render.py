@@ -11,22 +11,14 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RenderCollection
 
 import circle2d_mj
-from circle2d_mj import Circle2DConfig, Circle2DEnv, Circle2DVectorEnv, canvas, gl
+from circle2d_mj import Circle2DConfig, Circle2DEnv, Circle2DVectorEnv, canvas
 from circle2d_mj.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
 from circle2d_mj.render import Renderer
 
 BALL = (217, 26, 115)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _opengl():
-    """Skips where no library is; one that is there but does not work is a failure."""
-    try:
-        Renderer(Circle2DConfig(), 8).close()
-    except gl.NoOpenGL as error:
-        if str(error).count("is missing") == len(gl.LIBRARIES):
-            pytest.skip(str(error))
-        raise
+pytestmark = pytest.mark.usefixtures("opengl")
 
 
 def ball(picture):

@@ -1,0 +1,23 @@
+"""A small policy as its parameters lie in memory, beside PyTorch's distributions."""
+
+import torch
+from torch.distributions import Independent, Normal
+
+from agents.lockstep.nets import MLP
+from agents.updates import trpo
+from agents.updates.gaussian import GaussianPolicy
+
+NETS = trpo.Nets(GaussianPolicy(MLP((2, 3, 2))), MLP((2, 3, 1)))
+
+
+def normal(*shape, seed=0):
+    """Standard normal numbers, the same for the same seed."""
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+
+def policy(params, observation):
+    """One run's distribution, from the layout of its parameters."""
+    w1, b1, w2, b2, _, log_std, _ = params.split((6, 3, 6, 2, 15, 2, 30))
+    mean = torch.tanh(observation @ w1.view(2, 3) + b1) @ w2.view(3, 2) + b2
+    return Independent(Normal(mean, log_std.exp().expand_as(mean)), 1)

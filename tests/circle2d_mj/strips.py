@@ -1,0 +1,9 @@
+"""The cut-outs as the paper's figures show them: no code of the package."""
+
+STRIPS = {
+    0: [(180, 0.95, 1.0)],
+    1: [(180, 0.95, 1.0)],
+    2: [(180, 0.95, 1.0), (90, 0.5, 1.0), (-90, 0.5, 1.0)],
+    3: [(180, 0.95, 1.0), (90, 0.5, 1.0), (-90, 0.5, 1.0), (45, 0.3, 0.5), (-45, 0.3, 0.5)],
+}
+"""Level -> strips: angle in degrees, depth / R, width / R per corridor height factor."""
