@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from math import ceil
 from pathlib import Path
@@ -64,10 +65,10 @@ def grid(
                 chosen[f"{name}-{other[0]}"] = other[1]
             of_each = usual_steps(task) if steps is None else steps
             # Twenty checkpoints at the most: those of a long off-policy training hold gigabytes.
-            common = {"checkpoint_every": max(50_000, of_each // 20)}
-            common |= {"backend": backend, "device": device}
+            every = max(50_000, of_each // 20)
             for folder, hyperparameters in chosen.items():
-                config = TrainConfig(name, task, tuple(seeds), of_each, hyperparameters, **common)
+                config = TrainConfig(name, task, tuple(seeds), of_each, hyperparameters)
+                config = replace(config, checkpoint_every=every, backend=backend, device=device)
                 found[out / task.replace("/", "-") / folder] = config
     return found
 
