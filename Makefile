@@ -23,7 +23,7 @@ demo: $(VENV)/installed
 	@echo "The report, with training curves and heat map: runs/demo/index.html"
 
 test: $(VENV)/installed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n logical --dist loadfile
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .
