@@ -136,8 +136,7 @@ def run_resume(args: Sequence[str]) -> int:
     for folder in folders:
         TrainConfig.read(folder)
     for folder in folders:
-        said = note_session(folder)
-        if said:
+        if said := note_session(folder):
             print(f"circle2d: {folder}: {said}", file=sys.stderr)
     return _train(*folders)
 

@@ -94,9 +94,8 @@ def run_reproduce(args: Sequence[str]) -> int:
         options.ablations,
     )
     grid.prepare(configs)
-    for folder in configs:
-        said = "" if grid.finished(folder, configs[folder]) else note_session(folder)
-        if said:
+    for folder, config in configs.items():
+        if not grid.finished(folder, config) and (said := note_session(folder)):
             print(f"circle2d: {folder}: {said}", file=sys.stderr)
     with _ended_by_signals():
         with locked(options.out):

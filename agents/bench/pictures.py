@@ -110,7 +110,7 @@ def heatmap(
         pictures = [renderer.heatmap(of_part.positions, most=most) for of_part in of_parts]
     title = f"{algorithm(config.algorithm).title} on {config.task}"
     if set(config.seeds) != set(everyone):
-        title += f", of seed {' and '.join(map(str, config.seeds))}"
+        title += f" (seeds: {', '.join(map(str, config.seeds))})"
     return figure(
         [pictures],
         [PARTS[part] for part in parts],

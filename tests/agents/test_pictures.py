@@ -147,9 +147,9 @@ def test_a_heat_map_of_the_runs_that_did_not_fail(folder, tmp_path, capsys, monk
     assert drawn["title"] == f"TRPO-Lag on {TASK}"
     (copy / "seed-5" / "failed.json").write_text('{"step": 500}')
     assert main(["heatmap", str(copy)]) == 0
-    assert drawn["title"] == f"TRPO-Lag on {TASK}, of seed 6"
+    assert drawn["title"] == f"TRPO-Lag on {TASK} (seeds: 6)"
     assert main(["heatmap", str(copy), "--seeds", "5"]) == 0
-    assert drawn["title"] == f"TRPO-Lag on {TASK}, of seed 5"
+    assert drawn["title"] == f"TRPO-Lag on {TASK} (seeds: 5)"
     (copy / "seed-6" / "failed.json").write_text('{"step": 500}')
     capsys.readouterr()
     assert main(["heatmap", str(copy)]) == 2
