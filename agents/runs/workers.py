@@ -20,9 +20,9 @@ class Workers:
     """Trains groups of folders, in order, `count` groups at a time.
 
     Each is a process of one thread, in which the runs of a group's folders train together, from
-    their last checkpoints if they have any. A group that fails does not stop the others. Used as a
-    context manager: leaving it ends the processes that still run, which lose what they did since
-    their last checkpoints.
+    their last checkpoints if they have any. Of a group that fails every folder is tried alone,
+    last; one that fails does not stop the others. Used as a context manager: leaving it ends the
+    processes that still run, which lose what they did since their last checkpoints.
     """
 
     def __init__(self, groups: Sequence[Group], count: int) -> None:
@@ -49,10 +49,16 @@ class Workers:
             for group, process in list(self._running.items()):
                 if process.poll() is not None:
                     del self._running[group]
-                    self.over.extend(group)
-                    if process.returncode:
-                        self.failed |= dict.fromkeys(group, _last_words(group))
+                    self._ended(group, process.returncode)
         on_change()
+
+    def _ended(self, group: Group, status: int) -> None:
+        if status and len(group) > 1:  # it may be one folder's fault: each goes on alone
+            self._waiting += [(folder,) for folder in group]
+            return
+        self.over.extend(group)
+        if status:
+            self.failed |= dict.fromkeys(group, _last_words(group))
 
     def __enter__(self) -> Workers:
         return self
