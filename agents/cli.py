@@ -25,7 +25,7 @@ from agents.errors import UserError
 from agents.options import BackendChoice, chosen_backend, parse
 from agents.runs.config import Device, TrainConfig, run_folder
 from agents.runs.evaluate import evaluate
-from agents.runs.machine import note_session
+from agents.runs.machine import other_session
 from agents.runs.progress import show_progress
 from agents.runs.tasks import Vectorization, check_task
 from agents.runs.tensorboard import require_tensorboard
@@ -136,7 +136,7 @@ def run_resume(args: Sequence[str]) -> int:
     for folder in folders:
         TrainConfig.read(folder)
     for folder in folders:
-        if said := note_session(folder):
+        if said := other_session(folder):
             print(f"circle2d: {folder}: {said}", file=sys.stderr)
     return _train(*folders)
 
@@ -147,8 +147,8 @@ def run_evaluate(args: Sequence[str]) -> int:
     policy = training.learner.policy()
     active = ~training.failed
     results = evaluate(options.folder, training.config, policy, options.episodes, active)
-    took = training.steps[active].min(initial=training.config.steps)
-    steps = f"after {took} of {training.config.steps} steps"
+    took = training.steps[active] if active.any() else training.steps
+    steps = f"after {took.min()} of {training.config.steps} steps"
     print(f"{options.folder}, {steps}: means over {options.episodes} episodes")
     for name, of_runs in results.items():
         for seed, measures in zip(training.config.seeds, of_runs, strict=True):

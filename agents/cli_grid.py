@@ -8,7 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -23,7 +23,7 @@ from agents.errors import UserError
 from agents.options import BackendChoice, chosen_backend, parse
 from agents.runs.config import Device, TrainConfig
 from agents.runs.files import locked
-from agents.runs.machine import note_session
+from agents.runs.machine import other_session
 from agents.runs.tasks import check_task
 from agents.runs.timing import share_done, speed
 from agents.runs.workers import Group, Workers
@@ -73,29 +73,10 @@ def run_reproduce(args: Sequence[str]) -> int:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
     if options.workers < 1:
         raise UserError(f"workers must be at least 1, got {options.workers}")
-    tasks = _tasks(options)
-    for task in tasks:
-        check_task(task, {})
-    seeds, steps = options.seeds, options.steps
-    if seeds is None:
-        seeds = grid.QUICK_SEEDS if options.quick else grid.SEEDS
-    if steps is None and options.quick:
-        steps = grid.QUICK_STEPS
-    usual = "eager" if options.quick else grid.backend_of(options.out) or "auto"
-    backend = chosen_backend(options.backend or usual)
-    configs = grid.grid(
-        options.out,
-        tasks,
-        options.algorithms,
-        seeds,
-        steps,
-        backend,
-        options.device,
-        options.ablations,
-    )
+    configs = _configs(options)
     grid.prepare(configs)
     for folder, config in configs.items():
-        if not grid.finished(folder, config) and (said := note_session(folder)):
+        if not grid.finished(folder, config) and (said := other_session(folder)):
             print(f"circle2d: {folder}: {said}", file=sys.stderr)
     with _ended_by_signals():
         with locked(options.out):
@@ -108,6 +89,23 @@ def run_reproduce(args: Sequence[str]) -> int:
             print(f"circle2d: no report: {error}", file=sys.stderr)
             return 1
     return int(bool(failed) or any(grid.has_failures(f, c) for f, c in configs.items()))
+
+
+def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
+    """The grid's folders and what is trained in them."""
+    tasks = _tasks(options)
+    for task in tasks:
+        check_task(task, {})
+    seeds, steps = options.seeds, options.steps
+    if seeds is None:
+        seeds = grid.QUICK_SEEDS if options.quick else grid.SEEDS
+    if steps is None and options.quick:
+        steps = grid.QUICK_STEPS
+    what = (tasks, options.algorithms, seeds, steps, options.device, options.ablations)
+    configs = grid.grid(options.out, *what)
+    usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
+    backend = chosen_backend(options.backend or usual)
+    return {folder: replace(config, backend=backend) for folder, config in configs.items()}
 
 
 def _tasks(options: ReproduceOptions) -> Sequence[str]:
@@ -143,7 +141,14 @@ def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
     started, (before, total) = time.monotonic(), grid.work_left(shares, configs)
     console = Console(stderr=True)
     groups = grid.groups({folder: configs[folder] for folder in left}, count)
-    with Workers(groups, count) as workers, Live(console=console, auto_refresh=False) as live:
+
+    def is_finished(folder: Path) -> bool:
+        return grid.finished(folder, configs[folder])
+
+    with (
+        Workers(groups, count, is_finished) as workers,
+        Live(console=console, auto_refresh=False) as live,
+    ):
         told, tenths = 0, 0
 
         def show() -> None:

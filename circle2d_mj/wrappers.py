@@ -38,7 +38,8 @@ class _SixValue(gym.Wrapper):
 class _SixValueVector(VectorWrapper):
     def __init__(self, env: VectorEnv) -> None:
         super().__init__(env)
-        self._waits_to_reset = env.metadata.get("autoreset_mode") is AutoresetMode.NEXT_STEP
+        mode = env.metadata.get("autoreset_mode")
+        self._waits_to_reset = mode in (AutoresetMode.NEXT_STEP, AutoresetMode.NEXT_STEP.value)
         self._resetting = np.zeros(env.num_envs, dtype=bool)
         """Whose next step is no step of an episode"""
 

@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -107,15 +108,22 @@ def emcc_table(
 
 def _name(key: tuple[str, str, str], keys: Sequence[tuple[str, str, str]]) -> str:
     """The algorithm, with its settings that differ where others have its name on the same task."""
-    others = [json.loads(other[2]) for other in keys if other[:2] == key[:2] and other[2]]
+    others = [_flat(json.loads(other[2])) for other in keys if other[:2] == key[:2] and other[2]]
     if len(others) < 2 or not key[2]:
         return key[1]
     told = []
-    for kind, own in json.loads(key[2]).items():
-        for name, value in own.items():
-            if any(other.get(kind, {}).get(name) != value for other in others):
-                told.append(f"{name} {value}")
+    for name, value in _flat(json.loads(key[2])).items():
+        if any(other.get(name) != value for other in others):
+            told.append(f"{name} {value}")
     return f"{key[1]} ({', '.join(told)})" if told else key[1]
+
+
+def _flat(settings: dict[str, Any]) -> dict[str, Any]:
+    """The entries of a kind of settings, or what stands there instead, by name."""
+    found: dict[str, Any] = {}
+    for kind, values in settings.items():
+        found |= values if isinstance(values, dict) else {kind: values}
+    return found
 
 
 _READINGS = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import ceil
@@ -44,7 +44,6 @@ def grid(
     algorithms: Sequence[str],
     seeds: Sequence[int],
     steps: int | None = None,
-    backend: Backend = "eager",
     device: Device = "cpu",
     ablations: bool = False,
 ) -> dict[Path, TrainConfig]:
@@ -53,7 +52,7 @@ def grid(
 
     steps: of each run; by default the usual ones of its task. ablations: those with the other
     choice of what is inferred in a preset as well, in folders like trpo-lag-sgd. Raises
-    UserError for what is unknown.
+    UserError for what is unknown. Of eager updates, until a backend is chosen.
     """
     order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, max(WORK.values())))
     found = {}
@@ -68,15 +67,15 @@ def grid(
             every = max(50_000, of_each // 20)
             for folder, hyperparameters in chosen.items():
                 config = TrainConfig(name, task, tuple(seeds), of_each, hyperparameters)
-                config = replace(config, checkpoint_every=every, backend=backend, device=device)
+                config = replace(config, checkpoint_every=every, device=device)
                 found[out / task.replace("/", "-") / folder] = config
     return found
 
 
-def backend_of(out: Path) -> Backend | None:
-    """What the updates of the runs in a grid's folder began with; None where there are no runs."""
-    first = next((path.parent for path in sorted(out.glob("*/*/config.json"))), None)
-    return TrainConfig.read(first).backend if first else None
+def backend_of(folders: Iterable[Path]) -> Backend | None:
+    """What the updates of a grid's runs began with; None where there are no runs yet."""
+    there = (folder for folder in folders if (folder / "config.json").exists())
+    return next((TrainConfig.read(folder).backend for folder in there), None)
 
 
 def prepare(folders: dict[Path, TrainConfig]) -> None:

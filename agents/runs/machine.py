@@ -39,17 +39,24 @@ def _processor() -> str:
     return next(filter(None, names), platform.processor() or platform.machine())
 
 
-def note_session(folder: Path) -> str:
-    """Record in a folder's configuration what goes on with its runs, where that is not what they
-    were trained with last; says so in words, and nothing where it is."""
+def other_session(folder: Path) -> str:
+    """In words, what trained the runs of a folder so far, where that is not this process's versions
+    and machine; nothing where it is."""
+    now, last = made_with(), sessions_of(read_json(folder / "config.json"))[-1]
+    changed = [f"{name} {last[name]}" for name in now if last[name] != now[name]]
+    if not changed:
+        return ""
+    return f"trained so far with other {' and '.join(changed)}: results may differ"
+
+
+def note_session(folder: Path) -> None:
+    """Record in a folder's configuration that this process goes on with its runs, where its
+    versions and machine are not what they were trained with last."""
     now, path = made_with(), folder / "config.json"
     content = read_json(path)
     sessions = sessions_of(content)
-    if sessions[-1] == now:
-        return ""
-    write_json(path, content | {"resumed": [*sessions[1:], now]})
-    changed = [f"{name} {sessions[-1][name]}" for name in now if sessions[-1][name] != now[name]]
-    return f"trained so far with other {' and '.join(changed)}: results may differ"
+    if sessions[-1] != now:
+        write_json(path, content | {"resumed": [*sessions[1:], now]})
 
 
 def sessions_of(content: dict[str, Any]) -> list[dict[str, Any]]:

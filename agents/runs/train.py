@@ -25,6 +25,7 @@ from agents.runs.config import FAILURE, TrainConfig, check_together, run_folders
 from agents.runs.evaluate import evaluate
 from agents.runs.files import locked, read_arrays, write_arrays, write_json
 from agents.runs.log import Log
+from agents.runs.machine import note_session
 from agents.runs.side_by_side import SideBySide
 from agents.runs.tasks import circle2d_config, make_envs, sizes_of
 from agents.runs.tensorboard import Events
@@ -213,6 +214,8 @@ def _train(trainings: dict[Path, Training], on_epoch: OnEpoch) -> None:
     for folder, training in trainings.items():
         if (folder / "checkpoint.npz").exists():
             training.restore(folder)
+        if not training.done:
+            note_session(folder)
     with contextlib.ExitStack() as stack:
         events = {}
         for folder, training in trainings.items():

@@ -20,13 +20,16 @@ class Workers:
     """Trains groups of folders, in order, `count` groups at a time.
 
     Each is a process of one thread, in which the runs of a group's folders train together, from
-    their last checkpoints if they have any. Of a group that fails every folder is tried alone,
-    last; one that fails does not stop the others. Used as a context manager: leaving it ends the
-    processes that still run, which lose what they did since their last checkpoints.
+    their last checkpoints if they have any. Of a group that fails every folder that is not
+    `finished` is tried alone, last; one that fails does not stop the others. Used as a context
+    manager: leaving it ends the processes that still run, which lose what they did since their last
+    checkpoints.
     """
 
-    def __init__(self, groups: Sequence[Group], count: int) -> None:
-        self._waiting, self._count = list(groups), count
+    def __init__(
+        self, groups: Sequence[Group], count: int, finished: Callable[[Path], bool]
+    ) -> None:
+        self._waiting, self._count, self._finished = list(groups), count, finished
         self._running: dict[Group, subprocess.Popen] = {}
         self.over: list[Path] = []
         """Folders whose process has ended, those that failed among them."""
@@ -53,12 +56,14 @@ class Workers:
         on_change()
 
     def _ended(self, group: Group, status: int) -> None:
+        left = []
         if status and len(group) > 1:  # it may be one folder's fault: each goes on alone
-            self._waiting += [(folder,) for folder in group]
-            return
-        self.over.extend(group)
+            left = [folder for folder in group if not self._finished(folder)]
+        self._waiting += [(folder,) for folder in left]
+        over = [folder for folder in group if folder not in left]
+        self.over.extend(over)
         if status:
-            self.failed |= dict.fromkeys(group, _last_words(group))
+            self.failed |= dict.fromkeys(over, _last_words(group))
 
     def __enter__(self) -> Workers:
         return self

@@ -234,14 +234,30 @@ def test_mistakes(whole, options, message, capsys):
 
 
 def test_it_goes_on_with_the_backend_that_its_runs_began_with(tmp_path, monkeypatch):
-    """Where a compiler came or went between two starts."""
-    assert grid.backend_of(tmp_path) is None
-    configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo"], (3,), 500, backend="compiled")
-    grid.prepare(configs)
-    assert grid.backend_of(tmp_path) == "compiled"
-    eager = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo"], (3,), 500, backend="eager")
-    with pytest.raises(UserError, match=r"backend compiled \(now eager\)"):
-        grid.prepare(eager)
+    """Where a compiler came or went between two starts; whatever else lies in the folder."""
+    command = [
+        "reproduce",
+        "--levels",
+        "1",
+        "--algorithms",
+        "cpo",
+        "--seeds",
+        "3",
+        "--steps",
+        "500",
+    ]
+    command += ["--out", str(tmp_path)]
+    chosen = []
+    monkeypatch.setattr(cli_grid, "_train", lambda configs, count: {})
+    monkeypatch.setattr(cli_grid, "report", lambda *a, **k: "")
+    monkeypatch.setattr(cli_grid, "chosen_backend", lambda c: chosen.append(c) or "compiled")
+    other = TrainConfig("cpo", "Circle2D-1-v0", (0,), 100, preset("cpo", "Circle2D-1-v0"))
+    other.write(tmp_path / "another")
+    for _ in range(2):
+        assert main(command) == 0
+    assert chosen == ["auto", "compiled"]
+    monkeypatch.setattr(cli_grid, "chosen_backend", lambda c: "eager")
+    assert main([*command, "--backend", "eager"]) == 2
 
 
 def test_lengths_are_the_papers():
@@ -260,7 +276,7 @@ def test_time_left_of_what_goes_on(tmp_path, monkeypatch):
     class Trained:
         running, over, failed = (), [], {}
 
-        def __init__(self, groups, count):
+        def __init__(self, groups, count, finished):
             pass
 
         def __enter__(self):

@@ -114,6 +114,12 @@ def test_settings_that_differ_are_named(tmp_path, capsys):
     rows, _ = table(capsys, tmp_path)
     names = ["cpo (lr 1, n 2)", "cpo (lr 3, n 2)", "cpo (lr 1)", "sac"]
     assert [row["algorithm"] for row in rows] == names
+    for name, settings in (("x", "lr=3"), ("y", None)):  # as somebody else may write them
+        config = {"task": "u", "algorithm": "ppo", "hyperparameters": settings, "seed": 0}
+        write_run(tmp_path / name, NINE, config)
+    rows, _ = table(capsys, tmp_path / "x", tmp_path / "y")
+    names = ["ppo (hyperparameters lr=3)", "ppo (hyperparameters None)"]
+    assert [row["algorithm"] for row in rows] == names
 
 
 def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):
