@@ -76,7 +76,7 @@ def run_reproduce(args: Sequence[str]) -> int:
     configs = _configs(options)
     grid.prepare(configs)
     for folder, config in configs.items():
-        if not grid.finished(folder, config) and (said := other_session(folder)):
+        if (said := other_session(folder)) and not grid.finished(folder, config):
             print(f"circle2d: {folder}: {said}", file=sys.stderr)
     with _ended_by_signals():
         with locked(options.out):
