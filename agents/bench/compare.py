@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from agents.algorithms import ALGORITHMS
 from agents.bench.figures import curves
+from agents.bench.numbers import Line, difference_lines, group_lines, numbers_csv
 from agents.bench.page import Section, page
 from agents.bench.provenance import made
 from agents.bench.results import MEASURES, Group, read_groups
@@ -17,6 +16,7 @@ from agents.bench.tables import (
     caption,
     changes,
     difference_cell,
+    difference_of,
     mean_row,
     measures_table,
     run_rows,
@@ -24,7 +24,6 @@ from agents.bench.tables import (
 )
 from agents.errors import UserError
 from agents.runs.files import write_whole
-from emcc import difference
 from emcc.table import Table
 
 METHOD = (
@@ -89,7 +88,8 @@ def compare(a: Path, b: Path, out: Path | None = None) -> str:
         title = f"{a.resolve().name} (A) and {b.resolve().name} (B)"
         write_whole(out / "compare.html", page(title, sections, how))
         write_whole(out / "compare.md", markdown)
-        write_whole(out / "compare.csv", "\n".join(table.render("csv") for table in tables))
+        lines = (line for sides in by_task.values() for line in _lines(sides))
+        write_whole(out / "compare.csv", numbers_csv(lines))
     return markdown
 
 
@@ -119,13 +119,22 @@ def _settings(group: Group) -> tuple[str, dict[str, Any]]:
 
 
 def _difference_row(a: Group, b: Group) -> list[str]:
+    cells = [difference_cell(difference_of(a.runs, b.runs, name)) for name in MEASURES]
+    return [_difference_name(a, b), *cells, ""]
+
+
+def _difference_name(a: Group, b: Group) -> str:
     titles = [title_of(group.config) for group in (b, a)]
-    what = titles[0] if titles[0] == titles[1] else " - ".join(titles)
-    cells = []
-    for name in MEASURES:
-        values = [[run.measures[name] for run in group.runs] for group in (a, b)]
-        cells.append(difference_cell(difference(*values, rng=np.random.default_rng(0))))
-    return [f"B - A: {what}", *cells, ""]
+    return f"B - A: {titles[0] if titles[0] == titles[1] else ' - '.join(titles)}"
+
+
+def _lines(sides: Sides) -> Iterator[Line]:
+    """Every number of both sides, for a program."""
+    for name, groups in zip("AB", sides, strict=True):
+        for group in groups:
+            yield from group_lines(group, f"{name}: ")
+    for a, b in _pairs(sides):
+        yield from difference_lines(a, b, _difference_name(a, b))
 
 
 def _notes(task: str, sides: Sides) -> list[str]:

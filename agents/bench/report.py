@@ -9,6 +9,7 @@ from pathlib import Path
 from agents.bench import ablations, claims_text
 from agents.bench.claims import check_claims
 from agents.bench.figures import Figure, figures, introduction
+from agents.bench.numbers import numbers_csv, report_lines
 from agents.bench.page import Section, page
 from agents.bench.provenance import made
 from agents.bench.results import Group, read_groups
@@ -20,10 +21,10 @@ from agents.runs.tasks import circle2d_config
 def report(folder: Path, with_figures: bool = False) -> str:
     """The table of every folder of runs at or below `folder`, as Markdown.
 
-    Writes `report.md` and `report.csv` there; with_figures also the paper's claims, figures into
-    `pictures`, and `index.html`, which holds everything. Runs that are missing, damaged or
-    unfinished are named below the table and left out of its means; figures that cannot be drawn are
-    named too. Raises UserError where no run is left.
+    Writes `report.md` there and, for a program, `report.csv`; with_figures also the paper's claims,
+    figures into `pictures`, and `index.html`, which holds everything. Runs that are missing,
+    damaged or unfinished are named below the table and left out of its means; figures that cannot
+    be drawn are named too. Raises UserError where no run is left.
     """
     notes: list[str] = []
     everything = read_groups(folder, notes)
@@ -53,7 +54,7 @@ def report(folder: Path, with_figures: bool = False) -> str:
         how = made(folder, everything)
         write_whole(folder / "index.html", page(folder.resolve().name, sections, how))
     write_whole(folder / "report.md", "\n".join([markdown, *images]))
-    write_whole(folder / "report.csv", "\n".join(t.render("csv") for t in tables.values()))
+    write_whole(folder / "report.csv", numbers_csv(report_lines(everything)))
     return markdown
 
 

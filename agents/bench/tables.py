@@ -15,7 +15,7 @@ from agents.bench.pictures import ALPHA
 from agents.bench.presets import PAPER_SEEDS, inferred, preset, usual_steps
 from agents.bench.results import MEASURES, Group, Run
 from agents.runs.config import TrainConfig
-from emcc import Difference, Estimate, estimate
+from emcc import Difference, Estimate, difference, estimate
 from emcc.table import Table
 
 MARKING = (
@@ -111,13 +111,25 @@ def run_rows(groups: Sequence[Group], name: str, prefix: str = "") -> Iterator[l
 
 
 def mean_cell(values: Sequence[float]) -> str:
-    """A mean over seeds as text, with its 95 % bootstrap interval where there are several."""
-    return _estimate_cell(estimate({"": values}, rng=np.random.default_rng(0))[""], "")
+    """A mean over seeds as text, with its interval where there are several."""
+    return _estimate_cell(mean_of(values), "")
+
+
+def mean_of(values: Sequence[float]) -> Estimate:
+    """A mean over seeds with its 95 % bootstrap interval where there are several."""
+    # A generator of its own: no number depends on which others are asked for.
+    return estimate({"": values}, rng=np.random.default_rng(0))[""]
 
 
 def difference_cell(difference: Difference) -> str:
     """A difference of means as text, with its interval where there are several seeds."""
     return _estimate_cell(difference, "+")
+
+
+def difference_of(a: Sequence[Run], b: Sequence[Run], measure: str) -> Difference:
+    """The mean of a measure over `b` less that over `a`, with its interval like `mean_of`."""
+    values = [[run.measures[measure] for run in runs] for runs in (a, b)]
+    return difference(*values, rng=np.random.default_rng(0))
 
 
 def _estimate_cell(found: Estimate | Difference, sign: str) -> str:

@@ -98,7 +98,7 @@ def test_both_choices_side_by_side(folder):
     assert not any("sgd" in row[0] for row in main_table)
     (of_preset,) = (row for row in main_table if row[0] == "TRPO-Lag (100 steps), mean of 3")
     assert of_preset[5] == "**-14.00** [-20.00, -10.00]"
-    assert "Both choices" in (folder / "report.csv").read_text()
+    assert "TRPO-Lag (multiplier_optimizer sgd" in (folder / "report.csv").read_text()
 
 
 def test_without_the_presets_runs_it_is_a_group_like_any_other(folder):

@@ -1,5 +1,6 @@
 """Two sets of runs side by side, from files written by hand."""
 
+import csv
 import json
 import re
 
@@ -86,8 +87,23 @@ def test_what_is_written(tmp_path, capsys):
     assert main(["compare", str(a), str(b), "--out", str(out)]) == 0
     assert capsys.readouterr().out == printed
     assert (out / "compare.md").read_text() + "\n" == printed
-    csv = (out / "compare.csv").read_text()
-    assert 'B - A: CPO (100 steps),"+0.00 [+0.00, +0.00]"' in csv
+    lines = list(csv.DictReader((out / "compare.csv").read_text().splitlines()))
+    found = [(x["algorithm"], x["kind"], x["seed"], float(x["J_R"])) for x in lines]
+    assert found == [
+        ("A: CPO (100 steps)", "mean", "", -15),
+        ("A: CPO (100 steps)", "low", "", -20),
+        ("A: CPO (100 steps)", "high", "", -10),
+        ("A: CPO (100 steps)", "run", "0", -10),
+        ("A: CPO (100 steps)", "run", "1", -20),
+        ("B: CPO (100 steps)", "mean", "", -7),
+        ("B: CPO (100 steps)", "low", "", -9),
+        ("B: CPO (100 steps)", "high", "", -5),
+        ("B: CPO (100 steps)", "run", "0", -5),
+        ("B: CPO (100 steps)", "run", "1", -9),
+        ("B - A: CPO (100 steps)", "difference", "", 8),
+        ("B - A: CPO (100 steps)", "difference low", "", 1),
+        ("B - A: CPO (100 steps)", "difference high", "", 15),
+    ]
     html = (out / "compare.html").read_text()
     assert "+8.00<br><small>[+1.00, +15.00]</small>" in html
     assert "A: CPO" in html
