@@ -28,7 +28,7 @@ class TRPOLagConfig(MultiplierConfig, TRPOConfig):
     """Step size of the multiplier. Paper: 0.005."""
     multiplier_optimizer: Literal["adam", "sgd"] = "adam"
     """How the multiplier ascends: Adam, or by the plain gradient. It decides how runs end. Inferred
-    for the paper, not printed: adam."""
+    for the paper's Circle2D, not printed: adam."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""

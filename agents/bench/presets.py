@@ -53,15 +53,24 @@ class Inferred(NamedTuple):
     """A hyper-parameter that the paper does not print, and that decides how runs end."""
 
     field: str
-    choices: tuple[str, str]
-    """The preset's on Circle2D, inferred from the paper's results, and the other one."""
-    meaning: str
-    """Of the preset's choice, in words."""
+    choices: dict[str, str]
+    """What each of the two means, in words. The first is the preset's on Circle2D, inferred from
+    the paper's results there."""
 
 
-MULTIPLIER = Inferred("multiplier_optimizer", ("adam", "sgd"), "the multiplier ascends by Adam")
+MULTIPLIER = Inferred(
+    "multiplier_optimizer",
+    {
+        "adam": "the multiplier ascends by Adam",
+        "sgd": "the multiplier ascends by the plain gradient",
+    },
+)
 TIME_LIMIT = Inferred(
-    "time_limit", ("terminal", "bootstrap"), "the last step of an episode counts as terminal"
+    "time_limit",
+    {
+        "terminal": "the last step of an episode counts as terminal",
+        "bootstrap": "values go on behind the time limit of an episode",
+    },
 )
 
 

@@ -182,11 +182,14 @@ def _as_meant(task: str, title: str, measure: str, value: float) -> float:
 def _paper_notes(groups: Sequence[Group]) -> list[str]:
     """What in our presets the paper does not print, where it matters; what it did otherwise."""
     titles: dict[str, dict[str, None]] = {}
-    for config in (group.config for group in groups if "Circle2D-" in group.config.task):
-        setting = inferred(config.algorithm)
-        if setting and getattr(config.hyperparameters, setting.field) == setting.choices[0]:
-            titles.setdefault(setting.meaning, {})[algorithm(config.algorithm).title] = None
-    told = "That the paper did so is inferred from its results, not printed."
+    for config in (group.config for group in groups):
+        setting, title = inferred(config.algorithm), algorithm(config.algorithm).title
+        if setting and setting.field not in changes(config) and paper_results(config.task, title):
+            choice = getattr(config.hyperparameters, setting.field)
+            titles.setdefault(setting.choices[choice], {})[title] = None
+    told = "Whether the paper did so is not printed."
+    if "Circle2D-" in groups[0].config.task:
+        told = "That the paper did so is inferred from its results, not printed."
     notes = [f"{', '.join(of)}: {meaning}. {told}" for meaning, of in titles.items()]
     if any("circle2d_mj/Safety" in group.config.task for group in groups):
         notes.append("The paper evaluated 10 episodes of each run on the Safety tasks.")

@@ -56,7 +56,8 @@ class SACConfig:
     """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
     al."""
     time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
-    """Whether values go on behind a time limit. Inferred for the paper, not printed: terminal."""
+    """Whether values go on behind a time limit. Inferred for the paper's Circle2D, not
+    printed: terminal."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""

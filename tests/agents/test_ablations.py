@@ -48,14 +48,27 @@ def test_presets_take_the_first_choice_on_circle2d():
             assert setting is None
             assert ablation(name, TASK) is None
         else:
-            assert getattr(preset(name, TASK), setting.field) == setting.choices[0]
+            assert getattr(preset(name, TASK), setting.field) == next(iter(setting.choices))
 
 
-def write_runs(folder, name, j_r, hyperparameters=None, steps=100, ends=((-0.5, 0.0),)):
+def test_a_table_says_what_of_its_presets_is_not_printed(tmp_path):
+    for task in (TASK, SAFETY):
+        for name in ("trpo-lag", "cpo", "sac-lb"):
+            write_runs(tmp_path / task / name, name, [-10.0], task=task)
+    by_circle2d, by_safety = report(tmp_path).split(f"| {SAFETY}")
+    inferred = "That the paper did so is inferred from its results, not printed.\n"
+    assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {inferred}" in by_circle2d
+    assert f"SAC-LB: the last step of an episode counts as terminal. {inferred}" in by_circle2d
+    told = "Whether the paper did so is not printed.\n"
+    assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {told}" in by_safety
+    assert f"SAC-LB: values go on behind the time limit of an episode. {told}" in by_safety
+
+
+def write_runs(folder, name, j_r, hyperparameters=None, steps=100, ends=((-0.5, 0.0),), task=TASK):
     """Runs of ten episodes, each of a tenth of all steps, as files."""
     seeds = tuple(range(len(j_r)))
-    hyperparameters = hyperparameters or preset(name, TASK)
-    TrainConfig(name, TASK, seeds, steps, hyperparameters).write(folder)
+    hyperparameters = hyperparameters or preset(name, task)
+    TrainConfig(name, task, seeds, steps, hyperparameters).write(folder)
     for seed, value in enumerate(j_r):
         length = steps // 10
         lines = ["rollout,start_step,length,return,cost,longest_streak"]
