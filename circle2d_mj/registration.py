@@ -9,6 +9,11 @@ import gymnasium as gym
 from circle2d_mj.config import LEVELS
 from circle2d_mj.envs import MAX_EPISODE_STEPS
 
+CIRCLE2D = tuple(
+    f"{name}-{level}-v0" for name in ("Circle2D", "Circle2DMuJoCo") for level in LEVELS
+)
+"""Ids of the Circle2D tasks, kinematic and with physics."""
+
 # Version and steps an episode of the tasks in `safety_tasks.envs.TASKS`, which this module must
 # not import, since that loads MuJoCo.
 _SAFETY_TASKS = {

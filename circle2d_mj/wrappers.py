@@ -65,11 +65,22 @@ class _SixValueVector(VectorWrapper):
         for given, where in ((final, of_final), (info, ~of_final & ~self._resetting)):
             if where.any():
                 _require_cost(given)
-                missing = where & ~np.asarray(given.get("_cost", where), dtype=bool)
-                if missing.any():
-                    raise KeyError(f"sub-environment {missing.argmax()} gave no 'cost' in its info")
-                costs[where] = np.asarray(given["cost"])[where]
+                costs[where] = _given_costs(given, where)[where]
         return costs
+
+
+def _given_costs(info: dict[str, Any], needed: NDArray[np.bool_]) -> NDArray[Any]:
+    """info["cost"], whose mask info["_cost"], where there is one, must cover those needed."""
+    missing = needed & ~np.asarray(info.get("_cost", needed), dtype=bool)
+    if missing.any():
+        raise KeyError(f"sub-environment {missing.argmax()} gave no 'cost' in its info")
+    costs = np.asarray(info["cost"])
+    if "_cost" in info and costs.dtype.kind != "f":
+        raise TypeError(
+            f"info['cost'] came as {costs.dtype}: gymnasium's vector environments give all costs "
+            "the type of the first, which may have rounded others; let every one give a float"
+        )
+    return costs
 
 
 def _require_cost(info: dict[str, Any]) -> None:

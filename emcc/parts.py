@@ -61,11 +61,19 @@ def cost_rate(costs: ArrayLike, steps: ArrayLike) -> float:
     costs: costs of steps or sums of episodes; steps: their number, or the lengths of the episodes.
     Both are numbers or arrays of any shape, and are added up.
     Source: cost rate rho_c in "Existing metrics for SafeRL".
-    ValueError: a NaN, infinite or negative cost, a negative or fractional number of steps, no step.
+    ValueError: a NaN, infinite or negative cost, a negative or fractional number of steps, no step
+    or no cost, costs that are neither one for each of several lengths nor one for each step.
     """
-    costs = as_array(costs, "costs")
+    costs, steps = as_array(costs, "costs"), as_integers(steps, "steps")
     check_range(costs, "costs", low=0)
-    total_steps = as_integers(steps, "steps").sum()
+    total_steps = int(steps.sum())
     if total_steps == 0:
         raise ValueError("steps add up to 0; at least one step is needed")
+    if costs.size == 0:
+        raise ValueError("costs is empty; at least one value is needed")
+    if costs.ndim and steps.ndim and costs.size not in (steps.size, total_steps):
+        raise ValueError(
+            f"{costs.size} costs, but {steps.size} lengths of {total_steps} steps in all; "
+            "one for each length or for each step is needed"
+        )
     return float(costs.sum(dtype=np.float64) / total_steps)

@@ -26,9 +26,10 @@ def RecordCosts(
     A vector environment's autoreset step is no step; its mode is read from
     env.metadata["autoreset_mode"]. A reset in the middle of an episode keeps what ran so far as a
     trajectory. Sub-environments must give the cost as a float: gymnasium's vector environments make
-    an array of the type of the first cost they see, which would round later ones.
-    TypeError: no gymnasium environment. ValueError: a vector environment without an autoreset mode,
-    an environment that steps without giving a cost. KeyError: no cost in info at all.
+    an array of the type of the first cost they see, which would round others.
+    TypeError: no gymnasium environment, or such an array of whole numbers. ValueError: a vector
+    environment without an autoreset mode, an environment that steps without giving a cost.
+    KeyError: no cost in info at all.
     """
     if isinstance(env, VectorEnv):
         return RecordVectorCosts(env, rollout, threshold)
@@ -157,7 +158,13 @@ def _given_costs(infos: dict[str, Any], needed: NDArray[np.bool_]) -> NDArray[An
     missing = needed & ~np.asarray(infos.get("_cost", needed), dtype=bool)
     if missing.any():
         raise ValueError(f"sub-environment {int(np.argmax(missing))} gave no 'cost' in its info")
-    return as_array(infos["cost"], "info['cost']")
+    costs = as_array(infos["cost"], "info['cost']")
+    if "_cost" in infos and costs.dtype.kind != "f":
+        raise TypeError(
+            f"info['cost'] came as {costs.dtype}: gymnasium's vector environments give all costs "
+            "the type of the first, which may have rounded others; let every one give a float"
+        )
+    return costs
 
 
 def _require_cost(info: dict[str, Any]) -> None:

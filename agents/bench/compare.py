@@ -88,7 +88,7 @@ def compare(a: Path, b: Path, out: Path | None = None) -> str:
         title = f"{a.resolve().name} (A) and {b.resolve().name} (B)"
         write_whole(out / "compare.html", page(title, sections, how))
         write_whole(out / "compare.md", markdown)
-        lines = (line for sides in by_task.values() for line in _lines(sides))
+        lines = (line for sides in by_task.values() for line in _lines(a, b, sides))
         write_whole(out / "compare.csv", numbers_csv(lines))
     return markdown
 
@@ -128,13 +128,13 @@ def _difference_name(a: Group, b: Group) -> str:
     return f"B - A: {titles[0] if titles[0] == titles[1] else ' - '.join(titles)}"
 
 
-def _lines(sides: Sides) -> Iterator[Line]:
+def _lines(a: Path, b: Path, sides: Sides) -> Iterator[Line]:
     """Every number of both sides, for a program."""
-    for name, groups in zip("AB", sides, strict=True):
+    for name, folder, groups in zip("AB", (a, b), sides, strict=True):
         for group in groups:
-            yield from group_lines(group, f"{name}: ")
-    for a, b in _pairs(sides):
-        yield from difference_lines(a, b, _difference_name(a, b))
+            yield from group_lines(folder, group, f"{name}: ")
+    for of_a, of_b in _pairs(sides):
+        yield from difference_lines(of_a, of_b, _difference_name(of_a, of_b))
 
 
 def _notes(task: str, sides: Sides) -> list[str]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 
 from agents.algorithms import algorithm
 from agents.bench.results import MEASURES, Group
 from agents.bench.tables import difference_of, mean_of, paper_results, title_of
 from emcc import Difference, Estimate
 
-HEAD = ("task", "algorithm", "kind", "seed", *MEASURES, "ends in")
+HEAD = ("task", "algorithm", "kind", "seed", *MEASURES, "ends in", "folder")
 
 Line = tuple[str | int | float, ...]
 
@@ -21,31 +22,33 @@ def numbers_csv(lines: Iterable[Line]) -> str:
 
     algorithm: with the settings that are not its preset's. kind: "run"; "mean" over the seeds, and
     "low" and "high" of its interval where there are several; "paper"; of two sides "difference",
-    "difference low" and "difference high".
+    "difference low" and "difference high". folder: of the runs, below the report's or its side's.
     """
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([HEAD, *lines])
     return text.getvalue()
 
 
-def report_lines(groups: Sequence[Group]) -> Iterator[Line]:
-    """Of every group its means and runs, then what the paper prints of the same algorithms."""
+def report_lines(folder: Path, groups: Sequence[Group]) -> Iterator[Line]:
+    """Of every group below a folder its means and runs, then what the paper prints of the same
+    algorithms."""
     for group in groups:
-        yield from group_lines(group)
+        yield from group_lines(folder, group)
     of_paper = dict.fromkeys((group.config.task, group.config.algorithm) for group in groups)
     for task, name in of_paper:
         title = algorithm(name).title
         yield from _line(task, title, "paper", paper_results(task, title))
 
 
-def group_lines(group: Group, prefix: str = "") -> Iterator[Line]:
+def group_lines(folder: Path, group: Group, prefix: str = "") -> Iterator[Line]:
     """The means of a group with their intervals, then its runs."""
     task, name = group.config.task, prefix + title_of(group.config)
+    where = str(group.folder.relative_to(folder))
     if group.runs:
         found = {m: mean_of([run.measures[m] for run in group.runs]) for m in MEASURES}
-        yield from _interval_lines(task, name, "mean", found)
+        yield from _interval_lines(task, name, "mean", found, where)
     for run in group.runs:
-        yield from _line(task, name, "run", run.measures, run.seed, run.ends)
+        yield from _line(task, name, "run", run.measures, where, run.seed, run.ends)
 
 
 def difference_lines(a: Group, b: Group, name: str) -> Iterator[Line]:
@@ -55,14 +58,18 @@ def difference_lines(a: Group, b: Group, name: str) -> Iterator[Line]:
 
 
 def _interval_lines(
-    task: str, name: str, kind: str, found: Mapping[str, Estimate | Difference]
+    task: str,
+    name: str,
+    kind: str,
+    found: Mapping[str, Estimate | Difference],
+    folder: str = "",
 ) -> Iterator[Line]:
     below, above = ("low", "high") if kind == "mean" else (f"{kind} low", f"{kind} high")
-    yield from _line(task, name, kind, {m: of.value for m, of in found.items()})
+    yield from _line(task, name, kind, {m: of.value for m, of in found.items()}, folder)
     lows = {m: of.low for m, of in found.items() if of.low is not None}
     highs = {m: of.high for m, of in found.items() if of.high is not None}
-    yield from _line(task, name, below, lows)
-    yield from _line(task, name, above, highs)
+    yield from _line(task, name, below, lows, folder)
+    yield from _line(task, name, above, highs, folder)
 
 
 def _line(
@@ -70,9 +77,10 @@ def _line(
     name: str,
     kind: str,
     measures: Mapping[str, float],
+    folder: str = "",
     seed: int | str = "",
     ends: str = "",
 ) -> Iterator[Line]:
     """A line, or none where there are no measures."""
     if measures:
-        yield (task, name, kind, seed, *(measures[m] for m in MEASURES), ends)
+        yield (task, name, kind, seed, *(measures[m] for m in MEASURES), ends, folder)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from agents.algorithms import algorithm
 from agents.updates.sac import SACConfig
 from circle2d_mj.config import LEVELS
+from circle2d_mj.registration import CIRCLE2D
 
 _SAFETY = ("SafetyPointCircle1-v0", "SafetyPointGoal1-v0", "SafetyHopperVelocity-v1")
 PAPER_STEPS = {f"Circle2D-{level}-v0": 1_000_000 for level in LEVELS} | {
@@ -30,7 +31,7 @@ def preset(name: str, task: str) -> Any:
     config = algorithm(name).config()
     off_policy = isinstance(config, SACConfig)
     task = task.rpartition(":")[2]  # "module:id" names the task that "id" does
-    if task.startswith("Circle2D"):
+    if task in CIRCLE2D:
         config = replace(config, cost_limit=5.0)  # table Circle2DResults, caption
         if off_policy:
             # See `inferred`; on-policy methods bootstrap.

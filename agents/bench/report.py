@@ -54,7 +54,7 @@ def report(folder: Path, with_figures: bool = False) -> str:
         how = made(folder, everything)
         write_whole(folder / "index.html", page(folder.resolve().name, sections, how))
     write_whole(folder / "report.md", "\n".join([markdown, *images]))
-    write_whole(folder / "report.csv", numbers_csv(report_lines(everything)))
+    write_whole(folder / "report.csv", numbers_csv(report_lines(folder, everything)))
     return markdown
 
 

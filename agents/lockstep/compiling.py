@@ -83,10 +83,10 @@ class CompileClock:
         self.seconds = 0.0
         """Seconds of those that are over."""
 
-    def start(self, _: object) -> None:
+    def start(self, *_: object) -> None:
         self.began = time.monotonic()
 
-    def stop(self, _: object) -> None:
+    def stop(self, *_: object) -> None:
         if self.began is not None:
             self.seconds += time.monotonic() - self.began
         self.began = None
@@ -105,8 +105,8 @@ def cannot_compile() -> str:
     """Why this machine cannot compile, in a line; empty where it can. Found by trying."""
     if compiling_is_off():
         return "TORCH_COMPILE_DISABLE is set"
-    _keep_compiled_code()
     try:
+        _keep_compiled_code()
         torch.compile(lambda x: 2.0 * x, fullgraph=True)(torch.ones(32))
     except Exception as error:  # whatever the compiler, its headers or the cache lack
         return (str(error).strip() or type(error).__name__).splitlines()[0]

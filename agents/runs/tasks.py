@@ -19,6 +19,7 @@ from gymnasium.wrappers.vector import RescaleAction
 from agents.errors import UserError
 from agents.lockstep.rollout import require_cost
 from circle2d_mj import Circle2DConfig
+from circle2d_mj.registration import CIRCLE2D
 
 Vectorization = Literal["auto", "sync", "async"]
 
@@ -88,7 +89,7 @@ def check_task(task: str, parameters: dict[str, Any]) -> None:
     """Raise UserError for a task that cannot be made, never ends, or whose steps give no cost."""
     if parameters.get("max_episode_steps", 1) is None:
         raise UserError("task_parameters: max_episode_steps must not be None, episodes must end")
-    if registered(task).startswith("Circle2D") and "level" in parameters:
+    if registered(task) in CIRCLE2D and "level" in parameters:
         raise UserError("task_parameters: the level is part of the task's id, as in Circle2D-3-v0")
     envs = make_envs(task, 1, parameters)
     envs.reset(seed=0)
@@ -100,7 +101,7 @@ def check_task(task: str, parameters: dict[str, Any]) -> None:
 def circle2d_config(task: str, parameters: dict[str, Any]) -> Circle2DConfig | None:
     """The configuration of a Circle2D task of either mode; None for any other task."""
     name = registered(task)
-    if not name.startswith("Circle2D"):
+    if name not in CIRCLE2D:
         return None
     names = {field.name for field in fields(Circle2DConfig)}
     given = {**gym.spec(name).kwargs, **parameters}

@@ -261,6 +261,8 @@ def test_the_numbers_for_a_program(raw):
     for key, line in found.items():
         assert [float(line[m]) for m in MEASURES] == pytest.approx(expected[key], abs=1e-5), key
         assert line["task"] == TASK
+        folders = [k for k, name in names.items() if name == key[0] and key[1] != "paper"]
+        assert [line["folder"]] == (folders or [""])
     for key, name in names.items():
         for seed, run in zip(SEEDS, numbers[key], strict=True):
             assert found[name, "run", str(seed)]["ends in"] == run["ends"]

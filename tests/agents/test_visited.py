@@ -113,8 +113,10 @@ def test_other_tasks_leave_none():
     import gymnasium as gym
     from toys import Target
 
-    gym.register("Target-v9", Target)
-    hyperparameters = replace(preset("sac-lag", "Target-v9"), random_steps=0)
-    config = TrainConfig("sac-lag", "Target-v9", (0,), 10, hyperparameters)
-    assert Training(config).visited is None
-    gym.registry.pop("Target-v9")
+    for name in ("Target-v9", "Circle2DTarget-v9"):  # which is not Circle2D
+        gym.register(name, Target)
+        assert preset("sac-lag", name).cost_limit == 25
+        hyperparameters = replace(preset("sac-lag", name), random_steps=0)
+        config = TrainConfig("sac-lag", name, (0,), 10, hyperparameters)
+        assert Training(config).visited is None
+        gym.registry.pop(name)

@@ -174,6 +174,18 @@ def test_six_values_where_one_environment_gives_no_cost():
         envs.step(np.zeros((2, 1), np.float32))
 
 
+def test_six_values_of_costs_that_gymnasium_may_have_rounded():
+    class Whole(Rare):
+        def step(self, action):
+            *others, info = super().step(action)
+            return *others, {"cost": int(info["cost"])}
+
+    envs = SafetyGymnasiumAPI(gym.vector.SyncVectorEnv([Whole, Rare]))  # 0 and 0.25 become 0 and 0
+    envs.reset(seed=0)
+    with pytest.raises(TypeError, match=r"came as int64: .* let every one give a float"):
+        envs.step(np.zeros((2, 1), np.float32))
+
+
 def test_six_values_of_something_else():
     with pytest.raises(TypeError, match="env must be a gymnasium Env or VectorEnv, got 'Circle2D'"):
         SafetyGymnasiumAPI("Circle2D")

@@ -86,7 +86,7 @@ def test_the_seed_decides_the_interval(tmp_path, capsys):
 
 def test_a_run_that_has_only_just_begun(tmp_path, capsys):
     write_run(tmp_path / "a", [], {"task": "t", "algorithm": "cpo", "steps": 100})
-    (row,), comments = table(capsys, tmp_path)
+    (row,), comments = table(capsys, tmp_path, status=1)
     assert {row[name] for name in (*PARTS, "cost rate")} == {"\N{EN DASH}"}
     assert any("a/episodes.csv is unfinished: 0 of 100 steps" in line for line in comments)
 
@@ -125,7 +125,7 @@ def test_settings_that_differ_are_named(tmp_path, capsys):
 def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):
     config = {"task": "t", "algorithm": "cpo", "seed": 0, "steps": 200}
     write_run(tmp_path / "a", NINE, config)
-    (row,), comments = table(capsys, tmp_path, "--alpha", 1)
+    (row,), comments = table(capsys, tmp_path, "--alpha", 1, status=1)
     assert row["EMCC_0.33"] == f"{np.mean(NINE[:7]):.3f}"
     assert row["EMCC_0.99"] == "\N{EN DASH}"
     assert any("a/episodes.csv is unfinished: 100 of 200 steps" in line for line in comments)
@@ -135,7 +135,7 @@ def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):
 def test_a_mean_over_runs_needs_all_of_them(tmp_path, capsys):
     for name, values in (("a", NINE), ("b", NINE[:5])):
         write_run(tmp_path / name, values, {"task": "t", "algorithm": "cpo", "steps": 100})
-    (row,), _ = table(capsys, tmp_path)
+    (row,), _ = table(capsys, tmp_path, status=1)
     assert row["EMCC_0.33"] != "\N{EN DASH}"
     assert row["EMCC_0.99"] == "\N{EN DASH}"
 

@@ -100,6 +100,8 @@ def test_parts_take_alpha_and_ties():
 def test_cost_rate():
     assert cost_rate([1.0, 0.0, 2.0], 3) == 1.0
     assert cost_rate(5.0, [10, 10]) == 0.25
+    assert cost_rate([2.0, 3.0], [10, 10]) == cost_rate([2.0, 3.0], 20) == 0.25
+    assert cost_rate([1.0, 0.0, 0.0, 1.0], [1, 3]) == 0.5
 
 
 VALUES, STARTS = [0.1, 0.2, 0.3], [0, 40, 70]
@@ -123,6 +125,8 @@ BAD = {
     "unequal": (lambda: emcc_by_part(VALUES, [0, 40], 100), "3 mcc_values, but 2 start_steps"),
     "no steps": (lambda: cost_rate([0.0], 0), "steps add up to 0"),
     "negative cost": (lambda: cost_rate([-1.0], 5), "costs .* got -1.0"),
+    "no costs": (lambda: cost_rate([], 10), "costs is empty"),
+    "other costs": (lambda: cost_rate([1, 2, 3], [5, 5]), "3 costs, but 2 lengths of 10 steps"),
 }
 
 

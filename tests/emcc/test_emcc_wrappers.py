@@ -228,6 +228,14 @@ def test_the_spec_makes_the_same_wrapper_again():
     assert env.spec.additional_wrappers[-1].kwargs == {"rollout": 7, "threshold": 0.0}
 
 
+def test_costs_that_gymnasium_may_have_rounded_are_refused():
+    whole, half = [[0, 0, 0]], [[0.5, 0.5, 0.5]]  # together: 0 and 0
+    envs = RecordCosts(SyncVectorEnv([partial(Scripted, script) for script in (whole, half)]))
+    envs.reset()
+    with pytest.raises(TypeError, match=r"came as int64: .* let every one give a float"):
+        envs.step([0, 0])
+
+
 def test_what_cannot_be_recorded_is_named():
     silent = RecordCosts(Scripted(SCRIPTS[0], step_cost=False))
     silent.reset()
