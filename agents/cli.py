@@ -26,7 +26,7 @@ from agents.options import BackendChoice, chosen_backend, parse
 from agents.runs.config import Device, TrainConfig, run_folder
 from agents.runs.evaluate import evaluate
 from agents.runs.machine import other_session
-from agents.runs.progress import show_progress
+from agents.runs.progress import show_progress, working
 from agents.runs.tasks import Vectorization, check_task
 from agents.runs.tensorboard import require_tensorboard
 from agents.runs.train import EVALUATION_EPISODES, Training, restored, train
@@ -146,7 +146,8 @@ def run_evaluate(args: Sequence[str]) -> int:
     training = restored(options.folder)
     policy = training.learner.policy()
     active = ~training.failed
-    results = evaluate(options.folder, training.config, policy, options.episodes, active)
+    with working(f"playing {options.episodes} episodes of each run, by either policy"):
+        results = evaluate(options.folder, training.config, policy, options.episodes, active)
     took = training.steps[active] if active.any() else training.steps
     steps = f"after {took.min()} of {training.config.steps} steps"
     print(f"{options.folder}, {steps}: means over {options.episodes} episodes")
@@ -158,7 +159,10 @@ def run_evaluate(args: Sequence[str]) -> int:
 
 
 def run_report(args: Sequence[str]) -> int:
-    print(report(parse(ReportOptions, "report", args).folder, with_figures=True))
+    folder = parse(ReportOptions, "report", args).folder
+    with working("reading runs and drawing figures"):
+        told = report(folder, with_figures=True)
+    print(told)
     return 0
 
 

@@ -11,6 +11,7 @@ import tyro
 
 from agents.bench.compare import compare
 from agents.options import parse
+from agents.runs.progress import working
 
 
 @dataclass(frozen=True)
@@ -30,5 +31,7 @@ class CompareOptions:
 def run_compare(args: Sequence[str]) -> int:
     """`circle2d compare`; returns the exit status."""
     options = parse(CompareOptions, "compare", args)
-    print(compare(options.a, options.b, options.out))
+    with working("reading runs"):
+        told = compare(options.a, options.b, options.out)
+    print(told)
     return 0

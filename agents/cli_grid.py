@@ -17,15 +17,15 @@ from rich.table import Table
 
 from agents.algorithms import ALGORITHMS
 from agents.bench import grid
-from agents.bench.provenance import duration
 from agents.bench.report import report
 from agents.errors import UserError
 from agents.options import BackendChoice, chosen_backend, parse
 from agents.runs.config import Device, TrainConfig
 from agents.runs.files import locked
 from agents.runs.machine import other_session
+from agents.runs.progress import working
 from agents.runs.tasks import check_task
-from agents.runs.timing import share_done, speed
+from agents.runs.timing import duration, share_done, speed
 from agents.runs.workers import Group, Workers
 from circle2d_mj.config import LEVELS
 
@@ -84,7 +84,9 @@ def run_reproduce(args: Sequence[str]) -> int:
         for folder, said in failed.items():
             print(f"circle2d: {folder} failed: {said}", file=sys.stderr)
         try:
-            print(report(options.out, with_figures=True))
+            with working("drawing the report"):
+                told = report(options.out, with_figures=True)
+            print(told)
         except UserError as error:
             print(f"circle2d: no report: {error}", file=sys.stderr)
             return 1

@@ -13,7 +13,7 @@ from agents.errors import UserError
 from agents.runs.config import TrainConfig
 from agents.runs.files import read_json
 from agents.runs.machine import sessions_of
-from agents.runs.timing import seconds_trained
+from agents.runs.timing import duration, seconds_trained
 
 
 def made(folder: Path, groups: Sequence[Group]) -> dict[str, str]:
@@ -58,14 +58,6 @@ def command(config: TrainConfig, out: str) -> str:
             options[name] = getattr(config, name)
     typed = (f"--{k.replace('_', '-')} {_typed(v)}" for k, v in (options | {"out": out}).items())
     return " ".join(["circle2d train", *typed])
-
-
-def duration(seconds: float) -> str:
-    """As a person says it: 3 h 2 min, 5 min, 40 s."""
-    minutes = round(seconds / 60)
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"
 
 
 def _training_time(folders: Sequence[Path]) -> str:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import IO, NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -21,6 +23,7 @@ from rich.text import Text
 
 from agents.lockstep.compiling import CLOCK
 from agents.runs.config import TrainConfig
+from agents.runs.timing import duration
 from agents.runs.train import OnEpoch, Training
 
 EVERY_SECONDS = 0.5
@@ -35,50 +38,94 @@ def show_progress(configs: dict[Path, TrainConfig]) -> Iterator[OnEpoch]:
     hundredth of the training, stderr one for every tenth where it is no terminal.
     """
     console = Console(stderr=True)
-    total_steps = next(iter(configs.values())).steps
-    started = shown = time.monotonic()
-    first: int | None = None
-    percent = -1
-    compiled = compiled_before = CLOCK.seconds
     with contextlib.ExitStack() as stack:
         logs = [stack.enter_context((folder / "timing.log").open("a")) for folder in configs]
-        bar, title = stack.enter_context(_bar(console)), _title(list(configs.values()))
-        task = bar.add_task(title, total=total_steps, speed="", recent="")
+        bar = stack.enter_context(_bar(console))
+        yield _Display(list(configs.values()), console, bar, logs).on_epoch
 
-        def on_epoch(trainings: Sequence[Training]) -> None:
-            nonlocal first, shown, percent, compiled
-            taken = np.concatenate([training.steps for training in trainings])
-            failed = np.concatenate([training.failed for training in trainings])
-            now, total = time.monotonic(), int(taken.sum())
-            first = total if first is None else first
-            steps = int(taken[~failed].min(initial=total_steps))
-            share, done = steps / total_steps, all(training.done for training in trainings)
-            due = int(100 * share) > percent
-            if now - shown < EVERY_SECONDS and not done and not due:
-                return
-            shown = now
-            if CLOCK.seconds > compiled:
-                compiled = CLOCK.seconds
-                line = f"{title}: compiled in {compiled - compiled_before:.0f} s"
-                for log in logs:
-                    print(line, file=log, flush=True)
-                if not console.is_terminal:
-                    print(line, file=console.file, flush=True)
-            training_for = now - started - (compiled - compiled_before)
-            speed = f"{(total - first) / max(training_for, 1e-9):,.0f} steps/s"
-            returns, cost = np.mean([training.log.recent() for training in trainings], axis=0)
-            recent = f"return {returns:.2f}, cost {cost:.2f}"
-            bar.update(task, completed=steps, speed=speed, recent=recent)
-            if due or done:
-                tenth = int(10 * share) > percent // 10
-                percent = int(100 * share)
-                line = f"{title}: {percent} % after {now - started:.0f} s, {speed}"
-                for log in logs:
-                    print(line, file=log, flush=True)
-                if tenth and not console.is_terminal:
-                    print(f"{line}, {recent}", file=console.file, flush=True)
 
-        yield on_epoch
+def working(on: str) -> AbstractContextManager[object]:
+    """Show on a terminal that something goes on whose end cannot be told."""
+    return Console(stderr=True).status(on)
+
+
+class _Mark(NamedTuple):
+    """How far trainings were at some time."""
+
+    seconds: float
+    """On a clock that stands still while the compiler works."""
+    steps: int
+    """Of all runs together."""
+    share: float
+    """Done, in [0, 1]."""
+
+
+def _pace(first: _Mark, now: _Mark) -> tuple[str, str]:
+    """Speed and time left as they are shown; empty where the two are the same."""
+    seconds, share = now.seconds - first.seconds, now.share - first.share
+    if not seconds or not share:
+        return "", ""
+    left = duration(seconds * (1 - now.share) / share)
+    return f"{(now.steps - first.steps) / seconds:,.0f} steps/s", f"{left} left"
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return ", ".join(filter(None, parts))
+
+
+class _Display:
+    """What is shown of trainings, as seen from the process that goes on with them."""
+
+    def __init__(
+        self, configs: Sequence[TrainConfig], console: Console, bar: Progress, logs: Sequence[IO]
+    ) -> None:
+        self.title, self.total_steps = _title(configs), configs[0].steps
+        self.console, self.bar, self.logs = console, bar, logs
+        self.task = bar.add_task(self.title, total=self.total_steps, speed="", recent="")
+        self.started = self.shown = time.monotonic()
+        self.compiled = self.compiled_before = CLOCK.seconds
+        self.percent = -1
+        self.first: _Mark | None = None
+        """After the first epoch of this process, which took what is needed once as well."""
+
+    def on_epoch(self, trainings: Sequence[Training]) -> None:
+        """Tell how far they are, where that is due."""
+        taken = np.concatenate([training.steps for training in trainings])
+        failed = np.concatenate([training.failed for training in trainings])
+        steps, total = int(taken[~failed].min(initial=self.total_steps)), int(taken.sum())
+        share, done = steps / self.total_steps, all(training.done for training in trainings)
+        now, due = time.monotonic(), int(100 * share) > self.percent
+        mark = _Mark(now - CLOCK.seconds, total, share)
+        self.first = self.first or mark
+        if now - self.shown < EVERY_SECONDS and not done and not due:
+            return
+        self.shown = now
+        self._tell_compiling()
+        speed, left = _pace(self.first, mark)
+        returns, cost = np.mean([training.log.recent() for training in trainings], axis=0)
+        recent = f"return {returns:.2f}, cost {cost:.2f}"
+        self.bar.update(
+            self.task, completed=steps, speed=speed, recent="evaluating" if done else recent
+        )
+        if due or done:
+            after = f"{self.title}: {int(100 * share)} % after {now - self.started:.0f} s"
+            is_tenth = int(10 * share) > self.percent // 10
+            self.percent = int(100 * share)
+            told = (after, speed, recent, "evaluating" if done else left)
+            self._tell(_listed(told[:2]), _listed(told) if is_tenth else "")
+
+    def _tell_compiling(self) -> None:
+        if CLOCK.seconds > self.compiled:
+            self.compiled = CLOCK.seconds
+            line = f"{self.title}: compiled in {self.compiled - self.compiled_before:.0f} s"
+            self._tell(line, line)
+
+    def _tell(self, line: str, shown: str) -> None:
+        """A line to the logs, and one to stderr where that is no terminal, unless it is empty."""
+        for log in self.logs:
+            print(line, file=log, flush=True)
+        if shown and not self.console.is_terminal:
+            print(shown, file=self.console.file, flush=True)
 
 
 def _title(configs: Sequence[TrainConfig]) -> str:

@@ -23,6 +23,14 @@ def speed(folder: Path) -> float | None:
     return float(told.replace(",", "")) if told else None
 
 
+def duration(seconds: float) -> str:
+    """As a person says it: 3 h 2 min, 5 min, 40 s."""
+    minutes = round(seconds / 60)
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"
+
+
 def _last(folder: Path, pattern: str) -> str | None:
     """What the pattern's group was in the last line that it fits."""
     found = (re.search(pattern, line) for line in reversed(_lines(folder)))

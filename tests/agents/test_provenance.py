@@ -6,13 +6,13 @@ from dataclasses import replace
 import pytest
 
 from agents.bench.presets import preset
-from agents.bench.provenance import command, duration, made
+from agents.bench.provenance import command, made
 from agents.bench.results import Group
 from agents.cli import main
 from agents.runs import machine
 from agents.runs.config import TrainConfig
 from agents.runs.files import read_json
-from agents.runs.timing import seconds_trained
+from agents.runs.timing import duration, seconds_trained
 
 
 def lines(*seconds, title="cpo T x 3"):
