@@ -7,6 +7,12 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("agents", "circle2d_mj", "emcc")
+LONGER = {
+    "tests/agents/test_report_numbers.py": "the paper's numbers again, without the package's code",
+    "tests/circle2d_mj/test_canvas.py": "one property of pictures after another, with one set of tools",
+    "tests/circle2d_mj/test_safety_envs.py": "what the three tasks have in common, likewise",
+}
+"""Files above 300 lines, and why they are not divided."""
 MODULES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
 
@@ -41,11 +47,17 @@ def test_imports_go_one_way(path):
         assert not within(names, package)
 
 
+def test_files_are_short():
+    files = [
+        path for part in (*PACKAGES, "tests", "benchmarks") for path in (ROOT / part).rglob("*.py")
+    ]
+    lines = {str(path.relative_to(ROOT)): path.read_text().count("\n") for path in files}
+    assert {name for name, count in lines.items() if count > 300} == LONGER.keys()
+
+
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_files_and_functions_are_short(path):
-    source = path.read_text()
-    assert source.count("\n") <= 300
-    for node in ast.walk(ast.parse(source)):
+def test_functions_are_short(path):
+    for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
             assert node.end_lineno - node.lineno < 60, node.name
 
