@@ -9,8 +9,8 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("agents", "circle2d_mj", "emcc")
 LONGER = {
     "tests/agents/test_report_numbers.py": "the paper's numbers again, without the package's code",
-    "tests/circle2d_mj/test_canvas.py": "one property of pictures after another, with one set of tools",
-    "tests/circle2d_mj/test_safety_envs.py": "what the three tasks have in common, likewise",
+    "tests/circle2d_mj/test_canvas.py": "properties of pictures, with one set of tools",
+    "tests/circle2d_mj/test_safety_envs.py": "what three tasks have in common, likewise",
 }
 """Files above 300 lines, and why they are not divided."""
 MODULES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
