@@ -31,7 +31,7 @@ class CompareOptions:
 def run_compare(args: Sequence[str]) -> int:
     """`circle2d compare`; returns the exit status."""
     options = parse(CompareOptions, "compare", args)
-    with working("reading runs"):
+    with working("reading runs and drawing figures"):
         told = compare(options.a, options.b, options.out)
     print(told)
     return 0

@@ -18,7 +18,8 @@ def SafetyGymnasiumAPI(env: gym.Env | VectorEnv) -> gym.Wrapper | VectorWrapper:
     `step(action) -> observation, reward, cost, terminated, truncated, info`; `cost` is
     `info["cost"]`, a float or, for a vector environment, a float array [num_envs]: of an episode's
     last step in `AutoresetMode.SAME_STEP` that of `final_info`, of the step that only resets in
-    NEXT_STEP 0. Any single or vector environment with `info["cost"]` will do. TypeError for
+    NEXT_STEP 0. Any single or vector environment with `info["cost"]` will do, but the
+    sub-environments of gymnasium's vector environments must give it as a float. TypeError for
     anything else, KeyError where a step gives no cost.
     """
     if isinstance(env, VectorEnv):
@@ -70,12 +71,13 @@ class _SixValueVector(VectorWrapper):
 
 
 def _given_costs(info: dict[str, Any], needed: NDArray[np.bool_]) -> NDArray[Any]:
-    """info["cost"], whose mask info["_cost"], where there is one, must cover those needed."""
+    """info["cost"], whose mask info["_cost"], where there is one, must cover those needed; with a
+    mask, which is gymnasium's own, no array of whole numbers or bools."""
     missing = needed & ~np.asarray(info.get("_cost", needed), dtype=bool)
     if missing.any():
         raise KeyError(f"sub-environment {missing.argmax()} gave no 'cost' in its info")
     costs = np.asarray(info["cost"])
-    if "_cost" in info and costs.dtype.kind != "f":
+    if "_cost" in info and costs.dtype.kind in "biu":
         raise TypeError(
             f"info['cost'] came as {costs.dtype}: gymnasium's vector environments give all costs "
             "the type of the first, which may have rounded others; let every one give a float"

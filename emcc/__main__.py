@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from emcc.readers import EpisodeSums, Run, find_files, read
-from emcc.table import FORMATS, MISSING, bounds_table, emcc_table
+from emcc.table import FORMATS, bounds_table, emcc_table
 from emcc.tail import TIES
 
 _PATHS = """\
@@ -19,7 +19,8 @@ PATH is
   costs of steps: .npy, .npz (costs, lengths), .csv (cost, and episode, rollout if several)
   sums of episodes, .csv (cost, length): they bound the longest streak, but have no EMCC
 
-exit status: 0 the table is complete; 1 some run or file has no EMCC, or only bounds; 2 a mistake
+exit status: 0 the table is complete; 1 a number is missing (a run has no rollout in some third
+  of training), or sums have only bounds; 2 a mistake
 """
 
 
@@ -72,13 +73,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             )
         if sums:
             tables.append(bounds_table(sums))
-        complete = not any(MISSING in row[1:] for table in tables for row in table.rows)
         print("\n".join(table.render(options.format) for table in tables), end="")
     except (ValueError, OSError) as error:
         parser.error(str(error))
     for entry in sums:
         print(f"{parser.prog}: {entry.path}: sums of episodes cannot give EMCC", file=sys.stderr)
-    return 0 if complete and not sums else 1
+    return 0 if not sums and all(table.complete for table in tables) else 1
 
 
 if __name__ == "__main__":

@@ -62,16 +62,17 @@ def cost_rate(costs: ArrayLike, steps: ArrayLike) -> float:
     Both are numbers or arrays of any shape, and are added up.
     Source: cost rate rho_c in "Existing metrics for SafeRL".
     ValueError: a NaN, infinite or negative cost, a negative or fractional number of steps, no step
-    or no cost, costs that are neither one for each of several lengths nor one for each step.
+    or no cost, more costs than steps, several that are neither one for each of several lengths nor
+    one for each step.
     """
     costs, steps = as_array(costs, "costs"), as_integers(steps, "steps")
     check_range(costs, "costs", low=0)
     total_steps = int(steps.sum())
     if total_steps == 0:
         raise ValueError("steps add up to 0; at least one step is needed")
-    if costs.size == 0:
-        raise ValueError("costs is empty; at least one value is needed")
-    if costs.ndim and steps.ndim and costs.size not in (steps.size, total_steps):
+    if not 0 < costs.size <= total_steps:
+        raise ValueError(f"{total_steps} steps need 1 to {total_steps} costs, got {costs.size}")
+    if costs.size > 1 and steps.size > 1 and costs.size not in (steps.size, total_steps):
         raise ValueError(
             f"{costs.size} costs, but {steps.size} lengths of {total_steps} steps in all; "
             "one for each length or for each step is needed"

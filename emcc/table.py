@@ -33,6 +33,8 @@ class Table:
     """Row and column of the cells whose value stands out: bold in Markdown, as ever elsewhere."""
     marking: str = ""
     """What a mark says."""
+    complete: bool = True
+    """Whether no number is missing."""
 
     @property
     def legend(self) -> str:
@@ -103,6 +105,9 @@ def emcc_table(
         ["task", "algorithm", "runs", "steps", "steps from", *names],
         rows,
         [note for run in runs for note in _notes(run, measures[run])] + _repeated_seeds(groups),
+        complete=all(
+            value is not None for of_run in measures.values() for value in of_run.values()
+        ),
     )
 
 

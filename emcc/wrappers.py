@@ -27,8 +27,8 @@ def RecordCosts(
     env.metadata["autoreset_mode"]. A reset in the middle of an episode keeps what ran so far as a
     trajectory. Sub-environments must give the cost as a float: gymnasium's vector environments make
     an array of the type of the first cost they see, which would round others.
-    TypeError: no gymnasium environment, or such an array of whole numbers. ValueError: a vector
-    environment without an autoreset mode, an environment that steps without giving a cost.
+    TypeError: no gymnasium environment, or such an array of whole numbers or bools. ValueError: a
+    vector environment without an autoreset mode, an environment that steps without giving a cost.
     KeyError: no cost in info at all.
     """
     if isinstance(env, VectorEnv):
@@ -154,12 +154,13 @@ def _costs(
 
 
 def _given_costs(infos: dict[str, Any], needed: NDArray[np.bool_]) -> NDArray[Any]:
-    """infos["cost"], whose mask infos["_cost"], where there is one, must cover those needed."""
+    """infos["cost"], whose mask infos["_cost"], where there is one, must cover those needed; with a
+    mask, which is gymnasium's own, no array of whole numbers or bools."""
     missing = needed & ~np.asarray(infos.get("_cost", needed), dtype=bool)
     if missing.any():
         raise ValueError(f"sub-environment {int(np.argmax(missing))} gave no 'cost' in its info")
     costs = as_array(infos["cost"], "info['cost']")
-    if "_cost" in infos and costs.dtype.kind != "f":
+    if "_cost" in infos and costs.dtype.kind in "biu":
         raise TypeError(
             f"info['cost'] came as {costs.dtype}: gymnasium's vector environments give all costs "
             "the type of the first, which may have rounded others; let every one give a float"

@@ -1,4 +1,4 @@
-"""Both choices of the settings that presets infer, side by side."""
+"""Both choices of the settings that the paper does not print, side by side."""
 
 from __future__ import annotations
 
@@ -6,25 +6,24 @@ from collections import Counter
 from collections.abc import Sequence
 
 from agents.algorithms import algorithm
-from agents.bench.presets import ablation, inferred, preset
+from agents.bench.presets import ablation, preset, unprinted
 from agents.bench.results import Group
 from agents.bench.tables import caption, mean_row, measures_table, unusual_steps
 from agents.runs.config import TrainConfig
 from emcc.table import Table
 
-TITLE = "Both choices of what the presets infer"
+TITLE = "Both choices of what the paper does not print"
 MEANING = (
     "TRPO-Lag's multiplier ascends by Adam or by the plain gradient (multiplier_optimizer); a time "
-    "limit ends an episode for good or not in the off-policy methods (time_limit). The paper "
-    "prints neither; runs of the choice that is not the preset's are in no other table, and decide "
-    "no claim"
+    "limit ends an episode for good or not in the off-policy methods (time_limit). Runs of the "
+    "choice that is not the preset's are in no other table, and decide no claim"
 )
 
 
 def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group]]]:
     """The groups to report as ever, and the pairs of a preset's group and its ablated one.
 
-    Ablated is a group whose inferred setting has the other choice while nothing else differs from
+    Ablated is a group whose unprinted setting has the other choice while nothing else differs from
     the preset, where the preset's group is there too; without it, it is a group like any other.
     """
     pairs = []
@@ -36,7 +35,7 @@ def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group
 
 
 def _is_ablation(config: TrainConfig, of: TrainConfig) -> bool:
-    """Whether it is that of a preset but for the choice of what is inferred, on equal terms."""
+    """Whether it is that of a preset but for the choice of what is not printed, on equal terms."""
     other = ablation(config.algorithm, config.task)
     if other is None or config.hyperparameters != other[1]:
         return False
@@ -59,7 +58,7 @@ def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table:
 
 def _row(group: Group) -> list[str]:
     config = group.config
-    setting = inferred(config.algorithm)
+    setting = unprinted(config.algorithm)
     assert setting is not None
     choice = f"{setting.field} {getattr(config.hyperparameters, setting.field)}"
     if config.hyperparameters == preset(config.algorithm, config.task):

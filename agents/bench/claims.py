@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from agents.bench.evidence import (
     Cell,
     Evidence,
@@ -29,14 +27,14 @@ from agents.bench.evidence import (
 )
 from agents.bench.presets import PAPER_STEPS, preset
 from agents.bench.results import Group, Run
-from agents.bench.tables import difference_cell, mean_cell
-from emcc import difference
+from agents.bench.tables import difference_cell, difference_of, mean_cell
+from circle2d_mj.registration import CIRCLE2D
 
 ON_POLICY, OFF_POLICY = ("trpo-lag", "cpo"), ("sac-lag", "sac-lb", "wcsac")
 EVERYONE = (*ON_POLICY, *OFF_POLICY)
-CIRCLE2D = [task for task in PAPER_STEPS if task.startswith("Circle2D")]
+LEVEL_TASKS = [task for task in PAPER_STEPS if task in CIRCLE2D]
 """Kinematic, by level."""
-LIMIT = preset("cpo", CIRCLE2D[0]).cost_limit
+LIMIT = preset("cpo", LEVEL_TASKS[0]).cost_limit
 EARLY, MIDDLE, LATE = "EMCC_0.33", "EMCC_0.66", "EMCC_0.99"
 
 
@@ -82,7 +80,7 @@ def _straight_through(evidence: Evidence) -> list[Finding]:
         return all_of([through, about(costs, 9), about(late, 0.2)])
 
     findings = []
-    for task in CIRCLE2D[1:]:
+    for task in LEVEL_TASKS[1:]:
         cell = evidence[task, "trpo-lag"]
         text = f"{cell.share(_straight)} go through" + cell.means("J_C", LATE)
         findings.append(finding(short(task), judge(cell, rule), [cell], text))
@@ -134,7 +132,7 @@ TREND = Claim(
 
 
 def _corridor(evidence: Evidence) -> list[Finding]:
-    level_0, level_1 = CIRCLE2D[:2]
+    level_0, level_1 = LEVEL_TASKS[:2]
     others = tuple(name for name in EVERYONE if name != "sac-lb")
     return [
         _runs_that(evidence, level_0, ("sac-lag", "sac-lb"), some, in_corridor),
@@ -154,7 +152,7 @@ CORRIDOR = Claim(
 
 
 def _nobody(evidence: Evidence) -> list[Finding]:
-    return [_runs_that(evidence, task, EVERYONE, none, _safely) for task in CIRCLE2D[2:]]
+    return [_runs_that(evidence, task, EVERYONE, none, _safely) for task in LEVEL_TASKS[2:]]
 
 
 NOBODY = Claim(
@@ -182,7 +180,7 @@ def _runs_that(
 
 def _low_cost(evidence: Evidence) -> list[Finding]:
     findings = []
-    for task in (CIRCLE2D[0], CIRCLE2D[1], CIRCLE2D[3]):
+    for task in (LEVEL_TASKS[0], LEVEL_TASKS[1], LEVEL_TASKS[3]):
         cell = evidence[task, "wcsac"]
         verdict = judge(cell, lambda runs: most(sum(map(_settled, runs)), len(runs)))
         text = f"{cell.share(_settled)} do so" + cell.means("J_C")
@@ -212,15 +210,14 @@ LOW_COST = Claim(
 
 
 def _told_apart(evidence: Evidence) -> list[Finding]:
-    cpo, wcsac = cells = [evidence[CIRCLE2D[3], name] for name in ("cpo", "wcsac")]
+    cpo, wcsac = cells = [evidence[LEVEL_TASKS[3], name] for name in ("cpo", "wcsac")]
     decided = not cpo.lacking and not wcsac.lacking
     findings = []
     for name, rule in (("cost_rate", equal), (MIDDLE, apart), (LATE, apart)):
         if not cpo.runs or not wcsac.runs:
             findings.append(finding(name, "open", cells, ""))
             continue
-        sides = [[run.measures[name] for run in cell.runs] for cell in cells]
-        gap = difference(*sides, rng=np.random.default_rng(0))
+        gap = difference_of(cpo.runs, wcsac.runs, name)
         printed = wcsac.printed[name] - cpo.printed[name]
         text = f"WCSAC - CPO {difference_cell(gap)} (paper {printed:+.2f})"
         findings.append(finding(name, rule(gap) if decided else "open", cells, text))

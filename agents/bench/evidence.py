@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
-import numpy as np
-
 from agents.algorithms import ALGORITHMS, algorithm
 from agents.bench.presets import PAPER_SEEDS, PAPER_STEPS
 from agents.bench.results import Group, Run
-from agents.bench.tables import changes, mean_cell, paper_results
-from emcc import Difference, estimate
+from agents.bench.tables import changes, mean_cell, mean_of, paper_results
+from emcc import Difference
 
 Verdict = Literal["confirmed", "refuted", "open"]
 
@@ -125,7 +123,7 @@ def none(count: int) -> Verdict:
 def about(values: Sequence[float], printed: float) -> Verdict:
     """Of "the mean is about": it is within a fifth of the number; refuted where the whole 95 %
     interval over seeds is farther away."""
-    mean = estimate({"": values}, rng=np.random.default_rng(0))[""]
+    mean = mean_of(values)
     near = 0.8 * printed, 1.2 * printed
     if near[0] <= mean.value <= near[1]:
         return "confirmed"
@@ -137,7 +135,7 @@ def about(values: Sequence[float], printed: float) -> Verdict:
 def below_zero(values: Sequence[float]) -> Verdict:
     """Of "it falls": the 95 % interval over seeds of the changes is below 0; refuted where it has
     nothing below 0."""
-    mean = estimate({"": values}, rng=np.random.default_rng(0))[""]
+    mean = mean_of(values)
     if mean.low is None or mean.high is None:
         return "open"
     return "confirmed" if mean.high < 0 else "refuted" if mean.low >= 0 else "open"

@@ -51,7 +51,7 @@ def grid(
     first. The seeds of a folder train in lockstep.
 
     steps: of each run; by default the usual ones of its task. ablations: those with the other
-    choice of what is inferred in a preset as well, in folders like trpo-lag-sgd. Raises
+    choice of what the paper does not print as well, in folders like trpo-lag-sgd. Raises
     UserError for what is unknown. Of eager updates, until a backend is chosen.
     """
     order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, max(WORK.values())))

@@ -20,9 +20,10 @@ Line = tuple[str | int | float, ...]
 def numbers_csv(lines: Iterable[Line]) -> str:
     """Lines as CSV below their head. A float is written with all its digits.
 
-    algorithm: with the settings that are not its preset's. kind: "run"; "mean" over the seeds, and
-    "low" and "high" of its interval where there are several; "paper"; of two sides "difference",
-    "difference low" and "difference high". folder: of the runs, below the report's or its side's.
+    algorithm: with the settings that are not its preset's; in a comparison "A: ", "B: " or
+    "B - A: " before it. kind: "run", "paper", "mean" over the seeds or "difference" of two sides'
+    means; the last two with " low" and " high" for the ends of their intervals, where there are
+    several seeds. folder: of the runs, below the report's or its side's.
     """
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([HEAD, *lines])
@@ -64,12 +65,11 @@ def _interval_lines(
     found: Mapping[str, Estimate | Difference],
     folder: str = "",
 ) -> Iterator[Line]:
-    below, above = ("low", "high") if kind == "mean" else (f"{kind} low", f"{kind} high")
     yield from _line(task, name, kind, {m: of.value for m, of in found.items()}, folder)
     lows = {m: of.low for m, of in found.items() if of.low is not None}
     highs = {m: of.high for m, of in found.items() if of.high is not None}
-    yield from _line(task, name, below, lows, folder)
-    yield from _line(task, name, above, highs, folder)
+    yield from _line(task, name, f"{kind} low", lows, folder)
+    yield from _line(task, name, f"{kind} high", highs, folder)
 
 
 def _line(

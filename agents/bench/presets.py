@@ -34,7 +34,7 @@ def preset(name: str, task: str) -> Any:
     if task in CIRCLE2D:
         config = replace(config, cost_limit=5.0)  # table Circle2DResults, caption
         if off_policy:
-            # See `inferred`; on-policy methods bootstrap.
+            # See `unprinted`; on-policy methods bootstrap.
             config = replace(config, time_limit="terminal")
     elif task.startswith("circle2d_mj/Safety"):
         # Table HP_SafetyGymnasium; the cost limit, 25, is the default.
@@ -50,23 +50,22 @@ def usual_steps(task: str) -> int:
     return PAPER_STEPS.get(task.rpartition(":")[2], STEPS)
 
 
-class Inferred(NamedTuple):
+class Unprinted(NamedTuple):
     """A hyper-parameter that the paper does not print, and that decides how runs end."""
 
     field: str
     choices: dict[str, str]
-    """What each of the two means, in words. The first is the preset's on Circle2D, inferred from
-    the paper's results there."""
+    """What each of the two means, in words."""
 
 
-MULTIPLIER = Inferred(
+MULTIPLIER = Unprinted(
     "multiplier_optimizer",
     {
         "adam": "the multiplier ascends by Adam",
         "sgd": "the multiplier ascends by the plain gradient",
     },
 )
-TIME_LIMIT = Inferred(
+TIME_LIMIT = Unprinted(
     "time_limit",
     {
         "terminal": "the last step of an episode counts as terminal",
@@ -75,12 +74,13 @@ TIME_LIMIT = Inferred(
 )
 
 
-def inferred(name: str) -> Inferred | None:
-    """What of an algorithm's preset is inferred; None where nothing is.
+def unprinted(name: str) -> Unprinted | None:
+    """What of an algorithm's preset the paper does not print; None where it prints what decides.
 
-    The printed step size of TRPO-Lag's multiplier fits one optimiser or the other; whether step 50
-    ends an episode for good decides where the off-policy methods end up. (The multipliers of
-    SAC-Lag and WCSAC ascend by Adam, as everything else of theirs does.)
+    On Circle2D the presets have the choice that gives the paper's results: the printed step size of
+    TRPO-Lag's multiplier fits one optimiser or the other; whether step 50 ends an episode for good
+    decides where the off-policy methods end up. (The multipliers of SAC-Lag and WCSAC ascend by
+    Adam, as everything else of theirs does.)
     """
     if name == "trpo-lag":
         return MULTIPLIER
@@ -88,8 +88,8 @@ def inferred(name: str) -> Inferred | None:
 
 
 def ablation(name: str, task: str) -> tuple[str, Any] | None:
-    """The preset with its inferred hyper-parameter at the other choice, and that choice's name."""
-    setting = inferred(name)
+    """The preset with its unprinted hyper-parameter at the other choice, and that choice's name."""
+    setting = unprinted(name)
     if setting is None:
         return None
     config = preset(name, task)

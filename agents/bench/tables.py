@@ -12,9 +12,10 @@ import numpy as np
 
 from agents.algorithms import ALGORITHMS, algorithm
 from agents.bench.pictures import ALPHA
-from agents.bench.presets import PAPER_SEEDS, inferred, preset, usual_steps
+from agents.bench.presets import PAPER_SEEDS, preset, unprinted, usual_steps
 from agents.bench.results import MEASURES, Group, Run
 from agents.runs.config import TrainConfig
+from circle2d_mj.registration import CIRCLE2D
 from emcc import Difference, Estimate, difference, estimate
 from emcc.table import Table
 
@@ -184,12 +185,16 @@ def _paper_notes(groups: Sequence[Group]) -> list[str]:
     """What in our presets the paper does not print, where it matters; what it did otherwise."""
     titles: dict[str, dict[str, None]] = {}
     for config in (group.config for group in groups):
-        setting, title = inferred(config.algorithm), algorithm(config.algorithm).title
-        if setting and setting.field not in changes(config) and paper_results(config.task, title):
+        setting, title = unprinted(config.algorithm), algorithm(config.algorithm).title
+        if (
+            setting
+            and setting.field not in hyperparameter_changes(config)
+            and paper_results(config.task, title)
+        ):
             choice = getattr(config.hyperparameters, setting.field)
             titles.setdefault(setting.choices[choice], {})[title] = None
     told = "Whether the paper did so is not printed."
-    if "Circle2D-" in groups[0].config.task:
+    if groups[0].config.task.rpartition(":")[2] in CIRCLE2D:
         told = "That the paper did so is inferred from its results, not printed."
     notes = [f"{', '.join(of)}: {meaning}. {told}" for meaning, of in titles.items()]
     if any("circle2d_mj/Safety" in group.config.task for group in groups):

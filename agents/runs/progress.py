@@ -69,10 +69,6 @@ def _pace(first: _Mark, now: _Mark) -> tuple[str, str]:
     return f"{(now.steps - first.steps) / seconds:,.0f} steps/s", f"{left} left"
 
 
-def _listed(parts: Sequence[str]) -> str:
-    return ", ".join(filter(None, parts))
-
-
 class _Display:
     """What is shown of trainings, as seen from the process that goes on with them."""
 
@@ -86,7 +82,8 @@ class _Display:
         self.compiled = self.compiled_before = CLOCK.seconds
         self.percent = -1
         self.first: _Mark | None = None
-        """After the first epoch of this process, which took what is needed once as well."""
+        """After the first epoch of this process, which is not counted, since it pays for what is
+        done only once."""
 
     def on_epoch(self, trainings: Sequence[Training]) -> None:
         """Tell how far they are, where that is due."""
@@ -104,15 +101,15 @@ class _Display:
         speed, left = _pace(self.first, mark)
         returns, cost = np.mean([training.log.recent() for training in trainings], axis=0)
         recent = f"return {returns:.2f}, cost {cost:.2f}"
-        self.bar.update(
-            self.task, completed=steps, speed=speed, recent="evaluating" if done else recent
-        )
+        if done:  # an evaluation follows
+            recent, left = f"{recent}, evaluating", ""
+        self.bar.update(self.task, completed=steps, speed=speed, recent=recent)
         if due or done:
-            after = f"{self.title}: {int(100 * share)} % after {now - self.started:.0f} s"
+            line = f"{self.title}: {int(100 * share)} % after {now - self.started:.0f} s"
+            line += speed and f", {speed}"
             is_tenth = int(10 * share) > self.percent // 10
             self.percent = int(100 * share)
-            told = (after, speed, recent, "evaluating" if done else left)
-            self._tell(_listed(told[:2]), _listed(told) if is_tenth else "")
+            self._tell(line, f"{line}, {recent}{left and ', '}{left}" if is_tenth else "")
 
     def _tell_compiling(self) -> None:
         if CLOCK.seconds > self.compiled:

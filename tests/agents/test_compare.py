@@ -91,13 +91,13 @@ def test_what_is_written(tmp_path, capsys):
     found = [(x["algorithm"], x["kind"], x["seed"], float(x["J_R"])) for x in lines]
     assert found == [
         ("A: CPO (100 steps)", "mean", "", -15),
-        ("A: CPO (100 steps)", "low", "", -20),
-        ("A: CPO (100 steps)", "high", "", -10),
+        ("A: CPO (100 steps)", "mean low", "", -20),
+        ("A: CPO (100 steps)", "mean high", "", -10),
         ("A: CPO (100 steps)", "run", "0", -10),
         ("A: CPO (100 steps)", "run", "1", -20),
         ("B: CPO (100 steps)", "mean", "", -7),
-        ("B: CPO (100 steps)", "low", "", -9),
-        ("B: CPO (100 steps)", "high", "", -5),
+        ("B: CPO (100 steps)", "mean low", "", -9),
+        ("B: CPO (100 steps)", "mean high", "", -5),
         ("B: CPO (100 steps)", "run", "0", -5),
         ("B: CPO (100 steps)", "run", "1", -9),
         ("B - A: CPO (100 steps)", "difference", "", 8),

@@ -249,7 +249,7 @@ def test_the_numbers_for_a_program(raw):
     for key, name in names.items():
         for seed, run in zip(SEEDS, numbers[key], strict=True):
             expected[name, "run", str(seed)] = [run[m] for m in MEASURES]
-        for kind, of in (("mean", fmean), ("low", min), ("high", max)):
+        for kind, of in (("mean", fmean), ("mean low", min), ("mean high", max)):
             expected[name, kind, ""] = [of(column(numbers[key], m)) for m in MEASURES]
     for key, values in PAPER.items():
         expected[TITLES[key], "paper", ""] = values

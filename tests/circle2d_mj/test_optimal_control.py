@@ -59,6 +59,7 @@ def values_to_go(free):
 @pytest.mark.parametrize(
     ("level", "free", "discounted", "undiscounted"),
     [
+        (0, (CORRIDOR,), -11.41, -13.0),
         (1, (CORRIDOR,), -11.41, -13.0),
         (2, (CORRIDOR, *TOP_AND_BOTTOM), -10.93, -12.5),
         (3, (CORRIDOR, *TOP_AND_BOTTOM, *DIAGONALS), -10.86, -12.4),
@@ -79,4 +80,4 @@ def test_the_best_at_no_cost(level, free, discounted, undiscounted):
         assert not info["cost"].any()
         returns += np.array([[DISCOUNT**t], [1.0]]) * reward
     means = returns.mean(axis=1)
-    assert means == pytest.approx([discounted, undiscounted], abs=0.08)
+    assert means == pytest.approx([discounted, undiscounted], abs=0.05)

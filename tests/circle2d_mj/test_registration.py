@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from circle2d_mj import Circle2DConfig, Circle2DEnv, Circle2DVectorEnv, SafetyGymnasiumAPI
+from circle2d_mj.registration import CIRCLE2D
 
 
 def run(code, folder):
@@ -81,6 +82,12 @@ def test_every_way_gives_the_same_task():
         assert gym.make_vec(**arguments, num_envs=3).unwrapped.config == config
         sync = gym.make_vec(**arguments, num_envs=2, vectorization_mode="sync")
         assert sync.envs[1].unwrapped.config == config
+
+
+def test_the_ids_that_are_listed_are_those_that_are_registered():
+    found = {name for name in gym.registry if name.startswith("Circle2D")}
+    assert set(CIRCLE2D) == found
+    assert len(CIRCLE2D) == 8
 
 
 def test_the_scene_is_shipped_and_loads():
@@ -184,6 +191,20 @@ def test_six_values_of_costs_that_gymnasium_may_have_rounded():
     envs.reset(seed=0)
     with pytest.raises(TypeError, match=r"came as int64: .* let every one give a float"):
         envs.step(np.zeros((2, 1), np.float32))
+
+
+def test_six_values_of_costs_that_are_comparisons():
+    """numpy's bools, which gymnasium keeps as they are."""
+
+    class Near(Rare):
+        def step(self, action):
+            *others, info = super().step(action)
+            return *others, {"cost": np.float64(info["cost"]) > 1}
+
+    envs = SafetyGymnasiumAPI(gym.vector.SyncVectorEnv([Near, Near]))
+    envs.reset(seed=0)
+    costs = [envs.step(np.zeros((2, 1), np.float32))[2].tolist() for _ in range(2)]
+    assert costs == [[0.0, 0.0], [1.0, 1.0]]
 
 
 def test_six_values_of_something_else():

@@ -102,6 +102,7 @@ def test_cost_rate():
     assert cost_rate(5.0, [10, 10]) == 0.25
     assert cost_rate([2.0, 3.0], [10, 10]) == cost_rate([2.0, 3.0], 20) == 0.25
     assert cost_rate([1.0, 0.0, 0.0, 1.0], [1, 3]) == 0.5
+    assert cost_rate([2.0, 3.0], [10]) == cost_rate([5.0], [4, 6]) == 0.5
 
 
 VALUES, STARTS = [0.1, 0.2, 0.3], [0, 40, 70]
@@ -125,7 +126,8 @@ BAD = {
     "unequal": (lambda: emcc_by_part(VALUES, [0, 40], 100), "3 mcc_values, but 2 start_steps"),
     "no steps": (lambda: cost_rate([0.0], 0), "steps add up to 0"),
     "negative cost": (lambda: cost_rate([-1.0], 5), "costs .* got -1.0"),
-    "no costs": (lambda: cost_rate([], 10), "costs is empty"),
+    "no costs": (lambda: cost_rate([], 10), "10 steps need 1 to 10 costs, got 0"),
+    "more costs": (lambda: cost_rate([1, 1, 1], 2), "2 steps need 1 to 2 costs, got 3"),
     "other costs": (lambda: cost_rate([1, 2, 3], [5, 5]), "3 costs, but 2 lengths of 10 steps"),
 }
 
