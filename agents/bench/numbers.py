@@ -12,7 +12,7 @@ from agents.bench.results import MEASURES, Group
 from agents.bench.tables import difference_of, mean_of, paper_results, title_of
 from emcc import Difference, Estimate
 
-HEAD = ("task", "algorithm", "kind", "seed", *MEASURES, "ends in", "folder")
+HEAD = ("task", "algorithm", "kind", "seed", *MEASURES, "ends_in", "folder")
 
 Line = tuple[str | int | float, ...]
 

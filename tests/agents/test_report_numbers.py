@@ -265,7 +265,7 @@ def test_the_numbers_for_a_program(raw):
         assert [line["folder"]] == (folders or [""])
     for key, name in names.items():
         for seed, run in zip(SEEDS, numbers[key], strict=True):
-            assert found[name, "run", str(seed)]["ends in"] == run["ends"]
+            assert found[name, "run", str(seed)]["ends_in"] == run["ends"]
 
 
 def test_what_is_best_is_marked(raw):
