@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from math import isclose
 
 from agents.algorithms import algorithm
 from agents.bench.presets import ablation, preset, unprinted
-from agents.bench.results import Group
-from agents.bench.tables import caption, mean_row, measures_table, unusual_steps
+from agents.bench.results import MEASURES, Group
+from agents.bench.tables import (
+    caption,
+    mean_row,
+    means,
+    measures_table,
+    paper_results,
+    paper_row,
+    unusual_steps,
+)
 from agents.runs.config import TrainConfig
 from emcc.table import Table
 
@@ -18,6 +28,7 @@ MEANING = (
     "limit ends an episode for good or not in the off-policy methods (time_limit). Runs of the "
     "choice that is not the preset's are in no other table, and decide no claim"
 )
+MARKING = "of the two choices the mean that is nearer to the paper's"
 
 
 def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group]]]:
@@ -46,14 +57,33 @@ def _is_ablation(config: TrainConfig, of: TrainConfig) -> bool:
 
 
 def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table:
-    """For each task and algorithm the preset's means above those of the other choice.
+    """For each task and algorithm the preset's means, those of the other choice, and the paper's.
 
-    "ends in" counts the runs that end in each place.
+    "ends in" counts the runs that end in each place. Marked is, of either measure, the choice whose
+    mean is nearer to what the paper prints.
     """
-    rows = [_row(group) for pair in pairs for group in pair if group.runs]
+    rows, marked = [], set()
+    for pair in pairs:
+        complete = [group for group in pair if group.runs]
+        config = pair[0].config
+        printed = paper_results(config.task, algorithm(config.algorithm).title)
+        if len(complete) == 2 and printed:
+            marked |= {(len(rows) + row, column) for row, column in _nearer(complete, printed)}
+        rows += [_row(group) for group in complete]
+        if printed:
+            rows.append(paper_row(f"{config.task}, {algorithm(config.algorithm).title}", printed))
     groups = [group for pair in pairs for group in pair]
     what = "task, algorithm and choice"
-    return measures_table(f"{TITLE}: {MEANING}. {caption(groups)}", what, rows)
+    table = measures_table(f"{TITLE}: {MEANING}. {caption(groups)}", what, rows)
+    return replace(table, marked=frozenset(marked), marking=MARKING)
+
+
+def _nearer(groups: Sequence[Group], printed: Mapping[str, float]) -> Iterator[tuple[int, int]]:
+    """Row and column of the means that are nearest to the paper's numbers, to two digits."""
+    of_groups = [means(group.runs) for group in groups]
+    for column, name in enumerate(MEASURES, 1):
+        off = [abs(round(of_group[name], 2) - printed[name]) for of_group in of_groups]
+        yield from ((row, column) for row, far in enumerate(off) if isclose(far, min(off)))
 
 
 def _row(group: Group) -> list[str]:

@@ -40,8 +40,7 @@ def task_table(groups: Sequence[Group]) -> Table:
         paper = paper_results(task, algorithm(name).title)
         if paper:
             papers[len(rows)] = paper, preset(name, task).cost_limit
-            cells = [f"{value:.2f}" for value in paper.values()]
-            rows.append([f"{algorithm(name).title}, paper ({PAPER_SEEDS} seeds)", *cells, ""])
+            rows.append(paper_row(algorithm(name).title, paper))
     marked = {(row, 1 + MEASURES.index(m)) for row, m in best(ours) | best(papers)}
     rows += [row for name in ALGORITHMS for row in run_rows(groups, name)]
     table = measures_table(caption(groups), task, rows, _paper_notes(groups))
@@ -102,6 +101,12 @@ def mean_row(group: Group, prefix: str = "") -> list[str]:
     """The row of the means of a group, with their intervals over seeds."""
     cells = [mean_cell([run.measures[name] for run in group.runs]) for name in MEASURES]
     return [f"{prefix}{title_of(group.config)}, mean of {len(group.runs)}", *cells, ""]
+
+
+def paper_row(name: str, printed: Mapping[str, float]) -> list[str]:
+    """The row of what the paper prints."""
+    cells = [f"{printed[measure]:.2f}" for measure in MEASURES]
+    return [f"{name}, paper ({PAPER_SEEDS} seeds)", *cells, ""]
 
 
 def run_rows(groups: Sequence[Group], name: str, prefix: str = "") -> Iterator[list[str]]:

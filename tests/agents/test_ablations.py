@@ -105,9 +105,15 @@ def test_both_choices_side_by_side(folder):
     assert [row[0] for row in ablated[2:]] == [
         f"{TASK}, TRPO-Lag, multiplier_optimizer adam (preset), 100 steps, mean of 3",
         f"{TASK}, TRPO-Lag, multiplier_optimizer sgd, 100 steps, mean of 2",
+        f"{TASK}, TRPO-Lag, paper (3 seeds)",
     ]
-    assert [row[5] for row in ablated[2:]] == ["-14.00 [-20.00, -10.00]", "-2.00 [-3.00, -1.00]"]
-    assert [row[8] for row in ablated[2:]] == ["corridor 2, right rim 1", "corridor 1, right rim 1"]
+    of_preset, of_other, of_paper = ablated[2:]
+    assert of_preset[5] == "-14.00 [-20.00, -10.00]"
+    assert of_other[5] == "**-2.00** [-3.00, -1.00]"  # 2.68 from the paper, not 9.32
+    assert of_paper[5] == "-4.68"
+    assert of_preset[6].startswith("**4.25**")  # of two equal ones either
+    assert of_other[6].startswith("**4.25**")
+    assert (of_preset[8], of_other[8]) == ("corridor 2, right rim 1", "corridor 1, right rim 1")
     # The best J_R of the main table is the preset's, though the ablated runs' is higher.
     assert not any("sgd" in row[0] for row in main_table)
     (of_preset,) = (row for row in main_table if row[0] == "TRPO-Lag (100 steps), mean of 3")

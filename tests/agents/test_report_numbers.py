@@ -211,6 +211,7 @@ def check_rows(rows, numbers):
         for seed, run in zip(SEEDS, numbers[name], strict=True)
     }
     papers = {f"{TITLES[name]}, paper (3 seeds)": PAPER[name] for name in EPISODES}
+    papers[f"{TASK}, WCSAC, paper (3 seeds)"] = PAPER["wcsac"]
     for name, *cells in rows:
         measured = dict(zip(MEASURES, cells[:7], strict=True))
         if name in papers:
@@ -290,6 +291,20 @@ def test_what_is_best_is_marked(raw):
         for name, value in safe.items():
             best[name] |= set(MEASURES[4:]) if value == max(safe.values()) else set()
         assert {name: marks[name] for name in compared} == best
+
+
+def test_of_both_choices_the_nearer_to_the_paper_is_marked(raw):
+    out, numbers = raw
+    _, _, text = (out / "report.md").read_text().partition("task, algorithm and choice")
+    preset, other, paper = (line.split("|") for line in text.splitlines()[2:5])
+    assert paper[1].strip() == f"{TASK}, WCSAC, paper (3 seeds)"
+    for k, measure in enumerate(MEASURES):
+        off = [
+            abs(round(fmean(column(numbers[name], measure)), 2) - PAPER["wcsac"][k])
+            for name in ("wcsac", "wcsacb")
+        ]
+        marked = [row[2 + k].strip().startswith("**") for row in (preset, other)]
+        assert marked == [far <= min(off) + 1e-9 for far in off], measure
 
 
 def test_the_numbers_of_the_claims(raw):
