@@ -24,9 +24,10 @@ from emcc.table import Table
 
 TITLE = "Both choices of what the paper does not print"
 MEANING = (
-    "TRPO-Lag's multiplier ascends by Adam or by the plain gradient (multiplier_optimizer); a time "
-    "limit ends an episode for good or not in the off-policy methods (time_limit). Runs of the "
-    "choice that is not the preset's are in no other table, and decide no claim"
+    "TRPO-Lag's multiplier ascends by Adam or by the plain gradient (multiplier_optimizer adam or "
+    "sgd); a time limit ends an episode for good or not in the off-policy methods (time_limit "
+    "terminal or bootstrap). Runs of the choice that is not the preset's are in no other table and "
+    "decide no claim"
 )
 MARKING = "of the two choices the mean that is nearer to the paper's"
 
@@ -90,7 +91,7 @@ def _row(group: Group) -> list[str]:
     config = group.config
     setting = unprinted(config.algorithm)
     assert setting is not None
-    choice = f"{setting.field} {getattr(config.hyperparameters, setting.field)}"
+    choice = getattr(config.hyperparameters, setting.field)
     if config.hyperparameters == preset(config.algorithm, config.task):
         choice += " (preset)"
     title = algorithm(config.algorithm).title

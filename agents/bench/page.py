@@ -22,14 +22,15 @@ a { color: #0b57a4; } nav ul { padding-left: 1.2rem; }
 table { border-collapse: collapse; font-size: 0.85rem; font-variant-numeric: tabular-nums; }
 th, td { padding: 0.3rem 0.6rem; text-align: right; white-space: nowrap;
   border-bottom: 1px solid #ddd; vertical-align: top; }
+td:first-child, td:last-child { white-space: normal; min-width: 7rem; }
 th:first-child, td:first-child { text-align: left; position: sticky; left: 0; background: #fff; }
-td small { color: #595959; }
+td:first-child { min-width: 13rem; } td small { color: #595959; white-space: nowrap; }
 tr.paper td { color: #595959; font-style: italic; }
 td.best { font-weight: 700; } td.best small { font-weight: 400; }
 figure { margin: 0; } figcaption, .note { color: #444; font-size: 0.9rem; max-width: 60rem; }
 img { display: block; max-width: 100%; height: auto; }
 dt { font-weight: 600; } dd { margin: 0 0 0.5rem 0; white-space: pre-line; }
-@media (max-width: 40rem) { td:first-child { white-space: normal; min-width: 6.5rem; }
+@media (max-width: 40rem) { td:first-child { min-width: 6.5rem; } td:last-child { min-width: 10rem; }
   img { max-width: none; zoom: 0.6; } }
 """
 KINDS = {"png": "image/png", "svg": "image/svg+xml"}
