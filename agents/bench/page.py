@@ -30,8 +30,8 @@ td.best { font-weight: 700; } td.best small { font-weight: 400; }
 figure { margin: 0; } figcaption, .note { color: #444; font-size: 0.9rem; max-width: 60rem; }
 img { display: block; max-width: 100%; height: auto; }
 dt { font-weight: 600; } dd { margin: 0 0 0.5rem 0; white-space: pre-line; }
-@media (max-width: 40rem) { td:first-child { min-width: 6.5rem; } td:last-child { min-width: 10rem; }
-  img { max-width: none; zoom: 0.6; } }
+@media (max-width: 40rem) { td:first-child { min-width: 6.5rem; }
+  td:last-child { min-width: 10rem; } img { max-width: none; zoom: 0.6; } }
 """
 KINDS = {"png": "image/png", "svg": "image/svg+xml"}
 
