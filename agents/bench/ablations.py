@@ -60,7 +60,7 @@ def _is_ablation(config: TrainConfig, of: TrainConfig) -> bool:
 def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table:
     """For each task and algorithm the preset's means, those of the other choice, and the paper's.
 
-    "ends in" counts the runs that end in each place. Marked is, of either measure, the choice whose
+    "ends in" counts the runs that end in each place. Marked is, of each measure, the choice whose
     mean is nearer to what the paper prints.
     """
     rows, marked = [], set()
