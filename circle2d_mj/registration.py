@@ -9,10 +9,10 @@ import gymnasium as gym
 from circle2d_mj.config import LEVELS
 from circle2d_mj.envs import MAX_EPISODE_STEPS
 
-CIRCLE2D = tuple(
-    f"{name}-{level}-v0" for name in ("Circle2D", "Circle2DMuJoCo") for level in LEVELS
-)
-"""Ids of the Circle2D tasks, kinematic and with physics."""
+KINEMATIC = {level: f"Circle2D-{level}-v0" for level in LEVELS}
+PHYSICS = {level: f"Circle2DMuJoCo-{level}-v0" for level in LEVELS}
+CIRCLE2D = (*KINEMATIC.values(), *PHYSICS.values())
+"""Ids of the Circle2D tasks, by level and all together."""
 
 # Version and steps an episode of the tasks in `safety_tasks.envs.TASKS`, which this module must
 # not import, since that loads MuJoCo.
@@ -27,8 +27,8 @@ def register() -> None:
     """Register `Circle2D-{0..3}-v0`, `Circle2DMuJoCo-{0..3}-v0` and the tasks of Safety-Gymnasium,
     the latter as `circle2d_mj/...`; calling it again changes nothing."""
     for level in LEVELS:
-        _register(f"Circle2D-{level}-v0", "envs:Circle2DVectorEnv", level=level)
-        _register(f"Circle2DMuJoCo-{level}-v0", "mujoco_envs:Circle2DMuJoCoVectorEnv", level=level)
+        _register(KINEMATIC[level], "envs:Circle2DVectorEnv", level=level)
+        _register(PHYSICS[level], "mujoco_envs:Circle2DMuJoCoVectorEnv", level=level)
     for task, (version, steps) in _SAFETY_TASKS.items():
         name = f"circle2d_mj/{task}-{version}"
         _register(name, "safety_tasks.envs:SafetyVectorEnv", steps, task=task)

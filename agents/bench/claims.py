@@ -28,12 +28,11 @@ from agents.bench.evidence import (
 from agents.bench.presets import PAPER_STEPS, preset
 from agents.bench.results import Group, Run
 from agents.bench.tables import difference_cell, difference_of, mean_cell
-from circle2d_mj.registration import CIRCLE2D
+from circle2d_mj.registration import KINEMATIC
 
 ON_POLICY, OFF_POLICY = ("trpo-lag", "cpo"), ("sac-lag", "sac-lb", "wcsac")
 EVERYONE = (*ON_POLICY, *OFF_POLICY)
-LEVEL_TASKS = [task for task in PAPER_STEPS if task in CIRCLE2D]
-"""Kinematic, by level."""
+LEVEL_TASKS = list(KINEMATIC.values())
 LIMIT = preset("cpo", LEVEL_TASKS[0]).cost_limit
 EARLY, MIDDLE, LATE = "EMCC_0.33", "EMCC_0.66", "EMCC_0.99"
 

@@ -16,6 +16,7 @@ from agents.runs.tasks import sizes_of
 from agents.runs.timing import share_done
 from agents.runs.workers import Group
 from circle2d_mj.config import LEVELS
+from circle2d_mj.registration import KINEMATIC, PHYSICS
 from emcc import EpisodeRecords
 
 SEEDS = tuple(range(PAPER_SEEDS))
@@ -34,8 +35,8 @@ def circle2d_tasks(levels: Sequence[int], mujoco: bool) -> list[str]:
     """The ids of Circle2D on some levels, kinematic or with physics. Raises UserError."""
     if not levels or not set(levels) <= set(LEVELS):
         raise UserError(f"levels must be some of {list(LEVELS)}, got {list(levels)}")
-    name = "Circle2DMuJoCo" if mujoco else "Circle2D"
-    return [f"{name}-{level}-v0" for level in dict.fromkeys(levels)]
+    ids = PHYSICS if mujoco else KINEMATIC
+    return [ids[level] for level in dict.fromkeys(levels)]
 
 
 def grid(

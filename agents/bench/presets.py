@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 
 from agents.algorithms import algorithm
 from agents.updates.sac import SACConfig
-from circle2d_mj.config import LEVELS
-from circle2d_mj.registration import CIRCLE2D
+from circle2d_mj.registration import CIRCLE2D, KINEMATIC
 
 _SAFETY = ("SafetyPointCircle1-v0", "SafetyPointGoal1-v0", "SafetyHopperVelocity-v1")
-PAPER_STEPS = {f"Circle2D-{level}-v0": 1_000_000 for level in LEVELS} | {
+PAPER_STEPS = dict.fromkeys(KINEMATIC.values(), 1_000_000) | {
     f"circle2d_mj/{name}": 10_000_000 for name in _SAFETY
 }
 """Environment steps of a run, by the id of every task of the paper. Tables HP_Circle2D and

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
@@ -170,7 +171,7 @@ def hyperparameter_changes(config: TrainConfig) -> dict[str, Any]:
 
 def paper_results(task: str, title: str) -> dict[str, float]:
     """The paper's printed numbers for an algorithm on a task; empty where it prints none."""
-    printed = json.loads(files("agents.bench").joinpath("paper.json").read_text())["results"]
+    printed = _paper()["results"]
     task = task.rpartition(":")[2]  # "module:id" names the task that "id" does
     task = task.removesuffix("-v0") if task.startswith("Circle2D-") else task.split("/")[-1]
     return {
@@ -178,6 +179,11 @@ def paper_results(task: str, title: str) -> dict[str, float]:
         for name in MEASURES
         if task in printed and title in printed[task][name]
     }
+
+
+@functools.cache
+def _paper() -> dict[str, Any]:
+    return json.loads(files("agents.bench").joinpath("paper.json").read_text())
 
 
 def _as_meant(task: str, title: str, measure: str, value: float) -> float:

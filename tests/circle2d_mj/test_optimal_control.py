@@ -8,14 +8,15 @@ from itertools import product
 
 import numpy as np
 import pytest
+from strips import STRIPS
 
 from circle2d_mj import Circle2DVectorEnv
 
 DISCOUNT, EPISODE, HALF, STEP = 0.99, 50, 15.0, 1.1
 SPACING = 0.5  # of the grid that holds values
-CORRIDOR = (180, 0.5, 2.5)  # direction, inner end, half width of a cut-out
-TOP_AND_BOTTOM = ((90, 5.0, 2.5), (-90, 5.0, 2.5))
-DIAGONALS = ((45, 7.0, 1.25), (-45, 7.0, 1.25))
+# Direction, inner end and half width of the cut-outs.
+CORRIDOR, *OTHERS = ((a, 10 * (1 - depth), 2.5 * width) for a, depth, width in STRIPS[3])
+TOP_AND_BOTTOM, DIAGONALS = OTHERS[:2], OTHERS[2:]
 
 
 def moves(count):
@@ -72,11 +73,11 @@ def test_the_best_at_no_cost(level, free, discounted, undiscounted):
     values = values_to_go(free)
     envs = Circle2DVectorEnv(300, level=level)
     envs.reset(seed=0)
-    returns = np.zeros((2, 300))
+    returns, choices = np.zeros((2, 300)), moves(21)
     for t in range(EPISODE):
-        ends = np.clip(envs.position[:, None] + moves(21), -HALF, HALF)
+        ends = np.clip(envs.position[:, None] + choices, -HALF, HALF)
         best = gain(ends, free) + DISCOUNT * interpolated(values[EPISODE - 1 - t], ends)
-        _, reward, *_, info = envs.step(moves(21)[best.argmax(axis=1)] / STEP)
+        _, reward, *_, info = envs.step(choices[best.argmax(axis=1)] / STEP)
         assert not info["cost"].any()
         returns += np.array([[DISCOUNT**t], [1.0]]) * reward
     means = returns.mean(axis=1)
