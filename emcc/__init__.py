@@ -12,7 +12,7 @@ from emcc.interval import Difference, Estimate, difference, estimate
 from emcc.parts import cost_rate, emcc_by_part
 from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords
-from emcc.streaks import longest_streak, longest_streaks, mcc, streak_bounds
+from emcc.streaks import count_streaks, longest_streak, longest_streaks, mcc, streak_bounds
 from emcc.tail import cvar, emcc, worst
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ __all__ = [
     "Estimate",
     "RecordCosts",
     "cost_rate",
+    "count_streaks",
     "cvar",
     "difference",
     "emcc",

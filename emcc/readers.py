@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from emcc.arrays import as_array, as_vector
 from emcc.csv_columns import parse, read_columns
 from emcc.records import COLUMNS, EpisodeRecords
-from emcc.streaks import longest_streaks, streak_bounds
+from emcc.streaks import count_streaks, longest_streaks, streak_bounds
 
 RECORDS_FILE = "episodes.csv"
 CONFIG_FILE = "config.json"
@@ -120,7 +120,8 @@ def _run_of_costs(
 ) -> Run:
     """costs: [steps] of trajectories one after another; rollouts: id of each, default all apart."""
     try:
-        streaks = longest_streaks(costs, lengths, threshold)
+        longest = longest_streaks(costs, lengths, threshold)
+        counts = count_streaks(costs, lengths, threshold)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from None
     lengths = np.asarray(lengths).astype(np.int64)
@@ -128,7 +129,7 @@ def _run_of_costs(
     sums = np.add.reduceat(np.asarray(costs, dtype=np.float64), starts)
     ids = np.arange(len(lengths)) if rollouts is None else rollouts
     unknown_return = np.zeros(len(lengths))  # the table does not show it
-    records = EpisodeRecords(ids, starts, lengths, unknown_return, sums, streaks)
+    records = EpisodeRecords(ids, starts, lengths, unknown_return, sums, longest, *counts)
     return _run_of_records(path, records)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from emcc.arrays import as_array, as_count, as_threshold, check_range
-from emcc.records import EpisodeRecords
+from emcc.records import COLUMNS, EpisodeRecords
 
 
 class CostRecorder:
@@ -39,6 +39,8 @@ class CostRecorder:
         self._cost = np.zeros(num_envs)
         self._streak = np.zeros(num_envs, dtype=np.int64)  # the one that has not ended yet
         self._longest = np.zeros(num_envs, dtype=np.int64)
+        self._cost_steps = np.zeros(num_envs, dtype=np.int64)
+        self._streaks = np.zeros(num_envs, dtype=np.int64)
         self._rows: list[tuple[Any, ...]] = []  # finished trajectories, as in EpisodeRecords
 
     def step(
@@ -63,6 +65,8 @@ class CostRecorder:
         self._cost += cost
         unsafe = cost > self.threshold
         self._streak[active & ~unsafe] = 0
+        self._streaks += unsafe & (self._streak == 0)
+        self._cost_steps += unsafe
         self._streak += unsafe
         np.maximum(self._longest, self._streak, out=self._longest)
         self.steps += int(np.count_nonzero(active))
@@ -80,11 +84,13 @@ class CostRecorder:
         running = self._length > 0
         if where is not None:
             running &= self._mask(where)
+        sums = (self._length, self._reward, self._cost, self._longest)
+        sums = (*sums, self._cost_steps, self._streaks)
         for index in np.flatnonzero(running).tolist():
-            columns = (self._start_step, self._length, self._reward, self._cost, self._longest)
-            self._rows.append((self._rollout, *(column[index].item() for column in columns)))
+            row = (column[index].item() for column in (self._start_step, *sums))
+            self._rows.append((self._rollout, *row))
             self._rollout += self._per_episode
-        for column in (self._length, self._reward, self._cost, self._streak, self._longest):
+        for column in (*sums, self._streak):
             column[running] = 0
 
     def end_rollout(self) -> None:
@@ -100,7 +106,7 @@ class CostRecorder:
     @property
     def records(self) -> EpisodeRecords:
         """The trajectories finished so far, in the order in which they ended."""
-        return EpisodeRecords(*np.array(self._rows).reshape(-1, 6).T)
+        return EpisodeRecords(*np.array(self._rows).reshape(-1, len(COLUMNS)).T)
 
     def _vector(self, values: ArrayLike, name: str) -> NDArray[Any]:
         array = as_array(values, name)

@@ -18,7 +18,11 @@ COLUMNS = {  # of the CSV file, in the order of the fields of EpisodeRecords
     "return": float,
     "cost": float,
     "longest_streak": int,
+    "cost_steps": int,
+    "streaks": int,
 }
+OPTIONAL = ("cost_steps", "streaks")
+"""Columns that files of version 0.1 lack."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,6 +37,8 @@ class EpisodeRecords:
     reward: its undiscounted return (column `return` of the file)
     cost: sum of its costs, >= 0
     longest_streak: steps of its longest streak of cost steps, between 0 and length
+    cost_steps: steps that cost, between longest_streak and length; None where not recorded
+    streaks: streaks of cost steps, so that cost_steps / streaks is their mean length; likewise
     ValueError: arrays that are not 1-D and of one length, or a value that is not allowed.
     """
 
@@ -42,22 +48,31 @@ class EpisodeRecords:
     reward: NDArray[np.float64]
     cost: NDArray[np.float64]
     longest_streak: NDArray[np.int64]
+    cost_steps: NDArray[np.int64] | None = None
+    streaks: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
+        if (self.cost_steps is None) != (self.streaks is None):
+            raise ValueError("cost_steps and streaks must be given together, or neither")
         for field, (column, number) in zip(fields(self), COLUMNS.items(), strict=True):
+            if getattr(self, field.name) is None and column in OPTIONAL:
+                continue
             array = as_array(getattr(self, field.name), column).copy()
             if number is int:
                 array = as_integers(array, column, low=-math.inf)
             array = array.astype(np.float64 if number is float else np.int64, copy=False)
             array.flags.writeable = False
             object.__setattr__(self, field.name, array)
-        shapes = sorted({array.shape for array in self._columns()})
+        shapes = sorted({array.shape for array in self._columns().values()})
         if len(shapes) > 1 or len(shapes[0]) != 1:
             raise ValueError(f"the arrays must be 1-D and of one length, got shapes {shapes}")
         self._check_rows()
 
-    def _columns(self) -> list[NDArray]:
-        return [getattr(self, field.name) for field in fields(self)]
+    def _columns(self) -> dict[str, NDArray]:
+        """The columns that there are, by their names in the file."""
+        arrays = (getattr(self, field.name) for field in fields(self))
+        found = zip(COLUMNS, arrays, strict=True)
+        return {name: array for name, array in found if array is not None}
 
     def _check_rows(self) -> None:
         streak = self.longest_streak
@@ -69,6 +84,17 @@ class EpisodeRecords:
             ("cost", self.cost, np.isfinite(self.cost) & (self.cost >= 0), "finite and >= 0"),
             ("longest_streak", streak, (streak >= 0) & (streak <= self.length), "in [0, length]"),
         ]
+        if self.cost_steps is not None and self.streaks is not None:
+            steps, streaks = self.cost_steps, self.streaks
+            # Streaks are apart by a safe step at least, and none is longer than the longest.
+            possible = (-(-steps // np.maximum(streak, 1)) <= streaks) & (streak > 0)
+            possible &= (streak + streaks - 1 <= steps) & (steps + streaks - 1 <= self.length)
+            possible |= (steps == 0) & (streak == 0) & (streaks == 0)
+            rules += [
+                ("cost_steps", steps, (steps >= streak) & (steps <= self.length),
+                 "in [longest_streak, length]"),
+                ("streaks", streaks, possible, "possible with the other columns"),
+            ]  # fmt: skip
         for column, values, allowed, rule in rules:
             if not allowed.all():
                 row = int(np.argmin(allowed))
@@ -102,8 +128,9 @@ class EpisodeRecords:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a CSV file, whole or not at all; equal records give equal bytes."""
         path = Path(path)
-        rows = zip(*(array.tolist() for array in self._columns()), strict=True)
-        lines = [",".join(COLUMNS), *(",".join(map(repr, row)) for row in rows), ""]
+        columns = self._columns()
+        rows = zip(*(array.tolist() for array in columns.values()), strict=True)
+        lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows), ""]
         # A fixed name: what a killed process left there, the next one overwrites.
         unfinished = path.with_name(f".{path.name}.unfinished")
         try:
@@ -120,12 +147,12 @@ class EpisodeRecords:
         """
         path = Path(path)
         columns = read_columns(path)
-        if list(columns) != list(COLUMNS):
+        if list(columns) not in (list(COLUMNS), [name for name in COLUMNS if name not in OPTIONAL]):
             raise ValueError(f"{path}: the header must be {','.join(COLUMNS)}")
         if not path.read_bytes().endswith(b"\n"):  # a number may have lost its last digits
             raise ValueError(f"{path}: the last line is cut off")
         try:
-            return cls(*(parse(path, columns, name, number) for name, number in COLUMNS.items()))
+            return cls(*(parse(path, columns, name, COLUMNS[name]) for name in columns))
         except _BadRow as bad:
             raise ValueError(f"{path}, line {bad.row + 2}, {bad.problem}") from None
 

@@ -37,14 +37,9 @@ def longest_streaks(
     ValueError: an empty trajectory, lengths that do not add up to the number of costs, a NaN,
     infinite or negative cost, a bad threshold.
     """
-    costs = as_vector(costs, "costs", low=0)
-    lengths = as_integers(as_vector(lengths, "lengths"), "lengths", low=1)
-    threshold = as_threshold(threshold)
+    costs, lengths, threshold = _trajectories(costs, lengths, threshold)
     stops = np.cumsum(lengths)
-    if stops[-1] != costs.size:
-        raise ValueError(f"lengths add up to {stops[-1]} steps, but there are {costs.size} costs")
     starts = stops - lengths
-
     longest = np.zeros(len(lengths), dtype=np.int64)
     carry = 0  # length of the streak that reaches the end of the block before
     for low in range(0, costs.size, _BLOCK):
@@ -59,6 +54,35 @@ def longest_streaks(
         block = longest[first:after]
         np.maximum(block, _largest_per_group(streaks, np.searchsorted(where, begins)), out=block)
     return longest
+
+
+def count_streaks(
+    costs: ArrayLike, lengths: ArrayLike, threshold: float = 0.0
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cost steps and streaks of each of many trajectories.
+
+    costs: [sum of lengths] the trajectories one after another; lengths: [E] steps -> two int64 [E].
+    Cost steps divided by streaks is the mean length of a streak.
+    ValueError: as in `longest_streaks`.
+    """
+    costs, lengths, threshold = _trajectories(costs, lengths, threshold)
+    unsafe, starts = costs > threshold, np.cumsum(lengths) - lengths
+    begins = unsafe.copy()
+    begins[1:] &= ~unsafe[:-1]
+    begins[starts] = unsafe[starts]
+    cost_steps = np.add.reduceat(unsafe, starts, dtype=np.int64)
+    return cost_steps, np.add.reduceat(begins, starts, dtype=np.int64)
+
+
+def _trajectories(
+    costs: ArrayLike, lengths: ArrayLike, threshold: float
+) -> tuple[NDArray[Any], NDArray[np.int64], np.float64]:
+    """The arguments of `longest_streaks`, checked."""
+    costs = as_vector(costs, "costs", low=0)
+    lengths = as_integers(as_vector(lengths, "lengths"), "lengths", low=1)
+    if (total := int(lengths.sum())) != costs.size:
+        raise ValueError(f"lengths add up to {total} steps, but there are {costs.size} costs")
+    return costs, lengths, as_threshold(threshold)
 
 
 def _streaks(

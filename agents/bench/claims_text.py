@@ -14,8 +14,7 @@ METHOD = (
     "are, refuted where one is, open otherwise. Runs count that have the presets' settings; an "
     f"algorithm with fewer than {PAPER_SEEDS} complete runs of the paper's length on a task "
     "decides nothing there. A run ends where its evaluated episodes end most often; the limit is "
-    f"{LIMIT:g}. Runs of equal seeds share their initial nets, noise and start states on all "
-    "levels, so that levels are no independent trials. Intervals: 95 % bootstrap over seeds (of a "
+    f"{LIMIT:g}. Intervals: 95 % bootstrap over seeds (of a "
     "mean of three: from the lowest to the highest)."
 )
 

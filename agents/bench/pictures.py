@@ -15,9 +15,9 @@ from agents.algorithms import algorithm
 from agents.errors import UserError
 from agents.runs.config import FAILURE, TrainConfig, run_folder
 from agents.runs.evaluate import play
+from agents.runs.step_files import VISITED, read_steps
 from agents.runs.tasks import circle2d_config, make_envs
 from agents.runs.train import EVALUATION_EPISODES, restored
-from agents.runs.visited import read_visited
 from circle2d_mj import Circle2DConfig, canvas
 from circle2d_mj.canvas import Picture
 from circle2d_mj.figure import figure
@@ -66,7 +66,7 @@ def visits(folder: Path, config: TrainConfig, part: float, alpha: float) -> Visi
 
 
 def _visits(folder: Path, config: TrainConfig, part: float, alpha: float) -> Visits:
-    records, visited = _records(folder), read_visited(folder)
+    records, visited = _records(folder), read_steps(folder, VISITED)
     steps = int(records.length.sum())
     if len(visited) < steps:
         raise UserError(f"{folder} is damaged: {len(visited)} positions of {steps} steps")

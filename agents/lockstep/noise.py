@@ -1,4 +1,4 @@
-"""Random numbers of training: a pure function of run seed, purpose and epoch.
+"""Random numbers of training: a pure function of the run (seed and task), purpose and epoch.
 
 No generator outlives an epoch, so there is no random state to save, and what a run draws does not
 depend on the runs beside it.
@@ -7,6 +7,7 @@ depend on the runs beside it.
 from __future__ import annotations
 
 import enum
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -27,9 +28,20 @@ class Purpose(enum.IntEnum):
     RANDOM_ACTIONS = 5
 
 
+def stream_seed(seed: int, task: str) -> int:
+    """The seed of a run's random streams: a 64-bit digest of its seed and the id of its task.
+
+    So runs of equal seeds on different tasks are independent trials. The id counts without its
+    `module:` prefix, which only says where the task is registered.
+    """
+    name = f"{seed} {task.rpartition(':')[2]}".encode()
+    return int.from_bytes(hashlib.blake2b(name, digest_size=8).digest(), "little")
+
+
 def stream(seed: int, purpose: Purpose, epoch: int = 0) -> np.random.Generator:
     """The generator of one run for one purpose in one epoch: Philox keyed by all three."""
-    return np.random.Generator(np.random.Philox(key=(seed, purpose), counter=(0, 0, 0, epoch)))
+    key = np.array((seed, purpose), dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=key, counter=(0, 0, 0, epoch)))
 
 
 Epochs = int | NDArray[np.int64]

@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 
 from agents.algorithms import algorithm
 from agents.errors import UserError, check_choice, check_integers
+from agents.lockstep.noise import stream_seed
 from agents.runs.files import read_json, write_json
 from agents.runs.machine import made_with
 from agents.runs.tasks import Vectorization, is_native, sizes_of
@@ -62,6 +63,11 @@ class TrainConfig:
             raise UserError(f"seeds must be different numbers, at least one, got {self.seeds}")
         if not all(0 <= seed < 2**63 for seed in self.seeds):
             raise UserError(f"seeds must be in [0, 2**63), got {self.seeds}")
+
+    @property
+    def stream_seeds(self) -> tuple[int, ...]:
+        """Seeds of the random streams of each run: they depend on its seed and its task."""
+        return tuple(stream_seed(seed, self.task) for seed in self.seeds)
 
     @property
     def is_native(self) -> bool:

@@ -116,10 +116,10 @@ def play(
     """
     runs, (_, action_size) = len(config.seeds), sizes(envs)
     chosen = np.arange(first, first + count) % episodes  # beyond the last: played, and left out
-    seeds = environment_seeds(config.seeds, Purpose.EVALUATION, 0, episodes)
+    seeds = environment_seeds(config.stream_seeds, Purpose.EVALUATION, 0, episodes)
     seeds = np.array(seeds).reshape(runs, episodes)[:, chosen].ravel().tolist()
     shape = (episodes, action_size)
-    noise = steps_of_noise(normal, config.seeds, Purpose.EVALUATION, 1, shape)
+    noise = steps_of_noise(normal, config.stream_seeds, Purpose.EVALUATION, 1, shape)
 
     def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
         observation = observation.reshape(runs, count, -1)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from agents.lockstep import tree
 from agents.lockstep.rollout import Rollout
 from agents.runs.files import write_whole
-from emcc import EpisodeRecords, longest_streaks
+from emcc import EpisodeRecords, count_streaks, longest_streaks
 
-COLUMNS = ("start_step", "length", "return", "cost", "longest_streak")
+COLUMNS = ("start_step", "length", "return", "cost", "longest_streak", "cost_steps", "streaks")
 
 
 class Log:
@@ -39,12 +39,12 @@ class Log:
         runs, episodes, _ = self._shapes[0]
         length = rollout.length.reshape(runs, episodes)
         start = steps[:, None] + np.cumsum(length, axis=1) - length
-        streaks = np.zeros(runs * episodes, dtype=np.int64)
+        streaks = np.zeros((3, runs * episodes), dtype=np.int64)
         kept = np.repeat(active, episodes)
         if kept.any():
-            costs = rollout.cost.T[(rollout.during & kept).T]
-            streaks[kept] = longest_streaks(costs, rollout.length[kept])
-        columns = (start.ravel(), rollout.length, rollout.returns, rollout.cost_returns, streaks)
+            costs = rollout.cost.T[(rollout.during & kept).T], rollout.length[kept]
+            streaks[:, kept] = longest_streaks(*costs), *count_streaks(*costs)
+        columns = (start.ravel(), rollout.length, rollout.returns, rollout.cost_returns, *streaks)
         rows = np.column_stack(columns).astype(np.float64).reshape(self._shapes[0])
         self._episodes.append(np.where(active[:, None, None], rows, np.nan))
         self._updates.append(np.where(active[:, None], metrics, np.nan).astype(np.float64))

@@ -47,7 +47,7 @@ class Events:
             rows = episodes[run]
             if np.isnan(rows).any():
                 continue
-            _, length, returns, cost, streak = rows.T
+            _, length, returns, cost, streak, *_ = rows.T
             values = {
                 "rollout/return": returns.mean(),
                 "rollout/cost": cost.mean(),

@@ -27,9 +27,9 @@ from agents.runs.files import locked, read_arrays, write_arrays, write_json
 from agents.runs.log import Log
 from agents.runs.machine import note_session
 from agents.runs.side_by_side import SideBySide
+from agents.runs.step_files import StepFiles
 from agents.runs.tasks import circle2d_config, make_envs, sizes_of
 from agents.runs.tensorboard import Events
-from agents.runs.visited import Visited
 
 EVALUATION_EPISODES = 100
 
@@ -49,7 +49,7 @@ class Training:
         """Which runs of the learner these are."""
         self.log = Log(runs, self.learner.episodes, self.learner.metrics)
         circle2d = circle2d_config(config.task, config.task_parameters)
-        self.visited = Visited(circle2d, runs) if circle2d else None
+        self.step_files = StepFiles(circle2d, runs)
         self.epoch = 0
         self.steps = np.zeros(runs, dtype=np.int64)
         """Environment steps each run has taken, [R]."""
@@ -88,8 +88,7 @@ class Training:
         """
         active = self.active
         self.log.add(rollout, self.steps, learning, metrics)
-        if self.visited:
-            self.visited.add(rollout, learning)
+        self.step_files.add(rollout, learning)
         self.steps += np.where(active, rollout.length.reshape(len(active), -1).sum(axis=1), 0)
         self.failed |= active & ~(learning & finite)
         self.epoch += 1
@@ -98,8 +97,7 @@ class Training:
         """Write the records, then the checkpoint from which all of it can be written again."""
         folders = run_folders(folder, self.config)
         self.log.write(folders)
-        if self.visited:
-            self.visited.write(folders)
+        self.step_files.write(folders)
         for of_run, failed, steps in zip(folders, self.failed, self.steps, strict=True):
             (of_run / FAILURE).unlink(missing_ok=True)
             (of_run / "evaluation.json").unlink(missing_ok=True)  # of an earlier policy
@@ -125,8 +123,7 @@ class Training:
             self.learner.restore(state, self.runs)
         except (KeyError, ValueError) as error:
             raise UserError(f"{path} is damaged or of another version: {error}") from None
-        if self.visited:
-            self.visited.restore(run_folders(folder, self.config), self.log.steps)
+        self.step_files.restore(run_folders(folder, self.config), self.log.steps)
 
     def close(self) -> None:
         """Let go of the environments."""
@@ -144,7 +141,7 @@ def run_epoch(trainings: Sequence[Training]) -> None:
     episodes = learner.episodes
     active = np.concatenate([training.active for training in trainings])
     steps = np.concatenate([training.steps for training in trainings])
-    seeds = [seed for training in trainings for seed in training.config.seeds]
+    seeds = [seed for training in trainings for seed in training.config.stream_seeds]
     epochs = np.repeat([t.epoch for t in trainings], [len(t.steps) for t in trainings])
     resets = environment_seeds(seeds, Purpose.ENVIRONMENT, epochs, episodes)
     envs = [training._envs for training in trainings]
@@ -173,7 +170,7 @@ def together(configs: Sequence[TrainConfig]) -> list[Training]:
 def _learner_of(configs: Sequence[TrainConfig]) -> Learner:
     """A learner for the runs of some folders, one folder after the other."""
     one = configs[0]
-    seeds = [seed for config in configs for seed in config.seeds]
+    seeds = [seed for config in configs for seed in config.stream_seeds]
     sizes = sizes_of(one.task, one.task_parameters)
     return make_learner(one.algorithm, one.hyperparameters, seeds, *sizes)
 

@@ -22,7 +22,7 @@ from agents.runs.train import train
 
 COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3", "4"]
 COMMAND += ["--steps", "2000", "--workers", "2", "--out"]
-RESULTS = ("episodes.csv", "updates.csv", "evaluation.json", "visited.npy")
+RESULTS = ("episodes.csv", "updates.csv", "evaluation.json", "visited.npy", "costs.npy")
 
 
 def results(folder):

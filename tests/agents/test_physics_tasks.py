@@ -43,6 +43,6 @@ def test_trains_resumes_and_is_independent_of_its_company(name, task, tmp_path):
     for array, value in arrays["whole"].items():
         assert np.isfinite(value).all() or array.startswith("log.")
         np.testing.assert_array_equal(value, arrays["stopped"][array])
-    for file in ("episodes.csv", "updates.csv", "evaluation.json", "visited.npy"):
+    for file in ("episodes.csv", "updates.csv", "evaluation.json", "visited.npy", "costs.npy"):
         files = {(folder / "seed-1" / file).read_bytes() for folder in folders.values()}
         assert len(files) == 1, file

@@ -57,14 +57,14 @@ def test_episodes_that_end_early(tmp_path):
     """Runs wait for each other behind a mask; each takes its own number of steps."""
     parameters = {"reset_on_cost": True}
     folders = {}
-    for name, seeds in (("three", [3, 4, 5]), ("one", [4])):
+    for name, seeds in (("three", [3, 4, 8]), ("one", [4])):
         folders[name] = tmp_path / name
         replace(config(seeds), task_parameters=parameters).write(folders[name])
         train(folders[name])
     for name in RESULTS:
         files = [folder / "seed-4" / name for folder in folders.values()]
         assert files[0].read_bytes() == files[1].read_bytes()
-    records = [EpisodeRecords.load(folders["three"] / f"seed-{s}/episodes.csv") for s in (3, 4, 5)]
+    records = [EpisodeRecords.load(folders["three"] / f"seed-{s}/episodes.csv") for s in (3, 4, 8)]
     for r in records:
         assert r.length.min() < 50
         np.testing.assert_array_equal(r.start_step, np.cumsum(r.length) - r.length)

@@ -1,5 +1,6 @@
 """Records of a run: their checks, their MCC, and the file that gives them back bit for bit."""
 
+import itertools
 from dataclasses import fields
 
 import numpy as np
@@ -7,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emcc import EpisodeRecords
+from emcc import EpisodeRecords, count_streaks, longest_streaks
 
-HEADER = "rollout,start_step,length,return,cost,longest_streak"
+HEADER = "rollout,start_step,length,return,cost,longest_streak,cost_steps,streaks"
+OF_0_1 = "rollout,start_step,length,return,cost,longest_streak"
 
 
 def records(**changes):
@@ -20,6 +22,8 @@ def records(**changes):
         "reward": [-1.5, 2.0, 0.1],
         "cost": [4.0, 8.0, 0.0],
         "longest_streak": [4, 8, 0],
+        "cost_steps": [4, 10, 0],
+        "streaks": [1, 2, 0],
     }
     return EpisodeRecords(**{**columns, **changes})
 
@@ -37,7 +41,7 @@ def test_mcc_per_rollout_in_order_of_id():
 
 
 def test_no_trajectory_yet(tmp_path):
-    empty = EpisodeRecords(*([[]] * 6))
+    empty = EpisodeRecords(*([[]] * 8))
     assert (len(empty), empty.total_steps) == (0, 0)
     assert [array.size for array in empty.mcc_per_rollout()] == [0, 0]
     empty.save(tmp_path / "r.csv")
@@ -56,14 +60,14 @@ def test_arrays_are_copies_and_read_only():
 finite = st.floats(allow_nan=False, allow_infinity=False)
 rows = st.tuples(
     st.integers(0, 2**62), st.integers(0, 2**62), st.integers(5, 2**40), finite,
-    st.floats(0, allow_infinity=False), st.integers(0, 5),
+    st.floats(0, allow_infinity=False), *[st.just(k) for k in (3, 4, 2)],
 )  # fmt: skip
 
 
 @given(st.lists(rows, max_size=20))
 def test_save_and_load_give_the_same_bits(tmp_path_factory, table):
     folder = tmp_path_factory.mktemp("records")
-    before = EpisodeRecords(*zip(*table, strict=True)) if table else EpisodeRecords(*([[]] * 6))
+    before = EpisodeRecords(*zip(*table, strict=True)) if table else EpisodeRecords(*([[]] * 8))
     before.save(folder / "a.csv")
     after = EpisodeRecords.load(folder / "a.csv")
     for old, new in zip(columns_of(before), columns_of(after), strict=True):
@@ -75,8 +79,51 @@ def test_save_and_load_give_the_same_bits(tmp_path_factory, table):
 
 def test_file_is_what_it_is_said_to_be(tmp_path):
     records().save(tmp_path / "r.csv")
-    text = f"{HEADER}\n3,50,10,-1.5,4.0,4\n0,0,40,2.0,8.0,8\n3,40,20,0.1,0.0,0\n"
+    rows = "3,50,10,-1.5,4.0,4,4,1\n0,0,40,2.0,8.0,8,10,2\n3,40,20,0.1,0.0,0,0,0\n"
+    text = f"{HEADER}\n{rows}"
     assert (tmp_path / "r.csv").read_bytes() == text.encode()
+
+
+def test_files_of_version_0_1_lack_two_columns_and_load_all_the_same(tmp_path):
+    path = tmp_path / "old.csv"
+    path.write_text(f"{OF_0_1}\n3,50,10,-1.5,4.0,4\n")
+    found = EpisodeRecords.load(path)
+    assert (found.cost_steps, found.streaks) == (None, None)
+    assert found.mcc_per_rollout()[0].tolist() == [0.4]
+    found.save(tmp_path / "again.csv")
+    assert (tmp_path / "again.csv").read_bytes() == path.read_bytes()
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=12))
+def test_counts_of_any_trajectory_are_accepted(unsafe):
+    cost_steps, streaks = count_streaks(unsafe, [len(unsafe)])
+    longest = longest_streaks(unsafe, [len(unsafe)])
+    records_of(len(unsafe), longest[0], cost_steps[0], streaks[0])
+
+
+@pytest.mark.parametrize("length", range(1, 7))
+def test_counts_of_no_trajectory_are_refused(length):
+    """By brute force: what no sequence of cost steps gives is refused, all else is not."""
+    possible = set()
+    for unsafe in itertools.product((0, 1), repeat=length):
+        counts = count_streaks(unsafe, [length])
+        possible.add((longest_streaks(unsafe, [length])[0], *(of[0] for of in counts)))
+    for given_counts in itertools.product(range(length + 2), repeat=3):
+        if given_counts in possible:
+            records_of(length, *given_counts)
+        else:
+            with pytest.raises(ValueError, match=r"longest_streak|cost_steps|streaks"):
+                records_of(length, *given_counts)
+
+
+def records_of(length, longest, cost_steps, streaks):
+    row = (0, 0, length, 0.0, 1.0, longest, cost_steps, streaks)
+    return EpisodeRecords(*([value] for value in row))
+
+
+def test_counts_come_together_or_not_at_all():
+    with pytest.raises(ValueError, match="cost_steps and streaks must be given together"):
+        records(streaks=None)
 
 
 def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
@@ -113,18 +160,30 @@ def test_bad_rows_are_named(changes, message):
         records(**changes)
 
 
-GOOD_ROW = "0,0,10,-1.5,4.0,4"
+GOOD_ROW = "0,0,10,-1.5,4.0,4,4,1"
 BAD_FILES = {
     "empty": ("", "the file is empty"),
-    "header": (f"rollout,length\n{GOOD_ROW}\n", "line 2: 6 fields, the header has 2"),
+    "header": (f"rollout,length\n{GOOD_ROW}\n", "line 2: 8 fields, the header has 2"),
     "order": (f"length,{HEADER[:-1]}\n", "the header must be rollout,"),
-    "fields": (f"{HEADER}\n{GOOD_ROW}\n0,0,10\n", "line 3: 3 fields, the header has 6"),
-    "text": (f"{HEADER}\n{GOOD_ROW}\n0,0,ten,0.0,0.0,0\n", "line 3, column length: 'ten' is not"),
-    "fraction": (f"{HEADER}\n0,0.5,1,0.0,0.0,0\n", "line 2, column start_step: '0.5' is not a who"),
-    "NaN": (f"{HEADER}\n{GOOD_ROW}\n0,0,10,nan,0.0,0\n", "line 3, column return: nan must be fin"),
-    "streak": (f"{HEADER}\n0,0,10,0.0,9.0,11\n", "line 2, column longest_streak: 11 must be in"),
+    "fields": (f"{HEADER}\n{GOOD_ROW}\n0,0,10\n", "line 3: 3 fields, the header has 8"),
+    "text": (
+        f"{HEADER}\n{GOOD_ROW}\n0,0,ten,0.0,0.0,0,0,0\n",
+        "line 3, column length: 'ten' is not",
+    ),
+    "fraction": (
+        f"{HEADER}\n0,0.5,1,0.0,0.0,0,0,0\n",
+        "line 2, column start_step: '0.5' is not a who",
+    ),
+    "NaN": (
+        f"{HEADER}\n{GOOD_ROW}\n0,0,10,nan,0.0,0,0,0\n",
+        "line 3, column return: nan must be fin",
+    ),
+    "streak": (
+        f"{HEADER}\n0,0,10,0.0,9.0,11,11,1\n",
+        "line 2, column longest_streak: 11 must be in",
+    ),
     "cut off": (f"{HEADER}\n{GOOD_ROW}", "the last line is cut off"),
-    "huge": (f"{HEADER}\n0,0,{10**30},0.0,0.0,0\n", "column length"),
+    "huge": (f"{HEADER}\n0,0,{10**30},0.0,0.0,0,0,0\n", "column length"),
 }
 
 

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emcc import longest_streak, longest_streaks, mcc, streak_bounds, streaks
+from emcc import count_streaks, longest_streak, longest_streaks, mcc, streak_bounds, streaks
 
 
 def by_groupby(costs, threshold=0.0):
@@ -32,6 +32,18 @@ def test_equals_groupby_whatever_the_block(trajectories, threshold, block):
     assert [longest_streak(costs, threshold) for costs in trajectories] == expected
     shares = [streak / length for streak, length in zip(expected, lengths, strict=True)]
     assert mcc(trajectories, threshold) == max(shares)
+
+
+@given(
+    st.lists(st.lists(st.sampled_from([0.0, 0.5, 1.0, 2.0]), min_size=1, max_size=12), min_size=1),
+    st.sampled_from([0.0, 0.5, 1.0]),
+)
+def test_counts_equal_groupby(trajectories, threshold):
+    costs, lengths = np.concatenate(trajectories), [len(part) for part in trajectories]
+    cost_steps, found = count_streaks(costs, lengths, threshold)
+    assert cost_steps.tolist() == [sum(c > threshold for c in part) for part in trajectories]
+    groups = [itertools.groupby(part, key=lambda cost: cost > threshold) for part in trajectories]
+    assert found.tolist() == [sum(unsafe for unsafe, _ in of_one) for of_one in groups]
 
 
 def test_equals_groupby_with_the_real_block():
