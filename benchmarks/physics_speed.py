@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from circle2d_mj.mujoco_envs import Circle2DMuJoCoVectorEnv
-from circle2d_mj.scene import SUBSTEPS
+from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
+from circle2d_mj.circle2d.scene import SUBSTEPS
 
 SIZE, TURNS = 1024, 5
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (50, SIZE, 2))

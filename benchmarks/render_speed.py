@@ -43,7 +43,7 @@ def walks(config, episodes):
 def measure():
     """One turn of the backend that MUJOCO_GL names: name -> milliseconds."""
     from circle2d_mj import Circle2DConfig
-    from circle2d_mj.render import Renderer
+    from circle2d_mj.render.renderer import Renderer
 
     config = Circle2DConfig(level=3)
     visited = walks(config, VISITS // EPISODE)[0][:, 1:].reshape(-1, 2)

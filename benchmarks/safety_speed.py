@@ -20,7 +20,7 @@ import numpy as np
 from mujoco import rollout
 
 import circle2d_mj
-from circle2d_mj.safety_tasks import models
+from circle2d_mj.safety import models
 
 # Recorded from safety-gymnasium 1.0.0 itself, on Python 3.10 with mujoco 2.3.3, one core: steps a
 # second over whole episodes of random actions with their resets, and a reset alone in ms. It needs

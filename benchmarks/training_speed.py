@@ -54,9 +54,9 @@ def prepared(algorithm, runs):
     """Runs as `circle2d train` trains them, but that none acts at random."""
     from dataclasses import replace
 
-    from agents.bench.presets import preset
-    from agents.runs.config import TrainConfig
-    from agents.runs.train import Training
+    from agents.paper.presets import preset
+    from agents.training.config import TrainConfig
+    from agents.training.loop import Training
 
     config = preset(algorithm, TASK)
     if algorithm not in ON_POLICY:

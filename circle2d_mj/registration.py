@@ -6,15 +6,15 @@ from typing import Any
 
 import gymnasium as gym
 
-from circle2d_mj.config import LEVELS
-from circle2d_mj.envs import MAX_EPISODE_STEPS
+from circle2d_mj.circle2d.config import LEVELS
+from circle2d_mj.circle2d.envs import MAX_EPISODE_STEPS
 
 KINEMATIC = {level: f"Circle2D-{level}-v0" for level in LEVELS}
 PHYSICS = {level: f"Circle2DMuJoCo-{level}-v0" for level in LEVELS}
 CIRCLE2D = (*KINEMATIC.values(), *PHYSICS.values())
 """Ids of the Circle2D tasks, by level and all together."""
 
-# Version and steps an episode of the tasks in `safety_tasks.envs.TASKS`, which this module must
+# Version and steps an episode of the tasks in `safety.envs.TASKS`, which this module must
 # not import, since that loads MuJoCo.
 _SAFETY_TASKS = {
     "SafetyPointCircle1": ("v0", 500),
@@ -27,11 +27,11 @@ def register() -> None:
     """Register `Circle2D-{0..3}-v0`, `Circle2DMuJoCo-{0..3}-v0` and the tasks of Safety-Gymnasium,
     the latter as `circle2d_mj/...`; calling it again changes nothing."""
     for level in LEVELS:
-        _register(KINEMATIC[level], "envs:Circle2DVectorEnv", level=level)
-        _register(PHYSICS[level], "mujoco_envs:Circle2DMuJoCoVectorEnv", level=level)
+        _register(KINEMATIC[level], "circle2d.envs:Circle2DVectorEnv", level=level)
+        _register(PHYSICS[level], "circle2d.mujoco_envs:Circle2DMuJoCoVectorEnv", level=level)
     for task, (version, steps) in _SAFETY_TASKS.items():
         name = f"circle2d_mj/{task}-{version}"
-        _register(name, "safety_tasks.envs:SafetyVectorEnv", steps, task=task)
+        _register(name, "safety.envs:SafetyVectorEnv", steps, task=task)
 
 
 def _register(

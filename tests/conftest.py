@@ -17,8 +17,9 @@ os.environ.setdefault("TORCH_COMPILE_DISABLE", "1")
 def opengl():
     """Skips the test where no library can draw off-screen; the error says what to install. One that
     is there but does not work is a failure."""
-    from circle2d_mj import Circle2DConfig, gl
-    from circle2d_mj.render import Renderer
+    from circle2d_mj import Circle2DConfig
+    from circle2d_mj.render import gl
+    from circle2d_mj.render.renderer import Renderer
 
     try:
         Renderer(Circle2DConfig(), 64).close()

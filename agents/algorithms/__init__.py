@@ -13,8 +13,8 @@ from agents.errors import UserError
 from agents.lockstep.noise import Epochs
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.lockstep.tree import ALL
-from agents.updates.off_policy import OffPolicy
-from agents.updates.on_policy import OnPolicy
+from agents.on_policy.learner import OnPolicy
+from agents.sac.learner import OffPolicy
 
 
 class Learner(Protocol):

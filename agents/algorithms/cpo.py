@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from agents.updates.trpo import StepRule, TRPOConfig
-from agents.updates.trust_region import Problem, Step, dot
+from agents.trust_region.natural_gradient import Problem, Step, dot
+from agents.trust_region.policy_step import StepRule, TRPOConfig
 
 INSIDE, PARTLY, RECOVERABLE, RECOVERY = 1, 2, 3, 4
 """The cases of the step: the trust region lies wholly on the allowed side (or costs do not depend

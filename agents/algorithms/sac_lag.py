@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from agents.lockstep.multiplier import SOFTPLUS, MultiplierConfig
 from agents.lockstep.replay import Batch
-from agents.updates.multiplier import SOFTPLUS, MultiplierConfig
-from agents.updates.sac import CostRule, SACConfig
+from agents.sac.update import CostRule, SACConfig
 
 
 @dataclass(frozen=True)

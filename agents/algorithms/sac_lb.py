@@ -14,7 +14,7 @@ from torch import Tensor
 
 from agents.algorithms.sac_lag import critic_loss, risk
 from agents.errors import check
-from agents.updates.sac import CostRule, SACConfig
+from agents.sac.update import CostRule, SACConfig
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from agents.errors import check
-from agents.updates.multiplier import PROJECTED, MultiplierConfig
-from agents.updates.trpo import StepRule, TRPOConfig
-from agents.updates.trust_region import Problem, Step
+from agents.lockstep.multiplier import PROJECTED, MultiplierConfig
+from agents.trust_region.natural_gradient import Problem, Step
+from agents.trust_region.policy_step import StepRule, TRPOConfig
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from agents.errors import check
+from agents.lockstep.multiplier import EXP, MultiplierConfig
 from agents.lockstep.replay import Batch
-from agents.updates.multiplier import EXP, MultiplierConfig
-from agents.updates.sac import CostRule, SACConfig
+from agents.sac.update import CostRule, SACConfig
 
 VARIANCE = (1e-8, 1e8)
 """Where variances are clamped."""

@@ -4,8 +4,8 @@ import torch
 from torch.distributions import Independent, Normal
 
 from agents.lockstep.nets import MLP
-from agents.updates import trpo
-from agents.updates.gaussian import GaussianPolicy
+from agents.on_policy.gaussian import GaussianPolicy
+from agents.trust_region import policy_step as trpo
 
 NETS = trpo.Nets(GaussianPolicy(MLP((2, 3, 2))), MLP((2, 3, 1)))
 

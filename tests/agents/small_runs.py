@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from agents.bench.presets import preset
-from agents.runs.config import TrainConfig
+from agents.paper.presets import preset
+from agents.training.config import TrainConfig
 
 TASK = "Circle2D-3-v0"
 # Of 12 rollouts with two episodes of 5 steps each, 120 steps: the longest streaks.

@@ -1,1 +1,0 @@
-"""The paper's experiments: presets, its printed numbers, tables."""

@@ -1,0 +1,37 @@
+"""The command that sets two sets of runs side by side: compare."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from agents.cli.options import parse
+from agents.reporting.compare import compare
+from agents.training.progress import working
+
+
+@dataclass(frozen=True)
+class CompareOptions:
+    """Print the tables of two sets of runs, such as your algorithm's and a baseline's, with the
+    differences B - A and their 95 % bootstrap intervals over seeds."""
+
+    a: Annotated[Path, tyro.conf.Positional]
+    """Folder of runs, or one with several such folders below it."""
+    b: Annotated[Path, tyro.conf.Positional]
+    """The same, of the runs to be compared with them."""
+    out: Path | None = None
+    """Folder for compare.md, compare.csv, and compare.html with the training curves of both; by
+    default nothing is written."""
+
+
+def run_compare(args: Sequence[str]) -> int:
+    """`circle2d compare`; returns the exit status."""
+    options = parse(CompareOptions, "compare", args)
+    with working("reading runs and drawing figures"):
+        told = compare(options.a, options.b, options.out)
+    print(told)
+    return 0

@@ -1,0 +1,207 @@
+"""The command that reproduces the paper: reproduce."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from agents.algorithms import ALGORITHMS
+from agents.cli.options import BackendChoice, chosen_backend, parse
+from agents.errors import UserError
+from agents.paper import grid
+from agents.reporting.report import report
+from agents.training.config import Device, TrainConfig
+from agents.training.environments import check_task
+from agents.training.files import locked
+from agents.training.machine import other_session
+from agents.training.progress import working
+from agents.training.timing import duration, share_done, speed
+from agents.training.workers import Group, Workers
+from circle2d_mj.circle2d.config import LEVELS
+
+
+@dataclass(frozen=True)
+class ReproduceOptions:
+    """Run the paper's experiments, or a part of them, and write the report.
+
+    Given again, the same command goes on where it was interrupted.
+    """
+
+    out: Path
+    """Folder for the runs and the report."""
+    quick: bool = False
+    """A small version of everything: 2 seeds of 10 000 steps."""
+    algorithms: tuple[str, ...] = tuple(ALGORITHMS)
+    """Algorithms to run."""
+    levels: tuple[int, ...] = LEVELS
+    """Levels of Circle2D."""
+    mujoco: bool = False
+    """Run Circle2D with MuJoCo's physics instead of the kinematic mode."""
+    tasks: tuple[str, ...] = ()
+    """Ids of other tasks to run instead, such as circle2d_mj/SafetyPointGoal1-v0."""
+    ablations: bool = False
+    """Run the other choice of the two settings that the paper does not print as well: the
+    multiplier's optimiser of TRPO-Lag, and what a time limit is to the off-policy algorithms."""
+    seeds: tuple[int, ...] | None = None
+    """Seeds of each algorithm and task; by default 0 1 2."""
+    steps: int | None = None
+    """Environment steps of each run; by default the paper's: 1 000 000 on Circle2D, 10 000 000 on
+    its Safety tasks."""
+    backend: BackendChoice | None = None
+    """How updates run, see `circle2d train --help`; by default auto, or what the runs in out began
+    with, and eager with quick, which is over before anything is compiled."""
+    device: Device = "cpu"
+    """Where updates run: cuda on a GPU."""
+    workers: int = os.cpu_count() or 1
+    """Processes, of one thread each; by default one for each core."""
+
+
+def run_reproduce(args: Sequence[str]) -> int:
+    """`circle2d reproduce`; returns the exit status."""
+    options = parse(ReproduceOptions, "reproduce", args)
+    if not options.algorithms:
+        raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
+    if options.workers < 1:
+        raise UserError(f"workers must be at least 1, got {options.workers}")
+    configs = _configs(options)
+    grid.prepare(configs)
+    for folder, config in configs.items():
+        if (said := other_session(folder)) and not grid.finished(folder, config):
+            print(f"circle2d: {folder}: {said}", file=sys.stderr)
+    with _ended_by_signals():
+        with locked(options.out):
+            failed = _train(configs, options.workers)
+        for folder, said in failed.items():
+            print(f"circle2d: {folder} failed: {said}", file=sys.stderr)
+        try:
+            with working("drawing the report"):
+                told = report(options.out, with_figures=True)
+            print(told)
+        except UserError as error:
+            print(f"circle2d: no report: {error}", file=sys.stderr)
+            return 1
+    return int(bool(failed) or any(grid.has_failures(f, c) for f, c in configs.items()))
+
+
+def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
+    """The grid's folders and what is trained in them."""
+    tasks = _tasks(options)
+    for task in tasks:
+        check_task(task, {})
+    seeds, steps = options.seeds, options.steps
+    if seeds is None:
+        seeds = grid.QUICK_SEEDS if options.quick else grid.SEEDS
+    if steps is None and options.quick:
+        steps = grid.QUICK_STEPS
+    what = (tasks, options.algorithms, seeds, steps, options.device, options.ablations)
+    configs = grid.grid(options.out, *what)
+    usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
+    backend = chosen_backend(options.backend or usual)
+    return {folder: replace(config, backend=backend) for folder, config in configs.items()}
+
+
+def _tasks(options: ReproduceOptions) -> Sequence[str]:
+    if not options.tasks:
+        return grid.circle2d_tasks(options.levels, options.mujoco)
+    if options.mujoco or options.levels != LEVELS:
+        raise UserError("give either tasks, or levels and mujoco, which choose tasks of Circle2D")
+    if options.quick and options.steps is None:
+        raise UserError("quick is of Circle2D: give steps as well for other tasks")
+    return options.tasks
+
+
+@contextlib.contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """What a batch system or a closed terminal sends ends us as Ctrl-C does, workers included."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    signals = (signal.SIGTERM, signal.SIGHUP)
+    before = [signal.signal(number, interrupt) for number in signals]
+    try:
+        yield
+    finally:
+        for number, handler in zip(signals, before, strict=True):
+            signal.signal(number, handler)
+
+
+def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
+    """Train what is not finished; the folders that failed, and what was said of it."""
+    left = [folder for folder, config in configs.items() if not grid.finished(folder, config)]
+    shares = {folder: share_done(folder) if folder in left else 1.0 for folder in configs}
+    started, (before, total) = time.monotonic(), grid.work_left(shares, configs)
+    console = Console(stderr=True)
+    groups = grid.groups({folder: configs[folder] for folder in left}, count)
+
+    def is_finished(folder: Path) -> bool:
+        return grid.finished(folder, configs[folder])
+
+    with (
+        Workers(groups, count, is_finished) as workers,
+        Live(console=console, auto_refresh=False) as live,
+    ):
+        told, tenths = 0, 0
+
+        def show() -> None:
+            nonlocal told, tenths
+            for folder in left:
+                shares[folder] = 1.0 if folder in workers.over else share_done(folder)
+            done, _ = grid.work_left(shares, configs)
+            seconds = time.monotonic() - started
+            rest = seconds * (total - done) / (done - before) if done > before else None
+            headline = _headline(workers.running, shares, done / total, rest)
+            if console.is_terminal:
+                live.update(_table(headline, workers.running, shares), refresh=True)
+                return
+            for folder in workers.over[told:]:
+                how = "failed" if folder in workers.failed else "done"
+                print(f"{folder}: {how} after {seconds:.0f} s", file=sys.stderr, flush=True)
+            told = len(workers.over)
+            if int(10 * done / total) > tenths:
+                tenths = int(10 * done / total)
+                print(headline, file=sys.stderr, flush=True)
+
+        workers.run(show)
+        return {
+            folder: said
+            for folder, said in workers.failed.items()
+            # Of a group one run may have failed, and the other folders be done.
+            if grid.has_failures(folder, configs[folder])
+            or not grid.finished(folder, configs[folder])
+        }
+
+
+def _headline(
+    running: Sequence[Group], shares: dict[Path, float], done: float, rest: float | None
+) -> str:
+    over = sum(share == 1.0 for share in shares.values())
+    left = "" if rest is None else f", {duration(rest)} left"
+    in_all = sum(filter(None, (speed(group[0]) for group in running)))
+    return (
+        f"{100 * done:.0f} % done, {over} of {len(shares)} trainings{left}, "
+        f"{in_all:,.0f} steps/s in all"
+    )
+
+
+def _table(headline: str, running: Sequence[Group], shares: dict[Path, float]) -> Table:
+    table = Table(title=headline)
+    table.add_column("training")
+    table.add_column("done", justify="right")
+    table.add_column("steps/s", justify="right")
+    for group in running:
+        of_group = speed(group[0])
+        words = "" if of_group is None else f"{of_group:,.0f}"
+        names = "\n".join(map(str, group))
+        table.add_row(names, f"{100 * shares[group[0]]:.0f} %", words)
+    return table

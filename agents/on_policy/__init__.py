@@ -1,0 +1,1 @@
+"""What on-policy families share: epochs of whole episodes, advantages, critics."""

@@ -1,0 +1,62 @@
+"""The critics of the on-policy family: what they say, and how they follow their targets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from agents.lockstep import tree
+from agents.lockstep.adam import Moments, adam
+from agents.lockstep.compiling import compiled
+from agents.trust_region.policy_step import Epoch, Nets, TRPOState
+
+
+@compiled
+def values(nets: Nets, critics: Tensor, observation: Tensor) -> Tensor:
+    """What both critics of each run say of observations [R, B, observation size]: [R, 2, B]."""
+    runs, batch, width = observation.shape
+    inputs = observation[:, None].expand(runs, 2, batch, width).reshape(runs * 2, batch, width)
+    return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, 2, batch)
+
+
+def critic_step(
+    nets: Nets, config: Any, state: TRPOState, epoch: Epoch, rows: Tensor, weight: Tensor
+) -> tuple[TRPOState, Tensor]:
+    """One Adam step of both critics on half the mean squared error of a minibatch.
+
+    rows, weight: [R, B]. A run without rows in it waits. Returns the new state and the losses,
+    [R, 2].
+    """
+    run = torch.arange(len(rows))[:, None]
+    observation = epoch.observation[run, rows]
+    target = epoch.value_targets.gather(2, rows[:, None].expand(-1, 2, -1))
+    critics, moments, losses = critics_update(
+        nets, config, state.critics, state.critic_moments, observation, target, weight
+    )
+    return state._replace(critics=critics, critic_moments=moments), losses
+
+
+@compiled
+def critics_update(
+    nets: Nets,
+    config: Any,
+    critics: Tensor,
+    moments: Moments,
+    observation: Tensor,
+    target: Tensor,
+    weight: Tensor,
+) -> tuple[Tensor, Moments, Tensor]:
+    """What `critic_step` does with the rows it fetched."""
+
+    def loss(critics: Tensor) -> tuple[Tensor, Tensor]:
+        error = values(nets, critics, observation) - target
+        parts = 0.5 * (weight[:, None] * error * error).sum(dim=-1)
+        return parts.sum(), parts.detach()
+
+    gradient, parts = torch.func.grad(loss, has_aux=True)(critics)
+    stepped, followed = adam(critics, gradient, moments, config.learning_rate)
+    present = weight[:, 0] > 0
+    stepped = torch.where(present[:, None, None], stepped, critics)
+    return stepped, tree.select(present, followed, moments), parts

@@ -1,0 +1,139 @@
+"""How an on-policy algorithm goes through an epoch: whole episodes, then one step of the policy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from agents.lockstep import tree
+from agents.lockstep.backend import array, tensor
+from agents.lockstep.multiplier import ascend
+from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams
+from agents.lockstep.rollout import Act, Policy, Rollout
+from agents.on_policy import critics
+from agents.on_policy.packing import Packing, blocks, minibatches
+from agents.on_policy.returns import advantages
+from agents.trust_region import policy_step as trpo
+
+METRICS = ("kl", "step_scale", "critic_loss", "cost_critic_loss", "std")
+"""What every algorithm of the family records; beside it "multiplier" or "case" where it has one. A
+step_scale of 0: the line search found nothing, and the policy stayed as it was."""
+
+
+class OnPolicy:
+    """The runs of one algorithm of the trust-region family."""
+
+    def __init__(
+        self,
+        config: Any,
+        rule: trpo.StepRule,
+        seeds: Sequence[int],
+        observation_size: int,
+        action_size: int,
+    ) -> None:
+        self.config, self.rule, self.seeds = config, rule, tuple(seeds)
+        self.episodes: int = config.episodes
+        own = {"multiplier": rule.multiplier is not None, "case": rule.has_cases}
+        self.metrics = (*METRICS, *(name for name, has in own.items() if has))
+        self.action_size = action_size
+        self.nets = trpo.make_nets(config, observation_size, action_size)
+        self._state = trpo.initial_state(self.nets, config, rule, seeds)
+
+    def policy(self, runs: slice = tree.ALL) -> Policy:
+        """The policy of some runs as it stands now."""
+        params = array(self._state.actor[runs])
+        return lambda observation, noise: self.nets.actor.act(params, observation, noise)
+
+    def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
+        """How the runs act in an epoch: by the policy, with its noise."""
+        policy, runs = self.policy(), len(self.seeds)
+        shape = (self.episodes, self.action_size)
+        noise = steps_of_noise(normal, self.seeds, Purpose.EXPLORATION, epoch, shape)
+        return lambda observation: policy(
+            observation.reshape(runs, self.episodes, -1), next(noise)
+        ).reshape(runs * self.episodes, -1)
+
+    def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray:
+        """Step the policy, then the critics and the multiplier; active: [R], runs that take part.
+
+        rollout: N = R·E episodes, those of a run beside each other. Returns each of `metrics`,
+        [R, metrics]; NaN for runs that take no part.
+        """
+        length = np.where(np.repeat(active, self.episodes), rollout.length, 0)
+        rollout = rollout._replace(length=length)
+        packing = Packing(rollout.during, len(self.seeds))
+        data = self._epoch(rollout, packing)
+        actor, records = trpo.policy_step(self.nets, self.config, self.rule, self._state, data)
+        state = self._state._replace(actor=actor)
+        generators = streams(self.seeds, Purpose.UPDATE, epoch)
+        losses, count = torch.zeros(len(self.seeds), 2), torch.zeros(len(self.seeds), 1)
+        for _ in range(self.config.critic_iterations):
+            for rows, weight in minibatches(packing.steps, self.config.batch_size, generators):
+                state, loss = critics.critic_step(self.nets, self.config, state, data, rows, weight)
+                losses, count = losses + loss, count + (weight[:, :1] > 0)
+        followed = ascend(self.rule.multiplier, self.config, state.multiplier, data.excess[:, None])
+        self._state = tree.where(active, state._replace(multiplier=followed), self._state)
+        records["critic_loss"], records["cost_critic_loss"] = (losses / count).T
+        records["std"] = self._std()
+        columns = np.stack([array(records[name]) for name in self.metrics], axis=-1)
+        return np.where(active[:, None], columns, np.nan)
+
+    def _epoch(self, rollout: Rollout, packing: Packing) -> trpo.Epoch:
+        """Advantages and value targets of an epoch's steps, packed."""
+        observation = tensor(packing.pack(rollout.observation))
+        value = self._values(observation)
+        next_value = self._values(tensor(packing.pack(rollout.next_observation)))
+        terminal = rollout.terminal(self.config.time_limit)
+        of_both = []
+        for k, signal in enumerate((rollout.reward, rollout.cost)):
+            unpacked = packing.unpack(value[:, k]), packing.unpack(next_value[:, k])
+            discounts = self.config.discount, self.config.gae_lambda
+            found = advantages(signal, *unpacked, terminal, rollout.during, *discounts)
+            of_both.append(packing.pack(found))
+        targets = tensor(np.stack(of_both, axis=1)) + tensor(value)
+        reward, cost = of_both
+        for run, n in enumerate(packing.steps):
+            if n:
+                reward[run, :n] -= reward[run, :n].mean()
+                reward[run, :n] /= reward[run, :n].std() + 1e-8
+                cost[run, :n] -= cost[run, :n].mean()
+        shape = (len(self.seeds), self.episodes)
+        costs = rollout.cost_returns.reshape(shape).mean(axis=1)
+        return trpo.Epoch(
+            observation=observation,
+            action=tensor(packing.pack(rollout.action)),
+            weight=tensor(packing.weight),
+            reward_advantage=tensor(reward),
+            cost_advantage=tensor(cost),
+            value_targets=targets,
+            length=tensor(rollout.length.reshape(shape).mean(axis=1)).float(),
+            excess=tensor(costs - self.config.cost_limit).float(),
+        )
+
+    def _values(self, observation: torch.Tensor) -> NDArray[np.float32]:
+        """What the critics say, block by block: [R, 2, B]."""
+        parts = [
+            critics.values(self.nets, self._state.critics, *block) for block in blocks(observation)
+        ]
+        return array(torch.cat(parts, dim=-1))
+
+    def _std(self) -> torch.Tensor:
+        """Standard deviation of each run's policy, mean over action components: [R]."""
+        start, actions = self.nets.actor.net.size, self.action_size
+        return self._state.actor[:, start : start + actions].exp().mean(dim=-1)
+
+    def finite(self) -> NDArray[np.bool_]:
+        """Which runs hold only finite numbers, [R]."""
+        return tree.finite(self._state)
+
+    def state(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
+        """The whole training state of some runs as named arrays."""
+        return tree.flatten(self._state, runs)
+
+    def restore(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
+        """Take over what `state` returned, bit for bit."""
+        self._state = tree.unflatten(self._state, state, runs)

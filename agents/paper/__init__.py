@@ -1,0 +1,1 @@
+"""The paper: its presets, grid, printed numbers and claims."""

@@ -1,0 +1,172 @@
+"""What runs say about a claim: verdicts, how they combine, and which runs may be asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Literal, NamedTuple
+
+from agents.algorithms import ALGORITHMS, algorithm
+from agents.paper.presets import PAPER_SEEDS, PAPER_STEPS
+from agents.reporting.tables import changes, mean_cell, mean_of, paper_results
+from agents.results.reading import Group, Run
+from emcc import Difference
+
+Verdict = Literal["confirmed", "refuted", "open"]
+
+
+class Cell(NamedTuple):
+    """The runs of an algorithm on a task with the paper's settings."""
+
+    task: str
+    algorithm: str
+    runs: tuple[Run, ...]
+    lacking: str
+    """Why they decide nothing: fewer than the paper's, or of other length; empty where they do."""
+
+    @property
+    def title(self) -> str:
+        """Of the algorithm."""
+        return algorithm(self.algorithm).title
+
+    @property
+    def printed(self) -> dict[str, float]:
+        """The paper's numbers."""
+        return paper_results(self.task, self.title)
+
+    def share(self, does: Callable[[Run], bool]) -> str:
+        """How many runs do something, in words."""
+        return f"{sum(map(does, self.runs))} of {len(self.runs)} runs"
+
+    def means(self, *measures: str) -> str:
+        """Means with intervals, beside the paper's numbers; nothing where there are no runs."""
+        told = []
+        for name in measures if self.runs else ():
+            mean = mean_cell([run.measures[name] for run in self.runs])
+            told.append(f", {name} {mean} (paper {self.printed[name]:.2f})")
+        return "".join(told)
+
+
+class Finding(NamedTuple):
+    """A part of a claim: the numbers measured, and what they come to."""
+
+    text: str
+    verdict: Verdict
+
+
+Evidence = Mapping[tuple[str, str], Cell]
+"""By task and algorithm, for all of the paper's."""
+
+
+def gather(groups: Sequence[Group]) -> Evidence:
+    """The runs of presets on the paper's tasks, those with another setting left out."""
+    return {(task, name): _cell(groups, task, name) for task in PAPER_STEPS for name in ALGORITHMS}
+
+
+def _cell(groups: Sequence[Group], task: str, name: str) -> Cell:
+    """Runs of the paper's length, one for each seed; where there are none, the longest of the
+    others, which decide nothing."""
+    found: dict[int, dict[int, Run]] = {}  # by steps and seed
+    for _, config, of_group in groups:
+        same_task = config.task.rpartition(":")[2] == task
+        if same_task and config.algorithm == name and not changes(config) and of_group:
+            of_length = found.setdefault(config.steps, {})
+            found[config.steps] = {run.seed: run for run in of_group} | of_length
+    if not found:
+        return Cell(task, name, (), "no runs")
+    full = PAPER_STEPS[task]
+    steps = full if full in found else max(found)
+    lacking = ""
+    if steps != full:
+        lacking = f"{steps:,} of {full:,} steps"
+    elif len(found[steps]) < PAPER_SEEDS:
+        lacking = f"{len(found[steps])} of {PAPER_SEEDS} runs"
+    return Cell(task, name, tuple(found[steps].values()), lacking)
+
+
+def all_of(verdicts: Iterable[Verdict]) -> Verdict:
+    """Of a claim that holds where all its parts hold: one that does not refutes it."""
+    found = set(verdicts)
+    return "refuted" if "refuted" in found else "open" if "open" in found else "confirmed"
+
+
+def any_of(verdicts: Iterable[Verdict]) -> Verdict:
+    """Of a claim that holds where one of its parts holds: one that does confirms it."""
+    found = set(verdicts)
+    return "confirmed" if "confirmed" in found else "open" if "open" in found else "refuted"
+
+
+def opposite(verdict: Verdict) -> Verdict:
+    """Of the claim that it is not so."""
+    return "refuted" if verdict == "confirmed" else "confirmed" if verdict == "refuted" else "open"
+
+
+def judge(cell: Cell, rule: Callable[[Sequence[Run]], Verdict]) -> Verdict:
+    """The rule's verdict; open where runs are lacking."""
+    return "open" if cell.lacking else rule(cell.runs)
+
+
+def most(count: int, of: int) -> Verdict:
+    """Of "the runs do": all do, half or fewer do, or it is undecided."""
+    return "confirmed" if count == of else "refuted" if 2 * count <= of else "open"
+
+
+def some(count: int) -> Verdict:
+    """Of "there are runs that do"."""
+    return "confirmed" if count else "refuted"
+
+
+def none(count: int) -> Verdict:
+    """Of "no run does"."""
+    return "refuted" if count else "confirmed"
+
+
+def about(values: Sequence[float], printed: float) -> Verdict:
+    """Of "the mean is about": it is within a fifth of the number; refuted where the whole 95 %
+    interval over seeds is farther away."""
+    mean = mean_of(values)
+    near = 0.8 * printed, 1.2 * printed
+    if near[0] <= mean.value <= near[1]:
+        return "confirmed"
+    if mean.low is None or mean.high is None:
+        return "open"
+    return "refuted" if mean.low > near[1] or mean.high < near[0] else "open"
+
+
+def below_zero(values: Sequence[float]) -> Verdict:
+    """Of "it falls": the 95 % interval over seeds of the changes is below 0; refuted where it has
+    nothing below 0."""
+    mean = mean_of(values)
+    if mean.low is None or mean.high is None:
+        return "open"
+    return "confirmed" if mean.high < 0 else "refuted" if mean.low >= 0 else "open"
+
+
+def apart(gap: Difference) -> Verdict:
+    """Of "the two differ": the 95 % interval of the difference of means leaves out 0."""
+    if gap.low is None or gap.high is None:
+        return "open"
+    return "confirmed" if gap.low > 0 or gap.high < 0 else "open"
+
+
+def equal(gap: Difference) -> Verdict:
+    """Of "the two cannot be told apart": that interval has 0 in it."""
+    if gap.low is None:
+        return "open"
+    return "refuted" if apart(gap) == "confirmed" else "confirmed"
+
+
+def finding(where: str, verdict: Verdict, cells: Sequence[Cell], text: str) -> Finding:
+    """A finding that names the runs it lacks: by task where all are of one algorithm."""
+    by_task = len(cells) > 1 and len({cell.algorithm for cell in cells}) == 1
+    lacking: dict[str, list[str]] = {}
+    for cell in (cell for cell in cells if cell.lacking):
+        name = short(cell.task) if by_task else cell.title
+        lacking.setdefault(cell.lacking, []).append(name)
+    told = [text] if any(cell.runs for cell in cells) and text else []
+    told += [f"{why}: {', '.join(names)}" for why, names in lacking.items()]
+    return Finding(f"{where}: " + "; ".join(told), verdict)
+
+
+def short(task: str) -> str:
+    """Circle2D-1 for Circle2D-1-v0, SafetyPointGoal1 for circle2d_mj/SafetyPointGoal1-v0."""
+    return task.rpartition("/")[2].rpartition("-")[0]

@@ -1,0 +1,145 @@
+"""Two sets of runs side by side, with the differences of their means."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from agents.algorithms import ALGORITHMS
+from agents.errors import UserError
+from agents.reporting.csv_table import Line, difference_lines, group_lines, numbers_csv
+from agents.reporting.figures import curves
+from agents.reporting.page import Section, page
+from agents.reporting.provenance import made
+from agents.reporting.tables import (
+    caption,
+    changes,
+    difference_cell,
+    difference_of,
+    mean_row,
+    measures_table,
+    run_rows,
+    title_of,
+)
+from agents.results.reading import MEASURES, Group, read_groups
+from agents.training.files import write_whole
+from emcc.table import Table
+
+METHOD = (
+    "B - A: difference of the means; its interval is the 95 % percentile bootstrap that resamples "
+    "the seeds of either side independently"
+)
+
+
+class Sides(NamedTuple):
+    """The complete runs of two folders on one task."""
+
+    a: list[Group]
+    b: list[Group]
+
+    @property
+    def named(self) -> list[tuple[str, Group]]:
+        """Every group with what it is called: A: TRPO-Lag, B: TRPO-Lag (cost_limit 3.0), ..."""
+        of_sides = zip(("A", "B"), self, strict=True)
+        return [(f"{k}: {title_of(g.config)}", g) for k, groups in of_sides for g in groups]
+
+
+def compare(a: Path, b: Path, out: Path | None = None) -> str:
+    """The tables of two folders of runs with the differences B - A, task by task, as Markdown.
+
+    a, b: folders as `report` takes them. A group of B stands against the one of A with the same
+    algorithm and settings, or where there is none against every group of A on the task. With out,
+    writes `compare.md`, `compare.csv`, and `compare.html` with training curves, both sides in one
+    figure. Raises UserError where a side has no complete run, or the two have no task in common.
+    """
+    notes: list[str] = []
+    found = [[g for g in read_groups(side, notes) if g.runs] for side in (a, b)]
+    tasks = [list(dict.fromkeys(group.config.task for group in groups)) for groups in found]
+    common = [task for task in tasks[0] if task in tasks[1]]
+    if not common:
+        raise UserError(
+            f"{a} and {b} have no task in common: {', '.join(tasks[0])} against "
+            f"{', '.join(tasks[1])}"
+        )
+    for name, of_side in zip("AB", tasks, strict=True):
+        alone = [task for task in of_side if task not in common]
+        notes += [f"only {name} has runs on {', '.join(alone)}."] if alone else []
+    by_task = {
+        task: Sides(*([g for g in groups if g.config.task == task] for groups in found))
+        for task in common
+    }
+    said = [f"A is {a}, B is {b}.", *notes]
+    tables = [
+        _table(task, sides, said if task == common[-1] else []) for task, sides in by_task.items()
+    ]
+    markdown = "\n".join(table.render("md") for table in tables)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        sections = [
+            Section(task, [table], [curves(sides.named)])
+            for (task, sides), table in zip(by_task.items(), tables, strict=True)
+        ]
+        how = {
+            f"{name}, {k}": text
+            for name, side, groups in zip("AB", (a, b), found, strict=True)
+            for k, text in made(side, groups).items()
+        }
+        title = f"{a.resolve().name} (A) and {b.resolve().name} (B)"
+        write_whole(out / "compare.html", page(title, sections, how))
+        write_whole(out / "compare.md", markdown)
+        lines = (line for sides in by_task.values() for line in _lines(a, b, sides))
+        write_whole(out / "compare.csv", numbers_csv(lines))
+    return markdown
+
+
+def _table(task: str, sides: Sides, notes: Sequence[str]) -> Table:
+    """Means of both sides, the differences, then every run."""
+    pairs = _pairs(sides)
+    rows = [
+        mean_row(g, f"{side}: ") for side, groups in zip("AB", sides, strict=True) for g in groups
+    ]
+    rows += [_difference_row(*pair) for pair in pairs]
+    for side, groups in zip("AB", sides, strict=True):
+        rows += [row for name in ALGORITHMS for row in run_rows(groups, name, f"{side}: ")]
+    notes = [*notes, *_notes(task, sides)]
+    return measures_table(f"{caption([*sides.a, *sides.b])}; {METHOD}", task, rows, notes)
+
+
+def _pairs(sides: Sides) -> list[tuple[Group, Group]]:
+    pairs = []
+    for of_b in sides.b:
+        same = [of_a for of_a in sides.a if _settings(of_a) == _settings(of_b)]
+        pairs += [(of_a, of_b) for of_a in same or sides.a]
+    return pairs
+
+
+def _settings(group: Group) -> tuple[str, dict[str, Any]]:
+    return group.config.algorithm, changes(group.config)
+
+
+def _difference_row(a: Group, b: Group) -> list[str]:
+    cells = [difference_cell(difference_of(a.runs, b.runs, name)) for name in MEASURES]
+    return [_difference_name(a, b), *cells, ""]
+
+
+def _difference_name(a: Group, b: Group) -> str:
+    titles = [title_of(group.config) for group in (b, a)]
+    return f"B - A: {titles[0] if titles[0] == titles[1] else ' - '.join(titles)}"
+
+
+def _lines(a: Path, b: Path, sides: Sides) -> Iterator[Line]:
+    """Every number of both sides, for a program."""
+    for name, folder, groups in zip("AB", (a, b), sides, strict=True):
+        for group in groups:
+            yield from group_lines(folder, group, f"{name}: ")
+    for of_a, of_b in _pairs(sides):
+        yield from difference_lines(of_a, of_b, _difference_name(of_a, of_b))
+
+
+def _notes(task: str, sides: Sides) -> list[str]:
+    notes = []
+    for name, group in sides.named:
+        if len(group.runs) == 1:
+            notes.append(f"{task}, {name} has one seed: no interval, of its mean or difference.")
+    return notes

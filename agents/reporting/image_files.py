@@ -1,0 +1,63 @@
+"""Pictures and films as files."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+from rich.console import Console
+from rich.progress import track
+
+from agents.errors import UserError
+from agents.training.files import write_whole
+from circle2d_mj.render.canvas import Picture
+
+FRAMES_A_SECOND = 10
+"""A step of the task takes 0.1 s."""
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write an image file, whole or not at all."""
+    import imageio.v3 as imageio
+
+    _prepare(path)
+    write_whole(path, imageio.imwrite("<bytes>", picture, extension=path.suffix))
+
+
+def png(picture: Picture) -> bytes:
+    """The picture as a PNG, as small as can be without loss."""
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "PNG", optimize=True)
+    return file.getvalue()
+
+
+def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:
+    """Write `total` frames into a .gif or .mp4 file, whole or not at all, showing progress."""
+    import imageio.v2 as imageio
+
+    # Blocks of two pixels: sizes are even, and would be changed to multiples of 16 otherwise.
+    timing: dict[str, Any] = {"fps": FRAMES_A_SECOND, "macro_block_size": 2}
+    if path.suffix.lower() == ".gif":
+        timing = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0}
+    _prepare(path)
+    unfinished = path.with_name(f".unfinished-{path.name}")
+    try:
+        writer: Any = imageio.get_writer(unfinished, **timing)
+        with writer:
+            for frame in track(
+                frames, "drawing", total, console=Console(stderr=True), transient=True
+            ):
+                writer.append_data(frame)
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _prepare(path: Path) -> None:
+    if path.is_dir():
+        raise UserError(f"{path} is a folder; a file is to be written")
+    path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,1 @@
+"""The off-policy family: soft actor-critic with cost critics."""

@@ -1,0 +1,130 @@
+"""How an off-policy algorithm goes through an epoch: one episode, then some gradient steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.lockstep import tree
+from agents.lockstep.backend import array, tensor
+from agents.lockstep.nets import forward_numpy
+from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams, uniform
+from agents.lockstep.replay import Replay
+from agents.lockstep.rollout import Act, Policy, Rollout
+from agents.sac import squashed_gaussian
+from agents.sac import update as sac
+
+METRICS = (
+    "critic_loss",
+    "cost_critic_loss",
+    "actor_loss",
+    "temperature",
+    "multiplier",
+    "risk",
+    "entropy",
+)
+"""What `sac.update` records; the multiplier of those that have one."""
+
+
+class OffPolicy:
+    """The runs of one algorithm of the SAC family: their networks and their replay."""
+
+    def __init__(
+        self,
+        config: Any,
+        rule: sac.CostRule,
+        seeds: Sequence[int],
+        observation_size: int,
+        action_size: int,
+    ) -> None:
+        self.config, self.rule, self.seeds = config, rule, tuple(seeds)
+        self.episodes = 1
+        self.metrics = tuple(m for m in METRICS if rule.multiplier or m != "multiplier")
+        self.action_size = action_size
+        self.nets = sac.make_nets(config, observation_size, action_size)
+        self._state = sac.initial_state(self.nets, config, rule, seeds)
+        self._replay = Replay(len(seeds), config.replay_size, observation_size, action_size)
+
+    def policy(self, runs: slice = tree.ALL) -> Policy:
+        """The policy of some runs as it stands now."""
+        layers = self.nets.actor.layers(array(self._state.actor[runs]))
+        return lambda observation, noise: squashed_gaussian.act(
+            forward_numpy(layers, observation), noise
+        )
+
+    def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
+        """How the runs act in an epoch: at random until `random_steps`, then by the policy.
+
+        steps: [R], environment steps each run has taken before.
+        """
+        policy, shape = self.policy(), (self.action_size,)
+        noise = steps_of_noise(normal, self.seeds, Purpose.EXPLORATION, epoch, shape)
+        random_actions = steps_of_noise(uniform, self.seeds, Purpose.RANDOM_ACTIONS, epoch, shape)
+        step = steps.copy()
+
+        def act_by_policy(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+            return policy(observation[:, None], next(noise)[:, None])[:, 0]
+
+        def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+            at_random = step < self.config.random_steps
+            step[:] += 1
+            return np.where(at_random[:, None], next(random_actions), act_by_policy(observation))
+
+        return act if (steps < self.config.random_steps).any() else act_by_policy
+
+    def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray:
+        """Store an epoch's episodes and take its gradient steps; active: [R], runs that take part.
+
+        Returns the mean of each of `metrics` over the steps, [R, metrics]; NaN for runs that took
+        none, since their replay holds less than a batch.
+        """
+        length = np.where(active, rollout.length, 0)
+        terminal = rollout.terminal(self.config.time_limit)
+        self._replay.add(rollout._replace(length=length), terminal)
+        learning = active & (self._replay.size >= self.config.batch_size)
+        if not learning.any():
+            return np.full((len(self.seeds), len(self.metrics)), np.nan)
+        total = 0.0
+        for index, noise in self._draws(epoch):
+            batch = self._replay.gather(index)
+            state, metrics = sac.update(
+                self.nets, self.config, self.rule, self._state, batch, noise
+            )
+            self._state = tree.where(learning, state, self._state)
+            total = total + np.stack([array(metrics[name]) for name in self.metrics], axis=-1)
+        return np.where(learning[:, None], total / self.config.gradient_steps, np.nan)
+
+    def finite(self) -> NDArray[np.bool_]:
+        """Which runs hold only finite numbers, [R]."""
+        return tree.finite(self._state)
+
+    def _draws(self, epoch: Epochs) -> list[tuple[NDArray[np.int64], sac.UpdateNoise]]:
+        """What each gradient step of an epoch draws: slots [R, B] and action noise."""
+        steps, batch = self.config.gradient_steps, self.config.batch_size
+        share, action_noise = [], []
+        for rng in streams(self.seeds, Purpose.UPDATE, epoch):
+            share.append(rng.random((steps, batch)))
+            action_noise.append(normal(rng, (steps, 2, batch, self.action_size)))
+        held = np.maximum(self._replay.size, 1)[:, None]
+        index = (np.stack(share, axis=1) * held).astype(np.int64)
+        noise = tensor(np.stack(action_noise, axis=1))
+        return [
+            (index[k], sac.UpdateNoise(noise[k, :, 0].contiguous(), noise[k, :, 1].contiguous()))
+            for k in range(steps)
+        ]
+
+    def state(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
+        """The whole training state of some runs as named arrays."""
+        replay = {f"replay.{name}": array for name, array in self._replay.state(runs).items()}
+        return {**tree.flatten(self._state, runs), **replay}
+
+    def restore(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
+        """Take over what `state` returned, bit for bit."""
+        self._state = tree.unflatten(self._state, state, runs)
+        self._replay.restore(
+            {k.removeprefix("replay."): v for k, v in state.items() if k.startswith("replay.")},
+            runs,
+        )

@@ -1,0 +1,110 @@
+"""The records of a training: a row per episode, and what each epoch's update came to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.lockstep import tree
+from agents.lockstep.rollout import Rollout
+from agents.training.files import write_whole
+from emcc import EpisodeRecords, count_streaks, longest_streaks
+
+COLUMNS = ("start_step", "length", "return", "cost", "longest_streak", "cost_steps", "streaks")
+
+
+class Log:
+    """What each epoch of each run gave."""
+
+    def __init__(self, runs: int, episodes: int, metrics: Sequence[str]) -> None:
+        self.metrics = tuple(metrics)
+        self._shapes = (runs, episodes, len(COLUMNS)), (runs, len(metrics))
+        self._episodes: list[NDArray[np.float64]] = []
+        self._updates: list[NDArray[np.float64]] = []
+
+    def add(
+        self,
+        rollout: Rollout,
+        steps: NDArray[np.int64],
+        active: NDArray[np.bool_],
+        metrics: NDArray,
+    ) -> None:
+        """Record an epoch. rollout: of R·E episodes; steps: [R], those each run had taken before;
+        active: [R], runs that it belongs to; metrics: [R, metrics], NaN where nothing was learned.
+        """
+        runs, episodes, _ = self._shapes[0]
+        length = rollout.length.reshape(runs, episodes)
+        start = steps[:, None] + np.cumsum(length, axis=1) - length
+        streaks = np.zeros((3, runs * episodes), dtype=np.int64)
+        kept = np.repeat(active, episodes)
+        if kept.any():
+            costs = rollout.cost.T[(rollout.during & kept).T], rollout.length[kept]
+            streaks[:, kept] = longest_streaks(*costs), *count_streaks(*costs)
+        columns = (start.ravel(), rollout.length, rollout.returns, rollout.cost_returns, *streaks)
+        rows = np.column_stack(columns).astype(np.float64).reshape(self._shapes[0])
+        self._episodes.append(np.where(active[:, None, None], rows, np.nan))
+        self._updates.append(np.where(active[:, None], metrics, np.nan).astype(np.float64))
+
+    @property
+    def episodes(self) -> NDArray[np.float64]:
+        """[epochs, R, E, columns]; NaN where a run took no part."""
+        return np.array(self._episodes).reshape(-1, *self._shapes[0])
+
+    @property
+    def updates(self) -> NDArray[np.float64]:
+        """[epochs, R, metrics]; NaN where a run learned nothing."""
+        return np.array(self._updates).reshape(-1, *self._shapes[1])
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """Environment steps recorded of each run, [R]."""
+        length = self.episodes[..., COLUMNS.index("length")]
+        return np.nansum(length, axis=(0, 2)).astype(np.int64)
+
+    @property
+    def latest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Of the last epoch: [R, E, columns], [R, metrics]."""
+        return self._episodes[-1], self._updates[-1]
+
+    def state(self) -> dict[str, NDArray]:
+        """Everything, as named arrays."""
+        return {"log.episodes": self.episodes, "log.updates": self.updates}
+
+    def restore(self, state: dict[str, NDArray], epochs: int) -> None:
+        """Take over what `state` returned. ValueError or KeyError for anything else."""
+        of_episodes, of_updates = ((epochs, *shape) for shape in self._shapes)
+        episodes = tree.expect("log.episodes", state, of_episodes, np.float64)
+        updates = tree.expect("log.updates", state, of_updates, np.float64)
+        self._episodes, self._updates = list(episodes), list(updates)
+
+    def recent(self, epochs: int = 20) -> tuple[float, float]:
+        """Return and cost return, means over the last epochs of the runs that took part."""
+        rows = np.array(self._episodes[-epochs:])[..., 2:4].reshape(-1, 2)
+        rows = rows[~np.isnan(rows[:, 0])]
+        returns, cost = rows.mean(axis=0) if len(rows) else (np.nan, np.nan)
+        return float(returns), float(cost)
+
+    def write(self, folders: Sequence[Path]) -> None:
+        """Write `episodes.csv` and `updates.csv` into the folder of each run."""
+        episodes, updates = self.episodes, self.updates
+        for run, folder in enumerate(folders):
+            epochs = np.flatnonzero(~np.isnan(episodes[:, run, 0, 0]))
+            rows = episodes[epochs, run]
+            rollout = np.repeat(epochs, rows.shape[1])
+            columns: Any = rows.reshape(-1, len(COLUMNS)).T  # the class types each anew
+            records = EpisodeRecords(rollout, *columns)
+            records.save(folder / "episodes.csv")
+            steps = rows[:, :, 1].sum(axis=1).cumsum().astype(np.int64)
+            write_whole(folder / "updates.csv", self._table(epochs, steps, updates[epochs, run]))
+
+    def _table(self, epochs: NDArray[np.int64], steps: NDArray[np.int64], values: NDArray) -> str:
+        """CSV of the epochs that learned something; `step`: environment steps taken by then."""
+        lines = [",".join(("rollout", "step", *self.metrics))]
+        for epoch, step, row in zip(epochs, steps, values.astype(np.float32), strict=True):
+            if not np.isnan(row).all():
+                lines.append(",".join((str(epoch), str(step), *map(str, row))))
+        return "\n".join([*lines, ""])

@@ -1,0 +1,65 @@
+"""TensorBoard event files of a training: what `episodes.csv` and `updates.csv` hold, live."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.errors import UserError
+from agents.training.records import Log
+
+
+def require_tensorboard() -> None:
+    """Raise UserError, saying how to install it, where TensorBoard is missing."""
+    try:
+        import torch.utils.tensorboard  # noqa: F401  # an extra, and slow to import
+    except ImportError:
+        raise UserError(
+            "TensorBoard is not installed: pip install 'circle2d-mj[tensorboard]'"
+        ) from None
+
+
+class Events:
+    """Writes the epochs of a training, each run into `tensorboard` in its folder.
+
+    folders: one a run; steps: [R], environment steps taken when the training begins or goes on.
+
+    Event files hold times of day, unlike the other records. After a resume, what an interrupted
+    training had written beyond its checkpoint is marked as void.
+    """
+
+    def __init__(self, folders: Sequence[Path], steps: NDArray[np.int64]) -> None:
+        require_tensorboard()
+        from torch.utils.tensorboard import SummaryWriter
+
+        self._writers = [
+            SummaryWriter(str(folder / "tensorboard"), purge_step=int(taken) + 1)
+            for folder, taken in zip(folders, steps, strict=True)
+        ]
+
+    def write(self, log: Log, steps: NDArray[np.int64]) -> None:
+        """Write the last epoch; steps: [R], environment steps taken by its end."""
+        episodes, updates = log.latest
+        for run, writer in enumerate(self._writers):
+            rows = episodes[run]
+            if np.isnan(rows).any():
+                continue
+            _, length, returns, cost, streak, *_ = rows.T
+            values = {
+                "rollout/return": returns.mean(),
+                "rollout/cost": cost.mean(),
+                "rollout/length": length.mean(),
+                "rollout/mcc": (streak / length).max(),
+            }
+            metrics = zip(log.metrics, updates[run], strict=True)
+            values |= {f"update/{name}": v for name, v in metrics if not np.isnan(v)}
+            for name, v in values.items():
+                writer.add_scalar(name, v, int(steps[run]))
+
+    def close(self) -> None:
+        """Write what is held back."""
+        for writer in self._writers:
+            writer.close()

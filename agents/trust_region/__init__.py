@@ -1,0 +1,1 @@
+"""The trust-region family: natural-gradient steps of the policy."""

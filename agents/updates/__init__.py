@@ -1,1 +1,0 @@
-"""The mathematics that algorithms of a family share, as pure functions over the run axis."""

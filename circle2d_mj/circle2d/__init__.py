@@ -1,0 +1,1 @@
+"""Circle2D: its parameters, region, dynamics and environments."""

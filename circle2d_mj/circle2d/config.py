@@ -1,0 +1,161 @@
+"""The parameters of a Circle2D task, and what they may be."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass, fields
+from functools import cached_property
+from numbers import Integral, Real
+from typing import Any
+
+from circle2d_mj.circle2d.region import CostRegion
+from circle2d_mj.circle2d.start import StartArea
+
+LEVELS = (0, 1, 2, 3)
+
+
+@dataclass(frozen=True)
+class Circle2DConfig:
+    """One Circle2D task: its level and the paper's nine customization parameters.
+
+    Lengths are in world units; a factor multiplies `constraint_radius`, so the task is the same at
+    any radius. Source: safe_exploration.tex, table "Circle2D environment customization parameters".
+
+    Raises TypeError or ValueError, naming the parameter, for a value that is not allowed, and
+    ValueError where no feasible start is left.
+    """
+
+    level: int = 1
+    """0: the region cannot be entered. 1: it can, at a cost. 2, 3: two and four more cut-outs."""
+    constraint_radius: float = 10.0
+    """Radius R of the circular cost region."""
+    init_radius_multiplier: float = 1.5
+    """Half-width of the square arena, and the farthest start, as a multiple of R."""
+    corridor_height_factor: float = 0.5
+    """Height of the left corridor as a multiple of R, in (0, 2]; resizes the cut-outs as well."""
+    init_region_size: float = 0.5
+    """Height of the start area on the right as a multiple of R; half of it is its depth into R."""
+    optima_perturbation: tuple[float, float] = (0.0, 0.0)
+    """Where the optimum lies, as an offset from the centre; inside the disc."""
+    infeasible_region_penetratable: bool | None = None
+    """Whether the region can be entered. None: as the level says (False for level 0), resolved when
+    the config is made, so that `dataclasses.replace(config, level=...)` has to give it anew."""
+    reset_on_cost: bool = False
+    """Whether a step with cost ends the episode."""
+    allow_infeasible_init: bool = False
+    """Whether an episode may start inside the cost region."""
+    sparse_reward: bool = False
+    """Whether reward is given only inside the corridor and the cut-outs."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.level, Integral) or isinstance(self.level, bool):
+            raise TypeError(f"level must be an integer, got {self.level!r}")
+        if self.level not in LEVELS:
+            raise ValueError(f"level must be one of {LEVELS}, got {self.level!r}")
+        self._set("level", int(self.level))
+        self._set_number("constraint_radius", low=1e-100, high=1e100)  # squares must stay finite
+        self._set_number("init_radius_multiplier", low=0.0, low_allowed=False, high=1e6)
+        self._set_number("corridor_height_factor", low=0.0, low_allowed=False, high=2.0)
+        self._set_number("init_region_size", low=0.0)
+        self._set_optimum()
+        if self.infeasible_region_penetratable is None:
+            self._set("infeasible_region_penetratable", self.level > 0)
+        for field in fields(self)[6:]:
+            value = getattr(self, field.name)
+            if not isinstance(value, bool):
+                raise TypeError(f"{field.name} must be True or False, got {value!r}")
+        self._check_start_rectangle()
+        _ = self.start_area  # a task without a feasible start is refused here, not at its reset
+
+    @cached_property
+    def region(self) -> CostRegion:
+        """The cost region of this task."""
+        return CostRegion(self)
+
+    @cached_property
+    def start_area(self) -> StartArea:
+        """Where episodes of this task start."""
+        return StartArea(self, self.region)
+
+    @property
+    def arena(self) -> float:
+        """Half-width of the arena, the square `[-arena, arena]²`, in world units."""
+        return self.init_radius_multiplier * self.constraint_radius
+
+    @property
+    def start_rectangle(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The start area's lower and upper corner, ((x, y), (x, y)), in world units."""
+        radius, half_height = self.constraint_radius, self.init_region_size / 2
+        return (
+            ((1 - half_height) * radius, -half_height * radius),
+            (self.arena, half_height * radius),
+        )
+
+    @classmethod
+    def of(cls, config: Circle2DConfig | None, parameters: dict[str, Any]) -> Circle2DConfig:
+        """The given configuration, or one made of named parameters.
+
+        Both may be given if the only parameter is the level, as a registered id gives it, and the
+        configuration's. Raises TypeError for an unknown name (with the nearest valid one), or where
+        more is given.
+        """
+        if config is not None and not isinstance(config, cls):
+            raise TypeError(f"config must be a Circle2DConfig, got {config!r}")
+        if config is not None and parameters and parameters != {"level": config.level}:
+            given = ", ".join(f"{name}={value!r}" for name, value in sorted(parameters.items()))
+            raise TypeError(f"give either config or parameters, not both: got {config}, {given}")
+        valid = [field.name for field in fields(cls)]
+        for name in parameters:
+            if name not in valid:
+                near = difflib.get_close_matches(name, valid, n=1)
+                hint = f"did you mean {near[0]!r}? " if near else ""
+                raise TypeError(f"unknown parameter {name!r}: {hint}valid are {', '.join(valid)}")
+        return config or cls(**parameters)
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    def _set_number(
+        self, name: str, low: float, low_allowed: bool = True, high: float = math.inf
+    ) -> None:
+        value = _number(name, getattr(self, name))
+        if not (value >= low if low_allowed else value > low) or value > high:
+            lower = f"{'at least' if low_allowed else 'above'} {low:g}"
+            upper = f" and at most {high:g}" if high < math.inf else ""
+            raise ValueError(f"{name} must be {lower}{upper}, got {value!r}")
+        self._set(name, value)
+
+    def _set_optimum(self) -> None:
+        name, given = "optima_perturbation", self.optima_perturbation
+        try:
+            x, y = (_number(name, v) for v in given)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"{name} must be two finite numbers, got {given!r}") from None
+        if math.hypot(x, y) >= self.constraint_radius:
+            raise ValueError(
+                f"{name} must keep the optimum inside the disc of constraint_radius "
+                f"{self.constraint_radius:g}, got {given!r}"
+            )
+        self._set(name, (x, y))
+
+    def _check_start_rectangle(self) -> None:
+        depth, reach = self.init_region_size / 2, self.init_radius_multiplier
+        if not (depth <= reach and -reach <= 1 - depth <= reach):
+            raise ValueError(
+                f"init_region_size {self.init_region_size:g} puts the start area outside the arena "
+                f"of init_radius_multiplier {reach:g}: size / 2 and |1 - size / 2| must be at most "
+                "the multiplier"
+            )
+
+
+def _number(name: str, value: Any) -> float:
+    if not isinstance(value, Real) or isinstance(value, bool):
+        raise TypeError(f"{name} must be a number, got {value!r}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueError(f"{name} must be finite, got {value!r}")
+    return number

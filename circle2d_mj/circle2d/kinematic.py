@@ -1,0 +1,60 @@
+"""The paper's dynamics: the action is the step, and only its end point is tested."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from circle2d_mj.circle2d import task
+from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.core.simulation import State
+
+
+class Kinematic:
+    """The positions of `num_envs` agents and how actions move them."""
+
+    info_keys = ("cost",)
+    observation_bounds = (1.0, 1.0)
+
+    def __init__(self, config: Circle2DConfig, num_envs: int) -> None:
+        self.config = config
+        self.start_area = config.start_area
+        # Columns lie together in memory: every formula works on x and y apart.
+        self.position = np.zeros((num_envs, 2), order="F")
+        """[num_envs, 2], world units."""
+
+    def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
+        """Put the agents `index` at `position`, [len(index), 2]."""
+        self.position[index] = position
+
+    def step(self, action: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Move every agent and return the costs: `p' = clip(p + 0.11·R·a, arena)`.
+
+        action: [num_envs, 2], clipped to [-1, 1] -> "cost": [num_envs]. Where the region cannot be
+        entered a move that ends in it is taken back, and costs all the same.
+        """
+        config, arena = self.config, self.config.arena
+        end = action.T.copy().T  # a fresh array in the memory order of `position`
+        np.maximum(end, -1.0, out=end)
+        np.minimum(end, 1.0, out=end)
+        end *= task.STEP * config.constraint_radius
+        end += self.position
+        np.maximum(end, -arena, out=end)
+        np.minimum(end, arena, out=end)
+        cost = task.cost(config, end)
+        if not config.infeasible_region_penetratable:
+            end = np.where(cost[:, None] > 0, self.position, end)
+        self.position = end
+        return {"cost": cost}
+
+    def observe(self) -> NDArray[np.float32]:
+        """What the agents see: [num_envs, 2] float32."""
+        return task.observe(self.config, self.position)
+
+    def state(self) -> State:
+        """The positions, [num_envs, 2]."""
+        return {"position": self.position.copy()}
+
+    def restore(self, state: State) -> None:
+        """Take over what `state` returned."""
+        self.position = np.asfortranarray(state["position"])

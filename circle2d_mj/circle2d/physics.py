@@ -1,0 +1,136 @@
+"""MuJoCo's dynamics: a ball with inertia, and a region that its contacts tell of."""
+
+# mujoco has no stubs for its enums.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from circle2d_mj.circle2d import task
+from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.circle2d.pieces import OVERHANG
+from circle2d_mj.circle2d.scene import SUBSTEPS, Actuation, scene
+from circle2d_mj.circle2d.start import StartArea
+from circle2d_mj.core.simulation import State, positive_integer
+
+
+class Physics:
+    """`num_envs` balls, each in a world of its own, on one model that is compiled once.
+
+    num_threads: threads that step them; the states do not depend on it. See `scene` for actuation.
+    """
+
+    info_keys = ("cost", "contact_force", "penetration")
+    # A ball pressed against the arena's edge or an oblique wall exceeds 1 by a little.
+    observation_bounds = (1.1, 1.1, 2.0, 2.0)
+
+    def __init__(
+        self,
+        config: Circle2DConfig,
+        num_envs: int,
+        actuation: Actuation = "velocity",
+        num_threads: int = 1,
+    ) -> None:
+        self.config, self.num_envs, self.actuation = config, num_envs, actuation
+        self.num_threads = positive_integer("num_threads", num_threads)
+        self._rigid = not config.infeasible_region_penetratable
+        self.start_area = config.start_area
+        self.model = scene(config, actuation).compile()
+        # Outside of it the ball touches nothing.
+        clearance = self.model.geom("agent").size[0] + OVERHANG * config.constraint_radius
+        self._reach = config.region.grown(clearance)
+        if self._rigid and not config.allow_infeasible_init:
+            self.start_area = StartArea(config, self._reach)
+        # A region that never pushes need not be looked for until the step's end.
+        self._without_contacts = copy.copy(self.model)
+        self._without_contacts.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        self._batch = Batch(self.model, num_envs, self.num_threads)
+        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._ctrl = self._batch.bind("ctrl")
+        self._sensors = self._batch.bind("sensordata")
+        self._full_action = self.model.actuator_ctrlrange[:, 1]
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """[num_envs, 2], world units."""
+        return self._qpos
+
+    def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
+        """Put the agents `index` at rest at `position`, [len(index), 2]."""
+        self._batch.state[index] = 0.0
+        self._qpos[index] = position
+
+    def step(self, action: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Ten physics steps. action: [num_envs, 2], clipped to [-1, 1] -> [num_envs] each:
+
+        "cost": where the region is rigid, 1 if the ball touched it after any of them; elsewhere 1
+        if the ball's centre is inside after the last. "contact_force": the region's greatest force
+        on the ball during the step, kg·units/s²; 0 where it can be entered. "penetration": world
+        units; how far the rigid region and the ball overlapped at most, elsewhere how far the
+        centre is from free space at the end.
+        """
+        self._ctrl[:] = np.clip(action, -1.0, 1.0) * self._full_action
+        return self._push() if self._rigid else self._pass_through()
+
+    def _pass_through(self) -> dict[str, NDArray[np.float64]]:
+        self._batch.set_models(self._without_contacts)
+        self._batch.step(nstep=SUBSTEPS)
+        self._batch.set_models(self.model)
+        inside = self._distance() < 0
+        depth = np.zeros(self.num_envs)
+        if inside.any():
+            depth[inside] = self.config.region.depth(self._qpos[inside])
+        return {
+            "cost": inside.astype(np.float64),
+            "contact_force": np.zeros(self.num_envs),
+            "penetration": depth,
+        }
+
+    def _push(self) -> dict[str, NDArray[np.float64]]:
+        # Each row holds the state before a physics step and the forces during it.
+        rows = self._batch.rollout(SUBSTEPS, record=("sensordata",))["sensordata"]
+        force, distance = rows[..., :3], rows[:, 1:, 3]
+        overlap = 0.0 - np.minimum(distance.min(axis=1), self._distance())
+        return {
+            "cost": (overlap > 0).astype(np.float64),
+            "contact_force": np.sqrt(np.square(force).sum(axis=-1).max(axis=1)),
+            "penetration": overlap,
+        }
+
+    def _distance(self) -> NDArray[np.float64]:
+        """Of ball and region now, below 0 where there is a contact, else 0: [num_envs].
+
+        mj_step leaves the contacts of the state before its last physics step. Looking for them
+        again costs a tenth of a step, so only balls near the region are looked at.
+        """
+        near = self._reach.contains(self._qpos)
+        self._batch.forward(near, mujoco.mjtStage.mjSTAGE_POS)
+        return np.where(near, self._sensors[:, 3], 0.0)
+
+    def observe(self) -> NDArray[np.float32]:
+        """Position and velocity, scaled: [num_envs, 4] float32."""
+        a_step = SUBSTEPS * self.model.opt.timestep
+        return task.observe(self.config, self._qpos, self._qvel * a_step)
+
+    def state(self) -> State:
+        """MuJoCo's whole state, `mjSTATE_INTEGRATION`: [num_envs, mj_stateSize]."""
+        return {"mujoco": self._batch.state.copy()}
+
+    def restore(self, state: State) -> None:
+        """Take over what `state` returned."""
+        self._batch.state[:] = state["mujoco"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        arguments = (self.config, self.num_envs, self.actuation, self.num_threads)
+        return {"arguments": arguments, "state": self.state()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(*state["arguments"])
+        self.restore(state["state"])

@@ -1,0 +1,62 @@
+"""The cost region as convex polygons, which is what MuJoCo's contact geometry is made of."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from circle2d_mj.circle2d.region import CostRegion
+
+VERTICES = 256
+"""Of the polygon in place of the disc, which has the disc's area."""
+OVERHANG = 1e-4
+"""What its rim keeps within of the circle, on either side, as a multiple of R."""
+
+
+def convex_pieces(region: CostRegion) -> list[NDArray[np.float64]]:
+    """Convex polygons that fill the region without overlap: [vertices, 2] each, world units.
+
+    Each strip is cut out of every piece that it meets: what lies to its left, to its right, and
+    between them behind its inner end is left. 3 pieces on level 1, 7 on level 2, 11 on level 3.
+    """
+    half_angle = math.pi / VERTICES
+    radius = region.radius * math.sqrt(2 * half_angle / math.sin(2 * half_angle))
+    angles = 2 * half_angle * np.arange(VERTICES)
+    pieces = [radius * np.column_stack((np.cos(angles), np.sin(angles)))]
+    for cut in region.cutouts:
+        for sin in dict.fromkeys((cut.sin, -cut.sin)):
+            along, across = np.array([cut.cos, sin]), np.array([-sin, cut.cos])
+            pieces = [part for piece in pieces for part in _less(piece, along, across, *cut[-2:])]
+    # A sliver has no volume that a convex hull could be built of, and no area that would matter.
+    return [piece for piece in pieces if _area(piece) > 1e-9 * region.radius**2]
+
+
+def _less(
+    piece: NDArray, along: NDArray, across: NDArray, inner: float, half_width: float
+) -> list[NDArray]:
+    """A convex polygon less the strip `p·along >= inner`, `|p·across| <= half_width`."""
+    between = _clip(_clip(piece, across, -half_width), -across, -half_width)
+    if not len(_clip(between, along, inner)):
+        return [piece]
+    sides = [_clip(piece, across, half_width), _clip(piece, -across, half_width)]
+    return [part for part in (_clip(between, -along, -inner), *sides) if len(part)]
+
+
+def _clip(polygon: NDArray, normal: NDArray, bound: float) -> NDArray:
+    """The part of a convex polygon where `p·normal >= bound`; without vertices if it is empty."""
+    beyond = polygon @ normal - bound
+    vertices = []
+    for k in range(len(polygon)):
+        here, there = beyond[k - 1], beyond[k]
+        if here * there < 0:
+            vertices.append(polygon[k - 1] + (polygon[k] - polygon[k - 1]) * here / (here - there))
+        if there >= 0:
+            vertices.append(polygon[k])
+    return np.array(vertices) if len(vertices) > 2 else np.empty((0, 2))
+
+
+def _area(polygon: NDArray) -> float:
+    x, y = polygon.T
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))

@@ -1,0 +1,138 @@
+"""Circle2D as a simulation: starts, rewards and ends, whatever moves the agents."""
+
+# mujoco has no stubs for what is compiled.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from circle2d_mj.circle2d import task
+from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.circle2d.start import StartArea
+from circle2d_mj.core.simulation import Outcome, State
+from circle2d_mj.core.streams import Streams
+
+if TYPE_CHECKING:
+    from circle2d_mj.render.renderer import Renderer
+    from circle2d_mj.render.window import Window
+
+
+class Dynamics(Protocol):
+    """How actions move the agents: `Kinematic`, `Physics`, or yours."""
+
+    @property
+    def info_keys(self) -> tuple[str, ...]:
+        """What `step` returns: "cost" and whatever else."""
+        ...
+
+    @property
+    def observation_bounds(self) -> tuple[float, ...]:
+        """Greatest absolute value of each observed number."""
+        ...
+
+    @property
+    def start_area(self) -> StartArea:
+        """Where agents may be placed."""
+        ...
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """[num_envs, 2], world units."""
+        ...
+
+    def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
+        """Put the agents `index` at rest at `position`, [len(index), 2]."""
+        ...
+
+    def step(self, action: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Move every agent by its action, [num_envs, 2]; [num_envs] for each of `info_keys`."""
+        ...
+
+    def observe(self) -> NDArray[np.float32]:
+        """What the agents see: a fresh array [num_envs, len(observation_bounds)]."""
+        ...
+
+    def state(self) -> State:
+        """All that steps depend on, as named arrays (copies) whose first axis is num_envs."""
+        ...
+
+    def restore(self, state: State) -> None:
+        """Take over what `state` returned."""
+        ...
+
+
+class Circle2D:
+    """`num_envs` copies of the task."""
+
+    def __init__(self, config: Circle2DConfig, num_envs: int, dynamics: Dynamics) -> None:
+        self.config, self.num_envs, self.dynamics = config, num_envs, dynamics
+        self.info_keys = dynamics.info_keys
+        bounds = np.array(dynamics.observation_bounds, dtype=np.float32)
+        self.observation_space = Box(-bounds, bounds)
+        self.action_space = Box(-1.0, 1.0, (2,), np.float32)
+        self._renderer: Renderer | None = None
+        self._window: Window | None = None
+        self._shown: Any = None
+
+    def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
+        """Put the agents `index` somewhere in the start area."""
+        self.dynamics.place(index, self.dynamics.start_area.sample(streams, index))
+
+    def step(self, action: NDArray[np.float64]) -> Outcome:
+        """Move all agents by their actions, [num_envs, 2]."""
+        info = self.dynamics.step(action)
+        reward = task.reward(self.config, self.dynamics.position)
+        if self.config.reset_on_cost:
+            return Outcome(reward, info["cost"] > 0, info)
+        return Outcome(reward, np.zeros(self.num_envs, dtype=bool), info)
+
+    def observe(self) -> NDArray[np.float32]:
+        """What the agents see: [num_envs, 2 or 4] float32."""
+        return self.dynamics.observe()
+
+    def state(self) -> State:
+        """All that steps depend on."""
+        return self.dynamics.state()
+
+    def restore(self, state: State) -> None:
+        """Take over what `state` returned."""
+        self.dynamics.restore(state)
+
+    def frame(self, index: int) -> NDArray[np.uint8]:
+        """The agent `index` in its arena, [640, 640, 3]."""
+        if self._renderer is None:
+            from circle2d_mj.render.renderer import Renderer
+
+            self._renderer = Renderer(self.config)
+        return self._renderer.frame(self.dynamics.position[index])
+
+    def show(self, index: int) -> None:
+        """The agent `index` in MuJoCo's viewer."""
+        import mujoco
+
+        if self._window is None:
+            from circle2d_mj.circle2d.scene import SUBSTEPS, scene
+            from circle2d_mj.render.window import Window
+
+            model = scene(self.config).compile()
+            self._shown = mujoco.MjData(model)
+            self._window = Window(model, SUBSTEPS * model.opt.timestep)
+        self._shown.qpos[:] = self.dynamics.position[index]
+        mujoco.mj_forward(self._shown.model, self._shown)
+        self._window.show(self._shown)
+
+    def close(self) -> None:
+        """Let go of what `frame` and `show` hold."""
+        for drawer in (self._renderer, self._window):
+            if drawer is not None:
+                drawer.close()
+        self._renderer = self._window = self._shown = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What draws cannot be copied.
+        return self.__dict__ | {"_renderer": None, "_window": None, "_shown": None}

@@ -1,0 +1,93 @@
+"""Where an episode starts: uniform over a rectangle, outside the cost region."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from circle2d_mj.circle2d.region import CostRegion
+from circle2d_mj.core.streams import Streams
+
+if TYPE_CHECKING:
+    from circle2d_mj.circle2d.config import Circle2DConfig
+
+# Few draws are then thrown away, which is most of what a reset of many environments costs.
+_FREE_SHARE = 0.9
+# Halving 26 times resolves a feasible patch of 1e-8 of the rectangle's side.
+_MAX_SPLITS = 26
+
+
+class StartArea:
+    """The start rectangle of a task, sampled exactly however little of it is feasible.
+
+    The rectangle is split into equal cells, and cells that surely lie in the cost region are
+    dropped, until nearly all that is left is surely free. A cell is then drawn, a point in it, and
+    both again while the point lies in the region: uniform over the feasible part. Raises
+    ValueError where nothing feasible is left.
+    """
+
+    def __init__(self, config: Circle2DConfig, region: CostRegion) -> None:
+        low, high = np.array(config.start_rectangle)
+        self._region = region
+        self._may_be_infeasible = config.allow_infeasible_init
+        self._corners, self._size = low[None], high - low
+        if not self._may_be_infeasible:
+            self._split()
+
+    def sample(self, streams: Streams, index: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Start positions, world units, of the environments `index`: [len(index), 2]."""
+        positions = np.empty((len(index), 2))
+        waiting = np.arange(len(index))
+        while len(waiting):
+            draw = streams.uniform(index[waiting])
+            cells = (draw[:, 0] * len(self._corners)).astype(np.intp)
+            points = self._corners[cells] + draw[:, 1:3] * self._size
+            positions[waiting] = points
+            if self._may_be_infeasible:
+                break
+            waiting = waiting[self._region.contains(points)]
+        return positions
+
+    def _split(self) -> None:
+        for _ in range(_MAX_SPLITS):
+            infeasible, free = _surely(self._region, self._corners, self._size)
+            self._corners, free = self._corners[~infeasible], free[~infeasible]
+            if len(free) and free.mean() >= _FREE_SHARE:
+                return
+            self._size = self._size / 2
+            offsets = np.array([(0, 0), (0, 1), (1, 0), (1, 1)]) * self._size
+            self._corners = (self._corners[:, None] + offsets).reshape(-1, 2)
+        raise ValueError(
+            "no feasible start is left: the start area (init_region_size, init_radius_multiplier) "
+            "lies in the cost region; enlarge it or set allow_infeasible_init"
+        )
+
+
+def _surely(
+    region: CostRegion, low: NDArray, size: NDArray
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which cells surely lie in the region, and which surely outside: two bool [n].
+
+    low: [n, 2] lower corners, size: [2]. Conservative near the edges of strips.
+    """
+    corners = low[:, None] + np.array([(0, 0), (0, 1), (1, 0), (1, 1)]) * size
+    farthest = np.hypot(*np.abs(corners).max(axis=1).T)
+    nearest = np.hypot(*np.clip(0.0, low, low + size).T)
+    touches_cutout = np.zeros(len(low), dtype=bool)
+    in_one_cutout = np.zeros(len(low), dtype=bool)
+    for cut in region.cutouts:
+        for sin in {cut.sin, -cut.sin}:
+            along = corners @ np.array([cut.cos, sin])
+            across = corners @ np.array([-sin, cut.cos])
+            touches_cutout |= (
+                (along.max(axis=1) >= cut.inner)
+                & (across.max(axis=1) >= -cut.half_width)
+                & (across.min(axis=1) <= cut.half_width)
+            )
+            in_one_cutout |= (along.min(axis=1) >= cut.inner) & (
+                np.abs(across).max(axis=1) <= cut.half_width
+            )
+    infeasible = (farthest < region.radius) & ~touches_cutout
+    return infeasible, (nearest >= region.radius) | in_one_cutout

@@ -1,0 +1,64 @@
+"""The task: observation, reward and cost as functions of positions. The place to change them.
+
+Both modes (kinematic and MuJoCo), the single and the vector environment call these. Where episodes
+start is `StartArea`; where costs lie is `CostRegion`.
+Source: safe_exploration.tex, "Circle2D details"; what it leaves open defines version v0.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from circle2d_mj.circle2d.config import Circle2DConfig
+
+STEP = 0.11
+"""How far a full action moves the agent along each axis in a step, as a multiple of R."""
+
+
+def observe(
+    config: Circle2DConfig,
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64] | None = None,
+) -> NDArray[np.float32]:
+    """The position as a fraction of the arena's half-width; then the velocity, where there is one.
+
+    position: [..., 2] world units -> [..., 2] float32 in [-1, 1]. velocity: [..., 2] world units a
+    step -> [..., 4], its last two numbers as multiples of a full action's step.
+    """
+    scaled = (position * (1.0 / config.arena)).astype(np.float32)
+    if velocity is None:
+        return scaled
+    of_full_step = velocity * (1.0 / (STEP * config.constraint_radius))
+    return np.concatenate((scaled, of_full_step.astype(np.float32)), axis=-1)
+
+
+def position(config: Circle2DConfig, observation: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The position that was observed: [..., 2 or 4] -> [..., 2] world units."""
+    return observation[..., :2].astype(np.float64) * config.arena
+
+
+def reward(config: Circle2DConfig, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Minus the distance to the optimum, over the arena's half-diagonal: `-‖p - o‖ / (√2·m·R)`.
+
+    With `sparse_reward`, one less that distance inside the corridor and the cut-outs, else 0.
+    position: [..., 2] world units -> [...] float64; in [-1, 0] for the default optimum.
+    """
+    x, y = position[..., 0], position[..., 1]
+    optimum_x, optimum_y = config.optima_perturbation
+    if optimum_x or optimum_y:
+        x, y = x - optimum_x, y - optimum_y
+    minus_distance = np.sqrt(x * x + y * y) * (-1.0 / (math.sqrt(2.0) * config.arena))
+    if config.sparse_reward:
+        return np.where(config.region.in_cutout(position), 1.0 + minus_distance, 0.0)
+    return minus_distance
+
+
+def cost(config: Circle2DConfig, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """1.0 where the agent stands in the cost region (or would, were it not rigid), else 0.0.
+
+    position: [..., 2] world units -> [...] float64. The rim counts as outside (open disc).
+    """
+    return config.region.contains(position).astype(np.float64)

@@ -1,0 +1,1 @@
+"""The gymnasium side of any task: environments, random streams, wrappers."""

@@ -1,0 +1,99 @@
+"""What a task is: a simulation of many copies. The gymnasium side knows nothing else of it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import ArrayLike, NDArray
+
+from circle2d_mj.core.streams import Streams
+
+State = dict[str, NDArray]
+
+
+class Outcome(NamedTuple):
+    """What a step gave: fresh arrays, an entry for each environment."""
+
+    reward: NDArray[np.float64]
+    """[num_envs]"""
+    terminated: NDArray[np.bool_]
+    """[num_envs]"""
+    info: dict[str, NDArray[np.float64]]
+    """[num_envs] each: "cost", and whatever else `Simulation.info_keys` names."""
+
+
+class Simulation(Protocol):
+    """A task, in `num_envs` copies that do not touch each other."""
+
+    @property
+    def num_envs(self) -> int: ...
+    @property
+    def observation_space(self) -> Box:
+        """Of one environment."""
+        ...
+
+    @property
+    def action_space(self) -> Box:
+        """Of one environment."""
+        ...
+
+    @property
+    def info_keys(self) -> tuple[str, ...]:
+        """What the info of each step holds: "cost", and whatever else."""
+        ...
+
+    def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
+        """Begin an episode in the environments `index`, with numbers from their streams alone."""
+        ...
+
+    def step(self, action: NDArray[np.float64]) -> Outcome:
+        """Move all environments by finite actions, [num_envs, action size]."""
+        ...
+
+    def observe(self) -> NDArray[np.floating]:
+        """What the agents see: a fresh array [num_envs, observation size]."""
+        ...
+
+    def state(self) -> State:
+        """All that steps depend on, as named arrays (copies) whose first axis is num_envs."""
+        ...
+
+    def restore(self, state: State) -> None:
+        """Take over what `state` returned."""
+        ...
+
+    def frame(self, index: int) -> NDArray[np.uint8]:
+        """A picture of one environment, [height, width, 3]."""
+        ...
+
+    def show(self, index: int) -> None:
+        """Show one environment in a window, opened when it is first called."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what `frame` and `show` hold."""
+        ...
+
+
+def checked_action(action: ArrayLike, shape: tuple[int, ...] | None) -> NDArray[np.float64]:
+    """The action as float64. Raises ValueError where it has another shape or is not finite."""
+    try:
+        values = np.asarray(action, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"action must be numbers of shape {shape}, got {action!r}") from None
+    if values.shape != shape:
+        raise ValueError(f"action must have shape {shape}, got shape {values.shape}")
+    if not np.isfinite(values).all():
+        raise ValueError(f"action must be finite, got {action!r}")
+    return values
+
+
+def positive_integer(name: str, value: Any) -> int:
+    """The value as an int. Raises TypeError or ValueError naming it where it is below 1."""
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool):
+        raise TypeError(f"{name} must be an integer, got {value!r}")
+    if value < 1:
+        raise ValueError(f"{name} must be at least 1, got {value!r}")
+    return int(value)

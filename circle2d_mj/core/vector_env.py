@@ -1,0 +1,205 @@
+"""The gymnasium side of every task: seeds, resets, time limits, autoreset, copies side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from circle2d_mj.core.simulation import Simulation, State, checked_action, positive_integer
+from circle2d_mj.core.streams import Streams, keys_of_seeds
+
+
+class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArray]):
+    """Copies of a task behind gymnasium's interface for vector environments.
+
+    Sub-environment i seeded with `seed + i` (or with the i-th of a sequence of seeds) runs bit for
+    bit as a single environment with that seed, whatever the number of its neighbours. All three
+    autoreset modes of gymnasium are kept, with its contract for `final_obs`, `final_info` and
+    `options={"reset_mask": ...}`. In the same-step mode `info["cost"]` is, like the reward, that of
+    the step just taken. Actions of environments that only reset in a step must be finite too.
+    `max_episode_steps=None` never truncates. Errors: TypeError or ValueError naming the argument;
+    gymnasium's ResetNeeded for a step before the first reset.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        *,
+        max_episode_steps: int | None,
+        autoreset_mode: AutoresetMode | str,
+        render_mode: str | None,
+    ) -> None:
+        if max_episode_steps is not None:
+            positive_integer("max_episode_steps", max_episode_steps)
+        self.simulation = simulation
+        self.num_envs = simulation.num_envs
+        self.max_episode_steps = max_episode_steps
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        modes = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in modes:
+            valid = f"None or one of {modes} ('human' where there is a screen)"
+            raise ValueError(f"render_mode must be {valid}, got {render_mode!r}")
+        if render_mode == "human" and self.num_envs > 1:
+            raise ValueError("render_mode 'human' shows one environment; use 'rgb_array' for many")
+        self.render_mode = render_mode
+        self.single_observation_space = simulation.observation_space
+        self.single_action_space = simulation.action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._streams: Streams | None = None
+        self._steps = np.zeros(self.num_envs, dtype=np.int64)
+        self._finished = np.zeros(self.num_envs, dtype=bool)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[NDArray[np.floating], dict[str, Any]]:
+        """Start new episodes, in all environments or where `options["reset_mask"]` says."""
+        index = self._to_reset(options)
+        self._seed(seed, index)
+        self._start(index)
+        zeros = {key: np.zeros(self.num_envs) for key in self.simulation.info_keys}
+        return self.simulation.observe(), self._info(zeros)
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[NDArray[np.floating], NDArray, NDArray, NDArray, dict[str, Any]]:
+        """Move every agent by its action, [num_envs, action size]."""
+        return self.advance(checked_action(actions, self.action_space.shape))
+
+    def advance(
+        self, actions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.floating], NDArray, NDArray, NDArray, dict[str, Any]]:
+        """`step` for actions that have been checked: finite, [num_envs, action size]."""
+        if self._streams is None:
+            raise ResetNeeded("reset() must be called before the first step()")
+        reward, terminated, info = self.simulation.step(actions)
+        self._steps += 1
+        limit = self.max_episode_steps
+        never = limit is None
+        truncated = np.zeros(self.num_envs, dtype=bool) if never else self._steps >= limit
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+            self._reset_finished(terminated, truncated, reward, *info.values())
+        info = self._info(info)
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            self._reset_now(terminated | truncated, info)
+        return self.simulation.observe(), reward, terminated, truncated, info
+
+    def state(self) -> State:
+        """All that the following steps and resets depend on, as named arrays [num_envs, ...].
+
+        With `restore`, on this or an equal environment, episodes go on bit for bit. Raises
+        ResetNeeded before the first reset.
+        """
+        if self._streams is None:
+            raise ResetNeeded("reset() must be called before there is a state")
+        return self._state_with(self._streams)
+
+    def restore(self, state: State) -> None:
+        """Take over what `state` returned. ValueError where names or shapes are others."""
+        streams = self._streams or Streams(np.zeros(self.num_envs, dtype=np.uint64))
+        own = self._state_with(streams)
+        got = {name: np.shape(array) for name, array in state.items()}
+        expected = {name: array.shape for name, array in own.items()}
+        if got != expected:
+            raise ValueError(f"state must hold arrays of the shapes {expected}, got {got}")
+        state = {name: np.array(array, dtype=own[name].dtype) for name, array in state.items()}
+        self._steps, self._finished = state.pop("steps"), state.pop("finished")
+        streams.keys, streams.counters = state.pop("stream_keys"), state.pop("stream_counters")
+        self._streams = streams
+        self.simulation.restore(state)
+
+    def _state_with(self, streams: Streams) -> State:
+        return {
+            "steps": self._steps.copy(),
+            "finished": self._finished.copy(),
+            "stream_keys": streams.keys.copy(),
+            "stream_counters": streams.counters.copy(),
+            **self.simulation.state(),
+        }
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """A picture of each environment, [height, width, 3] uint8, with "rgb_array", else None."""
+        if self.render_mode == "human":
+            self.simulation.show(0)
+        if self.render_mode != "rgb_array":
+            return None
+        return tuple(self.simulation.frame(i) for i in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Let go of what drawing needed."""
+        self.simulation.close()
+
+    def _reset_finished(self, *results: NDArray) -> None:
+        """What follows an episode's last step is a reset: no end, no reward, no cost."""
+        index = np.flatnonzero(self._finished)
+        if len(index):
+            self._start(index)
+            for result in results:
+                result[index] = 0
+        self._finished = results[0] | results[1]
+
+    def _reset_now(self, finished: NDArray[np.bool_], info: dict[str, Any]) -> None:
+        index = np.flatnonzero(finished)
+        if not len(index):
+            return
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        for i, observation in zip(index, self.simulation.observe()[index], strict=True):
+            final_obs[i] = observation
+        final_info: dict[str, Any] = {}
+        for key in self.simulation.info_keys:
+            final_info[key] = np.where(finished, info[key], 0.0)
+            final_info[f"_{key}"] = finished.copy()
+        info["final_obs"], info["_final_obs"] = final_obs, finished
+        info["final_info"], info["_final_info"] = final_info, finished.copy()
+        self._start(index)
+
+    def _start(self, index: NDArray[np.intp]) -> None:
+        assert self._streams is not None
+        self.simulation.start(self._streams, index)
+        self._steps[index] = 0
+        self._finished[index] = False
+
+    def _seed(self, seed: int | Sequence[int | None] | None, index: NDArray[np.intp]) -> None:
+        keys = [None] * self.num_envs if seed is None else keys_of_seeds(seed, self.num_envs)
+        if seed is not None:
+            # np_random follows the first seed, as gymnasium expects; starts have their own streams.
+            super().reset(seed=keys[0])
+        if self._streams is None:
+            fresh = self.np_random.integers(2**63, size=self.num_envs, dtype=np.uint64)
+            self._streams = Streams(fresh)
+        seeded = [i for i in index if keys[i] is not None]
+        if seeded:
+            values = np.array([keys[i] for i in seeded], dtype=np.uint64)
+            self._streams.reseed(np.array(seeded), values)
+
+    def _to_reset(self, options: dict[str, Any] | None) -> NDArray[np.intp]:
+        options = options or {}
+        if unknown := set(options) - {"reset_mask"}:
+            raise ValueError(f"options may hold 'reset_mask' only, got {sorted(unknown)}")
+        if "reset_mask" not in options:
+            return np.arange(self.num_envs)
+        mask = options["reset_mask"]
+        if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_):
+            raise TypeError(f"options['reset_mask'] must be a bool array, got {mask!r}")
+        if mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(
+                f"options['reset_mask'] must have shape ({self.num_envs},) and one True at least, "
+                f"got {mask!r}"
+            )
+        if self._streams is None and not mask.all():
+            raise ResetNeeded("the first reset() must reset every environment, without reset_mask")
+        return np.flatnonzero(mask)
+
+    def _info(self, values: dict[str, NDArray]) -> dict[str, Any]:
+        info: dict[str, Any] = dict(values)
+        return info | {f"_{key}": np.ones(self.num_envs, dtype=bool) for key in values}

@@ -1,0 +1,155 @@
+"""Pictures of Circle2D from above, drawn by MuJoCo off-screen: see `circle2d_mj.render.gl`."""
+
+# mujoco has no stubs for its enums.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from circle2d_mj.assets import asset
+from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.core.simulation import positive_integer
+from circle2d_mj.render import canvas
+from circle2d_mj.render.canvas import Picture
+from circle2d_mj.render.gl import Offscreen, check_backend
+
+SIZE = 640
+CELLS = 160
+LEAST_BALL = 2.5
+"""Radius in pixels that the agent has at least: in a wide arena its body would be invisible."""
+
+
+class Renderer:
+    """Draws a task: frames, trajectories, heat maps, each [size, size, 3] uint8.
+
+    size: pixels along each side of the arena. What is painted on the floor is a texture of the
+    scene; the agent is its ball. A context manager; `close` frees what it holds. Raises
+    `circle2d_mj.render.gl.NoOpenGL` where nothing can draw off-screen, with what to do about it.
+    """
+
+    def __init__(self, config: Circle2DConfig, size: int = SIZE) -> None:
+        size = positive_integer("size", size)
+        check_backend()
+        import mujoco
+
+        self.config, self.size = config, size
+        self._ground = canvas.ground(config, size)
+        self.background = canvas.with_cross(self._ground, config)
+        self._model = _model(config, size)
+        self._data = mujoco.MjData(self._model)
+        self._agent = self._model.geom("agent").id
+        self._offscreen = Offscreen(self._model, size)
+        self._offscreen.upload(0, self.background)
+        self._painted = False  # whether the floor shows anything but the background
+
+    def frame(self, position: ArrayLike | None = None, floor: Picture | None = None) -> Picture:
+        """The task with the agent at `position`, [2] world units, or without it.
+
+        floor: what to paint on the floor, [size, size, 3] uint8; by default the task's background.
+        ValueError where either is something else.
+        """
+        import mujoco
+
+        if position is not None:
+            self._data.qpos[:] = _checked(position) / self.config.arena
+        if floor is not None or self._painted:
+            self._offscreen.upload(0, self.background if floor is None else self._fitting(floor))
+            self._painted = floor is not None
+        self._model.geom_rgba[self._agent, 3] = position is not None
+        mujoco.mj_forward(self._model, self._data)
+        return self._offscreen.draw(self._data, self._model.camera("top").id)
+
+    def trajectories(
+        self,
+        paths: Sequence[ArrayLike],
+        costs: Sequence[ArrayLike],
+        agent: ArrayLike | None = None,
+    ) -> Picture:
+        """Trajectories as blue dots, their chains of consecutive cost steps boxed in orange.
+
+        paths: [T + 1, 2] each, world units, the start first; costs: [T] each; agent: where to draw
+        the agent, [2], if anywhere.
+        """
+        floor = canvas.with_trajectories(self._ground, self.config, paths, costs)
+        return self.frame(agent, canvas.with_cross(floor, self.config))
+
+    def heatmap(self, positions: ArrayLike, cells: int = CELLS, most: int | None = None) -> Picture:
+        """Visited states, from dark blue (one visit) to red (the most), in steps of the logarithm.
+
+        positions: [N, 2] world units; cells: along each side of the arena; most: the visits that
+        red stands for, by default those of the cell that has most.
+        """
+        cells = positive_integer("cells", cells)
+        counts = canvas.visits(self.config, positions, cells)
+        most = int(counts.max()) if most is None else positive_integer("most", most)
+        heat = canvas.with_counts(self._ground, counts, most)
+        return self.frame(floor=canvas.with_cross(heat, self.config))
+
+    def close(self) -> None:
+        """Free what is held on the graphics side."""
+        self._offscreen.close()
+
+    def _fitting(self, floor: Picture) -> Picture:
+        if floor.shape != self.background.shape or floor.dtype != np.uint8:
+            raise ValueError(
+                f"floor must be a picture {list(self.background.shape)} uint8, "
+                f"got {list(floor.shape)} {floor.dtype}"
+            )
+        return floor
+
+    def __enter__(self) -> Renderer:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+def _checked(position: ArrayLike) -> NDArray[np.float64]:
+    try:
+        values = np.asarray(position, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (2,) or not np.isfinite(values).all():
+        raise ValueError(f"position must be two finite numbers, got {position!r}")
+    return values
+
+
+def _model(config: Circle2DConfig, size: int) -> Any:
+    """The base scene with a texture on its floor, where the region is painted.
+
+    In units of the arena's half-width, so that it holds any task, those included that are too
+    large, small or narrow for the physics.
+    """
+    import mujoco
+
+    from circle2d_mj.circle2d.scene import BASE, BASE_RADIUS
+
+    spec = mujoco.MjSpec.from_file(str(asset(BASE)))
+    floor, agent, top = spec.geom("floor"), spec.geom("agent"), spec.camera("top")
+    body = agent.size[0] / (BASE_RADIUS * config.init_radius_multiplier)
+    agent.size = [max(body, LEAST_BALL * 2 / size), 0, 0]
+    top.pos, top.fovy = [0, 0, 2], 2
+    floor.size = [1, 1, 0.1]
+    spec.stat.extent, spec.stat.center = 2, [0, 0, 0]
+    spec.visual.global_.offwidth = spec.visual.global_.offheight = size
+    # Flat light: what is painted shows in its own colours.
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [1, 1, 1], [0, 0, 0]
+    spec.visual.quality.shadowsize = 0  # there are none, but their buffer would take 64 MB
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        width=size,
+        height=size,
+    )
+    material = spec.add_material(name="floor")
+    textures = material.textures
+    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    material.textures = textures
+    floor.material, floor.rgba = "floor", [1, 1, 1, 1]
+    return spec.compile()

@@ -1,0 +1,78 @@
+"""The paper's other three tasks as gymnasium environments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gymnasium.vector import AutoresetMode
+
+from circle2d_mj.core.single_env import TaskEnv, without_time_limit
+from circle2d_mj.core.vector_env import TaskVectorEnv
+from circle2d_mj.render.gl import render_modes
+from circle2d_mj.safety.circle import SafetyPointCircle
+from circle2d_mj.safety.goal import SafetyPointGoal
+from circle2d_mj.safety.hopper import SafetyHopperVelocity
+
+TASKS = {
+    "SafetyPointCircle1": SafetyPointCircle,
+    "SafetyPointGoal1": SafetyPointGoal,
+    "SafetyHopperVelocity": SafetyHopperVelocity,
+}
+METADATA: dict[str, Any] = {"render_modes": render_modes()}
+
+
+class SafetyVectorEnv(TaskVectorEnv):
+    """Many copies of one of `TASKS`, stepped together by MuJoCo.
+
+    Observations, actions, rewards and costs: see the task's simulation. num_threads: for MuJoCo's
+    steps; it changes no number. Seeds, autoreset and errors: see `TaskVectorEnv`.
+    """
+
+    metadata = METADATA
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        *,
+        num_threads: int = 1,
+        max_episode_steps: int | None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+    ) -> None:
+        if task not in TASKS:
+            raise ValueError(f"task must be one of {list(TASKS)}, got {task!r}")
+        simulation = TASKS[task](num_envs, num_threads)
+        super().__init__(
+            simulation,
+            max_episode_steps=max_episode_steps,
+            autoreset_mode=autoreset_mode,
+            render_mode=render_mode,
+        )
+        self.metadata["render_fps"] = round(1 / simulation.step_seconds)
+
+
+class SafetyEnv(TaskEnv):
+    """One copy of one of `TASKS`: see `SafetyVectorEnv`."""
+
+    metadata = METADATA
+
+    def __init__(
+        self,
+        task: str,
+        *,
+        num_threads: int = 1,
+        max_episode_steps: int | None,
+        render_mode: str | None = None,
+    ) -> None:
+        envs = SafetyVectorEnv(
+            task,
+            num_threads=num_threads,
+            max_episode_steps=max_episode_steps,
+            autoreset_mode=AutoresetMode.DISABLED,
+            render_mode=render_mode,
+        )
+        super().__init__(envs)
+
+
+for_gym_make = without_time_limit(SafetyEnv)

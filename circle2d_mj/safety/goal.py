@@ -1,0 +1,144 @@
+"""SafetyPointGoal1-v0: go from goal to goal without crossing hazards."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from circle2d_mj.core.simulation import Outcome, State
+from circle2d_mj.core.streams import Streams
+from circle2d_mj.safety import layout, models, rules
+from circle2d_mj.safety.circle import SUBSTEPS, point_observation_space
+from circle2d_mj.safety.mujoco_task import MuJoCoTask
+
+VASE_HEIGHT = 0.09996
+OUT_OF_REACH = 0.4
+"""m: further apart than this, agent and vase cannot meet within a step. Their outermost corners are
+0.158 and 0.142 from their centres, and at full speed the agent makes 0.03 in a step."""
+AT_REST = 1e-8
+"""m/s and rad/s: a vase slower than this stands."""
+
+# What the agent sees: everything else.
+_GOAL, _HAZARDS, _VASE = 0, slice(1, 9), 9
+_LIDAR_OF_TARGET = np.array((0, *[1] * 8, 2))
+_GEOMS = {"goal": layout.GOAL, **{f"hazard{i}": layout.HAZARDS.start + i for i in range(8)}}
+
+
+class SafetyPointGoal(MuJoCoTask):
+    """`num_envs` copies of the task. Positions in metres, steps of 0.02 s, 1000 steps an episode.
+
+    | observation | meaning |
+    | --- | --- |
+    | 0-11 | the agent's sensors, as in `SafetyPointCircle` |
+    | 12-27 | lidar of the goal, reach 3 m: see `rules.lidar` |
+    | 28-43 | lidar of the eight hazards, reach 3 m |
+    | 44-59 | lidar of the vase, reach 3 m |
+
+    Actions: as in `SafetyPointCircle`. Reward and cost: `rules.goal_reward`, `rules.goal_cost`.
+    A reached goal (`info["goal_met"]`) moves at once, and the episode goes on; it terminates only
+    if no place for a goal is found. Starts: `layout.sample_layout`, all headings uniform, at rest.
+
+    A vase that stands out of the agent's reach is left as it is, and the agent is then stepped
+    without contacts, which none of its joints feel: most of the time would go into holding up
+    the vase. Source: safety-gymnasium 1.0.0.
+    """
+
+    info_keys = ("cost", "goal_met")
+
+    def __init__(self, num_envs: int = 1, num_threads: int = 1) -> None:
+        super().__init__(models.point_goal(), num_envs, num_threads, SUBSTEPS)
+        self.observation_space = point_observation_space(lidars=3)
+        self.action_space = Box(-1.0, 1.0, (2,), np.float64)
+        self._disabled = self.batch.expand("opt.disableflags")
+        self._vase = self.qpos[:, 3:], self.qvel[:, 3:]
+        # Where everything is now, m: [num_envs, 11, 2]; see `layout`.
+        self._places = np.zeros((self.num_envs, len(layout.KEEPOUT), 2))
+        self._look()
+        # New goals are drawn in the middle of an episode, from streams which `start` seeds.
+        self._goals = Streams(np.zeros(self.num_envs, dtype=np.uint64))
+
+    def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
+        """Lay the environments `index` out anew, everything at rest."""
+        draw = streams.uniform(index)
+        words = (draw[:, :2] * 2.0**32).astype(np.uint64)
+        self._goals.reseed(index, words[:, 0] << np.uint64(32) | words[:, 1])
+        places = layout.sample_layout(streams, index)
+        self._places[index] = places
+        # The original draws the goal a second time before anyone sees it.
+        self._move_goals(index)
+        qpos = np.zeros((len(index), self.model.nq))
+        qpos[:, :2], qpos[:, 2] = places[:, layout.AGENT], 2.0 * np.pi * draw[:, 2]
+        qpos[:, 3:5], qpos[:, 5] = places[:, layout.VASE], VASE_HEIGHT
+        qpos[:, 6], qpos[:, 9] = np.cos(np.pi * draw[:, 3]), np.sin(np.pi * draw[:, 3])
+        self._disabled[index] = 0  # so that a start does not depend on the episode before
+        self.begin(index, qpos)
+
+    def step(self, action: NDArray[np.float64]) -> Outcome:
+        """Move all agents by their actions, [num_envs, 2], and the goals that they reach."""
+        before = self._seen.distance[:, _GOAL]
+        self._move(action)
+        after = self._seen.distance[:, _GOAL]
+        reward = rules.goal_reward(before, after)
+        met = rules.goal_met(after)
+        cost = rules.goal_cost(self._seen.distance[:, _HAZARDS])
+        terminated = np.zeros(self.num_envs, dtype=bool)
+        if met.any():
+            terminated[met] = ~self._move_goals(np.flatnonzero(met))
+        return Outcome(reward, terminated, {"cost": cost, "goal_met": met.astype(np.float64)})
+
+    def observe(self) -> NDArray[np.float64]:
+        """What the agents see: [num_envs, 60]."""
+        heading, reach = self.qpos[:, 2], rules.GOAL_LIDAR_REACH
+        lidars = rules.lidar(self._seen, heading, reach, _LIDAR_OF_TARGET)
+        return np.concatenate((self.sensors, lidars), axis=1)
+
+    def state(self) -> State:
+        """All that steps depend on."""
+        goals = {"goal_keys": self._goals.keys.copy(), "goal_counters": self._goals.counters.copy()}
+        return {**super().state(), "places": self._places.copy(), **goals}
+
+    def restore(self, state: State) -> None:
+        """Take over what `state` returned."""
+        super().restore(state)
+        self._places[:] = state["places"]
+        self._look()
+        self._goals.keys[:] = state["goal_keys"]
+        self._goals.counters[:] = state["goal_counters"]
+
+    def data(self, index: int) -> Any:
+        """Environment `index` as MuJoCo's own MjData, to render it.
+
+        Goal and hazards are at their places, until mj_forward puts them where the model has them.
+        """
+        data = super().data(index)
+        for name, row in _GEOMS.items():
+            data.geom(name).xpos[:2] = self._places[index, row]
+        return data
+
+    def _move(self, control: NDArray[np.float64]) -> None:
+        pose, speed = self._vase
+        # The speed is 0 exactly at the start, where the vase has yet to settle by micrometres.
+        fastest = np.maximum.reduce(np.abs(speed), axis=1)
+        stands = (fastest > 0.0) & (fastest < AT_REST)
+        stands &= self._seen.distance[:, _VASE] > OUT_OF_REACH
+        self._disabled[:] = stands * models.NO_CONTACTS
+        kept = pose.copy(), speed.copy()
+        self.advance(control)
+        np.copyto(pose, kept[0], where=stands[:, None])
+        np.copyto(speed, kept[1], where=stands[:, None])
+        self._places[:, layout.AGENT] = self.qpos[:, :2]
+        self._places[:, layout.VASE] = pose[:, :2]
+        self._look()
+
+    def _move_goals(self, index: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """New goals in the environments `index`; whether there was a place: [len(index)]."""
+        goal, found = layout.sample_goal(self._goals, index, self._places[index])
+        self._places[index, layout.GOAL] = goal
+        self._look()
+        return found
+
+    def _look(self) -> None:
+        self._seen = rules.sight(self._places[:, layout.AGENT], self._places[:, 1:])

@@ -1,0 +1,120 @@
+"""Where agent, goal, hazards and vase of SafetyPointGoal1-v0 are put: by rejection sampling."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from circle2d_mj.core.streams import Streams
+
+Floats = NDArray[np.float64]
+
+AGENT, GOAL, HAZARDS, VASE = 0, 1, slice(2, 10), 10
+"""Rows of a layout, in the order in which they are placed."""
+KEEPOUT = np.array((0.4, 0.305, *[0.18] * 8, 0.15))
+"""m: two objects lie no nearer to each other than the sum of theirs."""
+HALF_WIDTH = 1.5
+"""m: of the square that holds every object's keepout circle."""
+
+OBJECT_TRIES, LAYOUT_TRIES, GOAL_TRIES = 100, 10_000, 10_000
+_BLOCK = 10  # points that are tried at a time; more are seldom needed
+
+
+def sample_layout(
+    streams: Streams,
+    index: NDArray[np.intp],
+    keepout: Floats = KEEPOUT,
+    layout_tries: int = LAYOUT_TRIES,
+) -> Floats:
+    """A place for each object in the environments `index`, in metres: [len(index), objects, 2].
+
+    One object after the other is drawn uniformly from the square less a border as wide as its
+    keepout, until it is far enough from those before it. Where 100 draws of one have failed, that
+    environment starts over. Raises RuntimeError where 10 000 attempts have failed.
+    """
+    layout = np.empty((len(index), len(keepout), 2))
+    waiting = np.arange(len(index))
+    for _ in range(layout_tries):
+        attempt, complete = _attempt(streams, index[waiting], keepout)
+        layout[waiting] = attempt
+        waiting = waiting[~complete]
+        if not len(waiting):
+            return layout
+    raise RuntimeError(f"no layout found in {layout_tries} attempts for keepouts {keepout}")
+
+
+def sample_goal(
+    streams: Streams, index: NDArray[np.intp], layout: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """A new place for the goal among where the others are now, and whether there was one.
+
+    layout: [len(index), objects, 2] -> [len(index), 2], bool [len(index)]. The old goal is not in
+    the way. Where none of 10 000 points is free, the place returned is the old one.
+    """
+    others, apart = np.delete(layout, GOAL, axis=1), KEEPOUT[GOAL] + np.delete(KEEPOUT, GOAL)
+    first = _unit_points(streams, index, _BLOCK)
+    place, found = _first_free(
+        streams, index, first, HALF_WIDTH - KEEPOUT[GOAL], others, apart, GOAL_TRIES
+    )
+    return np.where(found[:, None], place, layout[:, GOAL]), found
+
+
+def _attempt(
+    streams: Streams, index: NDArray[np.intp], keepout: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Layouts, and which of them are complete: [len(index), objects, 2], bool [len(index)]."""
+    count = len(keepout)
+    layout = np.empty((len(index), count, 2))
+    complete = np.ones(len(index), dtype=bool)
+    # One large draw for what all objects most likely need costs less than a draw for each.
+    points = _unit_points(streams, index, count * _BLOCK).reshape(-1, count, _BLOCK, 2)
+    for i in range(count):
+        layout[:, i], found = _first_free(
+            streams,
+            index,
+            points[:, i],
+            HALF_WIDTH - keepout[i],
+            layout[:, :i],
+            keepout[i] + keepout[:i],
+            OBJECT_TRIES,
+        )
+        complete &= found
+    return layout, complete
+
+
+def _first_free(
+    streams: Streams,
+    index: NDArray[np.intp],
+    points: Floats,
+    half_width: float,
+    others: Floats,
+    apart: Floats,
+    tries: int,
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """The first of `tries` points of each environment that keeps away from what is there.
+
+    points: the first block of them, in units of half_width, [n, block, 2]; others: [n, k, 2];
+    apart: [k], distances to keep -> [n, 2] (the first point where none is free), and bool [n].
+    """
+    place, found = _pick(points * half_width, others, apart)
+    for _ in range(tries // _BLOCK - 1):
+        waiting = np.flatnonzero(~found)
+        if not len(waiting):
+            break
+        points = _unit_points(streams, index[waiting], _BLOCK) * half_width
+        place[waiting], found[waiting] = _pick(points, others[waiting], apart)
+    return place, found
+
+
+def _pick(points: Floats, others: Floats, apart: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """The first of points [n, block, 2] that is `apart` from others [n, k, 2]: see above."""
+    dx = points[:, :, None, 0] - others[:, None, :, 0]
+    dy = points[:, :, None, 1] - others[:, None, :, 1]
+    free = np.logical_and.reduce(np.sqrt(dx * dx + dy * dy) >= apart, axis=-1)
+    rows, first = np.arange(len(points)), free.argmax(axis=-1)
+    return points[rows, first], free[rows, first]
+
+
+def _unit_points(streams: Streams, index: NDArray[np.intp], count: int) -> Floats:
+    """Uniform points of the square [-1, 1]^2, the next of each stream: [len(index), count, 2]."""
+    return 2.0 * streams.uniform(index, draws=count // 2).reshape(-1, count, 2) - 1.0

@@ -1,0 +1,117 @@
+"""What the tasks share: many copies of one MuJoCo model, stepped together."""
+
+# pyright: reportAttributeAccessIssue=false
+# mujoco's names are compiled in, where pyright does not see them.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from circle2d_mj.core.simulation import State, positive_integer
+from circle2d_mj.render.gl import Offscreen
+
+if TYPE_CHECKING:
+    from circle2d_mj.render.window import Window
+
+Floats = NDArray[np.float64]
+FRAME_SIZE = 640
+"""Pixels along each side of a picture."""
+
+
+class MuJoCoTask:
+    """`num_envs` copies of a model: the part of a `Simulation` that a task need not write again.
+
+    `qpos` and `qvel`, [num_envs, ...], are views of MuJoCo's own states: writing to them changes
+    those. `sensors` [num_envs, ...] are as `begin` and `advance` left them. num_threads: of
+    MuJoCo's steps; the results are the same bit for bit. Subclasses are made from num_envs and
+    num_threads alone, which copying and pickling relies on.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, num_envs: int, num_threads: int, substeps: int
+    ) -> None:
+        self.num_envs = positive_integer("num_envs", num_envs)
+        self.num_threads = positive_integer("num_threads", num_threads)
+        self.model = model
+        self.batch = Batch(model, self.num_envs, self.num_threads)
+        self.qpos: Floats = self.batch.bind("qpos")
+        self.qvel: Floats = self.batch.bind("qvel")
+        self.sensors = np.zeros((self.num_envs, model.nsensordata))
+        self._control = self.batch.bind("ctrl")
+        self._sensed = self.batch.bind("sensordata") if model.nsensordata else None
+        self._initial = self.batch.state[0].copy()
+        self._substeps = substeps
+        self._offscreen: Offscreen | None = None
+        self._window: Window | None = None
+        # Sensors show the state after the last substep only if mj_forward follows it.
+        stage = mujoco.mjtStage
+        self._stage = int(stage.mjSTAGE_NONE if self._sensed is None else stage.mjSTAGE_ACC)
+
+    @property
+    def step_seconds(self) -> float:
+        """What a step of the task lasts in its world."""
+        return self._substeps * self.model.opt.timestep
+
+    def begin(self, index: NDArray[np.intp], qpos: Floats, qvel: Floats | float = 0.0) -> None:
+        """Put the copies `index` anew into this state: [len(index), nq] and [len(index), nv]."""
+        self.batch.state[index] = self._initial
+        self.qpos[index], self.qvel[index] = qpos, qvel
+        if self._sensed is not None:
+            self.batch.forward(index)
+            self.sensors[index] = self._sensed[index]
+
+    def advance(self, control: Floats) -> None:
+        """Hold the controls, [num_envs, nu], for one step of the task."""
+        self._control[:] = control
+        self.batch.step(nstep=self._substeps, stage=self._stage)
+        if self._sensed is not None:
+            self.sensors[:] = self._sensed
+
+    def state(self) -> State:
+        """MuJoCo's states in full, warm starts among them, and what the sensors showed."""
+        return {"mujoco": self.batch.state.copy(), "sensors": self.sensors.copy()}
+
+    def restore(self, state: State) -> None:
+        """Take over what `state` returned."""
+        self.batch.state[:] = state["mujoco"]
+        self.sensors[:] = state["sensors"]
+
+    def data(self, index: int) -> mujoco.MjData:
+        """Environment `index` as MuJoCo's own MjData, derived quantities and all, to render it."""
+        data = self.batch.get_data(index)
+        mujoco.mj_forward(self.model, data)
+        return data
+
+    def frame(self, index: int) -> NDArray[np.uint8]:
+        """Environment `index` as a camera of its model sees it, [640, 640, 3]."""
+        if self._offscreen is None:
+            self._offscreen = Offscreen(self.model, FRAME_SIZE)
+        return self._offscreen.draw(self.data(index), camera=0)
+
+    def show(self, index: int) -> None:
+        """Environment `index` in MuJoCo's viewer."""
+        if self._window is None:
+            from circle2d_mj.render.window import Window
+
+            self._window = Window(self.model, self.step_seconds)
+        self._window.show(self.data(index))
+
+    def close(self) -> None:
+        """Let go of what `frame` and `show` hold."""
+        for drawer in (self._offscreen, self._window):
+            if drawer is not None:
+                drawer.close()
+        self._offscreen = self._window = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        arguments = {"num_envs": self.num_envs, "num_threads": self.num_threads}
+        return {"arguments": arguments, "state": self.state()}
+
+    def __setstate__(self, pickled: dict[str, Any]) -> None:
+        type(self).__init__(self, **pickled["arguments"])
+        self.restore(pickled["state"])

@@ -1,0 +1,231 @@
+"""CPO's step against geometry and a general solver, in each of its cases; then a policy's step.
+
+In coordinates where H is the identity the trust region is a ball of radius √(2δ) and `c + b·x = 0`
+a plane. In radii the centre lies `share = c / √(2δ s)` beyond it, and the plain step, to the
+boundary along g, ends beyond it where `share + cosine of the angle between g and b > 0`.
+"""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import minimize
+from small_policy import NETS, normal, policy
+from torch.distributions import kl_divergence
+
+from agents.algorithms import cpo
+from agents.algorithms.cpo import INSIDE, PARTLY, RECOVERABLE, RECOVERY, CPOConfig
+from agents.on_policy.packing import BLOCK
+from agents.trust_region import policy_step as trpo
+from agents.trust_region.natural_gradient import Problem
+
+DELTA, SIZE = 0.01, 8
+RADIUS = math.sqrt(2 * DELTA)
+
+# share, cosine, the case, whether the plane holds the step back
+CASES = [
+    (-1.5, 0.7, INSIDE, False),
+    (-0.5, 0.7, PARTLY, True),
+    (-0.5, -0.7, PARTLY, False),
+    (-0.9, 0.7, PARTLY, False),
+    (0.0, 0.7, PARTLY, True),
+    (0.0, -0.7, PARTLY, False),
+    (0.5, -0.7, RECOVERABLE, False),
+    (0.5, 0.7, RECOVERABLE, True),
+    (0.9, -0.7, RECOVERABLE, True),
+    (1.5, 0.7, RECOVERY, False),
+    (1.5, -0.7, RECOVERY, False),
+]
+
+
+def one_run(share, cosine, seed):
+    """g, b, c and the root L of H = L Lᵀ of a random run with that geometry."""
+    matrix = normal(SIZE, SIZE, seed=seed)
+    root = torch.linalg.cholesky(matrix @ matrix.T / SIZE + 0.1 * torch.eye(SIZE))
+    along, across = torch.linalg.qr(normal(SIZE, 2, seed=seed + 1000))[0].T
+    g = 3.0 * (cosine * along + math.sqrt(1 - cosine**2) * across)
+    b = 10 ** normal(1, seed=seed + 2000) * along
+    return root @ g, root @ b, share * RADIUS * b.norm(), root
+
+
+def problem_of(runs):
+    """The runs (g, b, c, L) side by side, with solutions that are exact."""
+    gradient, b, excess, root = (torch.stack(column) for column in zip(*runs, strict=True))
+    matrix = root @ root.mT
+    return Problem(
+        gradient=gradient,
+        cost_gradient=lambda: b,
+        excess=excess,
+        product=lambda v: (matrix @ v[..., None])[..., 0],
+        solve=lambda v: torch.linalg.solve(matrix, v),
+        target_kl=DELTA,
+    )
+
+
+def expected_step(g, b, c, root):
+    """One run's. Down the cost, where the plane is out of reach; else the ball's furthest point
+    along g, or where that lies beyond the plane, the furthest of those where the two meet."""
+    g, b = torch.linalg.solve(root, g), torch.linalg.solve(root, b)
+    x = RADIUS * g / g.norm()
+    if c > RADIUS * b.norm() > 0:
+        x = -RADIUS * b / b.norm()
+    elif c + b @ x > 0 and b.norm() > 0:
+        foot, across = -c * b / (b @ b), g - (g @ b) / (b @ b) * b
+        x = foot + (RADIUS**2 - foot @ foot).sqrt() * across / across.norm()
+    return torch.linalg.solve(root.T, x)
+
+
+def solver_step(g, b, c, root):
+    """One run's where there is a solution, by sequential quadratic programming in radii."""
+    g, b = (torch.linalg.solve(root, v).numpy() for v in (g, b))
+    share = c.item() / RADIUS / np.linalg.norm(b)
+    g, b = g / np.linalg.norm(g), b / np.linalg.norm(b)
+    plane = {"type": "ineq", "fun": lambda x: -(share + b @ x), "jac": lambda x: -b}
+    ball = {"type": "ineq", "fun": lambda x: 1.0 - x @ x, "jac": lambda x: -2.0 * x}
+    found = minimize(
+        lambda x: -g @ x,
+        -share * b,
+        jac=lambda x: -g,
+        constraints=[plane, ball],
+        method="SLSQP",
+        options={"ftol": 1e-12, "maxiter": 500},
+    )
+    return torch.linalg.solve(root.T, RADIUS * torch.from_numpy(found.x))
+
+
+def close(found, expected):
+    """Up to a share of the vector's length: the step is computed in float32."""
+    return (found - expected).norm() <= 1e-4 * expected.norm()
+
+
+def test_every_case_in_one_batch():
+    runs = [one_run(share, cosine, seed) for seed, (share, cosine, *_) in enumerate(CASES)]
+    found = cpo.step(CPOConfig(), problem_of(runs))
+    assert found.case.tolist() == [case for _, _, case, _ in CASES]
+    for (*_, case, held), (g, b, c, root), x in zip(CASES, runs, found.step, strict=True):
+        assert close(x, expected_step(g, b, c, root))
+        if case != RECOVERY:
+            assert close(x, solver_step(g, b, c, root))
+            assert (abs(c + b @ x) < 1e-4 * RADIUS * b.norm()) == held
+    for run, (_, b, c, root) in enumerate(runs):
+        alone = cpo.step(CPOConfig(), problem_of([runs[run]]))
+        torch.testing.assert_close(alone.step[0], found.step[run])
+        # Where the limit is kept costs may grow up to it, and the objective has to grow.
+        assert found.must_improve[run] == (c <= 0)
+        assert found.cost_bound[run] == max(0.0, -c)
+        if CASES[run][2] == RECOVERY:
+            natural = torch.cholesky_solve(b[:, None], root)[:, 0]
+            recovery = -(2 * DELTA / (b @ natural)).sqrt() * natural
+            torch.testing.assert_close(found.step[run], recovery)
+            assert b @ found.step[run] < 0
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-6])
+def test_where_costs_do_not_depend_on_the_policy(size):
+    """The plain step, whatever the cost."""
+    runs = [one_run(0.0, 0.5, seed) for seed in range(3)]
+    costs = torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
+    runs = [(g, size * b / b.norm(), c, r) for (g, b, _, r), c in zip(runs, costs, strict=True)]
+    found = cpo.step(CPOConfig(), problem_of(runs))
+    assert found.case.tolist() == [INSIDE] * 3
+    assert found.cost_bound.tolist() == [1.0, 0.0, 0.0]
+    assert found.must_improve[:2].all()
+    for (g, _, _, root), x in zip(runs, found.step, strict=True):
+        plain = expected_step(g, torch.zeros(SIZE, dtype=torch.float64), 0.0, root)
+        assert close(x, plain)
+
+
+def test_random_runs_against_geometry():
+    """500 in one batch; the cases must be those of the geometry as well."""
+    share, cosine = (
+        torch.rand(2, 500, generator=torch.Generator().manual_seed(0)).double() * 3 - 1.5
+    )
+    cosine = cosine.clamp(-0.99, 0.99)
+    runs = [one_run(*pair, seed) for seed, pair in enumerate(zip(share, cosine, strict=True))]
+    found = cpo.step(CPOConfig(), problem_of(runs))
+    broken, near = share > 0, share.abs() < 1
+    expected = torch.where(near, PARTLY + broken.int(), INSIDE + 3 * broken.int())
+    assert torch.equal(found.case, expected)
+    for run, x in zip(runs, found.step, strict=True):
+        assert close(x, expected_step(*run))
+
+
+@pytest.mark.parametrize("share", [-0.5, 0.5])
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-4])
+def test_objective_and_cost_of_one_gradient(noise, share):
+    """Where the reward is what costs, in float32 as in training: still the best step allowed."""
+    runs = [one_run(share, math.sqrt(1 - noise**2), seed) for seed in range(20)]
+    problem = problem_of([[value.float() for value in run] for run in runs])
+    found = cpo.step(CPOConfig(), problem)
+    for (g, b, c, root), x in zip(runs, found.step.double(), strict=True):
+        reach = RADIUS * b.norm()
+        assert 0.5 * (root.T @ x).square().sum() <= 1.01 * DELTA
+        assert c + b @ x <= 0.01 * reach
+        # g = 3 b / |b| up to the noise, and b·x = -c
+        assert g @ x >= 3 * RADIUS * (-share - 0.01)
+
+
+def test_nothing_to_gain():
+    """Without a gradient of the objective: nowhere, or the shortest way back to the limit."""
+    runs = [one_run(share, 0.5, seed) for seed, share in enumerate((-1.5, -0.5, 0.5, 1.5))]
+    runs = [(0 * g, b, c, root) for g, b, c, root in runs]
+    x = cpo.step(CPOConfig(), problem_of(runs)).step
+    assert (x[:2] == 0).all()
+    for run, back in ((2, 0.5), (3, 1.0)):
+        _, b, _, root = runs[run]
+        u = torch.linalg.solve(root, b)
+        expected = torch.linalg.solve(root.T, -back * RADIUS * u / u.norm())
+        assert close(x[run], expected)
+
+
+def test_a_policy_of_each_case():
+    """The step of a policy is the solution of its problem, written out: dense Hessian of the mean
+    KL plus damping, gradient of the surrogate, that of the cost times the episodes' length."""
+    shares, n = torch.tensor([-1.5, -0.5, 0.5, 1.5]), 200
+    length = torch.tensor([50.0, 20.0, 120.0, 7.0], dtype=torch.float64)
+    actor, columns = 0.5 * normal(4, 64, seed=0), normal(4, BLOCK, 6, seed=1)
+    observation, action, reward, other = columns.split((2, 2, 1, 1), dim=-1)
+    cost = reward + other  # what is good costs, so that the limit is felt
+    runs, surrogates = [], []
+    for run in range(4):
+        old = policy(actor[run], observation[run, :n])
+
+        def surrogate(params, gain, run=run, old=old):
+            new = policy(params, observation[run, :n]).log_prob(action[run, :n])
+            ratio = (new - old.log_prob(action[run, :n])).exp()
+            return (ratio * gain[run, :n, 0]).mean()
+
+        def mean_kl(params, run=run, old=old):
+            return kl_divergence(old, policy(params, observation[run, :n])).mean()
+
+        hessian = torch.autograd.functional.hessian(mean_kl, actor[run])
+        root = torch.linalg.cholesky(hessian + 0.1 * torch.eye(64))
+        g = torch.autograd.functional.jacobian(lambda p, f=surrogate: f(p, reward), actor[run])
+        b = torch.autograd.functional.jacobian(lambda p, f=surrogate: f(p, cost), actor[run])
+        b = length[run] * b
+        c = shares[run] * RADIUS * torch.linalg.solve(root, b).norm()
+        runs.append((g, b, c, root))
+        surrogates.append((surrogate, mean_kl))
+
+    weight = ((torch.arange(BLOCK) < n) / n).double().expand(4, -1)
+    excess = torch.stack([c for _, _, c, _ in runs])
+    targets = torch.zeros(4, 2, BLOCK)
+    epoch = trpo.Epoch(
+        observation, action, weight, reward[..., 0], cost[..., 0], targets, length, excess
+    )
+    state = trpo.TRPOState(actor, *[None] * (len(trpo.TRPOState._fields) - 1))
+    config = CPOConfig(target_kl=DELTA, cg_iterations=60)
+    params, records = trpo.policy_step(NETS, config, cpo.RULE, state, epoch)
+    assert records["case"].tolist() == [INSIDE, PARTLY, RECOVERABLE, RECOVERY]
+    for run, (surrogate, mean_kl) in enumerate(surrogates):
+        step, scale = params[run] - actor[run], records["step_scale"][run]
+        expected = expected_step(*runs[run])
+        assert (step / scale - expected).norm() <= 1e-3 * expected.norm()
+        assert mean_kl(params[run]) <= DELTA
+        gain, spent = (
+            surrogate(params[run], advantage) - surrogate(actor[run], advantage)
+            for advantage in (reward, cost)
+        )
+        assert (spent < 0) if shares[run] > 0 else (gain > 0)
+        assert length[run] * spent <= max(0.0, -excess[run])

@@ -1,0 +1,71 @@
+"""Every algorithm on a problem with a known constrained optimum, and two of them on Circle2D-1."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from toys import register
+
+from agents.algorithms import algorithm
+from agents.lockstep.noise import Purpose, steps_of_noise, uniform
+from agents.lockstep.rollout import collect
+from agents.paper.presets import preset
+from agents.sac.update import SACConfig
+from agents.training.config import TrainConfig
+from agents.training.environments import make_envs
+from agents.training.loop import Training
+
+register()
+LIMIT = 0.6
+SHARED = {"cost_limit": LIMIT, "learning_rate": 3e-3, "batch_size": 64, "hidden": (32, 32)}
+# Off-policy: one step is one epoch. On-policy: 64. The reward's noise keeps the standardised reward
+# advantages of TRPO-Lag, and so its multiplier, bounded as its policy sharpens.
+SETTINGS = {
+    "trpo-lag": (
+        6400,
+        {"episodes": 64, "multiplier_lr": 0.5, "multiplier_optimizer": "sgd"},
+        {"noise": 1.0},
+    ),
+    "cpo": (3200, {"episodes": 64}, {"noise": 0.1}),
+    "sac-lag": (1200, {"multiplier_lr": 1e-2}, {}),
+    "sac-lb": (1200, {}, {}),
+    "wcsac": (1200, {"multiplier_lr": 1e-2}, {}),
+}
+OPTIMUM = dict.fromkeys(SETTINGS, 0.2) | {"sac-lb": 0.05}  # see Target, and below
+DISTANCE = {"trpo-lag": 0.12, "cpo": 0.05, "sac-lag": 0.05, "sac-lb": 0.1, "wcsac": 0.07}
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_comes_close_to_the_optimum_within_the_limit(name):
+    """The mean deterministic action of the last third against a = 0.2, that of both runs; its cost
+    (1 + a) / 2 may exceed the limit by 0.03. SAC-LB keeps its distance from the limit: with t = 3
+    the slopes of reward and barrier, 2 (0.8 - a) and 3/2, balance at a = 0.05."""
+    steps, changes, parameters = SETTINGS[name]
+    config = replace(algorithm(name).config(), **SHARED, **changes)
+    if isinstance(config, SACConfig):
+        config = replace(config, random_steps=100, gradient_steps=1, replay_size=1000)
+    training = Training(TrainConfig(name, "Target-v0", (0, 1), steps, config, parameters))
+    actions, nothing = [], np.zeros((2, 1, 1), np.float32)
+    untrained = training.learner.policy()(nothing, None)
+    assert np.abs(untrained - OPTIMUM[name]).max() > DISTANCE[name]
+    while not training.done:
+        training.run_epoch()
+        if training.steps[0] > 2 * steps // 3:
+            actions.append(training.learner.policy()(nothing, None))
+    found = np.mean(actions, axis=0).ravel()
+    assert np.abs(found - OPTIMUM[name]).max() < DISTANCE[name], found
+    assert ((1 + found) / 2).max() < LIMIT + 0.03, found
+
+
+@pytest.mark.parametrize(("name", "steps"), [("trpo-lag", 30_000), ("sac-lag", 60_000)])
+def test_improves_over_a_random_policy_on_circle2d(name, steps):
+    """With the paper's presets."""
+    task = "Circle2D-1-v0"
+    training = Training(TrainConfig(name, task, (0,), steps, preset(name, task)))
+    while not training.done:
+        training.run_epoch()
+    envs, policy = make_envs(task, 200, {}), training.learner.policy()
+    noise = steps_of_noise(uniform, (0,), Purpose.EVALUATION, 0, (200, 2))
+    at_random = collect(envs, range(200), lambda observation: next(noise)[0])
+    trained = collect(envs, range(200), lambda observation: policy(observation[None], None)[0])
+    assert trained.returns.mean() > at_random.returns.mean() + 2.0

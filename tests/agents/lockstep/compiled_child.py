@@ -1,0 +1,96 @@
+"""What `test_compiled` runs in a process of its own, where PyTorch may compile: prints JSON."""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from test_families import arrays_of, assert_same, config, finished
+
+from agents.algorithms import learner
+from agents.lockstep import backend
+from agents.lockstep.compiling import CLOCK
+from agents.lockstep.rollout import collect
+from agents.training.environments import make_envs
+from agents.training.loop import Training
+
+UPDATES, SEEDS = 20, (0, 1, 2)
+
+
+def rollout_of(one, episodes):
+    """Episodes of a policy that knows nothing, of different lengths."""
+    envs = make_envs(one.task, len(SEEDS) * episodes, {})
+    rng = np.random.default_rng(0)
+    return collect(
+        envs,
+        range(len(SEEDS) * episodes),
+        lambda observation: rng.uniform(-1, 1, (len(observation), 1)).astype(np.float32),
+    )
+
+
+def trained(name, runs, compiles, states=None):
+    """The states of the first `runs` runs before and after each update from the same episodes.
+
+    states: those to begin each update with; by default what the update before came to.
+    """
+    backend.configure(compiles)
+    one = config(name, SEEDS[:runs])
+    agent = learner(name, one.hyperparameters, one.seeds, 2, 1)
+    rollout = rollout_of(one, agent.episodes).of(slice(0, runs * agent.episodes))
+    found = [copied(agent.state())]
+    for epoch in range(UPDATES):
+        if states:
+            agent.restore(states[epoch])
+        agent.learn(rollout, epoch, np.ones(runs, dtype=bool))
+        found.append(copied(agent.state()))
+    return found
+
+
+def copied(state):
+    return {name: array.copy() for name, array in state.items()}
+
+
+def difference(a, b):
+    """The largest of parameters."""
+    assert a.keys() == b.keys()
+    names = [name for name in a if name in ("actor", "critics", "multiplier.parameter")]
+    return max(float(np.abs(a[name] - b[name]).max()) for name in names)
+
+
+def resumed_is_as_never_stopped(name):
+    backend.configure(True)
+    whole, stopped, resumed = (Training(config(name, SEEDS)) for _ in range(3))
+    while stopped.steps.min() < 400:
+        stopped.run_epoch()
+    with tempfile.TemporaryDirectory() as folder:
+        stopped.config.write(Path(folder))
+        stopped.save(Path(folder))
+        resumed.restore(Path(folder))
+    assert_same(arrays_of(finished(resumed)), arrays_of(finished(whole)))
+
+
+def main(names):
+    found = {}
+    for name in names:
+        eager = trained(name, 3, False)
+        single = trained(name, 3, True, eager)
+        of_all = trained(name, 3, True)
+        found[name] = {
+            "moved": difference(eager[-1], eager[0]),
+            "one update": max(map(difference, single, eager)),
+            "all updates": difference(of_all[-1], eager[-1]),
+            "seconds of compiling": CLOCK.seconds,
+        }
+    name = names[0]
+    of_three = trained(name, 3, True)[-1]
+    for runs in (1, 2):
+        of_some = trained(name, runs, True)[-1]
+        learned = {k: v for k, v in of_some.items() if not k.startswith("replay")}
+        assert_same(learned, {k: of_three[k][:runs] for k in learned})
+    resumed_is_as_never_stopped(name)
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

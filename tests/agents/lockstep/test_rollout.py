@@ -1,0 +1,123 @@
+"""Episodes of different lengths, side by side, against what was scripted."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from agents.errors import UserError
+from agents.lockstep.rollout import collect
+from agents.training.side_by_side import SideBySide
+from circle2d_mj import Circle2DEnv, Circle2DVectorEnv
+
+
+class Countdown(gym.Env):
+    """Lasts `seed` steps; observation: steps taken; reward 10 + step, cost = step taken so far."""
+
+    observation_space = Box(-np.inf, np.inf, (1,))
+    action_space = Box(-1.0, 1.0, (1,))
+
+    def __init__(self, truncates=False, gives_cost=True):
+        self.truncates, self.gives_cost = truncates, gives_cost
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.length, self.t = seed or 3, 0
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        assert self.t < self.length, "stepped beyond its end"
+        self.t += 1
+        end = self.t == self.length
+        info = {"cost": float(self.t)} if self.gives_cost else {}
+        observation = np.full(1, self.t, np.float32)
+        return observation, 10.0 + self.t, end and not self.truncates, end and self.truncates, info
+
+
+def scripted(**kwargs):
+    return SyncVectorEnv([lambda: Countdown(**kwargs)] * 3, autoreset_mode=AutoresetMode.DISABLED)
+
+
+def test_side_by_side():
+    """As 3 and 3 environments of their own; scripted ones refuse steps beyond their end."""
+    parts = [scripted(), scripted(truncates=True)]
+    seeds, active = [2, 7, 4, 3, 3, 9], np.array([True] * 5 + [False])
+    rollout = collect(SideBySide(parts), seeds, lambda obs: -0.1 * obs, active)
+    assert rollout.length.tolist() == [2, 7, 4, 3, 3, 0]
+    for k, truncates in enumerate((False, True)):
+        own = slice(3 * k, 3 * k + 3)
+        alone = collect(
+            scripted(truncates=truncates), seeds[own], lambda obs: -0.1 * obs, active[own]
+        )
+        end = len(alone.reward)
+        of_part = rollout.of(own)
+        np.testing.assert_array_equal(of_part.length, alone.length)
+        for ours, theirs in zip(of_part[:7], alone[:7], strict=True):
+            during = alone.during
+            np.testing.assert_array_equal(ours[:end][during], theirs[during])
+    with pytest.raises(UserError, match="gives no info"):
+        collect(SideBySide([scripted(), scripted(gives_cost=False)]), seeds, lambda obs: obs)
+
+
+@pytest.mark.parametrize("truncates", [False, True])
+def test_lengths_sums_and_ends(truncates):
+    rollout = collect(scripted(truncates=truncates), [2, 7, 4], lambda obs: -0.1 * obs)
+    assert rollout.length.tolist() == [2, 7, 4]
+    # Σ (10 + t) = 10 n + n (n + 1) / 2: 23, 98, 50; costs Σ t: 3, 28, 10
+    assert rollout.returns.tolist() == [23.0, 98.0, 50.0]
+    assert rollout.cost_returns.tolist() == [3.0, 28.0, 10.0]
+    assert rollout.final_observation[:, 0].tolist() == [2.0, 7.0, 4.0]
+    ends = rollout.truncated if truncates else rollout.terminated
+    other = rollout.terminated if truncates else rollout.truncated
+    for run, n in enumerate(rollout.length):
+        assert ends[:n, run].tolist() == [False] * (n - 1) + [True]
+        assert not other[:n, run].any()
+        np.testing.assert_array_equal(rollout.observation[:n, run, 0], np.arange(n))
+        np.testing.assert_array_equal(rollout.next_observation[:n, run, 0], 1 + np.arange(n))
+        np.testing.assert_allclose(rollout.action[:n, run, 0], -0.1 * np.arange(n), rtol=1e-6)
+
+
+def test_native_and_sync_environments_give_the_same():
+    seeds = [5, 9, 2**60]
+
+    def act(observation):
+        return np.clip(-2.0 * observation, -1, 1)
+
+    parameters = {"level": 2, "reset_on_cost": True}
+    native = Circle2DVectorEnv(3, autoreset_mode="Disabled", **parameters)
+    sync = SyncVectorEnv(
+        [lambda: Circle2DEnv(**parameters)] * 3, autoreset_mode=AutoresetMode.DISABLED
+    )
+    ours, theirs = collect(native, seeds, act), collect(sync, seeds, act)
+    assert ours.length.min() < 50
+    np.testing.assert_array_equal(ours.length, theirs.length)
+    assert not ours.diverged.any()
+    for mine, its in zip(ours[:-2], theirs[:-2], strict=True):
+        np.testing.assert_array_equal(mine[ours.during], its[theirs.during])
+
+
+def test_without_costs():
+    with pytest.raises(UserError, match=r"gives no info\['cost'\]; it gives nothing"):
+        collect(scripted(gives_cost=False), [1, 2, 3], lambda obs: obs)
+
+
+def test_actions_are_kept_as_chosen_and_taken_clipped():
+    taken = []
+
+    class Noted(Countdown):
+        def step(self, action):
+            taken.append(float(action[0]))
+            return super().step(action)
+
+    envs = SyncVectorEnv([Noted], autoreset_mode=AutoresetMode.DISABLED)
+    rollout = collect(envs, [3], lambda observation: observation - 1.5)
+    assert rollout.action.ravel().tolist() == [-1.5, -0.5, 0.5]
+    assert taken == [-1.0, -0.5, 0.5]
+
+
+def test_an_episode_that_never_ends(monkeypatch):
+    monkeypatch.setattr("agents.lockstep.rollout.MAX_STEPS", 6)
+    assert collect(scripted(), [2, 6, 4], lambda observation: observation).length.max() == 6
+    with pytest.raises(UserError, match="has not ended after 6 steps"):
+        collect(scripted(), [2, 7, 4], lambda observation: observation)

@@ -1,0 +1,171 @@
+"""Learning of the on-policy family: an epoch of episodes, its advantages, runs side by side."""
+
+import numpy as np
+import pytest
+import torch
+
+from agents.algorithms import cpo, trpo_lag
+from agents.algorithms.cpo import CPOConfig
+from agents.algorithms.trpo_lag import TRPOLagConfig
+from agents.lockstep.rollout import Rollout
+from agents.on_policy.learner import METRICS, OnPolicy
+from agents.on_policy.packing import Packing
+from agents.trust_region import policy_step as trpo
+
+OBSERVATION, ACTION = 3, 2
+SMALL = {"hidden": (32,), "episodes": 2, "critic_iterations": 2}
+
+
+def learner(rule, config, seeds=(0,)):
+    return OnPolicy(config, rule, seeds, OBSERVATION, ACTION)
+
+
+def episodes(lengths, draw):
+    """A rollout of episodes that `draw`, (n, length) -> columns, fills; NaN beyond their ends.
+
+    Episodes of even number end in a terminal state, the others are cut off.
+    """
+    steps, n = max(lengths), len(lengths)
+    widths = (OBSERVATION, ACTION, None, None, OBSERVATION)
+    shapes = [(steps, n) if width is None else (steps, n, width) for width in widths]
+    columns = [np.full(shape, np.nan, np.float32 if len(shape) > 2 else float) for shape in shapes]
+    for k, length in enumerate(lengths):
+        for column, values in zip(columns, draw(k, length), strict=True):
+            column[:length, k] = values
+    ends = np.arange(steps)[:, None] == np.array(lengths) - 1
+    even = np.arange(n) % 2 == 0
+    return Rollout(*columns, ends & even, ends & ~even, np.array(lengths), np.zeros(n, bool))
+
+
+def saying(critic, values):
+    """Parameters of critics that say a constant each, [1, 2, size]."""
+    params = torch.zeros(1, 2, critic.size)
+    last = sum(a * b + b for a, b in zip(critic.sizes[:-1], critic.sizes[1:], strict=True)) - 1
+    params[0, :, last] = torch.tensor(values)
+    return params
+
+
+@pytest.mark.parametrize("time_limit", ["bootstrap", "terminal"])
+def test_an_epoch_by_hand(time_limit):
+    """Critics say 2 and 4; γ = ½, λ = 0, so that A = r + ½ V' - V.
+
+    The first episode, r = 5 and c = 2, ends in a terminal state: targets 5 and 2. The second,
+    r = 1, 3 and c = 1, 0, is cut off: targets 1 + ½·2 = 2 and 1 + ½·4 = 3, then bootstrapping
+    3 + ½·2 = 4 and 0 + ½·4 = 2, or else 3 and 0.
+    """
+    config = TRPOLagConfig(time_limit=time_limit, discount=0.5, gae_lambda=0.0, **SMALL)
+    it = learner(trpo_lag.RULE, config)
+    it._state = it._state._replace(critics=saying(it.nets.critic, [2.0, 4.0]))
+    signals = [([5.0], [2.0]), ([1.0, 3.0], [1.0, 0.0])]
+    rollout = episodes([1, 2], lambda k, length: (0.5, 0.5, *signals[k], 0.5))
+    epoch = it._epoch(rollout, Packing(rollout.during, 1))
+    bootstraps = time_limit == "bootstrap"
+    targets = np.array([[5.0, 2.0, 4.0], [2.0, 3.0, 2.0]] if bootstraps else [[5, 2, 3], [2, 3, 0]])
+    np.testing.assert_allclose(epoch.value_targets[0, :, :3], targets)
+    # Advantages: of the reward with mean 0 and deviation 1, of the cost with mean 0 only
+    reward, cost = targets[0] - 2.0, targets[1] - 4.0
+    expected = (reward - reward.mean()) / reward.std()
+    np.testing.assert_allclose(epoch.reward_advantage[0, :3], expected, rtol=1e-6)
+    np.testing.assert_allclose(epoch.cost_advantage[0, :3], cost - cost.mean(), rtol=1e-6)
+    assert epoch.length.tolist() == [1.5]
+    assert epoch.excess.tolist() == [(2.0 + 1.0) / 2 - 25.0]
+
+
+@pytest.mark.parametrize("optimizer", ["adam", "sgd"])
+def test_multiplier_follows_the_cost_of_episodes(optimizer):
+    """λ₀ = 0.001, lr 0.005, d = 3. Episodes cost 5, 1 and 3 on average: λ rises, falls to 0, stays.
+
+    Adam's first step is the step size; the plain gradient's is 0.005·2 = 0.01.
+    """
+    config = TRPOLagConfig(cost_limit=3.0, multiplier_optimizer=optimizer, **SMALL)
+    it = learner(trpo_lag.RULE, config, seeds=(0, 1, 2))
+    rng, costs = np.random.default_rng(0), [4, 6, 0, 2, 3, 3]
+    rollout = episodes(
+        [10] * 6, lambda k, length: (*rng.normal(size=(2, 1, 1)), 0.0, costs[k] / 10, 0.0)
+    )
+    column, everyone = it.metrics.index("multiplier"), np.ones(3, bool)
+    used = [it.learn(rollout, epoch, everyone)[:, column] for epoch in range(2)]
+    np.testing.assert_allclose(used[0], 0.001, rtol=1e-6)
+    risen = 0.001 + (0.005 if optimizer == "adam" else 0.01)
+    np.testing.assert_allclose(used[1], [risen, 0.0, 0.001], rtol=1e-4, atol=1e-8)
+
+
+def noisy(seed, epoch):
+    """Episodes of a seed and an epoch, of a cost of about 1; actions of deviation 1."""
+
+    def draw(k, length):
+        rng = np.random.default_rng((seed, epoch, k))
+        observation, following = rng.normal(size=(2, length, OBSERVATION))
+        action, reward = rng.normal(size=(length, ACTION)), rng.normal(size=length)
+        return observation, action, reward, 2.0 / length * (action[:, 0] > 0), following
+
+    return draw
+
+
+LENGTHS = {0: (37, 60), 1: (900, 201), 2: (1, 2), 3: (250, 263)}
+
+
+def trained(rule, config, seeds, epochs=2, absent=()):
+    """What learning leaves behind and its metrics, after epochs on each seed's own episodes."""
+    it, metrics = learner(rule, config, seeds), []
+    for epoch in range(epochs):
+        lengths = [length for seed in seeds for length in LENGTHS[seed]]
+        draws = [noisy(seed, epoch) for seed in seeds]
+        rollout = episodes(lengths, lambda n, length, d=draws: d[n // 2](n % 2, length))
+        active = np.array([seed not in absent for seed in seeds])
+        metrics.append(it.learn(rollout, epoch, active))
+    return it.state(), np.array(metrics)
+
+
+@pytest.mark.parametrize(
+    ("rule", "config"), [(trpo_lag.RULE, TRPOLagConfig), (cpo.RULE, CPOConfig)], ids=["lag", "cpo"]
+)
+def test_a_run_is_bitwise_the_same_alone(rule, config):
+    """Beside one of 1101 steps, in three blocks, where others have 97, 3 and 513. Costs are about
+    their limit, so that CPO comes to more than its plain step."""
+    config = config(cost_limit=1.0, **SMALL)
+    together, their_metrics = trained(rule, config, (1, 0, 2, 3))
+    assert (their_metrics[..., METRICS.index("step_scale")] > 0).any()
+    for k, seed in enumerate((1, 0, 2, 3)):
+        alone, metrics = trained(rule, config, (seed,))
+        np.testing.assert_array_equal(metrics[:, 0], their_metrics[:, k])
+        for name, value in alone.items():
+            np.testing.assert_array_equal(value[0], together[name][k], err_msg=name)
+
+
+def test_a_run_that_takes_no_part_stays_as_it_is(monkeypatch):
+    compared, compares = trpo.compared, []
+    monkeypatch.setattr(trpo, "compared", lambda *a: compares.append(1) or compared(*a))
+    config = TRPOLagConfig(**SMALL)
+    before = learner(trpo_lag.RULE, config, (0, 1)).state()
+    after, metrics = trained(trpo_lag.RULE, config, (0, 1), absent=(1,))
+    count = len(compares)
+    alone, its_metrics = trained(trpo_lag.RULE, config, (0,))
+    assert len(compares) == 2 * count  # nor does the line search go on for it
+    assert np.isnan(metrics[:, 1]).all()
+    np.testing.assert_array_equal(metrics[:, 0], its_metrics[:, 0])
+    for name, value in after.items():
+        np.testing.assert_array_equal(value[1], before[name][1], err_msg=name)
+        np.testing.assert_array_equal(value[0], alone[name][0], err_msg=name)
+
+
+def test_learns_what_pays():
+    """Reward -(a - 0.5)², cost where the second component is positive: both components obey."""
+    config = TRPOLagConfig(cost_limit=0.0, initial_multiplier=1.0, **SMALL)
+    it = learner(trpo_lag.RULE, config, seeds=(0, 1))
+    zeros = np.zeros((4, OBSERVATION), np.float32)
+    for epoch in range(25):
+        act = it.explorer(epoch, np.zeros(2, np.int64))
+        actions = np.stack([act(zeros) for _ in range(100)])
+
+        def draw(k, length, actions=actions):
+            action = actions[:, k]
+            cost = (action[:, 1] > 0).astype(float)
+            return 0.0, action, -((action[:, 0] - 0.5) ** 2), cost, 0.0
+
+        metrics = it.learn(episodes([100] * 4, draw), epoch, np.ones(2, bool))
+    mean = it.policy()(zeros.reshape(2, 2, OBSERVATION), None)[:, 0]
+    assert (np.abs(mean[:, 0] - 0.5) < 0.2).all()
+    assert (mean[:, 1] < -0.5).all()
+    std = metrics[:, METRICS.index("std")]
+    assert (std < 0.9).all()

@@ -1,0 +1,149 @@
+"""Both choices of what the paper does not print: which runs there are, and where they are told."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from agents.cli.main import main
+from agents.paper.grid import grid
+from agents.paper.presets import ablation, preset, unprinted
+from agents.reporting.report import report
+from agents.training.config import TrainConfig
+
+ALGORITHMS = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
+TASK, SAFETY = "Circle2D-1-v0", "circle2d_mj/SafetyPointGoal1-v0"
+
+
+def test_the_grid_with_ablations():
+    arguments = (Path("x"), [TASK, SAFETY], ALGORITHMS, (0, 1, 2), 1000)
+    usual, all_of = grid(*arguments), grid(*arguments, ablations=True)
+    assert {folder: all_of[folder] for folder in usual} == usual
+    added = {str(f): c for f, c in all_of.items() if f not in usual}
+    safety = f"x/{SAFETY.replace('/', '-')}"
+    assert added.keys() == {
+        *(f"x/{TASK}/{name}" for name in ("trpo-lag-sgd", "sac-lag-bootstrap")),
+        *(f"x/{TASK}/{name}" for name in ("sac-lb-bootstrap", "wcsac-bootstrap")),
+        # There the presets bootstrap.
+        *(f"{safety}/{name}" for name in ("trpo-lag-sgd", "sac-lag-terminal")),
+        *(f"{safety}/{name}" for name in ("sac-lb-terminal", "wcsac-terminal")),
+    }
+    for folder, config in added.items():
+        algorithm, _, choice = folder.rpartition("/")[2].rpartition("-")
+        field = "multiplier_optimizer" if algorithm == "trpo-lag" else "time_limit"
+        expected = replace(preset(algorithm, config.task), **{field: choice})
+        assert config.hyperparameters == expected
+        assert (config.seeds, config.steps) == ((0, 1, 2), 1000)
+    # What takes longest still goes first.
+    assert [config.algorithm for config in all_of.values()][-4:] == ["trpo-lag"] * 4
+
+
+def test_presets_take_what_gives_the_papers_results_on_circle2d():
+    for name in ALGORITHMS:
+        setting = unprinted(name)
+        if name == "cpo":
+            assert setting is None
+            assert ablation(name, TASK) is None
+        else:
+            expected = "adam" if name == "trpo-lag" else "terminal"
+            assert getattr(preset(name, TASK), setting.field) == expected
+
+
+def test_a_table_says_what_of_its_presets_is_not_printed(tmp_path):
+    for task in (TASK, SAFETY):
+        for name in ("trpo-lag", "cpo", "sac-lb"):
+            write_runs(tmp_path / task / name, name, [-10.0], task=task)
+    by_circle2d, by_safety = report(tmp_path).split(f"| {SAFETY}")
+    inferred = "That the paper did so is inferred from its results, not printed.\n"
+    assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {inferred}" in by_circle2d
+    assert f"SAC-LB: the last step of an episode counts as terminal. {inferred}" in by_circle2d
+    told = "Whether the paper did so is not printed.\n"
+    assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {told}" in by_safety
+    assert f"SAC-LB: values go on behind the time limit of an episode. {told}" in by_safety
+
+
+def write_runs(folder, name, j_r, hyperparameters=None, steps=100, ends=((-0.5, 0.0),), task=TASK):
+    """Runs of ten episodes, each of a tenth of all steps, as files."""
+    seeds = tuple(range(len(j_r)))
+    hyperparameters = hyperparameters or preset(name, task)
+    TrainConfig(name, task, seeds, steps, hyperparameters).write(folder)
+    for seed, value in enumerate(j_r):
+        length = steps // 10
+        lines = ["rollout,start_step,length,return,cost,longest_streak"]
+        lines += [f"{k},{length * k},{length},-1.0,4.0,4" for k in range(10)]
+        (folder / f"seed-{seed}" / "episodes.csv").write_text("\n".join([*lines, ""]))
+        of = {"J_R": value, "J_C": 4.25, "CVaR_0.5": 6.5, "final_observations": [ends[seed % 2]]}
+        content = {"episodes": 1, "deterministic": of, "stochastic": of}
+        (folder / f"seed-{seed}" / "evaluation.json").write_text(json.dumps(content))
+
+
+ENDS = ((-0.5, 0.0), (1.0, 0.0))
+"""In the corridor and at the right rim."""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_runs(tmp_path / "trpo-lag", "trpo-lag", [-10.0, -20.0, -12.0], ends=ENDS)
+    sgd = ablation("trpo-lag", TASK)[1]
+    write_runs(tmp_path / "trpo-lag-sgd", "trpo-lag", [-1.0, -3.0], sgd, ends=ENDS)
+    write_runs(tmp_path / "cpo", "cpo", [-30.0, -32.0], ends=ENDS)
+    return tmp_path
+
+
+def rows(markdown):
+    lines = (line for line in markdown.splitlines() if line.startswith("|"))
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+
+
+def test_both_choices_side_by_side(folder):
+    markdown = report(folder)
+    start = markdown.index("Both choices of what the paper does not print")
+    main_table, ablated = rows(markdown[:start]), rows(markdown[start:])
+    assert [row[0] for row in ablated[2:]] == [
+        f"{TASK}, TRPO-Lag, adam (preset), 100 steps, mean of 3",
+        f"{TASK}, TRPO-Lag, sgd, 100 steps, mean of 2",
+        f"{TASK}, TRPO-Lag, paper (3 seeds)",
+    ]
+    of_preset, of_other, of_paper = ablated[2:]
+    assert of_preset[5] == "-14.00 [-20.00, -10.00]"
+    assert of_other[5] == "**-2.00** [-3.00, -1.00]"  # 2.68 from the paper, not 9.32
+    assert of_paper[5] == "-4.68"
+    assert of_preset[6].startswith("**4.25**")  # of two equal ones either
+    assert of_other[6].startswith("**4.25**")
+    assert (of_preset[8], of_other[8]) == ("corridor 2, right rim 1", "corridor 1, right rim 1")
+    # The best J_R of the main table is the preset's, though the ablated runs' is higher.
+    assert not any("sgd" in row[0] for row in main_table)
+    (of_preset,) = (row for row in main_table if row[0] == "TRPO-Lag (100 steps), mean of 3")
+    assert of_preset[5] == "**-14.00** [-20.00, -10.00]"
+    assert "TRPO-Lag (multiplier_optimizer sgd" in (folder / "report.csv").read_text()
+
+
+def test_without_the_presets_runs_it_is_a_group_like_any_other(folder):
+    shutil.rmtree(folder / "trpo-lag")
+    markdown = report(folder)
+    assert "Both choices" not in markdown
+    assert "TRPO-Lag (multiplier_optimizer sgd, 100 steps), mean of 2" in markdown
+
+
+def test_runs_of_other_steps_are_no_pair(folder):
+    other = ablation("trpo-lag", TASK)[1]
+    write_runs(folder / "longer", "trpo-lag", [-1.0], other, steps=200)
+    assert "TRPO-Lag (multiplier_optimizer sgd, 200 steps), mean of 1" in report(folder)
+
+
+def test_reproduce_with_ablations(tmp_path, capsys):
+    out = tmp_path / "grid"
+    command = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3"]
+    command += ["--steps", "2000", "--workers", "1", "--ablations", "--out", str(out)]
+    assert main(command) == 0
+    folders = {path.parent.name for path in out.glob("*/*/config.json")}
+    assert folders == {"trpo-lag", "trpo-lag-sgd", "cpo"}
+    printed = capsys.readouterr().out
+    assert "TRPO-Lag, sgd, 2,000 steps, mean of 1" in printed
+    page = (out / "index.html").read_text()
+    assert "Both choices of what the paper does not print" in page
+    assert len(re.findall(r"circle2d train .*--multiplier-optimizer sgd", page)) == 1
+    assert (out / "report.md").read_text().count("TRPO-Lag, sgd,") == 1

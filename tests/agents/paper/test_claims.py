@@ -1,0 +1,197 @@
+"""The paper's claims against runs made up to confirm, to refute, or to decide nothing."""
+
+from dataclasses import replace
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.paper.claims import CLAIMS, check_claims
+from agents.paper.presets import PAPER_STEPS, preset
+from agents.reporting import claims_text
+from agents.results.reading import Group, Run
+from agents.training.config import TrainConfig
+from emcc import EpisodeRecords
+
+ALGORITHMS = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac")
+SAFETY = [task for task in PAPER_STEPS if "Safety" in task]
+LEVEL = [f"Circle2D-{level}-v0" for level in range(4)]
+
+
+def run(seed, parts, rate, j_c, ends, later_cost):
+    """Ten episodes, the first four at a cost of 40: only the others are after the first third."""
+    measures = dict(zip(("EMCC_0.33", "EMCC_0.66", "EMCC_0.99"), parts, strict=True))
+    measures |= {"cost_rate": rate, "J_R": -9.0, "J_C": j_c, "CVaR_0.5": j_c}
+    cost = np.array([40.0] * 4 + [later_cost] * 6)
+    of_ten, zero = np.arange(10), np.zeros(10)
+    records = EpisodeRecords(of_ten, of_ten * 10, zero + 10, zero, cost, zero)
+    return Run(seed, measures, 100, ends, records)
+
+
+def as_the_paper_says(task, name):
+    """Three runs for which every claim holds; seeds differ a little."""
+    parts, rate, j_c, ends, later = (0.5, 0.4, 0.45), 0.1, 1.0, "right rim", 1.0
+    if name in ("trpo-lag", "cpo"):
+        parts = (0.5, 0.3, 0.2)
+        if name == "trpo-lag" and task in LEVEL[1:]:
+            j_c, ends = 9.4, "corridor (80 %)"
+    elif name in ("sac-lag", "sac-lb"):
+        parts = (0.3, 0.4, 0.5)
+        ends = "corridor" if task == LEVEL[0] or (name, task) == ("sac-lb", LEVEL[1]) else ends
+    else:
+        parts = (0.5, 0.6, 0.7)
+    runs = []
+    for seed in (0, 1, 2):
+        shifted = [part + 0.01 * seed for part in parts]
+        runs.append(run(seed, shifted, rate + 0.001 * seed, j_c, ends, later))
+    return runs
+
+
+def group(task, name, runs, steps=None, **changes):
+    seeds = tuple(of.seed for of in runs) or (0,)
+    hyperparameters = replace(preset(name, task), **changes)
+    config = TrainConfig(name, task, seeds, steps or PAPER_STEPS[task], hyperparameters)
+    return Group(Path(name), config, list(runs))
+
+
+@pytest.fixture
+def world():
+    """Every run of the paper, by task and algorithm."""
+    return {
+        (task, name): as_the_paper_says(task, name) for task in PAPER_STEPS for name in ALGORITHMS
+    }
+
+
+def verdicts(world, **options):
+    groups = [group(task, name, runs, **options) for (task, name), runs in world.items()]
+    return [checked.verdict for checked in check_claims(groups)]
+
+
+def test_all_confirmed(world):
+    assert len(CLAIMS) == 6
+    assert verdicts(world) == ["confirmed"] * 6
+
+
+def changed(runs, seeds, ends=None, records=None, **measures):
+    """Some runs with other numbers; two underscores in a name are a dot."""
+    measures = {k.replace("__", "."): v for k, v in measures.items()}
+    return [
+        replace(of, measures=of.measures | measures, ends=ends or of.ends) if k in seeds else of
+        for k, of in enumerate(runs)
+    ]
+
+
+ALL = (0, 1, 2)
+SCENARIOS = {
+    # which runs, what of which seeds, the claim (from 1), its verdict
+    "one run stays within": (LEVEL[2], "trpo-lag", (0,), {"J_C": 5.0}, 1, "open"),
+    "two runs stay within": (LEVEL[2], "trpo-lag", (0, 1), {"J_C": 5.0}, 1, "refuted"),
+    "a run waits": (LEVEL[3], "trpo-lag", (2,), {"ends": "right rim"}, 1, "open"),
+    "cost of 10.7": (LEVEL[1], "trpo-lag", ALL, {"J_C": 10.7}, 1, "confirmed"),
+    "cost of 11": (LEVEL[1], "trpo-lag", ALL, {"J_C": 11.0}, 1, "refuted"),
+    "cost of 9 to 15": (LEVEL[1], "trpo-lag", (0, 1), {"J_C": 15.0}, 1, "open"),
+    "late EMCC": (LEVEL[1], "trpo-lag", ALL, {"EMCC_0__99": 0.25}, 1, "refuted"),
+    "level 0 is not claimed": (LEVEL[0], "trpo-lag", ALL, {"J_C": 20.0}, 1, "confirmed"),
+    "on-policy rises": (SAFETY[1], "cpo", ALL, {"EMCC_0__99": 0.6}, 2, "refuted"),
+    "one seed rises": (SAFETY[1], "cpo", (0,), {"EMCC_0__99": 0.6}, 2, "open"),
+    "off-policy falls once": (SAFETY[1], "wcsac", ALL, {"EMCC_0__99": 0.1}, 2, "confirmed"),
+    "SAC-Lag nowhere": (LEVEL[0], "sac-lag", ALL, {"ends": "right rim"}, 3, "refuted"),
+    "SAC-Lag once": (LEVEL[0], "sac-lag", (0, 1), {"ends": "right rim"}, 3, "confirmed"),
+    "CPO once": (LEVEL[0], "cpo", (1,), {"ends": "corridor (51 %)"}, 3, "refuted"),
+    "SAC-LB above": (LEVEL[1], "sac-lb", ALL, {"J_C": 5.01}, 3, "refuted"),
+    "WCSAC too": (LEVEL[1], "wcsac", (2,), {"ends": "corridor", "J_C": 5.0}, 3, "refuted"),
+    "in a cut-out": (LEVEL[3], "wcsac", ALL, {"ends": "top cut-out"}, 4, "confirmed"),
+    "one in the corridor": (LEVEL[3], "wcsac", (1,), {"ends": "corridor"}, 4, "open"),
+    "two above the limit": (LEVEL[0], "wcsac", (1, 2), {"J_C": 6.0}, 4, "refuted"),
+    "but for level 2": (LEVEL[2], "wcsac", ALL, {"J_C": 20.0}, 4, "confirmed"),
+    "somebody": (LEVEL[3], "sac-lb", (0,), {"ends": "corridor"}, 5, "refuted"),
+    "not safely": (LEVEL[3], "sac-lb", (0,), {"ends": "corridor", "J_C": 6.0}, 5, "confirmed"),
+    "other cost rates": (LEVEL[3], "cpo", ALL, {"cost_rate": 0.2}, 6, "refuted"),
+    "equal EMCC": (LEVEL[3], "wcsac", ALL, {"EMCC_0__66": 0.31}, 6, "open"),
+}
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS.values(), ids=SCENARIOS)
+def test_scenarios(world, scenario):
+    task, name, seeds, numbers, claim, verdict = scenario
+    world[task, name] = changed(world[task, name], seeds, **numbers)
+    assert verdicts(world)[claim - 1] == verdict
+
+
+def test_off_policy_that_falls_everywhere(world):
+    for task in PAPER_STEPS:
+        world[task, "sac-lb"] = changed(world[task, "sac-lb"], ALL, EMCC_0__99=0.1)
+    assert verdicts(world)[1] == "refuted"
+    world[LEVEL[1], "sac-lb"] = changed(world[LEVEL[1], "sac-lb"], (0,), EMCC_0__99=0.9)
+    assert verdicts(world)[1] == "open"
+
+
+def test_cost_late_in_training(world):
+    world[LEVEL[0], "wcsac"] = [
+        run(k, (0.5, 0.6, 0.7), 0.1, 1.0, "right rim", 5.5 if k else 1.0) for k in ALL
+    ]
+    assert verdicts(world)[3] == "refuted"
+
+
+def test_what_decides_nothing(world):
+    assert verdicts(world, steps=10_000) == []  # not even a claim: nothing is of the grid
+    two = {key: runs[:2] for key, runs in world.items()}
+    assert verdicts(two) == []
+    others = [
+        group(task, "trpo-lag", world[task, "trpo-lag"], multiplier_optimizer="sgd")
+        for task in LEVEL
+    ]
+    assert check_claims(others) == []
+    # Beside the runs of the preset they change nothing.
+    ablated = [group(of.config.task, "trpo-lag", changed(of.runs, ALL, J_C=0.0)) for of in others]
+    ablated = [of._replace(config=other.config) for of, other in zip(ablated, others, strict=True)]
+    presets = [group(task, name, runs) for (task, name), runs in world.items()]
+    assert [c.verdict for c in check_claims([*ablated, *presets])] == ["confirmed"] * 6
+
+
+def test_two_folders_of_other_seeds_count_together(world):
+    parts = [
+        group(task, name, of)
+        for (task, name), runs in world.items()
+        for of in (runs[:1], runs[1:], runs[:1])
+    ]
+    assert [checked.verdict for checked in check_claims(parts)] == ["confirmed"] * 6
+
+
+def test_what_is_missing_is_named(world):
+    del world[SAFETY[2], "cpo"]
+    world[LEVEL[3], "wcsac"] = world[LEVEL[3], "wcsac"][:2]
+    groups = [group(task, name, runs) for (task, name), runs in world.items()]
+    text = claims_text.markdown(check_claims(groups))
+    assert "; no runs: SafetyHopperVelocity: open" in text
+    assert "; 2 of 3 runs: WCSAC: open" in text
+
+
+def test_the_page_says_the_same(world):
+    checked = check_claims([group(task, name, runs) for (task, name), runs in world.items()])
+    text, html = claims_text.markdown(checked), unescape(claims_text.html(checked))
+    assert text.count("**Confirmed**") == html.count("<em>Confirmed</em>") == 6
+    for claim, findings, _ in checked:
+        for part in (claim.text, claim.rule, *(finding.text for finding in findings)):
+            assert part in text
+            assert part in html
+    # By hand: 9.4 for all three; .2, .21, .22, of which the paper prints .22 on level 1.
+    assert (
+        "- Circle2D-1: 3 of 3 runs go through, J_C 9.40 [9.40, 9.40] (paper 9.39), "
+        "EMCC_0.99 0.21 [0.20, 0.22] (paper 0.22): confirmed" in text
+    )
+
+
+def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
+    """A demo of the same seeds, whose costs would refute the first claim, in a folder before the
+    others; longer ones behind them."""
+    demo = changed(world[LEVEL[1], "trpo-lag"], ALL, J_C=1.0, ends="right rim")
+    others = [group(LEVEL[1], "trpo-lag", demo, steps=steps) for steps in (250_000, 2_000_000)]
+    groups = [group(task, name, runs) for (task, name), runs in world.items()]
+    assert [c.verdict for c in check_claims([others[0], *groups, others[1]])] == ["confirmed"] * 6
+    del world[LEVEL[1], "trpo-lag"]
+    groups = [group(task, name, runs) for (task, name), runs in world.items()]
+    checked = check_claims([*others, *groups])[0]
+    assert checked.verdict == "open"
+    assert any("2,000,000 of 1,000,000 steps" in part.text for part in checked.findings)

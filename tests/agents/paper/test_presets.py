@@ -1,0 +1,86 @@
+"""Presets against the paper's table HP_Circle2D, typed off, and the words of `train --help`."""
+
+from dataclasses import fields
+
+import pytest
+
+from agents.algorithms import ALGORITHMS
+from agents.cli.hyperparameters import explain_all, texts
+from agents.paper.presets import preset
+
+SHARED = {"batch_size": 256, "discount": 0.99, "learning_rate": 3e-4, "cost_limit": 5}
+SHARED |= {"hidden": (64, 64)}
+ON_POLICY = {
+    "episodes": 10,
+    "critic_iterations": 10,
+    "gae_lambda": 0.95,
+    "cg_iterations": 15,
+    "line_search_steps": 15,
+    "target_kl": 0.01,
+    "time_limit": "bootstrap",  # not printed
+}
+OFF_POLICY = {
+    "gradient_steps": 5,
+    "random_steps": 5000,
+    "replay_size": 50000,
+    "time_limit": "terminal",  # inferred, not printed
+}
+PRINTED = {
+    "trpo-lag": ON_POLICY | {"initial_multiplier": 0.001, "multiplier_lr": 0.005},
+    "cpo": ON_POLICY,
+    "sac-lag": OFF_POLICY | {"initial_multiplier": 0, "multiplier_lr": 3e-4},
+    "sac-lb": OFF_POLICY | {"log_barrier_factor": 3},
+    "wcsac": OFF_POLICY | {"risk_level": 0.5},
+}
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_presets_are_the_papers(name):
+    config = preset(name, "Circle2D-2-v0")
+    for field, value in (SHARED | PRINTED[name]).items():
+        assert getattr(config, field) == value, field
+
+
+# Table HP_SafetyGymnasium: what differs there.
+SAFETY = {"SafetyPointCircle1-v0": 20, "SafetyPointGoal1-v0": 10, "SafetyHopperVelocity-v1": 10}
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.parametrize("task", SAFETY)
+def test_presets_of_the_safety_tasks(name, task):
+    printed = SHARED | PRINTED[name] | {"cost_limit": 25}
+    if "episodes" in printed:
+        printed |= {"episodes": SAFETY[task]}
+    else:
+        printed |= {"random_steps": 50_000, "replay_size": 500_000, "time_limit": "bootstrap"}
+    config = preset(name, f"circle2d_mj/{task}")
+    for field, value in printed.items():
+        assert getattr(config, field) == value, field
+    assert preset(name, f"circle2d_mj:circle2d_mj/{task}") == config
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_hyperparameter_says_its_source(name):
+    config = ALGORITHMS[name].config
+    said = {}
+    for cls in reversed(config.__mro__[:-1]):
+        said |= texts(cls)
+    assert set(said) == {field.name for field in fields(config)}
+    for field, text in said.items():
+        assert "aper" in text, f"{field}: {text}"  # "Paper: ..." or "not printed in the paper"
+
+
+def test_help_of_all_algorithms_lists_each_option_once_for_those_that_share_it():
+    text = explain_all("Circle2D-1-v0")
+    assert text.count("--cost-limit (25.0; 5.0 on Circle2D-1-v0): Limit d of") == 2
+    assert text.count("--initial-multiplier (0.001): ") == 1
+    assert text.count("--initial-multiplier (0.0): ") == 1
+    sections = [line for line in text.splitlines() if line.startswith("Hyper-parameters of ")]
+    assert sections == [
+        "Hyper-parameters of trpo-lag, cpo:",
+        "Hyper-parameters of trpo-lag:",
+        "Hyper-parameters of sac-lag, sac-lb, wcsac:",
+        "Hyper-parameters of sac-lag, wcsac:",
+        "Hyper-parameters of sac-lb:",
+        "Hyper-parameters of wcsac:",
+    ]

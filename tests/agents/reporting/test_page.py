@@ -1,0 +1,180 @@
+"""Training curves against loops over the episodes, and the page that holds everything."""
+
+import base64
+import re
+import shutil
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from agents.paper.grid import grid, prepare
+from agents.reporting.curves import (
+    COLOURS,
+    POINTS,
+    WINDOW,
+    Line,
+    curves_svg,
+    episode_means,
+    midpoints,
+    running_emcc,
+    thirds_emcc,
+)
+from agents.reporting.figures import Figure
+from agents.reporting.page import Section, page
+from agents.reporting.report import report
+from agents.training.loop import train
+from emcc import EpisodeRecords, emcc
+from emcc.table import Table
+
+TOTAL = 4000
+KINDS = {"curves": "svg", "visited": "png", "trained": "png"}
+
+
+def records(seed):
+    """Episodes of 5 to 40 steps, two a rollout."""
+    rng = np.random.default_rng(seed)
+    length = rng.integers(5, 41, 200)
+    length = length[: np.searchsorted(np.cumsum(length), TOTAL) + 1]
+    start = np.cumsum(length) - length
+    streak = rng.integers(0, length + 1)
+    return EpisodeRecords(
+        np.arange(len(length)) // 2, start, length, rng.normal(size=len(length)), streak, streak
+    )
+
+
+RUNS = [records(seed) for seed in (0, 1, 2)]
+
+
+@pytest.mark.parametrize("column", ["reward", "cost"])
+def test_episode_means_by_a_loop(column):
+    curve = episode_means(RUNS, column, TOTAL)
+    for k in range(POINTS):
+        means = []
+        for run in RUNS:
+            low, high = k * TOTAL / POINTS, (k + 1) * TOTAL / POINTS
+            inside = [
+                value
+                for start, value in zip(run.start_step, getattr(run, column), strict=True)
+                if low <= start < high
+            ]
+            means.append(sum(inside) / len(inside) if inside else np.nan)
+        assert curve.mean[k] == pytest.approx(np.mean(means), nan_ok=True)
+        assert curve.spread[k] == pytest.approx(np.std(means), nan_ok=True)
+    assert np.isfinite(curve.mean).sum() > POINTS // 2
+
+
+def test_running_emcc_by_a_loop():
+    curve = running_emcc(RUNS, TOTAL, 0.3)
+    for k, middle in enumerate(midpoints(TOTAL)):
+        values = []
+        for run in RUNS:
+            mcc = {}
+            for rollout, start, length, streak in zip(
+                run.rollout, run.start_step, run.length, run.longest_streak, strict=True
+            ):
+                first, share = mcc.get(rollout, (start, 0.0))
+                mcc[rollout] = (first, max(share, streak / length))
+            near = [v for s, v in mcc.values() if abs(s - middle) <= WINDOW / 2 * TOTAL]
+            values.append(emcc(near, 0.3))
+        assert curve.mean[k] == pytest.approx(np.mean(values))
+
+
+def test_emcc_of_the_thirds():
+    curve = thirds_emcc(RUNS, TOTAL, 0.3)
+    for k, (low, high) in enumerate(((0, 0.33), (0.33, 0.66), (0.66, 0.9901))):
+        values = []
+        for run in RUNS:
+            mcc, starts = run.mcc_per_rollout()
+            values.append(emcc(mcc[(low * TOTAL <= starts) & (starts < high * TOTAL)], 0.3))
+        assert curve.mean[k] == pytest.approx(np.mean(values))
+        assert curve.spread[k] == pytest.approx(np.std(values))
+
+
+def test_curves_are_the_same_bytes_and_keep_an_algorithms_colour():
+    lines = [Line("A", 1, RUNS, TOTAL), Line("A (x 1)", 1, RUNS[:1], TOTAL)]
+    svg = curves_svg("Task", lines, 5.0, 0.1)
+    assert svg == curves_svg("Task", lines, 5.0, 0.1)
+    assert svg.lstrip().startswith("<?xml")
+    drawn = {c: len(re.findall(f"stroke: {c.lower()}", svg)) for c in COLOURS[:6]}
+    assert [c for c, count in drawn.items() if count] == [COLOURS[1]]
+    assert "stroke-dasharray" in svg  # the second line of the colour
+
+
+class Page(HTMLParser):
+    """Cells, images, ids, links within the page, and whatever a browser would fetch."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.cells, self.fetched = [], [], []
+        self.images, self.ids, self.links = [], [], []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        if tag not in ("meta", "link", "img", "br", "!doctype"):
+            self.open.append(tag)
+        if tag == "td":
+            self.cells.append("")
+        if tag == "img":
+            self.images.append(attributes)
+        if "id" in attributes:
+            self.ids.append(attributes["id"])
+        for name, value in attributes.items():
+            if name in ("src", "href", "xlink:href"):
+                if value.startswith("#"):
+                    self.links.append(value[1:])
+                elif not value.startswith("data:"):
+                    self.fetched.append(value)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "td" in self.open:
+            self.cells[-1] += data
+
+
+def test_a_page_escapes_and_keeps_every_cell():
+    table = Table("caption <1>", ["t", "v"], [["a & b", "1.00 [0.50, 2.00]"]], ["note <x>"])
+    image = Figure("x.png", b"\x89PNG", 'curves "of"', "words < words")
+    text = page("<title>", [Section("A <task>", [table], [image])], {"seeds": "0 < 1"})
+    shown = Page(text)
+    assert shown.cells == ["a & b", "1.00[0.50, 2.00]"]
+    assert [dict(i) for i in shown.images] == [
+        {"alt": 'curves "of": A <task>', "src": "data:image/png;base64,iVBORw=="}
+    ]
+    assert shown.links == shown.ids == ["a-task", "how-it-was-made"]
+    for escaped in ("caption &lt;1&gt;", "note &lt;x&gt;", "&lt;title&gt;", "0 &lt; 1", "s &lt; w"):
+        assert escaped in text
+
+
+def test_the_report_of_a_small_grid(tmp_path):
+    configs = grid(tmp_path, ["Circle2D-1-v0"], ["trpo-lag"], (0, 1), 2000)
+    prepare(configs)
+    for folder in configs:
+        train(folder)
+    markdown = report(tmp_path, with_figures=True)
+    text = (tmp_path / "index.html").read_text()
+    shown = Page(text)
+    assert shown.fetched == []  # no network, no files beside it
+    rows = [line for line in markdown.splitlines() if line.startswith("| TRPO-Lag")]
+    cells = [cell.strip() for row in rows for cell in row.split("|")[1:-1]]
+    assert [re.sub(r"\s", "", c) for c in shown.cells] == [re.sub(r"\s", "", c) for c in cells]
+    assert shown.links == shown.ids == ["circle2d-and-emcc", "circle2d-1-v0", "how-it-was-made"]
+    names = ["levels.png", "trajectories.png"]
+    names += [f"{k}-Circle2D-1-v0.{s}" for k, s in KINDS.items()]
+    assert sorted(p.name for p in (tmp_path / "pictures").iterdir()) == sorted(names)
+    for image, name in zip(shown.images, names, strict=True):
+        content = base64.b64decode(image["src"].partition("base64,")[2])
+        assert content == (tmp_path / "pictures" / name).read_bytes()
+        assert image["alt"]
+        assert f"(<pictures/{name}>)" in (tmp_path / "report.md").read_text()
+    assert "torch 2" in text
+    before = {p: p.read_bytes() for p in [*tmp_path.glob("pictures/*"), tmp_path / "index.html"]}
+    report(tmp_path, with_figures=True)
+    assert {p: p.read_bytes() for p in before} == before
+    shutil.rmtree(tmp_path / "Circle2D-1-v0" / "trpo-lag" / "seed-1")
+    assert "left out: " in report(tmp_path, with_figures=True)
+    assert "left out: " in (tmp_path / "index.html").read_text()

@@ -1,0 +1,185 @@
+"""Heat maps and films of runs: what they are of, and that files hold it."""
+
+import shutil
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+from small_runs import TASK, write_runs
+
+from agents.cli.main import main
+from agents.errors import UserError
+from agents.paper.presets import preset
+from agents.reporting import pictures
+from agents.training.config import TrainConfig
+from agents.training.loop import train
+from circle2d_mj.render.figure import figure
+from circle2d_mj.render.gl import NoOpenGL
+
+
+@pytest.mark.parametrize(
+    ("part", "alpha", "rollouts", "mcc"),
+    [
+        # Starts below 39.6: rollouts 0 to 3, with MCC .8, 1, .4, .6; from 39.6 to 79.2: 4 to 7,
+        # with 1, .2, .8, 0; to 118.8: 8 to 11, with .2, .6, .4, .2.
+        (0.33, 0.1, [1], 1.0),
+        (0.33, 0.5, [0, 1, 3], 0.8),  # half of the values are .6 or less: it is the quantile
+        (0.66, 0.5, [4, 5, 6], 2 / 3),
+        (0.66, 1.0, [4, 5, 6, 7], 0.5),
+        (0.99, 0.5, [8, 9, 10, 11], 0.35),  # the quantile, .2, is there twice
+    ],
+)
+def test_the_dominating_rollouts_by_hand(tmp_path, part, alpha, rollouts, mcc):
+    config = write_runs(tmp_path)
+    found = pictures.visits(tmp_path, config, part, alpha)
+    one = np.arange(240).reshape(12, 10, 2)[rollouts].reshape(-1, 2) / 100
+    np.testing.assert_allclose(found.positions, np.concatenate((one, one + 1)), rtol=1e-5)
+    assert found.emcc == pytest.approx(mcc)
+    assert (found.rollouts, found.of) == (2 * len(rollouts), 8)
+
+
+def test_runs_without_records_are_named(tmp_path):
+    config = write_runs(tmp_path)
+    (tmp_path / "seed-1" / "visited.npy").unlink()
+    with pytest.raises(UserError, match=r"seed-1/visited\.npy is missing"):
+        pictures.visits(tmp_path, config, 0.33, 0.1)
+    np.save(tmp_path / "seed-1" / "visited.npy", np.zeros((100, 2), np.float32))
+    with pytest.raises(UserError, match="seed-1 is damaged: 100 positions of 120 steps"):
+        pictures.visits(tmp_path, config, 0.33, 0.1)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("runs") / "first"
+    config = TrainConfig("trpo-lag", TASK, (5, 6), 2000, preset("trpo-lag", TASK))
+    config.write(path)
+    train(path)
+    return path
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio's reader
+def test_commands_write_pictures_and_films(folder, tmp_path, capsys, opengl):
+    for command, name, shape in (
+        ("heatmap", "h.png", None),
+        ("render", "t.png", (128, 128, 3)),
+        ("render", "f.mp4", (102, 128, 128, 3)),  # two episodes of 50 steps, and their starts
+        ("render", "f.gif", None),
+    ):
+        out = tmp_path / "new" / name
+        options = ["--size", "128"] + (["--episodes", "2"] if command == "render" else [])
+        assert main([command, str(folder), "--out", str(out), *options]) == 0
+        assert capsys.readouterr().out == f"{out}\n"
+        image = imageio.imread(out)
+        assert shape is None or image.shape == shape
+        assert image.std() > 10
+        assert [p.name for p in out.parent.iterdir() if "unfinished" in p.name] == []
+
+
+def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
+    episodes, task = pictures.evaluation_episodes(folder, 6, 3, noisy=False)
+    evaluation = pictures.TrainConfig.read(folder)
+    assert evaluation.seeds == (5, 6)
+    import json
+
+    measured = json.loads((folder / "seed-6" / "evaluation.json").read_text())["deterministic"]
+    for k, (path, costs) in enumerate(zip(episodes.paths, episodes.costs, strict=True)):
+        assert path.shape == (51, 2)
+        np.testing.assert_allclose(
+            path[-1] / task.arena, measured["final_observations"][k], rtol=1e-6
+        )
+        assert costs.sum() == measured["cost_returns"][k]
+        np.testing.assert_array_equal(task.region.contains(path[1:]), costs > 0)
+    noisy, _ = pictures.evaluation_episodes(folder, 6, 3, noisy=True)
+    assert np.array_equal(noisy.paths[0][0], episodes.paths[0][0])
+    assert not np.array_equal(noisy.paths[0], episodes.paths[0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["heatmap", "{folder}", "--part", "0.5"], r"part must be some of \[0.33, 0.66, 0.99\]"),
+        (["heatmap", "{folder}", "--alpha", "0"], r"alpha must be in \(0, 1\], got 0.0"),
+        (["heatmap", "{folder}", "--size", "7"], "size must be an even number"),
+        (["heatmap", "{folder}", "--out", "x.jpg"], "out must end in .png, got 'x.jpg'"),
+        (
+            ["heatmap", "{folder}", "--seeds", "5", "7"],
+            r"seeds must be some of \[5, 6\], got \[5, 7",
+        ),
+        (["heatmap", "nothing"], r"nothing/config\.json is missing"),
+        (["render", "{folder}", "--out", "film.avi"], "out must end in .png or .gif or .mp4"),
+        (["render", "{folder}", "--seed", "7"], r"no run of seed 7: its seeds are \[5, 6\]"),
+        (["render", "{folder}", "--episodes", "0"], r"episodes must be in \[1, 100\], got 0"),
+        (["scene", "--level", "7"], "level must be one of"),
+        (["scene", "--actuation", "magic"], "actuation must be one of"),
+        (["scene", "--constraint-radius", "1e9"], "constraint_radius must be in"),
+    ],
+)
+def test_mistakes(arguments, message, folder, capsys):
+    import re
+
+    assert main([a.format(folder=folder) for a in arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert re.search(message, err), err
+
+
+def test_without_opengl_the_report_still_has_its_figures(folder, tmp_path, capsys, monkeypatch):
+    def nothing(config, size):
+        raise NoOpenGL("install one")
+
+    copy = tmp_path / "x"
+    shutil.copytree(folder, copy)
+    monkeypatch.setattr(pictures, "Renderer", nothing)
+    assert main(["report", str(copy)]) == 0
+    assert (copy / "report.md").read_text().startswith(capsys.readouterr().out)
+    assert imageio.imread(copy / "pictures" / f"visited-{TASK}.png").std() > 10
+    assert main(["heatmap", str(copy)]) == 2
+    assert "no pictures: install one" in capsys.readouterr().err
+
+
+def test_a_heat_map_of_the_runs_that_did_not_fail(folder, tmp_path, capsys, monkeypatch, opengl):
+    drawn = {}
+    monkeypatch.setattr(pictures, "figure", lambda *a, **k: drawn.update(k) or figure(*a, **k))
+    copy = tmp_path / "x"
+    shutil.copytree(folder, copy)
+    assert main(["heatmap", str(copy)]) == 0
+    assert drawn["title"] == f"TRPO-Lag on {TASK}"
+    (copy / "seed-5" / "failed.json").write_text('{"step": 500}')
+    assert main(["heatmap", str(copy)]) == 0
+    assert drawn["title"] == f"TRPO-Lag on {TASK} (seeds: 6)"
+    assert main(["heatmap", str(copy), "--seeds", "5"]) == 0
+    assert drawn["title"] == f"TRPO-Lag on {TASK} (seeds: 5)"
+    (copy / "seed-6" / "failed.json").write_text('{"step": 500}')
+    capsys.readouterr()
+    assert main(["heatmap", str(copy)]) == 2
+    assert f"all runs of {copy} have failed" in capsys.readouterr().err
+
+
+def test_scene_prints_a_whole_model(capsys):
+    import mujoco
+
+    assert main(["scene", "--level", "2", "--constraint-radius", "3"]) == 0
+    model = mujoco.MjModel.from_xml_string(capsys.readouterr().out)
+    assert {model.geom(k).name for k in range(model.ngeom)} == {
+        "floor",
+        "agent",
+        *(f"region{k}" for k in range(7)),
+    }
+    assert model.geom("agent").size[0] == pytest.approx(3 * 0.025)
+
+
+def test_a_figure_puts_pictures_where_they_belong():
+    colours = [[(255, 0, 0), (0, 255, 0)], [(0, 0, 255), None]]
+    rows = [[c and np.full((64, 64, 3), c, np.uint8) for c in row] for row in colours]
+    image = figure(rows, ["a", "b"], title="t", row_titles=["x", "y"], captions=[["1", "2"]] * 2)
+    assert image.dtype == np.uint8
+    places = {}
+    for row in range(2):
+        for column in range(2):
+            if colours[row][column]:
+                found = np.argwhere((image == colours[row][column]).all(axis=-1))
+                assert len(found) == 62 * 62  # all but a frame of one pixel
+                places[row, column] = found.min(axis=0)
+    assert places[0, 0][0] == places[0, 1][0] < places[1, 0][0]
+    assert places[0, 0][1] == places[1, 0][1] < places[0, 1][1]

@@ -1,0 +1,85 @@
+"""Every number of a row of ours, from files written by hand."""
+
+import json
+
+import numpy as np
+
+from agents.paper.presets import preset
+from agents.reporting.report import report
+from agents.reporting.tables import paper_results
+from agents.training.config import TrainConfig
+from circle2d_mj import Circle2DConfig
+
+# Ten episodes of ten steps; streaks over length are the MCC of the rollouts.
+STREAKS = [8, 2, 3, 1, 0, 4, 4, 9, 0, 10]
+COSTS = [8, 5, 3, 1, 0, 6, 4, 9, 0, 10]
+
+
+def write_run(folder, j_r):
+    lines = ["rollout,start_step,length,return,cost,longest_streak"]
+    for k, (streak, cost) in enumerate(zip(STREAKS, COSTS, strict=True)):
+        lines.append(f"{k},{10 * k},10,-1.0,{cost}.0,{streak}")
+    (folder / "episodes.csv").write_text("\n".join([*lines, ""]))
+    at = [[-0.5, 0.0]] * 3 + [[1.0, 0.0]]  # of the arena: (-7.5, 0) is in the corridor
+    deterministic = {"J_R": j_r, "J_C": 4.25, "CVaR_0.5": 6.5, "final_observations": at}
+    stochastic = {"J_R": 99.0, "J_C": 99.0, "CVaR_0.5": 99.0, "final_observations": []}
+    content = {"episodes": 4, "deterministic": deterministic, "stochastic": stochastic}
+    (folder / "evaluation.json").write_text(json.dumps(content))
+
+
+def test_a_table_by_hand(tmp_path):
+    hyperparameters = preset("sac-lag", "Circle2D-1-v0")
+    config = TrainConfig("sac-lag", "Circle2D-1-v0", (0, 1), 100, hyperparameters)
+    config.write(tmp_path)
+    write_run(tmp_path / "seed-0", -10.0)
+    write_run(tmp_path / "seed-1", -20.0)
+    rows = [line.split("|")[1:-1] for line in report(tmp_path).splitlines() if "| SAC" in line]
+    rows = [[cell.strip() for cell in row] for row in rows]
+    # Starts 0 10 20 30 | 40 50 60 | 70 80 90 of 100 steps. The highest tenth of three or four
+    # values is the highest alone: .8, .4, 1. Costs: 46 of 100 steps.
+    numbers = ["0.80", "0.40", "1.00", "0.46"]
+    end = "corridor (75 %)"
+    assert rows[2] == ["SAC-Lag (100 steps), seed 0", *numbers, "-10.00", "4.25", "6.50", end]
+    assert rows[3] == ["SAC-Lag (100 steps), seed 1", *numbers, "-20.00", "4.25", "6.50", end]
+    assert rows[0][0] == "SAC-Lag (100 steps), mean of 2"
+    assert [cell.split(" ")[0] for cell in rows[0][1:8]] == [*numbers, "-15.00", "4.25", "6.50"]
+    assert rows[0][5] == "-15.00 [-20.00, -10.00]"
+
+
+def test_places():
+    places = Circle2DConfig(level=3).region.places
+    diagonal = 8 / np.sqrt(2)
+    points = {
+        (-5, 1): "corridor",
+        (0, 7): "top cut-out",
+        (0, -7): "bottom cut-out",
+        (diagonal, diagonal): "top diagonal cut-out",
+        (diagonal, -diagonal): "bottom diagonal cut-out",
+        (0, 0): "cost region",
+        (11, 3): "right rim",
+        (-11, 3): "left rim",
+        (3, 11): "top rim",
+        (3, -11): "bottom rim",
+    }
+    assert places(list(points)) == list(points.values())
+
+
+def test_an_unfinished_run_is_in_no_mean(tmp_path):
+    """Though it has been evaluated, as anybody may do at any time."""
+    task = "Circle2D-1-v0"
+    TrainConfig("sac-lag", task, (0, 1), 100, preset("sac-lag", task)).write(tmp_path)
+    for seed in (0, 1):
+        write_run(tmp_path / f"seed-{seed}", -10.0)
+    episodes = tmp_path / "seed-1" / "episodes.csv"
+    episodes.write_text("".join(episodes.read_text().splitlines(keepends=True)[:-2]))
+    markdown = report(tmp_path)
+    assert "seed-1: is unfinished: 80 of 100 steps" in markdown
+    assert "mean of 1" in markdown
+    assert "seed 1 |" not in markdown
+
+
+def test_the_papers_misprint():
+    """It prints 4.68 for a sum of numbers below 0."""
+    for task in ("Circle2D-1-v0", "circle2d_mj:Circle2D-1-v0"):
+        assert paper_results(task, "TRPO-Lag")["J_R"] == -4.68
+    assert paper_results("Circle2D-2-v0", "TRPO-Lag")["J_R"] == -4.23

@@ -1,0 +1,221 @@
+"""The SAC family's losses against hand arithmetic and against one autograd run at a time."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from modules import flat, module
+
+from agents.algorithms.sac_lag import RULE, SACLagConfig
+from agents.lockstep import tree
+from agents.lockstep.nets import LANES
+from agents.lockstep.replay import Batch
+from agents.sac import squashed_gaussian
+from agents.sac import update as sac
+
+CONFIG = SACLagConfig(cost_limit=5.0, discount=0.9, multiplier_lr=2e-3)
+
+
+def two_transitions():
+    return Batch(
+        observation=torch.zeros(1, 2, 2),
+        action=torch.zeros(1, 2, 2),
+        reward=torch.tensor([[1.0, -2.0]]),
+        cost=torch.tensor([[0.0, 1.0]]),
+        next_observation=torch.zeros(1, 2, 2),
+        terminal=torch.tensor([[0.0, 1.0]]),
+    )
+
+
+def constant_nets(config, values, targets):
+    """Nets whose weights are 0: each critic says its last bias, the actor mean 0 and log-std 0."""
+    nets = sac.make_nets(config, 2, 2)
+    state = sac.initial_state(nets, config, RULE, [0])
+    critics, slow = torch.zeros(2, 1, 4, nets.critic.size)
+    last = sum(a * b + b for a, b in ((4, 64), (64, 64))) + 64  # where the output's bias lies
+    critics[0, :, last], slow[0, :, last] = torch.tensor(values), torch.tensor(targets)
+    return nets, state._replace(actor=torch.zeros_like(state.actor), critics=critics, targets=slow)
+
+
+def test_losses_by_hand():
+    """Two transitions: r = 1, -2; c = 0, 1; the second is terminal; γ = 0.9; α = 1; β = ln 2.
+
+    Reward critics say 3 and 4, their targets 2 and 1.5; cost critics 6 and 7, targets 8 and 9.
+    The actor's mean is 0 and its deviation 1; with noise 0, a = 0 and per component
+    log π = -½ ln 2π - 2 (ln 2 - 0 - ln 2) = -0.9189385, both: -1.8378771.
+    """
+    nets, state = constant_nets(CONFIG, [3.0, 4.0, 6.0, 7.0], [2.0, 1.5, 8.0, 9.0])
+    batch, noise = two_transitions(), torch.zeros(1, 2, 2)
+    log_prob = -math.log(2 * math.pi)
+    target, next_costs = sac.targets_of(nets, CONFIG, state, batch, noise)
+    # 1 + 0.9 (min(2, 1.5) + 1.8378771) = 4.0040894; the terminal one keeps its reward
+    assert target[0].tolist() == pytest.approx([1 + 0.9 * (1.5 - log_prob), -2.0], rel=1e-6)
+    assert target[0, 0].item() == pytest.approx(4.0040894, rel=1e-6)
+    assert next_costs[0].tolist() == [[8.0, 8.0], [9.0, 9.0]]
+
+    _, parts = sac.critic_loss(nets, CONFIG, RULE, state.critics, batch, target, next_costs)
+    # ½ mean[(3 - 4.0040894)², (3 + 2)²] + ½ mean[(4 - 4.0040894)², (4 + 2)²]
+    # = ½ (1.0081955 + 25) / 2 + ½ (0.0000167 + 36) / 2 = 6.5020489 + 9.0000042
+    assert parts["critic_loss"].item() == pytest.approx(15.5020531, rel=1e-6)
+    # cost targets: 0 + 0.9 · max(8, 9) = 8.1 and 1 (terminal)
+    # ½ mean[(6 - 8.1)², (6 - 1)²] + ½ mean[(7 - 8.1)², (7 - 1)²]
+    # = ½ (4.41 + 25) / 2 + ½ (1.21 + 36) / 2 = 7.3525 + 9.3025
+    assert parts["cost_critic_loss"].item() == pytest.approx(16.655, rel=1e-6)
+
+    loss, (_, risk, found) = sac.actor_loss(
+        nets, CONFIG, RULE, state.actor, state.critics, state, batch, noise
+    )
+    assert risk.tolist() == [[7.0, 7.0]]
+    assert found[0].tolist() == pytest.approx([log_prob] * 2, rel=1e-6)
+    # α log π - min Q + β max Q_c = -1.8378771 - 3 + 0.6931472 · 7 = 0.0141533
+    assert loss.item() == pytest.approx(0.0141533, abs=1e-6)
+
+
+def test_temperature_moves_towards_the_target_entropy():
+    """The entropy, 1.84, lies above its target, -2: the temperature must fall."""
+    nets, state = constant_nets(CONFIG, [0.0] * 4, [0.0] * 4)
+    noise = sac.UpdateNoise(torch.zeros(1, 2, 2), torch.zeros(1, 2, 2))
+    after, metrics = sac.update(nets, CONFIG, RULE, state, two_transitions(), noise)
+    # Adam's first step is the learning rate: log α from 0 to -3e-4
+    torch.testing.assert_close(after.log_temperature, torch.full((1, LANES), -3e-4))
+    assert metrics["temperature"].item() == 1.0
+    # all costs are 0 < 5: the multiplier falls as well
+    torch.testing.assert_close(after.multiplier.parameter, torch.full((1, LANES), -2e-3))
+
+
+def test_the_target_entropy_is_minus_the_number_of_action_components():
+    """Of 3 observations and 2 actions: the gradient along log α is -α (log π - 2). At α = 1 Adam's
+    first mean is a tenth of it; by hand log π = -1.8378771, as above."""
+    nets = sac.make_nets(CONFIG, 3, 2)
+    state = sac.initial_state(nets, CONFIG, RULE, [0])
+    state = state._replace(actor=torch.zeros_like(state.actor))
+    batch = two_transitions()._replace(
+        observation=torch.zeros(1, 2, 3), next_observation=torch.zeros(1, 2, 3)
+    )
+    noise = sac.UpdateNoise(torch.zeros(1, 2, 2), torch.zeros(1, 2, 2))
+    after, _ = sac.update(nets, CONFIG, RULE, state, batch, noise)
+    expected = torch.full((1, LANES), 0.1 * (1.8378771 + 2.0))
+    torch.testing.assert_close(after.temperature_moments.mean, expected)
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 3.0])
+def test_squashed_gaussian_against_torch_distributions(scale):
+    generator = torch.Generator().manual_seed(0)
+    outputs = (scale * torch.randn(2, 50, 6, generator=generator)).double()
+    noise = torch.randn(2, 50, 3, generator=generator).double()
+    action, log_prob = squashed_gaussian.sample(outputs, noise)
+    mean, log_std = outputs.chunk(2, dim=-1)
+    distribution = torch.distributions.TransformedDistribution(
+        torch.distributions.Normal(mean, log_std.clamp(-20, 2).exp()),
+        torch.distributions.TanhTransform(cache_size=1),
+    )
+    u = mean + log_std.clamp(-20, 2).exp() * noise
+    keep = u.abs() < 8  # beyond, atanh(tanh(u)) has lost u
+    expected = distribution.log_prob(torch.tanh(u).clamp(-1 + 1e-15, 1 - 1e-15))
+    torch.testing.assert_close(action, torch.tanh(u))
+    rows = keep.all(dim=-1)
+    assert rows.float().mean() > 0.3
+    torch.testing.assert_close(log_prob[rows], expected.sum(dim=-1)[rows], rtol=1e-5, atol=1e-5)
+    in_numpy = squashed_gaussian.act(outputs.numpy(), noise.numpy())
+    np.testing.assert_allclose(in_numpy, action.numpy(), rtol=1e-12, atol=1e-12)
+    deterministic = squashed_gaussian.act(outputs.numpy(), None)
+    np.testing.assert_allclose(deterministic, torch.tanh(mean).numpy())
+
+
+class Separate:
+    """One run of SAC-Lag with PyTorch modules, from the same parameters: losses and gradients."""
+
+    def __init__(self, nets, state, run):
+        self.actor = module(nets.actor, state.actor[run])
+        self.critics = [module(nets.critic, p) for p in state.critics[run]]
+        self.targets = [module(nets.critic, p) for p in state.targets[run]]
+
+    def policy(self, observation, noise):
+        mean, log_std = self.actor(observation).chunk(2, dim=-1)
+        u = mean + log_std.clamp(-20, 2).exp() * noise
+        normal = torch.distributions.Normal(mean, log_std.clamp(-20, 2).exp())
+        slope = torch.log(1 - torch.tanh(u) ** 2)
+        return torch.tanh(u), (normal.log_prob(u) - slope).sum(dim=-1)
+
+    def critic_gradients(self, b, noise):
+        with torch.no_grad():
+            action, log_prob = self.policy(b.next_observation, noise)
+            q = [t(torch.cat([b.next_observation, action], -1))[:, 0] for t in self.targets]
+            going_on = CONFIG.discount * (1 - b.terminal)
+            reward_target = b.reward + going_on * (torch.minimum(q[0], q[1]) - log_prob)
+            cost_target = b.cost + going_on * torch.maximum(q[2], q[3])
+        for k, critic in enumerate(self.critics):
+            target = reward_target if k < 2 else cost_target
+            q_k = critic(torch.cat([b.observation, b.action], -1))[:, 0]
+            (0.5 * ((q_k - target) ** 2).mean()).backward()
+        return [flat(critic) for critic in self.critics]
+
+    def actor_gradient(self, b, noise):
+        action, log_prob = self.policy(b.observation, noise)
+        q = [c(torch.cat([b.observation, action], -1))[:, 0] for c in self.critics]
+        penalty = math.log(2.0) * torch.maximum(q[2], q[3])
+        (log_prob - torch.minimum(q[0], q[1]) + penalty).mean().backward()
+        return flat(self.actor)
+
+
+def random_batch(runs, size=64, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape):
+        return torch.randn(runs, size, *shape, generator=generator)
+
+    terminal = (normal() > 1.5).float()
+    batch = Batch(normal(2), normal(2).tanh(), normal(), normal().abs(), normal(2), terminal)
+    return batch, sac.UpdateNoise(normal(2), normal(2))
+
+
+def test_gradients_against_separate_runs():
+    """The first update of 4 runs in lockstep moves every parameter as separate runs would."""
+    nets = sac.make_nets(CONFIG, 2, 2)
+    state = sac.initial_state(nets, CONFIG, RULE, range(4))
+    state = state._replace(targets=state.targets + 0.01)
+    batch, noise = random_batch(4)
+    after, _ = sac.update(nets, CONFIG, RULE, state, batch, noise)
+    # Adam's first mean is (1 - β₁) times the gradient.
+    critic_gradient = after.critic_moments.mean / 0.1
+    actor_gradient = after.actor_moments.mean / 0.1
+    for run in range(4):
+        b = Batch(*(part[run].double() for part in batch))
+        separate = Separate(nets, state, run)
+        expected = separate.critic_gradients(b, noise.next_action[run].double())
+        for k, gradient in enumerate(expected):
+            found = critic_gradient[run, k, : len(gradient)].double()
+            torch.testing.assert_close(found, gradient, rtol=1e-3, atol=1e-6)
+        separate = Separate(nets, state._replace(critics=after.critics), run)
+        gradient = separate.actor_gradient(b, noise.new_action[run].double())
+        found = actor_gradient[run, : len(gradient)].double()
+        torch.testing.assert_close(found, gradient, rtol=1e-3, atol=1e-6)
+    # Targets follow the critics after their step, not before it.
+    followed = state.targets.double().lerp(after.critics.double(), 0.005)
+    torch.testing.assert_close(after.targets.double(), followed, rtol=0, atol=1e-7)
+    before = state.targets.double().lerp(state.critics.double(), 0.005)
+    assert (after.targets.double() - before).abs().max() > 1e-6
+
+
+@pytest.mark.parametrize("runs", [12, 20])
+def test_a_run_is_bitwise_the_same_alone(runs):
+    nets = sac.make_nets(CONFIG, 2, 2)
+
+    def train(chosen):
+        state = sac.initial_state(nets, CONFIG, RULE, [100 + run for run in chosen])
+        for k in range(8):
+            everyone, noise = random_batch(runs, size=256, seed=k)
+            batch = Batch(*(part[chosen] for part in everyone))
+            noise = sac.UpdateNoise(*(part[chosen] for part in noise))
+            state, metrics = sac.update(nets, CONFIG, RULE, state, batch, noise)
+        return state, metrics
+
+    together, their_metrics = train(list(range(runs)))
+    for run in (0, 7, runs - 1):
+        alone, metrics = train([run])
+        theirs = tree.flatten(together)
+        for name, value in tree.flatten(alone).items():
+            assert np.array_equal(value[0], theirs[name][run]), name
+        for name, value in metrics.items():
+            assert torch.equal(value[0], their_metrics[name][run]), name

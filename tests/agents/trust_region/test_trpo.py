@@ -1,0 +1,225 @@
+"""What the on-policy family shares, against PyTorch's own modules, one run at a time; TRPO-Lag."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from modules import flat, module
+from small_policy import normal
+from torch.distributions import Independent, Normal, kl_divergence
+
+from agents.algorithms import cpo, trpo_lag
+from agents.algorithms.cpo import CPOConfig
+from agents.algorithms.trpo_lag import TRPOLagConfig
+from agents.lockstep.nets import MLP
+from agents.on_policy import critics
+from agents.on_policy.gaussian import GaussianPolicy
+from agents.on_policy.packing import BLOCK
+from agents.trust_region import policy_step as trpo
+from agents.trust_region.natural_gradient import Problem
+
+OBSERVATION, ACTION = 3, 2
+SMALL = {"hidden": (32,), "episodes": 2, "critic_iterations": 2}
+ACTOR = GaussianPolicy(MLP((OBSERVATION, 32, ACTION)))
+NETS = trpo.Nets(ACTOR, MLP((OBSERVATION, 32, 1)))
+
+
+class Separate:
+    """One run's policy with PyTorch's modules and distributions."""
+
+    def __init__(self, params):
+        self.net = module(ACTOR.net, params)
+        start = ACTOR.net.size
+        self.log_std = params[start : start + ACTION].clone().requires_grad_()
+
+    def at(self, observation):
+        mean = self.net(observation)
+        return Independent(Normal(mean, self.log_std.exp().expand_as(mean)), 1)
+
+
+def random_actor(runs, seed=0):
+    return 0.3 * normal(runs, ACTOR.size, seed=seed)
+
+
+def random_epoch(steps, size):
+    """What lies in the rows beyond a run's steps is not 0: only their weight keeps it out."""
+    runs, steps = len(steps), torch.tensor(steps)
+    columns = normal(runs, size, OBSERVATION + ACTION + 2, seed=1)
+    observation, action, advantages = columns.split((OBSERVATION, ACTION, 2), dim=-1)
+    return trpo.Epoch(
+        observation=observation,
+        action=action,
+        weight=(torch.arange(size) < steps[:, None]) / steps[:, None].double(),
+        reward_advantage=advantages[..., 0],
+        cost_advantage=advantages[..., 1],
+        value_targets=normal(runs, 2, size, seed=2),
+        length=torch.full((runs,), 50.0),
+        excess=torch.zeros(runs),
+    )
+
+
+def test_distribution_against_torch():
+    params, others = random_actor(3), random_actor(3, seed=5)
+    observation, action = normal(3, 7, OBSERVATION, seed=1), normal(3, 7, ACTION, seed=2)
+    found = ACTOR.distribution(params, observation)
+    log_prob, kl = found.log_prob(action), found.kl(ACTOR.distribution(others, observation))
+    acted = ACTOR.act(params.numpy(), observation.numpy(), action.numpy())  # action: the noise
+    deterministic = ACTOR.act(params.numpy(), observation.numpy(), None)
+    for run in range(3):
+        theirs = Separate(params[run]).at(observation[run])
+        other = Separate(others[run]).at(observation[run])
+        torch.testing.assert_close(log_prob[run], theirs.log_prob(action[run]))
+        torch.testing.assert_close(kl[run], kl_divergence(theirs, other))
+        by_hand = theirs.mean + theirs.stddev * action[run]
+        torch.testing.assert_close(torch.from_numpy(acted[run]), by_hand)
+        torch.testing.assert_close(torch.from_numpy(deterministic[run]), theirs.mean)
+
+
+def test_initial_deviation():
+    config = TRPOLagConfig(initial_log_std=-0.5, **SMALL)
+    state = trpo.initial_state(NETS, config, trpo_lag.RULE, [3, 4])
+    policy = ACTOR.distribution(state.actor, torch.zeros(2, 1, OBSERVATION))
+    torch.testing.assert_close(policy.std, torch.full((2, 1, ACTION), math.exp(-0.5)))
+    assert (state.actor[:, ACTOR.net.size + ACTION :] == 0).all()
+    assert (state.actor[0] != state.actor[1]).any()
+    again = trpo.initial_state(NETS, config, trpo_lag.RULE, [4])
+    assert torch.equal(again.actor[0], state.actor[1])
+    assert torch.equal(again.critics[0], state.critics[1])
+    assert (state.critics[:, 0] != state.critics[:, 1]).any()
+
+
+@pytest.mark.parametrize(("steps", "size"), [((90, 400), BLOCK), ((1000, 20), 2 * BLOCK)])
+def test_compared_and_its_gradient_against_separate_runs(steps, size):
+    """E[ratio · A] for both advantages, and the KL from the old to the new policy."""
+    old, new, epoch = random_actor(2), random_actor(2, seed=3), random_epoch(steps, size)
+    blocks = trpo.blocks_of(NETS, old, epoch, epoch.reward_advantage)
+    found, kl = trpo.compared(NETS, new, blocks)
+    for of, advantage in enumerate((epoch.reward_advantage, epoch.cost_advantage)):
+        gradient = torch.func.grad(lambda p, of=of: trpo.compared(NETS, p, blocks)[0][:, of].sum())
+        moved = gradient(new)
+        for run, n in enumerate(steps):
+            before, after = Separate(old[run]), Separate(new[run])
+            observation, action = epoch.observation[run, :n], epoch.action[run, :n]
+            theirs, ours = before.at(observation), after.at(observation)
+            ratio = ours.log_prob(action).exp() / theirs.log_prob(action).exp().detach()
+            surrogate = (ratio * advantage[run, :n]).mean()
+            surrogate.backward()
+            torch.testing.assert_close(found[run, of].double(), surrogate.detach())
+            torch.testing.assert_close(kl[run].double(), kl_divergence(theirs, ours).mean())
+            expected = flat(after.net)
+            torch.testing.assert_close(moved[run, : len(expected)], expected)
+            assert (moved[run, len(expected) : ACTOR.net.size] == 0).all()
+            log_std = moved[run, ACTOR.net.size : ACTOR.net.size + ACTION]
+            torch.testing.assert_close(log_std, after.log_std.grad)
+
+
+def test_critics_against_separate_runs():
+    """Four steps of Adam; the second run has no rows in the third minibatch, and waits."""
+    config, epoch = CPOConfig(**SMALL), random_epoch((200, 40), BLOCK)
+    epoch = epoch._replace(observation=epoch.observation.float())
+    state = trpo.initial_state(NETS, config, cpo.RULE, [0, 1])
+    theirs = [[module(NETS.critic, vector) for vector in run] for run in state.critics]
+    optimizers = [[torch.optim.Adam(net.parameters(), lr=3e-4) for net in run] for run in theirs]
+    rng = np.random.default_rng(0)
+    for held in torch.tensor([[32, 9], [32, 9], [32, 0], [7, 32]]):
+        rows = torch.from_numpy(rng.integers((200, 40), size=(32, 2)).T.copy())
+        weight = (torch.arange(32) < held[:, None]) / held[:, None].clamp(min=1)
+        state, losses = critics.critic_step(NETS, config, state, epoch, rows, weight)
+        for run, n in enumerate(held):
+            if n == 0:
+                assert (losses[run] == 0).all()
+                continue
+            for of in range(2):
+                net, optimizer, row = theirs[run][of], optimizers[run][of], rows[run, :n]
+                said = net(epoch.observation[run, row].double())[:, 0]
+                loss = 0.5 * ((said - epoch.value_targets[run, of, row]) ** 2).mean()
+                optimizer.zero_grad()
+                loss.backward()
+                optimizer.step()
+                assert losses[run, of].item() == pytest.approx(loss.item(), rel=1e-5)
+    for run in range(2):
+        for of in range(2):
+            expected = flat(theirs[run][of], of=lambda parameter: parameter.data)
+            found = state.critics[run, of, : len(expected)].double()
+            torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
+
+
+def test_objective_by_hand():
+    """(A_r - λ A_c) / (1 + λ): (2 - ½·1) / 1.5 = 1, (-1 - ½·4) / 1.5 = -2; (2 - 3) / 4 = -¼."""
+    reward, cost = torch.tensor([[2.0, -1.0], [2.0, 0.0]]), torch.tensor([[1.0, 4.0], [1.0, 0.0]])
+    found = trpo_lag.objective(TRPOLagConfig(), reward, cost, torch.tensor([[0.5], [3.0]]))
+    torch.testing.assert_close(found, torch.tensor([[1.0, -2.0], [-0.25, 0.0]]))
+
+
+def test_step_of_trpo_by_hand():
+    """H = diag(4, 1), g = (8, 1): H⁻¹g = (2, 1), of which ½ xᵀHx = 8.5; δ = 0.085 is a hundredth.
+
+    It has to be better, and costs do not stand in its way."""
+    diagonal = torch.tensor([4.0, 1.0])
+    problem = Problem(
+        gradient=torch.tensor([[8.0, 1.0], [0.0, 0.0]]),
+        cost_gradient=lambda: pytest.fail("of no use here"),
+        excess=torch.tensor([5.0, -5.0]),
+        product=lambda v: diagonal * v,
+        solve=lambda b: b / diagonal,
+        target_kl=0.085,
+    )
+    found = trpo_lag.step(TRPOLagConfig(), problem)
+    torch.testing.assert_close(found.step, torch.tensor([[0.2, 0.1], [0.0, 0.0]]))
+    assert found.must_improve.all()
+    assert (found.cost_bound == torch.inf).all()
+
+
+@pytest.mark.parametrize("multiplier", [0.0, 1.0, 1e6])
+def test_step_of_a_policy(multiplier):
+    """It raises the objective to the edge of the trust region, for a large λ by what costs less."""
+    config = TRPOLagConfig(initial_multiplier=multiplier, multiplier_lr=0.0, **SMALL)
+    epoch = random_epoch((300, 120), BLOCK)
+    actor = random_actor(2)
+    state = trpo.initial_state(NETS, config, trpo_lag.RULE, [0, 1])._replace(actor=actor)
+    found, records = trpo.policy_step(NETS, config, trpo_lag.RULE, state, epoch)
+    for run, n in enumerate((300, 120)):
+        observation, action = epoch.observation[run, :n], epoch.action[run, :n]
+        old, new = (Separate(params[run]).at(observation) for params in (actor, found))
+        kl = kl_divergence(old, new).mean().item()
+        assert 0.002 < kl <= 0.01
+        assert records["kl"][run].item() == pytest.approx(kl, rel=1e-5)
+        ratio = (new.log_prob(action) - old.log_prob(action)).exp() - 1
+        reward, cost = (
+            (ratio * advantage[run, :n]).mean()
+            for advantage in (epoch.reward_advantage, epoch.cost_advantage)
+        )
+        assert reward - multiplier * cost > 0
+        assert (cost < 0) if multiplier > 10 else (reward > 0)
+
+
+def test_rows_of_weight_zero_do_not_change_a_sharp_policy():
+    """At σ = e⁻⁷ the density of an action far from the mean may grow by more than e^100."""
+    actor = torch.zeros(1, ACTOR.size)
+    mean = sum(a * b + b for a, b in ((OBSERVATION, 32),)) + 32 * ACTION
+    actor[:, mean : mean + ACTION] = 1.0
+    actor[:, ACTOR.net.size : ACTOR.net.size + ACTION] = -7.0
+    nearer = actor.clone()
+    nearer[:, mean : mean + ACTION] = 1.0 - 2e-4
+    found = []
+    for size in (BLOCK, 2 * BLOCK):
+        zeros = torch.zeros(1, size)
+        there = (torch.arange(size) < 500).float()[None]
+        epoch = trpo.Epoch(
+            observation=torch.zeros(1, size, OBSERVATION),
+            action=there[..., None].expand(1, size, ACTION).contiguous(),
+            weight=there / 500,
+            reward_advantage=there,
+            cost_advantage=zeros,
+            value_targets=torch.zeros(1, 2, size),
+            length=torch.ones(1),
+            excess=torch.zeros(1),
+        )
+        steps = trpo.blocks_of(NETS, actor, epoch, epoch.reward_advantage)
+        at_padding = NETS.actor.distribution(nearer, epoch.observation).log_prob(epoch.action)
+        assert (at_padding - steps[0].old_log_prob[:, -1])[0, -1] > 100
+        found.append(trpo.compared(NETS, nearer, steps))
+    for short, long in zip(*found, strict=True):
+        assert short.isfinite().all()
+        assert torch.equal(short, long)

@@ -1,0 +1,186 @@
+"""Natural gradient steps against explicit matrices; a line search that nothing slips through."""
+
+import numpy as np
+import pytest
+import torch
+from small_policy import NETS, normal, policy
+from torch.distributions import kl_divergence
+
+from agents.algorithms.cpo import CPOConfig
+from agents.on_policy.packing import BLOCK
+from agents.trust_region import policy_step as trpo
+from agents.trust_region.natural_gradient import Problem, Step, conjugate_gradient, line_search
+
+
+def generator(seed):
+    return torch.Generator().manual_seed(seed)
+
+
+def spd(eigenvalues, seed=0):
+    """A random symmetric matrix for each row of eigenvalues, [R, P] -> [R, P, P]."""
+    runs, size = eigenvalues.shape
+    basis, _ = torch.linalg.qr(normal(runs, size, size, seed=seed))
+    return basis * eigenvalues[:, None].double() @ basis.mT
+
+
+def times(matrix):
+    return lambda v: (matrix @ v[..., None])[..., 0]
+
+
+def random_epoch(steps, size, seed=0):
+    """What lies in the rows beyond a run's steps is not 0: only their weight keeps it out."""
+    runs = len(steps)
+    weight = (torch.arange(size) < steps[:, None]) / steps[:, None].double()
+    columns = normal(runs, size, 6, seed=seed)
+    return trpo.Epoch(
+        observation=columns[..., :2],
+        action=columns[..., 2:4],
+        weight=weight,
+        reward_advantage=columns[..., 4],
+        cost_advantage=columns[..., 5],
+        value_targets=torch.zeros(runs, 2, size),
+        length=torch.full((runs,), 50.0, dtype=torch.float64),
+        excess=torch.zeros(runs, dtype=torch.float64),
+    )
+
+
+def random_actor(runs, seed=0):
+    return 0.5 * normal(runs, NETS.actor.size, seed=seed)
+
+
+def test_conjugate_gradient_against_direct_solution():
+    """Runs of condition 1 to 10 000 in one batch, one of them with nothing to solve."""
+    conditions = torch.tensor([1.0, 10.0, 100.0, 1e4, 10.0])
+    matrix = spd(conditions[:, None] ** torch.linspace(0, 1, 12))
+    b = normal(5, 12, seed=1) * torch.tensor([[1.0], [1e-6], [1e3], [1.0], [0.0]])
+    found = conjugate_gradient(times(matrix), b, 40)
+    expected = torch.linalg.solve(matrix, b)
+    # It stops at a residual of 1e-5 |b|: an error of at most 1e-5 · condition.
+    error = (found - expected).norm(dim=-1) / expected.norm(dim=-1)
+    assert (error[:4] <= 1e-5 * conditions[:4]).all()
+    assert (found[4] == 0).all()
+
+
+def test_conjugate_gradient_takes_one_iteration_an_eigenvalue():
+    matrix = spd(torch.tensor([[1.0] * 4 + [5.0] * 4 + [9.0] * 4]))
+    b = normal(1, 12)
+    expected = torch.linalg.solve(matrix, b)
+    torch.testing.assert_close(conjugate_gradient(times(matrix), b, 3), expected)
+    assert (conjugate_gradient(times(matrix), b, 2) - expected).norm() > 1e-2 * expected.norm()
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e8])
+def test_a_run_that_is_solved_waits_for_the_others(scale):
+    """The first run's residual vanishes at once, the second's soon, the third's late."""
+    matrix = spd(torch.tensor([[2.0] * 12, [1.0] * 6 + [3.0] * 6, list(range(1, 13))])).float()
+    b = (scale * normal(3, 12)).float()
+    found = conjugate_gradient(times(matrix), b, 100)
+    expected = torch.linalg.solve(matrix, b)
+    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-4 * scale)
+
+
+@pytest.mark.parametrize(("steps", "size"), [((100, 30), BLOCK), ((700, 40), 2 * BLOCK)])
+def test_fisher_product_against_the_hessian_of_kl(steps, size):
+    """Two runs of different length, within a block and beyond one, against every entry."""
+    actor, epoch = random_actor(2), random_epoch(torch.tensor(steps), size)
+    blocks = trpo.blocks_of(NETS, actor, epoch, epoch.reward_advantage)
+    product = trpo.fisher_product(NETS, actor, blocks, 0.3)
+    columns = [product(unit.expand(2, -1)) for unit in torch.eye(64, dtype=torch.float64)]
+    found = torch.stack(columns, dim=-1)
+    for run, n in enumerate(steps):
+        observation = epoch.observation[run, :n]
+        old = policy(actor[run], observation)
+
+        def mean_kl(params, old=old, observation=observation):
+            return kl_divergence(old, policy(params, observation)).mean()
+
+        expected = torch.autograd.functional.hessian(mean_kl, actor[run]) + 0.3 * torch.eye(64)
+        torch.testing.assert_close(found[run], expected)
+
+
+def test_to_boundary():
+    """On the boundary ½ xᵀHx = δ, on the same ray; 0 stays 0."""
+    matrix = spd(torch.linspace(0.1, 9, 12).expand(4, 12))
+    problem = Problem(None, None, None, times(matrix), None, 0.02)
+    direction = normal(4, 12, seed=1) * torch.tensor([[1.0], [1e-5], [1e5], [0.0]])
+    x = problem.to_boundary(direction)
+    half = 0.5 * torch.einsum("rp,rpq,rq->r", x, matrix, x)
+    torch.testing.assert_close(half, torch.tensor([0.02, 0.02, 0.02, 0.0]).double())
+    cosine = torch.cosine_similarity(x[:3], direction[:3])
+    torch.testing.assert_close(cosine, torch.ones(3).double())
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_line_search_with_scripted_judges(seed):
+    """Every run takes the first try its judge allows; judges may allow none, any, the NaN too."""
+    rng, runs, tries, decay = np.random.default_rng(seed), 12, 6, 0.7
+    params = torch.from_numpy(rng.normal(size=(runs, 32)).astype(np.float32))
+    step = torch.from_numpy(rng.normal(size=(runs, 32)).astype(np.float32))
+    step[3, 5], step[4, 0] = torch.nan, -torch.inf
+    allowed = torch.from_numpy(rng.random((tries, runs)) < rng.choice([0.0, 0.2, 0.9], runs))
+    kl = torch.from_numpy(rng.random((tries, runs)).astype(np.float32))
+    tried = []
+
+    def judge(candidate):
+        tried.append(candidate)
+        return allowed[len(tried) - 1], kl[len(tried) - 1]
+
+    found = line_search(params, step, judge, tries, decay)
+    for run in range(runs):
+        passing = [k for k in range(tries) if allowed[k, run] and run not in (3, 4)]
+        assert found.accepted[run] == bool(passing)
+        if not passing:
+            assert torch.equal(found.params[run], params[run])
+            assert found.kl[run] == found.scale[run] == 0.0
+            continue
+        first = passing[0]
+        torch.testing.assert_close(found.params[run], params[run] + decay**first * step[run])
+        assert torch.equal(found.params[run], tried[first][run])
+        assert found.kl[run] == kl[first, run]
+        assert found.scale[run].item() == pytest.approx(decay**first)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_no_step_beyond_the_trust_region_gets_through(seed):
+    """Random steps of all sizes for random policies, judged again with torch.distributions.
+
+    Of the last two runs one has a step, the other costs, that are not numbers.
+    """
+    runs, config = 24, CPOConfig(target_kl=0.01, line_search_steps=8, line_search_decay=0.5)
+    actor, epoch = random_actor(runs, seed), random_epoch(torch.full((runs,), 60), BLOCK, seed)
+    size = 10 ** torch.linspace(-3, 1, runs, dtype=torch.float64)[:, None]
+    chosen = Step(
+        step=size * normal(runs, NETS.actor.size, seed=seed + 100),
+        must_improve=torch.arange(runs) % 2 == 0,
+        cost_bound=torch.tensor([0.0, 0.05, torch.inf, 0.0]).repeat(runs // 4),
+        case=torch.zeros(runs),
+    )
+    chosen.step[-2, 3] = epoch.cost_advantage[-1, 5] = torch.nan
+    rule = trpo.StepRule(lambda config, reward, cost, multiplier: reward, lambda *_: chosen)
+    state = trpo.TRPOState(actor, *[None] * 3)
+    params, records = trpo.policy_step(NETS, config, rule, state, epoch)
+
+    def judged(run, candidate):
+        old, new = (policy(p, epoch.observation[run, :60]) for p in (actor[run], candidate))
+        action = epoch.action[run, :60]
+        ratio = (new.log_prob(action) - old.log_prob(action)).exp() - 1
+        gains = (epoch.reward_advantage, epoch.cost_advantage)
+        growth, costs = ((ratio * gain[run, :60]).mean() for gain in gains)
+        kl = kl_divergence(old, new).mean()
+        better = growth > 0 or not chosen.must_improve[run]
+        return bool(kl <= 0.01 and better and 50 * costs <= chosen.cost_bound[run]), kl
+
+    for run in range(runs):
+        tries = [actor[run] + 0.5**k * chosen.step[run] for k in range(8)]
+        finite = [candidate for candidate in tries if candidate.isfinite().all()]
+        first = next((candidate for candidate in finite if judged(run, candidate)[0]), None)
+        if first is None:
+            assert torch.equal(params[run], actor[run])
+            assert records["step_scale"][run] == records["kl"][run] == 0
+        else:
+            torch.testing.assert_close(params[run], first)
+            assert judged(run, params[run])[1] <= 0.01
+            torch.testing.assert_close(records["kl"][run].double(), judged(run, first)[1])
+    taken = records["step_scale"] > 0
+    assert 2 < taken.sum() < runs - 2
+    assert not taken[-2:].any()

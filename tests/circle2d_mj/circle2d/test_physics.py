@@ -1,0 +1,261 @@
+"""The physics against plain MuJoCo, hand arithmetic, and itself after copies and resets."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import data_equivalence
+
+from circle2d_mj import Circle2DConfig
+from circle2d_mj.circle2d import physics as physics_module
+from circle2d_mj.circle2d import task
+from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
+from circle2d_mj.circle2d.physics import Physics
+from circle2d_mj.circle2d.scene import scene
+
+TOP_SPEED = 11.0  # of R = 10: 0.11 R in a control step of 0.1 s
+actuations = pytest.mark.parametrize("actuation", ["velocity", "force"])
+
+
+class Loop:
+    """One environment stepped by mj_step alone, the region's contacts on; read by mj_forward."""
+
+    def __init__(self, config, actuation, position, with_region=True):
+        self.model = scene(config, actuation, with_region=with_region).compile()
+        self.data, self._fresh = mujoco.MjData(self.model), mujoco.MjData(self.model)
+        self.data.qpos[:] = position
+
+    def step(self, action):
+        """Of each of ten physics steps: contacts and overlap after it, force during it."""
+        self.data.ctrl[:] = self.model.actuator_ctrlrange[:, 1] * np.clip(action, -1, 1)
+        steps = []
+        for _ in range(10):
+            mujoco.mj_step(self.model, self.data)
+            force = self._force()
+            self._fresh.qpos[:] = self.data.qpos
+            mujoco.mj_forward(self.model, self._fresh)
+            overlaps = [-contact.dist for contact in self._fresh.contact]
+            steps.append((self._fresh.ncon, max([0.0, *overlaps]), force))
+        return np.array(steps)
+
+    def _force(self):
+        total, local = np.zeros(3), np.zeros(6)
+        for i, contact in enumerate(self.data.contact):
+            mujoco.mj_contactForce(self.model, self.data, i, local)
+            total += contact.frame.reshape(3, 3).T @ local[:3]
+        return np.hypot.reduce(total)
+
+
+def placed(position, actuation="velocity", **parameters):
+    """Dynamics with agents at rest at positions, [n, 2]."""
+    position = np.atleast_2d(np.array(position, dtype=float))
+    physics = Physics(Circle2DConfig(**parameters), len(position), actuation)
+    physics.place(np.arange(len(position)), position)
+    return physics
+
+
+def drift_left(seed, steps=50, num_envs=4):
+    """Actions that bring agents into the region, along its edges and through it."""
+    rng = np.random.default_rng(seed)
+    drift = rng.uniform([-1, -0.4], [0.2, 0.4], size=(num_envs, 2))
+    return np.clip(drift + rng.normal(scale=0.5, size=(steps, num_envs, 2)), -1, 1)
+
+
+@actuations
+@pytest.mark.parametrize("level", [0, 1, 2, 3])
+def test_the_environment_is_a_loop_of_mj_step(level, actuation):
+    """Bit for bit, contacts on all the while; and where the region can be entered, also without
+    a region."""
+    envs = Circle2DMuJoCoVectorEnv(3, level=level, actuation=actuation, autoreset_mode="Disabled")
+    envs.reset(seed=level)
+    config = envs.config
+    loops = [Loop(config, actuation, p) for p in envs.position]
+    alone = [Loop(config, actuation, p, with_region=False) for p in envs.position]
+    cost_steps = 0
+    for action in drift_left(level, steps=40, num_envs=3):
+        _, reward, _, _, info = envs.step(action)
+        told = np.array([loop.step(a) for loop, a in zip(loops, action, strict=True)])
+        for loop, a in zip(alone, action, strict=True):
+            loop.step(a)
+        position = np.array([loop.data.qpos for loop in loops])
+        np.testing.assert_array_equal(envs.position, position)
+        np.testing.assert_array_equal(reward, task.reward(config, position))
+        touches, overlap, force = told.transpose(2, 0, 1)
+        if level == 0:
+            np.testing.assert_array_equal(info["cost"], touches.max(axis=1) > 0)
+            np.testing.assert_array_equal(info["penetration"], overlap.max(axis=1))
+            np.testing.assert_allclose(info["contact_force"], force.max(axis=1), rtol=1e-12)
+        else:
+            np.testing.assert_array_equal(info["cost"], touches[:, -1] > 0)
+            np.testing.assert_array_equal(info["penetration"], config.region.depth(position))
+            assert not info["contact_force"].any()
+            np.testing.assert_array_equal([loop.data.qpos for loop in alone], position)
+            np.testing.assert_array_equal([loop.data.qvel for loop in alone], envs_velocity(envs))
+        cost_steps += info["cost"].sum()
+    assert 10 < cost_steps < 110
+
+
+def envs_velocity(envs):
+    return envs.state()["mujoco"][:, 3:5]
+
+
+def test_the_cost_is_of_the_state_that_a_step_ends_in():
+    """At top speed a physics step covers 0.11: the last one crosses the rim, in or out."""
+    outside = np.array([[10.0 + 1.05, 0.0], [10.0 + 1.05, 0.3]])
+    physics = placed(outside, level=1)
+    physics._qvel[:] = [[-TOP_SPEED, 0.0]] * 2
+    before = placed(outside + np.array([0.11, 0.0]), level=1)
+    before._qvel[:] = physics._qvel
+    info = physics.step(np.array([[-1.0, 0.0]] * 2))
+    assert (np.hypot(*physics.position.T) < 10 - 0.02).all()
+    assert (np.hypot(*physics.position.T) > 10 - 0.11).all()
+    np.testing.assert_array_equal(info["cost"], [1, 1])
+    np.testing.assert_array_equal(before.step(np.array([[-1.0, 0.0]] * 2))["cost"], [0, 0])
+    # The other way it leaves with the last one.
+    physics = placed([[10.0 - 1.05, 0.0]], level=1)
+    physics._qvel[:] = [[TOP_SPEED, 0.0]]
+    assert physics.step(np.array([[1.0, 0.0]]))["cost"] == 0
+    assert 10 < physics.position[0, 0] < 10.11
+
+
+def test_level_0_counts_what_follows_the_actions_not_what_they_found():
+    """A touch after the last physics step costs; a touch before the first one, left at once, does
+    not (it has cost in the step before)."""
+    physics = placed([[10.25 + 1.05, 0.0]], level=0)
+    physics._qvel[:] = [[-TOP_SPEED, 0.0]]
+    info = physics.step(np.array([[-1.0, 0.0]]))
+    assert 10.25 - 0.11 < physics.position[0, 0] < 10.25
+    assert info["cost"] == 1
+    assert info["penetration"] == pytest.approx(10.25 - physics.position[0, 0], abs=1e-3)
+    assert info["contact_force"] == 0
+    leaving = placed([[10.25 - 0.02, 0.0]], level=0)
+    leaving._qvel[:] = [[TOP_SPEED, 0.0]]
+    info = leaving.step(np.array([[1.0, 0.0]]))
+    assert (info["cost"], info["penetration"]) == (0, 0)
+
+
+def test_a_touch_within_a_step_costs_on_level_0():
+    """The ball bounces off and is clear of the region again at the step's end."""
+    physics = placed([[10.25 + 0.15, 0.0]], level=0, actuation="force")
+    physics._qvel[:] = [[-TOP_SPEED, 0.0]]
+    info = physics.step(np.array([[1.0, 0.0]]))
+    assert physics.position[0, 0] > 10.26
+    assert info["cost"] == 1
+    assert info["contact_force"] > 0
+    assert 0 < info["penetration"] < 0.2
+
+
+def speeds(actuation, action, steps, speed=0.0):
+    physics = placed([[-14.0, 14.0]], level=1, actuation=actuation)
+    physics._qvel[:] = [[speed, 0.0]]
+    rows, start = [], physics.position[0, 0]
+    for _ in range(steps):
+        physics.step(np.array([[action, 0.0]]))
+        rows.append((physics._qvel[0, 0], physics.position[0, 0] - start))
+    return np.array(rows)
+
+
+def test_thrust_by_hand():
+    """m v' = F - d v with F/d the top speed and m/d = 0.1 s: v = 11 (1 - exp(-t / 0.1))."""
+    velocity, covered = speeds("force", 1.0, 20).T
+    after = 0.1 * np.arange(1, 21)
+    np.testing.assert_allclose(velocity[0] / TOP_SPEED, 1 - math.exp(-1), atol=0.03)
+    np.testing.assert_allclose(velocity, TOP_SPEED * (1 - np.exp(-after / 0.1)), atol=0.35)
+    assert velocity[-1] == pytest.approx(TOP_SPEED, rel=1e-6)
+    assert np.diff(covered)[-1] == pytest.approx(0.11 * 10, rel=1e-6)
+    # To roll out: v m/d = 1.1. To brake in full: 1.1 (1 - log 2), reached after 0.1 s log 2.
+    assert speeds("force", 0.0, 20, TOP_SPEED)[-1, 1] == pytest.approx(1.1, rel=0.01)
+    braking = placed([[-14.0, 14.0]], level=1, actuation="force")
+    braking._qvel[:], braking._ctrl[:] = [[TOP_SPEED, 0.0]], [[-110.0, 0.0]]
+    farthest = braking._batch.rollout(10, record=("qpos",))["qpos"][0, :, 0].max() + 14.0
+    assert farthest == pytest.approx(1.1 * (1 - math.log(2)), rel=0.2)  # in steps of 0.01 s
+
+
+def test_servo_by_hand():
+    """m v' = 20 (u - v): half a control step as time constant, and 1.1 a step behind by 0.55."""
+    velocity, covered = speeds("velocity", 1.0, 20).T
+    after = 0.1 * np.arange(1, 21)
+    np.testing.assert_allclose(velocity, TOP_SPEED * (1 - np.exp(-after / 0.05)), atol=0.5)
+    assert np.diff(covered)[-1] == pytest.approx(1.1, rel=1e-6)
+    assert covered[-1] == pytest.approx(20 * 1.1 - 0.55, abs=0.06)
+
+
+@actuations
+def test_actions_beyond_one_are_clipped(actuation):
+    near, far = (placed([[12.0, 0.0]], actuation=actuation) for _ in range(2))
+    for _ in range(3):
+        near.step(np.array([[1.0, -1.0]]))
+        far.step(np.array([[7.0, -1.7e308]]))
+    np.testing.assert_array_equal(near.position, far.position)
+
+
+@actuations
+def test_threads_change_nothing(actuation):
+    for level in (0, 2):
+        envs = [
+            Circle2DMuJoCoVectorEnv(40, level=level, actuation=actuation, num_threads=threads)
+            for threads in (1, 2)
+        ]
+        assert data_equivalence(*[e.reset(seed=1) for e in envs], exact=True)
+        for action in drift_left(level, steps=60, num_envs=40):
+            assert data_equivalence(*[e.step(action) for e in envs], exact=True)
+
+
+@pytest.mark.parametrize("threads", [0, -1, 2.0, True])
+def test_threads_are_a_positive_integer(threads):
+    with pytest.raises((TypeError, ValueError), match="num_threads must be"):
+        Circle2DMuJoCoVectorEnv(2, num_threads=threads)
+
+
+@actuations
+@pytest.mark.parametrize("level", [0, 3])
+def test_state_is_mujocos_and_all_there_is(level, actuation):
+    """Columns as mj_getState gives them; a fresh environment goes on from them bit for bit."""
+
+    def make():
+        return Circle2DMuJoCoVectorEnv(6, level=level, actuation=actuation, max_episode_steps=30)
+
+    envs, spec = make(), mujoco.mjtState.mjSTATE_INTEGRATION
+    envs.reset(seed=2)
+    actions = drift_left(3, steps=70, num_envs=6)
+    for action in actions[:20]:
+        envs.step(action)
+    state, physics = envs.state(), envs._dynamics
+    for i in range(6):
+        data, expected = physics._batch.get_data(i), np.empty(state["mujoco"].shape[1])
+        mujoco.mj_getState(physics.model, data, expected, spec)
+        np.testing.assert_array_equal(state["mujoco"][i], expected)
+    assert np.abs(physics._batch.bind("qacc_warmstart")).max() > 0
+    kept = state["mujoco"].copy()
+    results = [envs.step(action) for action in actions[20:]]
+    np.testing.assert_array_equal(state["mujoco"], kept)
+    for other in (envs, make()):
+        other.restore(state)
+        again = [other.step(action) for action in actions[20:]]
+        assert data_equivalence(results, again, exact=True)
+
+
+def test_the_model_is_compiled_once(monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        physics_module, "scene", lambda *arguments: made.append(1) or scene(*arguments)
+    )
+    envs = Circle2DMuJoCoVectorEnv(3, level=0, max_episode_steps=5)
+    for seed in range(3):
+        envs.reset(seed=seed)
+        for action in drift_left(seed, steps=12, num_envs=3):
+            envs.step(action)
+    assert len(made) == 1
+
+
+def test_a_reset_forgets_everything():
+    """An episode does not depend on what came before it, warm starts included."""
+    used, fresh = (Circle2DMuJoCoEnv(level=0, actuation="force") for _ in range(2))
+    used.reset(seed=0)
+    for action in drift_left(5, num_envs=1):
+        used.step(action[0])
+    assert data_equivalence(used.reset(seed=9), fresh.reset(seed=9), exact=True)
+    assert data_equivalence(used.state(), fresh.state(), exact=True)
+    for action in drift_left(6, num_envs=1):
+        assert data_equivalence(used.step(action[0]), fresh.step(action[0]), exact=True)

@@ -1,0 +1,203 @@
+"""The scene: its region against the cost region's formula, what it is made of, what it refuses."""
+
+import mujoco
+import numpy as np
+import pytest
+from mujoco.batch import Batch
+
+from circle2d_mj import Circle2DConfig
+from circle2d_mj.assets import asset
+from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
+from circle2d_mj.circle2d.scene import BASE, scene
+
+LEVELS = range(4)
+
+
+class Contacts:
+    """Whether points touch the region, by MuJoCo's contacts, as the environment reads them."""
+
+    def __init__(self, model, size):
+        self._batch, self._size = Batch(model, size, 1), size
+        self._qpos, self._ncon = self._batch.bind("qpos"), self._batch.bind("ncon")
+
+    def __call__(self, points):
+        found = []
+        for part in points.reshape(-1, self._size, 2):
+            self._qpos[:] = part
+            self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
+            found.append(self._ncon > 0)
+        return np.concatenate(found)
+
+
+def is_near_the_edge(region, points, distance):
+    """Whether the region's edge comes within a distance of points: some of a ring lie across it."""
+    angles = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    ring = points[:, None] + distance * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+    return (region.contains(ring) != region.contains(points)[:, None]).any(axis=1)
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_a_million_points(level):
+    config = Circle2DConfig(level=level)
+    points = np.random.default_rng(level).uniform(-15, 15, (1_000_000, 2))
+    wrong = Contacts(scene(config).compile(), 10_000)(points) != config.region.contains(points)
+    assert wrong.sum() <= 20
+    assert is_near_the_edge(config.region, points[wrong], 1e-3 * 10).all()
+
+
+OTHERS = [
+    {"level": 1, "constraint_radius": 3.0, "corridor_height_factor": 0.1},
+    {"level": 2, "constraint_radius": 1e-3, "corridor_height_factor": 1.0},
+    {"level": 3, "constraint_radius": 1e6, "corridor_height_factor": 0.1},
+    {"level": 3, "corridor_height_factor": 1.0},
+    {"level": 3, "corridor_height_factor": 2.0, "init_radius_multiplier": 1.2},
+]
+
+
+@pytest.mark.parametrize("parameters", OTHERS)
+def test_other_configurations(parameters):
+    """50 000 points all over the arena, and as many at the rim: where those are wrong, they count
+    as rarely as a million points all over the arena would fall there."""
+    config = Circle2DConfig(**parameters)
+    region, radius, size = config.region, config.constraint_radius, 50_000
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1.5 * radius, 1.5 * radius, (size, 2))
+    band = 1e-3 * radius
+    angle, distance = rng.uniform(0, 2 * np.pi, size), radius + rng.uniform(-band, band, size)
+    at_rim = distance[:, None] * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+    contacts = Contacts(scene(config).compile(), 10_000)
+    wrong = contacts(points) != region.contains(points)
+    assert is_near_the_edge(region, points[wrong], band).all()
+    wrong = contacts(at_rim) != region.contains(at_rim)
+    in_the_band = 2 * np.pi * radius * 2 * band / (3 * radius) ** 2
+    assert 0 < wrong.mean() * in_the_band * 1e6 <= 20
+
+
+@pytest.mark.parametrize("radius", [1e-3, 3.0, 1e6])
+def test_the_corridors_edges_are_exact_to_float32(radius):
+    config = Circle2DConfig(constraint_radius=radius)
+    rng = np.random.default_rng(0)
+    u, off, side = rng.uniform(size=10_000), *rng.choice([-1, 1], size=(2, 10_000))
+    walls = np.stack((-0.06 - 0.9 * u, side * (0.25 + 1e-5 * off)), axis=-1)
+    end = np.stack((-0.05 + 1e-5 * off, side * 0.249 * u), axis=-1)
+    points = np.concatenate((walls, end)) * radius
+    contacts = Contacts(scene(config).compile(), 10_000)(points)
+    np.testing.assert_array_equal(contacts, config.region.contains(points))
+    assert 0.4 < contacts.mean() < 0.6
+
+
+def prisms(model):
+    """The corners of each prism in the world, [corners, 3] each."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    corners = []
+    for i in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
+        mesh = model.geom_dataid[i]
+        first, number = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        local = model.mesh_vert[first : first + number]
+        corners.append(local @ data.geom_xmat[i].reshape(3, 3).T + data.geom_xpos[i])
+    return corners
+
+
+NUMBERS = [
+    *("geom_margin", "geom_gap", "geom_size", "geom_solimp", "geom_condim", "body_mass"),
+    *("jnt_range", "jnt_solimp", "dof_damping", "cam_pos", "cam_fovy"),
+    *("actuator_ctrlrange", "actuator_gainprm", "actuator_biasprm"),
+]
+
+
+@pytest.mark.parametrize("actuation", ["velocity", "force"])
+@pytest.mark.parametrize("level", LEVELS)
+def test_written_out_and_read_again(level, actuation):
+    config = Circle2DConfig(level=level, constraint_radius=1.0012345)
+    spec = scene(config, actuation)
+    model = spec.compile()
+    read = mujoco.MjModel.from_xml_string(spec.to_xml())
+    assert [read.geom(i).name for i in range(read.ngeom)] == [
+        model.geom(i).name for i in range(model.ngeom)
+    ]
+    for ours, theirs in zip(prisms(model), prisms(read), strict=True):
+        np.testing.assert_allclose(theirs, ours, atol=1e-5)
+    for name in NUMBERS:
+        np.testing.assert_allclose(getattr(read, name), getattr(model, name), rtol=2e-5, atol=1e-9)
+    reach, expected = read.geom_margin + read.geom_gap, model.geom_margin + model.geom_gap
+    np.testing.assert_allclose(reach, expected, atol=1e-5)
+    points = np.random.default_rng(0).uniform(-1.5, 1.5, (5000, 2))
+    touches = Contacts(model, 5000)(points)
+    assert (touches != Contacts(read, 5000)(points)).sum() <= 1
+    assert touches.any()
+
+
+def test_the_base_scene_loads_and_holds_no_region():
+    model = mujoco.MjModel.from_xml_path(str(asset(BASE)))
+    without = scene(Circle2DConfig(), with_region=False).compile()
+    for each in (model, without):
+        assert [each.geom(i).name for i in range(each.ngeom)] == ["floor", "agent"]
+    np.testing.assert_array_equal(model.jnt_range, without.jnt_range)
+    np.testing.assert_array_equal(model.actuator_ctrlrange, without.actuator_ctrlrange)
+
+
+def test_the_whole_scene_scales():
+    """At another radius and arena every length is that much larger."""
+    config = Circle2DConfig(level=2, constraint_radius=30.0, init_radius_multiplier=2.0)
+    model = scene(config).compile()
+    usual = scene(Circle2DConfig(level=2)).compile()
+    assert model.geom("agent").size[0] == 3 * usual.geom("agent").size[0]
+    np.testing.assert_array_equal(model.jnt_range, [[-60, 60]] * 2)
+    np.testing.assert_allclose(model.actuator_ctrlrange, [[-33, 33]] * 2)
+    for ours, theirs in zip(prisms(model), prisms(usual), strict=True):
+        np.testing.assert_allclose(ours, 3 * theirs, atol=3e-5)
+    np.testing.assert_allclose(model.opt.ccd_tolerance, 3 * usual.opt.ccd_tolerance)
+
+
+@pytest.mark.parametrize("multiplier", [1.5, 6.0, 1000.0])
+def test_large_arenas_compile(multiplier):
+    env = Circle2DMuJoCoEnv(level=0, constraint_radius=100.0, init_radius_multiplier=multiplier)
+    env.reset(seed=0)
+    assert env.observation_space.contains(env.step([1.0, -1.0])[0])
+
+
+@pytest.mark.parametrize("radius", [1e-3, 1e6])
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_slivers_compile(level, radius):
+    """Cut-outs that leave next to nothing of the disc, or of a piece of it."""
+    for height in (2.0, 1.999, 2.0**0.5, 1.41407, 0.051):
+        config = Circle2DConfig(
+            level=level, constraint_radius=radius, corridor_height_factor=height
+        )
+        assert scene(config).compile().nmesh >= 1
+
+
+@pytest.mark.parametrize("radius", [0.9e-3, 1.1e6])
+def test_a_radius_out_of_range_is_refused(radius):
+    message = r"constraint_radius must be in \[0.001, 1e\+06\] in the MuJoCo mode, got "
+    with pytest.raises(ValueError, match=message):
+        Circle2DMuJoCoEnv(constraint_radius=radius)
+    with pytest.raises(ValueError, match=message):
+        scene(Circle2DConfig(constraint_radius=radius))
+
+
+@pytest.mark.parametrize("actuation", ["torque", "Velocity", None, ["force"]])
+def test_another_actuation_is_refused(actuation):
+    message = r"actuation must be one of \('velocity', 'force'\), got "
+    for make in (Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv):
+        with pytest.raises(ValueError, match=message):
+            make(actuation=actuation)
+
+
+def test_a_rigid_corridor_narrower_than_the_body_is_refused():
+    with pytest.raises(
+        ValueError, match=r"corridor_height_factor must be above 0\.05 .* got 0\.05"
+    ):
+        Circle2DMuJoCoEnv(level=0, corridor_height_factor=0.05)
+    assert Circle2DMuJoCoEnv(level=0, corridor_height_factor=0.0501)
+    assert Circle2DMuJoCoEnv(level=1, corridor_height_factor=0.01)
+
+
+def test_a_start_without_room_for_the_body_is_refused():
+    """The start area's far corner is 1.02 R from the centre; a body of 0.025 R does not fit."""
+    tight = {"init_radius_multiplier": 0.989, "init_region_size": 0.5}
+    assert Circle2DMuJoCoEnv(level=1, **tight)
+    with pytest.raises(ValueError, match="no feasible start is left"):
+        Circle2DMuJoCoEnv(level=0, **tight)
+    assert Circle2DMuJoCoEnv(level=0, allow_infeasible_init=True, **tight)

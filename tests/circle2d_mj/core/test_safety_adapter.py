@@ -1,0 +1,180 @@
+"""FromSafetyGymnasium: environments of six values, from packages of their own."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env, data_equivalence
+
+from agents.training.environments import is_native, make_envs
+from circle2d_mj import Circle2DEnv, FromSafetyGymnasium, SafetyGymnasiumAPI
+
+
+class OldBox:
+    """A Box of no package that gymnasium knows."""
+
+    def __init__(self, low, high, shape, dtype):
+        self.low, self.high = np.full(shape, low, dtype), np.full(shape, high, dtype)
+        self.shape, self.dtype = shape, np.dtype(dtype)
+
+
+class OldDiscrete:
+    def __init__(self, n):
+        self.n = n
+
+
+class Six:
+    """As Safety-Gymnasium's, but no gymnasium.Env: random walks, the cost is 3 beyond 0.5."""
+
+    def __init__(self, cost=None, result=None, render_mode=None):
+        self.observation_space = OldBox(-9.0, 9.0, (2,), np.float64)
+        self.action_space = OldBox(-1.0, 1.0, (2,), np.float32)
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": 30}
+        self.render_mode, self.cost, self.result = render_mode, cost, result
+        self.seeds, self.closed, self.options = [], False, None
+        self.random = np.random.RandomState()
+
+    def reset(self, *, seed=None, options=None):
+        if seed is not None:
+            self.seeds.append(seed)
+            self.random = np.random.RandomState(seed)
+        self.options = options
+        self.position = self.random.uniform(-0.3, 0.3, 2)
+        return self.position.copy(), {"start": True}
+
+    def step(self, action):
+        if self.result is not None:
+            return self.result
+        self.position = np.clip(self.position + 0.1 * np.asarray(action), -9, 9)
+        cost = np.int64(3) * (self.position[0] > 0.5) if self.cost is None else self.cost
+        return self.position.copy(), np.float64(1.5), cost, np.bool_(False), np.False_, {"more": 1}
+
+    def render(self):
+        return np.zeros((4, 4, 3), np.uint8)
+
+    def close(self):
+        self.closed = True
+
+
+def test_values():
+    env = FromSafetyGymnasium(Six())
+    assert isinstance(env, gym.Env)
+    assert env.observation_space == gym.spaces.Box(-9.0, 9.0, (2,), np.float64)
+    assert env.action_space == gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+    observation, info = env.reset(seed=4, options={"a": 1})
+    assert info == {"start": True, "cost": 0.0}
+    assert env.env.options == {"a": 1}
+    for k in range(12):
+        _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.0]))
+        expected = 3.0 if observation[0] + 0.1 * (k + 1) > 0.5 else 0.0
+        assert info == {"more": 1, "cost": expected}
+        assert [type(v) for v in (reward, terminated, truncated, info["cost"])] == [
+            float,
+            bool,
+            bool,
+            float,
+        ]
+    assert info["cost"] == 3.0
+    assert env.render().shape == (4, 4, 3)
+    env.close()
+    assert env.env.closed
+
+
+def test_check_env():
+    check_env(FromSafetyGymnasium(Six()), skip_render_check=True)
+
+
+def test_there_and_back():
+    """Our own environment through six values and back is what it was."""
+    env = FromSafetyGymnasium(SafetyGymnasiumAPI(Circle2DEnv(level=1)))
+    own = Circle2DEnv(level=1)
+    assert env.observation_space is env.env.observation_space
+    assert data_equivalence(env.reset(seed=3), own.reset(seed=3), exact=True)
+    for _ in range(20):
+        assert data_equivalence(env.step([-1.0, 0.2]), own.step([-1.0, 0.2]), exact=True)
+
+
+def test_seeds():
+    env = FromSafetyGymnasium(Six())
+    large = 2**63 + 11
+    for seed in (0, 2**32 - 1, 2**32, large):
+        env.reset(seed=seed)
+    env.reset()
+    small = [int(np.random.SeedSequence(s).generate_state(1)[0]) for s in (2**32, large)]
+    assert env.env.seeds == [0, 2**32 - 1, *small]
+    first = env.reset(seed=large)[0]
+    env.reset(seed=large + 1)
+    np.testing.assert_array_equal(env.reset(seed=large)[0], first)
+
+
+def test_spaces_of_other_kinds():
+    six = Six()
+    six.action_space = OldDiscrete(5)
+    assert FromSafetyGymnasium(six).action_space == gym.spaces.Discrete(5)
+    six.action_space = {"left": 1}
+    with pytest.raises(
+        TypeError, match=r"action_space must be a Box or Discrete, got \{'left': 1\}"
+    ):
+        FromSafetyGymnasium(six)
+    with pytest.raises(TypeError, match=r"'Goal' has no reset, step, observation_space"):
+        FromSafetyGymnasium("Goal")
+
+
+@pytest.mark.parametrize(
+    ("result", "message"),
+    [
+        ((0, 0.0, False, False, {}), "step of .*Six.* must return 6 values, got 5 values"),
+        ([0] * 6, "step of .* must return 6 values, got list"),
+        (1.5, "got float"),
+    ],
+)
+def test_another_number_of_values(result, message):
+    env = FromSafetyGymnasium(Six(result=result))
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=message):
+        env.step(np.zeros(2))
+
+
+def test_the_order_of_the_six_values():
+    for ends in ((True, False), (False, True)):
+        env = FromSafetyGymnasium(Six(result=(np.ones(2), 4.0, 5.0, *ends, {})))
+        env.reset(seed=0)
+        _, reward, *found, info = env.step(np.zeros(2))
+        assert (reward, info["cost"], *found) == (4.0, 5.0, *ends)
+
+
+@pytest.mark.parametrize("cost", ["high", [1.0], {"cost": 1.0}])
+def test_costs_that_are_no_numbers(cost):
+    env = FromSafetyGymnasium(Six(cost=cost))
+    env.reset(seed=0)
+    with pytest.raises(TypeError, match=r"the cost from .*Six.* must be a number, got "):
+        env.step(np.zeros(2))
+
+
+def test_reset_of_an_old_interface():
+    six = Six()
+    six.reset = lambda **kwargs: np.zeros(2)
+    with pytest.raises(ValueError, match=r"reset of .* must return 2 values, got ndarray"):
+        FromSafetyGymnasium(six).reset(seed=0)
+
+
+def test_training_takes_them():
+    gym.register(
+        "Six-v0", entry_point=lambda **kw: FromSafetyGymnasium(Six(**kw)), max_episode_steps=9
+    )
+    try:
+        assert not is_native("Six-v0")
+        envs = make_envs("Six-v0", 2, {})
+        envs.reset(seed=[2**63, 1])
+        for _ in range(9):
+            *_, truncated, info = envs.step(np.full((2, 2), 1.0, np.float32))
+        assert truncated.all()
+        np.testing.assert_array_equal(info["cost"], [3.0, 3.0])
+    finally:
+        del gym.registry["Six-v0"]
+    for name in ("PointCircle1-v0", "PointGoal1-v0", "HopperVelocity-v1"):
+        task = f"circle2d_mj/Safety{name}"
+        assert is_native(task)
+        envs = make_envs(task, 3, {"num_threads": 2})
+        assert envs.unwrapped.simulation.num_threads == 2
+        envs.reset(seed=[5, 6, 7])
+        assert envs.step(np.zeros(envs.action_space.shape))[4]["cost"].tolist() == [0.0] * 3

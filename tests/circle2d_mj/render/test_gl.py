@@ -1,0 +1,240 @@
+"""Drawing without a screen, each time in a fresh process: what decides is settled once in each."""
+
+import ctypes
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import circle2d_mj
+from circle2d_mj.render.gl import LIBRARIES, VARIABLE
+
+# Its arguments: what to import first, and whether to take away what mujoco 3.17 does not have.
+DRAW = """
+import sys, weakref
+class Other: ...
+other = Other()
+weakref.finalize(other, int)  # its exit hook runs after everything that is registered from here on
+if "mujoco-first" in sys.argv:
+    import mujoco
+from circle2d_mj import Circle2DConfig
+from circle2d_mj.render.gl import NoOpenGL
+from circle2d_mj.render.renderer import Renderer
+if "mujoco-3.17" in sys.argv:
+    import importlib, os
+    del importlib.import_module("mujoco." + os.environ["MUJOCO_GL"]).GLContext.as_current
+try:
+    renderer = Renderer(Circle2DConfig(level=3), 60)
+except NoOpenGL as error:
+    print("NoOpenGL", error)
+    raise SystemExit
+empty, with_agent = renderer.frame(), renderer.frame((7.5, 7.5))
+assert (empty == renderer.background).all()
+rows, columns = (with_agent != empty).any(axis=-1).nonzero()
+assert abs(columns.mean() + 0.5 - 45) < 1 and abs(rows.mean() + 0.5 - 15) < 1, (columns, rows)
+print(type(renderer._offscreen._context).__module__)
+"""  # and it ends without closing the renderer
+
+# Ours and MuJoCo's own renderer in turns; then many of ours.
+TURNS = """
+import gc, os
+from pathlib import Path
+import mujoco
+from circle2d_mj import Circle2DConfig
+from circle2d_mj.render.renderer import Renderer
+
+model = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><light pos='0 0 3'/><geom size='1' rgba='1 0 0 1'/></worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+
+def theirs(renderer):
+    renderer.update_scene(data)
+    return renderer.render()
+
+first, one = Renderer(Circle2DConfig(level=1), 64), mujoco.Renderer(model, 50, 50)
+second, other = Renderer(Circle2DConfig(level=3), 100), mujoco.Renderer(model, 40, 40)
+pictures = first.frame((1, 1)), theirs(one).copy(), second.frame((2, 2)), theirs(other).copy()
+assert len({p.tobytes() for p in pictures}) == 4
+for _ in range(2):
+    assert (theirs(other) == pictures[3]).all() and (first.frame((1, 1)) == pictures[0]).all()
+    assert (second.frame((2, 2)) == pictures[2]).all() and (theirs(one) == pictures[1]).all()
+second.close(), one.close()
+assert (first.frame((1, 1)) == pictures[0]).all() and (theirs(other) == pictures[3]).all()
+first.close()
+assert (theirs(other) == pictures[3]).all()
+
+def held():
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return len(os.listdir("/proc/self/fd")), pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+def draw(times):
+    for k in range(times):
+        renderer = Renderer(config, 32)
+        renderer.frame((0, 0))
+        if k % 2:
+            renderer.close()  # the others go when they are no longer referred to
+
+config = Circle2DConfig()
+draw(2)
+files, megabytes = held()
+draw(6)
+more_files, more_megabytes = held()
+assert more_files == files and more_megabytes < megabytes + 20, (megabytes, more_megabytes)
+"""
+
+HUMAN = """
+import numpy as np
+from circle2d_mj import Circle2DEnv
+env = Circle2DEnv(level=1, render_mode="human")
+env.reset(seed=0)
+env.step(np.zeros(2))
+assert env.render() is None
+env.close()
+env.close()
+"""
+
+
+def exists(backend):
+    try:
+        ctypes.CDLL(LIBRARIES[backend])
+    except OSError:
+        return False
+    return True
+
+
+def needs(*backends):
+    missing = [LIBRARIES[b] for b in backends if not exists(b)]
+    return pytest.mark.skipif(bool(missing), reason=f"no {', '.join(missing)} on this machine")
+
+
+ANY = next((backend for backend in LIBRARIES if exists(backend)), None)
+needs_any = pytest.mark.skipif(ANY is None, reason="neither EGL nor OSMesa on this machine")
+EACH = [pytest.param(backend, marks=needs(backend)) for backend in LIBRARIES]
+
+
+@pytest.fixture
+def python(tmp_path):
+    """Runs code in a fresh Python without a screen and returns what it printed.
+
+    hide: libraries that nothing in that process finds. Files of their names that come first and
+    are no libraries do it for ctypes, PyOpenGL and MuJoCo alike.
+    """
+
+    def run(code, *arguments, hide=(), under=(), **variables):
+        for library in hide:
+            (tmp_path / library).touch()
+        unset = {"DISPLAY", "WAYLAND_DISPLAY", VARIABLE, "PYOPENGL_PLATFORM"}
+        environment = {k: v for k, v in os.environ.items() if k not in unset}
+        path = environment.get("LD_LIBRARY_PATH", "")
+        environment["LD_LIBRARY_PATH"] = f"{tmp_path}:{path}" if path else str(tmp_path)
+        environment["PYTHONPATH"] = str(Path(circle2d_mj.__file__).parents[1])
+        done = subprocess.run(
+            [*under, sys.executable, "-W", "error", "-c", code, *arguments],
+            env=environment | variables,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stderr == ""  # such as "Exception ignored" at the end
+        return done.stdout.strip()
+
+    return run
+
+
+@pytest.mark.parametrize("first", ["", "mujoco-first"])
+@pytest.mark.parametrize("backend", EACH)
+def test_named_backend(python, backend, first):
+    assert python(DRAW, first, MUJOCO_GL=backend) == f"mujoco.{backend}"
+
+
+@needs_any
+@pytest.mark.parametrize("first", ["", "mujoco-first"])
+def test_unset_takes_the_first_there_is(python, first):
+    assert python(DRAW, first) == f"mujoco.{ANY}"
+
+
+@pytest.mark.parametrize("backend", EACH)
+def test_mujoco_without_as_current(python, backend):
+    """The least version that we allow, and the last for Python 3.10, has it not."""
+    assert python(DRAW, "mujoco-3.17", MUJOCO_GL=backend) == f"mujoco.{backend}"
+
+
+@needs("osmesa")
+def test_unset_without_egl(python):
+    assert python(DRAW, hide=[LIBRARIES["egl"]]) == "mujoco.osmesa"
+
+
+@needs("egl", "osmesa")
+@pytest.mark.parametrize("first", ["", "mujoco-first"])
+def test_unset_with_an_egl_that_fails(python, first):
+    """As in a container with EGL's library but no device: here, one that does not exist."""
+    assert python(DRAW, first, MUJOCO_EGL_DEVICE_ID="99") == "mujoco.osmesa"
+
+
+def says_what_to_do(message):
+    return all(word in message for word in ("libegl1", "libosmesa6", "MUJOCO_GL=egl", "NoOpenGL"))
+
+
+@pytest.mark.parametrize(
+    ("first", "variables"),
+    [
+        ("", {}),
+        ("mujoco-first", {}),
+        ("", {VARIABLE: "egl"}),
+        ("", {VARIABLE: "osmesa"}),
+    ],
+)
+def test_no_library(python, first, variables):
+    message = python(DRAW, first, hide=LIBRARIES.values(), **variables)
+    assert says_what_to_do(message)
+    named = variables.get(VARIABLE)
+    for backend, library in LIBRARIES.items():
+        assert (f"{library} is missing" in message) == (named in (None, backend))
+
+
+@needs_any
+def test_named_backend_is_not_replaced(python):
+    """Where the other one would work."""
+    named = "osmesa" if ANY == "egl" else "egl"
+    message = python(DRAW, hide=[LIBRARIES[named]], MUJOCO_GL=named)
+    assert says_what_to_do(message)
+    assert f"{LIBRARIES[named]} is missing" in message
+
+
+@needs("egl")
+def test_named_egl_that_fails(python):
+    message = python(DRAW, MUJOCO_GL="egl", MUJOCO_EGL_DEVICE_ID="99")
+    assert says_what_to_do(message)
+    tried = message.partition("Tried egl: ")[2]
+    assert "got 99" in tried
+    assert "osmesa: " not in tried
+
+
+def test_glfw_without_a_screen(python):
+    quiet = {"PYTHONWARNINGS": "ignore", "PYGLFW_LIBRARY_VARIANT": "x11"}
+    code = f"import warnings; warnings.simplefilter('ignore')\n{DRAW}"
+    assert says_what_to_do(python(code, MUJOCO_GL="glfw", **quiet))
+
+
+@pytest.mark.parametrize("backend", EACH)
+def test_beside_mujocos_own_renderer_and_many(python, backend):
+    python(TURNS, MUJOCO_GL=backend)
+
+
+def test_human_mode_needs_a_screen(python):
+    code = f"try:\n    import circle2d_mj\n    {HUMAN.strip().splitlines()[2]}\n"
+    code = code.replace("Circle2DEnv(", "circle2d_mj.Circle2DEnv(")
+    message = python(f"{code}except ValueError as error:\n    print(error)")
+    assert "'human' where there is a screen" in message
+    assert "rgb_array" in message
+
+
+@pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="no xvfb-run on this machine")
+def test_human_mode(python):
+    python(HUMAN, under=["xvfb-run", "-a"])

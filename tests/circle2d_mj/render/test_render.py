@@ -1,0 +1,266 @@
+"""Pictures of the scene, and the environments' render modes, with whatever OpenGL is here."""
+
+import copy
+import pickle
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import RenderCollection
+
+import circle2d_mj
+from circle2d_mj import Circle2DConfig, Circle2DEnv, Circle2DVectorEnv
+from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
+from circle2d_mj.render import canvas
+from circle2d_mj.render.renderer import Renderer
+
+BALL = (217, 26, 115)
+
+
+pytestmark = pytest.mark.usefixtures("opengl")
+
+
+def ball(picture):
+    """Where the agent is: the mean column and row of its pixels, and how many they are."""
+    like = (np.abs(picture.astype(int) - BALL) <= 3).all(axis=-1)
+    rows, columns = np.nonzero(like)
+    assert len(rows), "no agent"
+    return np.array((columns.mean(), rows.mean())) + 0.5, len(rows)
+
+
+def expected_at(config, position, size):
+    x, y = np.asarray(position) / config.arena
+    return np.array((1 + x, 1 - y)) * size / 2
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {},
+        {"level": 3, "init_radius_multiplier": 1.05},
+        {"level": 0, "constraint_radius": 0.001, "init_radius_multiplier": 3.0},
+        {"constraint_radius": 1e-9},  # the rest is beyond what the physics allows, or its camera
+        {"constraint_radius": 100.0, "optima_perturbation": (30.0, -40.0)},
+        {"constraint_radius": 1e8, "init_radius_multiplier": 12.0},
+        {"init_radius_multiplier": 500.0},
+        {"level": 0, "corridor_height_factor": 0.01},
+    ],
+)
+def test_the_ball_is_where_the_agent_is(parameters):
+    """Within a pixel at 25 points, and half cut off at the arena's edges and corners."""
+    config, size = Circle2DConfig(**parameters), 240
+    rng = np.random.default_rng(0)
+    with Renderer(config, size) as renderer:
+        np.testing.assert_array_equal(renderer.frame(), renderer.background)
+        for point in rng.uniform(-0.95, 0.95, (25, 2)) * config.arena:
+            place, pixels = ball(renderer.frame(point))
+            assert np.abs(place - expected_at(config, point, size)).max() < 1
+            assert pixels > 12
+        for corner in np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (0, -1)]):
+            place, _ = ball(renderer.frame(corner * config.arena))
+            assert np.abs(place - expected_at(config, corner * config.arena, size)).max() < 4
+        np.testing.assert_array_equal(renderer.frame(), renderer.background)
+
+
+def test_the_ball_has_the_size_of_the_body():
+    """A radius of 0.25 at R = 10, but 2.5 pixels at least."""
+    for multiplier, size, radius in ((1.5, 480, 4), (1.3, 520, 5), (3.0, 160, 2.5)):
+        with Renderer(Circle2DConfig(init_radius_multiplier=multiplier), size) as renderer:
+            _, pixels = ball(renderer.frame((12.0, 7.0)))
+        assert np.sqrt(pixels / np.pi) == pytest.approx(radius, rel=0.15)
+
+
+@pytest.mark.parametrize("size", [1, 2, 33, 101, 250])
+def test_a_frame_without_agent_is_the_floor(size):
+    """Exactly, whatever its width: rows of pixels are not aligned to 4 bytes."""
+    with Renderer(Circle2DConfig(level=3), size) as renderer:
+        np.testing.assert_array_equal(renderer.frame(), renderer.background)
+        noise = np.random.default_rng(0).integers(0, 256, (size, size, 3), dtype=np.uint8)
+        before = noise.copy()
+        picture = renderer.frame(floor=noise)
+        np.testing.assert_array_equal(picture, before)
+        np.testing.assert_array_equal(noise, before)
+        noise[:] = 7  # the same array, changed since
+        assert (renderer.frame(floor=noise) == 7).all()
+        np.testing.assert_array_equal(renderer.frame(), renderer.background)
+        np.testing.assert_array_equal(picture, before)  # which belongs to the caller
+
+
+def test_trajectories_and_heat_are_what_is_painted():
+    config = Circle2DConfig(level=2)
+    path = np.linspace((12.0, 1.0), (-3.0, 6.0), 12)
+    costs = config.region.contains(path[1:]).astype(float)
+    with Renderer(config, 200) as renderer:
+        background, ground = renderer.background, canvas.ground(config, 200)
+        for picture, painted in (
+            (
+                renderer.trajectories([path], [costs]),
+                canvas.with_trajectories(ground, config, [path], [costs]),
+            ),
+            (
+                renderer.heatmap(path, cells=25, most=5),
+                canvas.with_counts(ground, canvas.visits(config, path, 25), 5),
+            ),
+        ):
+            np.testing.assert_array_equal(picture, canvas.with_cross(painted, config))
+        np.testing.assert_array_equal(renderer.heatmap(np.zeros((0, 2))), background)
+        assert (renderer.trajectories([path], [costs]) != background).any()
+        with pytest.raises(ValueError, match="cells must be at least 1, got 0"):
+            renderer.heatmap(path, cells=0)
+        with pytest.raises(ValueError, match="most must be at least 1, got 0"):
+            renderer.heatmap(path, most=0)
+
+
+def test_what_cannot_be_drawn():
+    with Renderer(Circle2DConfig(), 32) as renderer:
+        before = renderer.frame((5.0, 5.0))
+        for position in (3.0, (1, 2, 3), [(1, 2)], (np.nan, 0), (0, np.inf), "here"):
+            with pytest.raises(ValueError, match="position must be two finite numbers, got"):
+                renderer.frame(position)
+        for floor in (np.zeros((16, 16, 3), np.uint8), np.zeros((32, 32, 3)), before[..., 0]):
+            with pytest.raises(ValueError, match=r"floor must be a picture \[32, 32, 3\] uint8"):
+                renderer.frame(floor=floor)
+        np.testing.assert_array_equal(renderer.frame((5.0, 5.0)), before)
+    for size, error in ((0, ValueError), (-5, ValueError), (2.5, TypeError), (True, TypeError)):
+        with pytest.raises(error, match="size must be"):
+            Renderer(Circle2DConfig(), size)
+
+
+def test_closed_renderer():
+    first, second = Renderer(Circle2DConfig(), 40), Renderer(Circle2DConfig(level=3), 50)
+    expected = second.frame((1.0, 2.0))
+    first.close()
+    first.close()
+    for draw in (first.frame, lambda: first.heatmap([(1.0, 1.0)])):
+        with pytest.raises(RuntimeError, match="the renderer is closed"):
+            draw()
+    np.testing.assert_array_equal(second.frame((1.0, 2.0)), expected)
+    second.close()
+
+
+SINGLE = [Circle2DEnv, Circle2DMuJoCoEnv]
+VECTOR = [Circle2DVectorEnv, Circle2DMuJoCoVectorEnv]
+
+
+@pytest.mark.parametrize("make", SINGLE)
+def test_rgb_array(make):
+    """The picture follows the agent, through steps, resets and a close in between."""
+    env = make(level=1, render_mode="rgb_array")
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    for k in range(6):
+        picture = env.render()
+        assert (picture.shape, picture.dtype) == ((640, 640, 3), np.uint8)
+        place, _ = ball(picture)
+        assert np.abs(place - expected_at(env.config, env.position, 640)).max() < 1
+        env.step(env.action_space.sample() - 1)
+        assert np.abs(place - expected_at(env.config, env.position, 640)).max() > 2
+        if k == 3:
+            env.close()
+            env.close()
+            env.reset()
+    drawn_by = env._envs.simulation._renderer
+    env.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        drawn_by.frame()
+    still = make(level=1)
+    still.reset(seed=0)
+    assert still.render() is None
+    still.close()
+
+
+@pytest.mark.parametrize("make", VECTOR)
+def test_rgb_array_of_many(make):
+    envs = make(3, level=3, render_mode="rgb_array")
+    envs.reset(seed=5)
+    for _ in range(2):
+        pictures = envs.render()
+        assert isinstance(pictures, tuple)
+        assert len(pictures) == 3
+        for picture, position in zip(pictures, envs.position, strict=True):
+            place, _ = ball(picture)
+            assert np.abs(place - expected_at(envs.config, position, 640)).max() < 1
+            with Renderer(envs.config) as renderer:
+                np.testing.assert_array_equal(picture, renderer.frame(position))
+        envs.step(np.full((3, 2), -1.0))
+    envs.close()
+    envs.close()
+    assert make(2, level=0).render() is None
+
+
+@pytest.mark.parametrize("make", [*SINGLE, *VECTOR])
+def test_other_render_modes(make, monkeypatch):
+    with pytest.raises(ValueError, match=r"render_mode must be None or one of .*got 'ascii'"):
+        make(level=1, render_mode="ascii")
+    monkeypatch.setitem(circle2d_mj.circle2d.envs.METADATA, "render_modes", ["rgb_array"])
+    with pytest.raises(ValueError, match=r"'human' where there is a screen.*got 'human'"):
+        make(level=1, render_mode="human")
+
+
+@pytest.mark.parametrize("make", SINGLE)
+def test_human_mode_shows_every_state(make, monkeypatch):
+    monkeypatch.setitem(circle2d_mj.circle2d.envs.METADATA, "render_modes", ["rgb_array", "human"])
+    env, shown = make(level=1, render_mode="human"), []
+    monkeypatch.setattr(env._envs.simulation, "show", lambda i: shown.append((i, *env.position)))
+    env.reset(seed=0)
+    expected = [(0, *env.position)]
+    for _ in range(2):
+        env.step(np.array((-1.0, 0.0)))
+        expected.append((0, *env.position))
+    assert env.render() is None
+    assert shown == [*expected, expected[-1]]
+    env.close()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("make", [*SINGLE, lambda **kw: Circle2DVectorEnv(2, **kw)])
+def test_copies_of_an_environment_that_has_rendered(make, copied):
+    env = make(level=2, render_mode="rgb_array")
+    env.reset(seed=0)
+    first = np.array(env.render())
+    twin = copied(env)
+    np.testing.assert_array_equal(np.array(twin.render()), first)
+    env.step(np.full(env.action_space.shape, -1.0))
+    env.close()
+    np.testing.assert_array_equal(np.array(twin.render()), first)
+    twin.close()
+
+
+@pytest.mark.parametrize("name", ["Circle2D-1-v0", "Circle2DMuJoCo-0-v0"])
+def test_gymnasiums_check_of_render_modes(name, monkeypatch):
+    monkeypatch.setitem(circle2d_mj.circle2d.envs.METADATA, "render_modes", ["rgb_array"])
+    env = gym.make(name, render_mode="rgb_array").unwrapped
+    with warnings.catch_warnings(record=True) as caught:  # it warns where a picture is none
+        warnings.simplefilter("always")
+        check_env(env)
+    assert not [str(w.message) for w in caught if "render" in str(w.message).lower()]
+    env.close()
+
+
+def test_recording_wrapper():
+    """A frame for the reset and one for each step, each where the agent then was."""
+    env = RenderCollection(gym.make("Circle2D-1-v0", render_mode="rgb_array"))
+    env.reset(seed=0)
+    positions = [env.unwrapped.position]
+    for _ in range(4):
+        env.step(np.array((-1.0, 0.5)))
+        positions.append(env.unwrapped.position)
+    frames = env.render()
+    assert len(frames) == 5
+    for frame, position in zip(frames, positions, strict=True):
+        place, _ = ball(frame)
+        assert np.abs(place - expected_at(env.unwrapped.config, position, 640)).max() < 1
+    assert env.unwrapped.metadata["render_fps"] == 10
+    env.close()
+
+
+def test_physics_in_a_wide_arena():
+    """MuJoCo takes the camera's height of view for an angle, below 180."""
+    for radius in (60.0, 1e5):
+        envs = Circle2DMuJoCoVectorEnv(2, level=0, constraint_radius=radius)
+        envs.reset(seed=0)
+        start = envs.position
+        envs.step(np.ones((2, 2)))
+        assert (np.abs(envs.position - start) > 0.05 * radius).any()
