@@ -26,7 +26,7 @@ from agents.reporting.report import report
 from agents.training.config import Device, TrainConfig, run_folder
 from agents.training.environments import Vectorization, check_task
 from agents.training.evaluation import evaluate
-from agents.training.loop import EVALUATION_EPISODES, Training, restored, train
+from agents.training.loop import EVALUATION_EPISODES, Training, load_training, train
 from agents.training.machine import other_session
 from agents.training.progress import show_progress, working
 from agents.training.tensorboard import require_tensorboard
@@ -143,7 +143,7 @@ def run_resume(args: Sequence[str]) -> int:
 
 def run_evaluate(args: Sequence[str]) -> int:
     options = parse(EvaluateOptions, "evaluate", args)
-    training = restored(options.folder)
+    training = load_training(options.folder)
     policy = training.learner.policy()
     active = ~training.failed
     with working(f"playing {options.episodes} episodes of each run, by either policy"):

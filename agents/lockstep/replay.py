@@ -65,13 +65,13 @@ class Replay:
             observation, action, reward[..., 0], cost[..., 0], next_observation, terminal[..., 0]
         )
 
-    def state(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
+    def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
         """What a checkpoint of some runs keeps: the rows they hold, not the empty ones."""
         held = self.size[runs].max(initial=0)
         return {"rows": self._rows[runs, :held], "stored": self.stored[runs]}
 
-    def restore(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
-        """Take over what `state` returned. ValueError or KeyError for anything else."""
+    def load_state_dict(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
+        """Load a state. ValueError or KeyError for anything else."""
         stored = tree.expect("stored", state, self.stored[runs].shape, np.int64)
         self.stored[runs] = stored
         held = int(self.size[runs].max(initial=0))

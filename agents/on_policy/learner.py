@@ -130,10 +130,10 @@ class OnPolicy:
         """Which runs hold only finite numbers, [R]."""
         return tree.finite(self._state)
 
-    def state(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
+    def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
         """The whole training state of some runs as named arrays."""
         return tree.flatten(self._state, runs)
 
-    def restore(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
-        """Take over what `state` returned, bit for bit."""
+    def load_state_dict(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
+        """Load a state, bit for bit."""
         self._state = tree.unflatten(self._state, state, runs)

@@ -16,7 +16,7 @@ from agents.errors import UserError
 from agents.training.config import FAILURE, TrainConfig, run_folder
 from agents.training.environments import circle2d_config, make_envs
 from agents.training.evaluation import play
-from agents.training.loop import EVALUATION_EPISODES, restored
+from agents.training.loop import EVALUATION_EPISODES, load_training
 from agents.training.step_files import VISITED, read_steps
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.task import position
@@ -199,7 +199,7 @@ def episodes_by_seed(folder: Path, episodes: int, noisy: bool) -> dict[int, Epis
     """
     config, task = _circle2d_runs(folder)
     runs = len(config.seeds)
-    policy, everyone = restored(folder).learner.policy(), np.ones(runs, dtype=bool)
+    policy, everyone = load_training(folder).learner.policy(), np.ones(runs, dtype=bool)
     with contextlib.closing(make_envs(config.task, runs * episodes, config.task_parameters)) as e:
         rollout = play(e, config, policy, EVALUATION_EPISODES, 0, episodes, everyone, noisy)
     start, then = (

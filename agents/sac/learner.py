@@ -116,15 +116,15 @@ class OffPolicy:
             for k in range(steps)
         ]
 
-    def state(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
+    def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
         """The whole training state of some runs as named arrays."""
-        replay = {f"replay.{name}": array for name, array in self._replay.state(runs).items()}
+        replay = {f"replay.{name}": array for name, array in self._replay.state_dict(runs).items()}
         return {**tree.flatten(self._state, runs), **replay}
 
-    def restore(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
-        """Take over what `state` returned, bit for bit."""
+    def load_state_dict(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
+        """Load a state, bit for bit."""
         self._state = tree.unflatten(self._state, state, runs)
-        self._replay.restore(
+        self._replay.load_state_dict(
             {k.removeprefix("replay."): v for k, v in state.items() if k.startswith("replay.")},
             runs,
         )

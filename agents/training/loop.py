@@ -105,11 +105,11 @@ class Training:
                 write_json(of_run / FAILURE, {"step": int(steps)})
         counters = {"epoch": np.array(self.epoch), "seeds": np.array(self.config.seeds)}
         counters |= {"steps": self.steps, "failed": self.failed}
-        learned = self.learner.state(self.runs)
-        write_arrays(folder / "checkpoint.npz", counters | self.log.state() | learned)
+        learned = self.learner.state_dict(self.runs)
+        write_arrays(folder / "checkpoint.npz", counters | self.log.state_dict() | learned)
 
-    def restore(self, folder: Path) -> None:
-        """Take over a checkpoint. Raises UserError where it is missing or damaged."""
+    def load(self, folder: Path) -> None:
+        """Load a checkpoint. Raises UserError where it is missing or damaged."""
         path = folder / "checkpoint.npz"
         state = read_arrays(path)
         try:
@@ -119,14 +119,14 @@ class Training:
             self.epoch = int(tree.expect("epoch", state, (), np.int64))
             self.steps = tree.expect("steps", state, self.steps.shape, np.int64)
             self.failed = tree.expect("failed", state, self.failed.shape, np.bool_)
-            self.log.restore(state, self.epoch)
-            self.learner.restore(state, self.runs)
+            self.log.load_state_dict(state, self.epoch)
+            self.learner.load_state_dict(state, self.runs)
         except (KeyError, ValueError) as error:
             raise UserError(f"{path} is damaged or of another version: {error}") from None
-        self.step_files.restore(run_folders(folder, self.config), self.log.steps)
+        self.step_files.seek(run_folders(folder, self.config), self.log.steps)
 
     def close(self) -> None:
-        """Let go of the environments."""
+        """Close the environments."""
         if "_envs" in vars(self):
             self._envs.close()
 
@@ -175,10 +175,10 @@ def _learner_of(configs: Sequence[TrainConfig]) -> Learner:
     return make_learner(one.algorithm, one.hyperparameters, seeds, *sizes)
 
 
-def restored(folder: Path) -> Training:
+def load_training(folder: Path) -> Training:
     """The training of a folder as its last checkpoint left it."""
     training = Training(TrainConfig.read(folder))
-    training.restore(folder)
+    training.load(folder)
     return training
 
 
@@ -210,7 +210,7 @@ def train(*folders: Path, on_epoch: OnEpoch = lambda trainings: None) -> list[Tr
 def _train(trainings: dict[Path, Training], on_epoch: OnEpoch) -> None:
     for folder, training in trainings.items():
         if (folder / "checkpoint.npz").exists():
-            training.restore(folder)
+            training.load(folder)
         if not training.done:
             note_session(folder)
     with contextlib.ExitStack() as stack:

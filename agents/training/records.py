@@ -70,12 +70,12 @@ class Log:
         """Of the last epoch: [R, E, columns], [R, metrics]."""
         return self._episodes[-1], self._updates[-1]
 
-    def state(self) -> dict[str, NDArray]:
+    def state_dict(self) -> dict[str, NDArray]:
         """Everything, as named arrays."""
         return {"log.episodes": self.episodes, "log.updates": self.updates}
 
-    def restore(self, state: dict[str, NDArray], epochs: int) -> None:
-        """Take over what `state` returned. ValueError or KeyError for anything else."""
+    def load_state_dict(self, state: dict[str, NDArray], epochs: int) -> None:
+        """Load a state. ValueError or KeyError for anything else."""
         of_episodes, of_updates = ((epochs, *shape) for shape in self._shapes)
         episodes = tree.expect("log.episodes", state, of_episodes, np.float64)
         updates = tree.expect("log.updates", state, of_updates, np.float64)

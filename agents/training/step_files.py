@@ -59,7 +59,7 @@ class StepFiles:
                 self._new[run][name] = [new[:0]]
             self.written[run] += len(rows[COSTS])
 
-    def restore(self, folders: Sequence[Path], rows: NDArray[np.int64]) -> None:
+    def seek(self, folders: Sequence[Path], rows: NDArray[np.int64]) -> None:
         """Go on behind `rows`, [R]. Raises UserError where a file does not hold as many."""
         for run, (folder, count) in enumerate(zip(folders, rows, strict=True)):
             for name, (like, *_) in self._new[run].items():

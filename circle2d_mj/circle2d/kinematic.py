@@ -51,10 +51,10 @@ class Kinematic:
         """What the agents see: [num_envs, 2] float32."""
         return task.observe(self.config, self.position)
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """The positions, [num_envs, 2]."""
         return {"position": self.position.copy()}
 
-    def restore(self, state: State) -> None:
-        """Take over what `state` returned."""
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
         self.position = np.asfortranarray(state["position"])

@@ -119,18 +119,18 @@ class Physics:
         a_step = SUBSTEPS * self.model.opt.timestep
         return task.observe(self.config, self._qpos, self._qvel * a_step)
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """MuJoCo's whole state, `mjSTATE_INTEGRATION`: [num_envs, mj_stateSize]."""
         return {"mujoco": self._batch.state.copy()}
 
-    def restore(self, state: State) -> None:
-        """Take over what `state` returned."""
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
         self._batch.state[:] = state["mujoco"]
 
     def __getstate__(self) -> dict[str, Any]:
         arguments = (self.config, self.num_envs, self.actuation, self.num_threads)
-        return {"arguments": arguments, "state": self.state()}
+        return {"arguments": arguments, "state": self.state_dict()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(*state["arguments"])
-        self.restore(state["state"])
+        self.load_state_dict(state["state"])

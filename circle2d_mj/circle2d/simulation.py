@@ -57,12 +57,12 @@ class Dynamics(Protocol):
         """What the agents see: a fresh array [num_envs, len(observation_bounds)]."""
         ...
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """All that steps depend on, as named arrays (copies) whose first axis is num_envs."""
         ...
 
-    def restore(self, state: State) -> None:
-        """Take over what `state` returned."""
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
         ...
 
 
@@ -95,13 +95,13 @@ class Circle2D:
         """What the agents see: [num_envs, 2 or 4] float32."""
         return self.dynamics.observe()
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """All that steps depend on."""
-        return self.dynamics.state()
+        return self.dynamics.state_dict()
 
-    def restore(self, state: State) -> None:
-        """Take over what `state` returned."""
-        self.dynamics.restore(state)
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
+        self.dynamics.load_state_dict(state)
 
     def frame(self, index: int) -> NDArray[np.uint8]:
         """The agent `index` in its arena, [640, 640, 3]."""
@@ -127,7 +127,7 @@ class Circle2D:
         self._window.show(self._shown)
 
     def close(self) -> None:
-        """Let go of what `frame` and `show` hold."""
+        """Close what `frame` and `show` opened."""
         for drawer in (self._renderer, self._window):
             if drawer is not None:
                 drawer.close()

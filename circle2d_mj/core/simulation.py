@@ -56,12 +56,12 @@ class Simulation(Protocol):
         """What the agents see: a fresh array [num_envs, observation size]."""
         ...
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """All that steps depend on, as named arrays (copies) whose first axis is num_envs."""
         ...
 
-    def restore(self, state: State) -> None:
-        """Take over what `state` returned."""
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
         ...
 
     def frame(self, index: int) -> NDArray[np.uint8]:
@@ -73,7 +73,7 @@ class Simulation(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of what `frame` and `show` hold."""
+        """Close what `frame` and `show` opened."""
         ...
 
 

@@ -57,19 +57,19 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
         return None if frames is None else frames[0]
 
     def close(self) -> None:
-        """Let go of what drawing needed."""
+        """Close the renderer and the viewer."""
         self._envs.close_extras()  # `close` would do so only once
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """All that the following steps and resets depend on: see `TaskVectorEnv.state`.
 
         The time limit of an environment from `gymnasium.make` is a wrapper's, and not in it.
         """
-        return self._envs.state()
+        return self._envs.state_dict()
 
-    def restore(self, state: State) -> None:
-        """Take over what `state` returned."""
-        self._envs.restore(state)
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
+        self._envs.load_state_dict(state)
 
     def _show(self) -> None:
         if self.render_mode == "human":

@@ -94,18 +94,18 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
             self._reset_now(terminated | truncated, info)
         return self.simulation.observe(), reward, terminated, truncated, info
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """All that the following steps and resets depend on, as named arrays [num_envs, ...].
 
-        With `restore`, on this or an equal environment, episodes go on bit for bit. Raises
+        With `load_state_dict`, on this or an equal environment, episodes go on bit for bit. Raises
         ResetNeeded before the first reset.
         """
         if self._streams is None:
             raise ResetNeeded("reset() must be called before there is a state")
         return self._state_with(self._streams)
 
-    def restore(self, state: State) -> None:
-        """Take over what `state` returned. ValueError where names or shapes are others."""
+    def load_state_dict(self, state: State) -> None:
+        """Load a state. ValueError where names or shapes are others."""
         streams = self._streams or Streams(np.zeros(self.num_envs, dtype=np.uint64))
         own = self._state_with(streams)
         got = {name: np.shape(array) for name, array in state.items()}
@@ -116,7 +116,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         self._steps, self._finished = state.pop("steps"), state.pop("finished")
         streams.keys, streams.counters = state.pop("stream_keys"), state.pop("stream_counters")
         self._streams = streams
-        self.simulation.restore(state)
+        self.simulation.load_state_dict(state)
 
     def _state_with(self, streams: Streams) -> State:
         return {
@@ -124,7 +124,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
             "finished": self._finished.copy(),
             "stream_keys": streams.keys.copy(),
             "stream_counters": streams.counters.copy(),
-            **self.simulation.state(),
+            **self.simulation.state_dict(),
         }
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -136,7 +136,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         return tuple(self.simulation.frame(i) for i in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Let go of what drawing needed."""
+        """Close the renderer and the viewer."""
         self.simulation.close()
 
     def _reset_finished(self, *results: NDArray) -> None:

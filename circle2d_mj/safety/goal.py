@@ -95,14 +95,14 @@ class SafetyPointGoal(MuJoCoTask):
         lidars = rules.lidar(self._seen, heading, reach, _LIDAR_OF_TARGET)
         return np.concatenate((self.sensors, lidars), axis=1)
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """All that steps depend on."""
         goals = {"goal_keys": self._goals.keys.copy(), "goal_counters": self._goals.counters.copy()}
-        return {**super().state(), "places": self._places.copy(), **goals}
+        return {**super().state_dict(), "places": self._places.copy(), **goals}
 
-    def restore(self, state: State) -> None:
-        """Take over what `state` returned."""
-        super().restore(state)
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
+        super().load_state_dict(state)
         self._places[:] = state["places"]
         self._look()
         self._goals.keys[:] = state["goal_keys"]

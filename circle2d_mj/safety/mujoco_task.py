@@ -72,12 +72,12 @@ class MuJoCoTask:
         if self._sensed is not None:
             self.sensors[:] = self._sensed
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """MuJoCo's states in full, warm starts among them, and what the sensors showed."""
         return {"mujoco": self.batch.state.copy(), "sensors": self.sensors.copy()}
 
-    def restore(self, state: State) -> None:
-        """Take over what `state` returned."""
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
         self.batch.state[:] = state["mujoco"]
         self.sensors[:] = state["sensors"]
 
@@ -102,7 +102,7 @@ class MuJoCoTask:
         self._window.show(self.data(index))
 
     def close(self) -> None:
-        """Let go of what `frame` and `show` hold."""
+        """Close what `frame` and `show` opened."""
         for drawer in (self._offscreen, self._window):
             if drawer is not None:
                 drawer.close()
@@ -110,8 +110,8 @@ class MuJoCoTask:
 
     def __getstate__(self) -> dict[str, Any]:
         arguments = {"num_envs": self.num_envs, "num_threads": self.num_threads}
-        return {"arguments": arguments, "state": self.state()}
+        return {"arguments": arguments, "state": self.state_dict()}
 
     def __setstate__(self, pickled: dict[str, Any]) -> None:
         type(self).__init__(self, **pickled["arguments"])
-        self.restore(pickled["state"])
+        self.load_state_dict(pickled["state"])

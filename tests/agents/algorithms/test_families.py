@@ -31,7 +31,7 @@ def config(name, seeds=(0, 1, 2), steps=900, **parameters):
 
 
 def arrays_of(training):
-    return training.learner.state() | training.log.state() | {"steps": training.steps}
+    return training.learner.state_dict() | training.log.state_dict() | {"steps": training.steps}
 
 
 def of_run(training, run):
@@ -64,7 +64,7 @@ def test_resumed_in_the_middle_is_as_never_stopped(name, tmp_path):
         stopped.run_epoch()
     stopped.save(tmp_path)
     resumed = Training(config(name))
-    resumed.restore(tmp_path)
+    resumed.load(tmp_path)
     assert_same(arrays_of(finished(resumed)), arrays_of(whole))
 
 
@@ -98,7 +98,7 @@ def test_a_poisoned_run_fails_alone(name, tmp_path):
     assert not (tmp_path / "seed-1/evaluation.json").exists()
     assert (tmp_path / "seed-2/evaluation.json").exists()
     restored = Training(config(name))
-    restored.restore(tmp_path)
+    restored.load(tmp_path)
     assert restored.failed.tolist() == [False, True, False]
     assert restored.done
 

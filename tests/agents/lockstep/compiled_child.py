@@ -38,12 +38,12 @@ def trained(name, runs, compiles, states=None):
     one = config(name, SEEDS[:runs])
     agent = learner(name, one.hyperparameters, one.seeds, 2, 1)
     rollout = rollout_of(one, agent.episodes).of(slice(0, runs * agent.episodes))
-    found = [copied(agent.state())]
+    found = [copied(agent.state_dict())]
     for epoch in range(UPDATES):
         if states:
-            agent.restore(states[epoch])
+            agent.load_state_dict(states[epoch])
         agent.learn(rollout, epoch, np.ones(runs, dtype=bool))
-        found.append(copied(agent.state()))
+        found.append(copied(agent.state_dict()))
     return found
 
 
@@ -66,7 +66,7 @@ def resumed_is_as_never_stopped(name):
     with tempfile.TemporaryDirectory() as folder:
         stopped.config.write(Path(folder))
         stopped.save(Path(folder))
-        resumed.restore(Path(folder))
+        resumed.load(Path(folder))
     assert_same(arrays_of(finished(resumed)), arrays_of(finished(whole)))
 
 

@@ -67,17 +67,17 @@ def test_runs_taken_over_from_replays_of_their_own():
     whole = Replay(3, 50, 3, 2)
     fill(parts[1], 50)
     for part, runs in zip(parts, (slice(0, 1), slice(1, 3)), strict=True):
-        whole.restore({k: v.copy() for k, v in part.state().items()}, runs)
+        whole.load_state_dict({k: v.copy() for k, v in part.state_dict().items()}, runs)
     assert whole.size.tolist() == [0, *parts[1].size]
     for part, runs in zip(parts, (slice(0, 1), slice(1, 3)), strict=True):
-        for name, array in part.state().items():
-            np.testing.assert_array_equal(whole.state(runs)[name], array)
+        for name, array in part.state_dict().items():
+            np.testing.assert_array_equal(whole.state_dict(runs)[name], array)
 
 
 def test_restore():
     replay, other = Replay(2, 50, 3, 2), Replay(2, 50, 3, 2)
     fill(replay, 50)
-    other.restore({k: v.copy() for k, v in replay.state().items()})
+    other.load_state_dict({k: v.copy() for k, v in replay.state_dict().items()})
     index = np.random.default_rng(1).integers(replay.size.min(), size=(2, 64))
     np.testing.assert_array_equal(rows(replay.gather(index)), rows(other.gather(index)))
     np.testing.assert_array_equal(replay.stored, other.stored)

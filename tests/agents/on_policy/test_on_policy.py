@@ -114,7 +114,7 @@ def trained(rule, config, seeds, epochs=2, absent=()):
         rollout = episodes(lengths, lambda n, length, d=draws: d[n // 2](n % 2, length))
         active = np.array([seed not in absent for seed in seeds])
         metrics.append(it.learn(rollout, epoch, active))
-    return it.state(), np.array(metrics)
+    return it.state_dict(), np.array(metrics)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_a_run_that_takes_no_part_stays_as_it_is(monkeypatch):
     compared, compares = trpo.compared, []
     monkeypatch.setattr(trpo, "compared", lambda *a: compares.append(1) or compared(*a))
     config = TRPOLagConfig(**SMALL)
-    before = learner(trpo_lag.RULE, config, (0, 1)).state()
+    before = learner(trpo_lag.RULE, config, (0, 1)).state_dict()
     after, metrics = trained(trpo_lag.RULE, config, (0, 1), absent=(1,))
     count = len(compares)
     alone, its_metrics = trained(trpo_lag.RULE, config, (0,))

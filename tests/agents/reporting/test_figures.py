@@ -30,7 +30,7 @@ def test_scripted_episodes_are_those_of_the_environment(name):
     path, costs = example.walk(config, example.ROUTES[name])
     env = Circle2DEnv(config=config)
     env.reset(seed=0)
-    env.restore({**env.state(), "position": path[:1].copy()})
+    env.load_state_dict({**env.state_dict(), "position": path[:1].copy()})
     for k, action in enumerate(np.diff(path, axis=0) / 1.1):
         assert np.hypot(*action) <= 1 + 1e-9
         observation, _, _, _, info = env.step(action)

@@ -16,7 +16,7 @@ from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.training.config import TrainConfig
 from agents.training.files import read_arrays
-from agents.training.loop import restored, train
+from agents.training.loop import load_training, train
 
 register()
 SEEDS = {0: (3, 4), 1: (4,), 3: (5, 3)}
@@ -123,7 +123,7 @@ def test_folders_that_fail_and_end_at_different_times(name, tmp_path, capsys):
     assert f"circle2d: {folders[1]}: seed " in err
     assert f"circle2d: {folders[0]}: seed " not in err
     assert_same(folders, expected)
-    assert len(np.unique(restored(folders[0]).steps)) > 1
+    assert len(np.unique(load_training(folders[0]).steps)) > 1
 
 
 def test_the_command_resumes_several(alone, tmp_path, capsys):

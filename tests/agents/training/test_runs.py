@@ -17,7 +17,7 @@ from agents.paper.presets import preset
 from agents.training.config import TrainConfig
 from agents.training.evaluation import evaluate
 from agents.training.files import read_arrays, read_json, write_whole
-from agents.training.loop import Training, restored, train
+from agents.training.loop import Training, load_training, train
 from emcc import EpisodeRecords
 
 RESULTS = ("config.json", "episodes.csv", "updates.csv", "evaluation.json")
@@ -121,8 +121,10 @@ def test_killed_at_any_moment(tmp_path):
         process.wait()
         process.stdout.close()
         if (folder / "checkpoint.npz").exists():
-            restored(folder)  # whatever was being written, this is whole
-    assert restored(folder).epoch >= 1 + 3 + 2 + 4  # each went on where the one before had come to
+            load_training(folder)  # whatever was being written, this is whole
+    assert (
+        load_training(folder).epoch >= 1 + 3 + 2 + 4
+    )  # each went on where the one before had come to
     train(folder)
     left = {name: data for name, data in results(folder).items() if "unfinished" not in name}
     assert left == expected
@@ -256,7 +258,7 @@ def test_damaged_folders(tmp_path, name, damage, message):
     folder = trained(tmp_path / "run", [0], steps=400)
     damage(folder / name)
     with pytest.raises(UserError, match=message):
-        restored(folder)
+        load_training(folder)
 
 
 def test_checkpoint_of_other_nets_is_refused(tmp_path):
@@ -265,11 +267,11 @@ def test_checkpoint_of_other_nets_is_refused(tmp_path):
     content["hyperparameters"]["hidden"] = [32, 32]
     (folder / "config.json").write_text(json.dumps(content))
     with pytest.raises(UserError, match=r"actor is \[1, 4640\] float32, expected"):
-        restored(folder)
+        load_training(folder)
 
 
 def test_checkpoints_are_not_unpickled(tmp_path):
     folder = trained(tmp_path / "run", [0], steps=400)
     np.savez(folder / "checkpoint.npz", epoch=np.array([{}], dtype=object))
     with pytest.raises(UserError, match="damaged"):
-        restored(folder)
+        load_training(folder)

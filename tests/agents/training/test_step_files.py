@@ -11,7 +11,7 @@ from agents.errors import UserError
 from agents.lockstep.rollout import Rollout
 from agents.paper.presets import preset
 from agents.training.config import TrainConfig
-from agents.training.loop import Training, restored, train
+from agents.training.loop import Training, load_training, train
 from agents.training.step_files import COSTS, VISITED, StepFiles, read_steps
 from circle2d_mj import Circle2DConfig
 from emcc import EpisodeRecords
@@ -98,7 +98,7 @@ def test_what_a_killed_process_left_is_overwritten(folder, tmp_path, name):
     expected = path.read_bytes()
     with path.open("ab") as file:
         file.write(b"\x01" * 4000)
-    training = restored(copy)
+    training = load_training(copy)
     training.step_files.write([copy / "seed-3", copy / "seed-4"])
     assert path.read_bytes() == expected
 
@@ -110,7 +110,7 @@ def test_damaged_records_are_named(folder, tmp_path, damage, name):
     shutil.copytree(folder, copy)
     damage(copy / "seed-4" / name)
     with pytest.raises(UserError, match=f"seed-4/{name} is missing or damaged"):
-        restored(copy)
+        load_training(copy)
     with pytest.raises(UserError, match=f"{name} is"):
         read_steps(copy / "seed-4", name)
 

@@ -97,7 +97,7 @@ def test_the_environment_is_a_loop_of_mj_step(level, actuation):
 
 
 def envs_velocity(envs):
-    return envs.state()["mujoco"][:, 3:5]
+    return envs.state_dict()["mujoco"][:, 3:5]
 
 
 def test_the_cost_is_of_the_state_that_a_step_ends_in():
@@ -221,7 +221,7 @@ def test_state_is_mujocos_and_all_there_is(level, actuation):
     actions = drift_left(3, steps=70, num_envs=6)
     for action in actions[:20]:
         envs.step(action)
-    state, physics = envs.state(), envs._dynamics
+    state, physics = envs.state_dict(), envs._dynamics
     for i in range(6):
         data, expected = physics._batch.get_data(i), np.empty(state["mujoco"].shape[1])
         mujoco.mj_getState(physics.model, data, expected, spec)
@@ -231,7 +231,7 @@ def test_state_is_mujocos_and_all_there_is(level, actuation):
     results = [envs.step(action) for action in actions[20:]]
     np.testing.assert_array_equal(state["mujoco"], kept)
     for other in (envs, make()):
-        other.restore(state)
+        other.load_state_dict(state)
         again = [other.step(action) for action in actions[20:]]
         assert data_equivalence(results, again, exact=True)
 
@@ -256,6 +256,6 @@ def test_a_reset_forgets_everything():
     for action in drift_left(5, num_envs=1):
         used.step(action[0])
     assert data_equivalence(used.reset(seed=9), fresh.reset(seed=9), exact=True)
-    assert data_equivalence(used.state(), fresh.state(), exact=True)
+    assert data_equivalence(used.state_dict(), fresh.state_dict(), exact=True)
     for action in drift_left(6, num_envs=1):
         assert data_equivalence(used.step(action[0]), fresh.step(action[0]), exact=True)

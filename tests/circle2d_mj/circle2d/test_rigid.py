@@ -202,7 +202,7 @@ def test_observations_stay_in_their_space(level, actuation):
         action[again] = rng.choice([-1.0, 1.0], size=(again.sum(), 2))
         observation, *_ = envs.step(action)
         assert envs.observation_space.contains(observation)
-        velocity = envs.state()["mujoco"][:, 3:5]
+        velocity = envs.state_dict()["mujoco"][:, 3:5]
         scaled = np.concatenate((envs.position / 15, velocity / 11), axis=1)
         np.testing.assert_allclose(observation, scaled, rtol=1e-6, atol=1e-7)
         largest = np.maximum(largest, np.abs(observation).max(axis=0))

@@ -153,11 +153,11 @@ def test_state_and_restore(task):
     for _ in range(40):
         env.step(env.action_space.sample())
         used.step(env.action_space.sample())
-    state = env.state()
+    state = env.state_dict()
     assert all(len(array) == 4 for array in state.values())
     kept = copy.deepcopy(state)
     for other in (used, new):
-        other.restore(state)
+        other.load_state_dict(state)
         equal(other.simulation.observe(), env.simulation.observe())
     for _ in range(50):
         action = env.action_space.sample()
@@ -166,13 +166,13 @@ def test_state_and_restore(task):
         assert_alike(results[0], results[2])
     assert_alike(state, kept)  # neither stepping nor restoring has touched it
     with pytest.raises(ValueError, match="state must hold"):
-        used.restore({**state, "mujoco": state["mujoco"][:, :-1]})
+        used.load_state_dict({**state, "mujoco": state["mujoco"][:, :-1]})
 
 
 def test_new_goals_follow_the_restored_streams():
     env = vector("SafetyPointGoal1", 2)
     env.reset(seed=0)
-    state = env.state()
+    state = env.state_dict()
     width = env.simulation.model.nq
     state["places"][:, 0] = state["places"][:, 1]  # agents on their goals
     state["mujoco"][:, 1:3] = state["places"][:, 1]  # after the time, qpos
@@ -181,10 +181,10 @@ def test_new_goals_follow_the_restored_streams():
     for seed in (1, 2):
         other = vector("SafetyPointGoal1", 2)
         other.reset(seed=seed)
-        other.restore(state)
+        other.load_state_dict(state)
         info = other.step(np.zeros((2, 2)))[4]
         equal(info["goal_met"], 1.0)
-        goals.append(other.state()["places"][:, 1])
+        goals.append(other.state_dict()["places"][:, 1])
     equal(*goals)
     assert (goals[0] != state["places"][:, 1]).all()
 
@@ -221,13 +221,13 @@ def test_the_agent_pushes_the_vase_as_in_plain_mujoco():
     n = 8
     task = SafetyPointGoal(n)
     task.start(Streams(np.arange(n, dtype=np.uint64)), np.arange(n))
-    places = task.state()["places"]
+    places = task.state_dict()["places"]
     angle = np.arange(n) * 2 * np.pi / n
     aim = np.stack((np.cos(angle), np.sin(angle)), axis=1)
     task.qpos[:, :2] = places[:, 10] - 0.9 * aim
     task.qpos[:, 2] = angle + np.linspace(-0.1, 0.1, n)
     places[:, 0] = task.qpos[:, :2]
-    task.restore({**task.state(), "places": places})
+    task.load_state_dict({**task.state_dict(), "places": places})
     model, stood, touched = models.point_goal(), 0, 0
     control = np.tile([0.05, 0.0], (n, 1))
     for _ in range(90):
@@ -242,7 +242,7 @@ def test_the_agent_pushes_the_vase_as_in_plain_mujoco():
     assert stood > 20 * n / 2
     assert touched > 5 * n
     assert (np.linalg.norm(task.qpos[:, 3:5] - places[:, 10], axis=1) > 0.1).all()
-    equal(task.state()["places"][:, 10], task.qpos[:, 3:5])
+    equal(task.state_dict()["places"][:, 10], task.qpos[:, 3:5])
 
 
 def test_out_of_reach():
@@ -273,14 +273,14 @@ def test_data_shows_the_world():
     env = vector("SafetyPointGoal1", 3)
     env.reset(seed=0)
     task = env.simulation
-    before = env.state()
-    data, places = task.data(1), task.state()["places"][1]
+    before = env.state_dict()
+    data, places = task.data(1), task.state_dict()["places"][1]
     names = ["agent", "goal", *[f"hazard{i}" for i in range(8)], "vase0"]
     for name, place in zip(names, places, strict=True):
         np.testing.assert_allclose(data.geom(name).xpos[:2], place, atol=1e-12)
     equal(data.qpos, task.qpos[1])
     equal(data.sensordata, task.sensors[1])
-    assert_alike(env.state(), before)
+    assert_alike(env.state_dict(), before)
     for name in TASKS:
         assert (
             vector(name, 2).simulation.data(1).qpos.shape

@@ -128,7 +128,7 @@ def test_one_step_of_goal():
     task.qvel[:] = np.column_stack((qvel, golden.before("qvel")[:, 3:]))
     targets = goal_targets(golden, "before")
     places = np.concatenate((qpos[:, None, :2], targets), axis=1)
-    task.restore({**task.state(), "places": places})
+    task.load_state_dict({**task.state_dict(), "places": places})
     outcome = task.step(golden.of_step("actions"))
     after, after_vel = world(golden, "after")
     same(task.qpos, np.column_stack((after, golden.after("qpos")[:, 3:])), **CLOSE)
@@ -144,7 +144,7 @@ def test_one_step_of_goal():
         np.delete(golden.after("obs"), slice(12, 28), 1),
         **CLOSE,
     )
-    moved = (task.state()["places"][:, 1] != targets[:, 0]).any(axis=1)
+    moved = (task.state_dict()["places"][:, 1] != targets[:, 0]).any(axis=1)
     np.testing.assert_array_equal(moved, met)
     assert not outcome.terminated.any()
 

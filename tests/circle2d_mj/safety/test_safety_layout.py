@@ -56,7 +56,7 @@ def apart(places):
 
 
 def test_keepouts_and_ranges(ours):
-    places = ours.state()["places"]
+    places = ours.state_dict()["places"]
     keepout = np.array([KEEPOUT[name] for name in NAMES])
     needed = keepout[:, None] + keepout
     np.fill_diagonal(needed, 0)
@@ -69,7 +69,7 @@ def test_keepouts_and_ranges(ours):
 
 def test_layouts_are_distributed_like_the_originals(ours):
     """Two-sample Kolmogorov-Smirnov tests of places and of distances."""
-    places, plain = ours.state()["places"], plain_layouts(1500)
+    places, plain = ours.state_dict()["places"], plain_layouts(1500)
     near, plain_near = apart(places), apart(plain)
     values = [
         (places[:, i, 0] + places[:, i, 1], plain[:, i, 0] + plain[:, i, 1]) for i in range(11)
@@ -88,7 +88,7 @@ def test_start_poses(ours):
         assert stats.kstest(angle, stats.uniform(0, 2 * np.pi).cdf).pvalue > 1e-3
     np.testing.assert_allclose(np.linalg.norm(ours.qpos[:, 6:], axis=1), 1, atol=1e-12)
     np.testing.assert_array_equal(
-        ours.qpos[:, 3:6], np.c_[ours.state()["places"][:, 10], [0.09996] * N]
+        ours.qpos[:, 3:6], np.c_[ours.state_dict()["places"][:, 10], [0.09996] * N]
     )
     np.testing.assert_array_equal(ours.qvel, 0)
     np.testing.assert_allclose(ours.observe()[:, :9], [[0, 0, 9.81] + [0] * 6] * N, atol=1e-12)
@@ -106,17 +106,17 @@ def test_circle_starts():
 def test_a_reached_goal_moves():
     n = 500
     task = started(SafetyPointGoal, n)
-    before = task.state()["places"]
+    before = task.state_dict()["places"]
     task.qpos[:, :2] = before[:, 1] + [0.1, 0.0]  # the agents stand in their goals
     task.qpos[::2, 3:5] = [2.0, 2.0]  # and half of the vases have left the arena
     places = before.copy()
     places[:, 0], places[:, 10] = task.qpos[:, :2], task.qpos[:, 3:5]
-    task.restore({**task.state(), "places": places})
+    task.load_state_dict({**task.state_dict(), "places": places})
     reward, terminated, info = task.step(np.zeros((n, 2)))
     np.testing.assert_allclose(reward, 1.0, atol=1e-9)
     assert not terminated.any()
     np.testing.assert_array_equal(info["goal_met"], 1.0)
-    after = task.state()["places"]
+    after = task.state_dict()["places"]
     np.testing.assert_array_equal(np.delete(after, 1, 1)[:, 1:9], np.delete(before, 1, 1)[:, 1:9])
     assert (after[:, 1] != before[:, 1]).all()
     keepout = np.array([KEEPOUT[name] for name in NAMES])
@@ -146,13 +146,13 @@ def test_new_goals_are_distributed_like_the_originals():
 
 def test_an_episode_terminates_where_no_goal_can_be_placed(monkeypatch):
     task = started(SafetyPointGoal, 3)
-    places = task.state()["places"]
+    places = task.state_dict()["places"]
     task.qpos[1, :2] = places[1, 1]
     monkeypatch.setattr(layout, "KEEPOUT", layout.KEEPOUT + 9)
     _, terminated, info = task.step(np.zeros((3, 2)))
     np.testing.assert_array_equal(terminated, [False, True, False])
     np.testing.assert_array_equal(info["goal_met"], [0, 1, 0])
-    np.testing.assert_array_equal(task.state()["places"][:, 1], places[:, 1])
+    np.testing.assert_array_equal(task.state_dict()["places"][:, 1], places[:, 1])
 
 
 def test_crowded_layouts_start_over():
