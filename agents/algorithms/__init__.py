@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.algorithms import cpo, sac_lag, sac_lb, trpo_lag, wcsac
-from agents.errors import UserError
+from agents.errors import UserError, nearest
 from agents.lockstep.noise import Epochs
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.lockstep.tree import ALL
@@ -57,7 +57,7 @@ ALGORITHMS: dict[str, Algorithm] = {
 def algorithm(name: str) -> Algorithm:
     """The algorithm of that name. Raises UserError, naming the valid ones, for another."""
     if name not in ALGORITHMS:
-        raise UserError(f"unknown algorithm {name!r}: valid are {', '.join(ALGORITHMS)}")
+        raise UserError(f"unknown algorithm {name!r}: {nearest(name, ALGORITHMS)}")
     return ALGORITHMS[name]
 
 

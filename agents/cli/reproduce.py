@@ -1,4 +1,4 @@
-"""The command that reproduces the paper: reproduce."""
+"""`circle2d reproduce`: run the paper's experiments and report."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from rich.live import Live
 from rich.table import Table
 
 from agents.algorithms import ALGORITHMS
-from agents.cli.options import BackendChoice, chosen_backend, parse
+from agents.cli.options import BackendChoice, Imports, chosen_backend, parse
 from agents.errors import UserError
 from agents.paper import grid
 from agents.reporting.report import report
 from agents.training.config import Device, TrainConfig
-from agents.training.environments import check_task
+from agents.training.environments import check_task, task_id
 from agents.training.files import locked
 from agents.training.machine import other_session
 from agents.training.progress import working
@@ -64,10 +64,11 @@ class ReproduceOptions:
     """Where updates run: cuda on a GPU."""
     workers: int = os.cpu_count() or 1
     """Processes, of one thread each; by default one for each core."""
+    imports: Imports = ()
 
 
-def run_reproduce(args: Sequence[str]) -> int:
-    """`circle2d reproduce`; returns the exit status."""
+def run(args: Sequence[str]) -> int:
+    """Run `circle2d reproduce`; returns the exit status."""
     options = parse(ReproduceOptions, "reproduce", args)
     if not options.algorithms:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
@@ -76,17 +77,17 @@ def run_reproduce(args: Sequence[str]) -> int:
     configs = _configs(options)
     grid.prepare(configs)
     for folder, config in configs.items():
-        if (said := other_session(folder)) and not grid.finished(folder, config):
-            print(f"circle2d: {folder}: {said}", file=sys.stderr)
+        if (note := other_session(folder)) and not grid.finished(folder, config):
+            print(f"circle2d: {folder}: {note}", file=sys.stderr)
     with _ended_by_signals():
         with locked(options.out):
-            failed = _train(configs, options.workers)
-        for folder, said in failed.items():
-            print(f"circle2d: {folder} failed: {said}", file=sys.stderr)
+            failed = _train(configs, options.workers, options.imports)
+        for folder, message in failed.items():
+            print(f"circle2d: {folder} failed: {message}", file=sys.stderr)
         try:
             with working("drawing the report"):
-                told = report(options.out, with_figures=True)
-            print(told)
+                table = report(options.out, with_figures=True)
+            print(table)
         except UserError as error:
             print(f"circle2d: no report: {error}", file=sys.stderr)
             return 1
@@ -95,7 +96,7 @@ def run_reproduce(args: Sequence[str]) -> int:
 
 def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     """The grid's folders and what is trained in them."""
-    tasks = _tasks(options)
+    tasks = [task_id(task) for task in _tasks(options)]
     for task in tasks:
         check_task(task, {})
     seeds, steps = options.seeds, options.steps
@@ -122,7 +123,8 @@ def _tasks(options: ReproduceOptions) -> Sequence[str]:
 
 @contextlib.contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """What a batch system or a closed terminal sends ends us as Ctrl-C does, workers included."""
+    """End this process and its workers, as Ctrl-C does, at a signal that a batch system or a closed
+    terminal sends."""
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
@@ -136,8 +138,8 @@ def _ended_by_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
-    """Train what is not finished; the folders that failed, and what was said of it."""
+def _train(configs: dict[Path, TrainConfig], count: int, imports: Sequence[str]) -> dict[Path, str]:
+    """Train what is not finished; returns the folders that failed, each with its error."""
     left = [folder for folder, config in configs.items() if not grid.finished(folder, config)]
     shares = {folder: share_done(folder) if folder in left else 1.0 for folder in configs}
     started, (before, total) = time.monotonic(), grid.work_left(shares, configs)
@@ -148,13 +150,13 @@ def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
         return grid.finished(folder, configs[folder])
 
     with (
-        Workers(groups, count, is_finished) as workers,
+        Workers(groups, count, is_finished, imports) as workers,
         Live(console=console, auto_refresh=False) as live,
     ):
-        told, tenths = 0, 0
+        shown, tenths = 0, 0
 
         def show() -> None:
-            nonlocal told, tenths
+            nonlocal shown, tenths
             for folder in left:
                 shares[folder] = 1.0 if folder in workers.over else share_done(folder)
             done, _ = grid.work_left(shares, configs)
@@ -164,18 +166,18 @@ def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
             if console.is_terminal:
                 live.update(_table(headline, workers.running, shares), refresh=True)
                 return
-            for folder in workers.over[told:]:
+            for folder in workers.over[shown:]:
                 how = "failed" if folder in workers.failed else "done"
                 print(f"{folder}: {how} after {seconds:.0f} s", file=sys.stderr, flush=True)
-            told = len(workers.over)
+            shown = len(workers.over)
             if int(10 * done / total) > tenths:
                 tenths = int(10 * done / total)
                 print(headline, file=sys.stderr, flush=True)
 
         workers.run(show)
         return {
-            folder: said
-            for folder, said in workers.failed.items()
+            folder: message
+            for folder, message in workers.failed.items()
             # Of a group one run may have failed, and the other folders be done.
             if grid.has_failures(folder, configs[folder])
             or not grid.finished(folder, configs[folder])

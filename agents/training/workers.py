@@ -27,9 +27,15 @@ class Workers:
     """
 
     def __init__(
-        self, groups: Sequence[Group], count: int, finished: Callable[[Path], bool]
+        self,
+        groups: Sequence[Group],
+        count: int,
+        finished: Callable[[Path], bool],
+        imports: Sequence[str] = (),
     ) -> None:
+        """imports: modules that each process imports first."""
         self._waiting, self._count, self._finished = list(groups), count, finished
+        self._imports = imports
         self._running: dict[Group, subprocess.Popen] = {}
         self.over: list[Path] = []
         """Folders whose process has ended, those that failed among them."""
@@ -46,7 +52,7 @@ class Workers:
         while self._waiting or self._running:
             while self._waiting and len(self._running) < self._count:
                 group = self._waiting.pop(0)
-                self._running[group] = _start(group)
+                self._running[group] = _start(group, self._imports)
             on_change()
             time.sleep(every)
             for group, process in list(self._running.items()):
@@ -75,11 +81,12 @@ class Workers:
             process.wait()
 
 
-def _start(group: Group) -> subprocess.Popen:
+def _start(group: Group, imports: Sequence[str]) -> subprocess.Popen:
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    options = [option for name in imports for option in ("--import", name)]
     with (group[0] / LOG).open("ab") as log:
         return subprocess.Popen(
-            [sys.executable, "-m", "agents.cli", "resume", *map(str, group)],
+            [sys.executable, "-m", "agents.cli", "resume", *map(str, group), *options],
             stdout=log,
             stderr=log,
             stdin=subprocess.DEVNULL,
