@@ -123,12 +123,19 @@ def _names(options: type) -> Iterator[str]:
 
 
 def _one_line(message: str) -> str:
-    """Return the first paragraph of an error that tyro has drawn as a box."""
+    """Return the first paragraph of an error that tyro has drawn as a box, or between lines."""
     plain = re.sub(r"\x1b\[[0-9;]*m", "", message)
-    lines = [re.sub(r"^[│ ]+|[│ ]+$", "", line) for line in plain.splitlines()]
-    lines = lines[1:] if lines and lines[0].startswith("╭") else lines  # the box's title
-    end = next((k for k, line in enumerate(lines) if re.match("[─╰]", line)), len(lines))
-    return " ".join(" ".join(lines[:end]).split()) or "the options cannot be understood"
+    lines = [re.sub(r"^[│|] *| *[│|]$", "", line).strip() for line in plain.splitlines()]
+    paragraphs = [[]]
+    for line in lines:
+        if re.match(r"[─╭╰+]|-+$", line):  # a border; the upper one may hold the title
+            paragraphs.append([])
+        else:
+            paragraphs[-1].append(line)
+    texts = [" ".join(" ".join(paragraph).split()) for paragraph in paragraphs]
+    texts = [text for text in texts if text]
+    untitled = texts[0:1] if re.match("[╭+]", plain.lstrip()) else texts[1:2]
+    return (untitled or texts or ["the options cannot be understood"])[0]
 
 
 def _integers(info: Any) -> Any:
