@@ -6,6 +6,7 @@ Arrays in, numbers or frozen dataclasses out. numpy is all it imports; gymnasium
 `RecordCosts` is first used.
 """
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from emcc.interval import Difference, Estimate, difference, estimate
@@ -16,6 +17,19 @@ from emcc.streaks import count_streaks, longest_streak, longest_streaks, mcc, st
 from emcc.tail import cvar, emcc, worst
 
 if TYPE_CHECKING:
+    from emcc.statistics import (
+        Interval,
+        Share,
+        bootstrap,
+        holm,
+        iqm,
+        mean_interval,
+        permutation_test,
+        probability_of_improvement,
+        profile,
+        share,
+    )
+    from emcc.streak_cost import StreakCost
     from emcc.wrappers import RecordCosts
 
 __all__ = [
@@ -23,7 +37,11 @@ __all__ = [
     "Difference",
     "EpisodeRecords",
     "Estimate",
+    "Interval",
     "RecordCosts",
+    "Share",
+    "StreakCost",
+    "bootstrap",
     "cost_rate",
     "count_streaks",
     "cvar",
@@ -31,17 +49,44 @@ __all__ = [
     "emcc",
     "emcc_by_part",
     "estimate",
+    "holm",
+    "iqm",
     "longest_streak",
     "longest_streaks",
     "mcc",
+    "mean_interval",
+    "permutation_test",
+    "probability_of_improvement",
+    "profile",
+    "share",
     "streak_bounds",
     "worst",
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name == "RecordCosts":  # late, because it needs gymnasium
-        from emcc.wrappers import RecordCosts
+_LATE = {
+    "RecordCosts": "emcc.wrappers",
+    "StreakCost": "emcc.streak_cost",
+    **dict.fromkeys(
+        (
+            "Interval",
+            "Share",
+            "bootstrap",
+            "holm",
+            "iqm",
+            "mean_interval",
+            "permutation_test",
+            "probability_of_improvement",
+            "profile",
+            "share",
+        ),
+        "emcc.statistics",
+    ),
+}
+"""Modules that are imported when one of their names is first used."""
 
-        return RecordCosts
+
+def __getattr__(name: str) -> Any:
+    if name in _LATE:
+        return getattr(importlib.import_module(_LATE[name]), name)
     raise AttributeError(f"module 'emcc' has no attribute {name!r}")
