@@ -149,6 +149,7 @@ def test_without_observation_the_space_stays():
 
 
 @pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
+@pytest.mark.filterwarnings("ignore:.*maximum value is infinity")  # as in tasks of MuJoCo
 def test_gymnasium_accepts_it():
     check_env(StreakCost(gym.make("Circle2D-1-v0").unwrapped), skip_render_check=True)
 
