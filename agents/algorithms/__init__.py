@@ -12,8 +12,8 @@ from agents.errors import UserError
 if TYPE_CHECKING:  # torch takes a second to import, and a list of names does not need it
     from agents.lockstep.learner import Learner
 
-BUILT_IN = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac")
-"""Each a module of this package that defines `ALGORITHM`."""
+BUILT_IN = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac", "ppo-lag", "ppo", "sac")
+"""Each a module of this package that defines `ALGORITHM`. The last two know no constraint."""
 
 
 class Algorithm(NamedTuple):

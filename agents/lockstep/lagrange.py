@@ -24,7 +24,21 @@ of Stooke et al. 2020; OmniSafe."""
 
 
 @dataclass(frozen=True)
-class MultiplierConfig:
+class PIDConfig:
+    """Gains of the PID controller of a multiplier."""
+
+    pid_kp: float = 0.1
+    """Gain of the cost above its limit, by pid. Not in the paper; 0.1 as in OmniSafe."""
+    pid_ki: float = 0.01
+    """Gain of the sum over epochs of the cost above its limit, by pid. Not in the paper; 0.01 as in
+    OmniSafe."""
+    pid_kd: float = 0.01
+    """Gain of the smoothed cost's growth in an epoch, by pid. Not in the paper; 0.01 as in
+    OmniSafe."""
+
+
+@dataclass(frozen=True)
+class MultiplierConfig(PIDConfig):
     """Hyper-parameters of a multiplier, for the configs of algorithms that have one."""
 
     initial_multiplier: float = 0.0
@@ -37,14 +51,6 @@ class MultiplierConfig:
     """How the multiplier follows the cost: its parameter ascends by Adam or by the plain gradient
     (sgd), or a PID controller sets it once an epoch (pid; Stooke et al. 2020). Not printed in the
     paper."""
-    pid_kp: float = 0.1
-    """Gain of the cost above its limit, by pid. Not in the paper; 0.1 as in OmniSafe."""
-    pid_ki: float = 0.01
-    """Gain of the sum over epochs of the cost above its limit, by pid. Not in the paper; 0.01 as in
-    OmniSafe."""
-    pid_kd: float = 0.01
-    """Gain of the smoothed cost's growth in an epoch, by pid. Not in the paper; 0.01 as in
-    OmniSafe."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""

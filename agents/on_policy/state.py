@@ -21,7 +21,7 @@ from agents.on_policy.gaussian import GaussianPolicy
 
 @dataclass(frozen=True)
 class OnPolicyConfig:
-    """Hyper-parameters of all on-policy algorithms.
+    """Hyper-parameters of all on-policy algorithms; a family adds its `batch_size`.
 
     The defaults are the paper's (table HP_Circle2D).
     """
@@ -33,11 +33,9 @@ class OnPolicyConfig:
     episodes: int = 10
     """Whole episodes an epoch. Paper: 10; 20 on SafetyPointCircle1."""
     learning_rate: float = 3e-4
-    """Adam's step size for the critics. Paper: 3e-4."""
+    """Adam's step size. Paper: 3e-4 for the critics."""
     critic_iterations: int = 10
     """Passes of the critics over an epoch's steps. Paper: 10."""
-    batch_size: int = 256
-    """Steps in a minibatch of the critics; a multiple of 32. Paper: 256."""
     hidden: tuple[int, ...] = (64, 64)
     """Sizes of the hidden layers of actor and critics (tanh); multiples of 32. Paper: 64, 64."""
     initial_log_std: float = 0.0
@@ -48,7 +46,7 @@ class OnPolicyConfig:
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
-        check_integers(self, "episodes", "critic_iterations", "batch_size", low=1)
+        check_integers(self, "episodes", "critic_iterations", low=1)
         check(self, "discount", "gae_lambda", low=0, high=1)
         check(self, "learning_rate", above=0, high=1)
         check(self, "initial_log_std")

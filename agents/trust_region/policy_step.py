@@ -30,6 +30,8 @@ class TRPOConfig(EpisodeCostLimit, OnPolicyConfig):
     tasks; presets set it for Circle2D.
     """
 
+    batch_size: int = 256
+    """Steps in a minibatch of the critics; a multiple of 32. Paper: 256."""
     target_kl: float = 0.01
     """Largest mean KL divergence δ of a step of the policy. Paper: 0.01."""
     cg_iterations: int = 15
@@ -46,7 +48,7 @@ class TRPOConfig(EpisodeCostLimit, OnPolicyConfig):
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         super().__post_init__()
-        check_integers(self, "cg_iterations", "line_search_steps", low=1)
+        check_integers(self, "batch_size", "cg_iterations", "line_search_steps", low=1)
         check(self, "cg_damping", low=0)
         check(self, "line_search_decay", above=0, high=1)
         check(self, "target_kl", low=1e-8, high=10)

@@ -29,7 +29,7 @@ COST = 4.0 + torch.tensor([[2.0], [-3.0], [0.0], [1e-3]])
 @pytest.mark.parametrize("name", FORMS)
 @pytest.mark.parametrize("optimizer", ["adam", "sgd"])
 def test_rises_exactly_when_the_cost_is_above_the_limit(name, optimizer):
-    config = Config(1.5, 1e-2, optimizer)
+    config = Config(initial_multiplier=1.5, multiplier_lr=1e-2, multiplier_optimizer=optimizer)
     form, before = FORMS[name], lagrange.initial(FORMS[name], config, 4)
     after = lagrange.follow(form, config, before, COST)
     change = lagrange.value(form, after, 4) - lagrange.value(form, before, 4)
@@ -48,7 +48,7 @@ def test_steps_by_hand():
     """Plain gradient, λ = 0.5, lr 0.1: 0.5 + 0.1·2 = 0.7 and 0.5 - 0.1·3 = 0.2; lr 0.5 would give
     -1 there, which is projected to 0. Softplus: its slope at 0 is ½, so 0 + 0.1·½·2 = 0.1. Adam's
     first step is the step size."""
-    config = Config(0.5, 0.1, "sgd")
+    config = Config(initial_multiplier=0.5, multiplier_lr=0.1, multiplier_optimizer="sgd")
 
     def step(form, config):
         state = lagrange.follow(form, config, lagrange.initial(form, config, 4), COST)
@@ -58,7 +58,9 @@ def test_steps_by_hand():
 
     assert step(PROJECTED, config) == pytest.approx([0.7, 0.2, 0.5, 0.5001])
     assert step(PROJECTED, replace(config, multiplier_lr=0.5))[1] == 0.0
-    assert step(SOFTPLUS, Config(0.0, 0.1, "sgd"))[0] == pytest.approx(0.1)
+    assert step(
+        SOFTPLUS, Config(initial_multiplier=0.0, multiplier_lr=0.1, multiplier_optimizer="sgd")
+    )[0] == pytest.approx(0.1)
     by_adam = step(PROJECTED, replace(config, multiplier_optimizer="adam"))
     assert by_adam == pytest.approx([0.6, 0.4, 0.5, 0.6], abs=1e-5)
 
@@ -71,7 +73,7 @@ def test_ten_steps_of_pid_by_hand():
     I = 0.3, c falls, λ = (-2 + 0.3)₊ = 0. Fourth, cost 6: Δ = 2, I = 0.5, c = 0.532475 + 0.3, which
     is 0.271975 more, λ = 1 + 0.5 + 0.54395 = 2.04395; and so on.
     """
-    config = Config(0.3, 1.0, "pid", 0.5, 0.1, 2.0)
+    config = Config(0.5, 0.1, 2.0, initial_multiplier=0.3, multiplier_optimizer="pid")
     costs = [4.0, 8.0, 0.0, 6.0, 20.0, 20.0, 3.0, 0.0, 0.0, 10.0]
     expected = [0.7, 3.48, 0.0, 2.04395, 12.016753, 13.520915, 3.129869, 1.2, 0.8, 7.154859]
     state, found = lagrange.initial(PROJECTED, config, 2), []
@@ -90,7 +92,10 @@ def test_ten_steps_of_pid_by_hand():
 def test_every_optimizer_starts_from_the_same_multiplier(name):
     values = {
         lagrange.value(FORMS[name], lagrange.initial(FORMS[name], config, 1), 1).item()
-        for config in (Config(0.7, 0.1, optimizer) for optimizer in ("adam", "sgd", "pid"))
+        for config in (
+            Config(initial_multiplier=0.7, multiplier_lr=0.1, multiplier_optimizer=optimizer)
+            for optimizer in ("adam", "sgd", "pid")
+        )
     }
     assert len(values) == 1
 
