@@ -14,8 +14,9 @@ from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.circle2d.envs import MAX_EPISODE_STEPS
 from circle2d_mj.circle2d.kinematic import Kinematic
 from circle2d_mj.circle2d.task import STEP
+from circle2d_mj.circle2d.view import Circle2DView
+from circle2d_mj.core.view import Picture
 from circle2d_mj.render import canvas
-from circle2d_mj.render.canvas import Picture
 from circle2d_mj.render.figure import figure, labelled
 from emcc import cost_rate, emcc, longest_streak, mcc
 
@@ -46,12 +47,14 @@ def levels(size: int) -> Picture:
     pictures = []
     for level in LEVELS:
         config = Circle2DConfig(level=level)
+        view = Circle2DView(config)
         labels = []
         for words, (first, places) in LABELS.items():
             for place in places if level >= first else ():
-                at = canvas.pixels(config, np.array(place) * config.constraint_radius, size)
+                point = np.array(place) * config.constraint_radius
+                at = canvas.pixels(view.extent, point, size)
                 labels.append((words.strip(), *at.tolist()))
-        pictures.append(labelled(canvas.background(config, size), labels))
+        pictures.append(labelled(view.overlay(view.background(size)), labels))
     return figure([pictures], [LEVEL_TITLES[level] for level in LEVELS])
 
 
@@ -116,11 +119,12 @@ def two_trajectories(size: int) -> tuple[Picture, str]:
     """
     config = Circle2DConfig(level=1)
     episodes = [walk(config, route) for route in ROUTES.values()]
-    ground = canvas.ground(config, size)
+    view = Circle2DView(config)
+    ground = view.background(size)
     pictures = []
     for path, costs in episodes:
-        painted = canvas.with_trajectories(ground, config, [path], [costs])
-        pictures.append(canvas.with_cross(painted, config))
+        painted = canvas.with_trajectories(ground, view.extent, [path], [costs])
+        pictures.append(view.overlay(painted))
     picture = figure([pictures], list(ROUTES), captions=[[e.words for e in episodes]])
     rates = dict.fromkeys(f"{cost_rate(e.costs, [len(e.costs)]):.2f}" for e in episodes)
     left, right = (e.words for e in episodes)
