@@ -2,13 +2,19 @@
 
     costs of steps -> longest streak -> MCC of a rollout -> EMCC of a part of training -> interval
 
-Arrays in, numbers or frozen dataclasses out. numpy is all it imports; gymnasium is imported when
-`RecordCosts` is first used.
+Arrays in, numbers or frozen dataclasses out. numpy is all it imports. Other libraries are met
+where costs arise: `RecordCosts` wraps an environment of gymnasium, `sb3.EMCCCallback` follows a
+training of Stable-Baselines3, `from_tensordict` reads TorchRL's batches, `from_minari` a data set.
+`panel` puts EMCC beside the measures that other papers report.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from emcc.datasets import from_minari, from_tensordict
 from emcc.interval import Difference, Estimate, difference, estimate
+from emcc.measures import regret_curve
+from emcc.panels import Panel, panel
 from emcc.parts import cost_rate, emcc_by_part
 from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords
@@ -16,6 +22,7 @@ from emcc.streaks import count_streaks, longest_streak, longest_streaks, mcc, st
 from emcc.tail import cvar, emcc, worst
 
 if TYPE_CHECKING:
+    from emcc import sb3
     from emcc.wrappers import RecordCosts
 
 __all__ = [
@@ -23,6 +30,7 @@ __all__ = [
     "Difference",
     "EpisodeRecords",
     "Estimate",
+    "Panel",
     "RecordCosts",
     "cost_rate",
     "count_streaks",
@@ -31,17 +39,31 @@ __all__ = [
     "emcc",
     "emcc_by_part",
     "estimate",
+    "from_minari",
+    "from_tensordict",
     "longest_streak",
     "longest_streaks",
     "mcc",
+    "panel",
+    "regret_curve",
+    "sb3",
     "streak_bounds",
     "worst",
 ]
 
 
 def __getattr__(name: str) -> Any:
+    if name == "sb3":  # late, because it needs stable-baselines3
+        return import_module("emcc.sb3")
     if name == "RecordCosts":  # late, because it needs gymnasium
-        from emcc.wrappers import RecordCosts
-
+        try:
+            from emcc.wrappers import RecordCosts
+        except ModuleNotFoundError as error:
+            if error.name != "gymnasium":
+                raise
+            raise ImportError(
+                "emcc.RecordCosts needs gymnasium: pip install gymnasium; without it, "
+                "emcc.CostRecorder takes the costs of steps"
+            ) from None
         return RecordCosts
     raise AttributeError(f"module 'emcc' has no attribute {name!r}")
