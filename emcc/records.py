@@ -269,9 +269,11 @@ class EpisodeRecords:
         if not path.read_bytes().endswith(b"\n"):  # a number may have lost its last digits
             raise ValueError(f"{path}: the last line is cut off")
         try:
-            return cls(*(parse(path, columns, name, COLUMNS[name]) for name in columns))
+            return cls(*(parse(columns, name, COLUMNS[name]) for name in columns))
         except _BadRow as bad:
-            raise ValueError(f"{path}, line {bad.row + 2}, {bad.problem}") from None
+            raise ValueError(
+                f"{path}, line {columns.first_line + bad.row}, {bad.problem}"
+            ) from None
 
 
 class _BadRow(ValueError):
