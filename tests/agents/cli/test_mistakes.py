@@ -59,7 +59,7 @@ def folder(tmp_path_factory):
             [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "max_episode_steps", "None"],
             "episodes must end",
         ),
-        ([*TRAIN, "--out", "{tmp}/x", "--task-parameters", "level", "3"], "part of the task's id"),
+        ([*TRAIN, "--out", "{tmp}/x", "--task-parameters", "level", "3"], "level is part of the task's id"),
         ([*TRAIN, "--out", "{tmp}/x", "--steps", "0"], "steps must be at least 1, got 0"),
         ([*TRAIN, "--out", "{tmp}/x", "--steps", "many"], "as 1000000 or 1e6, got 'many'\n"),
         ([*TRAIN, "--out", "{tmp}/x", "--steps", "1e-3"], "must be an integer .*got '1e-3'"),
