@@ -162,8 +162,8 @@ def _train(configs: dict[Path, TrainConfig], count: int, imports: Sequence[str])
                 shares[folder] = 1.0 if folder in workers.over else share_done(folder)
             done, _ = grid.work_left(shares, configs)
             seconds = time.monotonic() - started
-            rest = seconds * (total - done) / (done - before) if done > before else None
-            headline = _headline(workers.running, shares, done / total, rest)
+            left_of_all = grid.seconds_left(seconds, before, done, total)
+            headline = _headline(workers.running, shares, done / total, left_of_all)
             if console.is_terminal:
                 live.update(_table(headline, workers.running, shares), refresh=True)
                 return
@@ -186,10 +186,11 @@ def _train(configs: dict[Path, TrainConfig], count: int, imports: Sequence[str])
 
 
 def _headline(
-    running: Sequence[Group], shares: dict[Path, float], done: float, rest: float | None
+    running: Sequence[Group], shares: dict[Path, float], done: float, seconds_left: float | None
 ) -> str:
+    """How far all trainings are, how long they will take and how fast they are."""
     over = sum(share == 1.0 for share in shares.values())
-    left = "" if rest is None else f", {duration(rest)} left"
+    left = "" if seconds_left is None else f", {duration(seconds_left)} left"
     in_all = sum(filter(None, (speed(group[0]) for group in running)))
     return (
         f"{100 * done:.0f} % done, {over} of {len(shares)} trainings{left}, "
@@ -198,6 +199,7 @@ def _headline(
 
 
 def _table(headline: str, running: Sequence[Group], shares: dict[Path, float]) -> Table:
+    """A row for each group that is trained now."""
     table = Table(title=headline)
     table.add_column("training")
     table.add_column("done", justify="right")

@@ -90,7 +90,7 @@ def test_help_explains_every_option(capsys):
     text = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
     for option in ("--seeds", "--steps", "--cost-limit", "--multiplier-lr", "--time-limit"):
         assert option in text
-    assert "Limit d of the discounted cost return." in text
+    assert "Limit d of the discounted cost return" in text
     assert "(default: 5.0)" in text
     assert main(["--help"]) == 0
     assert main([]) == 2

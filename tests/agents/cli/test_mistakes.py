@@ -59,7 +59,10 @@ def folder(tmp_path_factory):
             [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "max_episode_steps", "None"],
             "episodes must end",
         ),
-        ([*TRAIN, "--out", "{tmp}/x", "--task-parameters", "level", "3"], "level is part of the task's id"),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "level", "3"],
+            "level is part of the task's id",
+        ),
         ([*TRAIN, "--out", "{tmp}/x", "--steps", "0"], "steps must be at least 1, got 0"),
         ([*TRAIN, "--out", "{tmp}/x", "--steps", "many"], "as 1000000 or 1e6, got 'many'\n"),
         ([*TRAIN, "--out", "{tmp}/x", "--steps", "1e-3"], "must be an integer .*got '1e-3'"),
@@ -67,7 +70,7 @@ def folder(tmp_path_factory):
         ([*TRAIN, "--out", "{tmp}/x", "--seeds", "-1"], "seeds must be in"),
         (
             [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "radius", "3"],
-            "unknown parameter 'radius'",
+            "unexpected keyword argument 'radius'",
         ),
         (["resume", "{tmp}/nothing"], r"nothing/config\.json is missing"),
         (["evaluate", "{tmp}/nothing"], r"nothing/config\.json is missing"),
