@@ -28,7 +28,8 @@ Imports = Annotated[
         name="import",
         metavar="MODULE",
         help="Python module to import first, from the current folder or installed, which registers "
-        "algorithms (agents.register) or tasks (gymnasium.register). May be given several times.",
+        "algorithms (agents.register), tasks (gymnasium.register) or measures. May be given several "
+        "times.",
     ),
 ]
 """The option `--import`, of every command that may meet a user's own algorithms and tasks."""
