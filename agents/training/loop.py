@@ -1,7 +1,7 @@
-"""The training loop, which can be killed at any moment and goes on from its last checkpoint.
+"""The training loop. It can be killed at any moment and goes on from its last checkpoint.
 
-A folder's runs may train among those of other folders: one learner then holds them all, which is
-faster, and each folder's files stay those of a folder that trains alone, bit for bit.
+The runs of several folders may train jointly: one learner then holds them all, which is faster, and
+each folder's files stay those of a folder that trains alone, bit for bit.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from agents.lockstep import backend, tree
 from agents.lockstep.noise import Purpose, environment_seeds
 from agents.lockstep.rollout import Rollout, collect
 from agents.training.config import FAILURE, TrainConfig, check_together, run_folders
-from agents.training.environments import circle2d_config, make_envs, sizes_of
-from agents.training.evaluation import evaluate
+from agents.training.environments import make_envs, sizes_of, view_of
+from agents.training.evaluation import EVALUATION_EPISODES, Results, evaluate
 from agents.training.files import locked, read_arrays, write_arrays, write_json
 from agents.training.machine import note_session
+from agents.training.positions import RecordPositions
 from agents.training.records import Log
 from agents.training.side_by_side import SideBySide
+from agents.training.snapshots import write_snapshots
 from agents.training.status import StatusFiles
-from agents.training.step_files import StepFiles
+from agents.training.step_files import VISITED, StepFiles
 from agents.training.tensorboard import Events
-
-EVALUATION_EPISODES = 100
 
 
 class Training:
@@ -42,16 +42,17 @@ class Training:
         self, config: TrainConfig, learner: Learner | None = None, first_run: int = 0
     ) -> None:
         """learner: one that holds runs of other folders too, and these from `first_run` on; by
-        default it is made, for these alone."""
+        default one is made for these alone."""
         self.config = config
         runs = len(config.seeds)
         self.learner = _learner_of([config]) if learner is None else learner
         self.runs = slice(first_run, first_run + runs)
         """Which runs of the learner these are."""
         self.log = Log(runs, self.learner.episodes, self.learner.metrics)
-        circle2d = circle2d_config(config.task, config.task_parameters)
-        self.step_files = StepFiles(circle2d, runs)
-        self.epoch = 0
+        self._view = view_of(config.task, config.task_parameters)
+        self.step_files = StepFiles(self._view is not None, runs)
+        self.epoch = self.epochs_here = 0
+        """Epochs in all, and those of this process."""
         self.steps = np.zeros(runs, dtype=np.int64)
         """Environment steps each run has taken, [R]."""
         self.failed = np.zeros(runs, dtype=bool)
@@ -61,7 +62,8 @@ class Training:
     def _envs(self) -> VectorEnv:
         """The environments of an epoch; made when they are first needed."""
         config, count = self.config, len(self.config.seeds) * self.learner.episodes
-        return make_envs(config.task, count, config.task_parameters, config.vectorization)
+        envs = make_envs(config.task, count, config.task_parameters, config.vectorization)
+        return envs if self._view is None else RecordPositions(envs, self._view)
 
     @property
     def active(self) -> NDArray[np.bool_]:
@@ -77,37 +79,48 @@ class Training:
         """An epoch of these runs, where the learner holds no others."""
         run_epoch([self])
 
-    def take_in(
+    def record_epoch(
         self,
         rollout: Rollout,
         learning: NDArray[np.bool_],
         metrics: NDArray,
         finite: NDArray[np.bool_],
     ) -> None:
-        """Record an epoch. rollout: of R·E episodes; learning: [R], runs that learned from it;
-        metrics: [R, metrics], what that came to; finite: [R], runs that the learner can go on with.
+        """Record an epoch that the environments have just gone through.
+
+        rollout: of R·E episodes; learning: [R], runs that learned from it; metrics: [R, metrics] of
+        their updates; finite: [R], runs that the learner can go on with.
         """
         active = self.active
         self.log.add(rollout, self.steps, learning, metrics)
-        self.step_files.add(rollout, learning)
+        envs = self._envs
+        positions = envs.positions if isinstance(envs, RecordPositions) else None
+        self.step_files.add(rollout, learning, positions)
         self.steps += np.where(active, rollout.length.reshape(len(active), -1).sum(axis=1), 0)
         self.failed |= active & ~(learning & finite)
         self.epoch += 1
+        self.epochs_here += 1
 
     def save(self, folder: Path) -> None:
-        """Write the records, then the checkpoint from which all of it can be written again."""
+        """Write the records, then the checkpoint."""
         folders = run_folders(folder, self.config)
-        self.log.write(folders)
         self.step_files.write(folders)
-        for of_run, failed, steps in zip(folders, self.failed, self.steps, strict=True):
-            (of_run / FAILURE).unlink(missing_ok=True)
+        for of_run in folders:
             (of_run / "evaluation.json").unlink(missing_ok=True)  # of an earlier policy
-            if failed:
-                write_json(of_run / FAILURE, {"step": int(steps)})
+        self.write_records(folder)
         counters = {"epoch": np.array(self.epoch), "seeds": np.array(self.config.seeds)}
         counters |= {"steps": self.steps, "failed": self.failed}
         learned = self.learner.state_dict(self.runs)
         write_arrays(folder / "checkpoint.npz", counters | self.log.state_dict() | learned)
+
+    def write_records(self, folder: Path) -> None:
+        """Write the files of each run that a checkpoint holds too: records and failure."""
+        folders = run_folders(folder, self.config)
+        self.log.write(folders)
+        for of_run, failed, steps in zip(folders, self.failed, self.steps, strict=True):
+            (of_run / FAILURE).unlink(missing_ok=True)
+            if failed:
+                write_json(of_run / FAILURE, {"step": int(steps)})
 
     def load(self, folder: Path) -> None:
         """Load a checkpoint. Raises UserError where it is missing or damaged."""
@@ -124,7 +137,11 @@ class Training:
             self.learner.load_state_dict(state, self.runs)
         except (KeyError, ValueError) as error:
             raise UserError(f"{path} is damaged or of another version: {error}") from None
-        self.step_files.seek(run_folders(folder, self.config), self.log.steps)
+        folders = run_folders(folder, self.config)
+        if self._view and self.epoch and not any((of / VISITED).exists() for of in folders):
+            self._view = None  # trained so far by a version without positions of this task
+            self.step_files = StepFiles(False, len(folders))
+        self.step_files.seek(folders, self.log.steps)
 
     def close(self) -> None:
         """Close the environments."""
@@ -158,11 +175,11 @@ def run_epoch(trainings: Sequence[Training]) -> None:
         if not training.done:
             runs = training.runs
             own = rollout.of(slice(runs.start * episodes, runs.stop * episodes))
-            training.take_in(own, learning[runs], metrics[runs], finite[runs])
+            training.record_epoch(own, learning[runs], metrics[runs], finite[runs])
 
 
-def together(configs: Sequence[TrainConfig]) -> list[Training]:
-    """Trainings of several folders with one learner, equal in what `TrainConfig.shared` holds."""
+def joint_trainings(configs: Sequence[TrainConfig]) -> list[Training]:
+    """Trainings of several folders with one learner; their `TrainConfig.shared` are equal."""
     learner = _learner_of(configs)
     first_runs = np.cumsum([0] + [len(config.seeds) for config in configs]).tolist()
     return [Training(c, learner, first) for c, first in zip(configs, first_runs, strict=False)]
@@ -183,17 +200,20 @@ def load_training(folder: Path) -> Training:
     return training
 
 
-OnEpoch = Callable[[Sequence[Training]], None]
+OnEpoch = Callable[[Sequence[Training]], object]
+"""Called after every epoch with all trainings that run jointly. Returning False stops them."""
 
 
 def train(*folders: Path, on_epoch: OnEpoch = lambda trainings: None) -> list[Training]:
     """Train the runs of some folders to their end, from their last checkpoints if there are any.
 
-    The folders are ones that `TrainConfig.write` made. Several train together: they differ in tasks
-    and seeds only, and each is left as if it had trained alone. Settles torch's threads and
-    products for the process (`backend.configure`); the last bits of results depend on them. Ends
-    with an evaluation over 100 episodes. `on_epoch` is called after every epoch, to show progress.
-    Raises UserError where folders cannot train together, or are being trained in.
+    The folders are ones that `TrainConfig.write` made. Several train jointly: they differ in tasks
+    and seeds only, and each is left as if it had trained alone. Changes torch's threads and matrix
+    products for the process (`backend.configure`); the last bits of results depend on them.
+
+    Ends with an evaluation over 100 episodes. Where `on_epoch` returns False, the training stops
+    after a checkpoint instead, from which it can be resumed. Raises UserError where folders cannot
+    train together, or another process trains in one.
     """
     configs = {folder: TrainConfig.read(folder) for folder in folders}
     if len(configs) > 1:
@@ -203,7 +223,7 @@ def train(*folders: Path, on_epoch: OnEpoch = lambda trainings: None) -> list[Tr
     with contextlib.ExitStack() as stack:
         for folder in configs:
             stack.enter_context(locked(folder))
-        trainings = together(list(configs.values()))
+        trainings = joint_trainings(list(configs.values()))
         _train(dict(zip(configs, trainings, strict=True)), on_epoch)
     return trainings
 
@@ -212,11 +232,10 @@ def _train(trainings: dict[Path, Training], on_epoch: OnEpoch) -> None:
     for folder, training in trainings.items():
         if (folder / "checkpoint.npz").exists():
             training.load(folder)
-        if not training.done:
+        if training.done:
+            training.write_records(folder)  # they may have been lost or damaged
+        else:
             note_session(folder)
-    together = list(trainings.values())
-    unfinished = [folder for folder, training in trainings.items() if not training.done]
-    status = StatusFiles(unfinished, together[0].config.steps)
     with contextlib.ExitStack() as stack:
         events = {}
         for folder, training in trainings.items():
@@ -224,17 +243,60 @@ def _train(trainings: dict[Path, Training], on_epoch: OnEpoch) -> None:
             if training.config.tensorboard:
                 of_folder = Events(run_folders(folder, training.config), training.steps)
                 events[folder] = stack.enter_context(contextlib.closing(of_folder))
-        while going := {folder: t for folder, t in trainings.items() if not t.done}:
-            before = {folder: t.steps // t.config.checkpoint_every for folder, t in going.items()}
-            run_epoch(together)
-            for folder, training in going.items():
-                if events:
-                    events[folder].write(training.log, training.steps)
-                passed = training.steps // training.config.checkpoint_every > before[folder]
-                if training.done or passed.any():
-                    training.save(folder)
-            status.update(together, last=all(training.done for training in together))
-            on_epoch(together)
+        _run_epochs(trainings, events, on_epoch)
     for folder, training in trainings.items():
-        policy = training.learner.policy(training.runs)
-        evaluate(folder, training.config, policy, EVALUATION_EPISODES, ~training.failed)
+        if training.done:
+            policy = training.learner.policy(training.runs)
+            evaluate(folder, training.config, policy, EVALUATION_EPISODES, ~training.failed)
+
+
+def _run_epochs(
+    trainings: dict[Path, Training], events: dict[Path, Events], on_epoch: OnEpoch
+) -> None:
+    """Go on until all trainings are done or `on_epoch` returns False, and save them."""
+    jointly = list(trainings.values())
+    unfinished = {folder: t for folder, t in trainings.items() if not t.done}
+    status = StatusFiles(list(unfinished), jointly[0].config.steps)
+    stopped = False
+    while unfinished and not stopped:
+        before = {folder: training.steps.copy() for folder, training in unfinished.items()}
+        run_epoch(jointly)
+        saved = []
+        for folder, training in unfinished.items():
+            if events:
+                events[folder].write(training.log, training.steps)
+            write_snapshots(
+                folder,
+                training.config,
+                training.learner,
+                training.runs,
+                training.failed,
+                before[folder],
+                training.steps,
+            )
+            every = training.config.checkpoint_every
+            if training.done or (training.steps // every > before[folder] // every).any():
+                training.save(folder)
+                saved.append(folder)
+        status.update(jointly, last=all(training.done for training in jointly))
+        stopped = on_epoch(jointly) is False
+        if stopped:
+            for folder in unfinished.keys() - saved:
+                trainings[folder].save(folder)
+            status.update(jointly, last=True)
+        unfinished = {folder: t for folder, t in unfinished.items() if not t.done}
+
+
+def evaluate_checkpoint(folder: Path, episodes: int) -> tuple[Training, Results]:
+    """Evaluate the policies of a folder's last checkpoint; write and return the results.
+
+    Nothing trains in the folder meanwhile, so an evaluation never replaces that of a newer policy.
+    Raises UserError where another process trains there.
+    """
+    if not folder.is_dir():
+        raise UserError(f"{folder} is no folder")
+    with locked(folder):
+        training = load_training(folder)
+        active = ~training.failed
+        policy = training.learner.policy()
+        return training, evaluate(folder, training.config, policy, episodes, active)
