@@ -11,15 +11,21 @@ The whole entrance from Python:
 | `report(folder)` | tables, figures and a page of all runs below a folder |
 | `register(name, Algorithm(...))` | make an algorithm of your own known |
 
-`on_epoch` of `train` receives an `Epoch`; a mistake of the caller raises `UserError`. `import agents`
-imports none of this: the names are looked up when they are first used, and torch with them.
+`on_epoch` of `train` receives an `Epoch`; a mistake of the caller raises `UserError`. `import
+agents` imports none of this: names are looked up when they are first used, and torch with them.
 
-The rooms of the house, each of which uses those before it only: `errors`; `lockstep` (many runs of
-one algorithm as one batch: networks, Adam, noise, replay, rollouts); `on_policy`, `trust_region`,
-`sac` (the families); `algorithms` (the part that each algorithm's paper adds, a file each, and their
-registry); `training` (configuration, loop, checkpoints, records, policies); `results` (measures of
-the runs on disk); `paper` (presets, grid and claims of the paper); `reporting` (tables, figures,
-page); `api` (this entrance); `cli` (the command `circle2d`).
+The rooms of the house, of which each uses only those before it:
+
+- `errors`: mistakes of a caller, and checks of values
+- `lockstep`: many runs of one algorithm as one batch: networks, Adam, noise, replay, rollouts
+- `on_policy`, `trust_region`, `first_order`, `sac`: the families of algorithms
+- `algorithms`: the part that each algorithm's paper adds, a file each, and the registry
+- `training`: configuration, loop, checkpoints, records, policies
+- `results`: measures of the runs on disk
+- `paper`: its presets, grid and claims
+- `reporting`: tables, figures, page
+- `api`: this entrance
+- `cli`: the command `circle2d`
 """
 
 from __future__ import annotations

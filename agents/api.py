@@ -16,10 +16,9 @@ import operator
 import shutil
 import tempfile
 import warnings
-import weakref
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar
 
 from agents.algorithms import Algorithm, register
 from agents.errors import UserError
@@ -27,19 +26,15 @@ from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.compiling import cannot_compile, compiling_is_off
 from agents.paper.presets import preset
 from agents.reporting.report import report as write_report
-from agents.results.reading import Group, read_groups
-from agents.training import loop, playing
-from agents.training.config import Backend, Device, TrainConfig, run_folder
+from agents.runs import Runs
+from agents.training import loop
+from agents.training.config import Backend, Device, TrainConfig
 from agents.training.environments import Vectorization, check_task
 from agents.training.epochs import Epoch, follower
-from agents.training.playing import Evaluation
+from agents.training.playing import Evaluation, evaluate
 from agents.training.policy import Policy, load_policy
 from agents.training.progress import show_progress
 from agents.training.tensorboard import require_tensorboard
-from emcc import EpisodeRecords
-
-if TYPE_CHECKING:
-    import pandas
 
 __all__ = (
     "Algorithm",
@@ -73,75 +68,6 @@ def _as_guest(function: Callable[P, T]) -> Callable[P, T]:
     return call
 
 
-class Runs:
-    """The runs of one folder, or of several that trained jointly, and all that they left."""
-
-    def __init__(self, folders: Sequence[Path], temporary: bool = False) -> None:
-        """temporary: remove the folders with this object."""
-        self.folders = tuple(folders)
-        self.configs = tuple(TrainConfig.read(folder) for folder in folders)
-        """Of each folder."""
-        if temporary:
-            for folder in self.folders:
-                weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-
-    def __repr__(self) -> str:
-        names = ", ".join(repr(str(folder)) for folder in self.folders)
-        return f"Runs({names})"
-
-    @property
-    def folder(self) -> Path:
-        """The folder. Raises ValueError where there are several: see `folders`."""
-        if len(self.folders) > 1:
-            raise ValueError(f"there are several folders, see `folders`: {self.folders}")
-        return self.folders[0]
-
-    @property
-    def config(self) -> TrainConfig:
-        """The configuration. Raises ValueError where there are several: see `configs`."""
-        return self.configs[self.folders.index(self.folder)]
-
-    @property
-    def results(self) -> list[Group]:
-        """Measures and records of the complete runs, for each folder.
-
-        Raises UserError where no run is complete: a run that was stopped has `records` only.
-        """
-        return [group for folder in self.folders for group in read_groups(folder, [])]
-
-    @property
-    def records(self) -> dict[tuple[Path, int], EpisodeRecords]:
-        """The episodes of every run so far, by folder and seed."""
-        return {
-            (folder, seed): EpisodeRecords.load(run_folder(folder, seed) / "episodes.csv")
-            for folder, config in zip(self.folders, self.configs, strict=True)
-            for seed in config.seeds
-        }
-
-    def table(self) -> str:
-        """The table that the command prints, as Markdown; written into the folder too."""
-        return "\n".join(write_report(folder) for folder in self.folders)
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """A row for each episode of each run: algorithm, task, seed, then `episodes.csv`.
-
-        Raises ImportError, saying how to install it, where pandas is missing.
-        """
-        try:
-            import pandas as pd
-        except ImportError:
-            raise ImportError("to_pandas needs pandas: pip install pandas") from None
-        configs = dict(zip(self.folders, self.configs, strict=True))
-        frames = []
-        for (folder, seed), records in self.records.items():
-            config, columns = configs[folder], {}
-            for field in dataclasses.fields(records):
-                columns[field.name.rstrip("_")] = getattr(records, field.name)
-            about = {"algorithm": config.algorithm, "task": config.task, "seed": seed}
-            frames.append(pd.DataFrame({**dict.fromkeys(about), **columns}).assign(**about))
-        return pd.concat(frames, ignore_index=True)
-
-
 @_as_guest
 def train(
     algorithm: str,
@@ -168,54 +94,31 @@ def train(
     >>> [round(float(x)) for x in runs.records[runs.folder, 1].length]
     [50, 50, 50, 50, 50, 50, 50, 50]
 
-    algorithm: a built-in one (`circle2d --help` lists them) or a registered one.
-    task: id of a gymnasium task with `info["cost"]`, which "module:Id" imports.
-    seeds: one run for each; a number is one seed.
-    steps: environment steps of each run.
+    algorithm: name of a built-in (`circle2d --help` lists them) or registered one; hyperparameters:
+        its own, over the preset for the task (the paper's on its tasks).
+    task: id of a gymnasium task with `info["cost"]`; "module:Id" imports the module first.
+        task_parameters: keyword arguments for it.
+    seeds: one run for each; a number is one seed. steps: environment steps of each run.
     out: folder for the runs; made, and refused where it holds runs already. None: a temporary one,
         which lives as long as the returned object.
-    task_parameters: keyword arguments for the task.
-    checkpoint_every: environment steps of a run between checkpoints.
-    evaluate_every: environment steps of a run between evaluations, each of which leaves the policy
-        too (`load_policy(..., step=...)`); None: no such. The other results stay what they are.
+    checkpoint_every: environment steps of a run between checkpoints. evaluate_every: those between
+        evaluations, each of which leaves the policy too (`load_policy(..., step=...)`); None: none.
     vectorization: "auto": the task's own vector environment or one process; "sync": gymnasium's
         `SyncVectorEnv`; "async": a process for each environment. All give the same results.
     backend: how updates run: "compiled", "eager", or "auto": compiled where that is possible.
-    device: "cpu" or "cuda".
-    tensorboard: whether to write TensorBoard event files too.
+    tensorboard: whether to write event files too. progress: whether to show it on stderr.
     on_epoch: called with an `Epoch` after each epoch; returning False stops the training after a
         checkpoint, without the evaluation at its end. `resume` goes on.
-    progress: whether to show progress on stderr.
-    hyperparameters: those of the algorithm, over the preset for the task (the paper's on its tasks).
 
     Raises UserError for what is unknown or not allowed, before anything is written.
     """
-    config = TrainConfig(
-        algorithm,
-        task,
-        _seeds(seeds),
-        steps,
-        _hyperparameters(algorithm, task, hyperparameters),
-        dict(task_parameters or {}),
-        checkpoint_every,
-        evaluate_every,
-        vectorization,
-        tensorboard,
-        device=device,
+    own = _hyperparameters(algorithm, task, hyperparameters)
+    config = TrainConfig(algorithm, task, _seeds(seeds), steps, own, dict(task_parameters or {}))
+    config = dataclasses.replace(
+        config, checkpoint_every=checkpoint_every, evaluate_every=evaluate_every, device=device
     )
-    check_task(config.task, config.task_parameters)
-    if config.tensorboard:
-        require_tensorboard()
-    config = dataclasses.replace(config, backend=choose_backend(backend))
-    folder = Path(tempfile.mkdtemp(prefix="agents-") if out is None else out)
-    try:
-        config.write(folder)
-        _train([folder], on_epoch, progress)
-    except BaseException:
-        if out is None:
-            shutil.rmtree(folder, ignore_errors=True)
-        raise
-    return Runs([folder], temporary=out is None)
+    config = dataclasses.replace(config, vectorization=vectorization, tensorboard=tensorboard)
+    return _start(config, backend, out, on_epoch, progress)
 
 
 @_as_guest
@@ -233,12 +136,6 @@ def resume(*folders: str | Path, on_epoch: OnEpoch | None = None, progress: bool
     return Runs(paths)
 
 
-@_as_guest
-@functools.wraps(playing.evaluate)
-def evaluate(*args: Any, **kwargs: Any) -> Evaluation:
-    return playing.evaluate(*args, **kwargs)
-
-
 def report(folder: str | Path) -> str:
     """Write the report of all runs at or below a folder: the command `circle2d report`.
 
@@ -250,15 +147,37 @@ def report(folder: str | Path) -> str:
 def choose_backend(choice: Backend | Literal["auto"]) -> Backend:
     """The backend that "auto" stands for on this machine.
 
-    Warns where that is eager PyTorch, half as fast, for another reason than that PyTorch was told so
-    by TORCH_COMPILE_DISABLE.
+    Warns where that is eager PyTorch, half as fast, unless TORCH_COMPILE_DISABLE asks for it.
     """
     if choice != "auto":
         return choice
     why = cannot_compile()
     if why and not compiling_is_off():
-        warnings.warn(f"updates run in eager PyTorch, half as fast: {why}", stacklevel=3)
+        warnings.warn(f"updates run in eager PyTorch, half as fast: {why}", stacklevel=5)
     return "eager" if why else "compiled"
+
+
+def _start(
+    config: TrainConfig,
+    backend: Backend | Literal["auto"],
+    out: str | Path | None,
+    on_epoch: OnEpoch | None,
+    progress: bool,
+) -> Runs:
+    """Make the folder of some runs and train them."""
+    check_task(config.task, config.task_parameters)
+    if config.tensorboard:
+        require_tensorboard()
+    config = dataclasses.replace(config, backend=choose_backend(backend))
+    folder = Path(tempfile.mkdtemp(prefix="agents-") if out is None else out)
+    try:
+        config.write(folder)
+        _train([folder], on_epoch, progress)
+    except BaseException:
+        if out is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return Runs([folder], temporary=out is None)
 
 
 def _train(folders: Sequence[Path], on_epoch: OnEpoch | None, progress: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,9 +103,8 @@ def evaluate(
         raise TypeError(f"policy must be a policy, a function or a folder, got {policy!r}")
     if task is None:
         raise UserError("evaluate needs the task where the policy is a function")
-    return Evaluation(
-        task, seeds, *_play(policy, task, episodes, deterministic, seed, task_parameters)
-    )
+    columns = _play(policy, task, episodes, deterministic, seed, task_parameters)
+    return Evaluation(task, seeds, *columns)
 
 
 def _play(
@@ -121,14 +121,10 @@ def _play(
         env = FloatCost(gym.make(name, disable_env_checker=True, **(parameters or {})))
     except Exception as error:  # of the task's own code
         raise UserError(f"cannot make task {task!r}: {error or type(error).__name__}") from None
+    act: Callable[[NDArray], Any] = policy
     if isinstance(policy, Policy):
         _check_fit(policy, env, task)
-        own = policy
-
-        def act(observation: NDArray) -> Any:
-            return own(observation, deterministic, rng)
-    else:
-        act = policy
+        act = functools.partial(policy, deterministic=deterministic, rng=rng)
     rows = []
     with contextlib.closing(env):
         for start in np.random.default_rng(seed).integers(2**31, size=episodes).tolist():

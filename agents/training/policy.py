@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 from torch import from_numpy as to_tensor
 
-from agents.algorithms import Learner
 from agents.algorithms import learner as make_learner
 from agents.errors import UserError
 from agents.lockstep import tree
+from agents.lockstep.learner import Learner
 from agents.training.config import TrainConfig, read_spaces
 from agents.training.environments import Spaces
 from agents.training.snapshots import read_policy_arrays
@@ -128,7 +128,7 @@ def load_policy(folder: str | Path, seed: int | None = None, step: int | None = 
     folder = Path(folder)
     config = TrainConfig.read(folder)
     if seed is None:
-        if len(config.seeds) > 1:
+        if len(config.seeds) != 1:
             raise UserError(f"{folder} has several runs: give the seed, one of {config.seeds}")
         seed = config.seeds[0]
     if seed not in config.seeds:

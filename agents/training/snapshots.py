@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.algorithms import Learner
 from agents.errors import UserError
+from agents.lockstep.learner import Learner
 from agents.training.config import TrainConfig, run_folder
 from agents.training.evaluation import play_policies, write_evaluation
 from agents.training.files import read_arrays, write_arrays
