@@ -11,8 +11,9 @@ import tyro
 
 from agents.cli.options import Imports, parse
 from agents.cli.outcome import name_failures
-from agents.training.evaluation import evaluate
-from agents.training.loop import EVALUATION_EPISODES, load_training
+from agents.runs import Runs
+from agents.training.evaluation import EVALUATION_EPISODES
+from agents.training.loop import evaluate_checkpoint
 from agents.training.progress import working
 
 
@@ -30,11 +31,9 @@ class EvaluateOptions:
 def run(args: Sequence[str]) -> int:
     """Run `circle2d evaluate`; returns the exit status."""
     options = parse(EvaluateOptions, "evaluate", args)
-    training = load_training(options.folder)
-    policy = training.learner.policy()
-    active = ~training.failed
     with working(f"playing {options.episodes} episodes of each run, by either policy"):
-        results = evaluate(options.folder, training.config, policy, options.episodes, active)
+        training, results = evaluate_checkpoint(options.folder, options.episodes)
+    active = ~training.failed
     taken = training.steps[active] if active.any() else training.steps
     steps = f"after {taken.min()} of {training.config.steps} steps"
     print(f"{options.folder}, {steps}: means over {options.episodes} episodes")
@@ -42,4 +41,4 @@ def run(args: Sequence[str]) -> int:
         for seed, measures in zip(training.config.seeds, of_runs, strict=True):
             numbers = ", ".join(f"{k} {v:.2f}" for k, v in measures.items() if isinstance(v, float))
             print(f"seed {seed}, {name} policy: {numbers or 'no finite numbers'}")
-    return name_failures(options.folder, training)
+    return name_failures(Runs([options.folder]))

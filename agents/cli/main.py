@@ -9,6 +9,7 @@ import contextlib
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Iterator, Sequence
 
 from agents.errors import UserError, nearest
@@ -73,7 +74,8 @@ def _run(command: str, args: Sequence[str]) -> int:
         kind = "option" if command.startswith("-") else "command"
         valid = ["--help", "--version"] if kind == "option" else list(COMMANDS)
         raise UserError(f"unknown {kind} {command!r}: {nearest(command, valid)}")
-    with _current_folder_on_path():
+    with _current_folder_on_path(), warnings.catch_warnings():
+        warnings.showwarning = _print_warning
         try:
             return importlib.import_module(f"agents.cli.{command}").run(args)
         except ModuleNotFoundError as error:
@@ -83,6 +85,11 @@ def _run(command: str, args: Sequence[str]) -> int:
                 f"{command} needs {error.name}, which is not installed: "
                 "pip install 'circle2d-mj[train]'"
             ) from None
+
+
+def _print_warning(message: object, *_: object) -> None:
+    """Print a warning as a line of the command's own."""
+    print(f"circle2d: {message}", file=sys.stderr)
 
 
 @contextlib.contextmanager

@@ -8,7 +8,6 @@ import dataclasses
 import importlib
 import io
 import re
-import sys
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,8 +16,6 @@ from typing import Annotated, Any, Literal, get_type_hints
 import tyro
 
 from agents.errors import UserError, nearest
-from agents.lockstep.compiling import cannot_compile, compiling_is_off
-from agents.training.config import Backend
 
 BackendChoice = Literal["auto", "compiled", "eager"]
 Imports = Annotated[
@@ -33,20 +30,6 @@ Imports = Annotated[
     ),
 ]
 """The option `--import`, of every command that may meet a user's own algorithms and tasks."""
-
-
-def chosen_backend(choice: BackendChoice) -> Backend:
-    """Return the backend that `auto` stands for on this machine.
-
-    A line on stderr gives the reason where that is eager, unless PyTorch was told so by its own
-    TORCH_COMPILE_DISABLE.
-    """
-    if choice != "auto":
-        return choice
-    why = cannot_compile()
-    if why and not compiling_is_off():
-        print(f"circle2d: updates run in eager PyTorch, half as fast: {why}", file=sys.stderr)
-    return "eager" if why else "compiled"
 
 
 def parse(

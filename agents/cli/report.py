@@ -9,8 +9,8 @@ from typing import Annotated
 
 import tyro
 
+from agents import api
 from agents.cli.options import Imports, parse
-from agents.reporting.report import report
 from agents.training.progress import working
 
 
@@ -28,6 +28,6 @@ def run(args: Sequence[str]) -> int:
     """Run `circle2d report`; returns the exit status."""
     folder = parse(ReportOptions, "report", args).folder
     with working("reading runs and drawing figures"):
-        table = report(folder, with_figures=True)
+        table = api.report(folder)
     print(table)
     return 0

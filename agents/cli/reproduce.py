@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import sys
 import time
@@ -15,19 +14,19 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from agents import api
 from agents.algorithms import ALGORITHMS
-from agents.cli.options import BackendChoice, Imports, chosen_backend, parse
+from agents.cli.options import BackendChoice, Imports, parse
 from agents.errors import UserError
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
-from agents.reporting.report import report
 from agents.training.config import Device, TrainConfig
 from agents.training.environments import check_task, task_id
 from agents.training.files import locked
 from agents.training.machine import other_session
 from agents.training.progress import working
 from agents.training.status import duration, share_done, speed
-from agents.training.workers import Group, Workers
+from agents.training.workers import Group, Workers, cores
 from circle2d_mj.circle2d.config import LEVELS
 
 
@@ -63,8 +62,8 @@ class ReproduceOptions:
     with, and eager with quick, which is over before anything is compiled."""
     device: Device = "cpu"
     """Where updates run: cuda on a GPU."""
-    workers: int = os.cpu_count() or 1
-    """Processes, of one thread each; by default one for each core."""
+    workers: int = cores()
+    """Processes, of one thread each; by default one for each core that this process may use."""
     imports: Imports = ()
 
 
@@ -87,7 +86,7 @@ def run(args: Sequence[str]) -> int:
             print(f"circle2d: {folder} failed: {message}", file=sys.stderr)
         try:
             with working("drawing the report"):
-                table = report(options.out, with_figures=True)
+                table = api.report(options.out)
             print(table)
         except UserError as error:
             print(f"circle2d: no report: {error}", file=sys.stderr)
@@ -108,7 +107,7 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     what = (tasks, options.algorithms, seeds, steps, options.device, options.ablations)
     configs = grid.grid(options.out, *what)
     usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
-    backend = chosen_backend(options.backend or usual)
+    backend = api.choose_backend(options.backend or usual)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}
 
 
@@ -130,7 +129,8 @@ def _ended_by_signals() -> Iterator[None]:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    signals = (signal.SIGTERM, signal.SIGHUP)
+    names = ("SIGTERM", "SIGHUP")  # the second is not everywhere
+    signals = [getattr(signal, name) for name in names if hasattr(signal, name)]
     before = [signal.signal(number, interrupt) for number in signals]
     try:
         yield

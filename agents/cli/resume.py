@@ -10,9 +10,9 @@ from typing import Annotated
 
 import tyro
 
+from agents import api
 from agents.cli.options import Imports, parse
-from agents.cli.outcome import train_folders
-from agents.errors import UserError
+from agents.cli.outcome import finish
 from agents.training.config import TrainConfig
 from agents.training.machine import other_session
 
@@ -30,11 +30,9 @@ class ResumeOptions:
 def run(args: Sequence[str]) -> int:
     """Run `circle2d resume`; returns the exit status."""
     folders = parse(ResumeOptions, "resume", args).folders
-    if not folders:
-        raise UserError("resume needs a folder of runs")
     for folder in folders:
         TrainConfig.read(folder)
     for folder in folders:
         if note := other_session(folder):
             print(f"circle2d: {folder}: {note}", file=sys.stderr)
-    return train_folders(*folders)
+    return finish(api.resume(*folders, progress=True))

@@ -12,22 +12,15 @@ from typing import Annotated, Any
 
 import tyro
 
+from agents import api
 from agents.algorithms import ALGORITHMS
 from agents.cli.hyperparameters import explain_all
-from agents.cli.options import (
-    BackendChoice,
-    Imports,
-    chosen_backend,
-    import_modules,
-    parse,
-    read_ahead,
-)
-from agents.cli.outcome import train_folders
+from agents.cli.options import BackendChoice, Imports, import_modules, parse, read_ahead
+from agents.cli.outcome import finish
 from agents.errors import UserError
 from agents.paper.presets import preset
-from agents.training.config import Device, TrainConfig
-from agents.training.environments import Vectorization, check_task, task_id
-from agents.training.tensorboard import require_tensorboard
+from agents.training.config import Device
+from agents.training.environments import Vectorization, task_id
 
 
 @dataclass(frozen=True)
@@ -46,6 +39,9 @@ class TrainOptions:
     """Environment steps of each run."""
     checkpoint_every: int = 50_000
     """Environment steps of a run between checkpoints, from which a killed run goes on."""
+    evaluate_every: int | None = None
+    """Environment steps of a run between evaluations, each of which leaves the policy too; by
+    default there is none but that at the end."""
     task_parameters: dict[str, str] = field(default_factory=dict)
     """Keyword arguments for the task, as NAME VALUE ..., e.g. constraint_radius 3.0."""
     vectorization: Vectorization = "auto"
@@ -78,17 +74,12 @@ def run(args: Sequence[str]) -> int:
     elsewhere = dict(_options_of_others(ahead.algorithm))
     options = parse(_train_options(hyperparameters), "train", args, elsewhere)
     values = {f.name: getattr(options, f.name) for f in dataclasses.fields(TrainOptions)}
-    folder, choice = values.pop("out"), values.pop("backend")
     del values["imports"]
     values["task"] = task
     values["task_parameters"] = {k: _literal(v) for k, v in options.task_parameters.items()}
-    config = TrainConfig(**values, hyperparameters=options.hyperparameters)
-    check_task(config.task, config.task_parameters)  # before anything is written
-    if config.tensorboard:
-        require_tensorboard()
-    # Last, since it may have to compile something, or print a line.
-    dataclasses.replace(config, backend=chosen_backend(choice)).write(folder)
-    return train_folders(folder)
+    own = options.hyperparameters
+    values |= {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
+    return finish(api.train(**values, progress=True))
 
 
 def _options_of_others(name: str) -> Iterator[tuple[str, str]]:

@@ -11,9 +11,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 LOG = "worker.log"
-"""In the folder of the runs, the first of a group: what the process that trained them said."""
+"""In the folder of the runs, the first of a group: output of the process that trained them."""
 Group = tuple[Path, ...]
 """Folders that train together."""
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class Workers:
@@ -40,7 +47,7 @@ class Workers:
         self.over: list[Path] = []
         """Folders whose process has ended, those that failed among them."""
         self.failed: dict[Path, str] = {}
-        """Those that failed, and the last line that their process said."""
+        """Those that failed, and the last line that their process printed."""
 
     @property
     def running(self) -> list[Group]:
@@ -100,4 +107,4 @@ def _last_words(group: Group) -> str:
         lines = (group[0] / LOG).read_text(errors="replace").strip().splitlines()
     except OSError:
         lines = []
-    return lines[-1] if lines else "it said nothing"
+    return lines[-1] if lines else "it printed nothing"
