@@ -25,8 +25,7 @@ Imports = Annotated[
         name="import",
         metavar="MODULE",
         help="Python module to import first, from the current folder or installed, which registers "
-        "algorithms (agents.register), tasks (gymnasium.register) or measures. May be given several "
-        "times.",
+        "algorithms (agents.register), tasks (gymnasium.register) or measures. May be repeated.",
     ),
 ]
 """The option `--import`, of every command that may meet a user's own algorithms and tasks."""

@@ -73,7 +73,7 @@ def folder(tmp_path_factory):
             "unexpected keyword argument 'radius'",
         ),
         (["resume", "{tmp}/nothing"], r"nothing/config\.json is missing"),
-        (["evaluate", "{tmp}/nothing"], r"nothing/config\.json is missing"),
+        (["evaluate", "{tmp}/nothing"], "nothing is no folder"),
         (["report", "{tmp}/nothing"], "nothing is no folder"),
         (["report", "{tmp}"], "holds no runs"),
         (["evaluate", "{folder}", "--episodes", "0"], "episodes must be at least 1"),
