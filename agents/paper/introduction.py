@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj import Circle2DConfig
+from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.circle2d.envs import MAX_EPISODE_STEPS
 from circle2d_mj.circle2d.kinematic import Kinematic
-from circle2d_mj.circle2d.task import STEP
 from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.core.view import Picture
 from circle2d_mj.render import canvas
@@ -99,13 +99,14 @@ def walk(config: Circle2DConfig, route: Sequence[Point]) -> Episode:
     route: the start, then where to go, in multiples of the radius.
     """
     points = np.array(route) * config.constraint_radius
-    agent, reach = Kinematic(config, 1), STEP * config.constraint_radius
+    agent, reach = Kinematic(config, 1), config.full_step
     agent.place(np.array([0]), points[:1])
     path, costs, ahead = [points[0]], [], 1
     for _ in range(MAX_EPISODE_STEPS):
         way = points[ahead] - path[-1]
         distance = math.hypot(*way)
-        costs.append(agent.step(way[None] / max(distance, reach))["cost"][0])
+        contact, _ = agent.step(way[None] / max(distance, reach))
+        costs.append(task.cost(config, agent.position, contact)[0])
         path.append(agent.position[0].copy())
         if distance <= reach:
             ahead = min(ahead + 1, len(points) - 1)

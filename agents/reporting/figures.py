@@ -24,7 +24,6 @@ from agents.reporting.tables import title_of
 from agents.results.reading import Group, Run
 from agents.training.environments import circle2d_config
 from circle2d_mj import Circle2DConfig
-from circle2d_mj.circle2d.task import STEP
 from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.core.view import Picture
 from circle2d_mj.render import canvas
@@ -56,7 +55,7 @@ def introduction() -> list[Figure]:
         "Seen from above; the agent starts in the green area and is rewarded for being near the "
         "goal, the X. Grey: the cost region, where a step costs 1 and which level 0 does not let "
         f"in; its radius is {config.constraint_radius:g}, the arena {2 * config.arena:g} wide and "
-        f"high, a step at most {STEP * config.constraint_radius:g} along each axis. Circles: equal "
+        f"high, a step at most {config.full_step:g} along each axis. Circles: equal "
         "reward, a quarter of the radius apart."
     )
     picture, about_trajectories = example.two_trajectories(SIZE)
