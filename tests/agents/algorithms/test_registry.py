@@ -95,7 +95,7 @@ def test_titles():
 
 def test_an_unknown_one_is_an_error_that_lists_the_others():
     with pytest.raises(
-        UserError, match="unknown algorithm 'dqn': valid are trpo-lag, cpo, .*, sac"
+        UserError, match=r"unknown algorithm 'dqn': valid are trpo-lag, cpo, .*, sac"
     ):
         algorithm("dqn")
     with pytest.raises(KeyError):
@@ -131,7 +131,7 @@ def test_what_register_refuses(sac_fixed):
     for config in (loose, dict, loose(), None):
         with pytest.raises(TypeError, match="config of 'own' must be a frozen dataclass, got"):
             register("own", own._replace(config=config))
-    with pytest.raises(TypeError, match="Config.a of 'own' needs a default"):
+    with pytest.raises(TypeError, match=r"Config\.a of 'own' needs a default"):
         register("own", own._replace(config=incomplete))
     with pytest.raises(TypeError, match="family of 'own' must make a Learner, got None"):
         register("own", own._replace(family=None))
