@@ -111,7 +111,8 @@ def _require_cost(info: dict[str, Any]) -> None:
 class FromSafetyGymnasium(gym.Env):
     """An environment whose `step` returns Safety-Gymnasium's six values, as one of gymnasium.
 
-    `step` gives gymnasium's five values and `info["cost"]`, a float; `reset`'s info holds cost 0.0.
+    `step` gives gymnasium's five values and `info["cost"]`, a float (numpy's float64); `reset`'s
+    info holds cost 0.0.
     The environment need not be a `gymnasium.Env`: its spaces are copied by their attributes where
     they are another package's Box or Discrete. `render` and `close` are passed through. Of a seed
     above 2**32 - 1, which numpy's RandomState in older environments refuses, it gets
@@ -153,7 +154,7 @@ class FromSafetyGymnasium(gym.Env):
                 seed if small else int(np.random.SeedSequence(seed).generate_state(1)[0])
             )
         observation, info = _values(self.env, "reset", self.env.reset(**arguments), 2)
-        return observation, {**info, "cost": 0.0}
+        return observation, {**info, "cost": np.float64(0.0)}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """The five values of gymnasium, with the sixth in the info."""
@@ -161,7 +162,7 @@ class FromSafetyGymnasium(gym.Env):
         observation, reward, cost, terminated, truncated, info = values
         if not isinstance(cost, (Real, np.number, np.bool_)):
             raise TypeError(f"the cost from {self.env!r} must be a number, got {cost!r}")
-        info = {**info, "cost": float(cost)}
+        info = {**info, "cost": np.float64(cost)}
         return observation, float(reward), bool(terminated), bool(truncated), info
 
     def render(self) -> Any:

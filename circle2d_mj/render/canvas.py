@@ -16,17 +16,14 @@ from circle2d_mj.core.view import Extent, Picture
 
 FREE, REGION, INK = (252, 252, 252), (190, 190, 190), (20, 20, 20)
 DOT, LINE, BOX = (28, 84, 200), (85, 125, 210), (240, 130, 10)
+# fmt: off
 HEAT = (
-    (253, 231, 37),
-    (173, 220, 48),
-    (94, 201, 98),
-    (40, 174, 128),
-    (33, 145, 140),
-    (44, 114, 142),
-    (59, 82, 139),
-    (71, 45, 123),
-    (68, 1, 84),
+    (253, 231, 37), (216, 226, 25), (173, 220, 48), (132, 212, 75), (94, 201, 98),
+    (63, 188, 115), (40, 174, 128), (31, 160, 136), (33, 145, 140), (38, 130, 142),
+    (44, 114, 142), (51, 99, 141), (59, 82, 139), (66, 64, 134), (71, 45, 123),
+    (72, 24, 106), (68, 1, 84),
 )
+# fmt: on
 """From one visit to the most, in equal steps of the visits' logarithm: matplotlib's viridis from
 its light end to its dark one, so that more visits are always darker, in grey and to the
 colour-blind too."""
@@ -175,13 +172,13 @@ def chains(costs: ArrayLike) -> list[tuple[int, int]]:
 
 
 def with_outline(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
-    """The picture with the edge of an area, a dark line between two light ones.
+    """The picture with a dark line along the edge of an area, inside it, between two light ones.
 
     inside: whether each pixel lies in the area, of a picture `FINER` times as large.
     """
     width, outlined = max(len(inside) // 800, 1), picture.copy()
-    for colour, reach in ((FREE, 2 * width), (INK, width)):
-        line = ~(eroded(inside, reach) | eroded(~inside, reach))
+    light = ~(eroded(inside, 3 * width) | eroded(~inside, width))
+    for colour, line in ((FREE, light), (INK, inside & ~eroded(inside, 2 * width))):
         covered = np.asarray(Image.fromarray(line.astype(np.uint8) * np.uint8(255)).reduce(FINER))
         at = np.nonzero(covered)
         share = covered[at][:, None] / 255

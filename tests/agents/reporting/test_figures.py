@@ -13,6 +13,7 @@ from agents.reporting import figures
 from agents.results.reading import Group, Run
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.envs import Circle2DEnv
+from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.render import canvas
 from emcc import EpisodeRecords, mcc
 
@@ -62,7 +63,8 @@ def test_the_levels_show_the_tasks(monkeypatch):
     monkeypatch.setattr(example, "LABELS", {})
     shown, left = example.levels(size), 0
     for level in range(4):
-        task = canvas.background(Circle2DConfig(level=level), size)[1:-1, 1:-1]  # less the frame
+        view = Circle2DView(Circle2DConfig(level=level))
+        task = view.overlay(view.background(size))[1:-1, 1:-1]  # less the frame
         windows = np.lib.stride_tricks.sliding_window_view(shown, (1, *task.shape[1:]))[
             ..., 0, :, :
         ]
@@ -134,12 +136,12 @@ def test_heat_maps_by_algorithm_and_third(groups, monkeypatch):
             "EMCC 0.60 (1 of 4 rollouts)",
         ],
     ]
-    task = Circle2DConfig(level=3)
+    view = Circle2DView(Circle2DConfig(level=3))
     one = np.arange(240).reshape(12, 10, 2)[1] / 100  # the rollout of MCC 1 in the first part
-    counts = canvas.visits(task, np.concatenate((one, one + 1)), 160)
-    ground = canvas.ground(task, figures.SIZE)
+    counts = canvas.count_visits(view.extent, np.concatenate((one, one + 1)), 160)
+    ground = view.background(figures.SIZE)
     changed = (canvas.with_counts(ground, counts, asked["most_visits"]) != ground).any(axis=-1)
-    crossed = (canvas.with_cross(ground, task) != ground).any(axis=-1)
+    crossed = (view.overlay(ground) != ground).any(axis=-1)
     np.testing.assert_array_equal((rows[0][0] != ground).any(axis=-1) | crossed, changed | crossed)
     assert image_of(shown).shape[1] > 3 * figures.SIZE
 
@@ -163,8 +165,13 @@ def test_episodes_of_trained_policies_by_algorithm_and_run(groups, monkeypatch):
     assert [picture is None for picture in (*first, *third)] == [True, False, False, True]
     words = "seed {}: J_R -5.2, J_C 3.0"
     assert asked["captions"] == [[words.format(0), words.format(1)], [words.format(1), ""]]
-    at = canvas.pixels(Circle2DConfig(level=3), path, figures.SIZE).astype(int)
+    extent = Circle2DView(Circle2DConfig(level=3)).extent
+    at = canvas.pixels(extent, path, figures.SIZE).astype(int)
+    on_the_rim = np.abs(np.hypot(*path.T) - 10) < 0.2  # below the outline
+    assert on_the_rim.sum() == 1
     for k, (column, row) in enumerate(at):
+        if on_the_rim[k]:
+            continue
         wanted = canvas.BOX if k else canvas.DOT
         assert np.abs(first[1][row, column].astype(int) - wanted).max() <= 60
 
