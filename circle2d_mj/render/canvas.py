@@ -177,8 +177,8 @@ def with_outline(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
     inside: whether each pixel lies in the area, of a picture `FINER` times as large.
     """
     width, outlined = max(len(inside) // 800, 1), picture.copy()
-    light = ~(eroded(inside, 3 * width) | eroded(~inside, width))
-    for colour, line in ((FREE, light), (INK, inside & ~eroded(inside, 2 * width))):
+    light = ~(eroded(inside, 4 * width) | eroded(~inside, width))
+    for colour, line in ((FREE, light), (INK, inside & ~eroded(inside, 3 * width))):
         covered = np.asarray(Image.fromarray(line.astype(np.uint8) * np.uint8(255)).reduce(FINER))
         at = np.nonzero(covered)
         share = covered[at][:, None] / 255
