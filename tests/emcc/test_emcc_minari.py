@@ -44,6 +44,7 @@ def dataset(tmp_path, monkeypatch):
 
     def write(record_infos=True, **options):
         env = minari.DataCollector(Scripted(**options), record_infos=record_infos)
+        first = env._tmp_dir
         for _ in EPISODES:
             env.reset(seed=0)
             done = False
@@ -52,7 +53,8 @@ def dataset(tmp_path, monkeypatch):
         env.create_dataset("tests/scripted-v0", requirements=[], algorithm_name="none",
             author="none", author_email="none", code_permalink="none",
             description="none")  # fmt: skip
-        env._tmp_dir.cleanup()  # its own close leaves a warning
+        for folder in (first, env._tmp_dir):  # its own close leaves warnings
+            folder.cleanup()
         return minari.load_dataset("tests/scripted-v0")
 
     return write
