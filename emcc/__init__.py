@@ -18,11 +18,24 @@ from emcc.panels import Panel, panel
 from emcc.parts import cost_rate, emcc_by_part
 from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords
+from emcc.statistics import (
+    Interval,
+    Share,
+    bootstrap,
+    holm,
+    iqm,
+    mean_interval,
+    permutation_test,
+    probability_of_improvement,
+    profile,
+    share,
+)
 from emcc.streaks import count_streaks, longest_streak, longest_streaks, mcc, streak_bounds
 from emcc.tail import cvar, emcc, worst
 
 if TYPE_CHECKING:
     from emcc import sb3
+    from emcc.streak_cost import StreakCost
     from emcc.wrappers import RecordCosts
 
 __all__ = [
@@ -30,8 +43,12 @@ __all__ = [
     "Difference",
     "EpisodeRecords",
     "Estimate",
+    "Interval",
     "Panel",
     "RecordCosts",
+    "Share",
+    "StreakCost",
+    "bootstrap",
     "cost_rate",
     "count_streaks",
     "cvar",
@@ -41,29 +58,38 @@ __all__ = [
     "estimate",
     "from_minari",
     "from_tensordict",
+    "holm",
+    "iqm",
     "longest_streak",
     "longest_streaks",
     "mcc",
+    "mean_interval",
     "panel",
+    "permutation_test",
+    "probability_of_improvement",
+    "profile",
     "regret_curve",
     "sb3",
+    "share",
     "streak_bounds",
     "worst",
 ]
 
 
+_OF_GYMNASIUM = {"RecordCosts": "emcc.wrappers", "StreakCost": "emcc.streak_cost"}
+
+
 def __getattr__(name: str) -> Any:
     if name == "sb3":  # late, because it needs stable-baselines3
         return import_module("emcc.sb3")
-    if name == "RecordCosts":  # late, because it needs gymnasium
+    if name in _OF_GYMNASIUM:
         try:
-            from emcc.wrappers import RecordCosts
+            return getattr(import_module(_OF_GYMNASIUM[name]), name)
         except ModuleNotFoundError as error:
             if error.name != "gymnasium":
                 raise
             raise ImportError(
-                "emcc.RecordCosts needs gymnasium: pip install gymnasium; without it, "
+                f"emcc.{name} needs gymnasium: pip install gymnasium; without it, "
                 "emcc.CostRecorder takes the costs of steps"
             ) from None
-        return RecordCosts
     raise AttributeError(f"module 'emcc' has no attribute {name!r}")

@@ -13,7 +13,7 @@ from agents.paper.presets import PAPER_SEEDS, ablation, preset, usual_steps
 from agents.training.config import FAILURE, Backend, Device, TrainConfig, run_folder
 from agents.training.environments import sizes_of
 from agents.training.files import read_json
-from agents.training.timing import share_done
+from agents.training.status import share_done
 from agents.training.workers import Group
 from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.registration import KINEMATIC, PHYSICS
@@ -22,8 +22,9 @@ from emcc import EpisodeRecords
 SEEDS = tuple(range(PAPER_SEEDS))
 QUICK_SEEDS, QUICK_STEPS = (0, 1), 10_000
 WORK = {"trpo-lag": 1.0, "cpo": 1.3, "sac-lag": 5.0, "sac-lb": 5.0, "wcsac": 5.2}
-"""What a step of an algorithm takes on Circle2D, beside TRPO-Lag's. Decides the order (what takes
-longest goes first), the groups and the time left that is shown; no result."""
+"""Time of a step of an algorithm on Circle2D, in that of TRPO-Lag's; 1 for those not listed.
+Decides the order (what takes longest goes first), the groups and the time left that is shown; no
+result."""
 MOST_RUNS = 12
 """In a group; more make a step of each hardly cheaper."""
 OVERHEAD = 2
@@ -130,7 +131,7 @@ def _kinds(configs: dict[Path, TrainConfig]) -> list[list[Path]]:
     sizes = {task: sizes_of(task, parameters) for task, parameters in of_tasks.items()}
     kinds: dict[str, list[Path]] = {}
     for folder, config in configs.items():
-        kind = repr((config.shared, sizes[config.task], share_done(folder)))
+        kind = repr((config.shared, sizes[config.task], round(share_done(folder), 2)))
         kinds.setdefault(kind, []).append(folder)
     return list(kinds.values())
 

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj import Circle2DConfig
+from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.circle2d.envs import MAX_EPISODE_STEPS
 from circle2d_mj.circle2d.kinematic import Kinematic
-from circle2d_mj.circle2d.task import STEP
+from circle2d_mj.circle2d.view import Circle2DView
+from circle2d_mj.core.view import Picture
 from circle2d_mj.render import canvas
-from circle2d_mj.render.canvas import Picture
 from circle2d_mj.render.figure import figure, labelled
 from emcc import cost_rate, emcc, longest_streak, mcc
 
@@ -46,12 +47,14 @@ def levels(size: int) -> Picture:
     pictures = []
     for level in LEVELS:
         config = Circle2DConfig(level=level)
+        view = Circle2DView(config)
         labels = []
         for words, (first, places) in LABELS.items():
             for place in places if level >= first else ():
-                at = canvas.pixels(config, np.array(place) * config.constraint_radius, size)
+                point = np.array(place) * config.constraint_radius
+                at = canvas.pixels(view.extent, point, size)
                 labels.append((words.strip(), *at.tolist()))
-        pictures.append(labelled(canvas.background(config, size), labels))
+        pictures.append(labelled(view.overlay(view.background(size)), labels))
     return figure([pictures], [LEVEL_TITLES[level] for level in LEVELS])
 
 
@@ -96,13 +99,14 @@ def walk(config: Circle2DConfig, route: Sequence[Point]) -> Episode:
     route: the start, then where to go, in multiples of the radius.
     """
     points = np.array(route) * config.constraint_radius
-    agent, reach = Kinematic(config, 1), STEP * config.constraint_radius
+    agent, reach = Kinematic(config, 1), config.full_step
     agent.place(np.array([0]), points[:1])
     path, costs, ahead = [points[0]], [], 1
     for _ in range(MAX_EPISODE_STEPS):
         way = points[ahead] - path[-1]
         distance = math.hypot(*way)
-        costs.append(agent.step(way[None] / max(distance, reach))["cost"][0])
+        contact, _ = agent.step(way[None] / max(distance, reach))
+        costs.append(task.cost(config, agent.position, contact)[0])
         path.append(agent.position[0].copy())
         if distance <= reach:
             ahead = min(ahead + 1, len(points) - 1)
@@ -116,11 +120,12 @@ def two_trajectories(size: int) -> tuple[Picture, str]:
     """
     config = Circle2DConfig(level=1)
     episodes = [walk(config, route) for route in ROUTES.values()]
-    ground = canvas.ground(config, size)
+    view = Circle2DView(config)
+    ground = view.background(size)
     pictures = []
     for path, costs in episodes:
-        painted = canvas.with_trajectories(ground, config, [path], [costs])
-        pictures.append(canvas.with_cross(painted, config))
+        painted = canvas.with_trajectories(ground, view.extent, [path], [costs])
+        pictures.append(view.overlay(painted))
     picture = figure([pictures], list(ROUTES), captions=[[e.words for e in episodes]])
     rates = dict.fromkeys(f"{cost_rate(e.costs, [len(e.costs)]):.2f}" for e in episodes)
     left, right = (e.words for e in episodes)

@@ -24,9 +24,9 @@ from agents.reporting.tables import title_of
 from agents.results.reading import Group, Run
 from agents.training.environments import circle2d_config
 from circle2d_mj import Circle2DConfig
-from circle2d_mj.circle2d.task import STEP
+from circle2d_mj.circle2d.view import Circle2DView
+from circle2d_mj.core.view import Picture
 from circle2d_mj.render import canvas
-from circle2d_mj.render.canvas import Picture
 from circle2d_mj.render.figure import figure
 
 SIZE = 320
@@ -55,7 +55,7 @@ def introduction() -> list[Figure]:
         "Seen from above; the agent starts in the green area and is rewarded for being near the "
         "goal, the X. Grey: the cost region, where a step costs 1 and which level 0 does not let "
         f"in; its radius is {config.constraint_radius:g}, the arena {2 * config.arena:g} wide and "
-        f"high, a step at most {STEP * config.constraint_radius:g} along each axis. Circles: equal "
+        f"high, a step at most {config.full_step:g} along each axis. Circles: equal "
         "reward, a quarter of the radius apart."
     )
     picture, about_trajectories = example.two_trajectories(SIZE)
@@ -137,19 +137,21 @@ def _heatmaps(groups: Sequence[Group], notes: list[str]) -> Figure | None:
         captions.append([caption(part) for part in parts])
     if not rows:
         return None
-    most = max(int(of_part.max()) for _, of_parts in rows for of_part in of_parts)
+    most = canvas.most_visits([of_part for _, of_parts in rows for of_part in of_parts])
     pictures = []
     for task, of_parts in rows:
-        ground = canvas.ground(task, SIZE)
+        view = Circle2DView(task)
+        ground = view.background(SIZE)
         maps = [canvas.with_counts(ground, of_part, most) for of_part in of_parts]
-        pictures.append([canvas.with_cross(picture, task) for picture in maps])
+        pictures.append([view.overlay(picture) for picture in maps])
     shown = figure(
         pictures, list(PARTS.values()), row_titles=titles, captions=captions, most_visits=most
     )
     words = (
         "States visited in the rollouts that dominate EMCC in each third of training (the share "
         f"α = {ALPHA:g} with the highest MCC, and all that equal the last of them), of all seeds "
-        "together. One scale for all maps. EMCC: mean over seeds."
+        "together. One scale for all maps; its darkest colour stands for as many visits as 99 % of "
+        "the visited cells do not exceed. EMCC: mean over seeds."
     )
     return Figure(_file("visited", groups, "png"), png(shown), "Visited states", words)
 
@@ -184,9 +186,10 @@ def _trained(groups: Sequence[Group], notes: list[str]) -> Figure | None:
 def _of_run(played: Episodes | None, task: Circle2DConfig) -> Picture | None:
     if played is None:
         return None
-    ground = canvas.ground(task, SIZE)
-    painted = canvas.with_trajectories(ground, task, played.paths, played.costs, boxed=False)
-    return canvas.with_cross(painted, task)
+    view = Circle2DView(task)
+    ground, paths = view.background(SIZE), played.paths
+    painted = canvas.with_trajectories(ground, view.extent, paths, played.costs, boxed=False)
+    return view.overlay(painted)
 
 
 def _words(run: Run) -> str:

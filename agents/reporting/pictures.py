@@ -20,8 +20,9 @@ from agents.training.loop import EVALUATION_EPISODES, load_training
 from agents.training.step_files import VISITED, read_steps
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.task import position
+from circle2d_mj.circle2d.view import Circle2DView
+from circle2d_mj.core.view import Picture
 from circle2d_mj.render import canvas
-from circle2d_mj.render.canvas import Picture
 from circle2d_mj.render.figure import figure
 from circle2d_mj.render.gl import NoOpenGL
 from circle2d_mj.render.renderer import CELLS, SIZE, Renderer
@@ -106,7 +107,7 @@ def heatmap(
     config, task = _circle2d_runs(folder)
     everyone, config = config.seeds, _of_seeds(folder, config, seeds)
     of_parts = [visits(folder, config, part, alpha) for part in parts]
-    most = max(int(counts(folder, task, of_part).max()) for of_part in of_parts)
+    most = canvas.most_visits([counts(folder, task, of_part) for of_part in of_parts])
     with _renderer(task, size) as renderer:
         pictures = [renderer.heatmap(of_part.positions, most=most) for of_part in of_parts]
     title = f"{algorithm(config.algorithm).title} on {config.task}"
@@ -133,12 +134,12 @@ def _of_seeds(folder: Path, config: TrainConfig, seeds: tuple[int, ...] | None) 
 
 
 def counts(folder: Path, task: Circle2DConfig, found: Visits) -> NDArray[np.int64]:
-    """How often each cell of a heat map was visited, [CELLS, CELLS]: see `canvas.visits`.
+    """How often each cell of a heat map was visited, [CELLS, CELLS]: see `canvas.count_visits`.
 
     folder: of the runs, for the UserError where positions are none of the task.
     """
     try:
-        return canvas.visits(task, found.positions, CELLS)
+        return canvas.count_visits(Circle2DView(task).extent, found.positions, CELLS)
     except ValueError as error:
         raise UserError(f"{folder}: the record of visited states is damaged: {error}") from None
 

@@ -13,14 +13,14 @@ from agents.results.reading import Group
 from agents.training.config import TrainConfig
 from agents.training.files import read_json
 from agents.training.machine import sessions_of
-from agents.training.timing import duration, seconds_trained
+from agents.training.status import duration, seconds_trained
 
 
 def made(folder: Path, groups: Sequence[Group]) -> dict[str, str]:
     """What a reader has to know to make the numbers again, by name.
 
     folder: the report's. Versions and machine are those that the run folders hold; the time is that
-    of their `timing.log`, and left out where there is none.
+    of their `status.json`, and left out where there is none.
     """
     sessions = [of for group in groups for of in sessions_of(_content(group.folder))]
     versions = {
@@ -61,7 +61,7 @@ def command(config: TrainConfig, out: str) -> str:
 
 
 def _training_time(folders: Sequence[Path]) -> str:
-    logged = [folder for folder in folders if (folder / "timing.log").exists()]
+    logged = [folder for folder in folders if seconds_trained([folder]) is not None]
     seconds = seconds_trained(logged)
     if seconds is None:
         return ""

@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from circle2d_mj.core.simulation import State, checked_action
 from circle2d_mj.core.vector_env import TaskVectorEnv
+from circle2d_mj.core.view import View
 
 
 class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
     """One environment: a vector environment of size 1 without its first axis.
 
-    `info["cost"]` is a float, on every step and from `reset`.
+    `info["cost"]` is a float (numpy's float64), on every step and from `reset`.
     """
 
     def __init__(self, envs: TaskVectorEnv) -> None:
@@ -26,6 +27,11 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
         self.metadata = {k: v for k, v in envs.metadata.items() if k != "autoreset_mode"}
         self.observation_space = copy.deepcopy(envs.single_observation_space)
         self.action_space = copy.deepcopy(envs.single_action_space)
+
+    @property
+    def view(self) -> View | None:
+        """What the task can show of where its agents are."""
+        return self._envs.view
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -75,8 +81,9 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
         if self.render_mode == "human":
             self._envs.render()
 
-    def _floats(self, info: dict[str, Any]) -> dict[str, float]:
-        return {key: float(info[key][0]) for key in self._envs.simulation.info_keys}
+    def _floats(self, info: dict[str, Any]) -> dict[str, np.float64]:
+        # numpy's floats are Python's as well, and have a dtype, which TorchRL's info reader needs.
+        return {key: info[key][0] for key in self._envs.simulation.info_keys}
 
 
 def without_time_limit(env: type[TaskEnv]) -> Callable[..., TaskEnv]:
