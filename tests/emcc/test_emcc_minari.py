@@ -1,8 +1,5 @@
 """A Minari data set, written and read."""
 
-import tempfile
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -44,11 +41,6 @@ class Scripted(gym.Env):
 @pytest.fixture
 def dataset(tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    # Minari warns of folders that it leaves behind; tmp_path takes them along.
-    monkeypatch.setattr(
-        "minari.data_collector.data_collector.tempfile.TemporaryDirectory",
-        lambda dir: SimpleNamespace(name=tempfile.mkdtemp(dir=dir)),
-    )
 
     def write(record_infos=True, **options):
         env = minari.DataCollector(Scripted(**options), record_infos=record_infos)
@@ -60,6 +52,7 @@ def dataset(tmp_path, monkeypatch):
         env.create_dataset("tests/scripted-v0", requirements=[], algorithm_name="none",
             author="none", author_email="none", code_permalink="none",
             description="none")  # fmt: skip
+        env._tmp_dir.cleanup()
         return minari.load_dataset("tests/scripted-v0")
 
     return write
