@@ -110,9 +110,15 @@ class TrainConfig:
     def read(cls, folder: Path) -> TrainConfig:
         """The configuration of a run folder. Raises UserError where it is missing or damaged."""
         path = folder / "config.json"
-        content = read_json(path)
-        for name in ("versions", "machine", "resumed"):
-            content.pop(name, None)
+        return cls.parse(read_json(path), path)
+
+    @classmethod
+    def parse(cls, content: dict[str, Any], path: Path | str) -> TrainConfig:
+        """The configuration that a `config.json` holds.
+
+        path: of the file, for the UserError where the content is damaged.
+        """
+        content = {k: v for k, v in content.items() if k not in ("versions", "machine", "resumed")}
         try:
             hyperparameters = _tuples(content.pop("hyperparameters"))
             content["seeds"] = tuple(content["seeds"])
