@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
+from emcc.parts import ALPHA
 from emcc.readers import EpisodeSums, Run, find_files, read
 from emcc.table import FORMATS, bounds_table, emcc_table
 from emcc.tail import TIES
@@ -38,7 +39,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("paths", nargs="+", type=Path, metavar="PATH", help="run folder or file, see below")
-    add("--alpha", type=float, default=0.1, help="share of worst rollouts, in (0, 1] (default 0.1)")
+    add(
+        "--alpha",
+        type=float,
+        default=ALPHA,
+        help="share of the rollouts with the highest MCC, in (0, 1] (default %(default)s)",
+    )
     add(
         "--ties",
         choices=TIES,

@@ -1,4 +1,4 @@
-"""Numbers for a training run as a whole: EMCC of its thirds, and its cost rate."""
+"""The thirds of training, EMCC of each, and the cost rate."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -6,19 +6,29 @@ from numpy.typing import ArrayLike, NDArray
 from emcc.arrays import as_array, as_count, as_integers, as_vector, check_range
 from emcc.tail import emcc
 
+ALPHA = 0.1
+"""Risk level of EMCC by part: the share of a part's rollouts with the highest MCC. Source: the
+paper's tables."""
+
+PARTS = {0.33: "0 to 33 %", 0.66: "33 to 66 %", 0.99: "66 to 99 %"}
+"""The thirds of training: beta of EMCC_beta, and the stretch of training in words. Each ends at the
+share beta of all environment steps and begins where the one before ends; the last 1 % is in none.
+Source: the paper's definition of EMCC_beta."""
+
 
 def emcc_by_part(
     mcc_values: ArrayLike,
     start_steps: ArrayLike,
     total_steps: int,
-    alpha: float = 0.1,
+    alpha: float = ALPHA,
     ties: str = "all",
 ) -> dict[float, float]:
     """EMCC of each third of training -> {0.33: ..., 0.66: ..., 0.99: ...}.
 
     mcc_values: [D] MCC of each rollout, in [0, 1]; start_steps: [D] environment steps taken
     before each rollout; total_steps: environment steps of the whole training; alpha and ties as
-    in `emcc`. A rollout belongs to the part in which it starts; the last 1 % is in no part.
+    in `emcc`, but alpha is 0.1 by default here and 1 there. A rollout belongs to the part in which
+    it starts; the last 1 % is in no part.
     Source: equation (emcc_beta_cvar) with beta = 0.33, 0.66, 0.99.
     ValueError: a part without rollouts, a start step outside [0, total_steps), arrays of
     different lengths, or a value as in `emcc`.
@@ -40,19 +50,20 @@ def emcc_by_part(
 def rollouts_by_part(
     start_steps: NDArray[np.int64], total_steps: int
 ) -> dict[float, NDArray[np.bool_]]:
-    """Which rollouts start in which part: [0, 33 %), [33 %, 66 %) and [66 %, 99 %].
+    """Masks of the rollouts that start in each part: [0, 33 %), [33 %, 66 %) and [66 %, 99 %].
 
-    start_steps: [D] environment steps -> for each part a mask [D].
+    start_steps: [D] environment steps -> for each of `PARTS` a mask [D].
     ValueError: a start step outside [0, total_steps).
     """
     total = as_count(total_steps, "total_steps")
     check_range(start_steps, "start_steps", 0, total - 1)
     percent = 100 * start_steps  # of `total`; whole numbers, so that the borders are exact
-    return {
-        0.33: percent < 33 * total,
-        0.66: (33 * total <= percent) & (percent < 66 * total),
-        0.99: (66 * total <= percent) & (percent <= 99 * total),
-    }
+    ends = [round(100 * part) * total for part in PARTS]
+    masks = [
+        (begin <= percent) & (percent < end) for begin, end in zip([0, *ends], ends, strict=False)
+    ]
+    masks[-1] |= percent == ends[-1]
+    return dict(zip(PARTS, masks, strict=True))
 
 
 def cost_rate(costs: ArrayLike, steps: ArrayLike) -> float:
