@@ -1,0 +1,169 @@
+"""Sources of results: a folder with runs at or below it; `archive` has the other kind."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from agents.errors import UserError
+from agents.results import steps
+from agents.results.steps import Episode, ReplayEpisode, Visits
+from agents.training.config import FAILURE, TrainConfig, run_folder
+from agents.training.environments import view_of
+from agents.training.files import read_json
+from emcc import EpisodeRecords
+
+
+class RunFiles(NamedTuple):
+    """The records of one run."""
+
+    records: EpisodeRecords
+    evaluation: dict[str, Any]
+    """`evaluation.json`."""
+    ends: dict[str, int]
+    """Evaluated episodes of the deterministic policy by the place where they end."""
+
+
+class Source(Protocol):
+    """All that a report reads. Folders are named from the source's own: "." or "a/b"."""
+
+    name: str
+    """Of the folder that holds all of them."""
+    configs: Mapping[str, dict[str, Any]]
+    """`config.json` of each folder of runs, in the order of the report."""
+    problems: Sequence[str]
+    """Folders that cannot be read, and why."""
+
+    def title(self, folder: str) -> str:
+        """A folder as seen from beside the source's."""
+        ...
+
+    def status(self, folder: str) -> dict[str, Any]:
+        """`status.json`; empty where there is none."""
+        ...
+
+    def run(self, folder: str, config: TrainConfig, seed: int) -> RunFiles:
+        """Read a run. Raises UserError where it failed, or is missing or damaged."""
+        ...
+
+    def visits(
+        self, folder: str, config: TrainConfig, records: Mapping[int, EpisodeRecords]
+    ) -> list[Visits]:
+        """States visited in each third of training, of runs by seed. Raises UserError."""
+        ...
+
+    def trained(
+        self, folder: str, config: TrainConfig, seeds: Sequence[int]
+    ) -> dict[int, list[Episode] | None]:
+        """Episodes of the trained policies, by seed; None of one that diverged. Raises UserError.
+        """
+        ...
+
+    def replay(
+        self, folder: str, config: TrainConfig, seed: int, records: EpisodeRecords
+    ) -> list[ReplayEpisode]:
+        """The episode of highest MCC in each window of training. Raises UserError."""
+        ...
+
+
+class FolderSource:
+    """Runs in a folder, or in several such folders below it. Raises UserError without a folder."""
+
+    def __init__(self, root: Path) -> None:
+        if not root.is_dir():
+            raise UserError(f"{root} is no folder")
+        self.root, self.name = root, root.resolve().name
+        self.configs: dict[str, dict[str, Any]] = {}
+        self.problems: list[str] = []
+        self._trained: dict[str, dict[int, list[Episode] | None]] = {}
+        self._visits: dict[str, list[Visits]] = {}
+        for path in sorted(root.rglob("config.json")):
+            try:
+                content = read_json(path)
+            except UserError as error:
+                self.problems.append(self._relative(error))
+                continue
+            if "seed" not in content:  # that of a single run has one seed
+                self.configs[path.parent.relative_to(root).as_posix()] = content
+
+    def title(self, folder: str) -> str:
+        """A folder as seen from beside the source's."""
+        return title(self.name, folder)
+
+    def status(self, folder: str) -> dict[str, Any]:
+        """`status.json`; empty where there is none, or a damaged one."""
+        try:
+            return read_json(self.root / folder / "status.json")
+        except UserError:
+            return {}
+
+    def run(self, folder: str, config: TrainConfig, seed: int) -> RunFiles:
+        """Read a run. Raises UserError where it failed, or is missing or damaged."""
+        path = run_folder(self.root / folder, seed)
+        try:
+            if (path / FAILURE).exists():
+                step = read_json(path / FAILURE)["step"]
+                raise UserError(f"failed at step {step}: it met a number that is not finite")
+            if not (path / "episodes.csv").exists():
+                raise UserError("has no checkpoint yet")
+            records = EpisodeRecords.load(path / "episodes.csv")
+            evaluation = read_json(path / "evaluation.json")
+        except (ValueError, OSError) as error:
+            raise UserError(self._relative(error)) from None
+        return RunFiles(records, evaluation, count_ends(config, evaluation))
+
+    def visits(
+        self, folder: str, config: TrainConfig, records: Mapping[int, EpisodeRecords]
+    ) -> list[Visits]:
+        """States visited in each third of training, of runs by seed. Raises UserError."""
+        if folder not in self._visits:
+            of = replace(config, seeds=tuple(records))
+            try:
+                found = steps.count_visits(self.root / folder, of, list(records.values()))
+            except UserError as error:
+                raise UserError(self._relative(error)) from None
+            self._visits[folder] = found
+        return self._visits[folder]
+
+    def trained(
+        self, folder: str, config: TrainConfig, seeds: Sequence[int]
+    ) -> dict[int, list[Episode] | None]:
+        """Episodes of the trained policies, by seed; None of one that diverged. Raises UserError.
+        """
+        if folder not in self._trained:
+            try:
+                self._trained[folder] = steps.play_trained(self.root / folder, config)
+            except UserError as error:
+                raise UserError(self._relative(error)) from None
+        return {seed: self._trained[folder][seed] for seed in seeds}
+
+    def replay(
+        self, folder: str, config: TrainConfig, seed: int, records: EpisodeRecords
+    ) -> list[ReplayEpisode]:
+        """The episode of highest MCC in each window of training. Raises UserError."""
+        return steps.replay(run_folder(self.root / folder, seed), config, records)
+
+    def _relative(self, error: Exception) -> str:
+        """An error's words with paths as seen from beside the folder: reports name no machine."""
+        return str(error).replace(str(self.root), self.name)
+
+
+def title(name: str, folder: str) -> str:
+    """A folder below `name`, as seen from beside it."""
+    return name if folder == "." else f"{name}/{folder}"
+
+
+def count_ends(config: TrainConfig, evaluation: dict[str, Any]) -> dict[str, int]:
+    """Evaluated episodes of the deterministic policy by the place where they end."""
+    view = view_of(config.task, config.task_parameters)
+    last = evaluation.get("deterministic", {}).get("final_observations")
+    left, right, bottom, top = (0, 0, 0, 0) if view is None else view.extent
+    middle = np.array([[(left + right) / 2, (bottom + top) / 2]])
+    if view is None or not last or not view.places(middle):  # no place has a name
+        return {}
+    return dict(Counter(view.places(view.positions(np.array(last), {}))))
