@@ -25,7 +25,7 @@ from agents.training.environments import check_task
 from agents.training.files import locked
 from agents.training.machine import other_session
 from agents.training.progress import working
-from agents.training.timing import duration, share_done, speed
+from agents.training.status import duration, share_done, speed
 from agents.training.workers import Group, Workers
 from circle2d_mj.circle2d.config import LEVELS
 

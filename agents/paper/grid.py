@@ -13,7 +13,7 @@ from agents.paper.presets import PAPER_SEEDS, ablation, preset, usual_steps
 from agents.training.config import FAILURE, Backend, Device, TrainConfig, run_folder
 from agents.training.environments import sizes_of
 from agents.training.files import read_json
-from agents.training.timing import share_done
+from agents.training.status import share_done
 from agents.training.workers import Group
 from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.registration import KINEMATIC, PHYSICS
@@ -130,7 +130,7 @@ def _kinds(configs: dict[Path, TrainConfig]) -> list[list[Path]]:
     sizes = {task: sizes_of(task, parameters) for task, parameters in of_tasks.items()}
     kinds: dict[str, list[Path]] = {}
     for folder, config in configs.items():
-        kind = repr((config.shared, sizes[config.task], share_done(folder)))
+        kind = repr((config.shared, sizes[config.task], round(share_done(folder), 2)))
         kinds.setdefault(kind, []).append(folder)
     return list(kinds.values())
 

@@ -11,7 +11,7 @@ from agents.results.reading import Group
 from agents.results.source import Source
 from agents.training.config import TrainConfig
 from agents.training.machine import sessions_of
-from agents.training.timing import duration
+from agents.training.status import duration
 
 
 def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
@@ -35,7 +35,7 @@ def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
         ),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
-        "training time": _training_time([source.status(group.folder) for group in groups]),
+        "training time": _training_time([source.sessions(group.folder) for group in groups]),
         "runs": str(sum(len(group.runs) for group in groups)),
         "seeds": _list(seed for group in groups for seed in group.config.seeds),
         "steps": _list(group.config.steps for group in groups),
@@ -58,16 +58,13 @@ def command(config: TrainConfig, out: str) -> str:
     return " ".join(["circle2d train", *typed])
 
 
-def _training_time(statuses: Sequence[Mapping[str, Any]]) -> str:
+def _training_time(sessions: Sequence[Mapping[str, float]]) -> str:
     """Of all processes that trained. One that trained several folders counts once."""
-    timed = [status["sessions"] for status in statuses if status.get("sessions")]
-    seconds: dict[str, float] = {}
-    for sessions in timed:
-        for process, took in sessions.items():
-            seconds[process] = max(float(took), seconds.get(process, 0.0))
+    timed = [of_folder for of_folder in sessions if of_folder]
     if not timed:
         return ""
-    of = "" if len(timed) == len(statuses) else f", of {len(timed)} of {len(statuses)} folders"
+    seconds = {process: took for of_folder in timed for process, took in of_folder.items()}
+    of = "" if len(timed) == len(sessions) else f", of {len(timed)} of {len(sessions)} folders"
     return f"{duration(sum(seconds.values()))}, all processes together{of}"
 
 

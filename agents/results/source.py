@@ -16,6 +16,7 @@ from agents.results.steps import Episode, ReplayEpisode, Visits
 from agents.training.config import FAILURE, TrainConfig, run_folder
 from agents.training.environments import view_of
 from agents.training.files import read_json
+from agents.training.status import sessions
 from emcc import EpisodeRecords
 
 
@@ -43,8 +44,8 @@ class Source(Protocol):
         """A folder as seen from beside the source's."""
         ...
 
-    def status(self, folder: str) -> dict[str, Any]:
-        """`status.json`; empty where there is none."""
+    def sessions(self, folder: str) -> Mapping[str, float]:
+        """Seconds that each process trained a folder; empty where nothing says."""
         ...
 
     def run(self, folder: str, config: TrainConfig, seed: int) -> RunFiles:
@@ -95,12 +96,9 @@ class FolderSource:
         """A folder as seen from beside the source's."""
         return title(self.name, folder)
 
-    def status(self, folder: str) -> dict[str, Any]:
-        """`status.json`; empty where there is none, or a damaged one."""
-        try:
-            return read_json(self.root / folder / "status.json")
-        except UserError:
-            return {}
+    def sessions(self, folder: str) -> Mapping[str, float]:
+        """Seconds that each process trained a folder; empty where nothing says."""
+        return sessions(self.root / folder)
 
     def run(self, folder: str, config: TrainConfig, seed: int) -> RunFiles:
         """Read a run. Raises UserError where it failed, or is missing or damaged."""

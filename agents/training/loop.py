@@ -28,6 +28,7 @@ from agents.training.files import locked, read_arrays, write_arrays, write_json
 from agents.training.machine import note_session
 from agents.training.records import Log
 from agents.training.side_by_side import SideBySide
+from agents.training.status import StatusFiles
 from agents.training.step_files import StepFiles
 from agents.training.tensorboard import Events
 
@@ -213,6 +214,9 @@ def _train(trainings: dict[Path, Training], on_epoch: OnEpoch) -> None:
             training.load(folder)
         if not training.done:
             note_session(folder)
+    together = list(trainings.values())
+    unfinished = [folder for folder, training in trainings.items() if not training.done]
+    status = StatusFiles(unfinished, together[0].config.steps)
     with contextlib.ExitStack() as stack:
         events = {}
         for folder, training in trainings.items():
@@ -222,14 +226,15 @@ def _train(trainings: dict[Path, Training], on_epoch: OnEpoch) -> None:
                 events[folder] = stack.enter_context(contextlib.closing(of_folder))
         while going := {folder: t for folder, t in trainings.items() if not t.done}:
             before = {folder: t.steps // t.config.checkpoint_every for folder, t in going.items()}
-            run_epoch(list(trainings.values()))
+            run_epoch(together)
             for folder, training in going.items():
                 if events:
                     events[folder].write(training.log, training.steps)
                 passed = training.steps // training.config.checkpoint_every > before[folder]
                 if training.done or passed.any():
                     training.save(folder)
-            on_epoch(list(trainings.values()))
+            status.update(together, last=all(training.done for training in together))
+            on_epoch(together)
     for folder, training in trainings.items():
         policy = training.learner.policy(training.runs)
         evaluate(folder, training.config, policy, EVALUATION_EPISODES, ~training.failed)

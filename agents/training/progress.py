@@ -1,4 +1,4 @@
-"""What a person sees of a training while it runs; the timings go to a log of their own."""
+"""Progress of a training on stderr."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import IO, NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -24,105 +23,66 @@ from rich.text import Text
 from agents.lockstep.compiling import CLOCK
 from agents.training.config import TrainConfig
 from agents.training.loop import OnEpoch, Training
-from agents.training.timing import duration
+from agents.training.status import Meter, duration
 
 EVERY_SECONDS = 0.5
 
 
 @contextlib.contextmanager
 def show_progress(configs: dict[Path, TrainConfig]) -> Iterator[OnEpoch]:
-    """Show steps, speed, recent returns and the time left of folders that train together, on
-    stderr.
+    """Show steps, speed, recent returns and the time left of folders that train together.
 
-    Yields the function to call after each epoch. `timing.log` of each folder gets a line for every
-    hundredth of the training, stderr one for every tenth where it is no terminal.
+    Yields the function to call after each epoch. A bar on a terminal; elsewhere a line for every
+    tenth of the training.
     """
     console = Console(stderr=True)
-    with contextlib.ExitStack() as stack:
-        logs = [stack.enter_context((folder / "timing.log").open("a")) for folder in configs]
-        bar = stack.enter_context(_bar(console))
-        yield _Display(list(configs.values()), console, bar, logs).on_epoch
+    with _bar(console) as bar:
+        yield _Display(list(configs.values()), console, bar).on_epoch
 
 
 def working(on: str) -> AbstractContextManager[object]:
-    """Show on a terminal that something goes on whose end cannot be told."""
+    """Show on a terminal that work goes on whose end cannot be foreseen."""
     return Console(stderr=True).status(on)
 
 
-class _Mark(NamedTuple):
-    """How far trainings were at some time."""
-
-    seconds: float
-    """On a clock that stands still while the compiler works."""
-    steps: int
-    """Of all runs together."""
-    share: float
-    """Done, in [0, 1]."""
-
-
-def _pace(first: _Mark, now: _Mark) -> tuple[str, str]:
-    """Speed and time left as they are shown; empty where the two are the same."""
-    seconds, share = now.seconds - first.seconds, now.share - first.share
-    if not seconds or not share:
-        return "", ""
-    left = duration(seconds * (1 - now.share) / share)
-    return f"{(now.steps - first.steps) / seconds:,.0f} steps/s", f"{left} left"
-
-
 class _Display:
-    """What is shown of trainings, as seen from the process that goes on with them."""
+    """Progress of trainings, seen from the process that goes on with them."""
 
-    def __init__(
-        self, configs: Sequence[TrainConfig], console: Console, bar: Progress, logs: Sequence[IO]
-    ) -> None:
+    def __init__(self, configs: Sequence[TrainConfig], console: Console, bar: Progress) -> None:
         self.title, self.total_steps = _title(configs), configs[0].steps
-        self.console, self.bar, self.logs = console, bar, logs
+        self.console, self.bar = console, bar
         self.task = bar.add_task(self.title, total=self.total_steps, speed="", recent="")
-        self.started = self.shown = time.monotonic()
+        self.meter, self.shown = Meter(self.total_steps), time.monotonic()
         self.compiled = self.compiled_before = CLOCK.seconds
-        self.percent = -1
-        self.first: _Mark | None = None
-        """After the first epoch of this process, which is not counted, since it pays for what is
-        done only once."""
+        self.tenth = -1
 
     def on_epoch(self, trainings: Sequence[Training]) -> None:
-        """Tell how far they are, where that is due."""
-        taken = np.concatenate([training.steps for training in trainings])
-        failed = np.concatenate([training.failed for training in trainings])
-        steps, total = int(taken[~failed].min(initial=self.total_steps)), int(taken.sum())
-        share, done = steps / self.total_steps, all(training.done for training in trainings)
-        now, due = time.monotonic(), int(100 * share) > self.percent
-        mark = _Mark(now - CLOCK.seconds, total, share)
-        self.first = self.first or mark
-        if now - self.shown < EVERY_SECONDS and not done and not due:
+        """Show progress where that is due."""
+        now = self.meter.read(trainings)
+        done = all(training.done for training in trainings)
+        is_tenth = int(10 * now.share) > self.tenth
+        if time.monotonic() - self.shown < EVERY_SECONDS and not done and not is_tenth:
             return
-        self.shown = now
-        self._tell_compiling()
-        speed, left = _pace(self.first, mark)
+        self.shown = time.monotonic()
+        if CLOCK.seconds > self.compiled:
+            self.compiled = CLOCK.seconds
+            self._print(f"compiled in {self.compiled - self.compiled_before:.0f} s")
+        speed = "" if now.steps_per_second is None else f"{now.steps_per_second:,.0f} steps/s"
+        left = "" if now.seconds_left is None else f"{duration(now.seconds_left)} left"
         returns, cost = np.mean([training.log.recent() for training in trainings], axis=0)
         recent = f"return {returns:.2f}, cost {cost:.2f}"
         if done:  # an evaluation follows
             recent, left = f"{recent}, evaluating", ""
-        self.bar.update(self.task, completed=steps, speed=speed, recent=recent)
-        if due or done:
-            line = f"{self.title}: {int(100 * share)} % after {now - self.started:.0f} s"
-            line += speed and f", {speed}"
-            is_tenth = int(10 * share) > self.percent // 10
-            self.percent = int(100 * share)
-            self._tell(line, f"{line}, {recent}{left and ', '}{left}" if is_tenth else "")
+        self.bar.update(self.task, completed=now.steps, speed=speed, recent=recent)
+        if is_tenth or done:
+            self.tenth = int(10 * now.share)
+            after = f"{int(100 * now.share)} % after {now.seconds:.0f} s"
+            self._print(", ".join(filter(None, (after, speed, recent, left))))
 
-    def _tell_compiling(self) -> None:
-        if CLOCK.seconds > self.compiled:
-            self.compiled = CLOCK.seconds
-            line = f"{self.title}: compiled in {self.compiled - self.compiled_before:.0f} s"
-            self._tell(line, line)
-
-    def _tell(self, line: str, shown: str) -> None:
-        """A line to the logs, and one to stderr where that is no terminal, unless it is empty."""
-        for log in self.logs:
-            print(line, file=log, flush=True)
-        if shown and not self.console.is_terminal:
-            print(shown, file=self.console.file, flush=True)
+    def _print(self, text: str) -> None:
+        """A line on stderr where that is no terminal."""
+        if not self.console.is_terminal:
+            print(f"{self.title}: {text}", file=self.console.file, flush=True)
 
 
 def _title(configs: Sequence[TrainConfig]) -> str:
@@ -131,7 +91,7 @@ def _title(configs: Sequence[TrainConfig]) -> str:
 
 
 class _Compiling(ProgressColumn):
-    """Says that, and since when, the compiler works; nothing otherwise."""
+    """For how long the compiler has been working; empty where it is not."""
 
     def render(self, task: Task) -> Text:
         began = CLOCK.began

@@ -1,5 +1,7 @@
 """Runs on the disk: records of a small training, written by hand; what a training left."""
 
+import json
+
 import numpy as np
 
 from agents.paper.presets import preset
@@ -27,7 +29,13 @@ def write_runs(folder):
 
 
 def results(folder):
-    """The bytes of every file but the log of timings and the command's table."""
+    """The bytes of every file but the timings and the command's table."""
     found = sorted(path for path in folder.rglob("*") if path.is_file())
-    kept = (path for path in found if path.name != "timing.log" and path.stem != "report")
+    kept = (path for path in found if path.name != "status.json" and path.stem != "report")
     return {str(path.relative_to(folder)): path.read_bytes() for path in kept}
+
+
+def write_status(folder, share, speed=None, **sessions):
+    """`status.json` of a training; sessions: seconds that each process took."""
+    content = {"share": share, "steps_per_second": speed, "sessions": sessions}
+    (folder / "status.json").write_text(json.dumps(content))

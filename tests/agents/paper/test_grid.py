@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from small_runs import write_status
 
 from agents.cli import reproduce as cli_grid
 from agents.cli.main import main
@@ -18,7 +19,7 @@ from agents.paper import grid
 from agents.paper.presets import preset
 from agents.training.config import TrainConfig
 from agents.training.loop import train
-from agents.training.timing import share_done, speed
+from agents.training.status import share_done, speed
 
 COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3", "4"]
 COMMAND += ["--steps", "2000", "--workers", "2", "--out"]
@@ -110,7 +111,7 @@ def test_stopped_in_the_middle_it_goes_on(whole, tmp_path):
     command = [sys.executable, "-m", "agents.cli", *COMMAND, str(out)]
 
     def told():
-        return sum(path.stat().st_size for path in out.rglob("timing.log"))
+        return {path: path.read_bytes() for path in out.rglob("status.json")}
 
     for number in (signal.SIGINT, signal.SIGTERM):
         before = told()
@@ -129,14 +130,13 @@ def test_stopped_in_the_middle_it_goes_on(whole, tmp_path):
 
 
 def test_the_display_shows_speeds(tmp_path):
-    """Of each training as its log last said, and of all together; none where it says nothing."""
+    """Of each training as its status last said, and of all together; none where it says nothing."""
     folders = [tmp_path / name for name in ("a", "b", "new", "odd")]
     for folder in folders:
         folder.mkdir()
-    lines = "cpo X x 2: {} % after {} s, {} steps/s\n"
-    (folders[0] / "timing.log").write_text(lines.format(4, 1, "900") + lines.format(50, 9, "1,200"))
-    (folders[1] / "timing.log").write_text(lines.format(25, 3, "34"))
-    (folders[3] / "timing.log").write_text("no such line\n")
+    write_status(folders[0], 0.5, 1200)
+    write_status(folders[1], 0.25, 34)
+    (folders[3] / "status.json").write_text("[]")
     assert [speed(folder) for folder in folders] == [1200, 34, None, None]
     assert [share_done(folder) for folder in folders] == [0.5, 0.25, 0, 0]
     groups = [(folders[0], tmp_path / "with a"), *((folder,) for folder in folders[1:])]
@@ -238,10 +238,10 @@ def test_time_left_of_what_goes_on(tmp_path, monkeypatch):
         def run(self, show):
             for clock, percent in ((100.0, 50), (110.0, 60)):
                 monkeypatch.setattr(cli_grid.time, "monotonic", lambda clock=clock: clock)
-                (folder / "timing.log").write_text(f"cpo: {percent} % after 9 s, 9 steps/s\n")
+                write_status(folder, percent / 100)
                 show()
 
-    (folder / "timing.log").write_text("cpo: 50 % after 9 s, 9 steps/s\n")
+    write_status(folder, 0.5)
     monkeypatch.setattr(cli_grid, "Workers", Trained)
     monkeypatch.setattr(cli_grid.time, "monotonic", lambda: 100.0)
     headline = cli_grid._headline

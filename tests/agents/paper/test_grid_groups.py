@@ -3,6 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
+from small_runs import write_status
+
 from agents.algorithms import ALGORITHMS
 from agents.paper import grid
 
@@ -48,8 +50,8 @@ def test_groups_are_of_equal_settings_sizes_and_progress(tmp_path):
     (flat, second, physics) = configs
     assert grid.groups(configs, 1) == [(flat, second), (physics,)]  # observations of 2 and of 4
     flat.mkdir(parents=True)
-    (flat / "timing.log").write_text("cpo Circle2D-0-v0 x 1: 40 % after 3 s, 9 steps/s\n")
+    write_status(flat, 0.4)
     assert len(grid.groups(configs, 1)) == 3
-    (flat / "timing.log").unlink()
+    (flat / "status.json").unlink()
     configs[second] = replace(configs[second], checkpoint_every=7)
     assert len(grid.groups(configs, 1)) == 3

@@ -1,9 +1,10 @@
-"""How a report was made: commands that train the same again, machine, time from timing.log."""
+"""How a report was made: commands that train the same again, machine, time from status.json."""
 
 import shlex
 from dataclasses import replace
 
 import pytest
+from small_runs import write_status
 
 from agents.cli.main import main
 from agents.paper.presets import preset
@@ -12,29 +13,7 @@ from agents.results.reading import Group
 from agents.training import machine
 from agents.training.config import TrainConfig
 from agents.training.files import read_json
-from agents.training.timing import duration, seconds_trained
-
-
-def lines(*seconds, title="cpo T x 3"):
-    return "".join(f"{title}: {k} % after {s} s, 4,218 steps/s\n" for k, s in enumerate(seconds))
-
-
-def folder(path, text):
-    path.mkdir()
-    (path / "timing.log").write_text(text)
-    return path
-
-
-def test_seconds(tmp_path):
-    alone = folder(tmp_path / "alone", lines(5, 71, 136))
-    resumed = folder(tmp_path / "resumed", lines(10, 20) + "torn li" + "\n" + lines(3, 50))
-    # Two folders that one process trained hold the same lines.
-    together = [folder(tmp_path / k, lines(9, 99, title="cpo x 6")) for k in ("a", "b")]
-    assert seconds_trained([alone]) == 136
-    assert seconds_trained([resumed]) == 20 + 50
-    assert seconds_trained(together) == 99
-    assert seconds_trained([alone, resumed, *together, tmp_path / "none"]) == 136 + 70 + 99
-    assert seconds_trained([tmp_path]) is None
+from agents.training.status import duration
 
 
 @pytest.mark.parametrize(
@@ -70,7 +49,7 @@ def test_what_is_told(tmp_path):
         task = "Circle2D-1-v0"
         config = TrainConfig(name, task, (0, 1), 1000, preset(name, task))
         config.write(tmp_path / name)
-        (tmp_path / name / "timing.log").write_text(lines(7, 300, title=name))
+        write_status(tmp_path / name, 1.0, **{name: 300.4})
         groups.append(Group(tmp_path / name, config, []))
     of = machine.machine()
     assert made(tmp_path, groups)["machine"] == f"{of['processor']}, {of['cores']} cores"
@@ -86,7 +65,7 @@ def test_what_is_told(tmp_path):
     # Runs of before these were recorded.
     content = (tmp_path / "cpo" / "config.json").read_text().replace('"machine"', '"versions"')
     (tmp_path / "cpo" / "config.json").write_text(content)
-    (tmp_path / "cpo" / "timing.log").unlink()
+    (tmp_path / "cpo" / "status.json").unlink()
     told = made(tmp_path, groups)["training time"]
     assert told == "5 min, all processes together, of 1 of 2 folders"
     assert made(tmp_path, groups[:1]).keys() == {"command", "versions", "runs", "seeds", "steps"}
