@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from agents.errors import UserError
 from agents.results.measures import RunData, measures
-from agents.results.source import Source
+from agents.results.source import DamagedSource, Source
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
 
@@ -25,6 +26,8 @@ class Run:
     """Evaluated episodes of the deterministic policy by the place where they end; empty for a task
     without named places."""
     records: EpisodeRecords = field(repr=False)
+    evaluation: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    """`evaluation.json`: means and values per episode of either policy."""
 
     @property
     def end(self) -> str:
@@ -84,6 +87,8 @@ def _read_group(source: Source, folder: str, config: TrainConfig) -> Group:
     for seed in config.seeds:
         try:
             runs.append(_read_run(source, folder, config, seed))
+        except DamagedSource:
+            raise
         except (UserError, ValueError, OSError, KeyError, TypeError, AttributeError) as error:
             missing[seed] = f"{error}"
     return Group(folder, config, runs, missing)
@@ -100,5 +105,6 @@ def _read_run(source: Source, folder: str, config: TrainConfig, seed: int) -> Ru
         int(files.evaluation["episodes"]),
         files.ends,
         files.records,
+        files.evaluation,
     )
 

@@ -9,15 +9,20 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.results import steps
-from agents.results.steps import Episode, ReplayEpisode, Visits
+from agents.results.steps import Episode, Replay, Visits
 from agents.training.config import FAILURE, TrainConfig, run_folder
 from agents.training.environments import view_of
 from agents.training.files import read_json
 from agents.training.status import sessions
 from emcc import EpisodeRecords
+
+
+class DamagedSource(UserError):
+    """A source that cannot be read as a whole, whatever single runs lack."""
 
 
 class RunFiles(NamedTuple):
@@ -65,9 +70,13 @@ class Source(Protocol):
         """
         ...
 
+    def costs(self, folder: str, seed: int, records: EpisodeRecords) -> NDArray[np.float64]:
+        """Costs of all steps of a run, [steps]. Raises UserError."""
+        ...
+
     def replay(
         self, folder: str, config: TrainConfig, seed: int, records: EpisodeRecords
-    ) -> list[ReplayEpisode]:
+    ) -> Replay:
         """The episode of highest MCC in each window of training. Raises UserError."""
         ...
 
@@ -140,11 +149,21 @@ class FolderSource:
                 raise UserError(self._relative(error)) from None
         return {seed: self._trained[folder][seed] for seed in seeds}
 
+    def costs(self, folder: str, seed: int, records: EpisodeRecords) -> NDArray[np.float64]:
+        """Costs of all steps of a run, [steps]. Raises UserError."""
+        try:
+            return steps.read_costs(run_folder(self.root / folder, seed), records)
+        except UserError as error:
+            raise UserError(self._relative(error)) from None
+
     def replay(
         self, folder: str, config: TrainConfig, seed: int, records: EpisodeRecords
-    ) -> list[ReplayEpisode]:
+    ) -> Replay:
         """The episode of highest MCC in each window of training. Raises UserError."""
-        return steps.replay(run_folder(self.root / folder, seed), config, records)
+        try:
+            return steps.replay(run_folder(self.root / folder, seed), config, records)
+        except UserError as error:
+            raise UserError(self._relative(error)) from None
 
     def _relative(self, error: Exception) -> str:
         """An error's words with paths as seen from beside the folder: reports name no machine."""

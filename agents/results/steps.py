@@ -28,6 +28,8 @@ DRAWN = 5
 """Episodes of each trained policy that a report draws."""
 WINDOWS = 60
 """Of the replay, in equal parts of training."""
+LAST = 65_535
+"""Of the replay's grid."""
 
 
 class Visits(NamedTuple):
@@ -59,8 +61,22 @@ class ReplayEpisode(NamedTuple):
     """Of `WINDOWS`, from 0."""
     start_step: int
     """Environment steps before it."""
-    episode: Episode
-    """Without positions ([0, 2]) where none were recorded."""
+    points: NDArray[np.uint16]
+    """Where each step ended, [T, 2]: see `Replay.positions`; [0, 2] where that was not recorded."""
+    costs: NDArray[np.float64]
+    """[T]"""
+
+
+class Replay(NamedTuple):
+    """Episodes of a run's training, one for each window, on a grid of 65 536 points a side."""
+
+    episodes: list[ReplayEpisode]
+    box: NDArray[np.float64]
+    """The lowest and the highest of the points' coordinates in the view's unit, [2, 2]."""
+
+    def positions(self, points: NDArray[np.uint16]) -> NDArray[np.float64]:
+        """Points in the view's unit, [T, 2]."""
+        return self.box[0] + points * ((self.box[1] - self.box[0]) / LAST)
 
 
 def require_view(config: TrainConfig) -> View:
@@ -146,7 +162,7 @@ def read_costs(folder: Path, records: EpisodeRecords) -> NDArray[np.float64]:
     return np.asarray(costs[:steps])
 
 
-def replay(folder: Path, config: TrainConfig, records: EpisodeRecords) -> list[ReplayEpisode]:
+def replay(folder: Path, config: TrainConfig, records: EpisodeRecords) -> Replay:
     """The episode of highest MCC in each window of a run's training.
 
     folder: of the run. Raises UserError where the costs of steps are missing or damaged.
@@ -155,14 +171,23 @@ def replay(folder: Path, config: TrainConfig, records: EpisodeRecords) -> list[R
     try:
         visited = _visited(folder, records)
     except UserError:
-        visited = None
-    found = []
-    for window, row in replay_rows(records, config.steps):
-        start = int(records.start_step[row])
-        steps = slice(start, start + int(records.length[row]))
-        positions = np.empty((0, 2), np.float32) if visited is None else np.array(visited[steps])
-        found.append(ReplayEpisode(window, start, Episode(positions, costs[steps])))
-    return found
+        visited = np.empty((0, 2), np.float32)
+    rows = replay_rows(records, config.steps)
+    ends = [(int(records.start_step[row]), int(records.length[row])) for _, row in rows]
+    paths = [np.array(visited[start : start + steps], np.float64) for start, steps in ends]
+    everything = np.concatenate([*paths, np.zeros((not len(visited), 2))])
+    box = np.array([everything.min(axis=0), everything.max(axis=0)])
+    size = np.where(box[1] > box[0], box[1] - box[0], 1.0)
+    episodes = [
+        ReplayEpisode(
+            window,
+            start,
+            np.round((path - box[0]) / size * LAST).astype(np.uint16),
+            costs[start : start + steps],
+        )
+        for (window, _), (start, steps), path in zip(rows, ends, paths, strict=True)
+    ]
+    return Replay(episodes, box)
 
 
 def play_trained(
