@@ -1,4 +1,4 @@
-"""What a reader has to know before the runs: the levels of Circle2D, and why EMCC is not a cost."""
+"""Introduction to a report on Circle2D: its levels, and why EMCC is not a cost."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.circle2d.envs import MAX_EPISODE_STEPS
 from circle2d_mj.circle2d.kinematic import Kinematic
 from circle2d_mj.circle2d.task import STEP
+from circle2d_mj.circle2d.view import Circle2DView
+from circle2d_mj.core.view import Picture
 from circle2d_mj.render import canvas
-from circle2d_mj.render.canvas import Picture
 from circle2d_mj.render.figure import figure, labelled
 from emcc import cost_rate, emcc, longest_streak, mcc
 
@@ -46,13 +47,27 @@ def levels(size: int) -> Picture:
     pictures = []
     for level in LEVELS:
         config = Circle2DConfig(level=level)
+        view = Circle2DView(config)
         labels = []
         for words, (first, places) in LABELS.items():
             for place in places if level >= first else ():
-                at = canvas.pixels(config, np.array(place) * config.constraint_radius, size)
+                point = np.array(place) * config.constraint_radius
+                at = canvas.pixels(view.extent, point, size)
                 labels.append((words.strip(), *at.tolist()))
-        pictures.append(labelled(canvas.background(config, size), labels))
+        pictures.append(labelled(view.overlay(view.background(size)), labels))
     return figure([pictures], [LEVEL_TITLES[level] for level in LEVELS])
+
+
+def about_levels() -> str:
+    """The caption of `levels`."""
+    config = Circle2DConfig()
+    return (
+        "Seen from above; the agent starts in the green area and is rewarded for being near the "
+        "goal, the X. Grey: the cost region, where a step costs 1 and which level 0 does not let "
+        f"in; its radius is {config.constraint_radius:g}, the arena {2 * config.arena:g} wide and "
+        f"high, a step at most {STEP * config.constraint_radius:g} along each axis. Circles: equal "
+        "reward, a quarter of the radius apart."
+    )
 
 
 def _round_the_rim(*at: Point) -> list[Point]:
@@ -74,7 +89,7 @@ ROUTES: dict[str, list[Point]] = {
 
 
 class Episode(NamedTuple):
-    """An episode, and what its costs come to."""
+    """An episode, with its costs in words."""
 
     path: NDArray[np.float64]
     """[T + 1, 2], world units"""
@@ -110,17 +125,18 @@ def walk(config: Circle2DConfig, route: Sequence[Point]) -> Episode:
 
 
 def two_trajectories(size: int) -> tuple[Picture, str]:
-    """Two episodes of equal cost and different EMCC, and what is to be said of them.
+    """Two episodes of equal cost and different EMCC, and their caption.
 
     size: pixels along the side of each. Source: the figure of two trajectories.
     """
     config = Circle2DConfig(level=1)
     episodes = [walk(config, route) for route in ROUTES.values()]
-    ground = canvas.ground(config, size)
+    view = Circle2DView(config)
+    ground = view.background(size)
     pictures = []
     for path, costs in episodes:
-        painted = canvas.with_trajectories(ground, config, [path], [costs])
-        pictures.append(canvas.with_cross(painted, config))
+        painted = canvas.with_trajectories(ground, view.extent, [path], [costs])
+        pictures.append(view.overlay(painted))
     picture = figure([pictures], list(ROUTES), captions=[[e.words for e in episodes]])
     rates = dict.fromkeys(f"{cost_rate(e.costs, [len(e.costs)]):.2f}" for e in episodes)
     left, right = (e.words for e in episodes)

@@ -72,7 +72,7 @@ def compare(a: Path, b: Path, out: Path | None = None) -> str:
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         sections = [
-            Section(task, [table], [curves(sides.named)])
+            Section(task, table, [curves(sides.named)])
             for (task, sides), table in zip(by_task.items(), tables, strict=True)
         ]
         how = {

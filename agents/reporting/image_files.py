@@ -14,7 +14,7 @@ from rich.progress import track
 
 from agents.errors import UserError
 from agents.training.files import write_whole
-from circle2d_mj.render.canvas import Picture
+from circle2d_mj.core.view import Picture
 
 FRAMES_A_SECOND = 10
 """A step of the task takes 0.1 s."""

@@ -6,6 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
 from agents.algorithms import algorithm
 from agents.errors import UserError
 from agents.reporting import figures
@@ -13,14 +17,14 @@ from agents.reporting.figures import visits_words
 from agents.results.steps import Episode, count_visits, play_trained, require_view
 from agents.training.config import FAILURE, TrainConfig, run_folder
 from agents.training.loop import EVALUATION_EPISODES
-from circle2d_mj.core.view import View
+from circle2d_mj.core.view import Picture, View
 from circle2d_mj.render import canvas
-from circle2d_mj.render.canvas import Picture
 from circle2d_mj.render.figure import figure
 from emcc import EpisodeRecords
 from emcc.parts import PARTS
 
 SIZE = 640
+AGENT = (200, 30, 30)
 
 
 def heatmap(
@@ -41,7 +45,7 @@ def heatmap(
     everyone, config = config.seeds, _of_seeds(folder, config, seeds)
     records = [_records(run_folder(folder, seed)) for seed in config.seeds]
     of_parts = count_visits(folder, config, records, parts, alpha)
-    most = max(int(part.counts.max()) for part in of_parts)
+    most = canvas.most_visits([part.counts for part in of_parts])
     title = f"{algorithm(config.algorithm).title} on {config.task}"
     if set(config.seeds) != set(everyone):
         title += f" (seeds: {', '.join(map(str, config.seeds))})"
@@ -89,7 +93,16 @@ def film(episodes: Sequence[Episode], view: View, size: int = SIZE) -> Iterator[
     for path, costs in episodes:
         for k in range(len(path)):
             painted = canvas.with_trajectories(ground, view.extent, [path[: k + 1]], [costs[:k]])
-            yield view.overlay(painted)
+            yield _with_agent(view.overlay(painted), view, path[k])
+
+
+def _with_agent(picture: Picture, view: View, position: NDArray[np.floating]) -> Picture:
+    """The picture with a disc where the agent is."""
+    image, radius = Image.fromarray(picture), max(len(picture) / 60, 2.5)
+    column, row = canvas.pixels(view.extent, position, len(picture))
+    corners = (column - radius, row - radius, column + radius, row + radius)
+    ImageDraw.Draw(image).ellipse(corners, fill=AGENT, outline=(255, 255, 255))
+    return np.asarray(image)
 
 
 def evaluation_episodes(

@@ -18,6 +18,7 @@ from agents.training.config import FAILURE, TrainConfig, run_folder
 from agents.training.environments import view_of
 from agents.training.files import read_json
 from agents.training.status import sessions
+from circle2d_mj.core.view import View
 from emcc import EpisodeRecords
 
 
@@ -92,6 +93,7 @@ class FolderSource:
         self.problems: list[str] = []
         self._trained: dict[str, dict[int, list[Episode] | None]] = {}
         self._visits: dict[str, list[Visits]] = {}
+        self._views: dict[str, View | None] = {}
         for path in sorted(root.rglob("config.json")):
             try:
                 content = read_json(path)
@@ -122,7 +124,9 @@ class FolderSource:
             evaluation = read_json(path / "evaluation.json")
         except (ValueError, OSError) as error:
             raise UserError(self._relative(error)) from None
-        return RunFiles(records, evaluation, count_ends(config, evaluation))
+        if folder not in self._views:
+            self._views[folder] = view_of(config.task, config.task_parameters)
+        return RunFiles(records, evaluation, count_ends(self._views[folder], evaluation))
 
     def visits(
         self, folder: str, config: TrainConfig, records: Mapping[int, EpisodeRecords]
@@ -175,12 +179,13 @@ def title(name: str, folder: str) -> str:
     return name if folder == "." else f"{name}/{folder}"
 
 
-def count_ends(config: TrainConfig, evaluation: dict[str, Any]) -> dict[str, int]:
+def count_ends(view: View | None, evaluation: dict[str, Any]) -> dict[str, int]:
     """Evaluated episodes of the deterministic policy by the place where they end."""
-    view = view_of(config.task, config.task_parameters)
     last = evaluation.get("deterministic", {}).get("final_observations")
-    left, right, bottom, top = (0, 0, 0, 0) if view is None else view.extent
+    if view is None or not last:
+        return {}
+    left, right, bottom, top = view.extent
     middle = np.array([[(left + right) / 2, (bottom + top) / 2]])
-    if view is None or not last or not view.places(middle):  # no place has a name
+    if not view.places(middle):  # the task's places have no names
         return {}
     return dict(Counter(view.places(view.positions(np.array(last), {}))))

@@ -202,10 +202,13 @@ def play_trained(
     policy, everyone = load_training(folder).learner.policy(), np.ones(runs, dtype=bool)
     with contextlib.closing(make_envs(config.task, runs * episodes, config.task_parameters)) as e:
         rollout = play(e, config, policy, EVALUATION_EPISODES, 0, episodes, everyone, noisy)
-    start, then = (
-        view.positions(observation, {}).astype(np.float32)
-        for observation in (rollout.observation, rollout.next_observation)
-    )
+    try:
+        start, then = (
+            view.positions(observation, {}).astype(np.float32)
+            for observation in (rollout.observation, rollout.next_observation)
+        )
+    except KeyError:
+        raise UserError(f"observations of task {config.task!r} do not hold the position") from None
     found: dict[int, list[Episode] | None] = {}
     for run, seed in enumerate(config.seeds):
         columns = range(run * episodes, (run + 1) * episodes)

@@ -19,6 +19,7 @@ from gymnasium.wrappers.vector import RescaleAction
 from agents.errors import UserError
 from agents.lockstep.rollout import require_cost
 from circle2d_mj import Circle2DConfig
+from circle2d_mj.core.view import View
 from circle2d_mj.registration import CIRCLE2D
 
 Vectorization = Literal["auto", "sync", "async"]
@@ -106,6 +107,16 @@ def circle2d_config(task: str, parameters: dict[str, Any]) -> Circle2DConfig | N
     names = {field.name for field in fields(Circle2DConfig)}
     given = {**gym.spec(name).kwargs, **parameters}
     return Circle2DConfig(**{k: v for k, v in given.items() if k in names})
+
+
+def view_of(task: str, parameters: dict[str, Any]) -> View | None:
+    """The view that an environment of a registered task offers; None where it has none, and for a
+    task that is not registered: nothing is imported."""
+    name = task.rpartition(":")[2]
+    if name not in gym.registry:
+        return None
+    with contextlib.closing(gym.make(name, **parameters)) as env:
+        return env.get_wrapper_attr("view") if env.has_wrapper_attr("view") else None
 
 
 def sizes(envs: VectorEnv) -> tuple[int, int]:

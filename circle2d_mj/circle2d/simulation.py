@@ -18,6 +18,7 @@ from circle2d_mj.core.simulation import Outcome, State
 from circle2d_mj.core.streams import Streams
 
 if TYPE_CHECKING:
+    from circle2d_mj.circle2d.view import Circle2DView
     from circle2d_mj.render.renderer import Renderer
     from circle2d_mj.render.window import Window
 
@@ -79,6 +80,13 @@ class Circle2D:
         self._window: Window | None = None
         self._shown: Any = None
 
+    @property
+    def view(self) -> Circle2DView:
+        """The arena from above."""
+        from circle2d_mj.circle2d.view import Circle2DView
+
+        return Circle2DView(self.config)
+
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
         """Put the agents `index` somewhere in the start area."""
         self.dynamics.place(index, self.dynamics.start_area.sample(streams, index))
@@ -94,6 +102,10 @@ class Circle2D:
     def observe(self) -> NDArray[np.float32]:
         """What the agents see: [num_envs, 2 or 4] float32."""
         return self.dynamics.observe()
+
+    def state_info(self) -> dict[str, NDArray[np.float64]]:
+        """Nothing that the observation does not hold."""
+        return {}
 
     def state_dict(self) -> State:
         """All that steps depend on."""

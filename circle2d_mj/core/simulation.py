@@ -9,6 +9,7 @@ from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
 from circle2d_mj.core.streams import Streams
+from circle2d_mj.core.view import View
 
 State = dict[str, NDArray]
 
@@ -21,7 +22,7 @@ class Outcome(NamedTuple):
     terminated: NDArray[np.bool_]
     """[num_envs]"""
     info: dict[str, NDArray[np.float64]]
-    """[num_envs] each: "cost", and whatever else `Simulation.info_keys` names."""
+    """[num_envs] each: "cost", and whatever else this step gave."""
 
 
 class Simulation(Protocol):
@@ -41,7 +42,12 @@ class Simulation(Protocol):
 
     @property
     def info_keys(self) -> tuple[str, ...]:
-        """What the info of each step holds: "cost", and whatever else."""
+        """Names of all that infos hold: of `Outcome.info`, then of `state_info`."""
+        ...
+
+    @property
+    def view(self) -> View | None:
+        """Pictures of where agents are; None where there is nothing to show."""
         ...
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
@@ -54,6 +60,11 @@ class Simulation(Protocol):
 
     def observe(self) -> NDArray[np.floating]:
         """What the agents see: a fresh array [num_envs, observation size]."""
+        ...
+
+    def state_info(self) -> dict[str, NDArray[np.float64]]:
+        """Return numbers for the info that belong to the state, as the observation does, and not to
+        the step that led there: fresh arrays [num_envs]."""
         ...
 
     def state_dict(self) -> State:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from circle2d_mj.core.simulation import State, checked_action
 from circle2d_mj.core.vector_env import TaskVectorEnv
+from circle2d_mj.core.view import View
 
 
 class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
@@ -26,6 +27,11 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
         self.metadata = {k: v for k, v in envs.metadata.items() if k != "autoreset_mode"}
         self.observation_space = copy.deepcopy(envs.single_observation_space)
         self.action_space = copy.deepcopy(envs.single_action_space)
+
+    @property
+    def view(self) -> View | None:
+        """What the task can show of where its agents are."""
+        return self._envs.view
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

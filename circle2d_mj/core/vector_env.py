@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from circle2d_mj.core.simulation import Simulation, State, checked_action, positive_integer
 from circle2d_mj.core.streams import Streams, keys_of_seeds
+from circle2d_mj.core.view import View
 
 
 class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArray]):
@@ -22,9 +23,11 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
     bit as a single environment with that seed, whatever the number of its neighbours. All three
     autoreset modes of gymnasium are kept, with its contract for `final_obs`, `final_info` and
     `options={"reset_mask": ...}`. In the same-step mode `info["cost"]` is, like the reward, that of
-    the step just taken. Actions of environments that only reset in a step must be finite too.
-    `max_episode_steps=None` never truncates. Errors: TypeError or ValueError naming the argument;
-    gymnasium's ResetNeeded for a step before the first reset.
+    the step just taken; numbers of the info that describe the state, such as `info["x_position"]`,
+    belong in every mode to the state that is observed, `final_info` to `final_obs`. Actions of
+    environments that only reset in a step must be finite too. `max_episode_steps=None` never
+    truncates. Errors: TypeError or ValueError naming the argument; gymnasium's ResetNeeded for a
+    step before the first reset.
     """
 
     def __init__(
@@ -57,6 +60,11 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         self._steps = np.zeros(self.num_envs, dtype=np.int64)
         self._finished = np.zeros(self.num_envs, dtype=bool)
 
+    @property
+    def view(self) -> View | None:
+        """What the task can show of where its agents are."""
+        return self.simulation.view
+
     def reset(
         self,
         *,
@@ -68,7 +76,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         self._seed(seed, index)
         self._start(index)
         zeros = {key: np.zeros(self.num_envs) for key in self.simulation.info_keys}
-        return self.simulation.observe(), self._info(zeros)
+        return self.simulation.observe(), self._info({**zeros, **self.simulation.state_info()})
 
     def step(
         self, actions: ArrayLike
@@ -89,7 +97,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         truncated = np.zeros(self.num_envs, dtype=bool) if never else self._steps >= limit
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             self._reset_finished(terminated, truncated, reward, *info.values())
-        info = self._info(info)
+        info = self._info({**info, **self.simulation.state_info()})
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             self._reset_now(terminated | truncated, info)
         return self.simulation.observe(), reward, terminated, truncated, info
@@ -162,6 +170,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         info["final_obs"], info["_final_obs"] = final_obs, finished
         info["final_info"], info["_final_info"] = final_info, finished.copy()
         self._start(index)
+        info.update(self.simulation.state_info())
 
     def _start(self, index: NDArray[np.intp]) -> None:
         assert self._streams is not None

@@ -1,6 +1,7 @@
-"""Circle2D painted flat: what the floor of a picture shows. Needs no OpenGL.
+"""Pictures of positions: background, heat, trajectories, outlines. Needs no OpenGL.
 
-Images are [size, size, 3] uint8 of the whole arena, x to the right and y upwards.
+Pictures are [size, size, 3] uint8 of an extent (left, right, bottom, top), in the unit of the
+positions they show: x to the right and y upwards.
 """
 
 from __future__ import annotations
@@ -9,85 +10,132 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
-from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.core.view import Extent, Picture
 
-Picture = NDArray[np.uint8]
-
-FREE, REGION = (252, 252, 252), (190, 190, 190)
-START, START_IN_REGION = (222, 238, 218), (166, 190, 160)
-CROSS, WALL, DOT, LINE, BOX = (
-    (20, 20, 20),
-    (90, 90, 90),
-    (28, 84, 200),
-    (85, 125, 210),
-    (240, 130, 10),
+FREE, REGION, INK = (252, 252, 252), (190, 190, 190), (20, 20, 20)
+DOT, LINE, BOX = (28, 84, 200), (85, 125, 210), (240, 130, 10)
+HEAT = (
+    (253, 231, 37),
+    (173, 220, 48),
+    (94, 201, 98),
+    (40, 174, 128),
+    (33, 145, 140),
+    (44, 114, 142),
+    (59, 82, 139),
+    (71, 45, 123),
+    (68, 1, 84),
 )
-RING_SHADE = 0.75
-"""How much darker the circles of equal reward are than what lies below them."""
-HEAT = ((0, 0, 110), (0, 70, 255), (0, 200, 215), (250, 215, 20), (215, 20, 0))
-"""From one visit to the most, in equal steps of the visits' logarithm."""
-OPACITY = 0.85
-"""Of the heat, so that the region's edges stay visible below it."""
-# Everything is painted this much larger and averaged, so that edges are smooth.
-_FINER = 2
+"""From one visit to the most, in equal steps of the visits' logarithm: matplotlib's viridis from
+its light end to its dark one, so that more visits are always darker, in grey and to the
+colour-blind too."""
+QUANTILE = 0.99
+"""Share of the visited cells that the scale of the heat covers: see `most_visits`."""
+FINER = 2
+"""What has edges is painted this much larger and averaged, so that they are smooth."""
+# A ball pressed against the arena's edge leaves the picture by up to 1 % of its width.
+_BEYOND = 0.02
 
 
-def background(config: Circle2DConfig, size: int) -> Picture:
-    """The task: what `ground` shows, and an X on the optimum."""
-    return with_cross(ground(config, size), config)
+def points_of_pixels(extent: Extent, size: int) -> NDArray[np.float64]:
+    """Positions of the pixels' centres of a picture: [size, size, 2]."""
+    left, right, bottom, top = extent
+    share = (np.arange(size) + 0.5) / size
+    x, y = np.meshgrid(left + share * (right - left), top - share * (top - bottom))
+    return np.stack((x, y), axis=-1)
 
 
-def ground(config: Circle2DConfig, size: int) -> Picture:
-    """The region grey, with a wall round it where it is rigid, the start area green, and circles of
-    equal reward every R/4, in wide arenas R/2, R and so on."""
-    fine = size * _FINER
-    axis = (np.arange(fine) + 0.5) / fine * 2 - 1
-    x, y = np.meshgrid(axis * config.arena, -axis * config.arena)
-    points = np.stack((x, y), axis=-1)
-    inside = config.region.contains(points)
-    (left, low), (right, high) = config.start_rectangle
-    starts = (left <= x) & (x <= right) & (low <= y) & (y <= high)
-    if not config.allow_infeasible_init:
-        starts &= ~inside
-    image = np.where(inside[..., None], REGION, FREE).astype(np.float64)
-    image[starts] = np.where(inside[starts, None], START_IN_REGION, START)
-    if not config.infeasible_region_penetratable:
-        image[inside & ~_within(inside, fine // 400)] = WALL
-    ring = config.constraint_radius / 4
-    while ring * size < 16 * config.arena:  # closer than 8 pixels they would look like one shade
-        ring *= 2
-    distance = np.hypot(x - config.optima_perturbation[0], y - config.optima_perturbation[1])
-    line = 0.6 * 2 * config.arena / size  # half of 1.2 pixels
-    on_ring = np.abs(distance - ring * np.round(distance / ring)) < line
-    image[on_ring] *= RING_SHADE
-    return np.asarray(Image.fromarray(np.round(image).astype(np.uint8)).reduce(_FINER))
+def pixels(extent: Extent, points: ArrayLike, size: int) -> NDArray[np.float64]:
+    """Column and row of points in a picture: [..., 2] positions -> [..., 2].
+
+    ValueError for another shape.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if points.shape[-1:] != (2,):
+        raise ValueError(f"points must have shape [..., 2], got {list(points.shape)}")
+    left, right, bottom, top = extent
+    return (points - (left, top)) * (size / (right - left), size / (bottom - top))
+
+
+def count_visits(extent: Extent, positions: ArrayLike, cells: int) -> NDArray[np.int64]:
+    """Count the visits to each cell of a picture: [cells, cells], the top row first.
+
+    positions: [N, 2]. Positions up to 2 % of the picture's width or height beyond its edge, as of a
+    ball pressed against it, count for the cell at the edge; positions farther out are not counted,
+    so that `count_visits(...).sum()` tells how many the picture shows. ValueError for another shape
+    and for positions that are not finite.
+    """
+    positions = np.asarray(positions)
+    if positions.ndim != 2 or positions.shape[1] != 2:
+        raise ValueError(f"positions must have shape [N, 2], got {list(positions.shape)}")
+    if not np.isfinite(positions).all():
+        raise ValueError("positions must be finite")
+    left, right, bottom, top = extent
+    column = (positions[:, 0] - left) * (cells / (right - left))
+    row = (top - positions[:, 1]) * (cells / (top - bottom))
+    edge = _BEYOND * cells
+    shown = np.minimum(column, row) >= -edge
+    shown &= np.maximum(column, row) <= cells + edge
+    index = np.clip(row[shown].astype(np.int32), 0, cells - 1) * np.int32(cells)
+    index += np.clip(column[shown].astype(np.int32), 0, cells - 1)
+    return np.bincount(index, minlength=cells * cells).reshape(cells, cells)
+
+
+def most_visits(counts: Sequence[NDArray[np.int64]], quantile: float = QUANTILE) -> int:
+    """Return the visits that the darkest colour of heat maps on one scale should stand for.
+
+    counts: of each map, see `count_visits`. That is what `quantile` of all cells that were visited
+    at all do not exceed; the few above it, as where agents wait for an episode's end, would
+    otherwise leave the rest of the maps one colour. At least 1.
+    """
+    visited = np.concatenate([np.zeros(0, dtype=np.int64), *(c[c > 0] for c in counts)])
+    return int(np.quantile(visited, quantile, method="higher")) if len(visited) else 1
+
+
+def heat_colours(share: NDArray[np.float64]) -> Picture:
+    """The colours of shares between 0 (one visit) and 1 (the most): [..., 3]."""
+    place = share * (len(HEAT) - 1)
+    stops = np.array(HEAT, dtype=np.float64)
+    channels = [np.interp(place, np.arange(len(HEAT)), stops[:, k]) for k in range(3)]
+    return np.stack(channels, axis=-1).round().astype(np.uint8)
+
+
+def with_counts(picture: Picture, counts: NDArray[np.int64], most: int) -> Picture:
+    """The picture with the cells that were visited coloured by how often.
+
+    counts: [cells, cells], see `count_visits`; most: the visits that the last colour stands for,
+    and more than which look the same; pictures that are to be compared have it in common.
+    """
+    cell = ((np.arange(len(picture)) + 0.5) * len(counts) / len(picture)).astype(np.intp)
+    share = np.log(np.maximum(counts, 1)) / np.log(max(most, 2))
+    colours = heat_colours(share)[cell[:, None], cell]
+    return np.where((counts > 0)[cell[:, None], cell, None], colours, picture)
 
 
 def with_trajectories(
-    image: Picture,
-    config: Circle2DConfig,
+    picture: Picture,
+    extent: Extent,
     paths: Sequence[ArrayLike],
     costs: Sequence[ArrayLike],
     boxed: bool = True,
 ) -> Picture:
-    """The image with trajectories: a blue dot for each state, and an orange box around each chain
+    """The picture with trajectories: a blue dot for each state, and an orange box around each chain
     of consecutive cost steps.
 
-    paths: [T + 1, 2] each, world units, the start first; costs: [T] each, those of the steps;
-    boxed: or else states that cost are orange dots, since boxes of many trajectories overlap.
-    Source: the figure of two trajectories with equal costs. ValueError where paths and costs do not
-    fit together or are not finite.
+    paths: [T + 1, 2] each, the start first; costs: [T] each, those of the steps; boxed=False: mark
+    the states that cost as orange dots instead, since boxes of many trajectories overlap. Source:
+    the figure of two trajectories with equal costs. ValueError where paths and costs do not fit
+    together or are not finite.
     """
     if len(paths) != len(costs):
         raise ValueError(f"{len(paths)} paths need as many rows of costs, got {len(costs)}")
-    fine = len(image) * _FINER
-    painted = Image.fromarray(image).resize((fine, fine), Image.Resampling.NEAREST)
+    fine = len(picture) * FINER
+    painted = Image.fromarray(picture).resize((fine, fine), Image.Resampling.NEAREST)
     draw = ImageDraw.Draw(painted)
     dot, line = fine / 160, max(fine // 500, 1)
     checked = [_checked(*given) for given in zip(paths, costs, strict=True)]
-    lines = [pixels(config, path, fine) for path in checked]
+    lines = [pixels(extent, path, fine) for path in checked]
     for at in lines:
         draw.line([tuple(p) for p in at.tolist()], fill=LINE, width=line)
     for at, of_path in zip(lines, costs, strict=True):
@@ -101,7 +149,7 @@ def with_trajectories(
             low, high = at[first + 1 : last + 2].min(axis=0), at[first + 1 : last + 2].max(axis=0)
             corners = (*(low - 2.2 * dot), *(high + 2.2 * dot))
             draw.rectangle(corners, outline=BOX, width=3 * line)
-    return np.asarray(painted.reduce(_FINER))
+    return np.asarray(painted.reduce(FINER))
 
 
 def _checked(path: ArrayLike, costs: ArrayLike) -> NDArray[np.float64]:
@@ -118,89 +166,83 @@ def _checked(path: ArrayLike, costs: ArrayLike) -> NDArray[np.float64]:
     return points
 
 
-def with_counts(image: Picture, counts: NDArray[np.int64], most: int) -> Picture:
-    """The image with the cells that were visited coloured by how often.
-
-    counts: [cells, cells] of `visits`; most: the visits that the last colour stands for, which
-    pictures that are to be compared have in common.
-    """
-    cell = ((np.arange(len(image)) + 0.5) * len(counts) / len(image)).astype(np.intp)
-    share = np.log(np.maximum(counts, 1)) / np.log(max(most, 2))
-    colours = heat_colours(share)[cell[:, None], cell]
-    visited = (counts > 0)[cell[:, None], cell, None]
-    blended = (colours * OPACITY + image * (1 - OPACITY)).astype(np.uint8)
-    return np.where(visited, blended, image)
-
-
-def with_cross(image: Picture, config: Circle2DConfig) -> Picture:
-    """The image with an X on the optimum, on top of whatever was painted there."""
-    painted, size = Image.fromarray(image), len(image)
-    column, row = pixels(config, config.optima_perturbation, size)
-    arm, width, reach = size / 55, max(size // 160, 1), size // 40 + 2
-    left, top = int(column) - reach, int(row) - reach
-    patch = painted.crop((left, top, left + 2 * reach, top + 2 * reach))
-    patch = patch.resize((2 * reach * _FINER, 2 * reach * _FINER), Image.Resampling.NEAREST)
-    draw = ImageDraw.Draw(patch)
-    x, y, arm = (column - left) * _FINER, (row - top) * _FINER, arm * _FINER
-    for colour, thickness in ((FREE, 2 * width * _FINER), (CROSS, width * _FINER)):
-        for slope in (1, -1):
-            ends = (x - arm, y - slope * arm, x + arm, y + slope * arm)
-            draw.line(ends, fill=colour, width=thickness)
-    painted.paste(patch.reduce(_FINER), (left, top))
-    return np.asarray(painted)
-
-
-def _within(inside: NDArray[np.bool_], distance: int) -> NDArray[np.bool_]:
-    """What is inside together with all that lies `distance` up, down, left and right of it."""
-    within = inside.copy()
-    for axis in (0, 1):
-        for shift in (distance, -distance):
-            within &= np.roll(inside, shift, axis)
-    return within
-
-
-def visits(config: Circle2DConfig, positions: ArrayLike, cells: int) -> NDArray[np.int64]:
-    """How often each cell was visited: [cells, cells], the row of the greatest y first.
-
-    positions: [N, 2] world units. What lies up to a tenth beyond the arena, as a ball pressed
-    against its edge may, counts for the cell at the edge. ValueError for what lies farther out or
-    is not finite.
-    """
-    positions = np.asarray(positions)
-    if positions.ndim != 2 or positions.shape[1] != 2:
-        raise ValueError(f"positions must have shape [N, 2], got {list(positions.shape)}")
-    if positions.size and not np.abs(positions).max() <= 1.1 * config.arena:
-        raise ValueError(
-            f"positions must be finite and in the arena, up to {config.arena:g} on each axis, "
-            f"got one as far as {np.abs(positions).max():g}"
-        )
-    scale = cells / (2 * config.arena)
-    column = (positions[:, 0] + config.arena) * scale
-    row = (config.arena - positions[:, 1]) * scale
-    index = np.clip(row.astype(np.int32), 0, cells - 1) * np.int32(cells)
-    index += np.clip(column.astype(np.int32), 0, cells - 1)
-    return np.bincount(index, minlength=cells * cells).reshape(cells, cells)
-
-
-def heat_colours(share: NDArray[np.float64]) -> Picture:
-    """The colours of shares between 0 (one visit) and 1 (the most): [..., 3]."""
-    place = share * (len(HEAT) - 1)
-    stops = np.array(HEAT, dtype=np.float64)
-    channels = [np.interp(place, np.arange(len(HEAT)), stops[:, k]) for k in range(3)]
-    return np.stack(channels, axis=-1).round().astype(np.uint8)
-
-
-def pixels(config: Circle2DConfig, points: ArrayLike, size: int) -> NDArray[np.float64]:
-    """Where points lie in an image: [..., 2] world units -> [..., 2] column and row."""
-    points = np.asarray(points, dtype=np.float64)
-    if points.shape[-1:] != (2,):
-        raise ValueError(f"points must have shape [..., 2], got {list(points.shape)}")
-    return (points * (1, -1) + config.arena) * (size / (2 * config.arena))
-
-
 def chains(costs: ArrayLike) -> list[tuple[int, int]]:
     """First and last step of every chain of consecutive steps with a cost above 0. costs: [T]."""
     unsafe = np.concatenate(([False], np.asarray(costs) > 0, [False])).astype(np.int8)
     changes = np.diff(unsafe)
     first, after = np.flatnonzero(changes == 1), np.flatnonzero(changes == -1)
     return list(zip(first.tolist(), (after - 1).tolist(), strict=True))
+
+
+def with_outline(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
+    """The picture with the edge of an area, a dark line between two light ones.
+
+    inside: whether each pixel lies in the area, of a picture `FINER` times as large.
+    """
+    width, outlined = max(len(inside) // 800, 1), picture.copy()
+    for colour, reach in ((FREE, 2 * width), (INK, width)):
+        line = ~(eroded(inside, reach) | eroded(~inside, reach))
+        covered = np.asarray(Image.fromarray(line.astype(np.uint8) * np.uint8(255)).reduce(FINER))
+        at = np.nonzero(covered)
+        share = covered[at][:, None] / 255
+        outlined[at] = np.round(outlined[at] * (1 - share) + np.array(colour) * share)
+    return outlined
+
+
+def eroded(area: NDArray[np.bool_], distance: int) -> NDArray[np.bool_]:
+    """The part of an area that extends `distance` pixels up, down, left and right of it.
+
+    The area is taken to go on beyond the picture's edge.
+    """
+    padded, (height, width) = np.pad(area, distance, mode="edge"), area.shape
+    within = area.copy()
+    for shift in (0, 2 * distance):
+        within &= padded[shift : shift + height, distance : distance + width]
+        within &= padded[distance : distance + height, shift : shift + width]
+    return within
+
+
+def with_cross(picture: Picture, extent: Extent, point: ArrayLike) -> Picture:
+    """The picture with an X at a position, [2]."""
+    painted, size = Image.fromarray(picture), len(picture)
+    column, row = pixels(extent, point, size)
+    arm, width, reach = size / 55, max(size // 160, 1), size // 40 + 2
+    left, top = int(column) - reach, int(row) - reach
+    patch = painted.crop((left, top, left + 2 * reach, top + 2 * reach))
+    patch = patch.resize((2 * reach * FINER, 2 * reach * FINER), Image.Resampling.NEAREST)
+    draw = ImageDraw.Draw(patch)
+    x, y, arm = (column - left) * FINER, (row - top) * FINER, arm * FINER
+    for colour, thickness in ((FREE, 2 * width * FINER), (INK, width * FINER)):
+        for slope in (1, -1):
+            ends = (x - arm, y - slope * arm, x + arm, y + slope * arm)
+            draw.line(ends, fill=colour, width=thickness)
+    painted.paste(patch.reduce(FINER), (left, top))
+    return np.asarray(painted)
+
+
+def with_ticks(
+    picture: Picture,
+    extent: Extent,
+    axes: tuple[str, str],
+    ticks: tuple[Sequence[float], Sequence[float]],
+) -> Picture:
+    """The picture with numbers and names along its lower and left edge, for axes without a map.
+
+    ticks: the numbers on either axis.
+    """
+    image, size = Image.fromarray(picture), len(picture)
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(size / 26)
+    style = {"fill": INK, "font": font, "stroke_width": max(size // 200, 1), "stroke_fill": FREE}
+    across, up = ticks
+    columns = pixels(extent, [(x, extent[2]) for x in across], size)[:, 0]
+    rows = pixels(extent, [(extent[0], y) for y in up], size)[:, 1]
+    margin = size / 60
+    for x, column in zip(across, columns.tolist(), strict=True):
+        draw.line((column, size - margin, column, size), fill=INK, width=max(size // 320, 1))
+        draw.text((column, size - 1.2 * margin), f"{x:g}", anchor="md", **style)
+    for y, row in zip(up, rows.tolist(), strict=True):
+        draw.line((0, row, margin, row), fill=INK, width=max(size // 320, 1))
+        draw.text((1.5 * margin, row), f"{y:g}", anchor="lm", **style)
+    draw.text((size - margin, size - 5 * margin), axes[0], anchor="rd", **style)
+    draw.text((margin, margin), axes[1], anchor="la", **style)
+    return np.asarray(image)

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from circle2d_mj.render.canvas import REGION, Picture, heat_colours
+from circle2d_mj.core.view import Picture
+from circle2d_mj.render.canvas import REGION, heat_colours
 
 PAPER, INK, FAINT = (255, 255, 255), (20, 20, 20), (85, 85, 85)
 
@@ -25,7 +26,7 @@ def figure(
 
     None leaves a gap. columns: a title above each column; title: one above all; row_titles: one
     left of each row, of one line or more; captions: a line below each picture; most_visits: explain
-    the colours of heat maps at the bottom, whose last stands for as many.
+    the colours of heat maps at the bottom, the darkest of which stands for as many or more.
     """
     size = next(len(picture) for row in rows for picture in row if picture is not None)
     text, small = _font(size, 17), _font(size, 20)
@@ -67,7 +68,7 @@ def _draw_scale(
 ) -> None:
     """From one visit to the most, at the bottom, in the middle of the figure's width."""
     length, height = min(image.width // 3, 12 * gap), gap * 3 // 4
-    words = ("1 visit", f"{most_visits:,} visits (logarithmic)")
+    words = ("1 visit", f"{most_visits:,} visits and more (logarithmic)")
     # The words on the right are longer: bar and words together are in the middle.
     aside = (_width(font, words[1]) - _width(font, words[0])) // 2
     left, top = (image.width - length) // 2 - aside, image.height - 2 * gap

@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from circle2d_mj.assets import asset
 from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.core.simulation import positive_integer
+from circle2d_mj.core.view import Picture
 from circle2d_mj.render import canvas
-from circle2d_mj.render.canvas import Picture
 from circle2d_mj.render.gl import Offscreen, check_backend
 
 SIZE = 640
@@ -37,9 +38,9 @@ class Renderer:
         check_backend()
         import mujoco
 
-        self.config, self.size = config, size
-        self._ground = canvas.ground(config, size)
-        self.background = canvas.with_cross(self._ground, config)
+        self.config, self.size, self._view = config, size, Circle2DView(config)
+        self._ground = self._view.background(size)
+        self.background = self._view.overlay(self._ground)
         self._model = _model(config, size)
         self._data = mujoco.MjData(self._model)
         self._agent = self._model.geom("agent").id
@@ -75,20 +76,20 @@ class Renderer:
         paths: [T + 1, 2] each, world units, the start first; costs: [T] each; agent: where to draw
         the agent, [2], if anywhere.
         """
-        floor = canvas.with_trajectories(self._ground, self.config, paths, costs)
-        return self.frame(agent, canvas.with_cross(floor, self.config))
+        floor = canvas.with_trajectories(self._ground, self._view.extent, paths, costs)
+        return self.frame(agent, self._view.overlay(floor))
 
     def heatmap(self, positions: ArrayLike, cells: int = CELLS, most: int | None = None) -> Picture:
-        """Visited states, from dark blue (one visit) to red (the most), in steps of the logarithm.
+        """Visited states, the darker the more visits, in steps of the logarithm.
 
         positions: [N, 2] world units; cells: along each side of the arena; most: the visits that
-        red stands for, by default those of the cell that has most.
+        the darkest colour stands for, by default `canvas.most_visits`.
         """
         cells = positive_integer("cells", cells)
-        counts = canvas.visits(self.config, positions, cells)
-        most = int(counts.max()) if most is None else positive_integer("most", most)
+        counts = canvas.count_visits(self._view.extent, positions, cells)
+        most = canvas.most_visits([counts]) if most is None else positive_integer("most", most)
         heat = canvas.with_counts(self._ground, counts, most)
-        return self.frame(floor=canvas.with_cross(heat, self.config))
+        return self.frame(floor=self._view.overlay(heat))
 
     def close(self) -> None:
         """Free what is held on the graphics side."""

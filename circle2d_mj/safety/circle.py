@@ -10,6 +10,7 @@ from circle2d_mj.core.simulation import Outcome
 from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import models, rules
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
+from circle2d_mj.safety.views import PointCircleView
 
 START_HALF_WIDTH = 0.8
 SUBSTEPS = 10
@@ -22,6 +23,11 @@ def point_observation_space(lidars: int) -> Box:
     low = np.concatenate((np.full(SENSORS, -np.inf), np.zeros(bins)))
     high = np.concatenate((np.full(SENSORS, np.inf), np.ones(bins)))
     return Box(low, high, dtype=np.float64)
+
+
+def point_position(qpos: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """The Point agents' positions for the info, m. qpos: [num_envs, nq]."""
+    return {"x_position": qpos[:, 0].copy(), "y_position": qpos[:, 1].copy()}
 
 
 class SafetyPointCircle(MuJoCoTask):
@@ -40,11 +46,17 @@ class SafetyPointCircle(MuJoCoTask):
     | 0 | thrust ahead, which saturates at 0.05 |
     | 1 | turning rate aimed at |
 
+    | info | meaning | unit |
+    | --- | --- | --- |
+    | cost | 1.0 where the step ended beyond a wall, else 0.0 | |
+    | x_position, y_position | where the agent is in the world | m |
+
     Reward and cost: `rules.circle_reward`, `rules.circle_cost`. It never terminates. Starts are
     uniform in [-0.8, 0.8]² with any heading, at rest. Source: safety-gymnasium 1.0.0.
     """
 
-    info_keys = ("cost",)
+    info_keys = ("cost", "x_position", "y_position")
+    view = PointCircleView()
 
     def __init__(self, num_envs: int = 1, num_threads: int = 1) -> None:
         super().__init__(models.point_circle(), num_envs, num_threads, SUBSTEPS)
@@ -66,6 +78,10 @@ class SafetyPointCircle(MuJoCoTask):
         reward = rules.circle_reward(position, self.qvel[:, :2])
         info = {"cost": rules.circle_cost(position)}
         return Outcome(reward, np.zeros(self.num_envs, dtype=bool), info)
+
+    def state_info(self) -> dict[str, NDArray[np.float64]]:
+        """Where the agents are."""
+        return point_position(self.qpos)
 
     def observe(self) -> NDArray[np.float64]:
         """What the agents see: [num_envs, 28]."""

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from circle2d_mj.core.simulation import Outcome, State
 from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import layout, models, rules
-from circle2d_mj.safety.circle import SUBSTEPS, point_observation_space
+from circle2d_mj.safety.circle import SUBSTEPS, point_observation_space, point_position
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
+from circle2d_mj.safety.views import PointGoalView
 
 VASE_HEIGHT = 0.09996
 OUT_OF_REACH = 0.4
@@ -37,6 +38,12 @@ class SafetyPointGoal(MuJoCoTask):
     | 28-43 | lidar of the eight hazards, reach 3 m |
     | 44-59 | lidar of the vase, reach 3 m |
 
+    | info | meaning | unit |
+    | --- | --- | --- |
+    | cost | 1.0 where the step ended in a hazard, else 0.0 | |
+    | goal_met | 1.0 where the step reached the goal, else 0.0 | |
+    | x_position, y_position | where the agent is in the world | m |
+
     Actions: as in `SafetyPointCircle`. Reward and cost: `rules.goal_reward`, `rules.goal_cost`.
     A reached goal (`info["goal_met"]`) moves at once, and the episode goes on; it terminates only
     if no place for a goal is found. Starts: `layout.sample_layout`, all headings uniform, at rest.
@@ -46,7 +53,8 @@ class SafetyPointGoal(MuJoCoTask):
     the vase. Source: safety-gymnasium 1.0.0.
     """
 
-    info_keys = ("cost", "goal_met")
+    info_keys = ("cost", "goal_met", "x_position", "y_position")
+    view = PointGoalView()
 
     def __init__(self, num_envs: int = 1, num_threads: int = 1) -> None:
         super().__init__(models.point_goal(), num_envs, num_threads, SUBSTEPS)
@@ -88,6 +96,10 @@ class SafetyPointGoal(MuJoCoTask):
         if met.any():
             terminated[met] = ~self._move_goals(np.flatnonzero(met))
         return Outcome(reward, terminated, {"cost": cost, "goal_met": met.astype(np.float64)})
+
+    def state_info(self) -> dict[str, NDArray[np.float64]]:
+        """Where the agents are."""
+        return point_position(self.qpos)
 
     def observe(self) -> NDArray[np.float64]:
         """What the agents see: [num_envs, 60]."""

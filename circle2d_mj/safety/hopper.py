@@ -10,6 +10,7 @@ from circle2d_mj.core.simulation import Outcome
 from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import models, rules
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
+from circle2d_mj.safety.views import HopperView
 
 SUBSTEPS = 4
 START_NOISE = 0.005
@@ -34,6 +35,7 @@ class SafetyHopperVelocity(MuJoCoTask):
     """
 
     info_keys = ("cost", "x_velocity")
+    view = HopperView()
 
     def __init__(self, num_envs: int = 1, num_threads: int = 1) -> None:
         super().__init__(models.hopper(), num_envs, num_threads, SUBSTEPS)
@@ -53,6 +55,10 @@ class SafetyHopperVelocity(MuJoCoTask):
         reward = rules.hopper_reward(velocity, action)
         info = {"cost": rules.hopper_cost(velocity), "x_velocity": velocity}
         return Outcome(reward, rules.hopper_fell(self.qpos, self.qvel), info)
+
+    def state_info(self) -> dict[str, NDArray[np.float64]]:
+        """Nothing that the observation does not hold."""
+        return {}
 
     def observe(self) -> NDArray[np.float64]:
         """What the hoppers feel: [num_envs, 11]."""

@@ -1,0 +1,89 @@
+"""Circle2D seen from above: its regions, and where its agents are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from circle2d_mj.circle2d import task
+from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.core.view import Extent, Picture
+from circle2d_mj.render import canvas
+from circle2d_mj.render.canvas import FINER, FREE, REGION
+
+START, START_IN_REGION = (222, 238, 218), (166, 190, 160)
+WALL = (90, 90, 90)
+RING_SHADE = 0.75
+"""Brightness of the circles of equal reward, over that of what lies below them."""
+
+
+@dataclass(frozen=True)
+class Circle2DView:
+    """The arena with the agents' positions in world units. See `circle2d_mj.core.view.View`."""
+
+    config: Circle2DConfig
+
+    @property
+    def extent(self) -> Extent:
+        """The arena."""
+        arena = self.config.arena
+        return -arena, arena, -arena, arena
+
+    @property
+    def axes(self) -> tuple[str, str]:
+        """The two coordinates."""
+        return "x (world units)", "y (world units)"
+
+    def positions(
+        self, observation: NDArray[np.floating], info: Mapping[str, Any]
+    ) -> NDArray[np.float64]:
+        """The positions that were observed: [..., 2 or 4] -> [..., 2] world units."""
+        return task.position(self.config, observation)
+
+    def places(self, positions: NDArray[np.floating]) -> list[str]:
+        """ "corridor", "cost region", "right rim" and so on: see `CostRegion.places`."""
+        return self.config.region.places(positions)
+
+    def background(self, size: int) -> Picture:
+        """The cost region grey, dark along its rim where it is rigid, the start area green, and
+        circles of equal reward every R/4, in wide arenas R/2, R and so on: [size, size, 3]."""
+        config, fine = self.config, size * FINER
+        points = canvas.points_of_pixels(self.extent, fine)
+        x, y = points[..., 0], points[..., 1]
+        inside = config.region.contains(points)
+        (left, low), (right, high) = config.start_rectangle
+        starts = (left <= x) & (x <= right) & (low <= y) & (y <= high)
+        if not config.allow_infeasible_init:
+            starts &= ~inside
+        image = np.where(inside[..., None], REGION, FREE).astype(np.float64)
+        image[starts] = np.where(inside[starts, None], START_IN_REGION, START)
+        if not config.infeasible_region_penetratable:
+            image[inside & ~canvas.eroded(inside, max(fine // 160, 1))] = WALL
+        ring = config.constraint_radius / 4
+        while ring * size < 16 * config.arena:  # closer than 8 pixels they would be one shade
+            ring *= 2
+        distance = np.hypot(x - config.optima_perturbation[0], y - config.optima_perturbation[1])
+        line = 0.6 * 2 * config.arena / size  # half of 1.2 pixels
+        on_ring = np.abs(distance - ring * np.round(distance / ring)) < line
+        image[on_ring] *= RING_SHADE
+        return np.asarray(Image.fromarray(np.round(image).astype(np.uint8)).reduce(FINER))
+
+    def overlay(self, picture: Picture) -> Picture:
+        """The outline of the cost region, the corridor and cut-outs with it, and an X on the
+        optimum."""
+        outlined = canvas.with_outline(picture, _region(self.config, len(picture)))
+        return canvas.with_cross(outlined, self.extent, self.config.optima_perturbation)
+
+
+@lru_cache(maxsize=1)  # the pictures of a film have it in common
+def _region(config: Circle2DConfig, size: int) -> NDArray[np.bool_]:
+    """Whether each pixel of a picture `FINER` times as large lies in the cost region."""
+    arena = config.arena
+    points = canvas.points_of_pixels((-arena, arena, -arena, arena), size * FINER)
+    return config.region.contains(points)
