@@ -103,7 +103,9 @@ def _trend(evidence: Evidence) -> list[Finding]:
     findings = []
     for name in (*ON_POLICY, *OFF_POLICY):
         cells = [evidence[task, name] for task in PAPER_STEPS]
-        falls = [judge(cell, lambda runs: below_zero(mean_of(_changes(runs)))) for cell in cells]
+        falls: list[Verdict] = [
+            judge(cell, lambda runs: below_zero(mean_of(_changes(runs)))) for cell in cells
+        ]
         verdict = all_of(falls) if name in ON_POLICY else any_of(map(opposite, falls))
         facts = [_change(cell) for cell in cells if cell.runs]
         findings.append(finding(cells[0].title, verdict, cells, facts))

@@ -51,7 +51,7 @@ class Cell(NamedTuple):
 class Share(NamedTuple):
     """How many runs do something."""
 
-    count: int
+    number: int
     of: int
     does: str = ""
     """In words, where the fact's name does not say it."""

@@ -32,7 +32,7 @@ def finding_words(finding: Finding) -> str:
 def _fact(fact: Fact) -> str:
     value = fact.value
     if isinstance(value, Share):
-        words = f"{value.count} of {value.of} runs {value.does}".rstrip()
+        words = f"{value.number} of {value.of} runs {value.does}".rstrip()
     else:
         cell = number_of(value)
         words = str(cell)

@@ -34,7 +34,7 @@ class Sides(NamedTuple):
 
     @property
     def named(self) -> list[tuple[str, Group]]:
-        """Every group with its name: A: TRPO-Lag, B: TRPO-Lag (cost_limit 3.0), ..."""
+        """Every group with its name."""
         of_sides = zip(("A", "B"), self, strict=True)
         return [(f"{k}: {title_of(g.config)}", g) for k, groups in of_sides for g in groups]
 
@@ -42,8 +42,9 @@ class Sides(NamedTuple):
 def compare(a: Path, b: Path, out: Path | None = None) -> str:
     """The tables of two folders of runs with the differences B - A, task by task, as Markdown.
 
-    a, b: folders or archives, as `report` takes them. A group of B stands against the one of A with the same
-    algorithm and settings, or where there is none against every group of A on the task. With out,
+    a, b: folders or archives, as `report` takes them. A group of B stands against the one of A with
+    the same algorithm and settings, or where there is none against every group of A on the task.
+    With out,
     writes `compare.md`, `compare.csv`, and `compare.html` with training curves, both sides in one
     figure. Raises UserError where a side has no complete run, or the two have no task in common.
     """

@@ -51,9 +51,7 @@ def group_lines(group: Group, prefix: str = "") -> Iterator[Line]:
     if group.runs:
         yield from _interval_lines(task, name, "mean", found, group.folder)
     for run in group.runs:
-        yield from _line(
-            task, name, "run", run.measures, group.folder, run.seed, ends_words(run)
-        )
+        yield from _line(task, name, "run", run.measures, group.folder, run.seed, ends_words(run))
 
 
 def difference_lines(a: Group, b: Group, name: str) -> Iterator[Line]:

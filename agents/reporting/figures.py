@@ -150,9 +150,7 @@ def visits_words(visits: Visits) -> str:
     return f"EMCC {visits.emcc:.2f} ({visits.rollouts:,} of {visits.of:,} rollouts)"
 
 
-def _trained(
-    source: Source, seen: Sequence[tuple[Group, View]], notes: list[str]
-) -> Figure | None:
+def _trained(source: Source, seen: Sequence[tuple[Group, View]], notes: list[str]) -> Figure | None:
     """A row for each algorithm, a column for each run."""
     titles, captions, pictures = [], [], []
     columns = min(COLUMNS, max(len(group.runs) for group, _ in seen))

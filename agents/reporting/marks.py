@@ -41,7 +41,8 @@ def _best_policies(
 ) -> set[Key]:
     """The candidates of the highest J_R within their cost limits."""
     returns, costs = (
-        {key: values.get(name) for key, (values, _) in candidates.items()} for name in ("J_R", "J_C")
+        {key: values.get(name) for key, (values, _) in candidates.items()}
+        for name in ("J_R", "J_C")
     )
     within = {}
     for key, (_, limit) in candidates.items():

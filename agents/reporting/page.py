@@ -35,7 +35,10 @@ class Section(NamedTuple):
 def page(title: str, sections: Sequence[Section], made: Mapping[str, str]) -> str:
     """The page. made: how the numbers came about, by name."""
     last = Section("How it was made")
-    return _template().render(title=title, sections=sections, last=last, made=made)
+    contents = [*sections, last]
+    return _template().render(
+        title=title, contents=contents, sections=sections, last=last, made=made
+    )
 
 
 @cache

@@ -79,12 +79,9 @@ def _of_seeds(folder: Path, config: TrainConfig, seeds: tuple[int, ...] | None) 
 
 
 def trajectories(episodes: Sequence[Episode], view: View, size: int = SIZE) -> Picture:
-    """All episodes in one picture, their chains of consecutive cost steps boxed: [size, size, 3].
-    """
+    """All episodes in one picture, chains of cost steps boxed: [size, size, 3]."""
     paths, costs = zip(*episodes, strict=True)
-    return view.overlay(
-        canvas.with_trajectories(view.background(size), view.extent, paths, costs)
-    )
+    return view.overlay(canvas.with_trajectories(view.background(size), view.extent, paths, costs))
 
 
 def film(episodes: Sequence[Episode], view: View, size: int = SIZE) -> Iterator[Picture]:

@@ -30,9 +30,7 @@ def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
         if of["machine"]
     }
     told = {
-        "command": "\n".join(
-            command(group.config, source.title(group.folder)) for group in groups
-        ),
+        "command": "\n".join(command(group.config, source.title(group.folder)) for group in groups),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
         "training time": _training_time([source.sessions(group.folder) for group in groups]),

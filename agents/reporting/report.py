@@ -94,8 +94,7 @@ def _tables(
     ablated: Sequence[tuple[Group, Group]],
     notes: Sequence[str],
 ) -> dict[str, Table]:
-    """The table of each task and that of the ablations, by title; the notes below the last task's.
-    """
+    """The tables of the tasks and the ablations, by title; the notes below the last task's."""
     tables = {task: task_table(of_task) for task, of_task in by_task.items()}
     *_, last = by_task
     tables[last] = dataclasses.replace(tables[last], notes=[*tables[last].notes, *notes])

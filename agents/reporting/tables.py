@@ -44,8 +44,7 @@ def task_table(groups: Sequence[Group]) -> Table:
 def measures_table(
     caption: str, first: str, rows: Sequence[Row], notes: Sequence[str] = (), marking: str = ""
 ) -> Table:
-    """A table of rows whose cells are a name (headed by `first`), each measure, and where runs end.
-    """
+    """A table of rows of a name (headed by `first`), each measure, and where runs end."""
     head = [first, *(measure.head for measure in measures()), "ends in"]
     return Table(caption, head, rows, notes, marking)
 

@@ -122,6 +122,9 @@ class ArchiveSource:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.name: str
+        self.problems: Sequence[str]
+        self.configs: Mapping[str, dict[str, Any]]
         try:
             self._file = zipfile.ZipFile(path)
             content = json.loads(self._file.read(INDEX))
@@ -136,10 +139,10 @@ class ArchiveSource:
                 f"{FORMAT!r}, version {VERSION}"
             )
         try:
-            self.name: str = content["name"]
-            self.problems: list[str] = content["problems"]
+            self.name = content["name"]
+            self.problems = content["problems"]
             entries = {entry["folder"]: entry for entry in content["folders"]}
-            self.configs: dict[str, Any] = {k: entry["config"] for k, entry in entries.items()}
+            self.configs = {k: entry["config"] for k, entry in entries.items()}
         except (KeyError, TypeError) as error:
             raise self._damaged(error) from None
         self._entries = entries
@@ -185,8 +188,7 @@ class ArchiveSource:
     def trained(
         self, folder: str, config: TrainConfig, seeds: Sequence[int]
     ) -> dict[int, list[Episode] | None]:
-        """Episodes of the trained policies, by seed; None of one that diverged. Raises UserError.
-        """
+        """Episodes of the trained policies, by seed; None of one that diverged. UserError."""
         self._require(folder, "trained")
         diverged = self._entry(folder, "diverged")
         return {k: None if k in diverged else self._episodes(folder, k) for k in seeds}

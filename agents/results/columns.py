@@ -46,9 +46,7 @@ def unpack_costs(arrays: Arrays) -> NDArray[np.float64]:
     return costs
 
 
-def pack_records(
-    records: EpisodeRecords, costs: NDArray[np.float64] | None
-) -> dict[str, NDArray]:
+def pack_records(records: EpisodeRecords, costs: NDArray[np.float64] | None) -> dict[str, NDArray]:
     """The columns of a run's records that do not follow from others.
 
     costs: of all its steps, [steps]; None where they were not recorded.

@@ -1,7 +1,7 @@
 """The measures of a run: what tables, figures and files of a report show.
 
-A new measure is one entry: `register(Measure(...))`, here or in a user's own module. Every rendering
-goes through `measures()` and takes what a run lacks (None) as missing.
+A new measure is one entry: `register(Measure(...))`, here or in a user's own module. Every
+rendering goes through `measures()` and takes what a run lacks (None) as missing.
 """
 
 from __future__ import annotations
@@ -130,9 +130,7 @@ for _part in PARTS:
 register(Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate))
 register(Measure("J_R", "J_R", "", 2, "higher", _evaluated("J_R"), "policy"))
 register(Measure("J_C", "J_C", "", 2, "lower", _evaluated("J_C"), "policy"))
-register(
-    Measure("CVaR_0.5", "CVaR_0.5", "", 2, "lower", _evaluated("CVaR_0.5"), "policy", "CVaR")
-)
+register(Measure("CVaR_0.5", "CVaR_0.5", "", 2, "lower", _evaluated("CVaR_0.5"), "policy", "CVaR"))
 register(
     Measure(
         "mean_streak",

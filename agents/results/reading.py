@@ -107,4 +107,3 @@ def _read_run(source: Source, folder: str, config: TrainConfig, seed: int) -> Ru
         files.records,
         files.evaluation,
     )
-

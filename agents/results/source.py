@@ -67,8 +67,7 @@ class Source(Protocol):
     def trained(
         self, folder: str, config: TrainConfig, seeds: Sequence[int]
     ) -> dict[int, list[Episode] | None]:
-        """Episodes of the trained policies, by seed; None of one that diverged. Raises UserError.
-        """
+        """Episodes of the trained policies, by seed; None of one that diverged. UserError."""
         ...
 
     def costs(self, folder: str, seed: int, records: EpisodeRecords) -> NDArray[np.float64]:
@@ -89,19 +88,21 @@ class FolderSource:
         if not root.is_dir():
             raise UserError(f"{root} is no folder")
         self.root, self.name = root, root.resolve().name
-        self.configs: dict[str, dict[str, Any]] = {}
-        self.problems: list[str] = []
         self._trained: dict[str, dict[int, list[Episode] | None]] = {}
         self._visits: dict[str, list[Visits]] = {}
         self._views: dict[str, View | None] = {}
+        configs: dict[str, dict[str, Any]] = {}
+        problems: list[str] = []
         for path in sorted(root.rglob("config.json")):
             try:
                 content = read_json(path)
             except UserError as error:
-                self.problems.append(self._relative(error))
+                problems.append(self._relative(error))
                 continue
             if "seed" not in content:  # that of a single run has one seed
-                self.configs[path.parent.relative_to(root).as_posix()] = content
+                configs[path.parent.relative_to(root).as_posix()] = content
+        self.configs: Mapping[str, dict[str, Any]] = configs
+        self.problems: Sequence[str] = problems
 
     def title(self, folder: str) -> str:
         """A folder as seen from beside the source's."""
@@ -144,8 +145,7 @@ class FolderSource:
     def trained(
         self, folder: str, config: TrainConfig, seeds: Sequence[int]
     ) -> dict[int, list[Episode] | None]:
-        """Episodes of the trained policies, by seed; None of one that diverged. Raises UserError.
-        """
+        """Episodes of the trained policies, by seed; None of one that diverged. UserError."""
         if folder not in self._trained:
             try:
                 self._trained[folder] = steps.play_trained(self.root / folder, config)

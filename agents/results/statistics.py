@@ -1,6 +1,6 @@
 """Means and differences over runs, with their intervals, as numbers.
 
-Whatever a run lacks (None) makes the mean over the runs unknown: it is None, and printed as missing.
+A measure that one of the runs lacks (None) has no mean over them: it is None too.
 """
 
 from __future__ import annotations

@@ -113,7 +113,9 @@ def count_visits(
             try:
                 counts += canvas.count_visits(extent, positions[rows], CELLS)
             except ValueError as error:
-                raise UserError(f"{run_folder(folder, seed) / VISITED} is damaged: {error}") from None
+                raise UserError(
+                    f"{run_folder(folder, seed) / VISITED} is damaged: {error}"
+                ) from None
             values.append(value)
             chosen, of = chosen + rollouts[0], of + rollouts[1]
         found.append(Visits(counts, float(np.mean(values)), chosen, of))
@@ -130,8 +132,7 @@ def _visited(folder: Path, records: EpisodeRecords) -> NDArray[np.float32]:
 def _dominating(
     records: EpisodeRecords, steps: int, part: float, alpha: float
 ) -> tuple[NDArray[np.bool_], float, int, int]:
-    """Steps of a part's rollouts of highest MCC [steps]; EMCC; these rollouts, and all of the part.
-    """
+    """Steps of a part's rollouts of highest MCC [steps]; EMCC; these rollouts, and all."""
     mcc, starts = records.mcc_per_rollout()
     in_part = np.flatnonzero(rollouts_by_part(starts, steps)[part])
     if not len(in_part):
@@ -154,8 +155,7 @@ def replay_rows(records: EpisodeRecords, steps: int) -> list[tuple[int, int]]:
 
 
 def read_costs(folder: Path, records: EpisodeRecords) -> NDArray[np.float64]:
-    """Costs of all steps of a run, [steps]. Raises UserError where the file is missing or damaged.
-    """
+    """Costs of all steps of a run, [steps]. Raises UserError where they are missing or damaged."""
     costs, steps = read_steps(folder, COSTS), records.total_steps
     if len(costs) < steps:
         raise UserError(f"{folder} is damaged: {len(costs)} costs of {steps} steps")
@@ -175,7 +175,7 @@ def replay(folder: Path, config: TrainConfig, records: EpisodeRecords) -> Replay
     rows = replay_rows(records, config.steps)
     ends = [(int(records.start_step[row]), int(records.length[row])) for _, row in rows]
     paths = [np.array(visited[start : start + steps], np.float64) for start, steps in ends]
-    everything = np.concatenate([*paths, np.zeros((not len(visited), 2))])
+    everything = np.concatenate([*paths, np.zeros((int(not len(visited)), 2))])
     box = np.array([everything.min(axis=0), everything.max(axis=0)])
     size = np.where(box[1] > box[0], box[1] - box[0], 1.0)
     episodes = [

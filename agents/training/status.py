@@ -126,8 +126,7 @@ def speed(folder: Path) -> float | None:
 
 
 def sessions(folder: Path) -> dict[str, float]:
-    """Seconds that each process has trained a folder, by its random id; empty where nothing says.
-    """
+    """Seconds that each process trained a folder, by its random id; empty where nothing says."""
     status = _read(folder)
     return status.sessions if status else {}
 
