@@ -67,7 +67,7 @@ def read_groups(source: Source, notes: list[str]) -> list[Group]:
     notes += [f"left out: {problem}" for problem in source.problems]
     for folder, content in source.configs.items():
         try:
-            config = TrainConfig.parse(content, f"{source.title(folder)}/config.json")
+            config = TrainConfig.parse(content, source.title(folder), strict=False)
         except UserError as error:
             notes.append(f"left out: {error}")
             continue

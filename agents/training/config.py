@@ -1,24 +1,30 @@
-"""What is trained: written once into the run folder, and read by everything after."""
+"""Configuration of some runs: written once into their folder, and read by everything after."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from agents.algorithms import algorithm
+from agents.algorithms import ALGORITHMS, algorithm
 from agents.errors import UserError, check_choice, check_integers
 from agents.lockstep.noise import stream_seed
-from agents.training.environments import Vectorization, is_native, sizes_of
-from agents.training.files import read_json, write_json
+from agents.training.environments import Spaces, Vectorization, is_native, sizes_of, spaces_of
+from agents.training.files import locked, read_json, write_json
 from agents.training.machine import made_with
 
 Backend = Literal["compiled", "eager"]
 Device = Literal["cpu", "cuda"]
 FAILURE = "failed.json"
 """In the folder of a run that stopped at a number which is not finite: the step it had come to."""
+NOT_SETTINGS = ("versions", "machine", "resumed", "spaces", "algorithm_module")
+"""Entries of config.json that are no fields of `TrainConfig`."""
+
+
+class UnregisteredHyperparameters:
+    """Base of the hyper-parameters, read from a file, of an algorithm that is not registered."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +37,14 @@ class TrainConfig:
     steps: int
     """Environment steps of each run; the episode that reaches them is finished."""
     hyperparameters: Any
-    """The algorithm's config."""
+    """The algorithm's config; of an algorithm that is not registered, whose runs can only be
+    reported, a dataclass of the same fields."""
     task_parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Keyword arguments for `gymnasium.make`."""
     checkpoint_every: int = 50_000
     """Environment steps of a run between checkpoints."""
+    evaluate_every: int | None = None
+    """Environment steps of a run between evaluations, which leave the policy too; None: never."""
     vectorization: Vectorization = "auto"
     """How environments run side by side: see `make_envs`."""
     tensorboard: bool = False
@@ -47,13 +56,16 @@ class TrainConfig:
     """Where updates run."""
 
     def __post_init__(self) -> None:
-        expected = algorithm(self.algorithm).config
-        if type(self.hyperparameters) is not expected:
-            raise UserError(
-                f"hyperparameters of {self.algorithm} must be a {expected.__name__}, "
-                f"got {self.hyperparameters!r}"
-            )
+        if not isinstance(self.hyperparameters, UnregisteredHyperparameters):
+            expected = algorithm(self.algorithm).config
+            if type(self.hyperparameters) is not expected:
+                raise UserError(
+                    f"hyperparameters of {self.algorithm} must be a {expected.__name__}, "
+                    f"got {self.hyperparameters!r}"
+                )
         check_integers(self, "steps", "checkpoint_every", low=1)
+        if self.evaluate_every is not None:
+            check_integers(self, "evaluate_every", low=1)
         check_choice(self, "vectorization", *get_args(Vectorization))
         check_choice(self, "backend", *get_args(Backend))
         check_choice(self, "device", *get_args(Device))
@@ -83,49 +95,71 @@ class TrainConfig:
 
     @property
     def shared(self) -> dict[str, Any]:
-        """What folders whose runs train together have in common: all but tasks and seeds."""
+        """Settings that folders whose runs train together have in common: all but tasks and
+        seeds."""
         own = ("task", "task_parameters", "seeds")
         return {name: value for name, value in self.settings.items() if name not in own}
 
     def write(self, folder: Path) -> None:
-        """Make the run folder. Raises UserError where there is one already."""
-        if (folder / "config.json").exists():
-            raise UserError(
-                f"{folder} holds runs already: go on with them by 'circle2d resume {folder}', "
-                "or choose another folder"
-            )
+        """Make the run folder.
+
+        Raises UserError where there is one already, be it that another process makes it at the same
+        time, and where the task cannot be made.
+        """
         content = dataclasses.asdict(self) | made_with()
+        content["algorithm_module"] = type(self.hyperparameters).__module__
+        content["spaces"] = spaces_of(self.task, self.task_parameters)._asdict()
+        if self.evaluate_every is None:
+            del content["evaluate_every"]
         try:
             json.dumps(content)
         except TypeError as error:
             raise UserError(f"task_parameters must be plain values: {error}") from None
         folder.mkdir(parents=True, exist_ok=True)
-        for seed in self.seeds:
-            run_folder(folder, seed).mkdir(exist_ok=True)
-            of_run = {"seed": seed} | {k: v for k, v in content.items() if k != "seeds"}
-            write_json(run_folder(folder, seed) / "config.json", of_run)
-        write_json(folder / "config.json", content)
+        with locked(folder):
+            if (folder / "config.json").exists():
+                raise UserError(
+                    f"{folder} holds runs already: go on with them by 'circle2d resume {folder}', "
+                    "or choose another folder"
+                )
+            for seed in self.seeds:
+                run_folder(folder, seed).mkdir(exist_ok=True)
+                of_run = {"seed": seed} | {k: v for k, v in content.items() if k != "seeds"}
+                write_json(run_folder(folder, seed) / "config.json", of_run)
+            write_json(folder / "config.json", content)
 
     @classmethod
-    def read(cls, folder: Path) -> TrainConfig:
-        """The configuration of a run folder. Raises UserError where it is missing or damaged."""
-        path = folder / "config.json"
-        return cls.parse(read_json(path), path)
+    def read(cls, folder: Path, strict: bool = True) -> TrainConfig:
+        """The configuration of a run folder: see `parse`. UserError where the file is missing."""
+        return cls.parse(read_json(folder / "config.json"), folder, strict)
 
     @classmethod
-    def parse(cls, content: dict[str, Any], path: Path | str) -> TrainConfig:
+    def parse(
+        cls, content: dict[str, Any], folder: Path | str, strict: bool = True
+    ) -> TrainConfig:
         """The configuration that a `config.json` holds.
 
-        path: of the file, for the UserError where the content is damaged.
+        folder: of the file, for errors. strict: require that the algorithm is registered; otherwise
+        the hyper-parameters of one that is not are a plain frozen dataclass of the file's values,
+        so that a report imports nothing. Raises UserError where the content is damaged.
         """
-        content = {k: v for k, v in content.items() if k not in ("versions", "machine", "resumed")}
+        own = {name: content.get(name) for name in NOT_SETTINGS}
+        content = {name: value for name, value in content.items() if name not in NOT_SETTINGS}
         try:
-            hyperparameters = _tuples(content.pop("hyperparameters"))
+            values, name = _tuples(content.pop("hyperparameters")), content["algorithm"]
             content["seeds"] = tuple(content["seeds"])
-            config = algorithm(content["algorithm"]).config(**hyperparameters)
+            if name not in ALGORITHMS and strict and own["algorithm_module"]:
+                raise _Unregistered(
+                    f"the algorithm {name!r} of {folder} is not registered here: import the module "
+                    f"that registers it first, {own['algorithm_module']}"
+                )
+            known = strict or name in ALGORITHMS
+            config = algorithm(name).config(**values) if known else _plain(values)
             return cls(hyperparameters=config, **content)
+        except _Unregistered:
+            raise
         except (KeyError, TypeError, ValueError) as error:
-            raise UserError(f"{path} is damaged: {error}") from None
+            raise UserError(f"{folder}/config.json is damaged: {error}") from None
 
 
 def check_together(configs: dict[Path, TrainConfig]) -> None:
@@ -141,6 +175,43 @@ def check_together(configs: dict[Path, TrainConfig]) -> None:
                     f"folders that train together must have equal settings: {name} is {expected} "
                     f"in {first}, {value} in {folder}"
                 )
+
+
+class _Unregistered(UserError):
+    """The algorithm of a folder is not registered."""
+
+
+def _plain(hyperparameters: dict[str, Any]) -> UnregisteredHyperparameters:
+    """A frozen dataclass of values by name."""
+    fields = [(name, Any) for name in hyperparameters]
+    bases = (UnregisteredHyperparameters,)
+    return make_dataclass("Hyperparameters", fields, bases=bases, frozen=True)(**hyperparameters)
+
+
+def read_spaces(folder: Path, config: TrainConfig) -> Spaces:
+    """Spaces of the task of a run folder, as they were when it was made.
+
+    Folders of earlier versions do not hold them: there the task is asked. Raises UserError where it
+    cannot be, or where the file is damaged.
+    """
+    path = folder / "config.json"
+    content = read_json(path).get("spaces")
+    if content is None:
+        try:
+            return spaces_of(config.task, config.task_parameters)
+        except UserError as error:
+            raise UserError(
+                f"{path} does not hold the bounds of actions, as earlier versions left it, and the "
+                f"task cannot tell them: {error}"
+            ) from None
+    try:
+        low, high = (tuple(map(float, content[name])) for name in ("low", "high"))
+        spaces = Spaces(int(content["observation_size"]), low, high, str(content["dtype"]))
+        if len(low) != len(high) or not all(a < b for a, b in zip(low, high, strict=True)):
+            raise ValueError(f"bounds of actions must be increasing, got {content}")
+        return spaces
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path} is damaged: spaces: {error}") from None
 
 
 def run_folder(folder: Path, seed: int) -> Path:

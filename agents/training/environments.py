@@ -7,7 +7,7 @@ import importlib
 import inspect
 from dataclasses import fields
 from numbers import Real
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -35,6 +35,19 @@ def make_envs(
     same numbers. Raises UserError for an unknown task, parameters it refuses, and spaces that are
     not flat Boxes (actions: bounded).
     """
+    envs = _unscaled(task, num_envs, parameters, vectorization)
+    actions = envs.single_action_space
+    assert isinstance(actions, Box)
+    if (actions.low == -1).all() and (actions.high == 1).all():
+        return envs
+    one = np.ones_like(actions.low)
+    return RescaleAction(envs, -one, one)
+
+
+def _unscaled(
+    task: str, num_envs: int, parameters: dict[str, Any], vectorization: Vectorization = "auto"
+) -> VectorEnv:
+    """The environments of `make_envs` with the task's own actions."""
     name = registered(task)
     native = vectorization == "auto" and is_native(task)
     try:
@@ -63,10 +76,7 @@ def make_envs(
     assert isinstance(actions, Box)
     if not np.isfinite([actions.low, actions.high]).all():
         raise UserError(f"the action space of task {task!r} must be bounded, got {actions}")
-    if (actions.low == -1).all() and (actions.high == 1).all():
-        return envs
-    one = np.ones_like(actions.low)
-    return RescaleAction(envs, -one, one)
+    return envs
 
 
 class FloatCost(gym.Wrapper):
@@ -90,8 +100,10 @@ def check_task(task: str, parameters: dict[str, Any]) -> None:
     """Raise UserError for a task that cannot be made, never ends, or whose steps give no cost."""
     if parameters.get("max_episode_steps", 1) is None:
         raise UserError("task_parameters: max_episode_steps must not be None, episodes must end")
-    if registered(task) in CIRCLE2D and "level" in parameters:
-        raise UserError("task_parameters: the level is part of the task's id, as in Circle2D-3-v0")
+    for parameter in sorted(parameters.keys() & gym.spec(registered(task)).kwargs.keys()):
+        raise UserError(
+            f"task_parameters: {parameter} is part of the task's id, {task}; choose another id"
+        )
     envs = make_envs(task, 1, parameters)
     envs.reset(seed=0)
     info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
@@ -127,10 +139,36 @@ def sizes(envs: VectorEnv) -> tuple[int, int]:
     return observation[0], action[0]
 
 
+class Spaces(NamedTuple):
+    """Observations and actions of a task."""
+
+    observation_size: int
+    low: tuple[float, ...]
+    """Least value of each number of an action."""
+    high: tuple[float, ...]
+    """Greatest likewise."""
+    dtype: str
+    """Type of actions, such as float32."""
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Numbers an observation and an action hold."""
+        return self.observation_size, len(self.low)
+
+
+def spaces_of(task: str, parameters: dict[str, Any]) -> Spaces:
+    """`Spaces` of a task."""
+    with contextlib.closing(_unscaled(task, 1, parameters)) as envs:
+        observation_size, _ = sizes(envs)
+        actions = envs.single_action_space
+        assert isinstance(actions, Box)
+        low, high = (tuple(map(float, bound)) for bound in (actions.low, actions.high))
+        return Spaces(observation_size, low, high, str(actions.dtype))
+
+
 def sizes_of(task: str, parameters: dict[str, Any]) -> tuple[int, int]:
-    """`sizes` of a task."""
-    with contextlib.closing(make_envs(task, 1, parameters)) as envs:
-        return sizes(envs)
+    """Numbers an observation and an action of a task hold."""
+    return spaces_of(task, parameters).sizes
 
 
 def registered(task: str) -> str:

@@ -1,14 +1,15 @@
-"""Files that are there whole or not at all."""
+"""Files that are whole or missing, and the lock of a folder."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import io
 import json
 import os
+import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+import zlib
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,15 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 
+_DAMAGE = (OSError, ValueError, EOFError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error)
+"""Raised by numpy and zipfile for a damaged .npz file."""
+
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write a file so that whoever reads it, whenever, finds the old content or the new.
+    """Write a file so that a reader finds the old content or the new, never a part.
 
-    The content is written beside it and moved into place, which the system does in one step. The
-    name beside it is fixed: what a killed process left there, the next one overwrites.
+    The content is written to a file beside it, which the system moves into place in one step. That
+    file's name is fixed: one that a killed process left is overwritten by the next.
     """
     data = content.encode() if isinstance(content, str) else content
     unfinished = path.with_name(f".{path.name}.unfinished")
@@ -35,16 +39,22 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep other processes from training in a folder meanwhile; a killed one holds nothing.
+    """Keep other processes from training and evaluating in a folder meanwhile.
 
-    Raises UserError where another process is at it.
+    A process that is killed holds nothing. Raises UserError where another process holds the lock.
     """
-    with (folder / ".lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise UserError(f"another process is training in {folder}") from None
+    with warnings.catch_warnings():  # where the system has no file locks: filelock makes do
+        warnings.simplefilter("ignore")
+        from filelock import FileLock, Timeout
+    lock = FileLock(folder / ".lock")
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        raise UserError(f"another process is training or evaluating in {folder}") from None
+    try:
         yield
+    finally:
+        lock.release()
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -72,12 +82,18 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray]) -> None:
     write_whole(path, buffer.getvalue())
 
 
-def read_arrays(path: Path) -> dict[str, NDArray]:
-    """Read named arrays; nothing is unpickled. Raises UserError where the file is damaged."""
+def read_arrays(
+    path: Path, wanted: Callable[[str], bool] = lambda name: True
+) -> dict[str, NDArray]:
+    """Read those named arrays whose name is `wanted`, all by default; nothing is unpickled.
+
+    Raises UserError where the file is missing or damaged.
+    """
     try:
         with path.open("rb") as file:  # numpy leaves a damaged file open
-            return dict(np.load(file, allow_pickle=False))
+            arrays = np.load(file, allow_pickle=False)
+            return {name: arrays[name] for name in arrays.files if wanted(name)}
     except FileNotFoundError:
         raise UserError(f"{path} is missing: nothing has been trained there yet") from None
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except _DAMAGE as error:
         raise UserError(f"{path} is damaged: {error}") from None

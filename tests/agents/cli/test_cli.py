@@ -148,7 +148,10 @@ def test_tensorboard_where_it_is_missing(tmp_path, capsys, monkeypatch):
             [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "max_episode_steps", "None"],
             "episodes must end",
         ),
-        ([*TRAIN, "--out", "{tmp}/x", "--task-parameters", "level", "3"], "part of the task's id"),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "level", "3"],
+            "level is part of the task's id",
+        ),
         ([*TRAIN, "--out", "{tmp}/x", "--steps", "0"], "steps must be at least 1, got 0"),
         ([*TRAIN, "--out", "{tmp}/x", "--steps", "many"], "'many'"),
         ([*TRAIN, "--out", "{tmp}/x", "--seeds", "1", "1"], "seeds must be different"),
