@@ -17,6 +17,7 @@ LAYERS = (
     "lockstep",
     "on_policy",
     "trust_region",
+    "first_order",
     "sac",
     "algorithms",
     "training",

@@ -1,57 +1,84 @@
-"""The algorithms: what each one's paper adds to its family. `ALGORITHMS` lists them by name."""
+"""The algorithms by name: the built-in ones, a file each, and those that users register."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+import dataclasses
+import importlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from agents.algorithms import cpo, sac_lag, sac_lb, trpo_lag, wcsac
 from agents.errors import UserError
-from agents.lockstep.noise import Epochs
-from agents.lockstep.rollout import Act, Policy, Rollout
-from agents.lockstep.tree import ALL
-from agents.on_policy.learner import OnPolicy
-from agents.sac.learner import OffPolicy
 
+if TYPE_CHECKING:  # torch takes a second to import, and a list of names does not need it
+    from agents.lockstep.learner import Learner
 
-class Learner(Protocol):
-    """The runs of one algorithm, as the training loop sees them: what a family provides.
-
-    `policy`, `state` and `restore` are of the runs in a slice, by default of all.
-    """
-
-    episodes: int
-    """Whole episodes of each run in an epoch."""
-    metrics: tuple[str, ...]
-    """Names of what `learn` returns."""
-
-    def policy(self, runs: slice = ALL) -> Policy: ...
-    def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act: ...
-    def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray: ...
-    def finite(self) -> NDArray[np.bool_]: ...
-    def state_dict(self, runs: slice = ALL) -> dict[str, NDArray]: ...
-    def load_state_dict(self, state: dict[str, NDArray], runs: slice = ALL) -> None: ...
+BUILT_IN = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac", "ppo-lag", "ppo", "sac")
+"""Each a module of this package that defines `ALGORITHM`. The last two know no constraint."""
 
 
 class Algorithm(NamedTuple):
-    """An algorithm: how it is written in tables, its hyper-parameters, its rule, its family."""
+    """An algorithm: its title in tables, its hyper-parameters, its rule and its family."""
 
     title: str
     config: type
+    """A frozen dataclass in which every hyper-parameter has a default, and a text below it."""
     rule: Any
+    """What the algorithm adds to its family, which receives it."""
     family: Callable[..., Learner]
+    """(config, rule, seeds, observation size, action size) -> the runs, ready to be trained."""
 
 
-ALGORITHMS: dict[str, Algorithm] = {
-    "trpo-lag": Algorithm("TRPO-Lag", trpo_lag.TRPOLagConfig, trpo_lag.RULE, OnPolicy),
-    "cpo": Algorithm("CPO", cpo.CPOConfig, cpo.RULE, OnPolicy),
-    "sac-lag": Algorithm("SAC-Lag", sac_lag.SACLagConfig, sac_lag.RULE, OffPolicy),
-    "sac-lb": Algorithm("SAC-LB", sac_lb.SACLBConfig, sac_lb.RULE, OffPolicy),
-    "wcsac": Algorithm("WCSAC", wcsac.WCSACConfig, wcsac.RULE, OffPolicy),
-}
+class _Algorithms(Mapping[str, Algorithm]):
+    """Name -> algorithm; a built-in one is imported when it is asked for."""
+
+    def __init__(self) -> None:
+        self.registered: dict[str, Algorithm] = {}
+
+    def __getitem__(self, name: str) -> Algorithm:
+        if name in BUILT_IN:
+            module = importlib.import_module(f"agents.algorithms.{name.replace('-', '_')}")
+            return module.ALGORITHM
+        return self.registered[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in BUILT_IN or name in self.registered
+
+    def __iter__(self) -> Iterator[str]:
+        yield from (*BUILT_IN, *self.registered)
+
+    def __len__(self) -> int:
+        return len(BUILT_IN) + len(self.registered)
+
+
+_algorithms = _Algorithms()
+ALGORITHMS: Mapping[str, Algorithm] = _algorithms
+"""Every algorithm by name. Listing the names imports nothing."""
+
+
+def register(name: str, algorithm: Algorithm) -> None:
+    """Make an algorithm of one's own known under a name, for training, command line and reports.
+
+    Raises UserError where the name is taken or cannot name a folder, and TypeError where
+    `algorithm` is no `Algorithm` or its config no frozen dataclass with a default for every field.
+    """
+    words = name.split("-") if isinstance(name, str) else [""]
+    if not all(word.isascii() and word.isalnum() and word == word.lower() for word in words):
+        raise UserError(f"an algorithm's name is lower-case words joined by '-', got {name!r}")
+    if name in ALGORITHMS:
+        raise UserError(f"algorithm {name!r} is there already: choose another name")
+    if not isinstance(algorithm, Algorithm):
+        raise TypeError(f"register expects an agents.algorithms.Algorithm, got {algorithm!r}")
+    config = algorithm.config
+    parameters = getattr(config, "__dataclass_params__", None)
+    if not isinstance(config, type) or parameters is None or not parameters.frozen:
+        raise TypeError(f"the config of {name!r} must be a frozen dataclass, got {config!r}")
+    missing = dataclasses.MISSING
+    for field in dataclasses.fields(config):
+        if field.default is missing and field.default_factory is missing:
+            raise TypeError(f"{config.__name__}.{field.name} of {name!r} needs a default")
+    if not callable(algorithm.family):
+        raise TypeError(f"the family of {name!r} must make a Learner, got {algorithm.family!r}")
+    _algorithms.registered[name] = algorithm
 
 
 def algorithm(name: str) -> Algorithm:
@@ -59,6 +86,11 @@ def algorithm(name: str) -> Algorithm:
     if name not in ALGORITHMS:
         raise UserError(f"unknown algorithm {name!r}: valid are {', '.join(ALGORITHMS)}")
     return ALGORITHMS[name]
+
+
+def title(name: str) -> str:
+    """How an algorithm is written in tables: its title, or its name where it is not registered."""
+    return ALGORITHMS[name].title if name in ALGORITHMS else name
 
 
 def learner(

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from agents.algorithms import Algorithm
+from agents.trust_region.learner import TrustRegion
 from agents.trust_region.natural_gradient import Problem, Step, dot
 from agents.trust_region.policy_step import StepRule, TRPOConfig
 
@@ -52,7 +54,7 @@ def step(config: CPOConfig, problem: Problem) -> Step:
     plain = problem.to_boundary(torch.where(case == RECOVERY, -natural_b, natural))
     cut = ((case == PARTLY) | (case == RECOVERABLE)) & (c + dot(b, plain) > 0)
     return Step(
-        step=torch.where(cut, on_limit(problem, natural, natural_b, b, s), plain),
+        displacement=torch.where(cut, on_limit(problem, natural, natural_b, b, s), plain),
         must_improve=problem.excess <= 0,
         cost_bound=(-problem.excess).clamp(min=0.0),
         case=case[:, 0],
@@ -78,3 +80,4 @@ def on_limit(problem: Problem, natural: Tensor, natural_b: Tensor, b: Tensor, s:
 
 
 RULE = StepRule(objective, step, has_cases=True)
+ALGORITHM = Algorithm("CPO", CPOConfig, RULE, TrustRegion)

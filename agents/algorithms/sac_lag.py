@@ -11,28 +11,32 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from agents.lockstep.multiplier import SOFTPLUS, MultiplierConfig
+from agents.algorithms import Algorithm
+from agents.lockstep.lagrange import SOFTPLUS, MultiplierConfig
 from agents.lockstep.replay import Batch
-from agents.sac.update import CostRule, SACConfig
+from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy, SACConfig
 
 
 @dataclass(frozen=True)
-class SACLagConfig(MultiplierConfig, SACConfig):
+class SACLagConfig(MultiplierConfig, ConstrainedSACConfig):
     """Hyper-parameters of SAC-Lag.
 
     The multiplier is β = softplus(parameter): 0.69 for the parameter 0 it starts from.
     """
 
 
-def risk(config: SACLagConfig, costs: Tensor) -> Tensor:
-    """The larger of both cost critics: errors then err on the side of caution."""
-    return torch.maximum(costs[:, 0], costs[:, 1])
+def risk(config: SACConfig, cost_values: Tensor) -> Tensor:
+    """The larger of both cost critics' values: errors then err on the side of caution."""
+    return torch.maximum(cost_values[:, 0], cost_values[:, 1])
 
 
-def critic_loss(config: SACLagConfig, costs: Tensor, next_costs: Tensor, batch: Batch) -> Tensor:
+def critic_loss(
+    config: SACConfig, cost_values: Tensor, next_cost_values: Tensor, batch: Batch
+) -> Tensor:
     """Half the mean squared error of each critic against `c + γ max Q_c'`, summed over both."""
-    target = batch.cost + config.discount * (1.0 - batch.terminal) * risk(config, next_costs)
-    error = costs - target[:, None]
+    next_value = risk(config, next_cost_values)
+    target = batch.cost + config.discount * (1.0 - batch.terminal) * next_value
+    error = cost_values - target[:, None]
     return 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
 
 
@@ -42,3 +46,4 @@ def penalty(config: SACLagConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
 
 
 RULE = CostRule(risk, critic_loss, penalty, SOFTPLUS)
+ALGORITHM = Algorithm("SAC-Lag", SACLagConfig, RULE, OffPolicy)

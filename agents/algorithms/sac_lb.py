@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from agents.algorithms import Algorithm
 from agents.algorithms.sac_lag import critic_loss, risk
 from agents.errors import check
-from agents.sac.update import CostRule, SACConfig
+from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
 
 
 @dataclass(frozen=True)
-class SACLBConfig(SACConfig):
+class SACLBConfig(ConstrainedSACConfig):
     """Hyper-parameters of SAC-LB."""
 
     log_barrier_factor: float = 3.0
@@ -50,3 +51,4 @@ def penalty(config: SACLBConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
 
 
 RULE = CostRule(risk, critic_loss, penalty)
+ALGORITHM = Algorithm("SAC-LB", SACLBConfig, RULE, OffPolicy)

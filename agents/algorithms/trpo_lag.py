@@ -12,8 +12,10 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from agents.algorithms import Algorithm
 from agents.errors import check
-from agents.lockstep.multiplier import PROJECTED, MultiplierConfig
+from agents.lockstep.lagrange import PROJECTED, MultiplierConfig
+from agents.trust_region.learner import TrustRegion
 from agents.trust_region.natural_gradient import Problem, Step
 from agents.trust_region.policy_step import StepRule, TRPOConfig
 
@@ -25,10 +27,11 @@ class TRPOLagConfig(MultiplierConfig, TRPOConfig):
     initial_multiplier: float = 0.001
     """Initial multiplier λ, at least 0. Paper: 0.001."""
     multiplier_lr: float = 0.005
-    """Step size of the multiplier. Paper: 0.005."""
-    multiplier_optimizer: Literal["adam", "sgd"] = "adam"
-    """How the multiplier ascends: Adam, or by the plain gradient. It decides how runs end. Inferred
-    for the paper's Circle2D, not printed: adam."""
+    """Step size of the multiplier by adam or sgd. Paper: 0.005."""
+    multiplier_optimizer: Literal["adam", "sgd", "pid"] = "adam"
+    """How the multiplier follows the cost: it ascends by Adam or by the plain gradient (sgd), or a
+    PID controller sets it (pid; Stooke et al. 2020). It decides how runs end. Inferred for the
+    paper's Circle2D, not printed: adam."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
@@ -47,7 +50,7 @@ def step(config: TRPOLagConfig, problem: Problem) -> Step:
     """The natural gradient, to the boundary of the trust region: TRPO's own step."""
     runs = len(problem.excess)
     return Step(
-        step=problem.to_boundary(problem.solve(problem.gradient)),
+        displacement=problem.to_boundary(problem.solve(problem.gradient)),
         must_improve=torch.ones(runs, dtype=torch.bool),
         cost_bound=torch.full((runs,), torch.inf),
         case=torch.ones(runs),
@@ -55,3 +58,4 @@ def step(config: TRPOLagConfig, problem: Problem) -> Step:
 
 
 RULE = StepRule(objective, step, PROJECTED)
+ALGORITHM = Algorithm("TRPO-Lag", TRPOLagConfig, RULE, TrustRegion)

@@ -14,17 +14,18 @@ import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
+from agents.algorithms import Algorithm
 from agents.errors import check
-from agents.lockstep.multiplier import EXP, MultiplierConfig
+from agents.lockstep.lagrange import EXP, MultiplierConfig
 from agents.lockstep.replay import Batch
-from agents.sac.update import CostRule, SACConfig
+from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
 
 VARIANCE = (1e-8, 1e8)
 """Where variances are clamped."""
 
 
 @dataclass(frozen=True)
-class WCSACConfig(MultiplierConfig, SACConfig):
+class WCSACConfig(MultiplierConfig, ConstrainedSACConfig):
     """Hyper-parameters of WCSAC.
 
     The multiplier is κ = exp(parameter): 1 for the parameter 0 it starts from.
@@ -53,35 +54,39 @@ def tail_factor(level: float) -> Tensor:
 
 
 def variance(output: Tensor) -> Tensor:
-    """What the second critic says, as a variance: `softplus`, clamped."""
+    """The second critic's output as a variance: `softplus`, clamped."""
     return softplus(output).clamp(*VARIANCE)
 
 
-def risk(config: WCSACConfig, costs: Tensor) -> Tensor:
+def risk(config: WCSACConfig, cost_values: Tensor) -> Tensor:
     """`Γ = Q_c + φ(Φ⁻¹(α))/α √V_c`: the CVaR of a Gaussian."""
-    return costs[:, 0] + tail_factor(config.risk_level) * variance(costs[:, 1]).sqrt()
+    return cost_values[:, 0] + tail_factor(config.risk_level) * variance(cost_values[:, 1]).sqrt()
 
 
-def critic_loss(config: WCSACConfig, costs: Tensor, next_costs: Tensor, batch: Batch) -> Tensor:
+def critic_loss(
+    config: WCSACConfig, cost_values: Tensor, next_cost_values: Tensor, batch: Batch
+) -> Tensor:
     """Half the mean squared error of the mean, plus half the 2-Wasserstein distance of the
     deviations, `V + V* - 2 √(V V*)`.
     """
     discount = config.discount * (1.0 - batch.terminal)
-    mean_target, variance_target = targets(discount, costs[:, 0].detach(), next_costs, batch.cost)
-    error = costs[:, 0] - mean_target
-    spread = variance(costs[:, 1])
+    mean_target, variance_target = targets(
+        discount, cost_values[:, 0].detach(), next_cost_values, batch.cost
+    )
+    error = cost_values[:, 0] - mean_target
+    spread = variance(cost_values[:, 1])
     distance = spread + variance_target - 2.0 * (spread * variance_target).sqrt()
     return 0.5 * (error * error).mean(dim=-1) + 0.5 * distance.mean(dim=-1)
 
 
 def targets(
-    discount: Tensor, mean: Tensor, next_costs: Tensor, cost: Tensor
+    discount: Tensor, mean: Tensor, next_cost_values: Tensor, cost: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Of the mean, `c + γ Q_c'`, and of the variance,
-    `c² - Q_c² + 2 γ c Q_c' + γ² V_c' + γ² Q_c'²`, clamped. Everything is [R, B] but next_costs,
-    [R, 2, B].
+    `c² - Q_c² + 2 γ c Q_c' + γ² V_c' + γ² Q_c'²`, clamped. Everything is [R, B] but
+    next_cost_values, [R, 2, B].
     """
-    next_mean, next_variance = next_costs[:, 0], variance(next_costs[:, 1])
+    next_mean, next_variance = next_cost_values[:, 0], variance(next_cost_values[:, 1])
     future = discount * discount * (next_variance + next_mean * next_mean)
     second_moment = cost * cost + 2.0 * discount * cost * next_mean + future
     return cost + discount * next_mean, (second_moment - mean * mean).clamp(*VARIANCE)
@@ -94,3 +99,4 @@ def penalty(config: WCSACConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
 
 
 RULE = CostRule(risk, critic_loss, penalty, EXP)
+ALGORITHM = Algorithm("WCSAC", WCSACConfig, RULE, OffPolicy)

@@ -19,6 +19,7 @@ from agents.algorithms import ALGORITHMS
 from agents.cli.options import BackendChoice, chosen_backend, parse
 from agents.errors import UserError
 from agents.paper import grid
+from agents.paper.presets import PAPER_ALGORITHMS
 from agents.reporting.report import report
 from agents.training.config import Device, TrainConfig
 from agents.training.environments import check_task
@@ -41,7 +42,7 @@ class ReproduceOptions:
     """Folder for the runs and the report."""
     quick: bool = False
     """A small version of everything: 2 seeds of 10 000 steps."""
-    algorithms: tuple[str, ...] = tuple(ALGORITHMS)
+    algorithms: tuple[str, ...] = PAPER_ALGORITHMS
     """Algorithms to run."""
     levels: tuple[int, ...] = LEVELS
     """Levels of Circle2D."""

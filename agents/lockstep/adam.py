@@ -11,7 +11,7 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 
 
 class Moments(NamedTuple):
-    """What Adam remembers of parameters [R, ...]."""
+    """Adam's optimiser state of parameters [R, ...]."""
 
     mean: Tensor
     square: Tensor

@@ -1,1 +1,1 @@
-"""What on-policy families share: epochs of whole episodes, advantages, critics."""
+"""The common part of on-policy families: epochs of whole episodes, advantages, critics."""

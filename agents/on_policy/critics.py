@@ -1,4 +1,4 @@
-"""The critics of the on-policy family: what they say, and how they follow their targets."""
+"""The critics of the on-policy families: their values, and how they follow their targets."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from torch import Tensor
 from agents.lockstep import tree
 from agents.lockstep.adam import Moments, adam
 from agents.lockstep.compiling import compiled
-from agents.trust_region.policy_step import Epoch, Nets, TRPOState
+from agents.on_policy.state import Epoch, Nets, OnPolicyState
 
 
 @compiled
 def values(nets: Nets, critics: Tensor, observation: Tensor) -> Tensor:
-    """What both critics of each run say of observations [R, B, observation size]: [R, 2, B]."""
+    """Values of both critics of each run at observations [R, B, observation size]: [R, 2, B]."""
     runs, batch, width = observation.shape
     inputs = observation[:, None].expand(runs, 2, batch, width).reshape(runs * 2, batch, width)
     return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, 2, batch)
 
 
 def critic_step(
-    nets: Nets, config: Any, state: TRPOState, epoch: Epoch, rows: Tensor, weight: Tensor
-) -> tuple[TRPOState, Tensor]:
+    nets: Nets, config: Any, state: OnPolicyState, epoch: Epoch, rows: Tensor, weight: Tensor
+) -> tuple[OnPolicyState, Tensor]:
     """One Adam step of both critics on half the mean squared error of a minibatch.
 
     rows, weight: [R, B]. A run without rows in it waits. Returns the new state and the losses,
@@ -48,7 +48,7 @@ def critics_update(
     target: Tensor,
     weight: Tensor,
 ) -> tuple[Tensor, Moments, Tensor]:
-    """What `critic_step` does with the rows it fetched."""
+    """`critic_step` on the rows that it fetched."""
 
     def loss(critics: Tensor) -> tuple[Tensor, Tensor]:
         error = values(nets, critics, observation) - target

@@ -1,9 +1,10 @@
-"""How an on-policy algorithm goes through an epoch: whole episodes, then one step of the policy."""
+"""The epoch of the on-policy families: whole episodes, then a better policy, then the critics."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -11,37 +12,48 @@ from numpy.typing import NDArray
 
 from agents.lockstep import tree
 from agents.lockstep.backend import array, tensor
-from agents.lockstep.multiplier import ascend
+from agents.lockstep.lagrange import MultiplierForm, follow
 from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.on_policy import critics
 from agents.on_policy.packing import Packing, blocks, minibatches
 from agents.on_policy.returns import advantages
-from agents.trust_region import policy_step as trpo
-
-METRICS = ("kl", "step_scale", "critic_loss", "cost_critic_loss", "std")
-"""What every algorithm of the family records; beside it "multiplier" or "case" where it has one. A
-step_scale of 0: the line search found nothing, and the policy stayed as it was."""
+from agents.on_policy.state import Epoch, OnPolicyState, initial_state, make_nets
 
 
-class OnPolicy:
-    """The runs of one algorithm of the trust-region family."""
+class OnPolicy(ABC):
+    """The runs of one on-policy algorithm; a family of them says how a policy is improved."""
+
+    improvement_metrics: ClassVar[tuple[str, ...]]
+    """Names of the records of `improve` that every algorithm of the family has."""
 
     def __init__(
         self,
         config: Any,
-        rule: trpo.StepRule,
+        rule: Any,
         seeds: Sequence[int],
         observation_size: int,
         action_size: int,
     ) -> None:
         self.config, self.rule, self.seeds = config, rule, tuple(seeds)
         self.episodes: int = config.episodes
-        own = {"multiplier": rule.multiplier is not None, "case": rule.has_cases}
-        self.metrics = (*METRICS, *(name for name, has in own.items() if has))
+        form: MultiplierForm | None = rule.multiplier_form
+        own = ("multiplier",) if form else ()
+        critics_own = ("critic_loss", "cost_critic_loss", "std")
+        self.metrics = (*self.improvement_metrics, *critics_own, *own)
         self.action_size = action_size
-        self.nets = trpo.make_nets(config, observation_size, action_size)
-        self._state = trpo.initial_state(self.nets, config, rule, seeds)
+        self.nets = make_nets(config, observation_size, action_size)
+        self._state = initial_state(self.nets, config, form, seeds)
+
+    @abstractmethod
+    def improve(
+        self, epoch: Epoch, steps: NDArray[np.int64], generators: list[np.random.Generator]
+    ) -> tuple[OnPolicyState, dict[str, torch.Tensor]]:
+        """The state with better actors, and records [R], by the family.
+
+        steps: [R], rows of the epoch that belong to each run, 0 for one that takes no part;
+        generators: each run's, for the minibatches of this epoch.
+        """
 
     def policy(self, runs: slice = tree.ALL) -> Policy:
         """The policy of some runs as it stands now."""
@@ -58,7 +70,8 @@ class OnPolicy:
         ).reshape(runs * self.episodes, -1)
 
     def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray:
-        """Step the policy, then the critics and the multiplier; active: [R], runs that take part.
+        """Improve the policy, then the critics and the multiplier; active: [R], runs that take
+        part.
 
         rollout: N = R·E episodes, those of a run beside each other. Returns each of `metrics`,
         [R, metrics]; NaN for runs that take no part.
@@ -67,22 +80,22 @@ class OnPolicy:
         rollout = rollout._replace(length=length)
         packing = Packing(rollout.during, len(self.seeds))
         data = self._epoch(rollout, packing)
-        actor, records = trpo.policy_step(self.nets, self.config, self.rule, self._state, data)
-        state = self._state._replace(actor=actor)
         generators = streams(self.seeds, Purpose.UPDATE, epoch)
+        state, records = self.improve(data, packing.steps, generators)
         losses, count = torch.zeros(len(self.seeds), 2), torch.zeros(len(self.seeds), 1)
         for _ in range(self.config.critic_iterations):
             for rows, weight in minibatches(packing.steps, self.config.batch_size, generators):
                 state, loss = critics.critic_step(self.nets, self.config, state, data, rows, weight)
                 losses, count = losses + loss, count + (weight[:, :1] > 0)
-        followed = ascend(self.rule.multiplier, self.config, state.multiplier, data.excess[:, None])
-        self._state = tree.where(active, state._replace(multiplier=followed), self._state)
+        form, cost = self.rule.multiplier_form, data.cost[:, None]
+        multiplier = follow(form, self.config, state.multiplier, cost)
+        self._state = tree.where(active, state._replace(multiplier=multiplier), self._state)
         records["critic_loss"], records["cost_critic_loss"] = (losses / count).T
         records["std"] = self._std()
         columns = np.stack([array(records[name]) for name in self.metrics], axis=-1)
         return np.where(active[:, None], columns, np.nan)
 
-    def _epoch(self, rollout: Rollout, packing: Packing) -> trpo.Epoch:
+    def _epoch(self, rollout: Rollout, packing: Packing) -> Epoch:
         """Advantages and value targets of an epoch's steps, packed."""
         observation = tensor(packing.pack(rollout.observation))
         value = self._values(observation)
@@ -103,7 +116,7 @@ class OnPolicy:
                 cost[run, :n] -= cost[run, :n].mean()
         shape = (len(self.seeds), self.episodes)
         costs = rollout.cost_returns.reshape(shape).mean(axis=1)
-        return trpo.Epoch(
+        return Epoch(
             observation=observation,
             action=tensor(packing.pack(rollout.action)),
             weight=tensor(packing.weight),
@@ -111,11 +124,11 @@ class OnPolicy:
             cost_advantage=tensor(cost),
             value_targets=targets,
             length=tensor(rollout.length.reshape(shape).mean(axis=1)).float(),
-            excess=tensor(costs - self.config.cost_limit).float(),
+            cost=tensor(costs),
         )
 
     def _values(self, observation: torch.Tensor) -> NDArray[np.float32]:
-        """What the critics say, block by block: [R, 2, B]."""
+        """Values of the critics, computed block by block: [R, 2, B]."""
         parts = [
             critics.values(self.nets, self._state.critics, *block) for block in blocks(observation)
         ]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
-from agents.algorithms import ALGORITHMS, algorithm
-from agents.paper.presets import PAPER_SEEDS, PAPER_STEPS, registered_id
+from agents.algorithms import algorithm
+from agents.paper.presets import PAPER_ALGORITHMS, PAPER_SEEDS, PAPER_STEPS, registered_id
 from agents.paper.printed import paper_results
 from agents.paper.settings import changes
 from agents.results.reading import Group, Run
@@ -89,7 +90,8 @@ Evidence = Mapping[tuple[str, str], Cell]
 
 def gather(groups: Sequence[Group]) -> Evidence:
     """The runs of presets on the paper's tasks, those with another setting left out."""
-    return {(task, name): _cell(groups, task, name) for task in PAPER_STEPS for name in ALGORITHMS}
+    pairs = itertools.product(PAPER_STEPS, PAPER_ALGORITHMS)
+    return {(task, name): _cell(groups, task, name) for task, name in pairs}
 
 
 def _cell(groups: Sequence[Group], task: str, name: str) -> Cell:

@@ -22,8 +22,9 @@ from emcc import EpisodeRecords
 SEEDS = tuple(range(PAPER_SEEDS))
 QUICK_SEEDS, QUICK_STEPS = (0, 1), 10_000
 WORK = {"trpo-lag": 1.0, "cpo": 1.3, "sac-lag": 5.0, "sac-lb": 5.0, "wcsac": 5.2}
-"""What a step of an algorithm takes on Circle2D, beside TRPO-Lag's. Decides the order (what takes
-longest goes first), the groups and the time left that is shown; no result."""
+"""Time of a step of an algorithm on Circle2D, in that of TRPO-Lag's; 1 for those not listed.
+Decides the order (what takes longest goes first), the groups and the time left that is shown; no
+result."""
 MOST_RUNS = 12
 """In a group; more make a step of each hardly cheaper."""
 OVERHEAD = 2

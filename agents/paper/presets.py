@@ -6,9 +6,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from agents.algorithms import algorithm
-from agents.sac.update import SACConfig
 from circle2d_mj.registration import CIRCLE2D, KINEMATIC
 
+PAPER_ALGORITHMS = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac")
+"""The algorithms that the paper compares, in the order of its tables."""
 _SAFETY = ("SafetyPointCircle1-v0", "SafetyPointGoal1-v0", "SafetyHopperVelocity-v1")
 PAPER_STEPS = dict.fromkeys(KINEMATIC.values(), 1_000_000) | {
     f"circle2d_mj/{name}": 10_000_000 for name in _SAFETY
@@ -34,24 +35,29 @@ def is_circle2d(task: str) -> bool:
 def preset(name: str, task: str) -> Any:
     """The hyper-parameters of an algorithm for a task: on the paper's tasks the paper's.
 
-    For any other task the defaults of the algorithm's config. Raises UserError for an unknown
-    algorithm.
+    An algorithm that the paper does not have gets those of its family. For any other task the
+    defaults of the algorithm's config. Raises UserError for an unknown algorithm.
     """
     config = algorithm(name).config()
-    off_policy = isinstance(config, SACConfig)
     task = registered_id(task)
     if is_circle2d(task):
-        config = replace(config, cost_limit=5.0)  # table Circle2DResults, caption
-        if off_policy:
-            # See `unprinted`; on-policy methods bootstrap.
-            config = replace(config, time_limit="terminal")
+        # Table Circle2DResults, caption; for the time limit see `unprinted`: on-policy bootstraps.
+        limit = {"cost_limit": 5.0} if hasattr(config, "cost_limit") else {}
+        time_limit = {"time_limit": "terminal"} if _is_off_policy(name) else {}
+        config = replace(config, **limit, **time_limit)
     elif task.startswith("circle2d_mj/Safety"):
         # Table HP_SafetyGymnasium; the cost limit, 25, is the default.
-        if off_policy:
+        if _is_off_policy(name):
             config = replace(config, random_steps=50_000, replay_size=500_000)
-        elif task.startswith("circle2d_mj/SafetyPointCircle1"):
+        elif task.startswith("circle2d_mj/SafetyPointCircle1") and hasattr(config, "episodes"):
             config = replace(config, episodes=20)
     return config
+
+
+def _is_off_policy(name: str) -> bool:
+    from agents.sac import OffPolicy  # here, since it imports torch
+
+    return algorithm(name).family is OffPolicy
 
 
 def usual_steps(task: str) -> int:
@@ -78,13 +84,13 @@ TIME_LIMIT = Unprinted(
     "time_limit",
     {
         "terminal": "the last step of an episode counts as terminal",
-        "bootstrap": "values go on behind the time limit of an episode",
+        "bootstrap": "values bootstrap at the time limit of an episode",
     },
 )
 
 
 def unprinted(name: str) -> Unprinted | None:
-    """What of an algorithm's preset the paper does not print; None where it prints what decides.
+    """The hyper-parameter that decides and that the paper does not print; None where there is none.
 
     On Circle2D the presets have the choice that gives the paper's results: the printed step size of
     TRPO-Lag's multiplier fits one optimiser or the other; whether step 50 ends an episode for good
@@ -93,7 +99,7 @@ def unprinted(name: str) -> Unprinted | None:
     """
     if name == "trpo-lag":
         return MULTIPLIER
-    return TIME_LIMIT if isinstance(algorithm(name).config(), SACConfig) else None
+    return TIME_LIMIT if name in PAPER_ALGORITHMS and _is_off_policy(name) else None
 
 
 def ablation(name: str, task: str) -> tuple[str, Any] | None:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterable
 from typing import Any
 
-from agents.algorithms import ALGORITHMS, algorithm
+from agents.algorithms import ALGORITHMS, title
 from agents.paper.presets import preset, usual_steps
 from agents.results.reading import Group
 from agents.training.config import TrainConfig
@@ -16,7 +16,7 @@ def title_of(config: TrainConfig) -> str:
     """The algorithm, with what differs from the preset, from the task as it is registered, and from
     the usual number of steps."""
     told = differences(config)
-    return algorithm(config.algorithm).title + (f" ({', '.join(told)})" if told else "")
+    return title(config.algorithm) + (f" ({', '.join(told)})" if told else "")
 
 
 def differences(config: TrainConfig) -> list[str]:
@@ -35,9 +35,11 @@ def changes(config: TrainConfig) -> dict[str, Any]:
 
 
 def hyperparameter_changes(config: TrainConfig) -> dict[str, Any]:
-    """The hyper-parameters that differ from the preset."""
-    usual = dataclasses.asdict(preset(config.algorithm, config.task))
+    """The hyper-parameters that differ from the preset; all of an unregistered algorithm."""
     chosen = dataclasses.asdict(config.hyperparameters)
+    if config.algorithm not in ALGORITHMS:
+        return chosen
+    usual = dataclasses.asdict(preset(config.algorithm, config.task))
     return {k: v for k, v in chosen.items() if v != usual[k]}
 
 

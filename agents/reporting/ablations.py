@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import isclose
 
-from agents.algorithms import algorithm
+from agents.algorithms import title
 from agents.paper.presets import preset, unprinted
 from agents.paper.printed import paper_results
 from agents.paper.settings import unusual_steps
@@ -37,13 +37,13 @@ def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table:
     for pair in pairs:
         complete = [group for group in pair if group.runs]
         config = pair[0].config
-        title = algorithm(config.algorithm).title
-        printed = paper_results(config.task, title)
+        name = title(config.algorithm)
+        printed = paper_results(config.task, name)
         if len(complete) == 2:
             marked |= {(len(rows) + row, name) for row, name in _nearer(complete, printed)}
         rows += [_row(group) for group in complete]
         if printed:
-            rows.append(paper_row(f"{config.task}, {title}", printed))
+            rows.append(paper_row(f"{config.task}, {name}", printed))
     groups = [group for pair in pairs for group in pair]
     what = "task, algorithm and choice"
     words = f"{TITLE}: {MEANING}. {caption(groups)}"
@@ -69,8 +69,7 @@ def _row(group: Group) -> Row:
     choice = getattr(config.hyperparameters, setting.field)
     if config.hyperparameters == preset(config.algorithm, config.task):
         choice += " (preset)"
-    title = algorithm(config.algorithm).title
-    what = ", ".join([config.task, title, choice, *unusual_steps(config)])
+    told = [config.task, title(config.algorithm), choice, *unusual_steps(config)]
     places = Counter(run.end for run in group.runs if run.end)
     ends = ", ".join(f"{place} {count}" for place, count in places.most_common())
-    return replace(mean_row(group), name=f"{what}, mean of {len(group.runs)}", ends=ends)
+    return replace(mean_row(group), name=f"{', '.join(told)}, mean of {len(group.runs)}", ends=ends)

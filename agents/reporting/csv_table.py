@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from agents.algorithms import algorithm
+from agents.algorithms import title
 from agents.paper.printed import paper_results
 from agents.paper.settings import title_of
 from agents.reporting.tables import ends_words
@@ -40,8 +40,7 @@ def report_lines(groups: Sequence[Group]) -> Iterator[Line]:
         yield from group_lines(group)
     of_paper = dict.fromkeys((group.config.task, group.config.algorithm) for group in groups)
     for task, name in of_paper:
-        title = algorithm(name).title
-        yield from _line(task, title, "paper", paper_results(task, title))
+        yield from _line(task, title(name), "paper", paper_results(task, title(name)))
 
 
 def group_lines(group: Group, prefix: str = "") -> Iterator[Line]:

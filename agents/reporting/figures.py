@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from agents.algorithms import ALGORITHMS, algorithm
+from agents.algorithms import ALGORITHMS, title
 from agents.errors import UserError
 from agents.paper import introduction as example
 from agents.paper.settings import cost_limit, differences, in_order, title_of
@@ -72,8 +72,8 @@ def figures(source: Source, groups: Sequence[Group], notes: list[str]) -> list[F
 
 def _row_title(group: Group) -> str:
     """The algorithm, and each of its settings that are not the preset's, in lines of their own."""
-    title, told = algorithm(group.config.algorithm).title, ",\n".join(differences(group.config))
-    return f"{title}\n({told})" if told else title
+    name, told = title(group.config.algorithm), ",\n".join(differences(group.config))
+    return f"{name}\n({told})" if told else name
 
 
 def _file(kind: str, group: Group) -> str:
@@ -85,11 +85,11 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
     groups = [group for _, group in named]
     limits = {cost_limit(group.config) for group in groups}
     limit = limits.pop() if len(limits) == 1 else None
-    order = list(ALGORITHMS)
+    order = {name: index for index, name in enumerate(ALGORITHMS)}
     lines = [
         Line(
             name,
-            order.index(group.config.algorithm),
+            order.get(group.config.algorithm, len(order)),
             [run.records for run in group.runs],
             group.config.steps,
         )

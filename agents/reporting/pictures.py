@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from agents.algorithms import algorithm
+from agents.algorithms import title
 from agents.errors import UserError
 from agents.reporting import figures
 from agents.reporting.figures import visits_words
@@ -46,13 +46,13 @@ def heatmap(
     records = [_records(run_folder(folder, seed)) for seed in config.seeds]
     of_parts = count_visits(folder, config, records, parts, alpha)
     most = canvas.most_visits([part.counts for part in of_parts])
-    title = f"{algorithm(config.algorithm).title} on {config.task}"
+    heading = f"{title(config.algorithm)} on {config.task}"
     if set(config.seeds) != set(everyone):
-        title += f" (seeds: {', '.join(map(str, config.seeds))})"
+        heading += f" (seeds: {', '.join(map(str, config.seeds))})"
     return figure(
         [[figures.heatmap(view, part, most, size) for part in of_parts]],
         [f"{PARTS[part]} of training" for part in parts],
-        title=title,
+        title=heading,
         captions=[[visits_words(part) for part in of_parts]],
         most_visits=most,
     )

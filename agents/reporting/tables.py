@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from agents.algorithms import algorithm
+from agents.algorithms import title
 from agents.paper.presets import PAPER_SEEDS, is_circle2d, preset, unprinted
 from agents.paper.printed import paper_results
 from agents.paper.settings import cost_limit, hyperparameter_changes, in_order, title_of
@@ -31,10 +31,9 @@ def task_table(groups: Sequence[Group]) -> Table:
             if group.config.algorithm == name and group.runs:
                 ours[len(rows)] = means(group), cost_limit(group.config)
                 rows.append(mean_row(group))
-        title = algorithm(name).title
-        if paper := paper_results(task, title):
+        if paper := paper_results(task, title(name)):
             papers[len(rows)] = paper, preset(name, task).cost_limit
-            rows.append(paper_row(title, paper))
+            rows.append(paper_row(title(name), paper))
     rows = mark(rows, best(ours) | best(papers))
     rows += [row for group in groups for row in run_rows(group)]
     words = f"{marking()}; among our means" + (", and among the paper's" if papers else "")
@@ -112,18 +111,25 @@ def _paper_notes(groups: Sequence[Group]) -> list[str]:
     """The settings of our presets that the paper does not print, and what it did otherwise."""
     titles: dict[str, dict[str, None]] = {}
     for config in (group.config for group in groups):
-        setting, title = unprinted(config.algorithm), algorithm(config.algorithm).title
+        setting, name = unprinted(config.algorithm), title(config.algorithm)
         if (
             setting
             and setting.field not in hyperparameter_changes(config)
-            and paper_results(config.task, title)
+            and paper_results(config.task, name)
         ):
             choice = getattr(config.hyperparameters, setting.field)
-            titles.setdefault(setting.choices[choice], {})[title] = None
+            titles.setdefault(setting.choices[choice], {})[name] = None
     told = "Whether the paper did so is not printed."
     if is_circle2d(groups[0].config.task):
         told = "That the paper did so is inferred from its results, not printed."
     notes = [f"{', '.join(of)}: {meaning}. {told}" for meaning, of in titles.items()]
+    limited: dict[str, dict[str, None]] = {}
+    for config in (group.config for group in groups):
+        if words := getattr(config.hyperparameters, "limited_cost", ""):
+            limited.setdefault(words, {})[title(config.algorithm)] = None
+    if len(limited) > 1:
+        kinds = "; ".join(f"the {words} of {', '.join(of)}" for words, of in limited.items())
+        notes.append(f"The cost limit holds for {kinds}. Marks and claims compare J_C with it.")
     if any("circle2d_mj/Safety" in group.config.task for group in groups):
         notes.append("The paper evaluated 10 episodes of each run on the Safety tasks.")
     return notes

@@ -1,4 +1,4 @@
-"""How an off-policy algorithm goes through an epoch: one episode, then some gradient steps."""
+"""The epoch of the off-policy family: one episode, then some gradient steps."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from agents.lockstep import tree
 from agents.lockstep.backend import array, tensor
+from agents.lockstep.lagrange import PIDState, follow
 from agents.lockstep.nets import forward_numpy
 from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams, uniform
 from agents.lockstep.replay import Replay
@@ -26,7 +27,7 @@ METRICS = (
     "risk",
     "entropy",
 )
-"""What `sac.update` records; the multiplier of those that have one."""
+"""Records of `sac.update`; the multiplier of the algorithms that have one."""
 
 
 class OffPolicy:
@@ -42,7 +43,7 @@ class OffPolicy:
     ) -> None:
         self.config, self.rule, self.seeds = config, rule, tuple(seeds)
         self.episodes = 1
-        self.metrics = tuple(m for m in METRICS if rule.multiplier or m != "multiplier")
+        self.metrics = tuple(m for m in METRICS if rule.multiplier_form or m != "multiplier")
         self.action_size = action_size
         self.nets = sac.make_nets(config, observation_size, action_size)
         self._state = sac.initial_state(self.nets, config, rule, seeds)
@@ -95,14 +96,27 @@ class OffPolicy:
             )
             self._state = tree.where(learning, state, self._state)
             total = total + np.stack([array(metrics[name]) for name in self.metrics], axis=-1)
-        return np.where(learning[:, None], total / self.config.gradient_steps, np.nan)
+        means = total / self.config.gradient_steps
+        self._control_multiplier(means[:, self.metrics.index("risk"), None], learning)
+        return np.where(learning[:, None], means, np.nan)
+
+    def _control_multiplier(self, risk: NDArray, learning: NDArray[np.bool_]) -> None:
+        """One step of a PID multiplier; risk: [R, 1], mean over the epoch's gradient steps.
+
+        Once an epoch, as on-policy: the gains are those of a step of the controller, and the
+        derivative of single minibatches' means would be that of their noise.
+        """
+        if isinstance(before := self._state.multiplier, PIDState):
+            after = follow(self.rule.multiplier_form, self.config, before, tensor(risk))
+            state = self._state._replace(multiplier=after)
+            self._state = tree.where(learning, state, self._state)
 
     def finite(self) -> NDArray[np.bool_]:
         """Which runs hold only finite numbers, [R]."""
         return tree.finite(self._state)
 
     def _draws(self, epoch: Epochs) -> list[tuple[NDArray[np.int64], sac.UpdateNoise]]:
-        """What each gradient step of an epoch draws: slots [R, B] and action noise."""
+        """The draws of each gradient step of an epoch: slots [R, B] and action noise."""
         steps, batch = self.config.gradient_steps, self.config.batch_size
         share, action_noise = [], []
         for rng in streams(self.seeds, Purpose.UPDATE, epoch):

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from agents.errors import check, check_choice, check_integers
-from agents.lockstep import multiplier
+from agents.lockstep import lagrange
 from agents.lockstep.adam import Moments, adam, no_moments
 from agents.lockstep.backend import tensor
 from agents.lockstep.compiling import compiled
-from agents.lockstep.multiplier import Multiplier
+from agents.lockstep.lagrange import MultiplierForm, MultiplierState, PIDState
 from agents.lockstep.nets import LANES, MLP, check_lanes
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.replay import Batch
@@ -31,12 +31,10 @@ from agents.sac import squashed_gaussian
 class SACConfig:
     """Hyper-parameters of the SAC family.
 
-    The defaults are the paper's (table HP_Circle2D) but for the cost limit, 25 as on its other
-    tasks, and the time limit; presets set both for Circle2D.
+    The defaults are the paper's (table HP_Circle2D) but for the time limit; presets set it for
+    Circle2D.
     """
 
-    cost_limit: float = 25.0
-    """Limit d of the discounted cost return. Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
     discount: float = 0.99
     """Discount factor γ of rewards and costs, in [0, 1]. Paper: 0.99."""
     learning_rate: float = 3e-4
@@ -57,36 +55,54 @@ class SACConfig:
     """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
     al."""
     time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
-    """Whether values go on behind a time limit. Inferred for the paper's Circle2D, not
-    printed: terminal."""
+    """Whether to bootstrap at the time limit. Inferred for the paper's Circle2D, not printed:
+    terminal."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         check_integers(self, "gradient_steps", "replay_size", low=1)
         check_integers(self, "batch_size", low=1, high=self.replay_size)
         check_integers(self, "random_steps", low=0)
-        check(self, "cost_limit", low=0)
         check(self, "discount", "target_rate", low=0, high=1)
         check(self, "learning_rate", above=0, high=1)
         check_lanes(self)
         check_choice(self, "time_limit", "bootstrap", "terminal")
 
 
-class CostRule(NamedTuple):
-    """What an algorithm of the family does with costs. Every function takes its config first.
+@dataclass(frozen=True)
+class ConstrainedSACConfig(SACConfig):
+    """Hyper-parameters of the SAC family's algorithms that limit a cost.
 
-    `costs` are the outputs of the two cost critics, [R, 2, B].
+    The default is that of the paper's other tasks; presets set it for Circle2D.
+    """
+
+    limited_cost: ClassVar = "discounted cost return Q_c"  # in words, for tables
+    cost_limit: float = 25.0
+    """Limit d of the discounted cost return Q_c that the cost critics estimate, with the discount γ
+    of the rewards; not of an episode's cost. Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the value that is not allowed."""
+        super().__post_init__()
+        check(self, "cost_limit", low=0)
+
+
+class CostRule(NamedTuple):
+    """How an algorithm of the family treats costs. Every function takes its config first.
+
+    `cost_values` are the outputs of the two cost critics, [R, 2, B].
     """
 
     risk: Callable[[Any, Tensor], Tensor]
-    """(config, costs) -> [R, B]: what the actor fears."""
+    """(config, cost_values) -> [R, B]: cost estimate that the actor penalises."""
     critic_loss: Callable[[Any, Tensor, Tensor, Batch], Tensor]
-    """(config, costs, target critics' costs of the next action, batch) -> [R]."""
+    """(config, cost_values, the target critics' at the next action, batch) -> [R]."""
     penalty: Callable[[Any, Tensor, Tensor], Tensor]
     """(config, risk [R, B], multiplier [R, 1]) -> [R, B]: added to the actor's loss. The multiplier
     is 0 where the rule has none."""
-    multiplier: multiplier.Form | None = None
-    """What the multiplier is; it ascends on `E[risk - d]`. None for an algorithm without one."""
+    multiplier_form: MultiplierForm | None = None
+    """How the multiplier is parametrised; it follows `E[risk] - d`. None for an algorithm without
+    one."""
 
 
 class Nets(NamedTuple):
@@ -110,7 +126,7 @@ class SACState(NamedTuple):
     """[R, 4, critic size]"""
     log_temperature: Tensor
     """[R, LANES]"""
-    multiplier: Multiplier | None
+    multiplier: MultiplierState | PIDState | None
     actor_moments: Moments
     critic_moments: Moments
     temperature_moments: Moments
@@ -143,7 +159,7 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
         critics=critics,
         targets=critics.clone(),
         log_temperature=log_temperature,
-        multiplier=multiplier.initial(rule.multiplier, config, len(seeds)),
+        multiplier=lagrange.initial(rule.multiplier_form, config, len(seeds)),
         actor_moments=no_moments(actor),
         critic_moments=no_moments(critics),
         temperature_moments=no_moments(log_temperature),
@@ -151,7 +167,7 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
 
 
 def values(nets: Nets, critics: Tensor, observation: Tensor, action: Tensor) -> Tensor:
-    """What the four critics of each run say: [R, 4, B]."""
+    """Values of the four critics of each run: [R, 4, B]."""
     inputs = torch.cat([observation, action], dim=-1)
     runs, batch, width = inputs.shape
     inputs = inputs[:, None].expand(runs, 4, batch, width).reshape(runs * 4, batch, width)
@@ -165,7 +181,7 @@ def critic_loss(
     critics: Tensor,
     batch: Batch,
     reward_target: Tensor,
-    next_costs: Tensor,
+    next_cost_values: Tensor,
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Half the mean squared error of each reward critic, and the rule's loss of the cost critics.
 
@@ -174,7 +190,7 @@ def critic_loss(
     q = values(nets, critics, batch.observation, batch.action)
     error = q[:, :2] - reward_target[:, None]
     reward_part = 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
-    cost_part = rule.critic_loss(config, q[:, 2:], next_costs, batch)
+    cost_part = rule.critic_loss(config, q[:, 2:], next_cost_values, batch)
     parts = {"critic_loss": reward_part.detach(), "cost_critic_loss": cost_part.detach()}
     return (reward_part + cost_part).sum(), parts
 
@@ -198,8 +214,8 @@ def actor_loss(
     q = values(nets, critics, batch.observation, action)
     risk = rule.risk(config, q[:, 2:])
     temperature = state.log_temperature.exp()[:, :1]
-    factor = multiplier.value(rule.multiplier, state.multiplier, len(actor))
-    penalty = rule.penalty(config, risk, factor)
+    multiplier = lagrange.value(rule.multiplier_form, state.multiplier, len(actor))
+    penalty = rule.penalty(config, risk, multiplier)
     reward = torch.minimum(q[:, 0], q[:, 1])
     loss = (temperature * log_prob - reward + penalty).mean(dim=-1)
     return loss.sum(), (loss.detach(), risk.detach(), log_prob.detach())
@@ -208,7 +224,7 @@ def actor_loss(
 def targets_of(
     nets: Nets, config: SACConfig, state: SACState, batch: Batch, noise: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """`r + γ (min Q' - α log π)` at the next action, and the target critics' costs there.
+    """`r + γ (min Q' - α log π)` at the next action, and the target cost critics' values there.
 
     -> [R, B] and [R, 2, B].
     """
@@ -229,10 +245,10 @@ def update(
     new state and, for the records, means over the batch, [R] each.
     """
     rate = config.learning_rate
-    reward_target, next_costs = targets_of(nets, config, state, batch, noise.next_action)
+    reward_target, next_cost_values = targets_of(nets, config, state, batch, noise.next_action)
 
     def of_critics(critics: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        return critic_loss(nets, config, rule, critics, batch, reward_target, next_costs)
+        return critic_loss(nets, config, rule, critics, batch, reward_target, next_cost_values)
 
     gradient, metrics = torch.func.grad(of_critics, has_aux=True)(state.critics)
     critics, critic_moments = adam(state.critics, gradient, state.critic_moments, rate)
@@ -245,7 +261,7 @@ def update(
     metrics |= {
         "actor_loss": loss,
         "temperature": state.log_temperature.exp()[:, 0],
-        "multiplier": multiplier.value(rule.multiplier, state.multiplier, len(actor))[:, 0],
+        "multiplier": lagrange.value(rule.multiplier_form, state.multiplier, len(actor))[:, 0],
         "risk": risk.mean(dim=-1),
         "entropy": -log_prob.mean(dim=-1),
     }
@@ -257,9 +273,10 @@ def update(
         critic_moments=critic_moments,
     )
     state = temperature_step(config, state, log_prob, batch.action.shape[-1])
-    excess = risk.mean(dim=-1, keepdim=True) - config.cost_limit
-    followed = multiplier.ascend(rule.multiplier, config, state.multiplier, excess)
-    return state._replace(multiplier=followed), metrics
+    if isinstance(state.multiplier, MultiplierState):  # a PID controller's follows once an epoch
+        cost, form = risk.mean(dim=-1, keepdim=True), rule.multiplier_form
+        state = state._replace(multiplier=lagrange.follow(form, config, state.multiplier, cost))
+    return state, metrics
 
 
 def temperature_step(

@@ -134,9 +134,7 @@ class TrainConfig:
         return cls.parse(read_json(folder / "config.json"), folder, strict)
 
     @classmethod
-    def parse(
-        cls, content: dict[str, Any], folder: Path | str, strict: bool = True
-    ) -> TrainConfig:
+    def parse(cls, content: dict[str, Any], folder: Path | str, strict: bool = True) -> TrainConfig:
         """The configuration that a `config.json` holds.
 
         folder: of the file, for errors. strict: require that the algorithm is registered; otherwise

@@ -15,10 +15,10 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from agents.algorithms import Learner
 from agents.algorithms import learner as make_learner
 from agents.errors import UserError
 from agents.lockstep import backend, tree
+from agents.lockstep.learner import Learner
 from agents.lockstep.noise import Purpose, environment_seeds
 from agents.lockstep.rollout import Rollout, collect
 from agents.training.config import FAILURE, TrainConfig, check_together, run_folders

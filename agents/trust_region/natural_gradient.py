@@ -38,7 +38,7 @@ def conjugate_gradient(product: Product, b: Tensor, iterations: int) -> Tensor:
 
 
 class Problem(NamedTuple):
-    """What a step of the policy is computed from; each run's own."""
+    """The local model that a step of the policy is computed from; each run's own."""
 
     gradient: Tensor
     """[R, P]: of the objective"""
@@ -60,9 +60,9 @@ class Problem(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A step to be tried, and what the line search asks of it."""
+    """A step to be tried, and the conditions of its line search."""
 
-    step: Tensor
+    displacement: Tensor
     """[R, P]"""
     must_improve: Tensor
     """[R], bool: whether the objective has to grow"""
@@ -73,7 +73,7 @@ class Step(NamedTuple):
 
 
 class Accepted(NamedTuple):
-    """What a line search found."""
+    """The result of a line search."""
 
     params: Tensor
     """[R, P]"""
@@ -89,17 +89,20 @@ Judge = Callable[[Tensor], tuple[Tensor, Tensor]]
 """params [R, P] -> which runs may go there [R], bool, and their KL divergence [R]"""
 
 
-def line_search(params: Tensor, step: Tensor, judge: Judge, tries: int, decay: float) -> Accepted:
-    """The first of `params + decay^k step`, k < tries, that each run's judge accepts.
+def line_search(
+    params: Tensor, displacement: Tensor, judge: Judge, tries: int, decay: float
+) -> Accepted:
+    """The first of `params + decay^k displacement`, k < tries, that each run's judge accepts.
 
-    params, step: [R, P]. Where none is accepted the parameters stay as they are, bit for bit.
+    params, displacement: [R, P]. Where none is accepted the parameters stay as they are, bit for
+    bit.
     """
     runs = len(params)
     found = Accepted(
         params, torch.zeros(runs, dtype=torch.bool), torch.zeros(runs), torch.zeros(runs)
     )
     for k in range(tries):
-        candidate = params + decay**k * step
+        candidate = params + decay**k * displacement
         allowed, kl = judge(candidate)
         new = allowed & ~found.accepted & candidate.isfinite().all(dim=-1)
         found = Accepted(

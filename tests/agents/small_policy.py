@@ -5,9 +5,9 @@ from torch.distributions import Independent, Normal
 
 from agents.lockstep.nets import MLP
 from agents.on_policy.gaussian import GaussianPolicy
-from agents.trust_region import policy_step as trpo
+from agents.on_policy.state import Nets
 
-NETS = trpo.Nets(GaussianPolicy(MLP((2, 3, 2))), MLP((2, 3, 1)))
+NETS = Nets(GaussianPolicy(MLP((2, 3, 2))), MLP((2, 3, 1)))
 
 
 def normal(*shape, seed=0):

@@ -17,6 +17,7 @@ from torch.distributions import kl_divergence
 from agents.algorithms import cpo
 from agents.algorithms.cpo import INSIDE, PARTLY, RECOVERABLE, RECOVERY, CPOConfig
 from agents.on_policy.packing import BLOCK
+from agents.on_policy.state import Epoch, OnPolicyState
 from agents.trust_region import policy_step as trpo
 from agents.trust_region.natural_gradient import Problem
 
@@ -103,22 +104,22 @@ def test_every_case_in_one_batch():
     runs = [one_run(share, cosine, seed) for seed, (share, cosine, *_) in enumerate(CASES)]
     found = cpo.step(CPOConfig(), problem_of(runs))
     assert found.case.tolist() == [case for _, _, case, _ in CASES]
-    for (*_, case, held), (g, b, c, root), x in zip(CASES, runs, found.step, strict=True):
+    for (*_, case, held), (g, b, c, root), x in zip(CASES, runs, found.displacement, strict=True):
         assert close(x, expected_step(g, b, c, root))
         if case != RECOVERY:
             assert close(x, solver_step(g, b, c, root))
             assert (abs(c + b @ x) < 1e-4 * RADIUS * b.norm()) == held
     for run, (_, b, c, root) in enumerate(runs):
         alone = cpo.step(CPOConfig(), problem_of([runs[run]]))
-        torch.testing.assert_close(alone.step[0], found.step[run])
+        torch.testing.assert_close(alone.displacement[0], found.displacement[run])
         # Where the limit is kept costs may grow up to it, and the objective has to grow.
         assert found.must_improve[run] == (c <= 0)
         assert found.cost_bound[run] == max(0.0, -c)
         if CASES[run][2] == RECOVERY:
             natural = torch.cholesky_solve(b[:, None], root)[:, 0]
             recovery = -(2 * DELTA / (b @ natural)).sqrt() * natural
-            torch.testing.assert_close(found.step[run], recovery)
-            assert b @ found.step[run] < 0
+            torch.testing.assert_close(found.displacement[run], recovery)
+            assert b @ found.displacement[run] < 0
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-6])
@@ -131,7 +132,7 @@ def test_where_costs_do_not_depend_on_the_policy(size):
     assert found.case.tolist() == [INSIDE] * 3
     assert found.cost_bound.tolist() == [1.0, 0.0, 0.0]
     assert found.must_improve[:2].all()
-    for (g, _, _, root), x in zip(runs, found.step, strict=True):
+    for (g, _, _, root), x in zip(runs, found.displacement, strict=True):
         plain = expected_step(g, torch.zeros(SIZE, dtype=torch.float64), 0.0, root)
         assert close(x, plain)
 
@@ -147,7 +148,7 @@ def test_random_runs_against_geometry():
     broken, near = share > 0, share.abs() < 1
     expected = torch.where(near, PARTLY + broken.int(), INSIDE + 3 * broken.int())
     assert torch.equal(found.case, expected)
-    for run, x in zip(runs, found.step, strict=True):
+    for run, x in zip(runs, found.displacement, strict=True):
         assert close(x, expected_step(*run))
 
 
@@ -158,7 +159,7 @@ def test_objective_and_cost_of_one_gradient(noise, share):
     runs = [one_run(share, math.sqrt(1 - noise**2), seed) for seed in range(20)]
     problem = problem_of([[value.float() for value in run] for run in runs])
     found = cpo.step(CPOConfig(), problem)
-    for (g, b, c, root), x in zip(runs, found.step.double(), strict=True):
+    for (g, b, c, root), x in zip(runs, found.displacement.double(), strict=True):
         reach = RADIUS * b.norm()
         assert 0.5 * (root.T @ x).square().sum() <= 1.01 * DELTA
         assert c + b @ x <= 0.01 * reach
@@ -170,7 +171,7 @@ def test_nothing_to_gain():
     """Without a gradient of the objective: nowhere, or the shortest way back to the limit."""
     runs = [one_run(share, 0.5, seed) for seed, share in enumerate((-1.5, -0.5, 0.5, 1.5))]
     runs = [(0 * g, b, c, root) for g, b, c, root in runs]
-    x = cpo.step(CPOConfig(), problem_of(runs)).step
+    x = cpo.step(CPOConfig(), problem_of(runs)).displacement
     assert (x[:2] == 0).all()
     for run, back in ((2, 0.5), (3, 1.0)):
         _, b, _, root = runs[run]
@@ -211,11 +212,10 @@ def test_a_policy_of_each_case():
     weight = ((torch.arange(BLOCK) < n) / n).double().expand(4, -1)
     excess = torch.stack([c for _, _, c, _ in runs])
     targets = torch.zeros(4, 2, BLOCK)
-    epoch = trpo.Epoch(
-        observation, action, weight, reward[..., 0], cost[..., 0], targets, length, excess
-    )
-    state = trpo.TRPOState(actor, *[None] * (len(trpo.TRPOState._fields) - 1))
+    state = OnPolicyState(actor, *[None] * 3)
     config = CPOConfig(target_kl=DELTA, cg_iterations=60)
+    costs = excess + config.cost_limit
+    epoch = Epoch(observation, action, weight, reward[..., 0], cost[..., 0], targets, length, costs)
     params, records = trpo.policy_step(NETS, config, cpo.RULE, state, epoch)
     assert records["case"].tolist() == [INSIDE, PARTLY, RECOVERABLE, RECOVERY]
     for run, (surrogate, mean_kl) in enumerate(surrogates):

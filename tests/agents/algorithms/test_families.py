@@ -1,32 +1,38 @@
-"""All five algorithms on a task whose episodes end early: records, resume, runs that fail alone."""
+"""Every algorithm on a task whose episodes end early: records, resume, runs that fail alone."""
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from toys import register
 
-from agents.algorithms import ALGORITHMS, algorithm
+from agents.algorithms import BUILT_IN, algorithm
 from agents.lockstep import tree
-from agents.sac.update import SACConfig
 from agents.training import loop as train_module
 from agents.training.config import TrainConfig
 from agents.training.environments import make_envs
 from agents.training.evaluation import evaluate
 from agents.training.files import read_json
 from agents.training.loop import Training, train
+from agents.training.records import COLUMNS
 from emcc import EpisodeRecords, longest_streak
 
 register()
 
 
+SMALL = {"cost_limit": 1.0, "batch_size": 32, "hidden": (32, 32), "episodes": 3}
+SMALL |= {"random_steps": 50, "gradient_steps": 2, "actor_iterations": 2}
+WITH_PID = ("trpo-lag pid", "sac-lag pid", "wcsac pid")
+EVERYTHING = (*BUILT_IN, *WITH_PID)
+
+
 def config(name, seeds=(0, 1, 2), steps=900, **parameters):
-    hyperparameters = algorithm(name).config(cost_limit=1.0, batch_size=32, hidden=(32, 32))
-    if isinstance(hyperparameters, SACConfig):
-        hyperparameters = replace(hyperparameters, random_steps=50, gradient_steps=2)
-    else:
-        hyperparameters = replace(hyperparameters, episodes=3)
+    """name: of an algorithm, and its multiplier's optimiser if it is not the default."""
+    name, _, optimizer = name.partition(" ")
+    settings = SMALL | ({"multiplier_optimizer": optimizer} if optimizer else {})
+    of_all = {field.name for field in fields(algorithm(name).config)}
+    hyperparameters = algorithm(name).config(**{k: v for k, v in settings.items() if k in of_all})
     return TrainConfig(name, "Walk-v0", seeds, steps, hyperparameters, parameters, 300)
 
 
@@ -55,7 +61,7 @@ def finished(training):
     return training
 
 
-@pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.parametrize("name", EVERYTHING)
 def test_resumed_in_the_middle_is_as_never_stopped(name, tmp_path):
     whole = finished(Training(config(name)))
     stopped = Training(config(name))
@@ -68,7 +74,7 @@ def test_resumed_in_the_middle_is_as_never_stopped(name, tmp_path):
     assert_same(arrays_of(finished(resumed)), arrays_of(whole))
 
 
-@pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.parametrize("name", EVERYTHING)
 def test_a_run_does_not_see_the_others(name):
     """Episodes of the others have other lengths, and they finish at other times."""
     together, alone = finished(Training(config(name))), finished(Training(config(name, (1,))))
@@ -77,7 +83,7 @@ def test_a_run_does_not_see_the_others(name):
     assert_same(of_run(alone, 0), of_run(together, 1))
 
 
-@pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.parametrize("name", BUILT_IN)
 def test_a_poisoned_run_fails_alone(name, tmp_path):
     """NaN in the first weight of the second run's actor, after some epochs."""
     healthy = finished(Training(config(name)))
@@ -112,14 +118,14 @@ def test_an_environment_that_gives_nan_fails_its_run(name, poisons, tmp_path):
     assert 0 < training.failed.sum() < 6
     assert (training.steps[~training.failed] >= 600).all()
     for run, failed in enumerate(training.failed):
-        rows = training.log.episodes[:, run].reshape(-1, 5)
+        rows = training.log.episodes[:, run].reshape(-1, len(COLUMNS))
         assert np.isfinite(rows[~np.isnan(rows[:, 0])]).all()
         assert (tmp_path / f"seed-{run}" / "failed.json").exists() == failed
         if failed:
             assert not (tmp_path / f"seed-{run}" / "evaluation.json").exists()
 
 
-@pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.parametrize("name", BUILT_IN)
 def test_records_are_of_what_the_environments_did(name, tmp_path):
     """The rows of `episodes.csv` against costs and rewards noted beside the training."""
     config(name, (0, 1)).write(tmp_path)
@@ -200,13 +206,17 @@ def test_all_runs_fail_at_once():
 
 
 def test_what_each_algorithm_records():
-    metrics = {name: Training(config(name)).learner.metrics for name in ALGORITHMS}
+    metrics = {name: Training(config(name)).learner.metrics for name in BUILT_IN}
     on_policy = ("kl", "step_scale", "critic_loss", "cost_critic_loss", "std")
     assert metrics["trpo-lag"] == (*on_policy, "multiplier")
     assert metrics["cpo"] == (*on_policy, "case")
     off_policy = {"critic_loss", "cost_critic_loss", "actor_loss", "temperature", "risk", "entropy"}
     assert set(metrics["sac-lb"]) == off_policy
+    assert set(metrics["sac"]) == off_policy
     assert set(metrics["sac-lag"]) == set(metrics["wcsac"]) == off_policy | {"multiplier"}
+    first_order = ("kl", "clipped", "critic_loss", "cost_critic_loss", "std")
+    assert metrics["ppo"] == first_order
+    assert metrics["ppo-lag"] == (*first_order, "multiplier")
 
 
 def test_sync_and_async_give_the_same():

@@ -36,7 +36,7 @@ def trained(name, runs, compiles, states=None):
     """
     backend.configure(compiles)
     one = config(name, SEEDS[:runs])
-    agent = learner(name, one.hyperparameters, one.seeds, 2, 1)
+    agent = learner(one.algorithm, one.hyperparameters, one.seeds, 2, 1)
     rollout = rollout_of(one, agent.episodes).of(slice(0, runs * agent.episodes))
     found = [copied(agent.state_dict())]
     for epoch in range(UPDATES):
@@ -54,7 +54,8 @@ def copied(state):
 def difference(a, b):
     """The largest of parameters."""
     assert a.keys() == b.keys()
-    names = [name for name in a if name in ("actor", "critics", "multiplier.parameter")]
+    learned = ("actor", "critics", "multiplier.parameter", "multiplier.value")
+    names = [name for name in a if name in learned]
     return max(float(np.abs(a[name] - b[name]).max()) for name in names)
 
 

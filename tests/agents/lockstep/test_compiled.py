@@ -15,7 +15,8 @@ HERE = Path(__file__).parent
 def run(*command):
     """What a process prints that may compile, unlike this one."""
     environment = {k: v for k, v in os.environ.items() if k != "TORCH_COMPILE_DISABLE"}
-    paths = [str(HERE), environment.get("PYTHONPATH", "")]
+    there = (HERE.parent, HERE.parent / "algorithms")
+    paths = [*map(str, there), environment.get("PYTHONPATH", "")]
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
     done = subprocess.run(
         [sys.executable, *command], env=environment, capture_output=True, text=True, check=False
@@ -34,7 +35,11 @@ def compiler():
 
 @pytest.mark.parametrize(
     ("names", "one", "all_"),
-    [(("sac-lag", "sac-lb", "wcsac"), 1e-5, 1e-5), (("trpo-lag", "cpo"), 1e-4, np.inf)],
+    [
+        (("sac-lag", "sac-lb", "wcsac", "sac", "sac-lag pid"), 1e-5, 1e-5),
+        (("trpo-lag", "cpo", "trpo-lag pid"), 1e-4, np.inf),
+        (("ppo-lag", "ppo"), 1e-4, np.inf),
+    ],
 )
 def test_compiled_is_eager_but_for_rounding(names, one, all_, compiler):
     """Each of 20 updates from the same state, and off-policy all of them. On-policy a step is that

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from agents.algorithms import ALGORITHMS
+from agents.algorithms import ALGORITHMS, BUILT_IN
 from agents.errors import UserError
-from agents.lockstep import backend
+from agents.lockstep import backend, lagrange
 from agents.lockstep.replay import Batch
 from agents.on_policy import critics
+from agents.on_policy.learner import OnPolicy
+from agents.on_policy.state import Epoch
+from agents.sac import OffPolicy
 from agents.sac import update as sac
-from agents.trust_region import policy_step as trpo
 
 R, B = 3, 64
 
@@ -26,7 +28,15 @@ def elsewhere():
     torch.set_default_device(None)
 
 
-@pytest.mark.parametrize("name", ["sac-lag", "sac-lb", "wcsac"])
+def family(name):
+    return ALGORITHMS[name].family
+
+
+OFF_POLICY = [name for name in BUILT_IN if family(name) is OffPolicy]
+ON_POLICY = [name for name in BUILT_IN if issubclass(family(name), OnPolicy)]
+
+
+@pytest.mark.parametrize("name", OFF_POLICY)
 def test_off_policy_updates(name, elsewhere):
     config, rule = ALGORITHMS[name].config(batch_size=B), ALGORITHMS[name].rule
     nets = sac.make_nets(config, 3, 2)
@@ -39,20 +49,31 @@ def test_off_policy_updates(name, elsewhere):
     assert all(value.is_meta and value.shape == (R,) for value in metrics.values())
 
 
-@pytest.mark.parametrize("name", ["trpo-lag", "cpo"])
-def test_on_policy_updates(name, elsewhere):
-    """Up to the line search, which looks at numbers."""
+@pytest.mark.parametrize("name", ON_POLICY)
+def test_on_policy_updates(name, elsewhere, monkeypatch):
+    """The whole improvement of a policy. Where it asks for a number, to stop early, the answer is
+    no: a line search then goes through all of its tries."""
     config, rule = ALGORITHMS[name].config(batch_size=B), ALGORITHMS[name].rule
-    nets = trpo.make_nets(config, 3, 2)
-    state = trpo.initial_state(nets, config, rule, range(R))
+    it = family(name)(config, rule, range(R), 3, 2)
     shapes = (R, 512, 3), (R, 512, 2), (R, 512), (R, 512), (R, 512), (R, 2, 512), (R,), (R,)
-    epoch = trpo.Epoch(*map(elsewhere, shapes))
-    with pytest.raises(RuntimeError, match="cannot be called on meta tensors"):
-        trpo.policy_step(nets, config, rule, state, epoch)
+    epoch, steps = Epoch(*map(elsewhere, shapes)), np.array([500, 70, 0])
+    monkeypatch.setattr(torch.Tensor, "__bool__", lambda tensor: False)
+    after, records = it.improve(epoch, steps, [np.random.default_rng(seed) for seed in range(R)])
+    assert after.actor.is_meta
+    assert after.actor.shape == it._state.actor.shape
+    assert all(value.is_meta and value.shape == (R,) for value in records.values())
     rows, weight = backend.tensor(np.zeros((R, B), dtype=np.int64)), elsewhere(R, B)
-    after, losses = critics.critic_step(nets, config, state, epoch, rows, weight)
+    after, losses = critics.critic_step(it.nets, config, after, epoch, rows, weight)
     assert after.critics.is_meta
     assert losses.is_meta
+
+
+@pytest.mark.parametrize("optimizer", ["adam", "sgd", "pid"])
+def test_multipliers(optimizer, elsewhere):
+    config = ALGORITHMS["trpo-lag"].config(multiplier_optimizer=optimizer)
+    state = lagrange.initial(lagrange.PROJECTED, config, R)
+    state = lagrange.follow(lagrange.PROJECTED, config, state, elsewhere(R, 1))
+    assert lagrange.value(lagrange.PROJECTED, state, R).is_meta
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

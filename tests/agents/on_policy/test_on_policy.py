@@ -8,16 +8,18 @@ from agents.algorithms import cpo, trpo_lag
 from agents.algorithms.cpo import CPOConfig
 from agents.algorithms.trpo_lag import TRPOLagConfig
 from agents.lockstep.rollout import Rollout
-from agents.on_policy.learner import METRICS, OnPolicy
 from agents.on_policy.packing import Packing
 from agents.trust_region import policy_step as trpo
+from agents.trust_region.learner import TrustRegion
+
+METRICS = ("kl", "step_scale", "critic_loss", "cost_critic_loss", "std")
 
 OBSERVATION, ACTION = 3, 2
 SMALL = {"hidden": (32,), "episodes": 2, "critic_iterations": 2}
 
 
 def learner(rule, config, seeds=(0,)):
-    return OnPolicy(config, rule, seeds, OBSERVATION, ACTION)
+    return TrustRegion(config, rule, seeds, OBSERVATION, ACTION)
 
 
 def episodes(lengths, draw):
@@ -68,7 +70,7 @@ def test_an_epoch_by_hand(time_limit):
     np.testing.assert_allclose(epoch.reward_advantage[0, :3], expected, rtol=1e-6)
     np.testing.assert_allclose(epoch.cost_advantage[0, :3], cost - cost.mean(), rtol=1e-6)
     assert epoch.length.tolist() == [1.5]
-    assert epoch.excess.tolist() == [(2.0 + 1.0) / 2 - 25.0]
+    assert epoch.cost.tolist() == [(2.0 + 1.0) / 2]
 
 
 @pytest.mark.parametrize("optimizer", ["adam", "sgd"])

@@ -9,11 +9,13 @@ from modules import flat, module
 from small_policy import normal
 from torch.distributions import Independent, Normal, kl_divergence
 
-from agents.algorithms import cpo, trpo_lag
+from agents.algorithms import trpo_lag
 from agents.algorithms.cpo import CPOConfig
 from agents.algorithms.trpo_lag import TRPOLagConfig
+from agents.lockstep.lagrange import PROJECTED
 from agents.lockstep.nets import MLP
-from agents.on_policy import critics
+from agents.on_policy import comparison, critics
+from agents.on_policy import state as on_policy
 from agents.on_policy.gaussian import GaussianPolicy
 from agents.on_policy.packing import BLOCK
 from agents.trust_region import policy_step as trpo
@@ -22,7 +24,7 @@ from agents.trust_region.natural_gradient import Problem
 OBSERVATION, ACTION = 3, 2
 SMALL = {"hidden": (32,), "episodes": 2, "critic_iterations": 2}
 ACTOR = GaussianPolicy(MLP((OBSERVATION, 32, ACTION)))
-NETS = trpo.Nets(ACTOR, MLP((OBSERVATION, 32, 1)))
+NETS = on_policy.Nets(ACTOR, MLP((OBSERVATION, 32, 1)))
 
 
 class Separate:
@@ -47,7 +49,7 @@ def random_epoch(steps, size):
     runs, steps = len(steps), torch.tensor(steps)
     columns = normal(runs, size, OBSERVATION + ACTION + 2, seed=1)
     observation, action, advantages = columns.split((OBSERVATION, ACTION, 2), dim=-1)
-    return trpo.Epoch(
+    return on_policy.Epoch(
         observation=observation,
         action=action,
         weight=(torch.arange(size) < steps[:, None]) / steps[:, None].double(),
@@ -55,7 +57,7 @@ def random_epoch(steps, size):
         cost_advantage=advantages[..., 1],
         value_targets=normal(runs, 2, size, seed=2),
         length=torch.full((runs,), 50.0),
-        excess=torch.zeros(runs),
+        cost=torch.zeros(runs),
     )
 
 
@@ -78,12 +80,12 @@ def test_distribution_against_torch():
 
 def test_initial_deviation():
     config = TRPOLagConfig(initial_log_std=-0.5, **SMALL)
-    state = trpo.initial_state(NETS, config, trpo_lag.RULE, [3, 4])
+    state = on_policy.initial_state(NETS, config, PROJECTED, [3, 4])
     policy = ACTOR.distribution(state.actor, torch.zeros(2, 1, OBSERVATION))
     torch.testing.assert_close(policy.std, torch.full((2, 1, ACTION), math.exp(-0.5)))
     assert (state.actor[:, ACTOR.net.size + ACTION :] == 0).all()
     assert (state.actor[0] != state.actor[1]).any()
-    again = trpo.initial_state(NETS, config, trpo_lag.RULE, [4])
+    again = on_policy.initial_state(NETS, config, PROJECTED, [4])
     assert torch.equal(again.actor[0], state.actor[1])
     assert torch.equal(again.critics[0], state.critics[1])
     assert (state.critics[:, 0] != state.critics[:, 1]).any()
@@ -93,10 +95,12 @@ def test_initial_deviation():
 def test_compared_and_its_gradient_against_separate_runs(steps, size):
     """E[ratio · A] for both advantages, and the KL from the old to the new policy."""
     old, new, epoch = random_actor(2), random_actor(2, seed=3), random_epoch(steps, size)
-    blocks = trpo.blocks_of(NETS, old, epoch, epoch.reward_advantage)
-    found, kl = trpo.compared(NETS, new, blocks)
+    blocks = comparison.blocks_of(NETS, old, epoch, epoch.reward_advantage)
+    found, kl = comparison.compared(NETS, new, blocks)
     for of, advantage in enumerate((epoch.reward_advantage, epoch.cost_advantage)):
-        gradient = torch.func.grad(lambda p, of=of: trpo.compared(NETS, p, blocks)[0][:, of].sum())
+        gradient = torch.func.grad(
+            lambda p, of=of: comparison.compared(NETS, p, blocks)[0][:, of].sum()
+        )
         moved = gradient(new)
         for run, n in enumerate(steps):
             before, after = Separate(old[run]), Separate(new[run])
@@ -118,7 +122,7 @@ def test_critics_against_separate_runs():
     """Four steps of Adam; the second run has no rows in the third minibatch, and waits."""
     config, epoch = CPOConfig(**SMALL), random_epoch((200, 40), BLOCK)
     epoch = epoch._replace(observation=epoch.observation.float())
-    state = trpo.initial_state(NETS, config, cpo.RULE, [0, 1])
+    state = on_policy.initial_state(NETS, config, None, [0, 1])
     theirs = [[module(NETS.critic, vector) for vector in run] for run in state.critics]
     optimizers = [[torch.optim.Adam(net.parameters(), lr=3e-4) for net in run] for run in theirs]
     rng = np.random.default_rng(0)
@@ -166,7 +170,7 @@ def test_step_of_trpo_by_hand():
         target_kl=0.085,
     )
     found = trpo_lag.step(TRPOLagConfig(), problem)
-    torch.testing.assert_close(found.step, torch.tensor([[0.2, 0.1], [0.0, 0.0]]))
+    torch.testing.assert_close(found.displacement, torch.tensor([[0.2, 0.1], [0.0, 0.0]]))
     assert found.must_improve.all()
     assert (found.cost_bound == torch.inf).all()
 
@@ -177,7 +181,7 @@ def test_step_of_a_policy(multiplier):
     config = TRPOLagConfig(initial_multiplier=multiplier, multiplier_lr=0.0, **SMALL)
     epoch = random_epoch((300, 120), BLOCK)
     actor = random_actor(2)
-    state = trpo.initial_state(NETS, config, trpo_lag.RULE, [0, 1])._replace(actor=actor)
+    state = on_policy.initial_state(NETS, config, PROJECTED, [0, 1])._replace(actor=actor)
     found, records = trpo.policy_step(NETS, config, trpo_lag.RULE, state, epoch)
     for run, n in enumerate((300, 120)):
         observation, action = epoch.observation[run, :n], epoch.action[run, :n]
@@ -206,7 +210,7 @@ def test_rows_of_weight_zero_do_not_change_a_sharp_policy():
     for size in (BLOCK, 2 * BLOCK):
         zeros = torch.zeros(1, size)
         there = (torch.arange(size) < 500).float()[None]
-        epoch = trpo.Epoch(
+        epoch = on_policy.Epoch(
             observation=torch.zeros(1, size, OBSERVATION),
             action=there[..., None].expand(1, size, ACTION).contiguous(),
             weight=there / 500,
@@ -214,12 +218,12 @@ def test_rows_of_weight_zero_do_not_change_a_sharp_policy():
             cost_advantage=zeros,
             value_targets=torch.zeros(1, 2, size),
             length=torch.ones(1),
-            excess=torch.zeros(1),
+            cost=torch.zeros(1),
         )
-        steps = trpo.blocks_of(NETS, actor, epoch, epoch.reward_advantage)
+        steps = comparison.blocks_of(NETS, actor, epoch, epoch.reward_advantage)
         at_padding = NETS.actor.distribution(nearer, epoch.observation).log_prob(epoch.action)
         assert (at_padding - steps[0].old_log_prob[:, -1])[0, -1] > 100
-        found.append(trpo.compared(NETS, nearer, steps))
+        found.append(comparison.compared(NETS, nearer, steps))
     for short, long in zip(*found, strict=True):
         assert short.isfinite().all()
         assert torch.equal(short, long)

@@ -7,7 +7,9 @@ from small_policy import NETS, normal, policy
 from torch.distributions import kl_divergence
 
 from agents.algorithms.cpo import CPOConfig
+from agents.on_policy.comparison import blocks_of
 from agents.on_policy.packing import BLOCK
+from agents.on_policy.state import Epoch, OnPolicyState
 from agents.trust_region import policy_step as trpo
 from agents.trust_region.natural_gradient import Problem, Step, conjugate_gradient, line_search
 
@@ -32,7 +34,7 @@ def random_epoch(steps, size, seed=0):
     runs = len(steps)
     weight = (torch.arange(size) < steps[:, None]) / steps[:, None].double()
     columns = normal(runs, size, 6, seed=seed)
-    return trpo.Epoch(
+    return Epoch(
         observation=columns[..., :2],
         action=columns[..., 2:4],
         weight=weight,
@@ -40,7 +42,7 @@ def random_epoch(steps, size, seed=0):
         cost_advantage=columns[..., 5],
         value_targets=torch.zeros(runs, 2, size),
         length=torch.full((runs,), 50.0, dtype=torch.float64),
-        excess=torch.zeros(runs, dtype=torch.float64),
+        cost=torch.zeros(runs, dtype=torch.float64),
     )
 
 
@@ -83,7 +85,7 @@ def test_a_run_that_is_solved_waits_for_the_others(scale):
 def test_fisher_product_against_the_hessian_of_kl(steps, size):
     """Two runs of different length, within a block and beyond one, against every entry."""
     actor, epoch = random_actor(2), random_epoch(torch.tensor(steps), size)
-    blocks = trpo.blocks_of(NETS, actor, epoch, epoch.reward_advantage)
+    blocks = blocks_of(NETS, actor, epoch, epoch.reward_advantage)
     product = trpo.fisher_product(NETS, actor, blocks, 0.3)
     columns = [product(unit.expand(2, -1)) for unit in torch.eye(64, dtype=torch.float64)]
     found = torch.stack(columns, dim=-1)
@@ -150,14 +152,14 @@ def test_no_step_beyond_the_trust_region_gets_through(seed):
     actor, epoch = random_actor(runs, seed), random_epoch(torch.full((runs,), 60), BLOCK, seed)
     size = 10 ** torch.linspace(-3, 1, runs, dtype=torch.float64)[:, None]
     chosen = Step(
-        step=size * normal(runs, NETS.actor.size, seed=seed + 100),
+        displacement=size * normal(runs, NETS.actor.size, seed=seed + 100),
         must_improve=torch.arange(runs) % 2 == 0,
         cost_bound=torch.tensor([0.0, 0.05, torch.inf, 0.0]).repeat(runs // 4),
         case=torch.zeros(runs),
     )
-    chosen.step[-2, 3] = epoch.cost_advantage[-1, 5] = torch.nan
+    chosen.displacement[-2, 3] = epoch.cost_advantage[-1, 5] = torch.nan
     rule = trpo.StepRule(lambda config, reward, cost, multiplier: reward, lambda *_: chosen)
-    state = trpo.TRPOState(actor, *[None] * 3)
+    state = OnPolicyState(actor, *[None] * 3)
     params, records = trpo.policy_step(NETS, config, rule, state, epoch)
 
     def judged(run, candidate):
@@ -171,7 +173,7 @@ def test_no_step_beyond_the_trust_region_gets_through(seed):
         return bool(kl <= 0.01 and better and 50 * costs <= chosen.cost_bound[run]), kl
 
     for run in range(runs):
-        tries = [actor[run] + 0.5**k * chosen.step[run] for k in range(8)]
+        tries = [actor[run] + 0.5**k * chosen.displacement[run] for k in range(8)]
         finite = [candidate for candidate in tries if candidate.isfinite().all()]
         first = next((candidate for candidate in finite if judged(run, candidate)[0]), None)
         if first is None:

@@ -1,0 +1,22 @@
+"""PPO: proximal policy optimisation, which knows no constraint. A reference for the others.
+
+Source: Schulman et al. 2017, "Proximal policy optimization algorithms".
+"""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from agents.algorithms import Algorithm
+from agents.first_order import FirstOrder, Objective, PPOConfig
+
+
+def advantage(
+    config: PPOConfig, reward_advantage: Tensor, cost_advantage: Tensor, multiplier: Tensor
+) -> Tensor:
+    """`A_r`: costs are recorded, and nothing else."""
+    return reward_advantage
+
+
+RULE = Objective(advantage)
+ALGORITHM = Algorithm("PPO", PPOConfig, RULE, FirstOrder)

@@ -1,0 +1,35 @@
+"""PPO-Lag: proximal policy optimisation with a Lagrange multiplier on the episode cost.
+
+Source: Ray, Achiam & Amodei 2019, "Benchmarking safe exploration in deep reinforcement learning".
+Not in the paper's grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from agents.algorithms import Algorithm
+from agents.algorithms.trpo_lag import objective
+from agents.errors import check
+from agents.first_order import FirstOrder, Objective, PPOConfig
+from agents.lockstep.lagrange import PROJECTED, MultiplierConfig
+from agents.on_policy.state import EpisodeCostLimit
+
+
+@dataclass(frozen=True)
+class PPOLagConfig(MultiplierConfig, EpisodeCostLimit, PPOConfig):
+    """Hyper-parameters of PPO-Lag."""
+
+    initial_multiplier: float = 0.001
+    """Initial multiplier λ, at least 0. Not in the paper; 0.001 as in OmniSafe and TRPO-Lag."""
+    multiplier_lr: float = 0.035
+    """Step size of the multiplier by adam or sgd. Not in the paper; 0.035 as in OmniSafe."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the value that is not allowed."""
+        super().__post_init__()
+        check(self, "initial_multiplier", low=0)
+
+
+RULE = Objective(objective, PROJECTED)
+ALGORITHM = Algorithm("PPO-Lag", PPOLagConfig, RULE, FirstOrder)

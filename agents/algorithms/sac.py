@@ -1,0 +1,22 @@
+"""SAC: soft actor-critic, which knows no constraint. A reference for the others.
+
+Source: Haarnoja et al. 2018, "Soft actor-critic algorithms and applications".
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from agents.algorithms import Algorithm
+from agents.algorithms.sac_lag import critic_loss, risk
+from agents.sac import CostRule, OffPolicy, SACConfig
+
+
+def penalty(config: SACConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
+    """0: the cost critics learn for the records alone."""
+    return torch.zeros_like(risk)
+
+
+RULE = CostRule(risk, critic_loss, penalty)
+ALGORITHM = Algorithm("SAC", SACConfig, RULE, OffPolicy)

@@ -1,0 +1,52 @@
+"""The interface between the training loop and a family of algorithms."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.lockstep.noise import Epochs
+from agents.lockstep.rollout import Act, Policy, Rollout
+from agents.lockstep.tree import ALL
+
+
+class Learner(Protocol):
+    """The runs of one algorithm, as the training loop sees them: what a family provides.
+
+    R runs train side by side. `policy`, `state_dict` and `load_state_dict` are of the runs in a
+    slice, by default of all.
+    """
+
+    episodes: int
+    """Whole episodes of each run in an epoch."""
+    metrics: tuple[str, ...]
+    """Names of the numbers that `learn` returns."""
+
+    def policy(self, runs: slice = ALL) -> Policy:
+        """The policy of some runs as it stands now."""
+        ...
+
+    def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
+        """How the runs act in an epoch; steps: [R], environment steps each has taken before."""
+        ...
+
+    def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray:
+        """Learn from an epoch of R·E episodes; active: [R], runs that take part.
+
+        Returns each of `metrics`, [R, metrics]; NaN for runs that learned nothing.
+        """
+        ...
+
+    def finite(self) -> NDArray[np.bool_]:
+        """Which runs hold only finite numbers, [R]."""
+        ...
+
+    def state_dict(self, runs: slice = ALL) -> dict[str, NDArray]:
+        """The whole training state of some runs as named arrays, the run axis first."""
+        ...
+
+    def load_state_dict(self, state: dict[str, NDArray], runs: slice = ALL) -> None:
+        """Load a state, bit for bit. KeyError or ValueError for one that does not fit."""
+        ...

@@ -1,0 +1,132 @@
+"""What the on-policy families have in common: hyper-parameters, networks, state, an epoch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+from torch import Tensor
+
+from agents.errors import check, check_choice, check_integers
+from agents.lockstep import lagrange
+from agents.lockstep.adam import Moments, no_moments
+from agents.lockstep.backend import tensor
+from agents.lockstep.lagrange import MultiplierForm, MultiplierState, PIDState
+from agents.lockstep.nets import MLP, check_lanes
+from agents.lockstep.noise import Purpose, stream
+from agents.on_policy.gaussian import GaussianPolicy
+
+
+@dataclass(frozen=True)
+class OnPolicyConfig:
+    """Hyper-parameters of all on-policy algorithms; a family adds its `batch_size`.
+
+    The defaults are the paper's (table HP_Circle2D).
+    """
+
+    discount: float = 0.99
+    """Discount factor γ of rewards and costs, in [0, 1]. Paper: 0.99."""
+    gae_lambda: float = 0.95
+    """Weight λ of longer returns in advantages (GAE), in [0, 1]. Paper: 0.95."""
+    episodes: int = 10
+    """Whole episodes an epoch. Paper: 10; 20 on SafetyPointCircle1."""
+    learning_rate: float = 3e-4
+    """Adam's step size. Paper: 3e-4 for the critics."""
+    critic_iterations: int = 10
+    """Passes of the critics over an epoch's steps. Paper: 10."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Sizes of the hidden layers of actor and critics (tanh); multiples of 32. Paper: 64, 64."""
+    initial_log_std: float = 0.0
+    """Initial logarithm of the policy's standard deviation. Not printed in the paper; 0 as in
+    Stable-Baselines3."""
+    time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
+    """Whether to bootstrap at the time limit. Not printed in the paper."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the value that is not allowed."""
+        check_integers(self, "episodes", "critic_iterations", low=1)
+        check(self, "discount", "gae_lambda", low=0, high=1)
+        check(self, "learning_rate", above=0, high=1)
+        check(self, "initial_log_std")
+        check_lanes(self)
+        check_choice(self, "time_limit", "bootstrap", "terminal")
+
+
+@dataclass(frozen=True)
+class EpisodeCostLimit:
+    """The constraint of the on-policy algorithms that have one."""
+
+    limited_cost: ClassVar = "undiscounted cost of an episode"  # in words, for tables
+    cost_limit: float = 25.0
+    """Limit d of the undiscounted cost J_C of an episode, mean over an epoch's episodes. Paper: 5
+    on Circle2D, 25 on Safety-Gymnasium."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the value that is not allowed."""
+        check(self, "cost_limit", low=0)
+        of_family = getattr(super(), "__post_init__", None)
+        if of_family:
+            of_family()
+
+
+class OnPolicyState(NamedTuple):
+    """Everything an update reads and writes."""
+
+    actor: Tensor
+    """[R, actor size]"""
+    critics: Tensor
+    """[R, 2, critic size]: of the reward, of the cost"""
+    critic_moments: Moments
+    multiplier: MultiplierState | PIDState | None
+    actor_moments: Moments | None = None
+    """None in a family whose actor is not trained by Adam."""
+
+
+class Epoch(NamedTuple):
+    """The steps of an epoch, run by run: see `packing`."""
+
+    observation: Tensor
+    """[R, B, observation size]"""
+    action: Tensor
+    """[R, B, A]"""
+    weight: Tensor
+    """[R, B]: adds up to 1"""
+    reward_advantage: Tensor
+    """[R, B], standardised"""
+    cost_advantage: Tensor
+    """[R, B], centred"""
+    value_targets: Tensor
+    """[R, 2, B]: of the reward, of the cost"""
+    length: Tensor
+    """[R]: mean length of the episodes"""
+    cost: Tensor
+    """[R]: mean undiscounted cost of the episodes, J_C"""
+
+
+class Nets(NamedTuple):
+    """The shapes of the networks."""
+
+    actor: GaussianPolicy
+    critic: MLP
+
+
+def make_nets(config: OnPolicyConfig, observation_size: int, action_size: int) -> Nets:
+    """Nets for flat observations and actions."""
+    return Nets(
+        actor=GaussianPolicy(MLP((observation_size, *config.hidden, action_size))),
+        critic=MLP((observation_size, *config.hidden, 1)),
+    )
+
+
+def initial_state(
+    nets: Nets, config: Any, form: MultiplierForm | None, seeds: Sequence[int]
+) -> OnPolicyState:
+    """The state of runs before their first update; each run's comes from its seed alone."""
+    streams = [stream(seed, Purpose.PARAMETERS) for seed in seeds]
+    actor = np.stack([nets.actor.initial(rng, config.initial_log_std) for rng in streams])
+    critics = np.array([[nets.critic.initial(rng) for _ in range(2)] for rng in streams])
+    critics = tensor(critics)
+    multiplier = lagrange.initial(form, config, len(seeds))
+    return OnPolicyState(tensor(actor), critics, no_moments(critics), multiplier)
