@@ -10,7 +10,7 @@ DROPPED = 8
 
 
 def five_digits(values: ArrayLike) -> NDArray[np.float64]:
-    """The nearest numbers of 16 significant bits: off by a part in 131 072 at most.
+    """The nearest numbers of 16 significant bits: off by a part in 65 536 at most.
 
     Returns of single episodes need no more for anything a report shows: means over hundreds of them
     to three digits. Their other five bytes are noise, which no compression makes smaller. Rounded

@@ -67,7 +67,8 @@ def test_the_levels_show_the_tasks(monkeypatch):
     monkeypatch.setattr(example, "LABELS", {})
     shown, left = example.levels(size), 0
     for level in range(4):
-        task = canvas.background(Circle2DConfig(level=level), size)[1:-1, 1:-1]  # less the frame
+        view = Circle2DView(Circle2DConfig(level=level))
+        task = view.overlay(view.background(size))[1:-1, 1:-1]  # less the frame
         windows = np.lib.stride_tricks.sliding_window_view(shown, (1, *task.shape[1:]))[
             ..., 0, :, :
         ]
