@@ -1,13 +1,29 @@
 """Circle2D: a benchmark task for safe exploration.
 
-`gymnasium.make("Circle2D-1-v0")` works without importing this package, once it is installed.
+    import circle2d_mj
+    import gymnasium as gym
+
+    env = gym.make("Circle2D-1-v0")
+
+Importing the package registers its tasks with gymnasium. Where only an id can be given, the prefix
+does it: `gym.make("circle2d_mj:Circle2D-1-v0")`. `circle2d_mj.render` draws pictures.
 """
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
 
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.circle2d.envs import Circle2DEnv, Circle2DVectorEnv
 from circle2d_mj.circle2d.region import CostRegion
 from circle2d_mj.core.wrappers import FromSafetyGymnasium, SafetyGymnasiumAPI
 from circle2d_mj.registration import register
+
+if TYPE_CHECKING:
+    from circle2d_mj import render
+
+    __version__: str
 
 __all__ = [
     "Circle2DConfig",
@@ -16,6 +32,22 @@ __all__ = [
     "CostRegion",
     "FromSafetyGymnasium",
     "SafetyGymnasiumAPI",
+    "__version__",
+    "render",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "render":
+        return importlib.import_module("circle2d_mj.render")
+    if name == "__version__":
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            return version("circle2d-mj")
+        except PackageNotFoundError as error:
+            raise AttributeError("circle2d_mj.__version__: circle2d-mj is not installed") from error
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 register()

@@ -2,20 +2,40 @@
 
     costs of steps -> longest streak -> MCC of a rollout -> EMCC of a part of training -> interval
 
-Arrays in, numbers or frozen dataclasses out. numpy is all it imports; gymnasium is imported when
-`RecordCosts` is first used.
+Arrays in, numbers or frozen dataclasses out. numpy is all it imports. Other libraries are met
+where costs arise: `RecordCosts` wraps an environment of gymnasium, `sb3.EMCCCallback` follows a
+training of Stable-Baselines3, `from_tensordict` reads TorchRL's batches, `from_minari` a data set.
+`panel` puts EMCC beside the measures that other papers report.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from emcc.datasets import from_minari, from_tensordict
 from emcc.interval import Difference, Estimate, difference, estimate
+from emcc.measures import regret_curve
+from emcc.panels import Panel, panel
 from emcc.parts import cost_rate, emcc_by_part
 from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords
+from emcc.statistics import (
+    Interval,
+    Share,
+    bootstrap,
+    holm,
+    iqm,
+    mean_interval,
+    permutation_test,
+    probability_of_improvement,
+    profile,
+    share,
+)
 from emcc.streaks import count_streaks, longest_streak, longest_streaks, mcc, streak_bounds
 from emcc.tail import cvar, emcc, worst
 
 if TYPE_CHECKING:
+    from emcc import sb3
+    from emcc.streak_cost import StreakCost
     from emcc.wrappers import RecordCosts
 
 __all__ = [
@@ -23,7 +43,12 @@ __all__ = [
     "Difference",
     "EpisodeRecords",
     "Estimate",
+    "Interval",
+    "Panel",
     "RecordCosts",
+    "Share",
+    "StreakCost",
+    "bootstrap",
     "cost_rate",
     "count_streaks",
     "cvar",
@@ -31,17 +56,40 @@ __all__ = [
     "emcc",
     "emcc_by_part",
     "estimate",
+    "from_minari",
+    "from_tensordict",
+    "holm",
+    "iqm",
     "longest_streak",
     "longest_streaks",
     "mcc",
+    "mean_interval",
+    "panel",
+    "permutation_test",
+    "probability_of_improvement",
+    "profile",
+    "regret_curve",
+    "sb3",
+    "share",
     "streak_bounds",
     "worst",
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name == "RecordCosts":  # late, because it needs gymnasium
-        from emcc.wrappers import RecordCosts
+_OF_GYMNASIUM = {"RecordCosts": "emcc.wrappers", "StreakCost": "emcc.streak_cost"}
 
-        return RecordCosts
+
+def __getattr__(name: str) -> Any:
+    if name == "sb3":  # late, because it needs stable-baselines3
+        return import_module("emcc.sb3")
+    if name in _OF_GYMNASIUM:
+        try:
+            return getattr(import_module(_OF_GYMNASIUM[name]), name)
+        except ModuleNotFoundError as error:
+            if error.name != "gymnasium":
+                raise
+            raise ImportError(
+                f"emcc.{name} needs gymnasium: pip install gymnasium; without it, "
+                "emcc.CostRecorder takes the costs of steps"
+            ) from None
     raise AttributeError(f"module 'emcc' has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""python -m emcc PATH...: the EMCC table of run folders and cost files."""
+"""python -m emcc PATH...: EMCC, or the panel of all measures, of run folders and cost files."""
 
 import argparse
 import sys
@@ -7,21 +7,27 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
+from emcc.inputs import EpisodeSums, EpochMeans, Run
+from emcc.panels import WINDOW
 from emcc.parts import ALPHA
-from emcc.readers import EpisodeSums, Run, find_files, read
-from emcc.table import FORMATS, bounds_table, emcc_table
+from emcc.readers import find_files, read
+from emcc.run_tables import bounds_table, emcc_table, epochs_table, panel_tables
+from emcc.table import FORMATS
 from emcc.tail import TIES
 
 _PATHS = """\
 PATH is
-  a run folder: every episodes.csv in it or below; a config.json beside one may give
-      task, algorithm, seed and steps (of the whole training)
+  a folder: every episodes.csv in it or below; a config.json beside one may give the task,
+      the algorithm, the seed and the steps of the whole training. A folder without one:
+      every progress.csv and *monitor.csv
   a file of records, as emcc.EpisodeRecords.save writes it
-  costs of steps: .npy, .npz (costs, lengths), .csv (cost, and episode, rollout if several)
-  sums of episodes, .csv (cost, length): they bound the longest streak, but have no EMCC
+  costs of steps: .npy, .npz (costs, lengths), .csv (cost; episode and rollout, if several)
+  sums of episodes: .csv (cost, length), or a monitor file of Stable-Baselines3 with the
+      column cost. They bound the longest streak, but have no EMCC
+  means of epochs: progress.csv of OmniSafe or SafePO. They give the cost rate, but no EMCC
 
-exit status: 0 the table is complete; 1 a number is missing (a run has no rollout in some third
-  of training), or sums have only bounds; 2 a mistake
+exit status: 0 the table is complete; 1 a number is missing (no rollout starts in a third of
+  training), or the file holds sums or means; 2 a mistake
 """
 
 
@@ -40,6 +46,20 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("paths", nargs="+", type=Path, metavar="PATH", help="run folder or file, see below")
     add(
+        "--limit",
+        type=float,
+        metavar="D",
+        help="cost limit of an episode, undiscounted: print the panel of all measures "
+        "(default: print EMCC and the cost rate)",
+    )
+    add(
+        "--window",
+        type=int,
+        default=WINDOW,
+        metavar="N",
+        help="episodes of the panel's moving window (default %(default)s)",
+    )
+    add(
         "--alpha",
         type=float,
         default=ALPHA,
@@ -49,13 +69,21 @@ def _parser() -> argparse.ArgumentParser:
         "--ties",
         choices=TIES,
         default="all",
-        help="keep all values equal to the quantile, or split them (default all)",
+        help="all: the mean of all values at or above the quantile; split: of exactly the share "
+        "alpha of highest values (default all)",
     )
-    add("--threshold", type=float, default=0.0, help="cost that a cost step exceeds (default 0)")
+    add(
+        "--threshold",
+        type=float,
+        default=0.0,
+        help="a step that costs more is a cost step (default 0)",
+    )
     add("--total-steps", type=int, metavar="N", help="environment steps of the whole training "
         "(default: steps in config.json, else those recorded)")  # fmt: skip
     add("--format", choices=FORMATS, default="text", help="form of the table (default text)")
-    add("--per-run", action="store_true", help="also a row for every run (default: means only)")
+    add(
+        "--per-run", action="store_true", help="also the numbers of every run (default: means only)"
+    )
     add("--seed", type=int, default=0, help="random seed of the intervals (default 0)")
     return parser
 
@@ -69,22 +97,32 @@ def main(argv: Sequence[str] | None = None) -> int:
         contents = [read(file, options.threshold) for file in files]
         runs = [content for content in contents if isinstance(content, Run)]
         sums = [content for content in contents if isinstance(content, EpisodeSums)]
+        means = [content for content in contents if isinstance(content, EpochMeans)]
         if options.total_steps is not None:
             planned = {"total_steps": options.total_steps, "total_from": "--total-steps"}
             runs = [replace(run, **planned) for run in runs]
         tables = []
-        if runs:
+        if runs and options.limit is not None:
+            tables += panel_tables(
+                runs, options.limit, options.alpha, options.ties, options.window, options.seed,
+                options.per_run,
+            )  # fmt: skip
+        elif runs:
             tables.append(
                 emcc_table(runs, options.alpha, options.ties, options.seed, options.per_run)
             )
         if sums:
-            tables.append(bounds_table(sums))
+            tables.append(bounds_table(sums, options.limit))
+        if means:
+            tables.append(epochs_table(means, options.limit))
         print("\n".join(table.render(options.format) for table in tables), end="")
     except (ValueError, OSError) as error:
         parser.error(str(error))
     for entry in sums:
         print(f"{parser.prog}: {entry.path}: sums of episodes cannot give EMCC", file=sys.stderr)
-    return 0 if not sums and all(table.complete for table in tables) else 1
+    for entry in means:
+        print(f"{parser.prog}: {entry.path}: means of epochs cannot give EMCC", file=sys.stderr)
+    return 0 if not sums and not means and all(table.complete for table in tables) else 1
 
 
 if __name__ == "__main__":

@@ -8,8 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def read_columns(path: Path) -> dict[str, list[str]]:
-    """The columns of a CSV file by their names, still as text.
+class Columns(dict[str, list[str]]):
+    """The columns of a CSV file by their names, still as text."""
+
+    path: Path
+    first_line: int
+    """Number of the line of the first row."""
+
+
+def read_columns(path: Path) -> Columns:
+    """The columns of a CSV file. Lines above the header that begin with '#' are skipped.
 
     ValueError: not a text file, no header, or a line with another number of fields than the header.
     """
@@ -18,26 +26,30 @@ def read_columns(path: Path) -> dict[str, list[str]]:
             rows = list(csv.reader(file))
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path}: not a CSV file: {error}") from None
-    if not rows:
+    comments = 0
+    while comments < len(rows) and rows[comments] and rows[comments][0].startswith("#"):
+        comments += 1
+    if comments == len(rows):
         raise ValueError(f"{path}: the file is empty; a header line is needed")
-    header = rows.pop(0)
-    for line, row in enumerate(rows, start=2):
+    header, rows = rows[comments], rows[comments + 1 :]
+    first_line = comments + 2
+    for line, row in enumerate(rows, start=first_line):
         if len(row) != len(header):
             raise ValueError(
                 f"{path}, line {line}: {len(row)} fields, the header has {len(header)}"
             )
-    return {name: [row[index] for row in rows] for index, name in enumerate(header)}
+    columns = Columns((name, [row[index] for row in rows]) for index, name in enumerate(header))
+    columns.path, columns.first_line = path, first_line
+    return columns
 
 
-def parse(
-    path: Path, columns: dict[str, list[str]], name: str, number: type[int] | type[float]
-) -> NDArray[Any]:
+def parse(columns: Columns, name: str, number: type[int] | type[float]) -> NDArray[Any]:
     """One column as an array of `number` (int or float).
 
     ValueError: a cell that is no such number.
     """
-    values = []
-    for line, text in enumerate(columns[name], start=2):
+    path, values = columns.path, []
+    for line, text in enumerate(columns[name], start=columns.first_line):
         try:
             values.append(number(text))
         except ValueError:

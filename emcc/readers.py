@@ -1,67 +1,43 @@
-"""Run folders and cost files -> what the table needs of each run."""
+"""Run folders and cost files -> training runs, sums of episodes, means of epochs."""
 
 import json
 import math
 import zipfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from emcc.arrays import as_array, as_vector
-from emcc.csv_columns import parse, read_columns
+from emcc import foreign_logs
+from emcc.csv_columns import Columns, parse, read_columns
+from emcc.inputs import EpisodeSums, EpochMeans, Run
 from emcc.records import COLUMNS, EpisodeRecords
-from emcc.streaks import count_streaks, longest_streaks, streak_bounds
 
 RECORDS_FILE = "episodes.csv"
 CONFIG_FILE = "config.json"
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
-    """One training run: [D] MCC and start steps of its rollouts, and its sums."""
-
-    path: Path
-    mcc: NDArray[np.float64]
-    start_steps: NDArray[np.int64]
-    cost: float
-    steps: int  # recorded
-    total_steps: int  # planned, as far as known
-    total_from: str = "recorded"
-    task: str = ""
-    algorithm: str = ""
-    seed: str = ""
-    settings: str = ""  # what else the runs of one experiment have in common
-
-
-@dataclass(frozen=True, eq=False)
-class EpisodeSums:
-    """Episodes known by their sums only: [E] cost steps and lengths. They have no EMCC."""
-
-    path: Path
-    unsafe_steps: NDArray[np.int64]
-    length: NDArray[np.int64]
-
-
 def find_files(path: Path) -> list[Path]:
-    """The file itself, or every episodes.csv below a folder.
+    """The file itself, or every episodes.csv below a folder; where there is none, every log of
+    another library (`foreign_logs.FILES`).
 
     ValueError: neither exists.
     """
     if path.is_dir():
-        files = sorted(path.rglob(RECORDS_FILE))
-        if not files:
-            raise ValueError(f"{path}: no {RECORDS_FILE} in this folder or below it")
-        return files
+        for names in ((RECORDS_FILE,), foreign_logs.FILES):
+            if files := sorted(file for name in names for file in path.rglob(name)):
+                return files
+        others = ", ".join(foreign_logs.FILES)
+        raise ValueError(f"{path}: no {RECORDS_FILE} in this folder or below it, nor {others}")
     if not path.is_file():
         raise ValueError(f"{path}: no such file or folder")
     return [path]
 
 
-def read(path: Path, threshold: float = 0.0) -> Run | EpisodeSums:
-    """One file of records, of costs of steps (.npy, .npz, .csv) or of sums of episodes.
+def read(path: Path, threshold: float = 0.0) -> Run | EpisodeSums | EpochMeans:
+    """One file of records, of costs of steps (.npy, .npz, .csv), of sums of episodes, or a log of
+    another library.
 
     threshold: for costs of steps; records hold streaks that were counted with their own.
     ValueError: a file that cannot be understood, named in the message.
@@ -70,19 +46,31 @@ def read(path: Path, threshold: float = 0.0) -> Run | EpisodeSums:
         return _read_numpy(path, threshold)
     columns = read_columns(path)
     if "longest_streak" in columns:
-        if threshold != 0:
-            raise ValueError(f"{path}: holds streaks, not costs of steps: leave the threshold out")
-        return _labelled(_run_of_records(path, EpisodeRecords.load(path)))
+        _no_threshold(path, threshold, "streaks")
+        records = EpisodeRecords.load(path)
+        return _labelled(Run(path, records, records.total_steps))
+    if foreign_logs.is_progress(columns):
+        _no_threshold(path, threshold, "means of epochs")
+        return foreign_logs.read_progress(columns)
+    if foreign_logs.is_monitor(columns):
+        _no_threshold(path, threshold, "sums")
+        return foreign_logs.read_monitor(columns)
     if "cost" in columns and "length" in columns:
-        if threshold != 0:
-            raise ValueError(f"{path}: holds sums, not costs of steps: leave the threshold out")
-        return _read_sums(path, columns)
+        _no_threshold(path, threshold, "sums")
+        return foreign_logs.sums_of(columns, "cost", "length")
     if "cost" in columns:
-        return _read_steps(path, columns, threshold)
+        return _read_steps(columns, threshold)
     raise ValueError(
         f"{path}: has the columns {', '.join(columns)}; needed is cost (with episode and rollout, "
         f"if there are several), or {','.join(COLUMNS)}"
     )
+
+
+def _no_threshold(path: Path, threshold: float, contents: str) -> None:
+    if threshold != 0:
+        raise ValueError(
+            f"{path}: holds {contents}, not costs of steps: leave the threshold out"
+        )  # fmt: skip
 
 
 def _labelled(run: Run) -> Run:
@@ -109,28 +97,15 @@ def _labelled(run: Run) -> Run:
     return replace(run, **labels)
 
 
-def _run_of_records(path: Path, records: EpisodeRecords) -> Run:
-    mcc, starts = records.mcc_per_rollout()
-    steps = records.total_steps
-    return Run(path, mcc, starts, float(records.cost.sum()), steps, steps)
-
-
 def _run_of_costs(
     path: Path, costs: Any, lengths: Any, rollouts: Any = None, threshold: float = 0.0
 ) -> Run:
     """costs: [steps] of trajectories one after another; rollouts: id of each, default all apart."""
     try:
-        longest = longest_streaks(costs, lengths, threshold)
-        counts = count_streaks(costs, lengths, threshold)
+        records = EpisodeRecords.from_costs(costs, lengths, None, rollouts, threshold)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from None
-    lengths = np.asarray(lengths).astype(np.int64)
-    starts = np.cumsum(lengths) - lengths
-    sums = np.add.reduceat(np.asarray(costs, dtype=np.float64), starts)
-    ids = np.arange(len(lengths)) if rollouts is None else rollouts
-    unknown_return = np.zeros(len(lengths))  # the table does not show it
-    records = EpisodeRecords(ids, starts, lengths, unknown_return, sums, longest, *counts)
-    return _run_of_records(path, records)
+    return Run(path, records, records.total_steps)
 
 
 def _read_numpy(path: Path, threshold: float) -> Run:
@@ -149,9 +124,9 @@ def _read_numpy(path: Path, threshold: float) -> Run:
     return _run_of_costs(path, costs.ravel(), lengths, threshold=threshold)
 
 
-def _read_steps(path: Path, columns: dict[str, list[str]], threshold: float) -> Run:
+def _read_steps(columns: Columns, threshold: float) -> Run:
     """One row per step. A trajectory ends where the episode or the rollout changes."""
-    costs = parse(path, columns, "cost", float)
+    path, costs = columns.path, parse(columns, "cost", float)
     if not costs.size:
         raise ValueError(f"{path}: no steps")
     episode, rollout = (columns.get(name, [""] * costs.size) for name in ("episode", "rollout"))
@@ -164,13 +139,3 @@ def _read_steps(path: Path, columns: dict[str, list[str]], threshold: float) -> 
     numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
     ids = np.array([numbers[name] for name in names]) if "rollout" in columns else None
     return _run_of_costs(path, costs, lengths, ids, threshold)
-
-
-def _read_sums(path: Path, columns: dict[str, list[str]]) -> EpisodeSums:
-    """One row per episode. The sum of its costs is its number of cost steps if they are 0/1."""
-    cost, length = (parse(path, columns, name, float) for name in ("cost", "length"))
-    try:
-        streak_bounds(as_vector(cost, "cost"), length)
-    except ValueError as error:
-        raise ValueError(f"{path}: sums of 0/1 costs are needed for bounds: {error}") from None
-    return EpisodeSums(path, as_array(cost, "cost").astype(int), length.astype(int))

@@ -13,7 +13,7 @@ from emcc.records import COLUMNS, EpisodeRecords
 class CostRecorder:
     """Follows num_envs environments that are stepped together, and keeps their trajectories.
 
-    rollout: what lies between two policy updates, the unit of MCC:
+    rollout: the steps between two policy updates, over which MCC is taken:
       "episode"  every finished episode is a rollout
       n          a rollout ends with the vector step that makes it n or more environment steps long
       "manual"   a rollout ends when `end_rollout` is called
@@ -46,7 +46,7 @@ class CostRecorder:
     def step(
         self, cost: ArrayLike, reward: ArrayLike, done: ArrayLike, active: ArrayLike | None = None
     ) -> None:
-        """Take in one step of every environment; all arguments are [num_envs].
+        """Record one step of every environment; all arguments are [num_envs].
 
         done: the episode ended with this step. active: False where the environment took no step
         (an autoreset, say); its other values are then ignored.
@@ -79,7 +79,7 @@ class CostRecorder:
     def cut(self, where: ArrayLike | None = None) -> None:
         """Finish the running trajectories, of all environments or where the mask [num_envs] says.
 
-        For episodes that end unseen, as with an explicit reset. What ran so far is kept.
+        For episodes that end unseen, as with an explicit reset. The steps so far are kept.
         """
         running = self._length > 0
         if where is not None:
@@ -106,7 +106,17 @@ class CostRecorder:
     @property
     def records(self) -> EpisodeRecords:
         """The trajectories finished so far, in the order in which they ended."""
-        return EpisodeRecords(*np.array(self._rows).reshape(-1, len(COLUMNS)).T)
+        return _records(self._rows)
+
+    def recent(self, rollouts: int) -> EpisodeRecords:
+        """The finished trajectories of the last so many rollouts that have any."""
+        first, kept = len(self._rows), set()
+        while first:
+            kept.add(self._rows[first - 1][0])
+            if len(kept) > rollouts:
+                break
+            first -= 1
+        return _records(self._rows[first:])
 
     def _vector(self, values: ArrayLike, name: str) -> NDArray[Any]:
         array = as_array(values, name)
@@ -116,6 +126,10 @@ class CostRecorder:
 
     def _mask(self, values: ArrayLike) -> NDArray[np.bool_]:
         return self._vector(values, "done, active and where").astype(bool)
+
+
+def _records(rows: list[tuple[Any, ...]]) -> EpisodeRecords:
+    return EpisodeRecords(*np.array(rows).reshape(-1, len(COLUMNS)).T)
 
 
 def _as_rollout_length(rollout: int | str) -> float:

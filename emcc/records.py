@@ -1,15 +1,19 @@
-"""What is kept of a training run: one row per trajectory, and its CSV file."""
+"""Records of a training run: one row per trajectory, and their CSV file."""
 
 import math
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from emcc.arrays import as_array, as_integers
 from emcc.csv_columns import parse, read_columns
+from emcc.parts import ALPHA, emcc_by_part, rollouts_by_part
+from emcc.streaks import count_streaks, longest_streaks
+from emcc.tail import emcc
 
 COLUMNS = {  # of the CSV file, in the order of the fields of EpisodeRecords
     "rollout": int,
@@ -38,7 +42,7 @@ class EpisodeRecords:
     cost: sum of its costs, >= 0
     longest_streak: steps of its longest streak of cost steps, between 0 and length
     cost_steps: steps that cost, between longest_streak and length; None where not recorded
-    streaks: streaks of cost steps, so that cost_steps / streaks is their mean length; likewise
+    streaks: number of streaks, so that cost_steps / streaks is their mean length; likewise
     ValueError: arrays that are not 1-D and of one length, or a value that is not allowed.
     """
 
@@ -125,6 +129,119 @@ class EpisodeRecords:
         np.minimum.at(start_steps, row_of, self.start_step)
         return mcc_values, start_steps
 
+    def emcc(self, alpha: float = ALPHA, ties: str = "all") -> float:
+        """EMCC of all rollouts: `emcc.emcc`, but alpha is 0.1 by default here and 1 there.
+
+        ValueError: no trajectory, or alpha or ties as in `emcc.emcc`.
+        """
+        return emcc(self.mcc_per_rollout()[0], alpha, ties)
+
+    def emcc_by_part(
+        self, alpha: float = ALPHA, ties: str = "all", total_steps: int | None = None
+    ) -> dict[float, float]:
+        """EMCC of each third of training -> {0.33: ..., 0.66: ..., 0.99: ...}: `emcc.emcc_by_part`.
+
+        total_steps: environment steps of the whole training, by default those recorded.
+        ValueError: as in `emcc.emcc_by_part`; a trajectory that starts after the recorded steps,
+        where total_steps is not given and trajectories are missing.
+        """
+        mcc_values, start_steps = self.mcc_per_rollout()
+        return emcc_by_part(mcc_values, start_steps, self._total(total_steps), alpha, ties)
+
+    def by_part(self, total_steps: int | None = None) -> dict[float, "EpisodeRecords"]:
+        """The trajectories of the rollouts that start in each third; total_steps as above."""
+        rollouts = np.unique(self.rollout)
+        parts = rollouts_by_part(self.mcc_per_rollout()[1], self._total(total_steps))
+        return {
+            part: self.select(np.isin(self.rollout, rollouts[where]))
+            for part, where in parts.items()
+        }
+
+    def _total(self, total_steps: int | None) -> int:
+        if total_steps is None and len(self) and self.start_step.max() >= self.total_steps:
+            raise ValueError(
+                f"a trajectory starts at step {self.start_step.max()}, but only {self.total_steps} "
+                "steps are recorded: give total_steps, or end the last rollout first"
+            )
+        return self.total_steps if total_steps is None else total_steps
+
+    def select(self, rows: NDArray) -> "EpisodeRecords":
+        """Records of some of the trajectories; rows: a mask [E], or indices."""
+        return EpisodeRecords(*(array[rows] for array in self._columns().values()))
+
+    @classmethod
+    def from_costs(
+        cls,
+        costs: ArrayLike,
+        lengths: ArrayLike,
+        rewards: ArrayLike | None = None,
+        rollouts: ArrayLike | None = None,
+        threshold: float = 0.0,
+    ) -> "EpisodeRecords":
+        """Records from the cost of every step.
+
+        costs: [sum of lengths] the trajectories one after another, in the order of training;
+        lengths: [E] steps; rewards: as costs, without them returns are 0; rollouts: [E] id of each
+        trajectory's rollout, by default each is a rollout; threshold: as in `longest_streak`.
+        ValueError: as in `longest_streaks`, or arrays of other lengths.
+        """
+        longest = longest_streaks(costs, lengths, threshold)
+        cost_steps, streaks = count_streaks(costs, lengths, threshold)
+        lengths = as_integers(lengths, "lengths")
+        starts = np.cumsum(lengths) - lengths
+        of_steps = as_array(costs, "costs")
+        gains = np.zeros(of_steps.size) if rewards is None else as_array(rewards, "rewards")
+        if gains.shape != of_steps.shape:
+            raise ValueError(f"{of_steps.size} costs, but rewards have shape {gains.shape}")
+        reward, cost = (np.add.reduceat(x.astype(np.float64), starts) for x in (gains, of_steps))
+        ids = np.arange(len(lengths)) if rollouts is None else as_array(rollouts, "rollouts")
+        return cls(ids, starts, lengths, reward, cost, longest, cost_steps, streaks)
+
+    @classmethod
+    def merge(
+        cls,
+        records: Iterable["EpisodeRecords"],
+        interleaved: bool = True,
+        shared_rollouts: bool = False,
+    ) -> "EpisodeRecords":
+        """Records of one training that several recorders made.
+
+        interleaved: True for N environments that were stepped together, each with a recorder of its
+        own (Stable-Baselines3's wrapper_class): step s of one is step N s of the training. The rows
+        come in the order in which trajectories ended. False for sessions one after another.
+        shared_rollouts: rollouts of the same id are one rollout, as where every environment
+        recorded with the same rollout length; by default the rollouts of each stay apart.
+        cost_steps and streaks are None where any of the records lack them.
+        TypeError: something else than records. ValueError: none, or sessions that share rollouts.
+        """
+        parts = list(records)
+        for part in parts:
+            if not isinstance(part, EpisodeRecords):
+                raise TypeError(f"records must be EpisodeRecords, got {type(part).__name__}")
+        if not parts:
+            raise ValueError("there are no records to merge")
+        if shared_rollouts and not interleaved:
+            raise ValueError("shared_rollouts needs interleaved records")
+        count = len(parts)
+        names = [name for name in COLUMNS if all(name in part._columns() for part in parts)]
+        columns = {
+            name: np.concatenate([part._columns()[name] for part in parts]) for name in names
+        }
+        sizes = [len(part) for part in parts]
+        if interleaved:
+            end = columns["start_step"] + columns["length"]
+            columns["start_step"] = columns["start_step"] * count
+            if not shared_rollouts:
+                which = np.repeat(np.arange(count), sizes)
+                columns["rollout"] = columns["rollout"] * count + which
+            order = np.argsort(end, kind="stable")  # stable: then by environment
+            return cls(*(column[order] for column in columns.values()))
+        steps = np.cumsum([0, *(part.total_steps for part in parts)])[:-1]
+        rollouts = np.cumsum([0, *(int(part.rollout.max(initial=-1)) + 1 for part in parts)])[:-1]
+        columns["start_step"] = columns["start_step"] + np.repeat(steps, sizes)
+        columns["rollout"] = columns["rollout"] + np.repeat(rollouts, sizes)
+        return cls(*columns.values())
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a CSV file, whole or not at all; equal records give equal bytes."""
         path = Path(path)
@@ -152,9 +269,11 @@ class EpisodeRecords:
         if not path.read_bytes().endswith(b"\n"):  # a number may have lost its last digits
             raise ValueError(f"{path}: the last line is cut off")
         try:
-            return cls(*(parse(path, columns, name, COLUMNS[name]) for name in columns))
+            return cls(*(parse(columns, name, COLUMNS[name]) for name in columns))
         except _BadRow as bad:
-            raise ValueError(f"{path}, line {bad.row + 2}, {bad.problem}") from None
+            raise ValueError(
+                f"{path}, line {columns.first_line + bad.row}, {bad.problem}"
+            ) from None
 
 
 class _BadRow(ValueError):

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj import Circle2DConfig
+from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.circle2d.envs import MAX_EPISODE_STEPS
 from circle2d_mj.circle2d.kinematic import Kinematic
-from circle2d_mj.circle2d.task import STEP
 from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.core.view import Picture
 from circle2d_mj.render import canvas
@@ -65,7 +65,7 @@ def about_levels() -> str:
         "Seen from above; the agent starts in the green area and is rewarded for being near the "
         "goal, the X. Grey: the cost region, where a step costs 1 and which level 0 does not let "
         f"in; its radius is {config.constraint_radius:g}, the arena {2 * config.arena:g} wide and "
-        f"high, a step at most {STEP * config.constraint_radius:g} along each axis. Circles: equal "
+        f"high, a step at most {config.full_step:g} along each axis. Circles: equal "
         "reward, a quarter of the radius apart."
     )
 
@@ -111,13 +111,14 @@ def walk(config: Circle2DConfig, route: Sequence[Point]) -> Episode:
     route: the start, then where to go, in multiples of the radius.
     """
     points = np.array(route) * config.constraint_radius
-    agent, reach = Kinematic(config, 1), STEP * config.constraint_radius
+    agent, reach = Kinematic(config, 1), config.full_step
     agent.place(np.array([0]), points[:1])
     path, costs, ahead = [points[0]], [], 1
     for _ in range(MAX_EPISODE_STEPS):
         way = points[ahead] - path[-1]
         distance = math.hypot(*way)
-        costs.append(agent.step(way[None] / max(distance, reach))["cost"][0])
+        contact, _ = agent.step(way[None] / max(distance, reach))
+        costs.append(task.cost(config, agent.position, contact)[0])
         path.append(agent.position[0].copy())
         if distance <= reach:
             ahead = min(ahead + 1, len(points) - 1)

@@ -10,9 +10,10 @@ from numbers import Integral, Real
 from typing import Any
 
 from circle2d_mj.circle2d.region import CostRegion
-from circle2d_mj.circle2d.start import StartArea
+from circle2d_mj.circle2d.start import Rectangle, StartArea
 
 LEVELS = (0, 1, 2, 3)
+_STEP = 0.11
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,8 @@ class Circle2DConfig:
     @cached_property
     def start_area(self) -> StartArea:
         """Where episodes of this task start."""
-        return StartArea(self, self.region)
+        avoid = None if self.allow_infeasible_init else self.region
+        return StartArea(self.start_rectangle, avoid)
 
     @property
     def arena(self) -> float:
@@ -84,7 +86,12 @@ class Circle2DConfig:
         return self.init_radius_multiplier * self.constraint_radius
 
     @property
-    def start_rectangle(self) -> tuple[tuple[float, float], tuple[float, float]]:
+    def full_step(self) -> float:
+        """Distance that a full action moves the agent along each axis in a step, world units."""
+        return _STEP * self.constraint_radius
+
+    @property
+    def start_rectangle(self) -> Rectangle:
         """The start area's lower and upper corner, ((x, y), (x, y)), in world units."""
         radius, half_height = self.constraint_radius, self.init_region_size / 2
         return (
@@ -110,7 +117,11 @@ class Circle2DConfig:
             if name not in valid:
                 near = difflib.get_close_matches(name, valid, n=1)
                 hint = f"did you mean {near[0]!r}? " if near else ""
-                raise TypeError(f"unknown parameter {name!r}: {hint}valid are {', '.join(valid)}")
+                # Python's own words, by which callers (TorchRL) see that they may do without it.
+                raise TypeError(
+                    f"got an unexpected keyword argument {name!r}: {hint}"
+                    f"the parameters are {', '.join(valid)}"
+                )
         return config or cls(**parameters)
 
     def _set(self, name: str, value: Any) -> None:

@@ -7,13 +7,14 @@ from numpy.typing import NDArray
 
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.circle2d.simulation import Move
 from circle2d_mj.core.simulation import State
 
 
 class Kinematic:
     """The positions of `num_envs` agents and how actions move them."""
 
-    info_keys = ("cost",)
+    info_keys = ()
     observation_bounds = (1.0, 1.0)
 
     def __init__(self, config: Circle2DConfig, num_envs: int) -> None:
@@ -27,25 +28,25 @@ class Kinematic:
         """Put the agents `index` at `position`, [len(index), 2]."""
         self.position[index] = position
 
-    def step(self, action: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Move every agent and return the costs: `p' = clip(p + 0.11·R·a, arena)`.
+    def step(self, action: NDArray[np.float64]) -> Move:
+        """Move every agent: `p' = clip(p + 0.11·R·a, arena)`.
 
-        action: [num_envs, 2], clipped to [-1, 1] -> "cost": [num_envs]. Where the region cannot be
-        entered a move that ends in it is taken back, and costs all the same.
+        action: [num_envs, 2], clipped to [-1, 1]. There is contact where the move ends in the cost
+        region. Where that is rigid, such a move is taken back, and is a contact all the same.
         """
         config, arena = self.config, self.config.arena
         end = action.T.copy().T  # a fresh array in the memory order of `position`
         np.maximum(end, -1.0, out=end)
         np.minimum(end, 1.0, out=end)
-        end *= task.STEP * config.constraint_radius
+        end *= config.full_step
         end += self.position
         np.maximum(end, -arena, out=end)
         np.minimum(end, arena, out=end)
-        cost = task.cost(config, end)
+        contact = config.region.contains(end)
         if not config.infeasible_region_penetratable:
-            end = np.where(cost[:, None] > 0, self.position, end)
+            end = np.where(contact[:, None], self.position, end)
         self.position = end
-        return {"cost": cost}
+        return Move(contact, {})
 
     def observe(self) -> NDArray[np.float32]:
         """What the agents see: [num_envs, 2] float32."""

@@ -17,6 +17,7 @@ from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.circle2d.pieces import OVERHANG
 from circle2d_mj.circle2d.scene import SUBSTEPS, Actuation, scene
+from circle2d_mj.circle2d.simulation import Move
 from circle2d_mj.circle2d.start import StartArea
 from circle2d_mj.core.simulation import State, positive_integer
 
@@ -27,7 +28,7 @@ class Physics:
     num_threads: threads that step them; the states do not depend on it. See `scene` for actuation.
     """
 
-    info_keys = ("cost", "contact_force", "penetration")
+    info_keys = ("contact_force", "penetration")
     # A ball pressed against the arena's edge or an oblique wall exceeds 1 by a little.
     observation_bounds = (1.1, 1.1, 2.0, 2.0)
 
@@ -47,7 +48,7 @@ class Physics:
         clearance = self.model.geom("agent").size[0] + OVERHANG * config.constraint_radius
         self._reach = config.region.grown(clearance)
         if self._rigid and not config.allow_infeasible_init:
-            self.start_area = StartArea(config, self._reach)
+            self.start_area = StartArea(config.start_rectangle, self._reach)
         # A region that never pushes need not be looked for until the step's end.
         self._without_contacts = copy.copy(self.model)
         self._without_contacts.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -67,19 +68,19 @@ class Physics:
         self._batch.state[index] = 0.0
         self._qpos[index] = position
 
-    def step(self, action: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Ten physics steps. action: [num_envs, 2], clipped to [-1, 1] -> [num_envs] each:
+    def step(self, action: NDArray[np.float64]) -> Move:
+        """Take ten physics steps. action: [num_envs, 2], clipped to [-1, 1].
 
-        "cost": where the region is rigid, 1 if the ball touched it after any of them; elsewhere 1
-        if the ball's centre is inside after the last. "contact_force": the region's greatest force
-        on the ball during the step, kg·units/s²; 0 where it can be entered. "penetration": world
-        units; how far the rigid region and the ball overlapped at most, elsewhere how far the
-        centre is from free space at the end.
+        There is contact, by MuJoCo's contacts, where the ball touched a rigid region after any of
+        them; where it can be entered, if the ball's centre is inside after the last.
+        "contact_force": the region's greatest force on the ball during the step, kg·units/s²; 0
+        where it can be entered. "penetration": world units; how far the rigid region and the ball
+        overlapped at most, elsewhere how far the centre is from free space at the end.
         """
         self._ctrl[:] = np.clip(action, -1.0, 1.0) * self._full_action
         return self._push() if self._rigid else self._pass_through()
 
-    def _pass_through(self) -> dict[str, NDArray[np.float64]]:
+    def _pass_through(self) -> Move:
         self._batch.set_models(self._without_contacts)
         self._batch.step(nstep=SUBSTEPS)
         self._batch.set_models(self.model)
@@ -87,22 +88,15 @@ class Physics:
         depth = np.zeros(self.num_envs)
         if inside.any():
             depth[inside] = self.config.region.depth(self._qpos[inside])
-        return {
-            "cost": inside.astype(np.float64),
-            "contact_force": np.zeros(self.num_envs),
-            "penetration": depth,
-        }
+        return Move(inside, {"contact_force": np.zeros(self.num_envs), "penetration": depth})
 
-    def _push(self) -> dict[str, NDArray[np.float64]]:
+    def _push(self) -> Move:
         # Each row holds the state before a physics step and the forces during it.
         rows = self._batch.rollout(SUBSTEPS, record=("sensordata",))["sensordata"]
         force, distance = rows[..., :3], rows[:, 1:, 3]
         overlap = 0.0 - np.minimum(distance.min(axis=1), self._distance())
-        return {
-            "cost": (overlap > 0).astype(np.float64),
-            "contact_force": np.sqrt(np.square(force).sum(axis=-1).max(axis=1)),
-            "penetration": overlap,
-        }
+        strongest = np.sqrt(np.square(force).sum(axis=-1).max(axis=1))
+        return Move(overlap > 0, {"contact_force": strongest, "penetration": overlap})
 
     def _distance(self) -> NDArray[np.float64]:
         """Of ball and region now, below 0 where there is a contact, else 0: [num_envs].

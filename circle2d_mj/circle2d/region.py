@@ -5,13 +5,21 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from circle2d_mj.circle2d.config import Circle2DConfig
+
+class HasRegion(Protocol):
+    """The part of `Circle2DConfig`, which imports this module, that shapes the region."""
+
+    @property
+    def level(self) -> int: ...
+    @property
+    def constraint_radius(self) -> float: ...
+    @property
+    def corridor_height_factor(self) -> float: ...
 
 
 class CutOut(NamedTuple):
@@ -49,7 +57,7 @@ class CostRegion:
     "Circle2D details" and the figure of the levels; the cut-outs' sizes define version v0.
     """
 
-    def __init__(self, config: Circle2DConfig) -> None:
+    def __init__(self, config: HasRegion) -> None:
         radius = config.constraint_radius
         self._shape(radius, cutouts(config.level, radius, config.corridor_height_factor))
 

@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 
 from circle2d_mj.assets import asset
-from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.circle2d.pieces import convex_pieces
 
@@ -95,7 +94,7 @@ def _scale(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
 def _actuate(spec: mujoco.MjSpec, config: Circle2DConfig, actuation: Actuation) -> None:
     """Actuators whose greatest control is a full action."""
     control_step = SUBSTEPS * spec.option.timestep
-    most = task.STEP * config.constraint_radius / control_step
+    most = config.full_step / control_step
     if actuation == "force":
         damping = spec.body("agent").mass / control_step
         most *= damping

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -23,12 +23,21 @@ if TYPE_CHECKING:
     from circle2d_mj.render.window import Window
 
 
+class Move(NamedTuple):
+    """Result of a step of the dynamics: fresh arrays, an entry for each environment."""
+
+    contact: NDArray[np.bool_]
+    """[num_envs], whether the agent touched the cost region, for `task.cost`"""
+    info: dict[str, NDArray[np.float64]]
+    """[num_envs] for each of `Dynamics.info_keys`"""
+
+
 class Dynamics(Protocol):
     """How actions move the agents: `Kinematic`, `Physics`, or yours."""
 
     @property
     def info_keys(self) -> tuple[str, ...]:
-        """What `step` returns: "cost" and whatever else."""
+        """Names of the numbers that `step` adds to the info, beside the cost."""
         ...
 
     @property
@@ -50,8 +59,8 @@ class Dynamics(Protocol):
         """Put the agents `index` at rest at `position`, [len(index), 2]."""
         ...
 
-    def step(self, action: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Move every agent by its action, [num_envs, 2]; [num_envs] for each of `info_keys`."""
+    def step(self, action: NDArray[np.float64]) -> Move:
+        """Move every agent by its action, [num_envs, 2]."""
         ...
 
     def observe(self) -> NDArray[np.float32]:
@@ -72,7 +81,7 @@ class Circle2D:
 
     def __init__(self, config: Circle2DConfig, num_envs: int, dynamics: Dynamics) -> None:
         self.config, self.num_envs, self.dynamics = config, num_envs, dynamics
-        self.info_keys = dynamics.info_keys
+        self.info_keys = ("cost", *dynamics.info_keys)
         bounds = np.array(dynamics.observation_bounds, dtype=np.float32)
         self.observation_space = Box(-bounds, bounds)
         self.action_space = Box(-1.0, 1.0, (2,), np.float32)
@@ -93,11 +102,11 @@ class Circle2D:
 
     def step(self, action: NDArray[np.float64]) -> Outcome:
         """Move all agents by their actions, [num_envs, 2]."""
-        info = self.dynamics.step(action)
-        reward = task.reward(self.config, self.dynamics.position)
-        if self.config.reset_on_cost:
-            return Outcome(reward, info["cost"] > 0, info)
-        return Outcome(reward, np.zeros(self.num_envs, dtype=bool), info)
+        contact, more = self.dynamics.step(action)
+        position = self.dynamics.position
+        cost = task.cost(self.config, position, contact)
+        ends = cost > 0 if self.config.reset_on_cost else np.zeros(self.num_envs, dtype=bool)
+        return Outcome(task.reward(self.config, position), ends, {"cost": cost, **more})
 
     def observe(self) -> NDArray[np.float32]:
         """What the agents see: [num_envs, 2 or 4] float32."""

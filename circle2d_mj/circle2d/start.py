@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj.circle2d.region import CostRegion
 from circle2d_mj.core.streams import Streams
 
-if TYPE_CHECKING:
-    from circle2d_mj.circle2d.config import Circle2DConfig
+Rectangle = tuple[tuple[float, float], tuple[float, float]]
+"""Lower and upper corner, ((x, y), (x, y)), in world units."""
 
 # Few draws are then thrown away, which is most of what a reset of many environments costs.
 _FREE_SHARE = 0.9
@@ -20,21 +18,20 @@ _MAX_SPLITS = 26
 
 
 class StartArea:
-    """The start rectangle of a task, sampled exactly however little of it is feasible.
+    """A rectangle less a region, sampled exactly however little is left of it.
 
-    The rectangle is split into equal cells, and cells that surely lie in the cost region are
-    dropped, until nearly all that is left is surely free. A cell is then drawn, a point in it, and
-    both again while the point lies in the region: uniform over the feasible part. Raises
-    ValueError where nothing feasible is left.
+    The rectangle is split into equal cells, and cells that surely lie in the region are dropped,
+    until nearly all that is left is surely free. A cell is then drawn, a point in it, and both
+    again while the point lies in the region: uniform over the feasible part. region=None: uniform
+    over all of the rectangle. Raises ValueError where nothing feasible is left.
     """
 
-    def __init__(self, config: Circle2DConfig, region: CostRegion) -> None:
-        low, high = np.array(config.start_rectangle)
+    def __init__(self, rectangle: Rectangle, region: CostRegion | None) -> None:
+        low, high = np.array(rectangle)
         self._region = region
-        self._may_be_infeasible = config.allow_infeasible_init
         self._corners, self._size = low[None], high - low
-        if not self._may_be_infeasible:
-            self._split()
+        if region is not None:
+            self._split(region)
 
     def sample(self, streams: Streams, index: NDArray[np.intp]) -> NDArray[np.float64]:
         """Start positions, world units, of the environments `index`: [len(index), 2]."""
@@ -45,14 +42,14 @@ class StartArea:
             cells = (draw[:, 0] * len(self._corners)).astype(np.intp)
             points = self._corners[cells] + draw[:, 1:3] * self._size
             positions[waiting] = points
-            if self._may_be_infeasible:
+            if self._region is None:
                 break
             waiting = waiting[self._region.contains(points)]
         return positions
 
-    def _split(self) -> None:
+    def _split(self, region: CostRegion) -> None:
         for _ in range(_MAX_SPLITS):
-            infeasible, free = _surely(self._region, self._corners, self._size)
+            infeasible, free = classify_cells(region, self._corners, self._size)
             self._corners, free = self._corners[~infeasible], free[~infeasible]
             if len(free) and free.mean() >= _FREE_SHARE:
                 return
@@ -65,12 +62,12 @@ class StartArea:
         )
 
 
-def _surely(
+def classify_cells(
     region: CostRegion, low: NDArray, size: NDArray
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which cells surely lie in the region, and which surely outside: two bool [n].
+    """Return which cells surely lie in the region, and which surely outside: two bool [n].
 
-    low: [n, 2] lower corners, size: [2]. Conservative near the edges of strips.
+    low: [n, 2] lower corners, size: [2]. Cells near the edges of cut-outs may be neither.
     """
     corners = low[:, None] + np.array([(0, 0), (0, 1), (1, 0), (1, 1)]) * size
     farthest = np.hypot(*np.abs(corners).max(axis=1).T)

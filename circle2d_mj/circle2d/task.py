@@ -1,8 +1,8 @@
-"""The task: observation, reward and cost as functions of positions. The place to change them.
+"""Observation, reward and cost of Circle2D. The place to change them.
 
-Both modes (kinematic and MuJoCo), the single and the vector environment call these. Where episodes
-start is `StartArea`; where costs lie is `CostRegion`.
-Source: safe_exploration.tex, "Circle2D details"; what it leaves open defines version v0.
+Both modes (kinematic and MuJoCo), the single and the vector environment call these functions.
+`StartArea` says where episodes start, `CostRegion` where costs lie, `Circle2DConfig` how far a step
+goes. Source: safe_exploration.tex, "Circle2D details"; what it leaves open defines version v0.
 """
 
 from __future__ import annotations
@@ -13,9 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj.circle2d.config import Circle2DConfig
-
-STEP = 0.11
-"""How far a full action moves the agent along each axis in a step, as a multiple of R."""
 
 
 def observe(
@@ -31,7 +28,7 @@ def observe(
     scaled = (position * (1.0 / config.arena)).astype(np.float32)
     if velocity is None:
         return scaled
-    of_full_step = velocity * (1.0 / (STEP * config.constraint_radius))
+    of_full_step = velocity * (1.0 / config.full_step)
     return np.concatenate((scaled, of_full_step.astype(np.float32)), axis=-1)
 
 
@@ -56,9 +53,12 @@ def reward(config: Circle2DConfig, position: NDArray[np.float64]) -> NDArray[np.
     return minus_distance
 
 
-def cost(config: Circle2DConfig, position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """1.0 where the agent stands in the cost region (or would, were it not rigid), else 0.0.
+def cost(
+    config: Circle2DConfig, position: NDArray[np.float64], contact: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """1.0 where the agent touched the cost region in the step, else 0.0.
 
-    position: [..., 2] world units -> [...] float64. The rim counts as outside (open disc).
+    position: [..., 2] world units, where the step ended; contact: [...], whether the dynamics
+    report a touch (see `Kinematic.step`, `Physics.step`) -> [...] float64.
     """
-    return config.region.contains(position).astype(np.float64)
+    return contact.astype(np.float64)

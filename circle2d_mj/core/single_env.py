@@ -18,7 +18,7 @@ from circle2d_mj.core.view import View
 class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
     """One environment: a vector environment of size 1 without its first axis.
 
-    `info["cost"]` is a float, on every step and from `reset`.
+    `info["cost"]` is a float (numpy's float64), on every step and from `reset`.
     """
 
     def __init__(self, envs: TaskVectorEnv) -> None:
@@ -81,8 +81,9 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
         if self.render_mode == "human":
             self._envs.render()
 
-    def _floats(self, info: dict[str, Any]) -> dict[str, float]:
-        return {key: float(info[key][0]) for key in self._envs.simulation.info_keys}
+    def _floats(self, info: dict[str, Any]) -> dict[str, np.float64]:
+        # numpy's floats are Python's as well, and have a dtype, which TorchRL's info reader needs.
+        return {key: info[key][0] for key in self._envs.simulation.info_keys}
 
 
 def without_time_limit(env: type[TaskEnv]) -> Callable[..., TaskEnv]:

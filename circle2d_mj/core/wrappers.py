@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from numbers import Real
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import gymnasium as gym
 import numpy as np
@@ -11,32 +11,25 @@ from gymnasium.spaces import Box, Discrete, Space
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
-
-def SafetyGymnasiumAPI(env: gym.Env | VectorEnv) -> gym.Wrapper | VectorWrapper:
-    """Wrap an environment so that `step` returns the cost as a value of its own.
-
-    `step(action) -> observation, reward, cost, terminated, truncated, info`; `cost` is
-    `info["cost"]`, a float or, for a vector environment, a float array [num_envs]: of an episode's
-    last step in `AutoresetMode.SAME_STEP` that of `final_info`, of the step that only resets in
-    NEXT_STEP 0. Any single or vector environment with `info["cost"]` will do, but the
-    sub-environments of gymnasium's vector environments must give it as a float. TypeError for
-    anything else, KeyError where a step gives no cost.
-    """
-    if isinstance(env, VectorEnv):
-        return _SixValueVector(env)
-    if isinstance(env, gym.Env):
-        return _SixValue(env)
-    raise TypeError(f"env must be a gymnasium Env or VectorEnv, got {env!r}")
+Observation = TypeVar("Observation")
+Action = TypeVar("Action")
 
 
-class _SixValue(gym.Wrapper):
-    def step(self, action: Any) -> tuple[Any, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+class SixValueEnv(gym.Wrapper[Observation, Action, Observation, Action]):
+    """A single environment whose `step` returns six values: see `SafetyGymnasiumAPI`."""
+
+    def step(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, action: Action
+    ) -> tuple[Observation, float, float, bool, bool, dict[str, Any]]:
+        """Observation, reward, cost, terminated, truncated, info."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         _require_cost(info)
-        return observation, reward, info["cost"], terminated, truncated, info
+        return observation, float(reward), info["cost"], terminated, truncated, info
 
 
-class _SixValueVector(VectorWrapper):
+class SixValueVectorEnv(VectorWrapper):
+    """A vector environment whose `step` returns six values: see `SafetyGymnasiumAPI`."""
+
     def __init__(self, env: VectorEnv) -> None:
         super().__init__(env)
         mode = env.metadata.get("autoreset_mode")
@@ -47,10 +40,14 @@ class _SixValueVector(VectorWrapper):
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
+        """As the environment's."""
         self._resetting &= ~np.asarray((options or {}).get("reset_mask", True))
         return self.env.reset(seed=seed, options=options)
 
-    def step(self, actions: Any) -> tuple[Any, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def step(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, actions: Any
+    ) -> tuple[Any, NDArray[Any], NDArray[np.float64], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Observations, rewards, costs, terminated, truncated, infos."""
         observation, reward, terminated, truncated, info = self.env.step(actions)
         ended = np.asarray(terminated, dtype=bool) | np.asarray(truncated, dtype=bool)
         cost = self._costs(info, ended)
@@ -68,6 +65,27 @@ class _SixValueVector(VectorWrapper):
                 _require_cost(given)
                 costs[where] = _given_costs(given, where)[where]
         return costs
+
+
+@overload
+def SafetyGymnasiumAPI(env: VectorEnv) -> SixValueVectorEnv: ...
+@overload
+def SafetyGymnasiumAPI(env: gym.Env[Observation, Action]) -> SixValueEnv[Observation, Action]: ...
+def SafetyGymnasiumAPI(env: gym.Env | VectorEnv) -> SixValueEnv | SixValueVectorEnv:
+    """Wrap an environment so that `step` returns the cost as a value of its own.
+
+    `step(action) -> observation, reward, cost, terminated, truncated, info`; `cost` is
+    `info["cost"]`, a float or, for a vector environment, a float array [num_envs]: of an episode's
+    last step in `AutoresetMode.SAME_STEP` that of `final_info`, of the step that only resets in
+    NEXT_STEP 0. Any single or vector environment with `info["cost"]` will do, but the
+    sub-environments of gymnasium's vector environments must give it as a float. TypeError for
+    anything else, KeyError where a step gives no cost.
+    """
+    if isinstance(env, VectorEnv):
+        return SixValueVectorEnv(env)
+    if isinstance(env, gym.Env):
+        return SixValueEnv(env)
+    raise TypeError(f"env must be a gymnasium Env or VectorEnv, got {env!r}")
 
 
 def _given_costs(info: dict[str, Any], needed: NDArray[np.bool_]) -> NDArray[Any]:

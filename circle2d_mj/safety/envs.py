@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 from typing import Any
 
 from gymnasium.vector import AutoresetMode
@@ -9,15 +10,8 @@ from gymnasium.vector import AutoresetMode
 from circle2d_mj.core.single_env import TaskEnv, without_time_limit
 from circle2d_mj.core.vector_env import TaskVectorEnv
 from circle2d_mj.render.gl import render_modes
-from circle2d_mj.safety.circle import SafetyPointCircle
-from circle2d_mj.safety.goal import SafetyPointGoal
-from circle2d_mj.safety.hopper import SafetyHopperVelocity
+from circle2d_mj.safety.tasks import TASKS
 
-TASKS = {
-    "SafetyPointCircle1": SafetyPointCircle,
-    "SafetyPointGoal1": SafetyPointGoal,
-    "SafetyHopperVelocity": SafetyHopperVelocity,
-}
 METADATA: dict[str, Any] = {"render_modes": render_modes()}
 
 
@@ -42,7 +36,7 @@ class SafetyVectorEnv(TaskVectorEnv):
     ) -> None:
         if task not in TASKS:
             raise ValueError(f"task must be one of {list(TASKS)}, got {task!r}")
-        simulation = TASKS[task](num_envs, num_threads)
+        simulation = pkgutil.resolve_name(TASKS[task].simulation)(num_envs, num_threads)
         super().__init__(
             simulation,
             max_episode_steps=max_episode_steps,

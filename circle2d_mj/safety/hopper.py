@@ -51,7 +51,7 @@ class SafetyHopperVelocity(MuJoCoTask):
         """Move all hoppers by their actions, [num_envs, 3]."""
         before = self.qpos[:, 0].copy()
         self.advance(action)
-        velocity = (self.qpos[:, 0] - before) / rules.HOPPER_DT
+        velocity = (self.qpos[:, 0] - before) / self.step_seconds
         reward = rules.hopper_reward(velocity, action)
         info = {"cost": rules.hopper_cost(velocity), "x_velocity": velocity}
         return Outcome(reward, rules.hopper_fell(self.qpos, self.qvel), info)

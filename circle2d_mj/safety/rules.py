@@ -25,7 +25,6 @@ GOAL_RADIUS = 0.3
 HAZARD_RADIUS = 0.2
 GOAL_LIDAR_REACH = 3.0
 
-HOPPER_DT = 0.008
 HOPPER_MAX_SPEED = 0.7402
 _UPRIGHT_LOW = np.array((0.7, -0.2, *[-100.0] * 9))
 _UPRIGHT_HIGH = np.array((np.inf, 0.2, *[100.0] * 9))

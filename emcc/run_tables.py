@@ -1,0 +1,231 @@
+"""Tables of training runs: EMCC by thirds, panels, and the bounds that sums allow."""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emcc.inputs import EpisodeSums, EpochMeans, Run
+from emcc.interval import estimate
+from emcc.measures import cost_measures
+from emcc.panels import WINDOW, panel, panel_table
+from emcc.parts import cost_rate, rollouts_by_part
+from emcc.streaks import streak_bounds
+from emcc.table import MISSING, Table
+from emcc.tail import emcc
+
+
+def emcc_table(
+    runs: Sequence[Run], alpha: float, ties: str, seed: int = 0, per_run: bool = False
+) -> Table:
+    """One row per task, algorithm and settings: means over its runs; with per_run, they follow.
+
+    seed: of the bootstrap. Runs without a task and an algorithm have a row each.
+    ValueError: alpha, ties or the steps of a run are not allowed.
+    """
+    measures = {run: _measures(run, alpha, ties) for run in runs}
+    groups = _groups(runs)
+    rows = []
+    for key, members in groups.items():
+        label = [key[0] or MISSING, _name(key, list(groups))]
+        rows.append([*label, str(len(members)), *_cells(members, measures, seed)])
+        if per_run:
+            for run in members:
+                rows.append([*label, f"seed {run.seed or '?'}", *_cells([run], measures, seed)])
+    caption = (
+        f"EMCC with alpha = {alpha:g}, ties = {ties}: {_READINGS[ties]} in each third of training; "
+        "means over runs [95 % bootstrap interval]"
+    )
+    names = list(measures[runs[0]])
+    return Table(
+        caption,
+        ["task", "algorithm", "runs", "steps", "steps from", *names],
+        rows,
+        [note for run in runs for note in _notes(run, _missing(measures[run]))]
+        + _repeated_seeds(groups),
+        complete=all(
+            value is not None for of_run in measures.values() for value in of_run.values()
+        ),
+    )
+
+
+Key = tuple[str, str, str]
+"""Task, algorithm (or path, where there is none) and settings of runs of one kind."""
+
+
+def _groups(runs: Sequence[Run]) -> dict[Key, list[Run]]:
+    groups: dict[Key, list[Run]] = {}
+    for run in runs:
+        key = (run.task, run.algorithm or str(run.path), run.settings)
+        groups.setdefault(key, []).append(run)
+    return groups
+
+
+def _name(key: Key, keys: Sequence[Key]) -> str:
+    """The algorithm, with its settings that differ where others have its name on the same task."""
+    others = [_flat(json.loads(other[2])) for other in keys if other[:2] == key[:2] and other[2]]
+    if len(others) < 2 or not key[2]:
+        return key[1]
+    told = []
+    for name, value in _flat(json.loads(key[2])).items():
+        if any(other.get(name) != value for other in others):
+            told.append(f"{name} {value}")
+    return f"{key[1]} ({', '.join(told)})" if told else key[1]
+
+
+def _flat(settings: dict[str, Any]) -> dict[str, Any]:
+    """The entries of a kind of settings, or what stands there instead, by name."""
+    found: dict[str, Any] = {}
+    for kind, values in settings.items():
+        found |= values if isinstance(values, dict) else {kind: values}
+    return found
+
+
+_READINGS = {
+    "all": "mean of all MCC values at or above the (1 - alpha) quantile",
+    "split": "mean of exactly the share alpha of highest MCC values",
+}
+
+
+def _measures(run: Run, alpha: float, ties: str) -> dict[str, float | None]:
+    """The numbers of one run; None where no rollout has started yet."""
+    mcc, parts = run.rollouts[0], _parts(run)
+    values: dict[str, float | None] = {
+        f"EMCC_{part}": emcc(mcc[where], alpha, ties) if where.any() else None
+        for part, where in parts.items()
+    }
+    rate = cost_rate(run.records.cost, run.records.length) if run.steps else None
+    return values | {"cost rate": rate}
+
+
+def _parts(run: Run) -> dict[float, NDArray[np.bool_]]:
+    """Masks of the rollouts of each third."""
+    try:
+        return rollouts_by_part(run.rollouts[1], run.total_steps)
+    except ValueError as error:
+        raise ValueError(
+            f"{run.path}: {error}; total steps are from {run.total_from}, --total-steps sets them"
+        ) from None
+
+
+def _cells(runs: list[Run], measures: dict[Run, dict[str, float | None]], seed: int) -> list[str]:
+    steps = ", ".join(dict.fromkeys(str(run.total_steps) for run in runs))
+    source = ", ".join(dict.fromkeys(run.total_from for run in runs))
+    names = measures[runs[0]]
+    return [steps, source, *(_mean([measures[run][name] for run in runs], seed) for name in names)]
+
+
+def _mean(values: list[float | None], seed: int) -> str:
+    known = [value for value in values if value is not None]
+    if len(known) < len(values):
+        return MISSING
+    # A generator of its own: no cell depends on which others the table has.
+    result = estimate({"": known}, rng=np.random.default_rng(seed))[""]
+    interval = "" if result.low is None else f" [{result.low:.3f}, {result.high:.3f}]"
+    return f"{result.value:.3f}{interval}"
+
+
+def _missing(measures: dict[str, float | None]) -> list[str]:
+    return [name for name, value in measures.items() if value is None]
+
+
+def _notes(run: Run, missing: list[str]) -> list[str]:
+    notes = []
+    if run.steps < run.total_steps:
+        notes.append(f"{run.path} is unfinished: {run.steps} of {run.total_steps} steps.")
+    if missing:
+        notes.append(f"{run.path} has no rollout yet for {', '.join(missing)}.")
+    return notes
+
+
+def _repeated_seeds(groups: dict[Key, list[Run]]) -> list[str]:
+    return [
+        f"{task} {algorithm}: {times} runs have seed {seed}; their interval may be too narrow."
+        for (task, algorithm, _), runs in groups.items()
+        for seed, times in Counter(run.seed for run in runs if run.seed).items()
+        if times > 1
+    ]
+
+
+def panel_tables(
+    runs: Sequence[Run],
+    limit: float,
+    alpha: float,
+    ties: str,
+    window: int = WINDOW,
+    seed: int = 0,
+    per_run: bool = False,
+) -> list[Table]:
+    """A panel for each task, algorithm and settings: means over its runs; with per_run, a panel for
+    every run follows. The arguments are those of `emcc.panel` and `emcc_table`."""
+    tables = []
+    groups = _groups(runs)
+    for key, members in groups.items():
+        notes, panels = [], []
+        for run in members:
+            missing = [f"EMCC_{part}" for part, where in _parts(run).items() if not where.any()]
+            notes += _notes(run, missing)
+            try:
+                of_run = panel(run.records, limit, alpha, ties=ties, window=window,
+                    total_steps=run.total_steps)  # fmt: skip
+            except ValueError as error:
+                raise ValueError(f"{run.path}: {error}") from None
+            panels.append(of_run)
+        name = " on ".join(filter(None, (_name(key, list(groups)), key[0])))
+        notes += _repeated_seeds({key: members})
+        tables.append(panel_table(panels, name, notes, seed))
+        if per_run and len(members) > 1:
+            for run, of_run in zip(members, panels, strict=True):
+                tables.append(panel_table([of_run], f"{name}, seed {run.seed or '?'}"))
+    return tables
+
+
+def bounds_table(sums: Sequence[EpisodeSums], limit: float | None = None) -> Table:
+    """Bounds of longest streak / length, and the measures of cost that sums of episodes give."""
+    rows = []
+    for entry in sums:
+        low, high = streak_bounds(entry.cost, entry.length)
+        of_costs = cost_measures(entry.cost, entry.length, limit, alpha=1, window=1, ties="all")
+        numbers = [(bound / entry.length).mean() for bound in (low, high)]
+        numbers += [of_costs.cost_rate, of_costs.maximum]
+        if limit is not None:
+            numbers += [of_costs.violation_rate, of_costs.severity]
+            numbers += [of_costs.severity_of_violations, of_costs.regret]
+        sizes = [str(entry.path), str(len(low)), str(entry.length.sum())]
+        rows.append([*sizes, *(MISSING if x is None else f"{x:.3f}" for x in numbers)])
+    with_limit = ["violation rate V", "severity D", "severity of violations D+", "cost regret"]
+    head = ["file", "episodes", "steps", "at least", "at most", "cost rate", "highest cost"]
+    return Table(
+        "Bounds, not EMCC: longest streak / length, means over all episodes"
+        f"{'' if limit is None else f'; limit {limit:g}'}. The sum of an episode's costs does not "
+        "tell in which order they came.",
+        head if limit is None else [*head, *with_limit],
+        rows,
+        [],
+    )
+
+
+def epochs_table(means: Sequence[EpochMeans], limit: float | None = None) -> Table:
+    """The measures of cost that means of epochs give."""
+    rows = []
+    for entry in means:
+        steps = np.diff(entry.total_steps, prepend=0)
+        rate = (steps * entry.cost / entry.length).sum() / entry.total_steps[-1]
+        numbers = [rate, entry.cost.max(), entry.cost[-1]]
+        if limit is not None:
+            numbers.append((entry.cost > limit).mean())
+        sizes = [str(entry.path), str(len(steps)), str(entry.total_steps[-1])]
+        rows.append([*sizes, *(f"{number:.3f}" for number in numbers)])
+    head = ["file", "epochs", "steps", "cost rate", "highest mean cost", "last mean cost"]
+    return Table(
+        "Means of epochs, not EMCC: the cost rate, and the mean cost of an episode. They tell "
+        "neither streaks nor the costs of single episodes, so neither EMCC and its bounds nor "
+        "violation rate, severity, regret and CVaR. Where the library averages over past episodes, "
+        "beyond the epoch, the numbers are smoothed.",
+        head if limit is None else [*head, f"epochs with a mean above {limit:g}"],
+        rows,
+        [],
+    )

@@ -1,0 +1,134 @@
+"""EMCC of a training with Stable-Baselines3."""
+
+from emcc.panels import WINDOW, Panel, panel
+
+try:
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+except ModuleNotFoundError as error:
+    if (error.name or "").partition(".")[0] != "stable_baselines3":
+        raise
+    raise ImportError(
+        "emcc.sb3 needs Stable-Baselines3: pip install stable-baselines3"
+    ) from None  # fmt: skip
+
+import numpy as np
+
+from emcc.info import cost_of
+from emcc.measures import measures_of
+from emcc.parts import ALPHA
+from emcc.recorder import CostRecorder
+from emcc.records import EpisodeRecords
+
+
+class EMCCCallback(BaseCallback):
+    """Records the costs of a training, and logs EMCC and its companions as emcc/*.
+
+    Works with every algorithm and VecEnv; the cost is info["cost"] of every step. The numbers go to
+    SB3's logger, so to TensorBoard and to W&B's synchronised TensorBoard: while training those of
+    the last rollouts, at its end EMCC of the thirds of training.
+
+    rollout: "auto" is "update" for on-policy algorithms (a rollout is what is collected between two
+    updates, and cuts running episodes), and "episode" for all others; a number of environment steps
+    as in `CostRecorder` is possible too.
+    `learn` starts new records, but for reset_num_timesteps=False, which goes on with the old ones.
+    alpha: share of the rollouts with the highest MCC. window: rollouts whose numbers are logged
+    while training. limit: cost limit of an episode, for the measures that need one; None omits
+    them. threshold: a step whose cost exceeds it is a cost step.
+    ValueError: arguments that are not allowed. KeyError: no cost in the info of a step.
+    """
+
+    def __init__(
+        self,
+        rollout: int | str = "auto",
+        alpha: float = ALPHA,
+        window: int = WINDOW,
+        limit: float | None = None,
+        threshold: float = 0.0,
+        verbose: int = 0,
+    ) -> None:
+        super().__init__(verbose)
+        if isinstance(rollout, str) and rollout not in ("auto", "update", "episode"):
+            raise ValueError(
+                f'rollout must be "auto", "update", "episode" or a number, got {rollout!r}'
+            )
+        self.rollout, self.alpha, self.window = rollout, alpha, window
+        self.limit, self.threshold = limit, threshold
+        self._by_update = rollout == "update"
+        self._rollouts: CostRecorder | None = None
+        self._episodes: CostRecorder | None = None  # whole episodes, whatever cuts the rollouts
+
+    @property
+    def records(self) -> EpisodeRecords:
+        """Trajectories of the rollouts; running ones are recorded when training ends."""
+        return _started(self._rollouts).records
+
+    @property
+    def episodes(self) -> EpisodeRecords:
+        """Whole episodes; those that were running when training ended are left out."""
+        return _started(self._episodes).records
+
+    def panel(self, limit: float | None = None) -> Panel:
+        """All measures of the training so far: `emcc.panel`. limit: by default the callback's."""
+        limit = self.limit if limit is None else limit
+        steps, episodes = _started(self._rollouts).steps, self.episodes
+        whole = episodes if len(episodes) else None
+        return panel(self.records, limit, self.alpha, total_steps=steps, episodes=whole)
+
+    def _on_training_start(self) -> None:
+        if self._rollouts is not None and not self.locals["reset_num_timesteps"]:
+            return
+        envs = self.training_env.num_envs
+        rollout = self.rollout
+        if rollout == "auto":
+            rollout = "update" if isinstance(self.model, OnPolicyAlgorithm) else "episode"
+        self._by_update = rollout == "update"
+        kind = "manual" if rollout == "update" else rollout
+        self._rollouts = CostRecorder(envs, kind, self.threshold)
+        self._episodes = CostRecorder(envs, "episode", self.threshold)
+
+    def _on_step(self) -> bool:
+        costs = [cost_of(info) for info in self.locals["infos"]]
+        normalised = self.model.get_vec_normalize_env()
+        rewards = self.locals["rewards"]
+        if normalised is not None:
+            rewards = normalised.get_original_reward()
+        for recorder in (_started(self._rollouts), _started(self._episodes)):
+            recorder.step(costs, rewards, self.locals["dones"])
+        if not self._by_update and np.any(self.locals["dones"]):
+            self._log()
+        return True
+
+    def _on_rollout_end(self) -> None:
+        if self._by_update:
+            _started(self._rollouts).end_rollout()
+            self._log()
+
+    def _on_training_end(self) -> None:
+        recorder = _started(self._rollouts)
+        recorder.end_rollout()
+        if not recorder.steps:
+            return
+        for part, of_part in self.panel().parts.items():
+            if of_part is not None:
+                self.logger.record(f"emcc/emcc_{part}", of_part.emcc)
+        self.logger.dump(self.num_timesteps)
+
+    def _log(self) -> None:
+        recent = _started(self._rollouts).recent(self.window)
+        episodes = _started(self._episodes).recent(self.window)
+        if not len(recent):
+            return
+        given = episodes if len(episodes) else recent
+        of_recent = measures_of(recent, given, self.limit, self.alpha, self.window, "all")
+        for name, value in vars(of_recent).items():
+            if isinstance(value, (int, float)):
+                self.logger.record(f"emcc/{name}", value)
+
+
+def _started(recorder: CostRecorder | None) -> CostRecorder:
+    if recorder is None:
+        raise RuntimeError(
+            "nothing is recorded yet: give the callback to model.learn(callback=...)"
+        )
+    return recorder

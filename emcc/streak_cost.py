@@ -1,0 +1,182 @@
+"""StreakCost for gymnasium: EMCC as an objective, for any environment and algorithm."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from emcc.arrays import as_array, as_number, as_threshold
+from emcc.info import cost_of, costs_of
+
+
+def weighted(costs: ArrayLike, streak: ArrayLike, weight: float) -> NDArray[np.float64]:
+    """Costs by their place in a streak: the k-th step of a streak costs `1 + weight (k - 1)` times.
+
+    costs, streak: of any one shape; streak: k at a cost step, 0 elsewhere. A streak of n steps that
+    cost 1 each then costs `n + weight n (n - 1) / 2`: one of 8 with weight 1 costs 36, eight of 1
+    cost 8.
+    """
+    factor = 1.0 + weight * np.maximum(np.asarray(streak) - 1, 0)
+    return np.asarray(costs, dtype=np.float64) * factor
+
+
+def StreakCost(
+    env: gym.Env | VectorEnv,
+    weight: float = 1.0,
+    *,
+    observe: bool = True,
+    scale: float = 10.0,
+    threshold: float = 0.0,
+) -> "StreakCostEnv | StreakCostVectorEnv":
+    """Wrap an Env or VectorEnv so that long streaks of cost steps cost more than short ones.
+
+    info["cost"] becomes the cost times `1 + weight (k - 1)` at the k-th consecutive cost step, so
+    that an algorithm that limits cost limits streaks as well; info["plain_cost"] is the cost as it
+    was. What an agent is judged by is the plain cost: record it inside, as in
+    `StreakCost(RecordCosts(env))`.
+    observe: append k / scale, which is 0 after a safe step, to the observation, so that the task
+    stays Markov: without it the cost depends on what the agent cannot see. The observation space
+    must then be a flat Box. scale: cost steps that make the observation 1.
+    threshold: a step whose cost exceeds it is a cost step.
+    In a vector environment info["cost"] and info["plain_cost"] are [num_envs] arrays of the step
+    just taken, in every autoreset mode, as rewards are; so are those in info["final_info"].
+    TypeError: no gymnasium environment, or no flat Box to append to. ValueError: weight below 0,
+    scale not above 0, a bad threshold, a vector environment without an autoreset mode. KeyError: a
+    step without a cost.
+    """
+    if not isinstance(env, (VectorEnv, gym.Env)):
+        raise TypeError(f"env must be a gymnasium Env or VectorEnv, got {type(env).__name__}")
+    if as_number(weight, "weight") < 0:
+        raise ValueError(f"weight must be >= 0, got {weight}")
+    if as_number(scale, "scale") <= 0:
+        raise ValueError(f"scale must be above 0, got {scale}")
+    chosen = float(weight), float(scale) if observe else None, float(as_threshold(threshold))
+    if isinstance(env, VectorEnv):
+        return StreakCostVectorEnv(env, *chosen)
+    return StreakCostEnv(env, *chosen)
+
+
+class StreakCostEnv(gym.Wrapper):
+    """`StreakCost` of an Env."""
+
+    def __init__(self, env: gym.Env, weight: float, scale: float | None, threshold: float) -> None:
+        super().__init__(env)
+        self.weight, self.scale, self.threshold = weight, scale, threshold
+        self._streak = 0
+        if scale is not None:
+            self.observation_space = _with_streak(env.observation_space)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Reset the environment; no streak is running."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._streak = 0
+        return self._observed(observation), info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the environment; info["cost"] is weighted, info["plain_cost"] is not."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        cost = cost_of(info)
+        self._streak = self._streak + 1 if cost > self.threshold else 0
+        of_streak = float(weighted(cost, self._streak, self.weight))
+        info = {**info, "cost": np.float64(of_streak), "plain_cost": np.float64(cost)}
+        return self._observed(observation), reward, bool(terminated), bool(truncated), info
+
+    def _observed(self, observation: Any) -> Any:
+        if self.scale is None:
+            return observation
+        return np.append(observation, np.asarray(self._streak / self.scale, observation.dtype))
+
+
+class StreakCostVectorEnv(VectorWrapper):
+    """`StreakCost` of a VectorEnv."""
+
+    def __init__(
+        self, env: VectorEnv, weight: float, scale: float | None, threshold: float
+    ) -> None:
+        super().__init__(env)
+        self.weight, self.scale, self.threshold = weight, scale, threshold
+        try:
+            self._mode = AutoresetMode(env.metadata.get("autoreset_mode"))
+        except ValueError:
+            raise ValueError(
+                f"{env}: metadata['autoreset_mode'] must be a gymnasium.vector.AutoresetMode, "
+                f"got {env.metadata.get('autoreset_mode')!r}"
+            ) from None
+        self._streak = np.zeros(env.num_envs, dtype=np.int64)
+        self._finished = np.zeros(env.num_envs, dtype=bool)
+        """Episodes that are over, and not reset yet."""
+        if scale is not None:
+            self.single_observation_space = _with_streak(env.single_observation_space)
+            self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Reset the environments, or those in options["reset_mask"]; their streaks are over."""
+        where = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        where = where.copy()
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self._streak[where] = 0
+        self._finished &= ~where
+        return self._observed(observations, self._streak), infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step the environments; costs are weighted, plain costs are not."""
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        active = ~self._finished
+        done = as_array(terminated, "terminated") | as_array(truncated, "truncated")
+        costs = np.zeros(self.num_envs)
+        if active.any():
+            costs = costs_of(infos, active, done)
+        self._streak = np.where(active & (costs > self.threshold), self._streak + 1, 0)
+        of_streak = {"cost": weighted(costs, self._streak, self.weight), "plain_cost": costs}
+        infos = {**infos, **_with_masks(of_streak, active)}
+        if self._mode == AutoresetMode.SAME_STEP:
+            if done.any():
+                infos = self._with_final(infos, of_streak, done)
+            self._streak = np.where(done, 0, self._streak)  # of the next episodes already
+        else:
+            resets = self._mode == AutoresetMode.NEXT_STEP
+            self._finished = (done & active) if resets else self._finished | done
+        return self._observed(observations, self._streak), rewards, terminated, truncated, infos
+
+    def _with_final(
+        self, infos: dict[str, Any], of_streak: dict[str, NDArray], done: NDArray[np.bool_]
+    ) -> dict[str, Any]:
+        """The infos with the streak in the last observations, and the costs of the last steps."""
+        final = {**infos.get("final_info", {}), **_with_masks(of_streak, done)}
+        observations = infos["final_obs"].copy()
+        for index in np.flatnonzero(done) if self.scale is not None else ():
+            last = observations[index]
+            streak = np.asarray(self._streak[index] / self.scale, last.dtype)
+            observations[index] = np.append(last, streak)
+        return {**infos, "final_info": final, "final_obs": observations}
+
+    def _observed(self, observations: Any, streak: NDArray[np.int64]) -> Any:
+        if self.scale is None:
+            return observations
+        column = (streak / self.scale).astype(observations.dtype)
+        return np.concatenate((observations, column[:, None]), axis=1)
+
+
+def _with_masks(of_streak: dict[str, NDArray], where: NDArray[np.bool_]) -> dict[str, Any]:
+    masked = {name: np.where(where, values, 0.0) for name, values in of_streak.items()}
+    return masked | {f"_{name}": where.copy() for name in of_streak}
+
+
+def _with_streak(space: gym.Space) -> Box:
+    """The space of observations with a streak of 0 or more behind them."""
+    if not isinstance(space, Box) or len(space.shape) != 1:
+        raise TypeError(f"observe needs a flat Box as observation space, got {space}")
+    dtype: Any = space.dtype
+    low, high = (
+        np.append(bound, np.asarray(of_streak, bound.dtype))
+        for bound, of_streak in ((space.low, 0.0), (space.high, np.inf))
+    )
+    return Box(low, high, dtype=dtype)

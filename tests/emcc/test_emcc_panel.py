@@ -1,0 +1,250 @@
+"""The panel of measures, against loops over steps that share nothing with the package."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import emcc
+from emcc import EpisodeRecords, panel, regret_curve
+
+KINDS = {
+    "mixed": lambda rng: [(rng.random(n) < 0.4) * rng.random(n) for n in rng.integers(1, 30, 60)],
+    "zero or one": lambda rng: [(rng.random(n) < 0.4) * 1.0 for n in rng.integers(1, 30, 60)],
+    "single steps": lambda rng: [rng.integers(0, 2, 1) * 1.0 for _ in range(60)],
+    "every step costs": lambda rng: [np.ones(n) for n in rng.integers(1, 9, 60)],
+    "no step costs": lambda rng: [np.zeros(n) for n in rng.integers(1, 9, 60)],
+    "one episode": lambda rng: [np.array([0.0, 1.0, 1.0, 0.0, 1.0])],
+}
+
+
+def streaks_of(costs):
+    """Lengths of the streaks of an episode."""
+    found, running = [], 0
+    for cost in [*costs, 0]:
+        if cost > 0:
+            running += 1
+        elif running:
+            found.append(running)
+            running = 0
+    return found
+
+
+def highest_tenth(values):
+    """All values that at least nine tenths of the values do not exceed, and their equals."""
+    ordered = sorted(values)
+    rank = -(-9 * len(ordered) // 10)
+    return [value for value in values if value >= ordered[rank - 1]]
+
+
+def oracle(episodes, limit, window):
+    """The measures, an episode being a rollout; episodes: costs of steps."""
+    sums = [math.fsum(costs) for costs in episodes]
+    lengths = [len(costs) for costs in episodes]
+    over = [max(total - limit, 0) for total in sums]
+    violating = [total for total in sums if total > limit]
+    rates = []
+    size = min(window, len(sums))
+    for first in range(len(sums) - size + 1):
+        rates.append(sum(sums[first : first + size]) / sum(lengths[first : first + size]))
+    mcc = [max(streaks_of(costs), default=0) / len(costs) for costs in episodes]
+    streaks = [streak for costs in episodes for streak in streaks_of(costs)]
+    ranked = sorted(sums)
+    place = 0.95 * (len(sums) - 1)
+    below, above = ranked[math.floor(place)], ranked[math.ceil(place)]
+    tail, tail_mcc = highest_tenth(sums), highest_tenth(mcc)
+    return {
+        "episodes": len(sums),
+        "steps": sum(lengths),
+        "cost_rate": sum(sums) / sum(lengths),
+        "cvar": sum(tail) / len(tail),
+        "violation_rate": len(violating) / len(sums),
+        "severity": None if limit == 0 else sum(t - limit for t in sums) / len(sums) / limit,
+        "severity_of_violations": (
+            0.0 if not violating
+            else None if limit == 0
+            else sum(t - limit for t in violating) / len(violating) / limit
+        ),
+        "regret": sum(over),
+        "p95": below + (place - math.floor(place)) * (above - below),
+        "maximum": max(sums),
+        "peak_rate": max(rates),
+        "emcc": sum(tail_mcc) / len(tail_mcc),
+        "mcc": sum(mcc) / len(mcc),
+        "longest_streak": max(streaks, default=0),
+        "mean_streak": sum(streaks) / len(streaks) if streaks else 0.0,
+    }  # fmt: skip
+
+
+def records_of(episodes, **options):
+    return EpisodeRecords.from_costs(
+        np.concatenate(episodes), [len(c) for c in episodes], **options
+    )
+
+
+def third(episodes, low, high):
+    """Episodes that start in [low, high) % of all steps."""
+    total, start, found = sum(map(len, episodes)), 0, []
+    for costs in episodes:
+        if low * total <= 100 * start < high * total:
+            found.append(costs)
+        start += len(costs)
+    return found
+
+
+def assert_equal(measures, expected):
+    for name, value in expected.items():
+        found = getattr(measures, name)
+        assert found == (value if value is None else pytest.approx(value, rel=1e-12)), name
+
+
+@pytest.mark.parametrize("limit", [0, 1.5, 4, 1000])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(3))
+def test_every_measure_of_training_and_of_its_thirds(kind, limit, seed):
+    episodes = KINDS[kind](np.random.default_rng(seed))
+    found = panel(records_of(episodes), limit, window=7)
+    assert_equal(found, oracle(episodes, limit, 7))
+    assert list(found.parts) == [0.33, 0.66, 0.99]
+    for part, (low, high) in zip(found.parts.values(), ((0, 33), (33, 66), (66, 99)), strict=True):
+        some = third(episodes, low, high)
+        if some:
+            assert_equal(part, oracle(some, limit, 7))
+        else:
+            assert part is None
+
+
+@given(st.lists(st.lists(st.integers(0, 3), min_size=1, max_size=6), min_size=1, max_size=12))
+def test_any_few_episodes(episodes):
+    assert_equal(panel(records_of(episodes), 2.0, window=3), oracle(episodes, 2.0, 3))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_time_to_feasible(seed):
+    rng = np.random.default_rng(seed)
+    sums = rng.integers(0, 9, 40)
+    episodes = [np.ones(n) if n else np.zeros(2) for n in sums]
+    found = panel(records_of(episodes), 4.0, window=5)
+    within = [sum(sums[i : i + 5]) <= 20 for i in range(36)]
+    first = within.index(True)
+    assert found.steps_to_feasible == sum(map(len, episodes[:first]))
+    assert found.feasible_share == sum(within[first:]) / (36 - first)
+    never = panel(records_of([np.ones(3)] * 9), 2.0, window=4)
+    assert (never.steps_to_feasible, never.feasible_share) == (None, 0.0)
+    always = panel(records_of([np.ones(3)] * 9), 3.0, window=4)
+    assert (always.steps_to_feasible, always.feasible_share) == (0, 1.0)
+
+
+def test_distribution_of_mcc():
+    episodes = [[1, 0, 0, 0], [1, 1, 0, 0], [1, 1, 1, 0], [1, 1, 1, 1]]
+    assert panel(records_of(episodes), 1.0).mcc_above == {0.25: 0.75, 0.5: 0.5, 0.75: 0.25}
+
+
+def test_rollouts_of_several_trajectories():
+    """MCC is of a rollout, costs are of an episode: those are told apart."""
+    episodes = [[1, 0], [0, 0], [1, 1], [0, 0]]
+    found = panel(records_of(episodes, rollouts=[0, 0, 1, 1]), 1.0)
+    assert (found.mcc, found.violation_rate) == (0.75, 0.25)
+
+
+def test_whole_episodes_beside_rollouts_that_cut_them():
+    costs = [1, 1, 1, 1, 0, 0, 1, 1]
+    cut = EpisodeRecords.from_costs(costs, [3, 1, 2, 2], rollouts=[0, 1, 1, 2])
+    whole = EpisodeRecords.from_costs(costs, [4, 4])
+    found = panel(cut, 3.0, episodes=whole)
+    assert (found.violation_rate, found.maximum, found.mcc) == (0.5, 4.0, 1.0)
+    assert panel(cut, 3.0).violation_rate == 0.0
+
+
+def test_order_is_that_of_training():
+    episodes = [[0.0]] * 5 + [[1.0]] * 5
+    records = records_of(episodes)
+    turned = records.select(np.arange(10)[::-1])
+    assert panel(turned, 0.5, window=5) == panel(records, 0.5, window=5)
+    assert panel(records, 0.5, window=5).peak_rate == 1.0
+
+
+def test_without_a_limit():
+    found = panel(records_of([[1, 0], [1, 1]]), None)
+    for name in ("violation_rate", "severity", "severity_of_violations", "regret"):
+        assert getattr(found, name) is None
+    assert (found.steps_to_feasible, found.feasible_share) == (None, None)
+    assert "violation" not in found.to_markdown()
+
+
+def test_records_of_version_0_1_have_no_mean_streak():
+    old = EpisodeRecords([0], [0], [4], [0], [2], [2])
+    assert panel(old, 1.0).mean_streak is None
+    (line,) = (x for x in panel(old, 1.0).to_markdown().splitlines() if "mean streak" in x)
+    assert line.replace(" ", "") == "|meanstreak(steps)|–|–|–|–|"
+
+
+def test_regret_as_a_curve():
+    steps, regret = regret_curve(records_of([[1, 1, 1], [0], [2, 2]]), 1.0)
+    assert (steps.tolist(), regret.tolist()) == ([0, 3, 4], [2.0, 2.0, 5.0])
+
+
+def test_sources_are_told_apart():
+    records = records_of([[1, 0], [1, 1]])
+    final = panel(records, 1.0, source="deterministic")
+    assert (final.parts, final.steps_to_feasible) == ({}, None)
+    assert final.to_markdown().startswith("costs of the final policy, without noise, limit 1")
+    assert panel(records, 1.0).to_markdown().startswith("costs during training, limit 1")
+
+
+def test_ties_are_passed_on():
+    records = records_of([[1, 0], [1, 1], [1, 1], [0, 0]])
+    assert panel(records, 1.0, alpha=0.7).emcc == pytest.approx(5 / 6)
+    assert panel(records, 1.0, alpha=0.625, ties="split").emcc == pytest.approx(
+        (1 + 1 + 0.25) / 2.5
+    )
+    assert "α = 0.625, ties split" in panel(records, 1.0, 0.625, ties="split").to_markdown()
+
+
+def test_renderings():
+    found = panel(records_of([[1, 0], [1, 1], [0, 0], [1, 0]]), 1.0)
+    told = json.loads(json.dumps(found.to_dict()))
+    assert told["emcc"] == found.emcc
+    assert told["parts"]["0.33"]["mcc_above"]["0.25"] == 1.0
+    latex = found.to_latex().splitlines()
+    assert latex[0].startswith("% costs during training, limit 1; 4 episodes, 8 steps")
+    assert latex[1:3] == [r"\begin{tabular}{lrrrr}", r"\toprule"]
+    assert latex[3] == r"measure & all & 0 to 33 \% & 33 to 66 \% & 66 to 99 \% \\"
+    assert r"EMCC ($\alpha$ = 0.1) & 1.000 & 1.000 & 0.000 & 0.500 \\" in latex
+    assert latex[-2:] == [r"\bottomrule", r"\end{tabular}"]
+
+
+BAD = {
+    "limit": ({"limit": -1.0}, "limit must be >= 0, got -1.0"),
+    "NaN": ({"limit": math.nan}, "limit must be finite, got nan"),
+    "alpha": ({"alpha": 0.0}, r"alpha must be in \(0, 1\], got 0.0"),
+    "window": ({"window": 0}, "window must be >= 1, got 0"),
+    "source": ({"source": "test"}, "source must be one of training, stochastic, determ.* 'test'"),
+    "steps": ({"total_steps": 2}, r"start_steps must be finite and in \[0, 1\], got 2"),
+    "empty": ({"records": EpisodeRecords(*[[]] * 8)}, "records are empty"),
+    "empty episodes": ({"episodes": EpisodeRecords(*[[]] * 8)}, "episodes are empty"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "message"), BAD.values(), ids=BAD)
+def test_mistakes_are_named(changes, message):
+    arguments = {"records": records_of([[1, 0], [1, 1]]), "limit": 1.0, **changes}
+    with pytest.raises(ValueError, match=message):
+        panel(**arguments)
+
+
+def test_records_give_their_emcc():
+    episodes = KINDS["mixed"](np.random.default_rng(7))
+    records = records_of(episodes)
+    mcc, starts = records.mcc_per_rollout()
+    assert records.emcc() == emcc.emcc(mcc, 0.1) == panel(records, 1.0).emcc
+    assert records.emcc(alpha=1) == emcc.emcc(mcc)
+    assert records.emcc_by_part() == emcc.emcc_by_part(mcc, starts, records.total_steps)
+    later = records.emcc_by_part(0.5, "split", 1000)
+    assert later == emcc.emcc_by_part(mcc, starts, 1000, 0.5, "split")
+    late = EpisodeRecords([0], [50], [10], [0], [0], [0])
+    with pytest.raises(ValueError, match=r"starts at step 50, but only 10 .* give total_steps"):
+        late.emcc_by_part()

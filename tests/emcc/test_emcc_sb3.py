@@ -1,0 +1,178 @@
+"""EMCCCallback in trainings with Stable-Baselines3, against costs collected beside it."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+import gymnasium as gym
+from stable_baselines3 import A2C, PPO, SAC
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.logger import KVWriter, Logger
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
+
+import emcc
+
+LOG = []
+"""(environment, cost, reward, whether the episode ended) of every step of every `Noisy`."""
+
+
+class Noisy(gym.Env):
+    """Episodes of random length and cost; with info["cost"] at reset, which is no step's."""
+
+    observation_space = gym.spaces.Box(-1, 1, (2,), np.float32)
+    action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
+
+    def __init__(self, number=0):
+        self.number, self.rng = number, np.random.default_rng(number)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.left = int(self.rng.integers(1, 30))
+        return np.zeros(2, np.float32), {"cost": 77.0}
+
+    def step(self, action):
+        self.left -= 1
+        cost = float(self.rng.random() < 0.4)
+        reward = float(self.rng.integers(5))  # exact in any precision
+        LOG.append((self.number, cost, reward, self.left == 0))
+        return np.zeros(2, np.float32), reward, self.left == 0, False, {"cost": cost}
+
+
+def episodes_of_log():
+    """(costs, return) of every episode that ended, in the order of their ends."""
+    running, ended = {}, []
+    for number, cost, reward, done in LOG:
+        running.setdefault(number, []).append((cost, reward))
+        if done:
+            steps = running.pop(number)
+            ended.append(([c for c, _ in steps], sum(r for _, r in steps)))
+    return ended, running
+
+
+def envs(count, kind=DummyVecEnv):
+    LOG.clear()
+    return kind([partial(Noisy, number) for number in range(count)])
+
+
+def longest(costs):
+    text = "".join("1" if cost else "0" for cost in costs)
+    return max(map(len, text.split("0")))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_off_policy_every_episode_is_a_rollout(count):
+    callback = emcc.sb3.EMCCCallback()
+    model = SAC("MlpPolicy", envs(count), learning_starts=10_000, device="cpu")
+    model.learn(900, callback=callback)
+    ended, running = episodes_of_log()
+    mcc = [longest(costs) / len(costs) for costs, _ in ended]
+    mcc += [longest(c for c, _ in steps) / len(steps) for steps in running.values()]
+    assert sorted(callback.records.mcc_per_rollout()[0]) == pytest.approx(sorted(mcc))
+    assert callback.records.emcc(alpha=1) == pytest.approx(np.mean(mcc))
+    assert callback.records.cost.sum() == sum(cost for _, cost, *_ in LOG)
+    assert callback.episodes.cost.tolist() == [sum(costs) for costs, _ in ended]
+    assert callback.episodes.reward.tolist() == [total for _, total in ended]
+
+
+@pytest.mark.parametrize("algorithm", [PPO, A2C])
+def test_on_policy_a_rollout_is_what_is_between_two_updates(algorithm):
+    callback = emcc.sb3.EMCCCallback(limit=5.0)
+    options = {"n_steps": 50} | ({"batch_size": 50, "n_epochs": 1} if algorithm is PPO else {})
+    model = algorithm("MlpPolicy", envs(2), device="cpu", **options)
+    model.learn(600, callback=callback)
+    expected = []
+    for first in range(0, len(LOG), 100):  # 2 environments, 50 steps
+        shares, running = [], {0: [], 1: []}
+        for number, cost, _, done in LOG[first : first + 100]:
+            running[number].append(cost)
+            if done:
+                shares.append(longest(running[number]) / len(running[number]))
+                running[number] = []
+        shares += [longest(costs) / len(costs) for costs in running.values() if costs]
+        expected.append(max(shares))
+    found, starts = callback.records.mcc_per_rollout()
+    assert found == pytest.approx(expected)
+    assert starts.tolist() == list(range(0, 600, 100))
+    panel = callback.panel()
+    ended, _ = episodes_of_log()
+    assert panel.violation_rate == np.mean([sum(costs) > 5 for costs, _ in ended])
+    assert panel.emcc == emcc.emcc(expected, 0.1)
+
+
+def test_wrapper_class_and_merge_give_the_same():
+    LOG.clear()
+    training = make_vec_env(Noisy, n_envs=3, wrapper_class=emcc.RecordCosts)
+    callback = emcc.sb3.EMCCCallback(rollout="episode")
+    PPO("MlpPolicy", training, n_steps=100, batch_size=300, n_epochs=1).learn(600, callback)
+    merged = emcc.EpisodeRecords.merge(
+        training.env_method("get_wrapper_attr", "records"), interleaved=True
+    )
+    for name in ("start_step", "length", "cost", "longest_streak", "cost_steps", "streaks"):
+        assert getattr(merged, name).tolist() == getattr(callback.episodes, name).tolist()
+    assert sorted(merged.mcc_per_rollout()[0]) == sorted(callback.episodes.mcc_per_rollout()[0])
+
+
+def test_processes_and_normalised_rewards():
+    training = VecNormalize(envs(2, partial(SubprocVecEnv, start_method="fork")))
+    callback = emcc.sb3.EMCCCallback()
+    PPO("MlpPolicy", training, n_steps=64, batch_size=64, n_epochs=1).learn(256, callback)
+    training.close()
+    assert callback.records.total_steps == 256
+    rewards = callback.records.reward
+    assert rewards.tolist() == [round(reward) for reward in rewards]
+
+
+class Kept(KVWriter):
+    def __init__(self):
+        self.rows = []
+
+    def write(self, key_values, key_excluded, step=0):
+        self.rows.append((step, dict(key_values)))
+
+    def close(self):
+        pass
+
+
+def test_what_the_logger_gets():
+    writer = Kept()
+    model = SAC("MlpPolicy", envs(1), learning_starts=10_000, device="cpu")
+    model.set_logger(Logger(None, [writer]))
+    callback = emcc.sb3.EMCCCallback(window=10, limit=5.0)
+    model.learn(500, callback=callback, log_interval=20)
+    step, row = writer.rows[0]
+    last = callback.episodes.select(np.arange(10, 20))  # the ten before the dump at the 20th
+    assert step == callback.episodes.length[:20].sum()
+    assert row["emcc/mcc"] == pytest.approx(last.emcc(alpha=1))
+    assert row["emcc/emcc"] == pytest.approx(last.emcc())
+    assert row["emcc/cost_rate"] == pytest.approx(last.cost.sum() / last.length.sum())
+    assert row["emcc/violation_rate"] == (last.cost > 5).mean()
+    assert row["emcc/longest_streak"] == last.longest_streak.max()
+    thirds = callback.records.emcc_by_part()
+    assert {f"emcc/emcc_{part}": value for part, value in thirds.items()}.items() <= (
+        writer.rows[-1][1].items()
+    )
+
+
+def test_learning_goes_on_or_starts_anew():
+    callback = emcc.sb3.EMCCCallback()
+    model = SAC("MlpPolicy", envs(1), learning_starts=10_000, device="cpu")
+    model.learn(100, callback=callback)
+    model.learn(100, callback=callback, reset_num_timesteps=False)
+    assert callback.records.total_steps == 200
+    ended, _ = episodes_of_log()
+    assert callback.episodes.cost.tolist() == [sum(costs) for costs, _ in ended]
+    model.learn(60, callback=callback)
+    assert callback.records.total_steps == 60
+
+
+def test_mistakes_are_named():
+    with pytest.raises(ValueError, match=r'rollout must be "auto", .*never'):
+        emcc.sb3.EMCCCallback(rollout="never")
+    with pytest.raises(RuntimeError, match=r"give the callback to model\.learn"):
+        _ = emcc.sb3.EMCCCallback().records
+    model = PPO("MlpPolicy", "Pendulum-v1", n_steps=32, batch_size=32)
+    with pytest.raises(KeyError, match="info has no 'cost'"):
+        model.learn(32, callback=emcc.sb3.EMCCCallback())

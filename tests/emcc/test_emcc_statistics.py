@@ -1,0 +1,234 @@
+"""Statistics of few runs: by hand, by brute force, and by simulating what they promise."""
+
+import itertools
+import math
+import statistics as statistics_of_python
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given
+from hypothesis import strategies as st
+
+from emcc import statistics
+
+SIMULATIONS = 4_000
+
+
+def margin(rate, simulations=SIMULATIONS):
+    """Four standard errors of a share that was counted in so many simulations."""
+    return 4 * math.sqrt(rate * (1 - rate) / simulations)
+
+
+DISTRIBUTIONS = {
+    "normal": (lambda rng, shape: rng.normal(size=shape), 0.0),
+    "log-normal": (lambda rng, shape: rng.lognormal(sigma=1.0, size=shape), math.exp(0.5)),
+    "two basins": (
+        lambda rng, shape: np.where(rng.random(shape) < 0.8, 0.0, 10.0) + rng.normal(size=shape),
+        2.0,
+    ),
+}
+
+
+def test_mean_interval_by_hand():
+    """2, 4, 4, 4, 6: mean 4, deviation √2, half-width 2.776 √2 / √5 (t of 4 degrees of freedom)."""
+    found = statistics.mean_interval([2, 4, 4, 4, 6])
+    assert (found.value, found.kind, found.runs) == (4.0, "t", 5)
+    assert found.high - found.value == pytest.approx(2.7764451 * math.sqrt(2) / math.sqrt(5))
+    assert found.value - found.low == pytest.approx(found.high - found.value)
+
+
+def test_fewer_than_five_runs_have_a_range_and_one_has_nothing():
+    found = statistics.mean_interval([1.0, 5.0, 3.0])
+    assert (found.value, found.low, found.high, found.kind) == (3.0, 1.0, 5.0, "range")
+    assert statistics.mean_interval([7.0]) == statistics.Interval(7.0, None, None, "range", 1)
+
+
+def coverage(name, runs):
+    """Share of simulations in which the 95 % interval holds the true mean."""
+    draw, true = DISTRIBUTIONS[name]
+    values = draw(np.random.default_rng(0), (SIMULATIONS, runs))
+    found = [statistics.mean_interval(of_one) for of_one in values]
+    return np.mean([interval.low <= true <= interval.high for interval in found])
+
+
+@pytest.mark.parametrize("runs", [5, 10, 20])
+def test_the_t_interval_covers_normal_means_as_it_says(runs):
+    assert coverage("normal", runs) == pytest.approx(0.95, abs=margin(0.95))
+
+
+@pytest.mark.parametrize(
+    ("name", "runs", "stated"),
+    [
+        ("log-normal", 5, 0.79),
+        ("log-normal", 10, 0.86),
+        ("two basins", 5, 0.65),
+        ("two basins", 10, 0.91),
+    ],
+)
+def test_the_coverage_that_the_documentation_states(name, runs, stated):
+    assert coverage(name, runs) == pytest.approx(stated, abs=margin(stated) + 0.03)
+
+
+@pytest.mark.parametrize(("runs", "true"), [(10, 0.9), (10, 0.5), (5, 0.2), (20, 0.97)])
+def test_the_interval_of_a_share_covers_it_at_least_as_often_as_it_says(runs, true):
+    """Exactly: the sum of the binomial probabilities of the counts whose interval holds it."""
+    held = 0.0
+    for count in range(runs + 1):
+        found = statistics.share(count, runs)
+        probability = math.comb(runs, count) * true**count * (1 - true) ** (runs - count)
+        held += probability * (found.low <= true <= found.high)
+    assert held >= 0.95
+
+
+def test_share_by_hand():
+    """Of 10 of 10 the lower end solves p¹⁰ = 0.025."""
+    assert statistics.share(10, 10).low == pytest.approx(0.025**0.1)
+    assert statistics.share(9, 10).low == pytest.approx(0.555, abs=5e-4)
+    nobody = statistics.share(0, 10)
+    assert (nobody.value, nobody.low) == (0.0, 0.0)
+    assert nobody.high == pytest.approx(1 - 0.025**0.1)
+
+
+def test_iqm_by_hand():
+    assert statistics.iqm([100, 1, 2, 3, 4, 5, 6, -100]) == pytest.approx((2 + 3 + 4 + 5) / 4)
+    assert statistics.iqm([[0, 1], [10, 2], [3, 50], [4, 5]]) == pytest.approx((2 + 3 + 4 + 5) / 4)
+
+
+small = st.lists(st.integers(0, 4), min_size=1, max_size=6)
+
+
+@given(small, small)
+def test_probability_of_improvement_is_a_count_over_pairs(a, b):
+    pairs = [1.0 if y < x else 0.5 if y == x else 0.0 for x in a for y in b]
+    assert statistics.probability_of_improvement(a, b) == pytest.approx(sum(pairs) / len(pairs))
+
+
+def test_probability_of_improvement_is_a_mean_over_tasks():
+    first, second = [[1.0, 0.0], [1.0, 0.0]], [[0.0, 1.0], [0.0, 0.0]]
+    # Task 1: all 4 pairs are lower. Task 2: two pairs are higher, two equal.
+    assert statistics.probability_of_improvement(first, second) == pytest.approx((1 + 0.25) / 2)
+
+
+@given(
+    st.lists(st.integers(0, 5), min_size=1, max_size=20), st.lists(st.integers(-1, 6), min_size=1)
+)
+def test_profile_is_a_count(values, thresholds):
+    found = statistics.profile(values, thresholds)
+    shares = [sum(v > t for v in values) / len(values) for t in thresholds]
+    np.testing.assert_allclose(found, shares, atol=1e-15)
+
+
+def welch(a, b):
+    """|t|, with fractions under the root."""
+    variances = [
+        statistics_of_python.variance([Fraction(value) for value in of]) / len(of) for of in (a, b)
+    ]
+    difference = abs(Fraction(sum(a), len(a)) - Fraction(sum(b), len(b)))
+    if sum(variances) == 0:
+        return math.inf if difference else 0.0
+    return difference / math.sqrt(sum(variances))
+
+
+@given(
+    st.lists(st.integers(0, 3), min_size=2, max_size=4),
+    st.lists(st.integers(0, 3), min_size=2, max_size=4),
+)
+def test_permutation_test_is_the_count_over_all_divisions(a, b):
+    """Brute force, with Welch's t in fractions; ties within rounding count as ties."""
+    pooled, observed = a + b, welch(a, b)
+    extreme = []
+    for chosen in itertools.combinations(range(len(pooled)), len(a)):
+        one = [pooled[k] for k in chosen]
+        other = [pooled[k] for k in range(len(pooled)) if k not in chosen]
+        extreme.append(welch(one, other) >= observed * (1 - 1e-9))
+    found = statistics.permutation_test(a, b, rng=np.random.default_rng(0))
+    assert found == pytest.approx(np.mean(extreme))
+
+
+def test_permutation_tests_of_three_runs_decide_nothing():
+    found = statistics.permutation_test([1, 2, 3], [101, 102, 103], rng=np.random.default_rng(0))
+    assert found == pytest.approx(2 / math.comb(6, 3))
+
+
+NULLS = {
+    "equal": (lambda rng, n: rng.normal(size=n), lambda rng, n: rng.normal(size=n)),
+    "unequal spread": (lambda rng, n: rng.normal(size=n), lambda rng, n: 3.0 * rng.normal(size=n)),
+    "two basins": (
+        lambda rng, n: np.where(rng.random(n) < 0.8, 0.0, 10.0) + rng.normal(size=n),
+        lambda rng, n: np.where(rng.random(n) < 0.8, 0.0, 10.0) + rng.normal(size=n),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NULLS)
+def test_false_positives_of_the_permutation_test(name):
+    """Sets of equal mean: 5 % are called different, and not more but for the margin."""
+    first, second = NULLS[name]
+    rng, simulations = np.random.default_rng(1), 600
+    found = [
+        statistics.permutation_test(first(rng, 6), second(rng, 6), rng=rng) <= 0.05
+        for _ in range(simulations)
+    ]
+    assert np.mean(found) <= 0.05 + margin(0.05, simulations) + 0.01
+
+
+def test_many_runs_are_permuted_at_random():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=30), rng.normal(0.5, size=30)
+    found = statistics.permutation_test(a, b, rng=rng)
+    assert found == pytest.approx(scipy.stats.ttest_ind(a, b, equal_var=False).pvalue, abs=0.01)
+
+
+def test_holm_by_hand():
+    """Sorted .01 .02 .04 times 3, 2, 1; none below the one before; at most 1."""
+    np.testing.assert_allclose(statistics.holm([0.04, 0.01, 0.02]), [0.04, 0.03, 0.04])
+    np.testing.assert_allclose(statistics.holm([0.9, 0.8]), [1.0, 1.0])
+
+
+def test_the_bootstrap_of_a_mean_is_near_its_t_interval():
+    values = np.random.default_rng(2).normal(size=(40, 1))
+    found = statistics.bootstrap(lambda runs: runs.mean(), values, rng=np.random.default_rng(3))
+    t = statistics.mean_interval(values[:, 0])
+    assert found.value == pytest.approx(t.value)
+    assert (found.low, found.high) == pytest.approx((t.low, t.high), abs=0.06)
+
+
+def test_the_bootstrap_draws_each_task_on_its_own():
+    """Two tasks of opposite values: drawn together, the mean would always be 0."""
+    values = np.array([[k, -k] for k in range(-4, 5)], dtype=float)
+    found = statistics.bootstrap(lambda runs: runs.mean(), values, rng=np.random.default_rng(0))
+    assert found.low < -0.5
+    assert found.high > 0.5
+    few = statistics.bootstrap(statistics.iqm, [1, 2, 3, 4], rng=np.random.default_rng(0))
+    assert (few.low, few.high, few.kind) == (None, None, "range")
+
+
+RNG = np.random.default_rng(0)
+BAD = {
+    "empty": (lambda: statistics.mean_interval([]), "values is empty"),
+    "NaN": (lambda: statistics.iqm([1.0, math.nan]), "values must be finite, got nan"),
+    "level": (lambda: statistics.mean_interval([1, 2], level=95), r"level must be in \(0, 1\)"),
+    "count": (lambda: statistics.share(11, 10), "count must be at most runs, got 11 of 10"),
+    "tasks": (
+        lambda: statistics.probability_of_improvement([[1, 2]], [[1]]),
+        "the same tasks, got 2 and 1",
+    ),
+    "one run": (lambda: statistics.permutation_test([1], [1, 2], rng=RNG), "two runs at least"),
+    "p": (lambda: statistics.holm([0.5, 1.5]), r"p_values must be finite and in \[0, 1\]"),
+    "shape": (lambda: statistics.iqm(np.zeros((2, 2, 2))), r"\[runs\] or \[runs, tasks\]"),
+}
+
+
+@pytest.mark.parametrize(("call", "message"), BAD.values(), ids=BAD)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_generators_are_explicit():
+    with pytest.raises(TypeError, match="rng must be a numpy"):
+        statistics.permutation_test([1, 2], [1, 2], rng=0)
+    with pytest.raises(TypeError, match="rng must be a numpy"):
+        statistics.bootstrap(statistics.iqm, [1, 2], rng=None)

@@ -1,0 +1,186 @@
+"""StreakCost against a plain loop over scripted episodes, in every autoreset mode."""
+
+from functools import partial
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import circle2d_mj
+from emcc import RecordCosts, StreakCost
+from emcc.streak_cost import weighted
+
+WEIGHT, SCALE = 0.5, 4.0
+SCRIPTS = (
+    [[0.0, 1.0, 1.0, 2.0], [2.0], [1.0, 0.0, 1.0]],
+    [[1.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0]],
+)
+NEXT, SAME, DISABLED = AutoresetMode
+
+
+class Scripted(gym.Env):
+    """Plays the episodes of its script over and over; observes its episode and step."""
+
+    observation_space = gym.spaces.Box(0, 9, (2,))
+    action_space = gym.spaces.Discrete(2)
+
+    def __init__(self, script):
+        self.script, self.episode = script, -1
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.episode, self.at = (self.episode + 1) % len(self.script), 0
+        return self.seen(), {"cost": 9.0}
+
+    def seen(self):
+        return np.array([self.episode, self.at], np.float32)
+
+    def step(self, action):
+        cost = self.script[self.episode][self.at]
+        self.at += 1
+        return self.seen(), 0.0, self.at == len(self.script[self.episode]), False, {"cost": cost}
+
+
+def expected(script):
+    """For each episode its weighted costs and the streak after each step, by a loop."""
+    episodes = []
+    for costs in script:
+        streak, rows = 0, []
+        for cost in costs:
+            streak = streak + 1 if cost > 0 else 0
+            rows.append((cost * (1 + WEIGHT * (streak - 1)) if streak else 0.0, cost, streak))
+        episodes.append(rows)
+    return episodes
+
+
+def test_a_streak_of_eight_by_hand():
+    """1 + 2 + ... + 8 = 36 with weight 1; eight apart cost 8; weight 0 changes nothing."""
+    assert weighted(np.ones(8), np.arange(1, 9), 1.0).sum() == 36
+    assert weighted(np.ones(8), np.ones(8), 1.0).sum() == 8
+    assert weighted([3.0, 0.0], [5, 0], 0.0).tolist() == [3.0, 0.0]
+    assert weighted(2.0, 3, 0.25) == 2.0 * 1.5
+
+
+def test_one_environment():
+    env = StreakCost(Scripted(SCRIPTS[0]), WEIGHT, scale=SCALE)
+    for episode, rows in enumerate(expected(SCRIPTS[0])):
+        observation, _ = env.reset()
+        assert observation.tolist() == [episode, 0, 0]
+        for at, (cost, plain, streak) in enumerate(rows, 1):
+            observation, _, terminated, _, info = env.step(0)
+            assert observation.tolist() == [episode, at, streak / SCALE]
+            assert (info["cost"], info["plain_cost"]) == (cost, plain)
+            assert observation in env.observation_space
+        assert terminated
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_vector_environments(mode):
+    envs = SyncVectorEnv([partial(Scripted, script) for script in SCRIPTS], autoreset_mode=mode)
+    envs = StreakCost(envs, WEIGHT, scale=SCALE)
+    observations, _ = envs.reset(seed=0)
+    assert observations.shape == (2, 3)
+    rows = [expected(script) for script in SCRIPTS]
+    place = [[0, 0], [0, 0]]  # episode and steps taken of each environment
+    waits = [False, False]
+    for _ in range(30):
+        if mode == DISABLED and any(waits):
+            observations, _ = envs.reset(options={"reset_mask": np.array(waits)})
+            assert (observations[waits, 2] == 0).all()
+            waits = [False, False]
+        observations, _, terminated, _, info = envs.step(np.zeros(2, int))
+        for i in range(2):
+            if waits[i]:  # the step only resets
+                assert (info["cost"][i], observations[i, 2]) == (0.0, 0.0)
+                waits[i] = False
+                continue
+            episode, at = place[i]
+            cost, plain, streak = rows[i][episode][at]
+            assert (info["cost"][i], info["plain_cost"][i]) == (cost, plain)
+            over = at + 1 == len(rows[i][episode])
+            assert terminated[i] == over
+            place[i] = [(episode + 1) % len(rows[i]), 0] if over else [episode, at + 1]
+            seen = observations[i]
+            if over and mode == SAME:
+                assert seen[2] == 0
+                assert info["final_info"]["cost"][i] == cost
+                assert info["final_info"]["plain_cost"][i] == plain
+                seen = info["final_obs"][i]
+            assert seen.tolist() == [episode, at + 1, streak / SCALE]
+            waits[i] = bool(over and mode != SAME)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_our_vector_environments_give_what_the_single_one_gives(mode):
+    kwargs = {"vectorization_mode": "vector_entry_point", "autoreset_mode": mode}
+    envs = StreakCost(gym.make_vec("Circle2D-1-v0", 2, **kwargs), WEIGHT)
+    one = StreakCost(gym.make("Circle2D-1-v0"), WEIGHT)
+    envs.reset(seed=[3, 4])
+    one.reset(seed=3)
+    for _ in range(30):
+        single = one.step(np.array([-1.0, 0.0]))
+        observations, rewards, *_, info = envs.step(np.array([[-1.0, 0.0]] * 2))
+        np.testing.assert_array_equal(observations[0], single[0])
+        assert (info["cost"][0], info["plain_cost"][0]) == (
+            single[4]["cost"],
+            single[4]["plain_cost"],
+        )
+        assert rewards[0] == single[1]
+    assert info["cost"].dtype == np.float64
+
+
+def test_plain_costs_are_recorded_inside():
+    inner = RecordCosts(Scripted(SCRIPTS[0]))
+    env = StreakCost(inner, WEIGHT)
+    env.reset()
+    for _ in range(4):
+        env.step(0)
+    assert inner.records.cost.tolist() == [4.0]
+    assert inner.records.longest_streak.tolist() == [3]
+
+
+def test_without_observation_the_space_stays():
+    env = StreakCost(gym.make("Circle2D-1-v0"), observe=False)
+    assert env.observation_space == gym.make("Circle2D-1-v0").observation_space
+    env.reset(seed=0)
+    assert env.step(np.zeros(2))[0].shape == (2,)
+
+
+@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
+@pytest.mark.filterwarnings("ignore:.*maximum value is infinity")  # as in tasks of MuJoCo
+def test_gymnasium_accepts_it():
+    check_env(StreakCost(circle2d_mj.Circle2DEnv()), skip_render_check=True)
+
+
+BAD = {
+    "env": (lambda: StreakCost(3), TypeError, "env must be a gymnasium"),
+    "weight": (lambda: StreakCost(Scripted([]), -1.0), ValueError, "weight must be >= 0, got -1"),
+    "scale": (lambda: StreakCost(Scripted([]), scale=0), ValueError, "scale must be above 0"),
+    "space": (lambda: StreakCost(Discrete()), TypeError, r"a flat Box .* got Discrete\(3\)"),
+    "no cost": (lambda: stepped(StreakCost(NoCost(SCRIPTS[0]))), KeyError, "has no 'cost'"),
+}
+
+
+class Discrete(Scripted):
+    observation_space = gym.spaces.Discrete(3)
+
+    def __init__(self):
+        pass
+
+
+class NoCost(Scripted):
+    def step(self, action):
+        return (*super().step(action)[:4], {})
+
+
+def stepped(env):
+    env.reset()
+    env.step(0)
+
+
+@pytest.mark.parametrize(("call", "error", "message"), BAD.values(), ids=BAD)
+def test_bad_input_is_named(call, error, message):
+    with pytest.raises(error, match=message):
+        call()
