@@ -63,7 +63,7 @@ class MadeUp:
     def trained(self, folder, config, seeds):
         rng = self.rng(folder, 98)
         one = [Episode(self.walk(rng, LENGTH + 1).astype("f4"), np.zeros(LENGTH)) for _ in range(5)]
-        return {seed: one for seed in seeds}
+        return dict.fromkeys(seeds, one)
 
     def replay(self, folder, config, seed, records):
         rng, rows = self.rng(folder, seed), replay_rows(records, STEPS)
