@@ -25,8 +25,8 @@ from agents.paper.presets import preset
 from agents.reporting.report import report, table
 from agents.training.config import Device, TrainConfig, run_folder
 from agents.training.environments import Vectorization, check_task
-from agents.training.evaluation import evaluate
-from agents.training.loop import EVALUATION_EPISODES, Training, load_training, train
+from agents.training.evaluation import EVALUATION_EPISODES
+from agents.training.loop import Training, evaluate_checkpoint, train
 from agents.training.machine import other_session
 from agents.training.progress import show_progress, working
 from agents.training.tensorboard import require_tensorboard
@@ -147,11 +147,9 @@ def run_resume(args: Sequence[str]) -> int:
 
 def run_evaluate(args: Sequence[str]) -> int:
     options = parse(EvaluateOptions, "evaluate", args)
-    training = load_training(options.folder)
-    policy = training.learner.policy()
-    active = ~training.failed
     with working(f"playing {options.episodes} episodes of each run, by either policy"):
-        results = evaluate(options.folder, training.config, policy, options.episodes, active)
+        training, results = evaluate_checkpoint(options.folder, options.episodes)
+    active = ~training.failed
     took = training.steps[active] if active.any() else training.steps
     steps = f"after {took.min()} of {training.config.steps} steps"
     print(f"{options.folder}, {steps}: means over {options.episodes} episodes")

@@ -25,6 +25,11 @@ def set_compiling(compiles: bool) -> None:
     _compiles = compiles
 
 
+def is_compiling() -> bool:
+    """Whether what is marked `compiled` runs as compiled code."""
+    return _compiles
+
+
 def compiled(function: Callable[P, T]) -> Callable[P, T]:
     """Mark a pure function of tensors to run as one piece of compiled code where `configure` says.
 

@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.spaces import Box
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.vector import RescaleAction
 
 from agents.errors import UserError
@@ -137,6 +137,26 @@ def sizes(envs: VectorEnv) -> tuple[int, int]:
     assert observation is not None
     assert action is not None
     return observation[0], action[0]
+
+
+def view_of(task: str, parameters: dict[str, Any]) -> View | None:
+    """What a registered task can show: the attribute `view` of its environment.
+
+    None where the task has no view or is not registered; no module is imported for it. Raises
+    UserError where the task cannot be made.
+    """
+    name = task.rpartition(":")[2]
+    if name not in gym.registry:
+        return None
+    with contextlib.closing(_unscaled(name, 1, parameters)) as envs:
+        env: Any = envs.unwrapped
+        if isinstance(env, SyncVectorEnv):  # its wrappers may hold the attribute
+            [env] = env.envs
+        try:
+            view = env.get_wrapper_attr("view") if isinstance(env, gym.Env) else env.view
+        except AttributeError:
+            return None
+    return view if callable(getattr(view, "positions", None)) else None
 
 
 class Spaces(NamedTuple):

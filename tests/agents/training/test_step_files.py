@@ -71,7 +71,7 @@ def test_rows_by_hand(tmp_path):
         cost=np.arange(12, dtype=np.float64).reshape(3, 4),
         length=np.array([3, 1, 2, 3]),
     )
-    visited = StepFiles(task, 2)
+    visited = StepFiles(True, 2)
     visited.add(rollout, np.array([True, True]))
     visited.add(rollout, np.array([False, True]))
     folders = [tmp_path / "a", tmp_path / "b"]
