@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import inspect
-from dataclasses import fields
 from numbers import Real
 from typing import Any, Literal, NamedTuple
 
@@ -18,9 +17,7 @@ from gymnasium.wrappers.vector import RescaleAction
 
 from agents.errors import UserError
 from agents.lockstep.rollout import require_cost
-from circle2d_mj import Circle2DConfig
 from circle2d_mj.core.view import View
-from circle2d_mj.registration import CIRCLE2D
 
 Vectorization = Literal["auto", "sync", "async"]
 
@@ -109,26 +106,6 @@ def check_task(task: str, parameters: dict[str, Any]) -> None:
     info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
     envs.close()
     require_cost(f"task {task!r}", info)
-
-
-def circle2d_config(task: str, parameters: dict[str, Any]) -> Circle2DConfig | None:
-    """The configuration of a Circle2D task of either mode; None for any other task."""
-    name = registered(task)
-    if name not in CIRCLE2D:
-        return None
-    names = {field.name for field in fields(Circle2DConfig)}
-    given = {**gym.spec(name).kwargs, **parameters}
-    return Circle2DConfig(**{k: v for k, v in given.items() if k in names})
-
-
-def view_of(task: str, parameters: dict[str, Any]) -> View | None:
-    """The view that an environment of a registered task offers; None where it has none, and for a
-    task that is not registered: nothing is imported."""
-    name = task.rpartition(":")[2]
-    if name not in gym.registry:
-        return None
-    with contextlib.closing(gym.make(name, **parameters)) as env:
-        return env.get_wrapper_attr("view") if env.has_wrapper_attr("view") else None
 
 
 def sizes(envs: VectorEnv) -> tuple[int, int]:
