@@ -12,6 +12,7 @@ import tyro
 from agents.cli.options import Imports, check_size, check_suffix, parse
 from agents.errors import UserError
 from agents.reporting import image_files, pictures
+from emcc.parts import ALPHA, PARTS
 
 
 @dataclass(frozen=True)
@@ -20,10 +21,10 @@ class HeatmapOptions:
     runs of a folder together: a PNG."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of runs on a Circle2D task."""
-    part: tuple[float, ...] = tuple(pictures.PARTS)
+    """Folder of runs on a task that offers positions."""
+    part: tuple[float, ...] = tuple(PARTS)
     """Parts of training, named as EMCC names them: 0.33, 0.66, 0.99."""
-    alpha: float = pictures.ALPHA
+    alpha: float = ALPHA
     """Share of a part's rollouts, those of the highest MCC; 1 draws all."""
     seeds: tuple[int, ...] | None = None
     """Of the runs; by default all but those that failed."""
@@ -37,8 +38,8 @@ class HeatmapOptions:
 def run(args: Sequence[str]) -> int:
     """Run `circle2d heatmap`; returns the exit status."""
     options = parse(HeatmapOptions, "heatmap", args)
-    if not options.part or not set(options.part) <= set(pictures.PARTS):
-        raise UserError(f"part must be some of {list(pictures.PARTS)}, got {list(options.part)}")
+    if not options.part or not set(options.part) <= set(PARTS):
+        raise UserError(f"part must be some of {list(PARTS)}, got {list(options.part)}")
     check_size(options.size)
     if not 0 < options.alpha <= 1:
         raise UserError(f"alpha must be in (0, 1], got {options.alpha}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from agents.errors import UserError
-from agents.reporting.report import report
+from agents.reporting.report import table
 from agents.runs import Runs
 from agents.training.config import FAILURE, run_folder
 from agents.training.files import read_json
@@ -15,7 +15,7 @@ def finish(runs: Runs) -> int:
     """Print the table of every folder, and the failures; returns the exit status."""
     for folder in runs.folders:
         try:
-            print(report(folder))
+            print(table(folder))
         except UserError as error:  # the training itself is done
             print(f"circle2d: no table: {error}", file=sys.stderr)
     return name_failures(runs)

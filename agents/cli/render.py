@@ -18,7 +18,7 @@ class RenderOptions:
     """Draw episodes of a trained policy: all in one picture (.png), or as a film (.gif, .mp4)."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of runs on a Circle2D task."""
+    """Folder of runs on a task that offers positions."""
     out: Path | None = None
     """File to write, its suffix the format; by default trajectories.png in the folder."""
     episodes: int = 3
@@ -38,13 +38,13 @@ def run(args: Sequence[str]) -> int:
     check_size(options.size)
     out = options.out or options.folder / "trajectories.png"
     check_suffix(out, ".png", ".gif", ".mp4")
-    episodes, task = pictures.evaluation_episodes(
+    episodes, view = pictures.evaluation_episodes(
         options.folder, options.seed, options.episodes, options.stochastic
     )
     if out.suffix.lower() == ".png":
-        image_files.write_picture(out, pictures.trajectories(episodes, task, options.size))
+        image_files.write_picture(out, pictures.trajectories(episodes, view, options.size))
     else:
-        total = sum(len(path) for path in episodes.paths)
-        image_files.write_film(out, pictures.film(episodes, task, options.size), total)
+        total = sum(len(episode.positions) for episode in episodes)
+        image_files.write_film(out, pictures.film(episodes, view, options.size), total)
     print(out)
     return 0

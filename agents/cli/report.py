@@ -20,14 +20,18 @@ class ReportOptions:
     and index.html with training curves and heat maps as well."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of runs, or one with several such folders below it."""
+    """Folder of runs, or one with several such folders below it, or an archive."""
+    archive: Path | None = None
+    """File to pack all that the report needs into; `circle2d report FILE` writes it again."""
+    out: Path | None = None
+    """Folder for the report; by default that of the runs, or one beside an archive, of its name."""
     imports: Imports = ()
 
 
 def run(args: Sequence[str]) -> int:
     """Run `circle2d report`; returns the exit status."""
-    folder = parse(ReportOptions, "report", args).folder
+    options = parse(ReportOptions, "report", args)
     with working("reading runs and drawing figures"):
-        table = api.report(folder)
+        table = api.report(options.folder, options.archive, options.out)
     print(table)
     return 0
