@@ -1,5 +1,6 @@
 """The wheel in environments of its own: the base alone, and the lowest versions it allows."""
 
+import os
 import re
 import subprocess
 import sys
@@ -45,7 +46,8 @@ mujoco.MjModel.from_xml_path(str(package / "assets" / "xml" / "circle2d.xml"))
 
 
 def run(folder, *command, status=0):
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == status, f"{command}\n{done.stdout}\n{done.stderr}"
     return done
 

@@ -71,6 +71,7 @@ def test_progress_on_a_terminal_is_a_table(tmp_path):
     assert re.search(r"100 % done, 2 of 2 trainings", done.stderr)
 
 
+@pytest.mark.slow
 def test_a_folder_that_fails_takes_none_of_its_group_with_it(tmp_path, capsys):
     out = tmp_path / "grid"
     command = ["reproduce", "--levels", "0", "1", "--seeds", "3", "--steps", "2000"]
