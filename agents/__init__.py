@@ -1,0 +1,84 @@
+"""Safe reinforcement learning: train, evaluate and report runs of several algorithms in lockstep.
+
+The whole entrance from Python:
+
+| name | |
+| --- | --- |
+| `train(algorithm, task, seeds=..., steps=..., out=...)` | train runs and evaluate them -> `Runs` |
+| `resume(*folders)` | go on with interrupted runs -> `Runs` |
+| `load_policy(folder, seed, step=None)` | a trained policy -> `Policy` |
+| `evaluate(policy_or_folder, task)` | play episodes -> `Evaluation` |
+| `report(folder)` | tables, figures and a page of all runs below a folder |
+| `register(name, Algorithm(...))` | make an algorithm of your own known |
+
+`on_epoch` of `train` receives an `Epoch`; a mistake of the caller raises `UserError`. `import
+agents` imports none of this: names are looked up when they are first used, and torch with them.
+
+The rooms of the house, of which each uses only those before it:
+
+- `errors`: mistakes of a caller, and checks of values
+- `lockstep`: many runs of one algorithm as one batch: networks, Adam, noise, replay, rollouts
+- `on_policy`, `trust_region`, `first_order`, `sac`: the families of algorithms
+- `algorithms`: the part that each algorithm's paper adds, a file each, and the registry
+- `training`: configuration, loop, checkpoints, records, policies
+- `results`: measures of the runs on disk
+- `paper`: its presets, grid and claims
+- `reporting`: tables, figures, page
+- `api`: this entrance
+- `cli`: the command `circle2d`
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from agents.api import (
+        Algorithm,
+        Epoch,
+        Evaluation,
+        Policy,
+        Runs,
+        UserError,
+        evaluate,
+        load_policy,
+        register,
+        report,
+        resume,
+        train,
+    )
+
+__all__ = (
+    "Algorithm",
+    "Epoch",
+    "Evaluation",
+    "Policy",
+    "Runs",
+    "UserError",
+    "evaluate",
+    "load_policy",
+    "register",
+    "report",
+    "resume",
+    "train",
+)
+_LIGHT = {
+    "Algorithm": "agents.algorithms",
+    "register": "agents.algorithms",
+    "UserError": "agents.errors",
+}
+"""Names that need less than all of `agents.api`."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib
+
+    value = getattr(importlib.import_module(_LIGHT.get(name, "agents.api")), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

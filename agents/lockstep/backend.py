@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import sys
+from collections.abc import Iterator
 
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from agents.errors import UserError
-from agents.lockstep.compiling import cannot_compile, set_compiling
+from agents.lockstep.compiling import cannot_compile, is_compiling, set_compiling
 
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 
@@ -18,7 +20,7 @@ _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 def configure(compiles: bool = False, device: str = "cpu") -> None:
     """Prepare this process for training: one thread, kept memory, the faster matrix products.
 
-    compiles: run what is marked `compiled` as compiled code from now on; device: "cpu" or "cuda",
+    compiles: run functions marked `compiled` as compiled code from now on; device: "cpu" or "cuda",
     where new tensors go. One thread a process, since lockstep runs fill a core and processes fill
     the others. Raises UserError where torch sees no such device or cannot compile.
     """
@@ -29,8 +31,27 @@ def configure(compiles: bool = False, device: str = "cpu") -> None:
     _keep_freed_memory()
     _use_onednn_products()
     if compiles and (why := cannot_compile()):
-        raise UserError(f"backend 'compiled' cannot be had here ({why}); 'eager' can")
+        raise UserError(f"backend 'compiled' does not work here ({why}); 'eager' does")
     set_compiling(compiles)
+
+
+@contextlib.contextmanager
+def restored() -> Iterator[None]:
+    """Restore at the end what `configure` changes: threads, default device, products, compilation.
+
+    That freed memory is kept cannot be undone, nor where PyTorch keeps compiled code.
+    """
+    threads, device, compiles = torch.get_num_threads(), torch.get_default_device(), is_compiling()
+    matmul = getattr(torch.backends.mkldnn, "matmul", None)
+    precision = getattr(matmul, "fp32_precision", None)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+        torch.set_default_device(None if device == torch.device("cpu") else device)
+        set_compiling(compiles)
+        if matmul is not None and precision is not None:
+            matmul.fp32_precision = precision
 
 
 def tensor(array: NDArray) -> Tensor:

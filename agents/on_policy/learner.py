@@ -9,10 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 from agents.lockstep import tree
 from agents.lockstep.backend import array, tensor
 from agents.lockstep.lagrange import MultiplierForm, follow
+from agents.lockstep.modules import mlp
 from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.on_policy import critics
@@ -22,7 +24,7 @@ from agents.on_policy.state import Epoch, OnPolicyState, initial_state, make_net
 
 
 class OnPolicy(ABC):
-    """The runs of one on-policy algorithm; a family of them says how a policy is improved."""
+    """The runs of one on-policy algorithm; a family defines how a policy improves."""
 
     improvement_metrics: ClassVar[tuple[str, ...]]
     """Names of the records of `improve` that every algorithm of the family has."""
@@ -59,6 +61,12 @@ class OnPolicy(ABC):
         """The policy of some runs as it stands now."""
         params = array(self._state.actor[runs])
         return lambda observation, noise: self.nets.actor.act(params, observation, noise)
+
+    def module(self, run: int) -> nn.Module:
+        """The deterministic policy of a run in PyTorch: observations -> actions."""
+        net = self.nets.actor.net
+        params = array(self._state.actor)[run : run + 1, : net.size]
+        return mlp([layer[0] for layer in net.layers(params)])
 
     def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
         """How the runs act in an epoch: by the policy, with its noise."""

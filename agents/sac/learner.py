@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import nn
 
 from agents.lockstep import tree
 from agents.lockstep.backend import array, tensor
 from agents.lockstep.lagrange import PIDState, follow
+from agents.lockstep.modules import mlp
 from agents.lockstep.nets import forward_numpy
 from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams, uniform
 from agents.lockstep.replay import Replay
@@ -55,6 +57,12 @@ class OffPolicy:
         return lambda observation, noise: squashed_gaussian.act(
             forward_numpy(layers, observation), noise
         )
+
+    def module(self, run: int) -> nn.Module:
+        """The deterministic policy of a run in PyTorch: observations -> actions in [-1, 1]."""
+        layers = [layer[run] for layer in self.nets.actor.layers(array(self._state.actor))]
+        layers[-2:] = [layer[..., : self.action_size] for layer in layers[-2:]]  # of the mean
+        return nn.Sequential(*mlp(layers), nn.Tanh())
 
     def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
         """How the runs act in an epoch: at random until `random_steps`, then by the policy.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import inspect
-from dataclasses import fields
 from numbers import Real
 from typing import Any, Literal, NamedTuple
 
@@ -13,13 +12,12 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.spaces import Box
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.vector import RescaleAction
 
 from agents.errors import UserError
 from agents.lockstep.rollout import require_cost
-from circle2d_mj import Circle2DConfig
-from circle2d_mj.registration import CIRCLE2D
+from circle2d_mj.core.view import View
 
 Vectorization = Literal["auto", "sync", "async"]
 
@@ -110,22 +108,32 @@ def check_task(task: str, parameters: dict[str, Any]) -> None:
     require_cost(f"task {task!r}", info)
 
 
-def circle2d_config(task: str, parameters: dict[str, Any]) -> Circle2DConfig | None:
-    """The configuration of a Circle2D task of either mode; None for any other task."""
-    name = registered(task)
-    if name not in CIRCLE2D:
-        return None
-    names = {field.name for field in fields(Circle2DConfig)}
-    given = {**gym.spec(name).kwargs, **parameters}
-    return Circle2DConfig(**{k: v for k, v in given.items() if k in names})
-
-
 def sizes(envs: VectorEnv) -> tuple[int, int]:
     """Numbers an observation and an action of one environment hold."""
     observation, action = envs.single_observation_space.shape, envs.single_action_space.shape
     assert observation is not None
     assert action is not None
     return observation[0], action[0]
+
+
+def view_of(task: str, parameters: dict[str, Any]) -> View | None:
+    """What a registered task can show: the attribute `view` of its environment.
+
+    None where the task has no view or is not registered; no module is imported for it. Raises
+    UserError where the task cannot be made.
+    """
+    name = task.rpartition(":")[2]
+    if name not in gym.registry:
+        return None
+    with contextlib.closing(_unscaled(name, 1, parameters)) as envs:
+        env: Any = envs.unwrapped
+        if isinstance(env, SyncVectorEnv):  # its wrappers may hold the attribute
+            [env] = env.envs
+        try:
+            view = env.get_wrapper_attr("view") if isinstance(env, gym.Env) else env.view
+        except AttributeError:
+            return None
+    return view if callable(getattr(view, "positions", None)) else None
 
 
 class Spaces(NamedTuple):

@@ -1,4 +1,4 @@
-"""Evaluation after training: whole episodes of the deterministic and the stochastic policy."""
+"""Evaluation: whole episodes of the deterministic and the stochastic policy."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ from emcc import cvar
 
 Results = dict[str, list[dict[str, Any]]]
 CVAR_ALPHA = 0.5
+EVALUATION_EPISODES = 100
+"""Of each run and policy at the end of a training."""
 POLICIES = ("deterministic", "stochastic")
 
 
@@ -30,16 +32,37 @@ def evaluate(
     episodes: int,
     active: NDArray[np.bool_] | None = None,
 ) -> Results:
-    """Play episodes with a policy of every run and write `evaluation.json` into its folder.
+    """Evaluate a policy of every run and write `evaluation.json` into its folder.
+
+    As `play_policies`. Empty results are not written.
+    """
+    active = np.ones(len(config.seeds), dtype=bool) if active is None else active
+    results = play_policies(config, policy, episodes, active)
+    for run, seed in enumerate(config.seeds):
+        write_evaluation(run_folder(folder, seed) / "evaluation.json", results, run, seed, episodes)
+    return results
+
+
+def write_evaluation(path: Path, results: Results, run: int, seed: int, episodes: int) -> None:
+    """Write the results of a run, if there are any; otherwise remove the file."""
+    of_run = {name: result[run] for name, result in results.items()}
+    path.unlink(missing_ok=True)
+    if all(of_run.values()):
+        write_json(path, {"seed": seed, "episodes": episodes, **of_run})
+
+
+def play_policies(
+    config: TrainConfig, policy: Policy, episodes: int, active: NDArray[np.bool_]
+) -> Results:
+    """Play episodes with a policy of every run.
 
     Returns for each of `POLICIES` a dictionary a run: means, and values per episode. Start states
     and noise come from the run's seed, so that an evaluation can be repeated bit for bit.
-    active: [R], runs to be evaluated, all by default. The results of the others, and of a run whose
-    policy gives numbers that are not finite, are empty and not written.
+    active: [R], runs to be evaluated. The results of the others, and of a run whose policy gives
+    numbers that are not finite, are empty.
     """
     if episodes < 1:
         raise UserError(f"episodes must be at least 1, got {episodes}")
-    active = np.ones(len(config.seeds), dtype=bool) if active is None else active
     results = {name: [{} for _ in config.seeds] for name in POLICIES}
     if active.any():
         # A native vector environment plays all at once; others are a model or a process each.
@@ -49,12 +72,6 @@ def evaluate(
             for name in POLICIES:
                 noisy = name == "stochastic"
                 results[name] = _play(envs, config, policy, episodes, at_once, active, noisy)
-    for run, seed in enumerate(config.seeds):
-        of_run = {name: result[run] for name, result in results.items()}
-        path = run_folder(folder, seed) / "evaluation.json"
-        path.unlink(missing_ok=True)
-        if all(of_run.values()):
-            write_json(path, {"seed": seed, "episodes": episodes, **of_run})
     return results
 
 
@@ -89,7 +106,7 @@ def _play(
 
 
 def _columns(rollout: Rollout, runs: int) -> dict[str, NDArray]:
-    """What the episodes of a rollout came to, in arrays [R, episodes of each, ...]."""
+    """Results of the episodes of a rollout, in arrays [R, episodes of each, ...]."""
     columns = {
         "returns": rollout.returns,
         "cost_returns": rollout.cost_returns,

@@ -1,4 +1,4 @@
-"""The records of a training: a row per episode, and what each epoch's update came to."""
+"""The records of a training: a row per episode, and the numbers of each epoch's update."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COLUMNS = ("start_step", "length", "return", "cost", "longest_streak", "cost_ste
 
 
 class Log:
-    """What each epoch of each run gave."""
+    """Episodes and updates of each epoch of each run."""
 
     def __init__(self, runs: int, episodes: int, metrics: Sequence[str]) -> None:
         self.metrics = tuple(metrics)
@@ -65,10 +65,19 @@ class Log:
         length = self.episodes[..., COLUMNS.index("length")]
         return np.nansum(length, axis=(0, 2)).astype(np.int64)
 
-    @property
-    def latest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Of the last epoch: [R, E, columns], [R, metrics]."""
-        return self._episodes[-1], self._updates[-1]
+    def latest_numbers(self) -> list[dict[str, float]]:
+        """Numbers of the last epoch of each run: "return", "cost", "length" (means over its
+        episodes), "mcc", and the metrics that are there; empty for a run that took no part."""
+        found = []
+        for rows, update in zip(self._episodes[-1], self._updates[-1], strict=True):
+            _, length, returns, cost, streak, *_ = rows.T
+            numbers = {"return": returns.mean(), "cost": cost.mean(), "length": length.mean()}
+            numbers |= {"mcc": (streak / length).max()}
+            metrics = zip(self.metrics, update, strict=True)
+            numbers |= {name: value for name, value in metrics if not np.isnan(value)}
+            took_part = not np.isnan(rows).any()
+            found.append({k: float(v) for k, v in numbers.items()} if took_part else {})
+        return found
 
     def state_dict(self) -> dict[str, NDArray]:
         """Everything, as named arrays."""

@@ -13,37 +13,41 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.lockstep.rollout import Rollout
-from circle2d_mj import Circle2DConfig
-from circle2d_mj.circle2d.task import position
 
 COSTS, VISITED = "costs.npy", "visited.npy"
 """In the folder of a run: the cost of every step, [steps] float64, and the position it ended at,
-[steps, 2] float32 in world units. Row k is step k of the training, so an episode of `episodes.csv`
-has the rows from its `start_step` on."""
+[steps, 2] float32 in the units of the task's view. Row k is step k of the training, so an episode
+of `episodes.csv` has the rows from its `start_step` on."""
 
 
 class StepFiles:
     """Steps of the runs since the last `write`, and how many were written before.
 
-    task: a Circle2D task, whose positions are recorded beside the costs; None for any other.
+    with_positions: whether positions are recorded beside the costs.
     """
 
-    def __init__(self, task: Circle2DConfig | None, runs: int) -> None:
-        self._task = task
-        empty = {COSTS: np.empty(0)} | ({VISITED: np.empty((0, 2), np.float32)} if task else {})
+    def __init__(self, with_positions: bool, runs: int) -> None:
+        positions = {VISITED: np.empty((0, 2), np.float32)} if with_positions else {}
+        empty = {COSTS: np.empty(0)} | positions
         self._new: list[dict[str, list[NDArray]]] = [
             {name: [rows] for name, rows in empty.items()} for _ in range(runs)
         ]
         self.written = np.zeros(runs, dtype=np.int64)
         """Rows in the files of each run, [R]; more, left by a killed process, are overwritten."""
 
-    def add(self, rollout: Rollout, active: NDArray[np.bool_]) -> None:
-        """Add an epoch. rollout: of R·E episodes; active: [R], runs that it belongs to."""
+    def add(
+        self, rollout: Rollout, active: NDArray[np.bool_], positions: NDArray[np.float32] | None
+    ) -> None:
+        """Add an epoch.
+
+        rollout: of R·E episodes; active: [R], runs that it belongs to; positions: [T, R·E, 2] or
+        None, as recorded.
+        """
         runs = len(active)
         length = rollout.length.reshape(runs, -1)
         columns: dict[str, NDArray] = {COSTS: rollout.cost}
-        if self._task:
-            columns[VISITED] = position(self._task, rollout.next_observation).astype(np.float32)
+        if positions is not None:
+            columns[VISITED] = positions
         for run in np.flatnonzero(active):
             for episode, steps in enumerate(length[run]):
                 for name, column in columns.items():

@@ -1,4 +1,4 @@
-"""TensorBoard event files of a training: what `episodes.csv` and `updates.csv` hold, live."""
+"""TensorBoard event files of a training: the content of `episodes.csv` and `updates.csv`, live."""
 
 from __future__ import annotations
 
@@ -42,24 +42,12 @@ class Events:
 
     def write(self, log: Log, steps: NDArray[np.int64]) -> None:
         """Write the last epoch; steps: [R], environment steps taken by its end."""
-        episodes, updates = log.latest
-        for run, writer in enumerate(self._writers):
-            rows = episodes[run]
-            if np.isnan(rows).any():
-                continue
-            _, length, returns, cost, streak, *_ = rows.T
-            values = {
-                "rollout/return": returns.mean(),
-                "rollout/cost": cost.mean(),
-                "rollout/length": length.mean(),
-                "rollout/mcc": (streak / length).max(),
-            }
-            metrics = zip(log.metrics, updates[run], strict=True)
-            values |= {f"update/{name}": v for name, v in metrics if not np.isnan(v)}
-            for name, v in values.items():
-                writer.add_scalar(name, v, int(steps[run]))
+        for writer, numbers, step in zip(self._writers, log.latest_numbers(), steps, strict=True):
+            for name, value in numbers.items():
+                of = "update" if name in log.metrics else "rollout"
+                writer.add_scalar(f"{of}/{name}", value, int(step))
 
     def close(self) -> None:
-        """Write what is held back."""
+        """Write out what is buffered."""
         for writer in self._writers:
             writer.close()

@@ -1,0 +1,238 @@
+"""The entrance from Python: the functions that `agents` exports.
+
+They sit on top of everything but the command line, which is a thin skin over them. Each is a guest
+in the caller's process: torch's threads, default device and matrix products are as before when it
+returns or raises, and no signal handler is touched. One thing cannot be undone: on Linux, freed
+memory stays with the process from the first training on, for the next tensor (`mallopt`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import difflib
+import functools
+import operator
+import shutil
+import tempfile
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, Literal, ParamSpec, TypeVar
+
+from agents.algorithms import Algorithm, register
+from agents.errors import UserError
+from agents.lockstep import backend as lockstep_backend
+from agents.lockstep.compiling import cannot_compile, compiling_is_off
+from agents.paper.presets import preset
+from agents.reporting.report import report as write_report
+from agents.runs import Runs
+from agents.training import loop
+from agents.training.config import Backend, Device, TrainConfig
+from agents.training.environments import Vectorization, check_task
+from agents.training.epochs import Epoch, follower
+from agents.training.playing import Evaluation, evaluate
+from agents.training.policy import Policy, load_policy
+from agents.training.progress import show_progress
+from agents.training.tensorboard import require_tensorboard
+
+__all__ = (
+    "Algorithm",
+    "Epoch",
+    "Evaluation",
+    "Policy",
+    "Runs",
+    "UserError",
+    "evaluate",
+    "load_policy",
+    "register",
+    "report",
+    "resume",
+    "train",
+)
+
+OnEpoch = Callable[[Epoch], object]
+"""Called after every epoch of each folder; returning False stops the training."""
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def _as_guest(function: Callable[P, T]) -> Callable[P, T]:
+    """Restore torch's settings when the function returns or raises."""
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        with lockstep_backend.restored():
+            return function(*args, **kwargs)
+
+    return call
+
+
+@_as_guest
+def train(
+    algorithm: str,
+    task: str = "Circle2D-1-v0",
+    *,
+    seeds: int | Iterable[int] = (0, 1, 2),
+    steps: int = 1_000_000,
+    out: str | Path | None = None,
+    task_parameters: dict[str, Any] | None = None,
+    checkpoint_every: int = 50_000,
+    evaluate_every: int | None = None,
+    vectorization: Vectorization = "auto",
+    backend: Backend | Literal["auto"] = "auto",
+    device: Device = "cpu",
+    tensorboard: bool = False,
+    on_epoch: OnEpoch | None = None,
+    progress: bool = False,
+    **hyperparameters: Any,
+) -> Runs:
+    """Train runs of an algorithm on a task, one for each seed, and evaluate them.
+
+    >>> import agents
+    >>> runs = agents.train("sac-lb", seeds=1, steps=400, random_steps=300, gradient_steps=2)
+    >>> [round(float(x)) for x in runs.records[runs.folder, 1].length]
+    [50, 50, 50, 50, 50, 50, 50, 50]
+
+    algorithm: name of a built-in (`circle2d --help` lists them) or registered one; hyperparameters:
+        its own, over the preset for the task (the paper's on its tasks).
+    task: id of a gymnasium task with `info["cost"]`; "module:Id" imports the module first.
+        task_parameters: keyword arguments for it.
+    seeds: one run for each; a number is one seed. steps: environment steps of each run.
+    out: folder for the runs; made, and refused where it holds runs already. None: a temporary one,
+        which lives as long as the returned object.
+    checkpoint_every: environment steps of a run between checkpoints. evaluate_every: those between
+        evaluations, each of which leaves the policy too (`load_policy(..., step=...)`); None: none.
+    vectorization: "auto": the task's own vector environment or one process; "sync": gymnasium's
+        `SyncVectorEnv`; "async": a process for each environment. All give the same results.
+    backend: how updates run: "compiled", "eager", or "auto": compiled where that is possible.
+    tensorboard: whether to write event files too. progress: whether to show it on stderr.
+    on_epoch: called with an `Epoch` after each epoch; returning False stops the training after a
+        checkpoint, without the evaluation at its end. `resume` goes on.
+
+    Raises UserError for what is unknown or not allowed, before anything is written.
+    """
+    own = _hyperparameters(algorithm, task, hyperparameters)
+    config = TrainConfig(algorithm, task, _seeds(seeds), steps, own, dict(task_parameters or {}))
+    config = dataclasses.replace(
+        config, checkpoint_every=checkpoint_every, evaluate_every=evaluate_every, device=device
+    )
+    config = dataclasses.replace(config, vectorization=vectorization, tensorboard=tensorboard)
+    return _start(config, backend, out, on_epoch, progress)
+
+
+@_as_guest
+def resume(*folders: str | Path, on_epoch: OnEpoch | None = None, progress: bool = False) -> Runs:
+    """Go on with the runs of folders, from their last checkpoints, as if never interrupted.
+
+    Several folders, which differ in task and seeds only, train jointly, faster than one after the
+    other. Folders that are done are evaluated again. on_epoch, progress: as in `train`. Raises
+    UserError where there is nothing to go on with, or another process trains there.
+    """
+    if not folders:
+        raise UserError("resume needs a folder of runs")
+    paths = list(dict.fromkeys(map(Path, folders)))
+    _train(paths, on_epoch, progress)
+    return Runs(paths)
+
+
+def report(
+    path: str | Path, archive: str | Path | None = None, out: str | Path | None = None
+) -> str:
+    """Write the report of all runs at or below a folder, or in an archive: `circle2d report`.
+
+    Returns its tables and the paper's claims as Markdown. archive: a file to pack all that the
+    report needs into. out: folder to write to; by default the runs' own, for an archive the one
+    beside it that has its name without the suffix. Raises UserError where there are no complete
+    runs, or the archive is damaged.
+    """
+    paths = (None if of is None else Path(of) for of in (archive, out))
+    return write_report(Path(path), *paths)
+
+
+def choose_backend(choice: Backend | Literal["auto"]) -> Backend:
+    """The backend that "auto" stands for on this machine.
+
+    Warns where that is eager PyTorch, half as fast, unless TORCH_COMPILE_DISABLE asks for it.
+    """
+    if choice != "auto":
+        return choice
+    why = cannot_compile()
+    if why and not compiling_is_off():
+        warnings.warn(f"updates run in eager PyTorch, half as fast: {why}", stacklevel=5)
+    return "eager" if why else "compiled"
+
+
+def _start(
+    config: TrainConfig,
+    backend: Backend | Literal["auto"],
+    out: str | Path | None,
+    on_epoch: OnEpoch | None,
+    progress: bool,
+) -> Runs:
+    """Make the folder of some runs and train them."""
+    check_task(config.task, config.task_parameters)
+    if config.tensorboard:
+        require_tensorboard()
+    config = dataclasses.replace(config, backend=choose_backend(backend))
+    folder = Path(tempfile.mkdtemp(prefix="agents-") if out is None else out)
+    try:
+        config.write(folder)
+        _train([folder], on_epoch, progress)
+    except BaseException:
+        if out is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return Runs([folder], temporary=out is None)
+
+
+def _train(folders: Sequence[Path], on_epoch: OnEpoch | None, progress: bool) -> None:
+    follow = follower(on_epoch, folders) if on_epoch else None
+    with contextlib.ExitStack() as stack:
+        show = None
+        if progress:
+            configs = {folder: TrainConfig.read(folder) for folder in folders}
+            show = stack.enter_context(show_progress(configs))
+
+        def after_epoch(trainings: Sequence[loop.Training]) -> bool:
+            if show:
+                show(trainings)
+            return follow is None or follow(trainings) is not False
+
+        loop.train(*folders, on_epoch=after_epoch)
+
+
+def _seeds(seeds: int | Iterable[int]) -> tuple[int, ...]:
+    try:
+        return tuple(operator.index(s) for s in (seeds if isinstance(seeds, Iterable) else [seeds]))
+    except TypeError:
+        raise UserError(f"seeds must be an integer or several, got {seeds!r}") from None
+
+
+def _hyperparameters(algorithm: str, task: str, given: dict[str, Any]) -> Any:
+    """The preset of an algorithm for a task with the given values instead of its own."""
+    config = preset(algorithm, task)
+    names = [field.name for field in dataclasses.fields(config)]
+    for name in given:
+        if name not in names:
+            near = difflib.get_close_matches(name, [*names, *_OPTIONS], n=1)
+            hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(names)}"
+            raise UserError(f"{algorithm} has no hyper-parameter {name!r}: {hint}")
+    values = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
+    return dataclasses.replace(config, **values)
+
+
+_OPTIONS = (
+    "seeds",
+    "steps",
+    "out",
+    "task_parameters",
+    "checkpoint_every",
+    "evaluate_every",
+    "vectorization",
+    "backend",
+    "device",
+    "tensorboard",
+    "on_epoch",
+    "progress",
+)

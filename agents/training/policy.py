@@ -1,0 +1,150 @@
+"""Trained policies for use outside of training: numpy in, numpy out, or a module of PyTorch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor, nn
+from torch import from_numpy as to_tensor
+
+from agents.algorithms import learner as make_learner
+from agents.errors import UserError
+from agents.lockstep import tree
+from agents.lockstep.learner import Learner
+from agents.training.config import TrainConfig, read_spaces
+from agents.training.environments import Spaces
+from agents.training.snapshots import read_policy_arrays
+
+
+class Policy:
+    """A trained policy, which acts in its task's own action space.
+
+    Call it with one observation [observation size] or a batch [N, observation size]; the action is
+    [action size] or [N, action size], of the task's type and within its bounds.
+    """
+
+    task: str
+    """Id of the task it was trained on."""
+    task_parameters: dict[str, Any]
+    seed: int
+    """Of its run."""
+    spaces: Spaces
+    """Sizes, and bounds of actions."""
+
+    def __init__(self, config: TrainConfig, seed: int, spaces: Spaces, learner: Learner) -> None:
+        """learner: holds the one run."""
+        self.task, self.task_parameters, self.seed = config.task, config.task_parameters, seed
+        self.spaces, self._learner, self._act = spaces, learner, learner.policy()
+        self._rng = np.random.default_rng()
+        low, high = (np.array(bound, dtype=spaces.dtype) for bound in (spaces.low, spaces.high))
+        self._low, self._high = low, high
+        # The arithmetic of gymnasium's RescaleAction, so that actions are those of training.
+        self._gradient = (2.0 / (high.astype(np.longdouble) - low)).astype(low.dtype)
+        self._intercept = self._gradient * -low + np.array(-1.0, dtype=low.dtype)
+        self._rescales = not ((low == -1).all() and (high == 1).all())
+
+    def __repr__(self) -> str:
+        return f"Policy(task={self.task!r}, seed={self.seed})"
+
+    def __call__(
+        self,
+        observation: ArrayLike,
+        deterministic: bool = True,
+        rng: np.random.Generator | None = None,
+    ) -> NDArray:
+        """Act on one observation or a batch.
+
+        deterministic: take the centre of the distribution; otherwise draw from it, with `rng`, by
+        default a generator of the policy's own, which no seed determines. Raises ValueError for an
+        observation of another shape.
+        """
+        observations, alone = self._batch(observation)
+        noise = None
+        if not deterministic:
+            shape = (1, len(observations), len(self._low))
+            noise = (rng or self._rng).standard_normal(shape, dtype=np.float32)
+        action = np.clip(self._act(observations[None], noise)[0], -1.0, 1.0)
+        action = action.astype(self._low.dtype)
+        if self._rescales:
+            action = np.clip((action - self._intercept) / self._gradient, self._low, self._high)
+        return action[0] if alone else action
+
+    def predict(self, observation: ArrayLike, deterministic: bool = True) -> tuple[NDArray, None]:
+        """`(action, None)`: the interface of Stable-Baselines3's policies."""
+        return self(observation, deterministic), None
+
+    def to_torch(self) -> nn.Module:
+        """The deterministic policy as a module: observations [..., size] -> actions [..., size].
+
+        Equal to the policy itself up to rounding in float32, rescaling and bounds included. Raises
+        UserError for a family of algorithms that does not offer one.
+        """
+        module = getattr(self._learner, "module", None)
+        if module is None:
+            raise UserError(f"{type(self._learner).__name__} has no method `module`, an nn.Module")
+        return _Bounded(module(0), self._low, self._high)
+
+    def _batch(self, observation: ArrayLike) -> tuple[NDArray[np.float32], bool]:
+        """Observations as [N, size], and whether one was given alone."""
+        size = self.spaces.observation_size
+        given = np.asarray(observation)
+        if not np.issubdtype(given.dtype, np.number) or np.iscomplexobj(given):
+            raise TypeError(f"observation must hold real numbers, got an array of {given.dtype}")
+        if given.ndim not in (1, 2) or given.shape[-1] != size:
+            raise ValueError(
+                f"observation must be [{size}], or [N, {size}] for a batch, "
+                f"got shape {list(given.shape)}"
+            )
+        return given.astype(np.float32).reshape(-1, size), given.ndim == 1
+
+
+class _Bounded(nn.Module):
+    """A network of actions in [-1, 1], clipped to them and rescaled to the bounds of a task."""
+
+    low: Tensor
+    high: Tensor
+
+    def __init__(self, net: nn.Module, low: NDArray, high: NDArray) -> None:
+        super().__init__()
+        self.net = net
+        self.register_buffer("low", to_tensor(low.astype(np.float32)))
+        self.register_buffer("high", to_tensor(high.astype(np.float32)))
+
+    def forward(self, observation: Tensor) -> Tensor:
+        share = (self.net(observation).clamp(-1.0, 1.0) + 1.0) / 2.0
+        return self.low + (self.high - self.low) * share
+
+
+def load_policy(folder: str | Path, seed: int | None = None, step: int | None = None) -> Policy:
+    """Load a trained policy from a folder of runs.
+
+    seed: of the run; it may be left out where there is only one. step: a multiple of the training's
+    `evaluate_every`, for the policy of that time; by default that of the last checkpoint. Needs
+    neither the task's environment nor the replay. Raises UserError for what is not there.
+    """
+    folder = Path(folder)
+    config = TrainConfig.read(folder)
+    if seed is None:
+        if len(config.seeds) != 1:
+            raise UserError(f"{folder} has several runs: give the seed, one of {config.seeds}")
+        seed = config.seeds[0]
+    if seed not in config.seeds:
+        raise UserError(f"{folder} has no run of seed {seed}: there are {config.seeds}")
+    spaces = read_spaces(folder, config)
+    arrays = read_policy_arrays(folder, config, seed, step)
+    stream_seed = config.stream_seeds[config.seeds.index(seed)]
+    learner = make_learner(config.algorithm, config.hyperparameters, [stream_seed], *spaces.sizes)
+    fresh = learner.state_dict()
+    try:
+        for name, array in arrays.items():
+            like = fresh[name]
+            if not name.startswith("replay."):  # whose length is that of the training
+                tree.expect(name, arrays, like.shape, like.dtype)
+            fresh[name] = array
+        learner.load_state_dict(fresh)
+    except (KeyError, ValueError) as error:
+        raise UserError(f"{folder}: the policy is damaged or of another version: {error}") from None
+    return Policy(config, seed, spaces, learner)

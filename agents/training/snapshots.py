@@ -1,0 +1,103 @@
+"""Policies on the way: files `policies/STEP.npz` and `policies/STEP.json` in the folder of a run.
+
+STEP is a multiple of `evaluate_every`; the policy is that at the end of the epoch which reached it.
+Each file depends on the state of the training alone: after a kill the same ones are written again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.errors import UserError
+from agents.lockstep.learner import Learner
+from agents.training.config import TrainConfig, run_folder
+from agents.training.evaluation import play_policies, write_evaluation
+from agents.training.files import read_arrays, write_arrays
+
+EPISODES = 20
+"""Of each evaluation during training and each policy."""
+
+
+def write_snapshots(
+    folder: Path,
+    config: TrainConfig,
+    learner: Learner,
+    runs: slice,
+    failed: NDArray[np.bool_],
+    before: NDArray[np.int64],
+    now: NDArray[np.int64],
+) -> None:
+    """Write snapshots of those runs of a folder that passed a multiple of `evaluate_every`.
+
+    runs: which of the learner's they are; failed: [R]; before, now: [R], environment steps each run
+    had taken before an epoch and has taken now.
+    """
+    every = config.evaluate_every
+    due = ~failed & (now // every > before // every) if every else np.zeros_like(failed)
+    if not every or not due.any():
+        return
+    results = play_policies(config, learner.policy(runs), EPISODES, due)
+    arrays = policy_arrays(learner.state_dict(runs))
+    for run in np.flatnonzero(due).tolist():
+        path = snapshot_path(folder, config.seeds[run], int(now[run] // every * every))
+        path.parent.mkdir(exist_ok=True)
+        write_arrays(path, {name: array[run : run + 1] for name, array in arrays.items()})
+        seed = config.seeds[run]
+        write_evaluation(path.with_suffix(".json"), results, run, seed, EPISODES)
+
+
+def snapshot_path(folder: Path, seed: int, step: int) -> Path:
+    """File of the policy of a run at a step."""
+    return run_folder(folder, seed) / "policies" / f"{step}.npz"
+
+
+def snapshot_steps(folder: Path, seed: int) -> list[int]:
+    """Steps of the policies that a run has left, in order."""
+    files = (run_folder(folder, seed) / "policies").glob("*.npz")
+    return sorted(int(path.stem) for path in files if path.stem.isdecimal())
+
+
+def policy_arrays(state: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """The part of a learner's state that its policy depends on.
+
+    By convention it is named `actor`, or `actor.` and more; of a learner without it, all.
+    """
+    of_actor = {name: array for name, array in state.items() if is_of_policy(name)}
+    return of_actor or dict(state)
+
+
+def is_of_policy(name: str) -> bool:
+    """Whether an array of a learner's state is one of its policy."""
+    return name == "actor" or name.startswith("actor.")
+
+
+def read_policy_arrays(
+    folder: Path, config: TrainConfig, seed: int, step: int | None
+) -> dict[str, NDArray]:
+    """The arrays of the policy of one run, each [1, ...]; step: None for the last checkpoint.
+
+    Reads nothing else of the checkpoint. Raises UserError where there is no such policy.
+    """
+    if step is not None:
+        path = snapshot_path(folder, seed, step)
+        if not path.exists():
+            steps = snapshot_steps(folder, seed)
+            there = f"there are {', '.join(map(str, steps))}" if steps else "there is none"
+            raise UserError(
+                f"{folder} has no policy of seed {seed} at step {step}: {there}; training leaves "
+                "one every evaluate_every steps"
+            )
+        return read_arrays(path)
+    path, run = folder / "checkpoint.npz", config.seeds.index(seed)
+    arrays = read_arrays(path, is_of_policy)
+    if not arrays:  # a family without the convention
+        own = ("epoch", "seeds", "steps", "failed")
+        arrays = read_arrays(path, lambda name: name not in own and not name.startswith("log."))
+    for name, array in arrays.items():
+        if array.ndim == 0 or len(array) != len(config.seeds):
+            raise UserError(f"{path} is damaged or of another version: {name} is {array.shape}")
+    return {name: array[run : run + 1] for name, array in arrays.items()}

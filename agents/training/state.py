@@ -1,0 +1,183 @@
+"""The state of a training between two epochs, and its files."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
+
+from agents.algorithms import learner as make_learner
+from agents.errors import UserError
+from agents.lockstep import tree
+from agents.lockstep.learner import Learner
+from agents.lockstep.noise import Purpose, environment_seeds
+from agents.lockstep.rollout import Rollout, collect
+from agents.training.config import FAILURE, TrainConfig, run_folders
+from agents.training.environments import make_envs, sizes_of, view_of
+from agents.training.files import read_arrays, write_arrays, write_json
+from agents.training.positions import RecordPositions
+from agents.training.records import Log
+from agents.training.side_by_side import SideBySide
+from agents.training.step_files import VISITED, StepFiles
+
+
+class Training:
+    """The runs of one folder, between two epochs."""
+
+    def __init__(
+        self, config: TrainConfig, learner: Learner | None = None, first_run: int = 0
+    ) -> None:
+        """learner: one that holds runs of other folders too, and these from `first_run` on; by
+        default one is made for these alone."""
+        self.config = config
+        runs = len(config.seeds)
+        self.learner = _learner_of([config]) if learner is None else learner
+        self.runs = slice(first_run, first_run + runs)
+        """Which runs of the learner these are."""
+        self.log = Log(runs, self.learner.episodes, self.learner.metrics)
+        self._view = view_of(config.task, config.task_parameters)
+        self.step_files = StepFiles(self._view is not None, runs)
+        self.epoch = self.epochs_here = 0
+        """Epochs in all, and those of this process."""
+        self.steps = np.zeros(runs, dtype=np.int64)
+        """Environment steps each run has taken, [R]."""
+        self.failed = np.zeros(runs, dtype=bool)
+        """Runs that met a number which is not finite, [R]. They stop; the others go on."""
+
+    @functools.cached_property
+    def _envs(self) -> VectorEnv:
+        """The environments of an epoch; made when they are first needed."""
+        config, count = self.config, len(self.config.seeds) * self.learner.episodes
+        envs = make_envs(config.task, count, config.task_parameters, config.vectorization)
+        return envs if self._view is None else RecordPositions(envs, self._view)
+
+    @property
+    def active(self) -> NDArray[np.bool_]:
+        """Runs that still have steps to take, [R]."""
+        return (self.steps < self.config.steps) & ~self.failed
+
+    @property
+    def done(self) -> bool:
+        """Whether no run has steps to take."""
+        return not self.active.any()
+
+    def run_epoch(self) -> None:
+        """An epoch of these runs, where the learner holds no others."""
+        run_epoch([self])
+
+    def record_epoch(
+        self,
+        rollout: Rollout,
+        learning: NDArray[np.bool_],
+        metrics: NDArray,
+        finite: NDArray[np.bool_],
+    ) -> None:
+        """Record an epoch that the environments have just gone through.
+
+        rollout: of R·E episodes; learning: [R], runs that learned from it; metrics: [R, metrics] of
+        their updates; finite: [R], runs that the learner can go on with.
+        """
+        active = self.active
+        self.log.add(rollout, self.steps, learning, metrics)
+        envs = self._envs
+        positions = envs.positions if isinstance(envs, RecordPositions) else None
+        self.step_files.add(rollout, learning, positions)
+        self.steps += np.where(active, rollout.length.reshape(len(active), -1).sum(axis=1), 0)
+        self.failed |= active & ~(learning & finite)
+        self.epoch += 1
+        self.epochs_here += 1
+
+    def save(self, folder: Path) -> None:
+        """Write the records, then the checkpoint."""
+        folders = run_folders(folder, self.config)
+        self.step_files.write(folders)
+        for of_run in folders:
+            (of_run / "evaluation.json").unlink(missing_ok=True)  # of an earlier policy
+        self.write_records(folder)
+        counters = {"epoch": np.array(self.epoch), "seeds": np.array(self.config.seeds)}
+        counters |= {"steps": self.steps, "failed": self.failed}
+        learned = self.learner.state_dict(self.runs)
+        write_arrays(folder / "checkpoint.npz", counters | self.log.state_dict() | learned)
+
+    def write_records(self, folder: Path) -> None:
+        """Write the files of each run that a checkpoint holds too: records and failure."""
+        folders = run_folders(folder, self.config)
+        self.log.write(folders)
+        for of_run, failed, steps in zip(folders, self.failed, self.steps, strict=True):
+            (of_run / FAILURE).unlink(missing_ok=True)
+            if failed:
+                write_json(of_run / FAILURE, {"step": int(steps)})
+
+    def load(self, folder: Path) -> None:
+        """Load a checkpoint. Raises UserError where it is missing or damaged."""
+        path = folder / "checkpoint.npz"
+        state = read_arrays(path)
+        try:
+            seeds = tree.expect("seeds", state, self.steps.shape, np.int64)
+            if tuple(seeds) != self.config.seeds:
+                raise ValueError(f"its seeds are {seeds.tolist()}")
+            self.epoch = int(tree.expect("epoch", state, (), np.int64))
+            self.steps = tree.expect("steps", state, self.steps.shape, np.int64)
+            self.failed = tree.expect("failed", state, self.failed.shape, np.bool_)
+            self.log.load_state_dict(state, self.epoch)
+            self.learner.load_state_dict(state, self.runs)
+        except (KeyError, ValueError) as error:
+            raise UserError(f"{path} is damaged or of another version: {error}") from None
+        folders = run_folders(folder, self.config)
+        if self._view and self.epoch and not any((of / VISITED).exists() for of in folders):
+            self._view = None  # trained so far by a version without positions of this task
+            self.step_files = StepFiles(False, len(folders))
+        self.step_files.seek(folders, self.log.steps)
+
+    def close(self) -> None:
+        """Close the environments."""
+        if "_envs" in vars(self):
+            self._envs.close()
+
+
+def run_epoch(trainings: Sequence[Training]) -> None:
+    """Collect the episodes of an epoch of every active run, and learn from them.
+
+    trainings: all that share a learner, in the order of its runs. Those that are done stay as they
+    are.
+    """
+    learner = trainings[0].learner
+    episodes = learner.episodes
+    active = np.concatenate([training.active for training in trainings])
+    steps = np.concatenate([training.steps for training in trainings])
+    seeds = [seed for training in trainings for seed in training.config.stream_seeds]
+    epochs = np.repeat([t.epoch for t in trainings], [len(t.steps) for t in trainings])
+    resets = environment_seeds(seeds, Purpose.ENVIRONMENT, epochs, episodes)
+    envs = [training._envs for training in trainings]
+    beside = envs[0] if len(envs) == 1 else SideBySide(envs)
+    act = learner.explorer(epochs, steps)
+    rollout = collect(beside, resets, act, np.repeat(active, episodes))
+    learning = active & ~rollout.diverged.reshape(-1, episodes).any(axis=1)
+    metrics = np.full((len(seeds), len(learner.metrics)), np.nan)
+    if learning.any():
+        metrics = learner.learn(rollout, epochs, learning)
+    finite = learner.finite()
+    for training in trainings:
+        if not training.done:
+            runs = training.runs
+            own = rollout.of(slice(runs.start * episodes, runs.stop * episodes))
+            training.record_epoch(own, learning[runs], metrics[runs], finite[runs])
+
+
+def joint_trainings(configs: Sequence[TrainConfig]) -> list[Training]:
+    """Trainings of several folders with one learner; their `TrainConfig.shared` are equal."""
+    learner = _learner_of(configs)
+    first_runs = np.cumsum([0] + [len(config.seeds) for config in configs]).tolist()
+    return [Training(c, learner, first) for c, first in zip(configs, first_runs, strict=False)]
+
+
+def _learner_of(configs: Sequence[TrainConfig]) -> Learner:
+    """A learner for the runs of some folders, one folder after the other."""
+    one = configs[0]
+    seeds = [seed for config in configs for seed in config.stream_seeds]
+    sizes = sizes_of(one.task, one.task_parameters)
+    return make_learner(one.algorithm, one.hyperparameters, seeds, *sizes)
