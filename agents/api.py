@@ -136,12 +136,17 @@ def resume(*folders: str | Path, on_epoch: OnEpoch | None = None, progress: bool
     return Runs(paths)
 
 
-def report(folder: str | Path) -> str:
-    """Write the report of all runs at or below a folder: the command `circle2d report`.
+def report(
+    path: str | Path, archive: str | Path | None = None, out: str | Path | None = None
+) -> str:
+    """Write the report of all runs at or below a folder, or in an archive: `circle2d report`.
 
-    Returns its tables as Markdown. Raises UserError where there are no complete runs.
+    archive: a file to pack all that the report needs into. out: folder to write to; by default that
+    of the runs, or one beside an archive, of its name. Returns tables and claims as Markdown.
+    Raises UserError where there are no complete runs.
     """
-    return write_report(Path(folder), with_figures=True)
+    archive, out = (None if given is None else Path(given) for given in (archive, out))
+    return write_report(Path(path), archive, out)
 
 
 def choose_backend(choice: Backend | Literal["auto"]) -> Backend:

@@ -121,16 +121,6 @@ def circle2d_config(task: str, parameters: dict[str, Any]) -> Circle2DConfig | N
     return Circle2DConfig(**{k: v for k, v in given.items() if k in names})
 
 
-def view_of(task: str, parameters: dict[str, Any]) -> View | None:
-    """The view that an environment of a registered task offers; None where it has none, and for a
-    task that is not registered: nothing is imported."""
-    name = task.rpartition(":")[2]
-    if name not in gym.registry:
-        return None
-    with contextlib.closing(gym.make(name, **parameters)) as env:
-        return env.get_wrapper_attr("view") if env.has_wrapper_attr("view") else None
-
-
 def sizes(envs: VectorEnv) -> tuple[int, int]:
     """Numbers an observation and an action of one environment hold."""
     observation, action = envs.single_observation_space.shape, envs.single_action_space.shape
