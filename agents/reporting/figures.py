@@ -94,8 +94,8 @@ def figures(source: Source, groups: Sequence[Group], notes: list[str]) -> list[F
 
 def _row_title(group: Group) -> str:
     """The algorithm, and each of its settings that are not the preset's, in lines of their own."""
-    name, told = title(group.config.algorithm), ",\n".join(differences(group.config))
-    return f"{name}\n({told})" if told else name
+    name, settings = title(group.config.algorithm), ",\n".join(differences(group.config))
+    return f"{name}\n({settings})" if settings else name
 
 
 def _file(kind: str, group: Group) -> str:
@@ -199,5 +199,5 @@ def _trained(
 
 def _words(run: Run) -> str:
     named = [(measure(name), run.measures[name]) for name in ("J_R", "J_C")]
-    told = [f"{of.title} {value:.1f}" for of, value in named if value is not None]
-    return f"seed {run.seed}: {', '.join(told)}"
+    words = [f"{of.title} {value:.1f}" for of, value in named if value is not None]
+    return f"seed {run.seed}: {', '.join(words)}"

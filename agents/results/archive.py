@@ -181,8 +181,8 @@ class ArchiveSource:
     ) -> list[Visits]:
         """States visited in each third of training, of all runs. Raises UserError."""
         self._require(folder, "visits")
-        counts, told = self._array(folder, "visits"), self._entry(folder, "visits")
-        pairs = zip(counts.astype(np.int64), told, strict=True)
+        counts, others = self._array(folder, "visits"), self._entry(folder, "visits")
+        pairs = zip(counts.astype(np.int64), others, strict=True)
         return [Visits(of_part, *numbers) for of_part, numbers in pairs]
 
     def trained(

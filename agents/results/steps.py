@@ -84,7 +84,7 @@ class Replay(NamedTuple):
 
 
 def require_view(config: TrainConfig) -> View:
-    """What the task can show. Raises UserError for one that has no positions."""
+    """The view of the task. Raises UserError for one that has no positions."""
     view = view_of(config.task, config.task_parameters)
     if view is None:
         raise UserError(f"task {config.task!r} has no positions to draw: it offers no view")
