@@ -13,7 +13,7 @@ from agents.reporting.curves import Line, curves_svg
 from agents.reporting.image_files import png
 from agents.results.measures import measure
 from agents.results.reading import Group, Run
-from agents.results.source import Source
+from agents.results.source import DamagedSource, Source
 from agents.results.steps import DRAWN, Episode, Visits
 from agents.training.environments import view_of
 from circle2d_mj.core.view import Picture, View
@@ -137,6 +137,8 @@ def _heatmaps(
         records = {run.seed: run.records for run in group.runs}
         try:
             parts = source.visits(group.folder, group.config, records)
+        except DamagedSource:
+            raise
         except UserError as error:
             notes.append(f"no heat map of {source.title(group.folder)}: {error}")
             continue
@@ -176,6 +178,8 @@ def _trained(
     for group, ground in seen:
         try:
             played = source.trained(group.folder, group.config, group.seeds)
+        except DamagedSource:
+            raise
         except UserError as error:
             notes.append(f"no trajectories of {source.title(group.folder)}: {error}")
             continue
