@@ -136,7 +136,9 @@ class ArchiveSource:
             content = json.loads(self._file.read(INDEX))
             form, version = content["format"], content["version"]
         except UNREADABLE:
-            raise UserError(f"{path} is no archive that circle2d report wrote") from None
+            raise UserError(
+                f"{path} is no archive that circle2d report wrote, or a damaged one"
+            ) from None
         if form != FORMAT or version != VERSION:
             raise UserError(
                 f"{path} is an archive of form {form!r}, version {version!r}; this program reads "
