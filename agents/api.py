@@ -141,12 +141,13 @@ def report(
 ) -> str:
     """Write the report of all runs at or below a folder, or in an archive: `circle2d report`.
 
-    archive: a file to pack all that the report needs into. out: folder to write to; by default that
-    of the runs, or one beside an archive, of its name. Returns tables and claims as Markdown.
-    Raises UserError where there are no complete runs.
+    Returns its tables and the paper's claims as Markdown. archive: a file to pack all that the
+    report needs into. out: folder to write to; by default the runs' own, for an archive the one
+    beside it that has its name without the suffix. Raises UserError where there are no complete
+    runs, or the archive is damaged.
     """
-    archive, out = (None if given is None else Path(given) for given in (archive, out))
-    return write_report(Path(path), archive, out)
+    paths = (None if of is None else Path(of) for of in (archive, out))
+    return write_report(Path(path), *paths)
 
 
 def choose_backend(choice: Backend | Literal["auto"]) -> Backend:

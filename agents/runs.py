@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from agents.reporting.report import table
+from agents.results.archive import open_source
 from agents.results.reading import Group, read_groups
-from agents.results.source import FolderSource
 from agents.training.config import TrainConfig, run_folder
 from emcc import EpisodeRecords
 
@@ -53,7 +53,7 @@ class Runs:
 
         Raises UserError where no run is complete: a run that was stopped has `records` only.
         """
-        return [group for folder in self.folders for group in read_groups(FolderSource(folder), [])]
+        return [group for folder in self.folders for group in read_groups(open_source(folder), [])]
 
     @property
     def records(self) -> dict[tuple[Path, int], EpisodeRecords]:

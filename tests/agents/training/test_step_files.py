@@ -65,7 +65,6 @@ def test_the_mode_with_physics(tmp_path):
 
 def test_rows_by_hand(tmp_path):
     """Two runs of two episodes each; one run takes no part in the second epoch."""
-    task = Circle2DConfig(level=1, constraint_radius=2.0)  # the arena reaches to 3
     rollout = Rollout(*[None] * 9)._replace(
         next_observation=np.arange(24, dtype=np.float32).reshape(3, 4, 2) / 24,
         cost=np.arange(12, dtype=np.float64).reshape(3, 4),

@@ -1,0 +1,259 @@
+"""The entrance from Python: the same runs as the command's, and nothing left changed."""
+
+import doctest
+import gc
+import signal
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from small_runs import results
+from toys import register as register_toys
+
+import agents
+from agents import api
+from agents.cli.main import main
+from agents.training.config import TrainConfig
+from emcc import EpisodeRecords
+
+register_toys()
+SMALL = {"random_steps": 100, "gradient_steps": 2}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    out = tmp_path_factory.mktemp("api") / "runs"
+    return agents.train("sac-lag", seeds=[3, 4], steps=400, out=out, **SMALL)
+
+
+def test_importing_agents_imports_no_torch():
+    code = "import sys, agents; agents.UserError; agents.__all__; dir(agents)\n"
+    code += "assert 'torch' not in sys.modules and 'numpy' not in sys.modules, 'imported'\n"
+    code += "agents.register; assert 'torch' not in sys.modules, 'by register'"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_names():
+    assert set(agents.__all__) <= set(dir(agents))
+    for name in agents.__all__:
+        assert getattr(agents, name) is getattr(api, name)
+        assert getattr(agents, name).__doc__
+    with pytest.raises(AttributeError, match="no attribute 'teach'"):
+        _ = agents.teach
+
+
+def test_examples():
+    outcome = doctest.testmod(api, raise_on_error=True)
+    assert outcome.attempted >= 3
+
+
+def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
+    options = ["--random-steps", "100", "--gradient-steps", "2", "--seeds", "3", "4"]
+    command = ["train", "--algorithm", "sac-lag", *options, "--steps", "400"]
+    assert main([*command, "--out", str(tmp_path / "x")]) == 0
+    assert results(tmp_path / "x") == results(runs.folder)
+    out = capsys.readouterr().out
+    if "no table" not in out and out:
+        assert runs.table() in out
+
+
+def test_results(runs):
+    [group] = runs.results
+    assert [run.seed for run in group.runs] == [3, 4]
+    assert runs.config == TrainConfig.read(runs.folder)
+    records = runs.records[runs.folder, 3]
+    assert records.total_steps == 400
+    assert repr(runs) == f"Runs({str(runs.folder)!r})"
+
+
+def test_to_pandas(runs, monkeypatch):
+    pytest.importorskip("pandas")
+    frame = runs.to_pandas()
+    assert list(frame.columns[:7]) == [
+        *("algorithm", "task", "seed", "rollout", "start_step", "length", "return"),
+    ]
+    of_seed = frame[frame.seed == 4]
+    np.testing.assert_array_equal(of_seed["cost"], runs.records[runs.folder, 4].cost)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match="pip install pandas"):
+        runs.to_pandas()
+
+
+def test_a_temporary_folder_lives_as_long_as_the_runs():
+    runs = agents.train("trpo-lag", seeds=5, steps=50)
+    folder = runs.folder
+    assert runs.config.seeds == (5,)
+    assert (folder / "seed-5" / "evaluation.json").exists()
+    del runs
+    gc.collect()
+    assert not folder.exists()
+
+
+def test_epochs_are_plain_numbers_by_seed(tmp_path):
+    epochs = []
+    runs = agents.train(
+        "sac-lb", seeds=[0, 1], steps=200, out=tmp_path / "x", on_epoch=epochs.append, **SMALL
+    )
+    assert [epoch.runs[1]["step"] for epoch in epochs] == [50, 100, 150, 200]
+    records = runs.records[runs.folder, 1]
+    for k, epoch in enumerate(epochs):
+        numbers = epoch.runs[1]
+        assert (epoch.folder, epoch.algorithm, epoch.steps) == (tmp_path / "x", "sac-lb", 200)
+        assert all(type(value) is float for value in numbers.values())
+        assert numbers["return"] == records.reward[k]
+        assert numbers["cost"] == records.cost[k]
+        assert numbers["mcc"] == records.longest_streak[k] / 50
+    assert "critic_loss" not in epochs[0].runs[0]  # less than a batch is there
+
+
+def test_stopped_and_resumed_is_as_never_stopped(runs, tmp_path):
+    seen = []
+
+    def stop(epoch):
+        seen.append(epoch)
+        return len(seen) < 3
+
+    stopped = agents.train(
+        "sac-lag", seeds=[3, 4], steps=400, out=tmp_path / "x", on_epoch=stop, **SMALL
+    )
+    assert len(seen) == 3
+    records = EpisodeRecords.load(stopped.folder / "seed-3" / "episodes.csv")
+    assert records.total_steps == 150
+    with pytest.raises(agents.UserError, match="unfinished"):
+        _ = stopped.results
+    assert agents.evaluate(stopped.folder, episodes=1).returns.shape == (2, 1)
+    resumed = agents.resume(stopped.folder, on_epoch=seen.append)
+    assert seen[3].runs[3]["step"] == 200
+    assert results(resumed.folder) == results(runs.folder)
+
+
+def test_several_folders_resume_jointly(tmp_path):
+    folders = [tmp_path / "a", tmp_path / "b"]
+    for level, folder in enumerate(folders):
+        task = f"Circle2D-{level}-v0"
+        out = {"out": folder, "on_epoch": lambda epoch: False}
+        agents.train("trpo-lag", task, seeds=level, steps=600, episodes=4, **out)
+    epochs = []
+    runs = agents.resume(*folders, folders[0], on_epoch=epochs.append)
+    assert runs.folders == tuple(folders)
+    assert [epoch.folder.name for epoch in epochs] == ["a", "b", "a", "b"]
+    assert {folder.name: seed for folder, seed in runs.records} == {"a": 0, "b": 1}
+    with pytest.raises(ValueError, match="several folders"):
+        _ = runs.folder
+    again = []
+    agents.resume(*folders, on_epoch=again.append)
+    assert again == []
+
+
+def state_of_process():
+    matmul = getattr(torch.backends.mkldnn, "matmul", None)
+    return {
+        "threads": torch.get_num_threads(),
+        "device": torch.tensor(0.0).device,
+        "precision": torch.get_float32_matmul_precision(),
+        "onednn": getattr(matmul, "fp32_precision", None),
+        "dtype": torch.get_default_dtype(),
+        "deterministic": torch.are_deterministic_algorithms_enabled(),
+        "torch random": torch.get_rng_state().tolist(),
+        "numpy random": np.random.get_state()[1].tolist(),  # noqa: NPY002
+        "signals": [signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)],
+    }
+
+
+@pytest.mark.parametrize("raises", [False, True])
+def test_a_guest_in_the_process(tmp_path, raises):
+    def fail(epoch):
+        during.append(torch.get_num_threads())
+        if raises:
+            raise RuntimeError("in the middle")
+
+    during, threads = [], torch.get_num_threads()
+    matmul = getattr(torch.backends.mkldnn, "matmul", None)
+    precision = getattr(matmul, "fp32_precision", None)
+    try:
+        torch.set_num_threads(2)
+        if precision is not None:
+            matmul.fp32_precision = "ieee"
+        before = state_of_process()
+        with pytest.raises(RuntimeError, match="in the middle") if raises else open("/dev/null"):
+            agents.train("cpo", seeds=0, steps=50, out=tmp_path / "x", on_epoch=fail)
+        assert state_of_process() == before
+    finally:
+        torch.set_num_threads(threads)
+        if precision is not None:
+            matmul.fp32_precision = precision
+    assert during == [1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"log_barier_factor": 3.0}, "no hyper-parameter 'log_barier_factor': did you mean log_ba"),
+        ({"step": 3}, "no hyper-parameter 'step': did you mean steps"),
+        ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
+        ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),
+        ({"task": "Nowhere-v0"}, "cannot make task 'Nowhere-v0'"),
+        ({"seeds": "ab"}, "seeds must be an integer or several, got 'ab'"),
+        ({"seeds": []}, "at least one"),
+        ({"seeds": 1.5}, "seeds must be an integer or several, got 1.5"),
+        ({"steps": 0}, "steps must be at least 1"),
+        ({"evaluate_every": 0}, "evaluate_every must be at least 1"),
+        ({"evaluate_every": 2.5}, "evaluate_every must be an integer"),
+        ({"task_parameters": {"level": 3}}, "level is part of the task's id"),
+        ({"vectorization": "threads"}, "vectorization must be auto or sync or async"),
+        ({"backend": "fast"}, "backend must be compiled or eager"),
+    ],
+)
+def test_mistakes(arguments, message, tmp_path):
+    with pytest.raises(agents.UserError, match=message):
+        agents.train(**{"algorithm": "sac-lb", "out": tmp_path / "x", **arguments})
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_folder_with_runs_is_refused(runs):
+    before = results(runs.folder)
+    with pytest.raises(agents.UserError, match="holds runs already"):
+        agents.train("cpo", out=runs.folder)
+    assert results(runs.folder) == before
+    with pytest.raises(agents.UserError, match="needs a folder"):
+        agents.resume()
+
+
+def test_an_algorithm_and_a_task_from_outside(tmp_path, monkeypatch):
+    """Both from modules of the user, without an edit of the package."""
+    (tmp_path / "my_algorithm.py").write_text(
+        "from dataclasses import dataclass\n"
+        "import agents\n"
+        "from agents.algorithms.sac_lb import ALGORITHM\n"
+        "@dataclass(frozen=True)\n"
+        "class MyConfig(ALGORITHM.config):\n"
+        "    my_factor: float = 0.5\n"
+        "    'A number of mine.'\n"
+        "agents.register('sac-mine', ALGORITHM._replace(title='Mine', config=MyConfig))\n"
+    )
+    (tmp_path / "my_task.py").write_text(
+        "import gymnasium as gym\nfrom toys import Walk\ngym.register('Mine-v0', Walk)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    import my_algorithm  # noqa: F401
+
+    options = {"my_factor": 0.25, "random_steps": 20, "gradient_steps": 1}
+    out = tmp_path / "x"
+    try:
+        runs = agents.train("sac-mine", "my_task:Mine-v0", seeds=0, steps=60, out=out, **options)
+        assert runs.config.hyperparameters.my_factor == 0.25
+        assert agents.load_policy(out)(np.zeros(2)).shape == (1,)
+        code = "import sys, agents\ntry: agents.resume(sys.argv[1])\n"
+        code += "except agents.UserError as error: print(error)"
+        command = [sys.executable, "-c", code, str(out)]
+        said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        assert "'sac-mine'" in said
+        assert "import the module that registers it first, my_algorithm" in said
+    finally:
+        from agents import algorithms
+
+        algorithms._algorithms.registered.pop("sac-mine", None)
+        gym.registry.pop("Mine-v0", None)

@@ -1,0 +1,233 @@
+"""Trained policies outside of training: actions, modules, snapshots, evaluations."""
+
+import shutil
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from small_runs import results
+from toys import register
+
+import agents
+from agents.training.environments import make_envs
+from agents.training.files import read_arrays, read_json
+from agents.training.loop import load_training
+
+register()
+SMALL = {"batch_size": 32, "hidden": (32, 32)}
+
+
+def trained(out, algorithm, task="Walk-v0", seeds=(0, 1), steps=200, **more):
+    return agents.train(algorithm, task, seeds=seeds, steps=steps, out=out, **SMALL, **more).folder
+
+
+@pytest.fixture(scope="module", params=["sac-lb", "trpo-lag"])
+def folder(request, tmp_path_factory):
+    """Of a task with actions in [-2, 2]."""
+    return trained(tmp_path_factory.mktemp("policy") / "x", request.param)
+
+
+OBSERVATIONS = np.random.default_rng(0).normal(0, 3, (50, 2))
+
+
+def test_actions_are_those_of_training_in_the_tasks_own_space(folder):
+    """As gymnasium's own wrapper rescales the learner's actions."""
+    policy = agents.load_policy(folder, seed=1)
+    learned = load_training(folder).learner.policy()
+    both = np.stack([OBSERVATIONS] * 2).astype(np.float32)
+    unit = np.clip(learned(both, None)[1], -1, 1)
+    envs = make_envs("Walk-v0", len(unit), {})
+    expected = envs.actions(unit)
+    np.testing.assert_array_equal(policy(OBSERVATIONS), expected)
+    noise = np.random.default_rng(5).standard_normal((2, 50, 1), dtype=np.float32)
+    unit = np.clip(learned(both, np.stack([noise[0]] * 2))[1], -1, 1)
+    drawn = policy(OBSERVATIONS, deterministic=False, rng=np.random.default_rng(5))
+    np.testing.assert_array_equal(drawn, envs.actions(unit))
+    assert drawn.dtype == np.float32
+    assert np.abs(drawn).max() <= 2
+    assert np.abs(drawn).max() > 1
+    assert len(np.unique(policy(np.zeros((9, 2)), deterministic=False))) == 9
+
+
+def test_one_observation_or_a_batch(folder):
+    policy = agents.load_policy(folder, seed=0)
+    batch = policy(OBSERVATIONS)
+    assert batch.shape == (50, 1)
+    np.testing.assert_allclose(policy(OBSERVATIONS[7]), batch[7], rtol=1e-5, atol=1e-6)
+    assert policy(OBSERVATIONS[7].tolist()).shape == (1,)
+    action, state = policy.predict(OBSERVATIONS[7])
+    assert state is None
+    np.testing.assert_array_equal(action, policy(OBSERVATIONS[7]))
+    assert policy(np.zeros((0, 2))).shape == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("observation", "error", "message"),
+    [
+        (np.zeros(3), ValueError, r"must be \[2\], or \[N, 2\] for a batch, got shape \[3\]"),
+        (np.zeros((4, 5, 2)), ValueError, r"got shape \[4, 5, 2\]"),
+        (1.0, ValueError, r"got shape \[\]"),
+        (["a", "b"], TypeError, "real numbers"),
+        (np.zeros(2, complex), TypeError, "real numbers"),
+    ],
+)
+def test_other_observations_are_refused(folder, observation, error, message):
+    with pytest.raises(error, match=message):
+        agents.load_policy(folder, seed=0)(observation)
+
+
+def test_the_module_of_pytorch_is_equal(folder):
+    policy = agents.load_policy(folder, seed=1)
+    module = policy.to_torch()
+    with torch.no_grad():
+        found = module(torch.tensor(OBSERVATIONS, dtype=torch.float32)).numpy()
+    np.testing.assert_allclose(found, policy(OBSERVATIONS), atol=1e-6)
+    copy = type(module)(module.net, np.zeros(1, np.float32), np.ones(1, np.float32))
+    copy.load_state_dict(module.state_dict())  # bounds are part of the state
+    torch.testing.assert_close(copy.high, torch.tensor([2.0]))
+
+
+def test_neither_replay_nor_environment_is_needed(folder, tmp_path):
+    copy = tmp_path / "x"
+    shutil.copytree(folder, copy)
+    arrays = read_arrays(copy / "checkpoint.npz", lambda name: name == "actor")
+    np.savez(copy / "checkpoint.npz", **arrays)
+    expected = agents.load_policy(folder, seed=0)(OBSERVATIONS)
+    spec = gym.registry.pop("Walk-v0")
+    try:
+        found = agents.load_policy(copy, seed=0)(OBSERVATIONS)
+    finally:
+        gym.registry["Walk-v0"] = spec
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_which_run_and_which_step(folder, tmp_path):
+    with pytest.raises(agents.UserError, match=r"several runs: give the seed, one of \(0, 1\)"):
+        agents.load_policy(folder)
+    with pytest.raises(agents.UserError, match=r"no run of seed 7: there are \(0, 1\)"):
+        agents.load_policy(folder, seed=7)
+    with pytest.raises(agents.UserError, match=r"no policy of seed 0 at step 50: there is none"):
+        agents.load_policy(folder, seed=0, step=50)
+    with pytest.raises(agents.UserError, match=r"config\.json is missing"):
+        agents.load_policy(tmp_path)
+
+
+def test_a_policy_of_other_nets_is_refused(folder, tmp_path):
+    copy = tmp_path / "x"
+    shutil.copytree(folder, copy)
+    text = (copy / "config.json").read_text()
+    (copy / "config.json").write_text(text.replace("   32,\n   32\n", "   64,\n   64\n"))
+    with pytest.raises(agents.UserError, match="damaged or of another version: actor is"):
+        agents.load_policy(copy, seed=0)
+
+
+def snapshots(folder):
+    return {k: v for k, v in results(folder).items() if "/policies/" in k}
+
+
+def without_config(folder):
+    return {
+        name: data
+        for name, data in results(folder).items()
+        if "config.json" not in name and "/policies/" not in name
+    }
+
+
+@pytest.mark.parametrize("algorithm", ["sac-lag", "cpo"])
+def test_snapshots_change_no_result_and_come_back_after_a_stop(algorithm, tmp_path):
+    task, more = "Circle2D-1-v0", {"seeds": (3, 4), "steps": 500, "checkpoint_every": 200}
+    if algorithm == "cpo":
+        more["episodes"] = 2
+    plain = trained(tmp_path / "plain", algorithm, task, **more)
+    more["evaluate_every"] = 120
+    whole = trained(tmp_path / "whole", algorithm, task, **more)
+    assert without_config(whole) == without_config(plain)
+    assert not snapshots(plain)
+    assert {Path(name).name for name in snapshots(whole)} == {
+        f"{step}.{kind}" for step in (120, 240, 360, 480) for kind in ("json", "npz")
+    }
+    epochs = []
+    broken = tmp_path / "broken"
+    with pytest.raises(RuntimeError, match="killed"):  # beyond its last checkpoint
+
+        def kill(epoch):
+            epochs.append(epoch)
+            if epoch.runs[3]["step"] >= 300:
+                raise RuntimeError("killed")
+
+        trained(broken, algorithm, task, **more, on_epoch=kill)
+    agents.resume(broken)
+    assert snapshots(broken) == snapshots(whole)
+    assert without_config(broken) == without_config(whole)
+    early, late = (agents.load_policy(whole, seed=4, step=step) for step in (120, 480))
+    last = agents.load_policy(whole, seed=4)
+    assert not np.array_equal(early(OBSERVATIONS), late(OBSERVATIONS))
+    final = read_json(whole / "seed-4" / "policies" / "480.json")
+    assert final["episodes"] == 20
+    assert last(OBSERVATIONS).shape == (50, 2)
+    with pytest.raises(agents.UserError, match="there are 120, 240, 360, 480; training leaves"):
+        agents.load_policy(whole, seed=4, step=500)
+
+
+def test_a_snapshot_at_the_end_is_the_last_policy(tmp_path):
+    out = trained(
+        tmp_path / "x", "sac-lag", "Circle2D-1-v0", seeds=2, steps=200, evaluate_every=100
+    )
+    policies = [agents.load_policy(out, step=step)(OBSERVATIONS) for step in (200, None)]
+    np.testing.assert_array_equal(*policies)
+
+
+def test_evaluation_by_hand():
+    """`Target`: one step, return -(a - 0.8)², cost (1 + a) / 2."""
+    seen = []
+
+    def policy(observation):
+        seen.append(observation.shape)
+        return np.array([0.5], np.float32)
+
+    found = agents.evaluate(policy, "Target-v0", episodes=3)
+    np.testing.assert_allclose(found.returns, [-0.09] * 3, rtol=1e-6)
+    np.testing.assert_allclose(found.costs, [0.75] * 3)
+    assert found.lengths.tolist() == [1] * 3
+    assert found.longest_streaks.tolist() == [1] * 3
+    assert (found.mean_cost, found.mcc, found.mean_length) == (0.75, 1.0, 1.0)
+    assert found.mean_return == pytest.approx(-0.09)
+    assert found.cvar() == 0.75
+    assert seen == [(1,)] * 3
+
+
+def test_evaluation_of_policies_and_folders(folder):
+    before = results(folder)
+    policy = agents.load_policy(folder, seed=1)
+    one = agents.evaluate(policy, episodes=4, seed=7)
+    both = agents.evaluate(folder, episodes=4, seed=7)
+    assert both.returns.shape == (2, 4)
+    assert both.seeds == (0, 1)
+    np.testing.assert_array_equal(both.returns[1], one.returns)
+    np.testing.assert_array_equal(agents.evaluate(policy, episodes=4, seed=7).costs, one.costs)
+    other = agents.evaluate(policy, episodes=4, seed=8)
+    assert not np.array_equal(other.returns, one.returns)
+    drawn = [agents.evaluate(policy, episodes=4, seed=7, deterministic=False) for _ in range(2)]
+    np.testing.assert_array_equal(drawn[0].returns, drawn[1].returns)
+    assert not np.array_equal(drawn[0].returns, one.returns)
+    assert results(folder) == before
+
+
+def test_evaluations_that_cannot_be(folder):
+    policy = agents.load_policy(folder, seed=0)
+    with pytest.raises(
+        agents.UserError, match=r"from \[-2.0\] to \[2.0\]; task 'Circle2D-1-v0' has"
+    ):
+        agents.evaluate(policy, "Circle2D-1-v0")
+    with pytest.raises(agents.UserError, match="needs the task"):
+        agents.evaluate(lambda observation: observation)
+    with pytest.raises(agents.UserError, match="episodes must be at least 1, got 0"):
+        agents.evaluate(policy, episodes=0)
+    with pytest.raises(TypeError, match="a policy, a function or a folder, got 3"):
+        agents.evaluate(3)
+    with pytest.raises(agents.UserError, match=r"no such task|cannot make task"):
+        agents.evaluate(policy, "Nowhere-v0")
+    with pytest.raises(agents.UserError, match="not finite"):
+        agents.evaluate(lambda observation: np.array([np.nan]), "Walk-v0")
