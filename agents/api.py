@@ -146,12 +146,18 @@ def resume(*folders: str | Path, on_epoch: OnEpoch | None = None, progress: bool
     return Runs(paths)
 
 
-def report(folder: str | Path) -> str:
-    """Write the report of all runs at or below a folder: the command `circle2d report`.
+def report(
+    path: str | Path, archive: str | Path | None = None, out: str | Path | None = None
+) -> str:
+    """Write the report of all runs at or below a folder, or in an archive: `circle2d report`.
 
-    Returns its tables as Markdown. Raises UserError where there are no complete runs.
+    Returns its tables and the paper's claims as Markdown. archive: a file to pack all that the
+    report needs into. out: folder to write to; by default the runs' own, for an archive the one
+    beside it that has its name without the suffix. Raises UserError where there are no complete
+    runs, or the archive is damaged.
     """
-    return write_report(Path(folder), with_figures=True)
+    paths = (None if of is None else Path(of) for of in (archive, out))
+    return write_report(Path(path), *paths)
 
 
 def choose_backend(choice: Backend | Literal["auto"]) -> Backend:

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from agents.reporting.report import report
+from agents.reporting.report import table
+from agents.results.archive import open_source
 from agents.results.reading import Group, read_groups
 from agents.training.config import TrainConfig, run_folder
 from emcc import EpisodeRecords
@@ -52,7 +53,7 @@ class Runs:
 
         Raises UserError where no run is complete: a run that was stopped has `records` only.
         """
-        return [group for folder in self.folders for group in read_groups(folder, [])]
+        return [group for folder in self.folders for group in read_groups(open_source(folder), [])]
 
     @property
     def records(self) -> dict[tuple[Path, int], EpisodeRecords]:
@@ -65,7 +66,7 @@ class Runs:
 
     def table(self) -> str:
         """The table that the command prints, as Markdown; written into the folder too."""
-        return "\n".join(report(folder) for folder in self.folders)
+        return "\n".join(table(folder) for folder in self.folders)
 
     def to_pandas(self) -> pandas.DataFrame:
         """A row for each episode of each run: algorithm, task, seed, then `episodes.csv`.

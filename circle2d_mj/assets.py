@@ -1,4 +1,4 @@
-"""Where the files that are shipped with the package lie."""
+"""Files that are shipped with the package."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ _FOLDERS = (Path(__file__).parent / "assets", Path(__file__).parents[1] / "asset
 
 
 def asset(name: str) -> Path:
-    """The path of a shipped file, as in `asset("xml/circle2d.xml")`.
+    """Return the path of a shipped file, as in `asset("xml/circle2d.xml")`.
 
-    Raises FileNotFoundError for a name that is not shipped, with those that are.
+    Raises FileNotFoundError, which lists the shipped files, for any other name.
     """
     for folder in _FOLDERS:
         if (folder / name).is_file():

@@ -92,15 +92,20 @@ def as_number(value: float, name: str) -> float:
     return number
 
 
-def as_threshold(threshold: float) -> np.float64:
-    """A cost that a cost step must exceed: a finite number >= 0.
-
-    Of numpy's type, so that costs of lower precision are compared as float64, not rounded to.
-    """
+def as_threshold(threshold: float) -> float:
+    """A cost that a cost step must exceed: a finite number >= 0."""
     threshold = as_number(threshold, "threshold")
     if threshold < 0:
         raise ValueError(f"threshold must be >= 0, got {threshold}")
-    return np.float64(threshold)
+    return threshold
+
+
+def exceed(costs: NDArray[Any], threshold: float) -> NDArray[np.bool_]:
+    """Which costs exceed the threshold, compared as float64.
+
+    numpy alone would round the threshold to the type of costs of lower precision.
+    """
+    return np.greater(costs, threshold, signature="dd->?")
 
 
 def as_count(value: int, name: str) -> int:

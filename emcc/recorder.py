@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_count, as_threshold, check_range
+from emcc.arrays import as_array, as_count, as_threshold, check_range, exceed
 from emcc.records import COLUMNS, EpisodeRecords
 
 
@@ -63,7 +63,7 @@ class CostRecorder:
         self._length += active
         self._reward += reward
         self._cost += cost
-        unsafe = cost > self.threshold
+        unsafe = exceed(cost, self.threshold)
         self._streak[active & ~unsafe] = 0
         self._streaks += unsafe & (self._streak == 0)
         self._cost_steps += unsafe

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_integers, as_threshold, as_vector
+from emcc.arrays import as_integers, as_threshold, as_vector, exceed
 
 _BLOCK = 1 << 18  # steps looked at together: their temporaries fit in a processor's cache
 
@@ -43,7 +43,7 @@ def longest_streaks(
     longest = np.zeros(len(lengths), dtype=np.int64)
     carry = 0  # length of the streak that reaches the end of the block before
     for low in range(0, costs.size, _BLOCK):
-        unsafe = costs[low : low + _BLOCK] > threshold
+        unsafe = exceed(costs[low : low + _BLOCK], threshold)
         first = int(np.searchsorted(stops, low, side="right"))  # trajectory of the first step
         after = int(np.searchsorted(starts, low + unsafe.size, side="left"))
         begins = np.maximum(starts[first:after] - low, 0)
@@ -66,7 +66,7 @@ def count_streaks(
     ValueError: as in `longest_streaks`.
     """
     costs, lengths, threshold = _trajectories(costs, lengths, threshold)
-    unsafe, starts = costs > threshold, np.cumsum(lengths) - lengths
+    unsafe, starts = exceed(costs, threshold), np.cumsum(lengths) - lengths
     begins = unsafe.copy()
     begins[1:] &= ~unsafe[:-1]
     begins[starts] = unsafe[starts]
@@ -76,7 +76,7 @@ def count_streaks(
 
 def _trajectories(
     costs: ArrayLike, lengths: ArrayLike, threshold: float
-) -> tuple[NDArray[Any], NDArray[np.int64], np.float64]:
+) -> tuple[NDArray[Any], NDArray[np.int64], float]:
     """The arguments of `longest_streaks`, checked."""
     costs = as_vector(costs, "costs", low=0)
     lengths = as_integers(as_vector(lengths, "lengths"), "lengths", low=1)

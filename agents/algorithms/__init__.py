@@ -23,7 +23,7 @@ class Algorithm(NamedTuple):
     config: type
     """A frozen dataclass in which every hyper-parameter has a default, and a text below it."""
     rule: Any
-    """What the algorithm adds to its family, which receives it."""
+    """The part that the algorithm adds to its family, which receives it."""
     family: Callable[..., Learner]
     """(config, rule, seeds, observation size, action size) -> the runs, ready to be trained."""
 
@@ -89,7 +89,7 @@ def algorithm(name: str) -> Algorithm:
 
 
 def title(name: str) -> str:
-    """How an algorithm is written in tables: its title, or its name where it is not registered."""
+    """Title of an algorithm in tables; its name where it is not registered."""
     return ALGORITHMS[name].title if name in ALGORITHMS else name
 
 

@@ -30,7 +30,7 @@ class CPOConfig(TRPOConfig):
 def objective(
     config: CPOConfig, reward_advantage: Tensor, cost_advantage: Tensor, multiplier: Tensor
 ) -> Tensor:
-    """`A_r`: costs come in as a constraint."""
+    """`A_r`: costs enter as a constraint."""
     return reward_advantage
 
 
@@ -72,7 +72,7 @@ def on_limit(problem: Problem, natural: Tensor, natural_b: Tensor, b: Tensor, s:
     across = natural
     for _ in range(2):  # again, for what the first leaves of b in float32
         across = across - dot(b, across) / s * natural_b
-    # Where the reward is what costs, rounding alone is left of g, which is no direction.
+    # Where reward and cost have one gradient, only rounding is left of g: no direction.
     gain = dot(problem.gradient, across)
     across = torch.where(gain > 1e-6 * dot(problem.gradient, natural), across, 0.0)
     room = (1.0 - c**2 / (2.0 * problem.target_kl * s)).clamp(min=0.0).sqrt()

@@ -7,6 +7,7 @@ Not in the paper's grid.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from agents.algorithms import Algorithm
 from agents.algorithms.trpo_lag import objective
@@ -24,6 +25,9 @@ class PPOLagConfig(MultiplierConfig, EpisodeCostLimit, PPOConfig):
     """Initial multiplier λ, at least 0. Not in the paper; 0.001 as in OmniSafe and TRPO-Lag."""
     multiplier_lr: float = 0.035
     """Step size of the multiplier by adam or sgd. Not in the paper; 0.035 as in OmniSafe."""
+    multiplier_optimizer: Literal["adam", "sgd", "pid"] = "adam"
+    """How the multiplier follows the cost: it ascends by Adam or by the plain gradient (sgd), or a
+    PID controller sets it (pid; Stooke et al. 2020). Not in the paper; adam as in OmniSafe."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""

@@ -47,8 +47,8 @@ class WCSACConfig(MultiplierConfig, ConstrainedSACConfig):
 
 
 def tail_factor(level: float) -> Tensor:
-    """How many standard deviations the mean of the worst share `level` of a Gaussian lies above
-    its mean: `φ(Φ⁻¹(α)) / α`, [] in double precision."""
+    """Distance of the mean of the worst share `level` of a Gaussian from its mean, in standard
+    deviations: `φ(Φ⁻¹(α)) / α`, [] in double precision."""
     quantile = torch.special.ndtri(torch.full((), level, dtype=torch.float64))
     return torch.exp(-0.5 * quantile**2) / (math.sqrt(2.0 * math.pi) * level)
 

@@ -22,7 +22,7 @@ from agents.cli.pictures import run_heatmap, run_render, run_scene
 from agents.cli.reproduce import run_reproduce
 from agents.errors import UserError
 from agents.paper.presets import preset
-from agents.reporting.report import report
+from agents.reporting.report import report, table
 from agents.training.config import Device, TrainConfig, run_folder
 from agents.training.environments import Vectorization, check_task
 from agents.training.evaluation import EVALUATION_EPISODES
@@ -105,7 +105,11 @@ class ReportOptions:
     and index.html with training curves and heat maps as well."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of runs, or one with several such folders below it."""
+    """Folder of runs, or one with several such folders below it, or an archive."""
+    archive: Path | None = None
+    """File to pack all that the report needs into; `circle2d report FILE` writes it again."""
+    out: Path | None = None
+    """Folder for the report; by default that of the runs, or one beside an archive, of its name."""
 
 
 def run_train(args: Sequence[str]) -> int:
@@ -157,9 +161,9 @@ def run_evaluate(args: Sequence[str]) -> int:
 
 
 def run_report(args: Sequence[str]) -> int:
-    folder = parse(ReportOptions, "report", args).folder
+    options = parse(ReportOptions, "report", args)
     with working("reading runs and drawing figures"):
-        told = report(folder, with_figures=True)
+        told = report(options.folder, options.archive, options.out)
     print(told)
     return 0
 
@@ -207,7 +211,7 @@ def _train(*folders: Path) -> int:
         trainings = train(*configs, on_epoch=on_epoch)
     for folder in configs:
         try:
-            print(report(folder))
+            print(table(folder))
         except UserError as error:  # the training itself is done
             print(f"circle2d: no table: {error}", file=sys.stderr)
     return max([_failures(*pair) for pair in zip(configs, trainings, strict=True)])

@@ -15,6 +15,7 @@ from agents.reporting import image_files as files
 from agents.reporting import pictures
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.render.gl import NoOpenGL, check_backend
+from emcc.parts import ALPHA, PARTS
 
 
 @dataclass(frozen=True)
@@ -23,10 +24,10 @@ class HeatmapOptions:
     runs of a folder together: a PNG."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of runs on a Circle2D task."""
-    part: tuple[float, ...] = tuple(pictures.PARTS)
+    """Folder of runs on a task that offers positions."""
+    part: tuple[float, ...] = tuple(PARTS)
     """Parts of training, named as EMCC names them: 0.33, 0.66, 0.99."""
-    alpha: float = pictures.ALPHA
+    alpha: float = ALPHA
     """Share of a part's rollouts, those of the highest MCC; 1 draws all."""
     seeds: tuple[int, ...] | None = None
     """Of the runs; by default all but those that failed."""
@@ -41,7 +42,7 @@ class RenderOptions:
     """Draw episodes of a trained policy: all in one picture (.png), or as a film (.gif, .mp4)."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of runs on a Circle2D task."""
+    """Folder of runs on a task that offers positions."""
     out: Path | None = None
     """File to write, its suffix the format; by default trajectories.png in the folder."""
     episodes: int = 3
@@ -68,8 +69,8 @@ class SceneOptions:
 def run_heatmap(args: Sequence[str]) -> int:
     """`circle2d heatmap`; returns the exit status, as the others do."""
     options = parse(HeatmapOptions, "heatmap", args)
-    if not options.part or not set(options.part) <= set(pictures.PARTS):
-        raise UserError(f"part must be some of {list(pictures.PARTS)}, got {list(options.part)}")
+    if not options.part or not set(options.part) <= set(PARTS):
+        raise UserError(f"part must be some of {list(PARTS)}, got {list(options.part)}")
     _check_size(options.size)
     if not 0 < options.alpha <= 1:
         raise UserError(f"alpha must be in (0, 1], got {options.alpha}")
@@ -88,14 +89,14 @@ def run_render(args: Sequence[str]) -> int:
     _check_size(options.size)
     out = options.out or options.folder / "trajectories.png"
     _check_suffix(out, ".png", ".gif", ".mp4")
-    episodes, task = pictures.evaluation_episodes(
+    episodes, view = pictures.evaluation_episodes(
         options.folder, options.seed, options.episodes, options.stochastic
     )
     if out.suffix.lower() == ".png":
-        files.write_picture(out, pictures.trajectories(episodes, task, options.size))
+        files.write_picture(out, pictures.trajectories(episodes, view, options.size))
     else:
-        total = sum(len(path) for path in episodes.paths)
-        files.write_film(out, pictures.film(episodes, task, options.size), total)
+        total = sum(len(episode.positions) for episode in episodes)
+        files.write_film(out, pictures.film(episodes, view, options.size), total)
     print(out)
     return 0
 

@@ -86,7 +86,7 @@ def run_reproduce(args: Sequence[str]) -> int:
             print(f"circle2d: {folder} failed: {said}", file=sys.stderr)
         try:
             with working("drawing the report"):
-                told = report(options.out, with_figures=True)
+                told = report(options.out)
             print(told)
         except UserError as error:
             print(f"circle2d: no report: {error}", file=sys.stderr)

@@ -20,7 +20,7 @@ _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 def configure(compiles: bool = False, device: str = "cpu") -> None:
     """Prepare this process for training: one thread, kept memory, the faster matrix products.
 
-    compiles: run what is marked `compiled` as compiled code from now on; device: "cpu" or "cuda",
+    compiles: run functions marked `compiled` as compiled code from now on; device: "cpu" or "cuda",
     where new tensors go. One thread a process, since lockstep runs fill a core and processes fill
     the others. Raises UserError where torch sees no such device or cannot compile.
     """
@@ -31,7 +31,7 @@ def configure(compiles: bool = False, device: str = "cpu") -> None:
     _keep_freed_memory()
     _use_onednn_products()
     if compiles and (why := cannot_compile()):
-        raise UserError(f"backend 'compiled' cannot be had here ({why}); 'eager' can")
+        raise UserError(f"backend 'compiled' does not work here ({why}); 'eager' does")
     set_compiling(compiles)
 
 

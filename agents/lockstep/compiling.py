@@ -16,11 +16,11 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _compiles = False
-"""Whether functions marked `compiled` are, in this process."""
+"""Whether functions marked `compiled` run as compiled code in this process."""
 
 
 def set_compiling(compiles: bool) -> None:
-    """Run what is marked `compiled` as compiled code from now on, or operation by operation."""
+    """Run functions marked `compiled` as compiled code from now on, or operation by operation."""
     global _compiles
     _compiles = compiles
 
@@ -33,11 +33,11 @@ def is_compiling() -> bool:
 def compiled(function: Callable[P, T]) -> Callable[P, T]:
     """Mark a pure function of tensors to run as one piece of compiled code where `configure` says.
 
-    Otherwise it is what it was. The source is ordinary PyTorch, gradients by `torch.func` included;
-    nothing in it may look at a tensor's value. The first axis of every tensor that comes in or goes
-    out is the run axis, of any length in the compiled code: so it is compiled once, and what it
-    does to a run does not depend, bit for bit, on how many there are. One run is computed beside a
-    copy of itself, since axes of length 1 lead to other code.
+    Elsewhere the function stays as it is. The source is ordinary PyTorch, gradients by `torch.func`
+    included; it may not branch on a tensor's value. The first axis of every argument and result is
+    the run axis, of any length in the compiled code: so the function is compiled once, and a run's
+    results do not depend, bit for bit, on the number of runs. One run is computed beside a copy of
+    itself, since axes of length 1 lead to other code.
     """
 
     whole: Callable[P, T] | None = None
@@ -60,7 +60,7 @@ def compiled(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def _map(of: Callable[[Tensor], Any], tree: Any) -> Any:
-    """`of` of every tensor in nested tuples, lists and dicts; whatever else there is stays."""
+    """Apply `of` to every tensor in nested tuples, lists and dicts; other parts stay."""
     if isinstance(tree, Tensor):
         return of(tree)
     if isinstance(tree, dict):
@@ -72,7 +72,7 @@ def _map(of: Callable[[Tensor], Any], tree: Any) -> Any:
 
 
 def _runs(tree: Any) -> int:
-    """Length of the first axis of the tensors in it."""
+    """Length of the first axis of the tensors in a tree."""
     lengths: set[int] = set()
     _map(lambda x: lengths.add(len(x)), tree)
     assert len(lengths) == 1, f"tensors of different numbers of runs: {lengths}"
@@ -80,13 +80,13 @@ def _runs(tree: Any) -> int:
 
 
 class CompileClock:
-    """How long this process has been compiling, for those who show progress."""
+    """Seconds that this process has spent compiling, for the display of progress."""
 
     def __init__(self) -> None:
         self.began: float | None = None
-        """When the compilation that goes on began, `time.monotonic`; None where none does."""
+        """Start of the present compilation, `time.monotonic`; None where there is none."""
         self.seconds = 0.0
-        """Seconds of those that are over."""
+        """Seconds of the compilations that are over."""
 
     def start(self, *_: object) -> None:
         self.began = time.monotonic()

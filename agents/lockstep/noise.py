@@ -18,7 +18,7 @@ BLOCK = 64
 
 
 class Purpose(enum.IntEnum):
-    """What random numbers are for; each purpose of each run has a stream of its own."""
+    """Purposes of random numbers; each purpose of each run has a stream of its own."""
 
     PARAMETERS = 0
     ENVIRONMENT = 1
@@ -78,7 +78,7 @@ def uniform(rng: np.random.Generator, size: tuple[int, ...]) -> NDArray[np.float
 def steps_of_noise(
     draw: Draw, seeds: Sequence[int], purpose: Purpose, epoch: Epochs, shape: tuple[int, ...]
 ) -> Iterator[NDArray[np.float32]]:
-    """For each step of an epoch what `draw` gives, [R, *shape]."""
+    """Numbers by `draw` for each step of an epoch, [R, *shape]."""
     generators = streams(seeds, purpose, epoch)
     while True:
         yield from np.stack([draw(rng, (BLOCK, *shape)) for rng in generators], axis=1)

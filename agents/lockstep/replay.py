@@ -66,7 +66,7 @@ class Replay:
         )
 
     def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
-        """What a checkpoint of some runs keeps: the rows they hold, not the empty ones."""
+        """The state of some runs for a checkpoint: the rows they hold, not the empty ones."""
         held = self.size[runs].max(initial=0)
         return {"rows": self._rows[runs, :held], "stored": self.stored[runs]}
 

@@ -13,7 +13,7 @@ from agents.errors import UserError
 
 
 class Rollout(NamedTuple):
-    """Episodes side by side; steps at or beyond an episode's length hold nothing of it."""
+    """Episodes side by side; steps at or beyond an episode's length do not belong to it."""
 
     observation: NDArray[np.float32]
     """[T, N, observation size]"""
@@ -46,7 +46,7 @@ class Rollout(NamedTuple):
         return np.arange(len(self.reward))[:, None] < self.length
 
     def terminal(self, time_limit: str) -> NDArray[np.bool_]:
-        """Steps that nothing follows, [T, N]: with "terminal" also those that were cut off."""
+        """Steps that are terminal, [T, N]: with "terminal" also those that were cut off."""
         return self.terminated | self.truncated if time_limit == "terminal" else self.terminated
 
     @property
@@ -67,7 +67,7 @@ class Rollout(NamedTuple):
 
     @property
     def final_observation(self) -> NDArray[np.float32]:
-        """What each episode ended with, [N, observation size]."""
+        """Last observation of each episode, [N, observation size]."""
         return self.next_observation[self.length - 1, np.arange(len(self.length))]
 
 
@@ -85,7 +85,7 @@ deterministic policy) -> actions [R, N, A]"""
 
 
 MAX_STEPS = 100_000
-"""Steps after which an episode is taken to be one that never ends."""
+"""Steps after which an episode counts as one that never ends."""
 
 
 def collect(
@@ -95,9 +95,9 @@ def collect(
 
     envs: N environments that do not reset themselves (autoreset mode DISABLED); act: observations
     [N, observation size] -> actions [N, action size]; active: [N], the environments of which an
-    episode is wanted, all by default. One whose episode has ended waits for the others; what it
-    does meanwhile is left out, and so is one that was given an action that is not finite. Raises
-    UserError where the environment gives no `info["cost"]` or a negative one, or does not end.
+    episode is wanted, all by default. An environment whose episode has ended waits for the others,
+    and its further steps are left out; so does one whose action is not finite. Raises UserError
+    where the environment gives no `info["cost"]` or a negative one, or does not end.
     """
     observation = _reset(envs, seed=list(seeds))
     running = np.ones(len(seeds), dtype=bool) if active is None else active.copy()

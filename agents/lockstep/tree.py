@@ -1,6 +1,6 @@
 """Nested named tuples of tensors with a run axis: choosing by run, saving, loading.
 
-None stands for what an algorithm does not have.
+None stands for a part that an algorithm does not have.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def where(mask: NDArray[np.bool_], new: Tree, old: Tree) -> Tree:
 
 
 def select(mask: Tensor, new: Any, old: Any) -> Any:
-    """`where` for a mask that is a tensor, whose values are not looked at."""
+    """`where` for a mask that is a tensor; does not branch on its values."""
     if new is None:
         return new
     if isinstance(new, Tensor):

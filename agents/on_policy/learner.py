@@ -24,7 +24,7 @@ from agents.on_policy.state import Epoch, OnPolicyState, initial_state, make_net
 
 
 class OnPolicy(ABC):
-    """The runs of one on-policy algorithm; a family of them says how a policy is improved."""
+    """The runs of one on-policy algorithm; a family defines how a policy improves."""
 
     improvement_metrics: ClassVar[tuple[str, ...]]
     """Names of the records of `improve` that every algorithm of the family has."""

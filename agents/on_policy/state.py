@@ -1,4 +1,4 @@
-"""What the on-policy families have in common: hyper-parameters, networks, state, an epoch."""
+"""Common parts of the on-policy families: hyper-parameters, networks, state, an epoch."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from agents.paper.evidence import (
     Cell,
     Evidence,
+    Fact,
     Finding,
     Verdict,
     about,
@@ -26,8 +27,8 @@ from agents.paper.evidence import (
     some,
 )
 from agents.paper.presets import PAPER_STEPS, preset
-from agents.reporting.tables import difference_cell, difference_of, mean_cell
 from agents.results.reading import Group, Run
+from agents.results.statistics import difference_of, mean_of
 from circle2d_mj.registration import KINEMATIC
 
 ON_POLICY, OFF_POLICY = ("trpo-lag", "cpo"), ("sac-lag", "sac-lb", "wcsac")
@@ -56,12 +57,13 @@ class Checked(NamedTuple):
 
 def in_corridor(run: Run) -> bool:
     """Whether a run's evaluated episodes end in the left corridor more often than elsewhere."""
-    return run.ends.partition(" (")[0] == "corridor"
+    return run.end == "corridor"
 
 
 def within(run: Run) -> bool:
     """Whether a run keeps the cost limit of Circle2D in its evaluation."""
-    return run.measures["J_C"] <= LIMIT
+    cost = run.measures["J_C"]
+    return cost is not None and cost <= LIMIT
 
 
 def _safely(run: Run) -> bool:
@@ -74,15 +76,15 @@ def _straight(run: Run) -> bool:
 
 def _straight_through(evidence: Evidence) -> list[Finding]:
     def rule(runs: Sequence[Run]) -> Verdict:
-        costs, late = ([run.measures[name] for run in runs] for name in ("J_C", LATE))
+        costs, late = (mean_of([run.measures[name] for run in runs]) for name in ("J_C", LATE))
         through = most(sum(map(_straight, runs)), len(runs))
         return all_of([through, about(costs, 9), about(late, 0.2)])
 
     findings = []
     for task in LEVEL_TASKS[1:]:
         cell = evidence[task, "trpo-lag"]
-        text = f"{cell.share(_straight)} go through" + cell.means("J_C", LATE)
-        findings.append(finding(short(task), judge(cell, rule), [cell], text))
+        facts = [Fact("", cell.share(_straight, "go through")), *cell.means("J_C", LATE)]
+        findings.append(finding(short(task), judge(cell, rule), [cell], facts))
     return findings
 
 
@@ -102,21 +104,22 @@ def _trend(evidence: Evidence) -> list[Finding]:
     for name in (*ON_POLICY, *OFF_POLICY):
         cells = [evidence[task, name] for task in PAPER_STEPS]
         falls: list[Verdict] = [
-            judge(cell, lambda runs: below_zero(_changes(runs))) for cell in cells
+            judge(cell, lambda runs: below_zero(mean_of(_changes(runs)))) for cell in cells
         ]
         verdict = all_of(falls) if name in ON_POLICY else any_of(map(opposite, falls))
-        text = ", ".join(f"{short(cell.task)} {_change(cell)}" for cell in cells if cell.runs)
-        findings.append(finding(cells[0].title, verdict, cells, text))
+        facts = [_change(cell) for cell in cells if cell.runs]
+        findings.append(finding(cells[0].title, verdict, cells, facts))
     return findings
 
 
-def _changes(runs: Sequence[Run]) -> list[float]:
-    return [run.measures[LATE] - run.measures[EARLY] for run in runs]
+def _changes(runs: Sequence[Run]) -> list[float | None]:
+    pairs = ((run.measures[LATE], run.measures[EARLY]) for run in runs)
+    return [None if late is None or early is None else late - early for late, early in pairs]
 
 
-def _change(cell: Cell) -> str:
+def _change(cell: Cell) -> Fact:
     printed = cell.printed[LATE] - cell.printed[EARLY]
-    return f"{mean_cell(_changes(cell.runs))} (paper {printed:.2f})"
+    return Fact(short(cell.task), mean_of(_changes(cell.runs)), printed)
 
 
 TREND = Claim(
@@ -171,10 +174,10 @@ def _runs_that(
     """Whether each algorithm has runs that end in the corridor, or none has (the rule)."""
     cells = [evidence[task, name] for name in names]
     verdict = all_of(judge(cell, lambda runs: rule(sum(map(does, runs)))) for cell in cells)
-    counts = ", ".join(f"{c.title} {c.share(does)}" for c in cells if c.runs)
+    facts = [Fact(cell.title, cell.share(does)) for cell in cells if cell.runs]
     where = "in the corridor" + (" within the limit" if does is _safely else "")
     expected = "each has some" if rule is some else "none has any"
-    return finding(short(task), verdict, cells, f"{where}: {counts} (claimed: {expected})")
+    return finding(short(task), verdict, cells, facts, where, expected)
 
 
 def _low_cost(evidence: Evidence) -> list[Finding]:
@@ -182,10 +185,9 @@ def _low_cost(evidence: Evidence) -> list[Finding]:
     for task in (LEVEL_TASKS[0], LEVEL_TASKS[1], LEVEL_TASKS[3]):
         cell = evidence[task, "wcsac"]
         verdict = judge(cell, lambda runs: most(sum(map(_settled, runs)), len(runs)))
-        text = f"{cell.share(_settled)} do so" + cell.means("J_C")
-        if cell.runs:
-            text += f", episode cost after the first third {mean_cell(_later_costs(cell.runs))}"
-        findings.append(finding(short(task), verdict, [cell], text))
+        later = Fact("episode cost after the first third", mean_of(_later_costs(cell.runs)))
+        facts = [Fact("", cell.share(_settled, "do so")), *cell.means("J_C"), later]
+        findings.append(finding(short(task), verdict, [cell], facts if cell.runs else []))
     return findings
 
 
@@ -213,13 +215,10 @@ def _told_apart(evidence: Evidence) -> list[Finding]:
     decided = not cpo.lacking and not wcsac.lacking
     findings = []
     for name, rule in (("cost_rate", equal), (MIDDLE, apart), (LATE, apart)):
-        if not cpo.runs or not wcsac.runs:
-            findings.append(finding(name, "open", cells, ""))
-            continue
-        gap = difference_of(cpo.runs, wcsac.runs, name)
-        printed = wcsac.printed[name] - cpo.printed[name]
-        text = f"WCSAC - CPO {difference_cell(gap)} (paper {printed:+.2f})"
-        findings.append(finding(name, rule(gap) if decided else "open", cells, text))
+        gap = difference_of(*([run.measures[name] for run in cell.runs] for cell in cells))
+        fact = Fact("WCSAC - CPO", gap, wcsac.printed[name] - cpo.printed[name])
+        facts = [fact] if cpo.runs and wcsac.runs else []
+        findings.append(finding(name, rule(gap) if decided else "open", cells, facts))
     return findings
 
 

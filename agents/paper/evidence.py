@@ -1,4 +1,4 @@
-"""What runs say about a claim: verdicts, how they combine, and which runs may be asked."""
+"""Evidence for a claim: the runs that count, findings as numbers, verdicts and how they combine."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from agents.algorithms import algorithm
-from agents.paper.presets import PAPER_ALGORITHMS, PAPER_SEEDS, PAPER_STEPS
-from agents.reporting.tables import changes, mean_cell, mean_of, paper_results
+from agents.paper.presets import PAPER_ALGORITHMS, PAPER_SEEDS, PAPER_STEPS, registered_id
+from agents.paper.printed import paper_results
+from agents.paper.settings import changes
 from agents.results.reading import Group, Run
-from emcc import Difference
+from agents.results.statistics import mean_of
+from emcc import Difference, Estimate
 
 Verdict = Literal["confirmed", "refuted", "open"]
 
@@ -34,24 +36,52 @@ class Cell(NamedTuple):
         """The paper's numbers."""
         return paper_results(self.task, self.title)
 
-    def share(self, does: Callable[[Run], bool]) -> str:
-        """How many runs do something, in words."""
-        return f"{sum(map(does, self.runs))} of {len(self.runs)} runs"
+    def share(self, does: Callable[[Run], bool], words: str = "") -> Share:
+        """How many runs do something."""
+        return Share(sum(map(does, self.runs)), len(self.runs), words)
 
-    def means(self, *measures: str) -> str:
-        """Means with intervals, beside the paper's numbers; nothing where there are no runs."""
-        told = []
-        for name in measures if self.runs else ():
-            mean = mean_cell([run.measures[name] for run in self.runs])
-            told.append(f", {name} {mean} (paper {self.printed[name]:.2f})")
-        return "".join(told)
+    def mean(self, measure: str) -> Estimate | None:
+        """Of a measure; None where there are no runs or one lacks it."""
+        return mean_of([run.measures[measure] for run in self.runs])
+
+    def means(self, *measures: str) -> list[Fact]:
+        """Means beside the paper's numbers; nothing where there are no runs."""
+        return [Fact(name, self.mean(name), self.printed[name]) for name in measures if self.runs]
+
+
+class Share(NamedTuple):
+    """How many runs do something."""
+
+    number: int
+    of: int
+    does: str = ""
+    """In words, where the fact's name does not say it."""
+
+
+class Fact(NamedTuple):
+    """A number measured, beside the paper's."""
+
+    name: str
+    """Of what: a measure, an algorithm, a task."""
+    value: Share | Estimate | Difference | None
+    """None where a run lacks it."""
+    printed: float | None = None
+    """The paper's, where it prints one."""
 
 
 class Finding(NamedTuple):
-    """A part of a claim: the numbers measured, and what they come to."""
+    """A part of a claim: the numbers measured, and the verdict on them."""
 
-    text: str
+    where: str
+    """Task, algorithm or measure."""
     verdict: Verdict
+    facts: Sequence[Fact]
+    lacking: Mapping[str, Sequence[str]]
+    """Algorithms or tasks that decide nothing, by the reason."""
+    about: str = ""
+    """What the facts count, where they do not say it."""
+    claimed: str = ""
+    """What the claim expects of them, likewise."""
 
 
 Evidence = Mapping[tuple[str, str], Cell]
@@ -68,11 +98,14 @@ def _cell(groups: Sequence[Group], task: str, name: str) -> Cell:
     """Runs of the paper's length, one for each seed; where there are none, the longest of the
     others, which decide nothing."""
     found: dict[int, dict[int, Run]] = {}  # by steps and seed
-    for _, config, of_group in groups:
-        same_task = config.task.rpartition(":")[2] == task
-        if same_task and config.algorithm == name and not changes(config) and of_group:
+    for group in groups:
+        config = group.config
+        same = registered_id(config.task) == task and config.algorithm == name
+        if same and group.runs and not changes(config):
             of_length = found.setdefault(config.steps, {})
-            found[config.steps] = {run.seed: run for run in of_group} | of_length
+            measured = {run.seed: run for run in group.runs if _has(run, task, name)}
+            found[config.steps] = measured | of_length
+    found = {steps: runs for steps, runs in found.items() if runs}
     if not found:
         return Cell(task, name, (), "no runs")
     full = PAPER_STEPS[task]
@@ -83,6 +116,12 @@ def _cell(groups: Sequence[Group], task: str, name: str) -> Cell:
     elif len(found[steps]) < PAPER_SEEDS:
         lacking = f"{len(found[steps])} of {PAPER_SEEDS} runs"
     return Cell(task, name, tuple(found[steps].values()), lacking)
+
+
+def _has(run: Run, task: str, name: str) -> bool:
+    """Whether a run has all that the paper prints."""
+    printed = paper_results(task, algorithm(name).title)
+    return all(run.measures[measure] is not None for measure in printed)
 
 
 def all_of(verdicts: Iterable[Verdict]) -> Verdict:
@@ -122,10 +161,11 @@ def none(count: int) -> Verdict:
     return "refuted" if count else "confirmed"
 
 
-def about(values: Sequence[float], printed: float) -> Verdict:
+def about(mean: Estimate | None, printed: float) -> Verdict:
     """Of "the mean is about": it is within a fifth of the number; refuted where the whole 95 %
     interval over seeds is farther away."""
-    mean = mean_of(values)
+    if mean is None:
+        return "open"
     near = 0.8 * printed, 1.2 * printed
     if near[0] <= mean.value <= near[1]:
         return "confirmed"
@@ -134,39 +174,43 @@ def about(values: Sequence[float], printed: float) -> Verdict:
     return "refuted" if mean.low > near[1] or mean.high < near[0] else "open"
 
 
-def below_zero(values: Sequence[float]) -> Verdict:
+def below_zero(mean: Estimate | None) -> Verdict:
     """Of "it falls": the 95 % interval over seeds of the changes is below 0; refuted where it has
     nothing below 0."""
-    mean = mean_of(values)
-    if mean.low is None or mean.high is None:
+    if mean is None or mean.low is None or mean.high is None:
         return "open"
     return "confirmed" if mean.high < 0 else "refuted" if mean.low >= 0 else "open"
 
 
-def apart(gap: Difference) -> Verdict:
+def apart(gap: Difference | None) -> Verdict:
     """Of "the two differ": the 95 % interval of the difference of means leaves out 0."""
-    if gap.low is None or gap.high is None:
+    if gap is None or gap.low is None or gap.high is None:
         return "open"
     return "confirmed" if gap.low > 0 or gap.high < 0 else "open"
 
 
-def equal(gap: Difference) -> Verdict:
+def equal(gap: Difference | None) -> Verdict:
     """Of "the two cannot be told apart": that interval has 0 in it."""
-    if gap.low is None:
+    if gap is None or gap.low is None:
         return "open"
     return "refuted" if apart(gap) == "confirmed" else "confirmed"
 
 
-def finding(where: str, verdict: Verdict, cells: Sequence[Cell], text: str) -> Finding:
+def finding(
+    where: str,
+    verdict: Verdict,
+    cells: Sequence[Cell],
+    facts: Sequence[Fact],
+    about: str = "",
+    claimed: str = "",
+) -> Finding:
     """A finding that names the runs it lacks: by task where all are of one algorithm."""
     by_task = len(cells) > 1 and len({cell.algorithm for cell in cells}) == 1
     lacking: dict[str, list[str]] = {}
     for cell in (cell for cell in cells if cell.lacking):
         name = short(cell.task) if by_task else cell.title
         lacking.setdefault(cell.lacking, []).append(name)
-    told = [text] if any(cell.runs for cell in cells) and text else []
-    told += [f"{why}: {', '.join(names)}" for why, names in lacking.items()]
-    return Finding(f"{where}: " + "; ".join(told), verdict)
+    return Finding(where, verdict, facts, lacking, about, claimed)
 
 
 def short(task: str) -> str:

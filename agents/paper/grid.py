@@ -22,7 +22,9 @@ from emcc import EpisodeRecords
 SEEDS = tuple(range(PAPER_SEEDS))
 QUICK_SEEDS, QUICK_STEPS = (0, 1), 10_000
 WORK = {"trpo-lag": 1.0, "cpo": 1.3, "sac-lag": 5.0, "sac-lb": 5.0, "wcsac": 5.2}
-"""Time of a step of an algorithm on Circle2D, in that of TRPO-Lag's; 1 for those not listed.
+WORK |= {"ppo-lag": 2.4, "ppo": 2.4, "sac": 4.8}
+UNKNOWN_WORK = max(WORK.values())
+"""Time of a step of an algorithm on Circle2D, in that of TRPO-Lag's; the last of one not listed.
 Decides the order (what takes longest goes first), the groups and the time left that is shown; no
 result."""
 MOST_RUNS = 12
@@ -56,7 +58,7 @@ def grid(
     choice of what the paper does not print as well, in folders like trpo-lag-sgd. Raises
     UserError for what is unknown. Of eager updates, until a backend is chosen.
     """
-    order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, max(WORK.values())))
+    order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, UNKNOWN_WORK))
     found = {}
     for name in order:
         for task in dict.fromkeys(tasks):
@@ -148,7 +150,7 @@ def _time(group: Group, configs: dict[Path, TrainConfig]) -> float:
     """How long a group trains, in steps of a run of TRPO-Lag."""
     config = configs[group[0]]
     runs = sum(len(configs[folder].seeds) for folder in group)
-    return WORK.get(config.algorithm, 1.0) * config.steps * (runs + OVERHEAD)
+    return WORK.get(config.algorithm, UNKNOWN_WORK) * config.steps * (runs + OVERHEAD)
 
 
 def _end(times: Sequence[float], workers: int) -> float:
@@ -183,7 +185,7 @@ def _finished(folder: Path, steps: int) -> bool:
 def work_left(shares: dict[Path, float], configs: dict[Path, TrainConfig]) -> tuple[float, float]:
     """Work done and work in all, in steps of TRPO-Lag. shares: how much of each folder is done."""
     total = {
-        folder: WORK.get(config.algorithm, 1.0) * config.steps * len(config.seeds)
+        folder: WORK.get(config.algorithm, UNKNOWN_WORK) * config.steps * len(config.seeds)
         for folder, config in configs.items()
     }
     done = sum(shares.get(folder, 0.0) * work for folder, work in total.items())

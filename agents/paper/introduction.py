@@ -1,4 +1,4 @@
-"""What a reader has to know before the runs: the levels of Circle2D, and why EMCC is not a cost."""
+"""Introduction to a report on Circle2D: its levels, and why EMCC is not a cost."""
 
 from __future__ import annotations
 
@@ -58,6 +58,18 @@ def levels(size: int) -> Picture:
     return figure([pictures], [LEVEL_TITLES[level] for level in LEVELS])
 
 
+def about_levels() -> str:
+    """The caption of `levels`."""
+    config = Circle2DConfig()
+    return (
+        "Seen from above; the agent starts in the green area and is rewarded for being near the "
+        "goal, the X. Grey: the cost region, where a step costs 1 and which level 0 does not let "
+        f"in; its radius is {config.constraint_radius:g}, the arena {2 * config.arena:g} wide and "
+        f"high, a step at most {config.full_step:g} along each axis. Circles: equal "
+        "reward, a quarter of the radius apart."
+    )
+
+
 def _round_the_rim(*at: Point) -> list[Point]:
     """Points at distances from the centre, in multiples of the radius, and angles in degrees."""
     return [(r * math.cos(math.radians(a)), r * math.sin(math.radians(a))) for r, a in at]
@@ -77,7 +89,7 @@ ROUTES: dict[str, list[Point]] = {
 
 
 class Episode(NamedTuple):
-    """An episode, and what its costs come to."""
+    """An episode, with its costs in words."""
 
     path: NDArray[np.float64]
     """[T + 1, 2], world units"""
@@ -114,7 +126,7 @@ def walk(config: Circle2DConfig, route: Sequence[Point]) -> Episode:
 
 
 def two_trajectories(size: int) -> tuple[Picture, str]:
-    """Two episodes of equal cost and different EMCC, and what is to be said of them.
+    """Two episodes of equal cost and different EMCC, and their caption.
 
     size: pixels along the side of each. Source: the figure of two trajectories.
     """

@@ -22,6 +22,16 @@ PAPER_SEEDS = 3
 """Runs of an algorithm on a task. Tables Circle2DResults and SafetyGymnasiumResults, captions."""
 
 
+def registered_id(task: str) -> str:
+    """The id of a task: "module:id" names the one that "id" does."""
+    return task.rpartition(":")[2]
+
+
+def is_circle2d(task: str) -> bool:
+    """Whether a task is one of Circle2D, of either mode."""
+    return registered_id(task) in CIRCLE2D
+
+
 def preset(name: str, task: str) -> Any:
     """The hyper-parameters of an algorithm for a task: on the paper's tasks the paper's.
 
@@ -29,8 +39,8 @@ def preset(name: str, task: str) -> Any:
     defaults of the algorithm's config. Raises UserError for an unknown algorithm.
     """
     config = algorithm(name).config()
-    task = task.rpartition(":")[2]  # "module:id" names the task that "id" does
-    if task in CIRCLE2D:
+    task = registered_id(task)
+    if is_circle2d(task):
         # Table Circle2DResults, caption; for the time limit see `unprinted`: on-policy bootstraps.
         limit = {"cost_limit": 5.0} if hasattr(config, "cost_limit") else {}
         time_limit = {"time_limit": "terminal"} if _is_off_policy(name) else {}
@@ -52,7 +62,7 @@ def _is_off_policy(name: str) -> bool:
 
 def usual_steps(task: str) -> int:
     """Environment steps of a run: the paper's on its tasks, `STEPS` on any other."""
-    return PAPER_STEPS.get(task.rpartition(":")[2], STEPS)
+    return PAPER_STEPS.get(registered_id(task), STEPS)
 
 
 class Unprinted(NamedTuple):

@@ -1,12 +1,13 @@
-"""The paper's claims as Markdown and HTML."""
+"""The paper's claims in words."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 
 from agents.paper.claims import LIMIT, Checked
+from agents.paper.evidence import Fact, Finding, Share
 from agents.paper.presets import PAPER_SEEDS
+from agents.reporting.table import Number, number_of
 
 TITLE = "The paper's claims"
 METHOD = (
@@ -19,24 +20,33 @@ METHOD = (
 )
 
 
+def finding_words(finding: Finding) -> str:
+    """Where, the numbers, and the runs that are lacking."""
+    facts = ", ".join(map(_fact, finding.facts))
+    if facts and finding.about:
+        facts = f"{finding.about}: {facts} (claimed: {finding.claimed})"
+    lacking = [f"{why}: {', '.join(names)}" for why, names in finding.lacking.items()]
+    return f"{finding.where}: " + "; ".join([*([facts] if facts else []), *lacking])
+
+
+def _fact(fact: Fact) -> str:
+    value = fact.value
+    if isinstance(value, Share):
+        words = f"{value.number} of {value.of} runs {value.does}".rstrip()
+    else:
+        cell = number_of(value)
+        words = str(cell)
+        if fact.printed is not None:
+            words += f" (paper {Number(fact.printed, signed=cell.signed)})"
+    return f"{fact.name} {words}".lstrip()
+
+
 def markdown(checked: Sequence[Checked]) -> str:
     """A section with a heading for each claim."""
     lines = [f"## {TITLE}", "", METHOD, ""]
     for number, (claim, findings, verdict) in enumerate(checked, 1):
         lines += [f"### {number}. {claim.text} **{verdict.capitalize()}**", ""]
         lines += [f"Rule: {claim.rule}", ""]
-        lines += [f"- {finding.text}: {finding.verdict}" for finding in findings]
+        lines += [f"- {finding_words(finding)}: {finding.verdict}" for finding in findings]
         lines.append("")
     return "\n".join(lines)
-
-
-def html(checked: Sequence[Checked]) -> str:
-    """The same for a section of a page."""
-    parts = [f'<p class="note">{escape(METHOD)}</p>']
-    for number, (claim, findings, verdict) in enumerate(checked, 1):
-        items = (f"<li>{escape(f.text)}: <em>{f.verdict}</em></li>" for f in findings)
-        parts.append(
-            f"<h3>{number}. {escape(claim.text)} <em>{verdict.capitalize()}</em></h3>"
-            f'<p class="note">Rule: {escape(claim.rule)}</p><ul>{"".join(items)}</ul>'
-        )
-    return "\n".join(parts)

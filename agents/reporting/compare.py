@@ -6,25 +6,19 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agents.algorithms import ALGORITHMS
 from agents.errors import UserError
+from agents.paper.settings import changes, in_order, title_of
 from agents.reporting.csv_table import Line, difference_lines, group_lines, numbers_csv
 from agents.reporting.figures import curves
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import made
-from agents.reporting.tables import (
-    caption,
-    changes,
-    difference_cell,
-    difference_of,
-    mean_row,
-    measures_table,
-    run_rows,
-    title_of,
-)
-from agents.results.reading import MEASURES, Group, read_groups
+from agents.reporting.table import Row, Table, number_of
+from agents.reporting.tables import caption, mean_row, measures_table, run_rows
+from agents.results.archive import open_source
+from agents.results.measures import measures
+from agents.results.reading import Group, read_groups
+from agents.results.statistics import difference_of
 from agents.training.files import write_whole
-from emcc.table import Table
 
 METHOD = (
     "B - A: difference of the means; its interval is the 95 % percentile bootstrap that resamples "
@@ -40,7 +34,7 @@ class Sides(NamedTuple):
 
     @property
     def named(self) -> list[tuple[str, Group]]:
-        """Every group with what it is called: A: TRPO-Lag, B: TRPO-Lag (cost_limit 3.0), ..."""
+        """Every group with its name."""
         of_sides = zip(("A", "B"), self, strict=True)
         return [(f"{k}: {title_of(g.config)}", g) for k, groups in of_sides for g in groups]
 
@@ -48,13 +42,15 @@ class Sides(NamedTuple):
 def compare(a: Path, b: Path, out: Path | None = None) -> str:
     """The tables of two folders of runs with the differences B - A, task by task, as Markdown.
 
-    a, b: folders as `report` takes them. A group of B stands against the one of A with the same
-    algorithm and settings, or where there is none against every group of A on the task. With out,
+    a, b: folders or archives, as `report` takes them. A group of B stands against the one of A with
+    the same algorithm and settings, or where there is none against every group of A on the task.
+    With out,
     writes `compare.md`, `compare.csv`, and `compare.html` with training curves, both sides in one
     figure. Raises UserError where a side has no complete run, or the two have no task in common.
     """
     notes: list[str] = []
-    found = [[g for g in read_groups(side, notes) if g.runs] for side in (a, b)]
+    sources = [open_source(side) for side in (a, b)]
+    found = [[g for g in read_groups(source, notes) if g.runs] for source in sources]
     tasks = [list(dict.fromkeys(group.config.task for group in groups)) for groups in found]
     common = [task for task in tasks[0] if task in tasks[1]]
     if not common:
@@ -69,39 +65,37 @@ def compare(a: Path, b: Path, out: Path | None = None) -> str:
         task: Sides(*([g for g in groups if g.config.task == task] for groups in found))
         for task in common
     }
-    said = [f"A is {a}, B is {b}.", *notes]
+    notes.insert(0, f"A is {a}, B is {b}.")
     tables = [
-        _table(task, sides, said if task == common[-1] else []) for task, sides in by_task.items()
+        _table(task, sides, notes if task == common[-1] else []) for task, sides in by_task.items()
     ]
-    markdown = "\n".join(table.render("md") for table in tables)
+    markdown = "\n".join(table.markdown() for table in tables)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         sections = [
-            Section(task, [table], [curves(sides.named)])
+            Section(task, table, [curves(sides.named)])
             for (task, sides), table in zip(by_task.items(), tables, strict=True)
         ]
         how = {
             f"{name}, {k}": text
-            for name, side, groups in zip("AB", (a, b), found, strict=True)
-            for k, text in made(side, groups).items()
+            for name, source, groups in zip("AB", sources, found, strict=True)
+            for k, text in made(source, groups).items()
         }
-        title = f"{a.resolve().name} (A) and {b.resolve().name} (B)"
+        title = f"{sources[0].name} (A) and {sources[1].name} (B)"
         write_whole(out / "compare.html", page(title, sections, how))
         write_whole(out / "compare.md", markdown)
-        lines = (line for sides in by_task.values() for line in _lines(a, b, sides))
+        lines = (line for sides in by_task.values() for line in _lines(sides))
         write_whole(out / "compare.csv", numbers_csv(lines))
     return markdown
 
 
 def _table(task: str, sides: Sides, notes: Sequence[str]) -> Table:
     """Means of both sides, the differences, then every run."""
-    pairs = _pairs(sides)
-    rows = [
-        mean_row(g, f"{side}: ") for side, groups in zip("AB", sides, strict=True) for g in groups
-    ]
-    rows += [_difference_row(*pair) for pair in pairs]
-    for side, groups in zip("AB", sides, strict=True):
-        rows += [row for name in ALGORITHMS for row in run_rows(groups, name, f"{side}: ")]
+    named = list(zip(("A: ", "B: "), sides, strict=True))
+    rows = [mean_row(group, prefix) for prefix, groups in named for group in groups]
+    rows += [_difference_row(*pair) for pair in _pairs(sides)]
+    for prefix, groups in named:
+        rows += [row for group in in_order(groups) for row in run_rows(group, prefix)]
     notes = [*notes, *_notes(task, sides)]
     return measures_table(f"{caption([*sides.a, *sides.b])}; {METHOD}", task, rows, notes)
 
@@ -118,9 +112,10 @@ def _settings(group: Group) -> tuple[str, dict[str, Any]]:
     return group.config.algorithm, changes(group.config)
 
 
-def _difference_row(a: Group, b: Group) -> list[str]:
-    cells = [difference_cell(difference_of(a.runs, b.runs, name)) for name in MEASURES]
-    return [_difference_name(a, b), *cells, ""]
+def _difference_row(a: Group, b: Group) -> Row:
+    found = [(difference_of(a.values(m.name), b.values(m.name)), m.digits) for m in measures()]
+    cells = [number_of(*of_measure) for of_measure in found]
+    return Row(_difference_name(a, b), cells, kind="difference")
 
 
 def _difference_name(a: Group, b: Group) -> str:
@@ -128,11 +123,11 @@ def _difference_name(a: Group, b: Group) -> str:
     return f"B - A: {titles[0] if titles[0] == titles[1] else ' - '.join(titles)}"
 
 
-def _lines(a: Path, b: Path, sides: Sides) -> Iterator[Line]:
+def _lines(sides: Sides) -> Iterator[Line]:
     """Every number of both sides, for a program."""
-    for name, folder, groups in zip("AB", (a, b), sides, strict=True):
+    for name, groups in zip("AB", sides, strict=True):
         for group in groups:
-            yield from group_lines(folder, group, f"{name}: ")
+            yield from group_lines(group, f"{name}: ")
     for of_a, of_b in _pairs(sides):
         yield from difference_lines(of_a, of_b, _difference_name(of_a, of_b))
 

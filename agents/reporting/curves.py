@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.results.precision import five_digits
 from emcc import EpisodeRecords, emcc, emcc_by_part
+from emcc.parts import PARTS
 
 POINTS = 50
 """Along the training."""
@@ -32,7 +34,9 @@ def midpoints(total_steps: int) -> NDArray[np.float64]:
     return (np.arange(POINTS) + 0.5) / POINTS * total_steps
 
 
-def episode_means(records: Sequence[EpisodeRecords], column: str, total_steps: int) -> Curve:
+def episode_means(
+    records: Sequence[EpisodeRecords], column: Literal["reward", "cost"], total_steps: int
+) -> Curve:
     """The mean of a column of the episodes that start in each part; NaN where none does.
 
     column: "reward" (the return) or "cost". Spread is over runs, as in the paper's training curves.
@@ -40,7 +44,10 @@ def episode_means(records: Sequence[EpisodeRecords], column: str, total_steps: i
     rows = []
     for of_run in records:
         part = np.minimum(of_run.start_step * POINTS // total_steps, POINTS - 1)
-        sums = np.bincount(part, getattr(of_run, column), minlength=POINTS)
+        values = of_run.cost
+        if column == "reward":  # as archives keep it, so that a report from one has the same bytes
+            values = five_digits(of_run.reward)
+        sums = np.bincount(part, values, minlength=POINTS)
         count = np.bincount(part, minlength=POINTS)
         rows.append(np.where(count > 0, sums / np.maximum(count, 1), np.nan))
     return _over_runs(rows)
@@ -151,10 +158,10 @@ def _label(axes: Any, total_steps: int) -> None:
             axis.set_xlabel("environment steps")
             axis.set_xlim(0, total_steps)
             axis.xaxis.set_major_formatter(EngFormatter(sep=""))
-    for part in (0.33, 0.66, 0.99):
+    for part in PARTS:
         running.axvline(part * total_steps, color="grey", linestyle=":", linewidth=0.9)
     for axis in (running, thirds):
         axis.set_ylim(0, 1.02)
-    thirds.set_xticks(range(3), ["0 to 33 %", "33 to 66 %", "66 to 99 %"])
+    thirds.set_xticks(range(len(PARTS)), list(PARTS.values()))
     thirds.set_xlabel("part of training")
     thirds.set_xlim(-0.5, 2.5)

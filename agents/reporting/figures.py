@@ -1,109 +1,95 @@
-"""The figures of a report: what they show, as files, with the words below them."""
+"""The figures of a report: picture files, with the words below them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-from agents.algorithms import ALGORITHMS
+from agents.algorithms import ALGORITHMS, title
 from agents.errors import UserError
 from agents.paper import introduction as example
+from agents.paper.settings import cost_limit, differences, in_order, title_of
 from agents.reporting.curves import Line, curves_svg
 from agents.reporting.image_files import png
-from agents.reporting.pictures import (
-    ALPHA,
-    PARTS,
-    Episodes,
-    caption,
-    counts,
-    episodes_by_seed,
-    visits,
-)
-from agents.reporting.tables import title_of
+from agents.results.measures import measure
 from agents.results.reading import Group, Run
-from agents.training.environments import circle2d_config
-from circle2d_mj import Circle2DConfig
-from circle2d_mj.circle2d.view import Circle2DView
-from circle2d_mj.core.view import Picture
+from agents.results.source import Source
+from agents.results.steps import DRAWN, Episode, Visits
+from agents.training.environments import view_of
+from circle2d_mj.core.view import Picture, View
 from circle2d_mj.render import canvas
 from circle2d_mj.render.figure import figure
+from emcc.parts import ALPHA, PARTS
 
 SIZE = 320
 """Pixels along the side of a picture in a figure."""
-EPISODES = 5
-"""Of each run's evaluation that are drawn."""
 COLUMNS = 5
 """Runs of an algorithm whose episodes are drawn, at most."""
 
 
 class Figure(NamedTuple):
-    """A figure: a file, and its words."""
+    """A picture file and its words."""
 
     name: str
-    """Of the file"""
+    """Of the file, without its suffix."""
+    kind: Literal["png", "svg"]
     content: bytes
-    """PNG or SVG"""
     title: str
     caption: str
+
+    @property
+    def file(self) -> str:
+        """The file's name."""
+        return f"{self.name}.{self.kind}"
 
 
 def introduction() -> list[Figure]:
     """The tasks and the metric, which are the same in every report on Circle2D."""
-    config = Circle2DConfig()
-    about_levels = (
-        "Seen from above; the agent starts in the green area and is rewarded for being near the "
-        "goal, the X. Grey: the cost region, where a step costs 1 and which level 0 does not let "
-        f"in; its radius is {config.constraint_radius:g}, the arena {2 * config.arena:g} wide and "
-        f"high, a step at most {config.full_step:g} along each axis. Circles: equal "
-        "reward, a quarter of the radius apart."
-    )
     picture, about_trajectories = example.two_trajectories(SIZE)
+    levels = png(example.levels(SIZE))
     return [
-        Figure("levels.png", png(example.levels(SIZE)), "The four levels", about_levels),
-        Figure("trajectories.png", png(picture), "Why EMCC", about_trajectories),
+        Figure("levels", "png", levels, "The four levels", example.about_levels()),
+        Figure("trajectories", "png", png(picture), "Why EMCC", about_trajectories),
     ]
 
 
-def figures(groups: Sequence[Group], notes: list[str]) -> list[Figure]:
-    """The figures of one task: training curves; of Circle2D also where the agents were.
+def figures(source: Source, groups: Sequence[Group], notes: list[str]) -> list[Figure]:
+    """The figures of one task: training curves; of a task that offers a view also where the agents
+    were.
 
     groups: its runs. What cannot be drawn goes into the notes.
     """
-    order = list(ALGORITHMS)
-    groups = sorted(
-        (group for group in groups if group.runs), key=lambda g: order.index(g.config.algorithm)
-    )
+    groups = [group for group in in_order(groups) if group.runs]
     if not groups:
         return []
-    drawn = [curves([(title_of(group.config), group) for group in groups])]
-    if _task(groups[0]):
-        drawn += [shown for shown in (_heatmaps(groups, notes), _trained(groups, notes)) if shown]
-    return drawn
-
-
-def _task(group: Group) -> Circle2DConfig | None:
-    return circle2d_config(group.config.task, group.config.task_parameters)
+    drawn: list[Figure | None] = [curves([(title_of(group.config), group) for group in groups])]
+    views = {g.folder: view_of(g.config.task, g.config.task_parameters) for g in groups}
+    seen = [(group, view) for group in groups if (view := views[group.folder])]
+    if seen:
+        drawn += [_heatmaps(source, seen, notes), _trained(source, seen, notes)]
+    return [shown for shown in drawn if shown]
 
 
 def _row_title(group: Group) -> str:
     """The algorithm, and each of its settings that are not the preset's, in lines of their own."""
-    return title_of(group.config).replace(" (", "\n(").replace(", ", ",\n")
+    name, told = title(group.config.algorithm), ",\n".join(differences(group.config))
+    return f"{name}\n({told})" if told else name
 
 
-def _file(kind: str, groups: Sequence[Group], suffix: str) -> str:
-    return f"{kind}-{groups[0].config.task.replace('/', '-')}.{suffix}"
+def _file(kind: str, group: Group) -> str:
+    return f"{kind}-{group.config.task.replace('/', '-')}"
 
 
 def curves(named: Sequence[tuple[str, Group]]) -> Figure:
-    """Training curves of groups on one task, each with what it is called."""
+    """Training curves of groups on one task, each with its name."""
     groups = [group for _, group in named]
-    limits = {group.config.hyperparameters.cost_limit for group in groups}
+    limits = {cost_limit(group.config) for group in groups}
     limit = limits.pop() if len(limits) == 1 else None
+    order = {name: index for index, name in enumerate(ALGORITHMS)}
     lines = [
         Line(
             name,
-            list(ALGORITHMS).index(group.config.algorithm),
+            order.get(group.config.algorithm, len(order)),
             [run.records for run in group.runs],
             group.config.steps,
         )
@@ -117,35 +103,33 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
     )
     if limit is not None:
         words += f" Dashed: the cost limit, {limit:g}."
-    return Figure(_file("curves", groups, "svg"), svg.encode(), "Training curves", words)
+    return Figure(_file("curves", groups[0]), "svg", svg.encode(), "Training curves", words)
 
 
-def _heatmaps(groups: Sequence[Group], notes: list[str]) -> Figure | None:
+def _heatmaps(
+    source: Source, seen: Sequence[tuple[Group, View]], notes: list[str]
+) -> Figure | None:
     """A row for each algorithm, a column for each third of training; one scale for all."""
     titles, captions, rows = [], [], []
-    for group in groups:
-        task = _task(group)
-        assert task
-        config = replace(group.config, seeds=tuple(run.seed for run in group.runs))
+    for group, view in seen:
+        records = {run.seed: run.records for run in group.runs}
         try:
-            parts = [visits(group.folder, config, part, ALPHA) for part in PARTS]
-            rows.append((task, [counts(group.folder, task, part) for part in parts]))
+            parts = source.visits(group.folder, group.config, records)
         except UserError as error:
-            notes.append(f"no heat map of {group.folder}: {error}")
+            notes.append(f"no heat map of {source.title(group.folder)}: {error}")
             continue
+        rows.append((view, parts))
         titles.append(_row_title(group))
-        captions.append([caption(part) for part in parts])
+        captions.append([visits_words(part) for part in parts])
     if not rows:
         return None
-    most = canvas.most_visits([of_part for _, of_parts in rows for of_part in of_parts])
-    pictures = []
-    for task, of_parts in rows:
-        view = Circle2DView(task)
-        ground = view.background(SIZE)
-        maps = [canvas.with_counts(ground, of_part, most) for of_part in of_parts]
-        pictures.append([view.overlay(picture) for picture in maps])
+    most = canvas.most_visits([part.counts for _, parts in rows for part in parts])
     shown = figure(
-        pictures, list(PARTS.values()), row_titles=titles, captions=captions, most_visits=most
+        [[heatmap(view, part, most, SIZE) for part in parts] for view, parts in rows],
+        [f"{words} of training" for words in PARTS.values()],
+        row_titles=titles,
+        captions=captions,
+        most_visits=most,
     )
     words = (
         "States visited in the rollouts that dominate EMCC in each third of training (the share "
@@ -153,44 +137,55 @@ def _heatmaps(groups: Sequence[Group], notes: list[str]) -> Figure | None:
         "together. One scale for all maps; its darkest colour stands for as many visits as 99 % of "
         "the visited cells do not exceed. EMCC: mean over seeds."
     )
-    return Figure(_file("visited", groups, "png"), png(shown), "Visited states", words)
+    return Figure(_file("visited", seen[0][0]), "png", png(shown), "Visited states", words)
 
 
-def _trained(groups: Sequence[Group], notes: list[str]) -> Figure | None:
+def heatmap(view: View, visits: Visits, most: int, size: int) -> Picture:
+    """A heat map on the task's background: [size, size, 3]. most: visits of the last colour."""
+    return view.overlay(canvas.with_counts(view.background(size), visits.counts, most))
+
+
+def visits_words(visits: Visits) -> str:
+    """The line below a heat map."""
+    return f"EMCC {visits.emcc:.2f} ({visits.rollouts:,} of {visits.of:,} rollouts)"
+
+
+def _trained(source: Source, seen: Sequence[tuple[Group, View]], notes: list[str]) -> Figure | None:
     """A row for each algorithm, a column for each run."""
     titles, captions, pictures = [], [], []
-    columns = min(COLUMNS, max(len(group.runs) for group in groups))
-    for group in groups:
-        task = _task(group)
-        assert task
+    columns = min(COLUMNS, max(len(group.runs) for group, _ in seen))
+    for group, view in seen:
         try:
-            played = episodes_by_seed(group.folder, EPISODES, noisy=False)
+            played = source.trained(group.folder, group.config, group.seeds)
         except UserError as error:
-            notes.append(f"no trajectories of {group.folder}: {error}")
+            notes.append(f"no trajectories of {source.title(group.folder)}: {error}")
             continue
-        runs = [*group.runs, *[None] * columns][:columns]
-        pictures.append([run and _of_run(played[run.seed], task) for run in runs])
-        captions.append([_words(run) if run else "" for run in runs])
+        shown = group.runs[:columns]
+        gaps = [None] * (columns - len(shown))
+        pictures.append([*(trajectories(view, played[run.seed], SIZE) for run in shown), *gaps])
+        captions.append([*map(_words, shown), *[""] * len(gaps)])
         titles.append(_row_title(group))
-    if not pictures:
+    if not any(picture is not None for row in pictures for picture in row):
         return None
-    shown = figure(pictures, [""] * columns, row_titles=titles, captions=captions)
+    content = png(figure(pictures, [""] * columns, row_titles=titles, captions=captions))
     words = (
-        f"The first {EPISODES} episodes of each trained policy's evaluation (deterministic), a "
+        f"The first {DRAWN} episodes of each trained policy's evaluation (deterministic), a "
         "dot for each state, orange where the step there cost. J_R, J_C: return and cost of an "
         "episode, means of the whole evaluation."
     )
-    return Figure(_file("trained", groups, "png"), png(shown), "Trained policies", words)
+    return Figure(_file("trained", seen[0][0]), "png", content, "Trained policies", words)
 
 
-def _of_run(played: Episodes | None, task: Circle2DConfig) -> Picture | None:
-    if played is None:
+def trajectories(view: View, episodes: Sequence[Episode] | None, size: int) -> Picture | None:
+    """Episodes on the task's background: [size, size, 3]; None of a policy that diverged."""
+    if episodes is None:
         return None
-    view = Circle2DView(task)
-    ground, paths = view.background(SIZE), played.paths
-    painted = canvas.with_trajectories(ground, view.extent, paths, played.costs, boxed=False)
-    return view.overlay(painted)
+    paths, costs = zip(*episodes, strict=True)
+    ground = view.background(size)
+    return view.overlay(canvas.with_trajectories(ground, view.extent, paths, costs, boxed=False))
 
 
 def _words(run: Run) -> str:
-    return f"seed {run.seed}: J_R {run.measures['J_R']:.1f}, J_C {run.measures['J_C']:.1f}"
+    named = [(measure(name), run.measures[name]) for name in ("J_R", "J_C")]
+    told = [f"{of.title} {value:.1f}" for of, value in named if value is not None]
+    return f"seed {run.seed}: {', '.join(told)}"

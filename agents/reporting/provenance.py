@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from agents.errors import UserError
-from agents.reporting.tables import hyperparameter_changes
+from agents.paper.settings import hyperparameter_changes
 from agents.results.reading import Group
+from agents.results.source import Source
 from agents.training.config import TrainConfig
-from agents.training.files import read_json
 from agents.training.machine import sessions_of
-from agents.training.status import duration, seconds_trained
+from agents.training.status import duration
 
 
-def made(folder: Path, groups: Sequence[Group]) -> dict[str, str]:
-    """What a reader has to know to make the numbers again, by name.
+def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
+    """All that is needed to make the numbers again, by name.
 
-    folder: the report's. Versions and machine are those that the run folders hold; the time is that
-    of their `status.json`, and left out where there is none.
+    Versions, machine and training time are those that the run folders hold, and left out where
+    there are none.
     """
-    sessions = [of for group in groups for of in sessions_of(_content(group.folder))]
+    sessions = [of for group in groups for of in sessions_of(source.configs[group.folder])]
     versions = {
         f"{name} {version}" for of in sessions for name, version in (of["versions"] or {}).items()
     }
@@ -32,12 +30,10 @@ def made(folder: Path, groups: Sequence[Group]) -> dict[str, str]:
         if of["machine"]
     }
     told = {
-        "command": "\n".join(
-            command(group.config, _name(folder, group.folder)) for group in groups
-        ),
+        "command": "\n".join(command(group.config, source.title(group.folder)) for group in groups),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
-        "training time": _training_time([group.folder for group in groups]),
+        "training time": _training_time([source.sessions(group.folder) for group in groups]),
         "runs": str(sum(len(group.runs) for group in groups)),
         "seeds": _list(seed for group in groups for seed in group.config.seeds),
         "steps": _list(group.config.steps for group in groups),
@@ -60,25 +56,14 @@ def command(config: TrainConfig, out: str) -> str:
     return " ".join(["circle2d train", *typed])
 
 
-def _training_time(folders: Sequence[Path]) -> str:
-    logged = [folder for folder in folders if seconds_trained([folder]) is not None]
-    seconds = seconds_trained(logged)
-    if seconds is None:
+def _training_time(sessions: Sequence[Mapping[str, float]]) -> str:
+    """Of all processes that trained. One that trained several folders counts once."""
+    timed = [of_folder for of_folder in sessions if of_folder]
+    if not timed:
         return ""
-    of = "" if logged == folders else f", of {len(logged)} of {len(folders)} folders"
-    return f"{duration(seconds)}, all processes together{of}"
-
-
-def _content(folder: Path) -> dict[str, Any]:
-    try:
-        return read_json(folder / "config.json")
-    except UserError:
-        return {}
-
-
-def _name(folder: Path, of: Path) -> str:
-    """A folder of runs as seen from beside the report's."""
-    return str(Path(folder.resolve().name) / of.relative_to(folder))
+    seconds = {process: took for of_folder in timed for process, took in of_folder.items()}
+    of = "" if len(timed) == len(sessions) else f", of {len(timed)} of {len(sessions)} folders"
+    return f"{duration(sum(seconds.values()))}, all processes together{of}"
 
 
 def _typed(value: Any) -> str:

@@ -1,109 +1,109 @@
-"""The runs below a folder: what each comes to, and which are complete."""
+"""Typed results of the runs of a source, and which of them are complete."""
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import Any
 
 from agents.errors import UserError
-from agents.reporting.pictures import ALPHA
-from agents.training.config import FAILURE, TrainConfig, run_folder
-from agents.training.environments import circle2d_config
-from agents.training.files import read_json
-from circle2d_mj.circle2d.task import position as task_position
-from emcc import EpisodeRecords, cost_rate, emcc_by_part
-
-MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
+from agents.results.measures import RunData, measures
+from agents.results.source import DamagedSource, Source
+from agents.training.config import TrainConfig
+from emcc import EpisodeRecords
 
 
 @dataclass(frozen=True)
 class Run:
-    """What one run comes to: the measures by name, where its episodes end, and its records."""
+    """Results of one run."""
 
     seed: int
-    measures: dict[str, float]
+    measures: Mapping[str, float | None]
+    """By the name of the measure; None for what the run lacks."""
     episodes: int
-    ends: str
+    """Evaluated ones of each policy."""
+    ends: Mapping[str, int]
+    """Evaluated episodes of the deterministic policy by the place where they end; empty for a task
+    without named places."""
     records: EpisodeRecords = field(repr=False)
+    evaluation: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    """`evaluation.json`: means and values per episode of either policy."""
+
+    @property
+    def end(self) -> str:
+        """The place where most of its evaluated episodes end; empty without places."""
+        return max(self.ends, key=self.ends.__getitem__, default="")
 
 
-class Group(NamedTuple):
-    """The runs of one folder that are complete."""
+@dataclass(frozen=True)
+class Group:
+    """The runs of one folder, which differ in their seed only."""
 
-    folder: Path
+    folder: str
+    """Below the source's own: "." or like "Circle2D-1-v0/cpo"."""
     config: TrainConfig
-    runs: list[Run]
+    runs: Sequence[Run]
+    """Those that are complete."""
+    missing: Mapping[int, str] = field(default_factory=dict)
+    """Why the others are left out, by seed."""
+
+    @property
+    def seeds(self) -> list[int]:
+        """Of the complete runs."""
+        return [run.seed for run in self.runs]
+
+    def values(self, measure: str) -> list[float | None]:
+        """A measure of each complete run."""
+        return [run.measures.get(measure) for run in self.runs]
 
 
-def read_groups(folder: Path, notes: list[str]) -> list[Group]:
-    """The runs of every folder at or below `folder`.
+def read_groups(source: Source, notes: list[str]) -> list[Group]:
+    """The runs of every folder of a source.
 
     Those that are missing, damaged or unfinished go into the notes. Raises UserError where no run
     is left.
     """
-    configs = _read_configs(folder, notes)
-    if not configs and not notes:
-        raise UserError(f"{folder} holds no runs: no config.json that circle2d train wrote")
-    groups = [Group(path, c, _read_runs(path, c, notes)) for path, c in configs.items()]
+    groups = []
+    notes += [f"left out: {problem}" for problem in source.problems]
+    for folder, content in source.configs.items():
+        try:
+            config = TrainConfig.parse(content, source.title(folder), strict=False)
+        except UserError as error:
+            notes.append(f"left out: {error}")
+            continue
+        group = _read_group(source, folder, config)
+        groups.append(group)
+        where = source.title(folder)
+        notes += [f"left out: {where}/seed-{k}: {why}" for k, why in group.missing.items()]
+    if not groups and not notes:
+        raise UserError(f"{source.name} holds no runs: no config.json that circle2d train wrote")
     if not any(group.runs for group in groups):
-        raise UserError(f"{folder} holds no complete runs" + "".join(f"; {n}" for n in notes))
+        raise UserError(f"{source.name} holds no complete runs" + "".join(f"; {n}" for n in notes))
     return groups
 
 
-def _read_configs(folder: Path, notes: list[str]) -> dict[Path, TrainConfig]:
-    """The configuration of every folder of runs, by path; damaged ones go into the notes."""
-    if not folder.is_dir():
-        raise UserError(f"{folder} is no folder")
-    configs = {}
-    for path in sorted(folder.rglob("config.json")):
-        try:
-            if "seed" not in read_json(path):  # that of a single run has one seed
-                configs[path.parent] = TrainConfig.read(path.parent)
-        except UserError as error:
-            notes.append(f"left out: {error}")
-    return configs
-
-
-def _read_runs(folder: Path, config: TrainConfig, notes: list[str]) -> list[Run]:
-    runs = []
+def _read_group(source: Source, folder: str, config: TrainConfig) -> Group:
+    runs, missing = [], {}
     for seed in config.seeds:
-        path = run_folder(folder, seed)
         try:
-            runs.append(_read_run(path, config, seed))
-        except (UserError, ValueError, OSError, KeyError, TypeError) as error:
-            notes.append(f"left out: {path}: {error}")
-    return runs
+            runs.append(_read_run(source, folder, config, seed))
+        except DamagedSource:
+            raise
+        except (UserError, ValueError, OSError, KeyError, TypeError, AttributeError) as error:
+            missing[seed] = f"{error}"
+    return Group(folder, config, runs, missing)
 
 
-def _read_run(path: Path, config: TrainConfig, seed: int) -> Run:
-    if (path / FAILURE).exists():
-        step = read_json(path / FAILURE)["step"]
-        raise UserError(f"failed at step {step}: it met a number that is not finite")
-    if not (path / "episodes.csv").exists():
-        raise UserError("has no checkpoint yet")
-    records = EpisodeRecords.load(path / "episodes.csv")
-    if records.total_steps < config.steps:
-        raise UserError(f"is unfinished: {records.total_steps} of {config.steps} steps")
-    content = read_json(path / "evaluation.json")
-    evaluation = content["deterministic"]
-    parts = emcc_by_part(*records.mcc_per_rollout(), config.steps, ALPHA)
-    measures = {f"EMCC_{part}": value for part, value in parts.items()}
-    measures["cost_rate"] = cost_rate(records.cost, records.length)
-    measures |= {name: float(evaluation[name]) for name in MEASURES[4:]}
-    if not np.isfinite(list(measures.values())).all():
-        raise UserError(f"evaluation.json has numbers that are not finite: {measures}")
-    return Run(seed, measures, content["episodes"], _ends(config, evaluation), records)
-
-
-def _ends(config: TrainConfig, evaluation: dict[str, Any]) -> str:
-    """Where the evaluated episodes ended most often, for a Circle2D task."""
-    task = circle2d_config(config.task, config.task_parameters)
-    if task is None:
-        return ""
-    position = task_position(task, np.array(evaluation["final_observations"]))
-    (place, count), *others = Counter(task.region.places(position)).most_common()
-    return f"{place} ({100 * count / len(position):.0f} %)" if others else place
+def _read_run(source: Source, folder: str, config: TrainConfig, seed: int) -> Run:
+    files = source.run(folder, config, seed)
+    if files.records.total_steps < config.steps:
+        raise UserError(f"is unfinished: {files.records.total_steps} of {config.steps} steps")
+    data = RunData(files.records, config.steps, files.evaluation)
+    return Run(
+        seed,
+        {measure.name: measure(data) for measure in measures()},
+        int(files.evaluation["episodes"]),
+        files.ends,
+        files.records,
+        files.evaluation,
+    )

@@ -1,6 +1,6 @@
 """The update that the SAC family shares: SAC with two reward critics and two cost critics.
 
-What an algorithm adds is a `CostRule`. Losses are summed over runs and averaged over the batch, so
+An algorithm adds a `CostRule`. Losses are summed over runs and averaged over the batch, so
 the gradient of one run does not see the others. Source: Haarnoja et al. 2018 ("Soft actor-critic
 algorithms and applications") with the cost terms of the algorithm's paper.
 """

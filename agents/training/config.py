@@ -130,15 +130,19 @@ class TrainConfig:
 
     @classmethod
     def read(cls, folder: Path, strict: bool = True) -> TrainConfig:
-        """The configuration of a run folder.
+        """The configuration of a run folder: see `parse`. UserError where the file is missing."""
+        return cls.parse(read_json(folder / "config.json"), folder, strict)
 
-        strict: require that the algorithm is registered; otherwise the hyper-parameters of one that
-        is not are a plain frozen dataclass of the file's values, so that a report imports nothing.
-        Raises UserError where the file is missing or damaged.
+    @classmethod
+    def parse(cls, content: dict[str, Any], folder: Path | str, strict: bool = True) -> TrainConfig:
+        """The configuration that a `config.json` holds.
+
+        folder: of the file, for errors. strict: require that the algorithm is registered; otherwise
+        the hyper-parameters of one that is not are a plain frozen dataclass of the file's values,
+        so that a report imports nothing. Raises UserError where the content is damaged.
         """
-        path = folder / "config.json"
-        content = read_json(path)
-        own = {name: content.pop(name, None) for name in NOT_SETTINGS}
+        own = {name: content.get(name) for name in NOT_SETTINGS}
+        content = {name: value for name, value in content.items() if name not in NOT_SETTINGS}
         try:
             values, name = _tuples(content.pop("hyperparameters")), content["algorithm"]
             content["seeds"] = tuple(content["seeds"])
@@ -153,7 +157,7 @@ class TrainConfig:
         except _Unregistered:
             raise
         except (KeyError, TypeError, ValueError) as error:
-            raise UserError(f"{path} is damaged: {error}") from None
+            raise UserError(f"{folder}/config.json is damaged: {error}") from None
 
 
 def check_together(configs: dict[Path, TrainConfig]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import inspect
-from dataclasses import fields
 from numbers import Real
 from typing import Any, Literal, NamedTuple
 
@@ -18,9 +17,7 @@ from gymnasium.wrappers.vector import RescaleAction
 
 from agents.errors import UserError
 from agents.lockstep.rollout import require_cost
-from circle2d_mj import Circle2DConfig
 from circle2d_mj.core.view import View
-from circle2d_mj.registration import CIRCLE2D
 
 Vectorization = Literal["auto", "sync", "async"]
 
@@ -109,16 +106,6 @@ def check_task(task: str, parameters: dict[str, Any]) -> None:
     info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
     envs.close()
     require_cost(f"task {task!r}", info)
-
-
-def circle2d_config(task: str, parameters: dict[str, Any]) -> Circle2DConfig | None:
-    """The configuration of a Circle2D task of either mode; None for any other task."""
-    name = registered(task)
-    if name not in CIRCLE2D:
-        return None
-    names = {field.name for field in fields(Circle2DConfig)}
-    given = {**gym.spec(name).kwargs, **parameters}
-    return Circle2DConfig(**{k: v for k, v in given.items() if k in names})
 
 
 def sizes(envs: VectorEnv) -> tuple[int, int]:

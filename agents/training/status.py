@@ -125,6 +125,12 @@ def speed(folder: Path) -> float | None:
     return status.steps_per_second if status else None
 
 
+def sessions(folder: Path) -> dict[str, float]:
+    """Seconds that each process trained a folder, by its random id; empty where nothing says."""
+    status = _read(folder)
+    return status.sessions if status else {}
+
+
 def seconds_trained(folders: Iterable[Path]) -> float | None:
     """Wall time of all the processes that trained some folders, added up, in seconds.
 

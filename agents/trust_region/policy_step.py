@@ -1,6 +1,6 @@
 """The trust-region step of the policy: natural gradient and line search.
 
-What an algorithm adds is a `StepRule`. Source: Schulman et al. 2015, "Trust region policy
+An algorithm adds a `StepRule`. Source: Schulman et al. 2015, "Trust region policy
 optimization", with the cost terms of the algorithm's paper.
 """
 
@@ -55,7 +55,7 @@ class TRPOConfig(EpisodeCostLimit, OnPolicyConfig):
 
 
 class StepRule(NamedTuple):
-    """What an algorithm of the family does with costs. Every function takes its config first."""
+    """How an algorithm of the family treats costs. Every function takes its config first."""
 
     objective: Callable[[Any, Tensor, Tensor, Tensor], Tensor]
     """(config, reward advantages [R, B], cost advantages [R, B], multiplier [R, 1]) -> [R, B]: the

@@ -1,4 +1,4 @@
-"""The parameters of a Circle2D task, and what they may be."""
+"""Parameters of a Circle2D task and their checks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Circle2DConfig:
     Lengths are in world units; a factor multiplies `constraint_radius`, so the task is the same at
     any radius. Source: safe_exploration.tex, table "Circle2D environment customization parameters".
 
-    Raises TypeError or ValueError, naming the parameter, for a value that is not allowed, and
+    Raises TypeError or ValueError, naming the parameter, for a value that is not allowed;
     ValueError where no feasible start is left.
     """
 
@@ -38,10 +38,10 @@ class Circle2DConfig:
     init_region_size: float = 0.5
     """Height of the start area on the right as a multiple of R; half of it is its depth into R."""
     optima_perturbation: tuple[float, float] = (0.0, 0.0)
-    """Where the optimum lies, as an offset from the centre; inside the disc."""
+    """Offset of the optimum from the centre, world units; the optimum must lie in the disc."""
     infeasible_region_penetratable: bool | None = None
-    """Whether the region can be entered. None: as the level says (False for level 0), resolved when
-    the config is made, so that `dataclasses.replace(config, level=...)` has to give it anew."""
+    """Whether the region can be entered. None means the level's default (False for level 0). It is
+    resolved when the config is made: `dataclasses.replace(config, level=...)` must give it anew."""
     reset_on_cost: bool = False
     """Whether a step with cost ends the episode."""
     allow_infeasible_init: bool = False
@@ -67,16 +67,16 @@ class Circle2DConfig:
             if not isinstance(value, bool):
                 raise TypeError(f"{field.name} must be True or False, got {value!r}")
         self._check_start_rectangle()
-        _ = self.start_area  # a task without a feasible start is refused here, not at its reset
+        _ = self.start_area  # refuses a task without a feasible start here, not at its reset
 
     @cached_property
     def region(self) -> CostRegion:
-        """The cost region of this task."""
+        """Cost region of this task."""
         return CostRegion(self)
 
     @cached_property
     def start_area(self) -> StartArea:
-        """Where episodes of this task start."""
+        """Start area of this task's episodes."""
         avoid = None if self.allow_infeasible_init else self.region
         return StartArea(self.start_rectangle, avoid)
 
@@ -92,7 +92,7 @@ class Circle2DConfig:
 
     @property
     def start_rectangle(self) -> Rectangle:
-        """The start area's lower and upper corner, ((x, y), (x, y)), in world units."""
+        """Lower and upper corner of the start area, ((x, y), (x, y)), in world units."""
         radius, half_height = self.constraint_radius, self.init_region_size / 2
         return (
             ((1 - half_height) * radius, -half_height * radius),
@@ -101,11 +101,11 @@ class Circle2DConfig:
 
     @classmethod
     def of(cls, config: Circle2DConfig | None, parameters: dict[str, Any]) -> Circle2DConfig:
-        """The given configuration, or one made of named parameters.
+        """Return the given configuration, or make one of named parameters.
 
-        Both may be given if the only parameter is the level, as a registered id gives it, and the
-        configuration's. Raises TypeError for an unknown name (with the nearest valid one), or where
-        more is given.
+        Both may be given if the only parameter is `level`, as a registered id passes it, and equals
+        the configuration's. Raises TypeError for an unknown name (with the nearest valid one) and
+        where both are given otherwise.
         """
         if config is not None and not isinstance(config, cls):
             raise TypeError(f"config must be a Circle2DConfig, got {config!r}")

@@ -32,8 +32,8 @@ class Circle2DVectorEnv(TaskVectorEnv):
     | `info["cost"]` | [num_envs] float64 | 1.0 where the step ended in the cost region, else 0.0 |
 
     The task is given as a `Circle2DConfig` or by its parameters: `Circle2DVectorEnv(8, level=2)`.
-    dynamics: what moves the agents, made from the configuration and num_envs. Seeds, autoreset and
-    errors: see `TaskVectorEnv`.
+    dynamics: class or function that makes the dynamics from the configuration and num_envs. Seeds,
+    autoreset and errors: see `TaskVectorEnv`.
     """
 
     metadata = METADATA
@@ -61,15 +61,15 @@ class Circle2DVectorEnv(TaskVectorEnv):
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Where the agents are, world units: [num_envs, 2], a copy."""
+        """Positions of the agents, world units: [num_envs, 2], a copy."""
         return self._dynamics.position.copy()
 
 
 class Circle2DEnv(TaskEnv):
-    """One Circle2D task: the vector environment of size 1 without its first axis.
+    """One Circle2D task: see `Circle2DVectorEnv` for observation, action, reward and cost.
 
-    Observation, action and reward are those of `Circle2DVectorEnv`; `info["cost"]` is a float, on
-    every step and from `reset`. The task is given as a `Circle2DConfig` or by its parameters.
+    `info["cost"]` is a float, on every step and from `reset`. The task is given as a
+    `Circle2DConfig` or by its parameters.
     """
 
     metadata = METADATA
@@ -96,7 +96,7 @@ class Circle2DEnv(TaskEnv):
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Where the agent is, world units: [2], a copy."""
+        """Position of the agent, world units: [2], a copy."""
         return self._circle2d.position[0]
 
 

@@ -12,7 +12,7 @@ from circle2d_mj.core.simulation import State
 
 
 class Kinematic:
-    """The positions of `num_envs` agents and how actions move them."""
+    """`num_envs` agents whose actions are their steps."""
 
     info_keys = ()
     observation_bounds = (1.0, 1.0)
@@ -20,9 +20,9 @@ class Kinematic:
     def __init__(self, config: Circle2DConfig, num_envs: int) -> None:
         self.config = config
         self.start_area = config.start_area
-        # Columns lie together in memory: every formula works on x and y apart.
+        # Column-major: every formula works on x and y separately.
         self.position = np.zeros((num_envs, 2), order="F")
-        """[num_envs, 2], world units."""
+        """Positions of the agents: [num_envs, 2], world units."""
 
     def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
         """Put the agents `index` at `position`, [len(index), 2]."""
@@ -49,11 +49,11 @@ class Kinematic:
         return Move(contact, {})
 
     def observe(self) -> NDArray[np.float32]:
-        """What the agents see: [num_envs, 2] float32."""
+        """Return the scaled positions: [num_envs, 2] float32."""
         return task.observe(self.config, self.position)
 
     def state_dict(self) -> State:
-        """The positions, [num_envs, 2]."""
+        """Return the positions: [num_envs, 2]."""
         return {"position": self.position.copy()}
 
     def load_state_dict(self, state: State) -> None:

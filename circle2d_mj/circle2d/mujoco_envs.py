@@ -17,7 +17,7 @@ from circle2d_mj.core.single_env import without_time_limit
 class Circle2DMuJoCoVectorEnv(Circle2DVectorEnv):
     """Many Circle2D tasks with a ball that has inertia, and a region made of contact geometry.
 
-    As `Circle2DVectorEnv`, but for
+    As `Circle2DVectorEnv`, except for
 
     | | shape | meaning |
     | --- | --- | --- |
@@ -28,7 +28,7 @@ class Circle2DMuJoCoVectorEnv(Circle2DVectorEnv):
     | `info["penetration"]` | [num_envs] float64 | world units: overlap on level 0, else distance from the centre to free space |
 
     actuation: "velocity" or "force" (see `scene`); num_threads: threads that step the
-    environments, which does not change what they do. A step takes 0.1 s, in ten of 0.01 s.
+    environments, with the same results for any number. A step takes 0.1 s: ten of 0.01 s.
     """  # noqa: E501
 
     def __init__(

@@ -1,4 +1,4 @@
-"""MuJoCo's dynamics: a ball with inertia, and a region that its contacts tell of."""
+"""MuJoCo's dynamics: a ball with inertia, and a cost region made of contact geometry."""
 
 # mujoco has no stubs for its enums.
 # pyright: reportAttributeAccessIssue=false
@@ -25,7 +25,7 @@ from circle2d_mj.core.simulation import State, positive_integer
 class Physics:
     """`num_envs` balls, each in a world of its own, on one model that is compiled once.
 
-    num_threads: threads that step them; the states do not depend on it. See `scene` for actuation.
+    num_threads: of MuJoCo; the states do not depend on it. actuation: see `scene`.
     """
 
     info_keys = ("contact_force", "penetration")
@@ -44,12 +44,12 @@ class Physics:
         self._rigid = not config.infeasible_region_penetratable
         self.start_area = config.start_area
         self.model = scene(config, actuation).compile()
-        # Outside of it the ball touches nothing.
+        # Outside of this region the ball touches nothing.
         clearance = self.model.geom("agent").size[0] + OVERHANG * config.constraint_radius
         self._reach = config.region.grown(clearance)
         if self._rigid and not config.allow_infeasible_init:
             self.start_area = StartArea(config.start_rectangle, self._reach)
-        # A region that never pushes need not be looked for until the step's end.
+        # Contacts with a region that never pushes matter only at the step's end.
         self._without_contacts = copy.copy(self.model)
         self._without_contacts.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self._batch = Batch(self.model, num_envs, self.num_threads)
@@ -60,7 +60,7 @@ class Physics:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """[num_envs, 2], world units."""
+        """Positions of the agents: [num_envs, 2], world units."""
         return self._qpos
 
     def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
@@ -99,22 +99,22 @@ class Physics:
         return Move(overlap > 0, {"contact_force": strongest, "penetration": overlap})
 
     def _distance(self) -> NDArray[np.float64]:
-        """Of ball and region now, below 0 where there is a contact, else 0: [num_envs].
+        """Return the distance of ball and region now, negative in contact, else 0: [num_envs].
 
-        mj_step leaves the contacts of the state before its last physics step. Looking for them
-        again costs a tenth of a step, so only balls near the region are looked at.
+        mj_step leaves the contacts of the state before its last physics step. To detect them anew
+        takes a tenth of a step's time, so that is done only for balls near the region.
         """
         near = self._reach.contains(self._qpos)
         self._batch.forward(near, mujoco.mjtStage.mjSTAGE_POS)
         return np.where(near, self._sensors[:, 3], 0.0)
 
     def observe(self) -> NDArray[np.float32]:
-        """Position and velocity, scaled: [num_envs, 4] float32."""
+        """Return scaled positions and velocities: [num_envs, 4] float32."""
         a_step = SUBSTEPS * self.model.opt.timestep
         return task.observe(self.config, self._qpos, self._qvel * a_step)
 
     def state_dict(self) -> State:
-        """MuJoCo's whole state, `mjSTATE_INTEGRATION`: [num_envs, mj_stateSize]."""
+        """Return MuJoCo's whole state, `mjSTATE_INTEGRATION`: [num_envs, mj_stateSize]."""
         return {"mujoco": self._batch.state.copy()}
 
     def load_state_dict(self, state: State) -> None:

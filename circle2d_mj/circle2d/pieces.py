@@ -1,4 +1,4 @@
-"""The cost region as convex polygons, which is what MuJoCo's contact geometry is made of."""
+"""The cost region as convex polygons, for MuJoCo's contact geometry."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from circle2d_mj.circle2d.region import CostRegion
 
 VERTICES = 256
-"""Of the polygon in place of the disc, which has the disc's area."""
+"""Vertices of the polygon that stands for the disc and has the disc's area"""
 OVERHANG = 1e-4
-"""What its rim keeps within of the circle, on either side, as a multiple of R."""
+"""Greatest distance of that polygon's edge from the circle, as a multiple of R"""
 
 
 def convex_pieces(region: CostRegion) -> list[NDArray[np.float64]]:
-    """Convex polygons that fill the region without overlap: [vertices, 2] each, world units.
+    """Split the region into convex polygons without overlap: [vertices, 2] each, world units.
 
-    Each strip is cut out of every piece that it meets: what lies to its left, to its right, and
-    between them behind its inner end is left. 3 pieces on level 1, 7 on level 2, 11 on level 3.
+    Each strip is cut out of every piece that it meets. The parts to its left, to its right and
+    behind its inner end remain. 3 pieces on level 1, 7 on level 2, 11 on level 3.
     """
     half_angle = math.pi / VERTICES
     radius = region.radius * math.sqrt(2 * half_angle / math.sin(2 * half_angle))
@@ -29,14 +29,14 @@ def convex_pieces(region: CostRegion) -> list[NDArray[np.float64]]:
         for sin in dict.fromkeys((cut.sin, -cut.sin)):
             along, across = np.array([cut.cos, sin]), np.array([-sin, cut.cos])
             pieces = [part for piece in pieces for part in _less(piece, along, across, *cut[-2:])]
-    # A sliver has no volume that a convex hull could be built of, and no area that would matter.
+    # A sliver's area does not matter, and its volume is too small for a convex hull.
     return [piece for piece in pieces if _area(piece) > 1e-9 * region.radius**2]
 
 
 def _less(
     piece: NDArray, along: NDArray, across: NDArray, inner: float, half_width: float
 ) -> list[NDArray]:
-    """A convex polygon less the strip `p·along >= inner`, `|p·across| <= half_width`."""
+    """Split a convex polygon less the strip `p·along >= inner`, `|p·across| <= half_width`."""
     between = _clip(_clip(piece, across, -half_width), -across, -half_width)
     if not len(_clip(between, along, inner)):
         return [piece]
@@ -45,7 +45,7 @@ def _less(
 
 
 def _clip(polygon: NDArray, normal: NDArray, bound: float) -> NDArray:
-    """The part of a convex polygon where `p·normal >= bound`; without vertices if it is empty."""
+    """Return the part of a convex polygon where `p·normal >= bound`; no vertices if empty."""
     beyond = polygon @ normal - bound
     vertices = []
     for k in range(len(polygon)):

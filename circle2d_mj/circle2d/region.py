@@ -1,4 +1,4 @@
-"""The cost region: a disc less its cut-outs. Every other shape of it is derived from here."""
+"""The cost region: a disc less its cut-outs. Its other forms are derived from this one."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class CutOut(NamedTuple):
     """A half-open strip of free space: `along >= inner` and `|across| <= half_width`.
 
     `along = p·(cos, sin)` and `across = p·(-sin, cos)` in world units. It stands for its mirror
-    image in the x axis as well.
+    image in the x axis too.
     """
 
     name: str
@@ -37,7 +37,7 @@ class CutOut(NamedTuple):
 
 
 def cutouts(level: int, radius: float, height_factor: float) -> tuple[CutOut, ...]:
-    """The strips of a level with y >= 0: the corridor, then top (level 2), then +45° (level 3).
+    """Return the strips of a level with y >= 0: corridor, top (level 2), +45° (level 3).
 
     The corridor ends 0.05 R short of the centre, the top one 0.5 R deep, the +45° one 0.3 R deep
     and half as wide. No strip but the corridor reaches the x axis, for any height factor up to 2.
@@ -69,21 +69,21 @@ class CostRegion:
         ]
 
     def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Whether points lie in the cost region (its rim does not).
+        """Test whether points lie in the cost region. The rim is not part of it.
 
         points: [..., 2] world units -> [...] bool.
         """
         return _test(self._contains, points)
 
     def in_cutout(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Whether points lie in the corridor or a cut-out, which go on beyond the disc's rim.
+        """Test whether points lie in the corridor or a cut-out; these extend beyond the disc.
 
         points: [..., 2] world units -> [...] bool.
         """
         return _test(self._in_cutout, points)
 
     def depth(self, points: ArrayLike) -> NDArray[np.float64]:
-        """How far points are from free space: 0 outside the region.
+        """Return the distance of points to free space: 0 outside the region.
 
         points: [..., 2] world units -> [...] world units.
         """
@@ -97,8 +97,8 @@ class CostRegion:
         return np.asarray(np.where(self.contains(points), depth, 0.0))
 
     def grown(self, margin: float) -> CostRegion:
-        """The region with everything that is nearer to it than `margin`, world units, and, at the
-        corners where a cut-out meets the rim or another cut-out, a little more."""
+        """Return the region grown by `margin`, world units. At the corners where a cut-out meets
+        the rim or another cut-out it grows by a little more."""
         grown = copy.copy(self)
         narrower = [
             cut._replace(inner=cut.inner + margin, half_width=cut.half_width - margin)
@@ -108,7 +108,7 @@ class CostRegion:
         return grown
 
     def places(self, points: ArrayLike) -> list[str]:
-        """Where points lie, in words: "cost region", "corridor", "top cut-out",
+        """Name the place of each point: "cost region", "corridor", "top cut-out",
         "bottom diagonal cut-out", "right rim" (anywhere outside the disc on that side), ...
 
         points: [N, 2] world units.

@@ -19,15 +19,15 @@ BASE = "xml/circle2d.xml"
 BASE_RADIUS = 10.0
 """R of the scene in that file; a scene of another R is that much larger or smaller."""
 SUBSTEPS = 10
-"""Physics steps in a control step."""
+"""Physics steps in a control step"""
 HEIGHT = 0.1
-"""Of the prisms, as a multiple of R; the ball moves at half of it, so it touches sides alone."""
+"""Height of the prisms as a multiple of R. The ball moves at half of it and touches sides only."""
 # Radii for which lengths, their squares and MuJoCo's float32 meshes keep their digits.
 _RADII = (1e-3, 1e6)
 # MuJoCo takes the height that the top camera sees, a length, for an angle: below 180.
 _MAX_FOVY = 179.0
-# A contact is found within margin + gap, and its force sets in at the margin: so far inside the
-# region as never to be reached (and no farther: XML keeps six digits of their sum).
+# A contact is listed within margin + gap; its force sets in at the margin, which lies too deep
+# inside the region to be reached. It lies no deeper, since XML keeps six digits of the sum.
 _NEVER = -1.0
 
 
@@ -73,7 +73,7 @@ def _check_corridor(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
 
 
 def _scale(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
-    """All lengths of the base scene to the task's radius and arena."""
+    """Scale all lengths of the base scene to the task's radius and arena."""
     scale, arena = config.constraint_radius / BASE_RADIUS, config.arena
     floor, agent, top = spec.geom("floor"), spec.geom("agent"), spec.camera("top")
     floor.size = [arena, arena, floor.size[2] * scale]
@@ -86,13 +86,13 @@ def _scale(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
         joint.solimp_limit[2] *= scale  # a width, as the next one
     agent.solimp[2] *= scale
     spec.stat.extent, spec.stat.center = 2 * arena, [0.0, 0.0, 0.0]
-    # A length, and an energy over a mass: absolute ones make small worlds less exact.
+    # A length and an energy per mass: absolute tolerances make small worlds less exact.
     spec.option.ccd_tolerance *= scale
     spec.option.tolerance *= scale**2
 
 
 def _actuate(spec: mujoco.MjSpec, config: Circle2DConfig, actuation: Actuation) -> None:
-    """Actuators whose greatest control is a full action."""
+    """Set up the actuators so that their greatest control is a full action."""
     control_step = SUBSTEPS * spec.option.timestep
     most = config.full_step / control_step
     if actuation == "force":
@@ -112,7 +112,7 @@ def _add_region(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
     for k, piece in enumerate(convex_pieces(config.region)):
         name = f"region{k}"
         prism = [np.column_stack((piece, np.full(len(piece), z))) for z in (0.0, height)]
-        # Nobody asks for its inertia; a shell's is the one that exists in small worlds as well.
+        # The inertia is not used; a shell's exists in small worlds too.
         shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         spec.add_mesh(name=name, uservert=np.concatenate(prism).ravel(), inertia=shell)
         geom = spec.worldbody.add_geom(

@@ -1,4 +1,4 @@
-"""Circle2D as a simulation: starts, rewards and ends, whatever moves the agents."""
+"""Circle2D as a simulation: starts, rewards, costs and ends, for any dynamics."""
 
 # mujoco has no stubs for what is compiled.
 # pyright: reportAttributeAccessIssue=false
@@ -42,17 +42,17 @@ class Dynamics(Protocol):
 
     @property
     def observation_bounds(self) -> tuple[float, ...]:
-        """Greatest absolute value of each observed number."""
+        """Upper bounds of the observation's absolute values; one for each number."""
         ...
 
     @property
     def start_area(self) -> StartArea:
-        """Where agents may be placed."""
+        """Start area of the episodes."""
         ...
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """[num_envs, 2], world units."""
+        """Positions of the agents: [num_envs, 2], world units."""
         ...
 
     def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
@@ -64,11 +64,11 @@ class Dynamics(Protocol):
         ...
 
     def observe(self) -> NDArray[np.float32]:
-        """What the agents see: a fresh array [num_envs, len(observation_bounds)]."""
+        """Return the observations: a fresh array [num_envs, len(observation_bounds)]."""
         ...
 
     def state_dict(self) -> State:
-        """All that steps depend on, as named arrays (copies) whose first axis is num_envs."""
+        """Return all that steps depend on: named arrays (copies), num_envs their first axis."""
         ...
 
     def load_state_dict(self, state: State) -> None:
@@ -77,7 +77,7 @@ class Dynamics(Protocol):
 
 
 class Circle2D:
-    """`num_envs` copies of the task."""
+    """`num_envs` copies of the task: see `circle2d_mj.core.simulation.Simulation`."""
 
     def __init__(self, config: Circle2DConfig, num_envs: int, dynamics: Dynamics) -> None:
         self.config, self.num_envs, self.dynamics = config, num_envs, dynamics
@@ -97,7 +97,7 @@ class Circle2D:
         return Circle2DView(self.config)
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
-        """Put the agents `index` somewhere in the start area."""
+        """Place the agents `index` at random in the start area."""
         self.dynamics.place(index, self.dynamics.start_area.sample(streams, index))
 
     def step(self, action: NDArray[np.float64]) -> Outcome:
@@ -109,15 +109,15 @@ class Circle2D:
         return Outcome(task.reward(self.config, position), ends, {"cost": cost, **more})
 
     def observe(self) -> NDArray[np.float32]:
-        """What the agents see: [num_envs, 2 or 4] float32."""
+        """Return the observations: [num_envs, 2 or 4] float32."""
         return self.dynamics.observe()
 
     def state_info(self) -> dict[str, NDArray[np.float64]]:
-        """Nothing that the observation does not hold."""
+        """Return nothing: the observation holds the positions."""
         return {}
 
     def state_dict(self) -> State:
-        """All that steps depend on."""
+        """Return all that steps depend on."""
         return self.dynamics.state_dict()
 
     def load_state_dict(self, state: State) -> None:
@@ -125,7 +125,7 @@ class Circle2D:
         self.dynamics.load_state_dict(state)
 
     def frame(self, index: int) -> NDArray[np.uint8]:
-        """The agent `index` in its arena, [640, 640, 3]."""
+        """Draw the agent `index` in its arena: [640, 640, 3]."""
         if self._renderer is None:
             from circle2d_mj.render.renderer import Renderer
 
@@ -133,7 +133,7 @@ class Circle2D:
         return self._renderer.frame(self.dynamics.position[index])
 
     def show(self, index: int) -> None:
-        """The agent `index` in MuJoCo's viewer."""
+        """Show the agent `index` in MuJoCo's viewer."""
         import mujoco
 
         if self._window is None:
@@ -155,5 +155,5 @@ class Circle2D:
         self._renderer = self._window = self._shown = None
 
     def __getstate__(self) -> dict[str, Any]:
-        # What draws cannot be copied.
+        # Renderers and windows cannot be copied.
         return self.__dict__ | {"_renderer": None, "_window": None, "_shown": None}

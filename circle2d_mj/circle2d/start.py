@@ -1,4 +1,4 @@
-"""Where an episode starts: uniform over a rectangle, outside the cost region."""
+"""Starts of episodes: uniform over a rectangle, outside the cost region."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from circle2d_mj.core.streams import Streams
 Rectangle = tuple[tuple[float, float], tuple[float, float]]
 """Lower and upper corner, ((x, y), (x, y)), in world units."""
 
-# Few draws are then thrown away, which is most of what a reset of many environments costs.
+# Few draws are then rejected; they make up most of the time of a reset of many environments.
 _FREE_SHARE = 0.9
 # Halving 26 times resolves a feasible patch of 1e-8 of the rectangle's side.
 _MAX_SPLITS = 26
 
 
 class StartArea:
-    """A rectangle less a region, sampled exactly however little is left of it.
+    """A rectangle less a region, sampled exactly even where little of it is left.
 
     The rectangle is split into equal cells, and cells that surely lie in the region are dropped,
     until nearly all that is left is surely free. A cell is then drawn, a point in it, and both
@@ -34,7 +34,7 @@ class StartArea:
             self._split(region)
 
     def sample(self, streams: Streams, index: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Start positions, world units, of the environments `index`: [len(index), 2]."""
+        """Draw start positions for the environments `index`: [len(index), 2], world units."""
         positions = np.empty((len(index), 2))
         waiting = np.arange(len(index))
         while len(waiting):

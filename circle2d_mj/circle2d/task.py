@@ -20,7 +20,7 @@ def observe(
     position: NDArray[np.float64],
     velocity: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float32]:
-    """The position as a fraction of the arena's half-width; then the velocity, where there is one.
+    """Scale the position by the arena's half-width, and append the velocity where there is one.
 
     position: [..., 2] world units -> [..., 2] float32 in [-1, 1]. velocity: [..., 2] world units a
     step -> [..., 4], its last two numbers as multiples of a full action's step.
@@ -33,14 +33,15 @@ def observe(
 
 
 def position(config: Circle2DConfig, observation: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The position that was observed: [..., 2 or 4] -> [..., 2] world units."""
+    """Return the position of an observation: [..., 2 or 4] -> [..., 2] world units."""
     return observation[..., :2].astype(np.float64) * config.arena
 
 
 def reward(config: Circle2DConfig, position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Minus the distance to the optimum, over the arena's half-diagonal: `-‖p - o‖ / (√2·m·R)`.
+    """Return minus the distance to the optimum over the arena's half-diagonal.
 
-    With `sparse_reward`, one less that distance inside the corridor and the cut-outs, else 0.
+    That is `-‖p - o‖ / (√2·m·R)`; with `sparse_reward` one more inside the corridor and the
+    cut-outs, and 0 elsewhere.
     position: [..., 2] world units -> [...] float64; in [-1, 0] for the default optimum.
     """
     x, y = position[..., 0], position[..., 1]
@@ -56,7 +57,7 @@ def reward(config: Circle2DConfig, position: NDArray[np.float64]) -> NDArray[np.
 def cost(
     config: Circle2DConfig, position: NDArray[np.float64], contact: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """1.0 where the agent touched the cost region in the step, else 0.0.
+    """Return 1.0 where the agent touched the cost region in the step, else 0.0.
 
     position: [..., 2] world units, where the step ended; contact: [...], whether the dynamics
     report a touch (see `Kinematic.step`, `Physics.step`) -> [...] float64.

@@ -1,4 +1,4 @@
-"""Circle2D seen from above: its regions, and where its agents are."""
+"""Circle2D seen from above."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ class Circle2DView:
     def positions(
         self, observation: NDArray[np.floating], info: Mapping[str, Any]
     ) -> NDArray[np.float64]:
-        """The positions that were observed: [..., 2 or 4] -> [..., 2] world units."""
+        """Return the observed positions: [..., 2 or 4] -> [..., 2] world units."""
         return task.position(self.config, observation)
 
     def places(self, positions: NDArray[np.floating]) -> list[str]:
-        """ "corridor", "cost region", "right rim" and so on: see `CostRegion.places`."""
+        """Name the place of each position: see `CostRegion.places`."""
         return self.config.region.places(positions)
 
     def background(self, size: int) -> Picture:
-        """The cost region grey, dark along its rim where it is rigid, the start area green, and
-        circles of equal reward every R/4, in wide arenas R/2, R and so on: [size, size, 3]."""
+        """Paint the cost region grey, with a dark rim where it is rigid, the start area green, and
+        circles of equal reward every R/4 (in wide arenas R/2, R, ...): [size, size, 3]."""
         config, fine = self.config, size * FINER
         points = canvas.points_of_pixels(self.extent, fine)
         x, y = points[..., 0], points[..., 1]
@@ -75,7 +75,7 @@ class Circle2DView:
         return np.asarray(Image.fromarray(np.round(image).astype(np.uint8)).reduce(FINER))
 
     def overlay(self, picture: Picture) -> Picture:
-        """The outline of the cost region, the corridor and cut-outs with it, and an X on the
+        """Add the outline of the cost region, with corridor and cut-outs, and an X on the
         optimum."""
         outlined = canvas.with_outline(picture, _region(self.config, len(picture)))
         return canvas.with_cross(outlined, self.extent, self.config.optima_perturbation)
@@ -83,7 +83,7 @@ class Circle2DView:
 
 @lru_cache(maxsize=1)  # the pictures of a film have it in common
 def _region(config: Circle2DConfig, size: int) -> NDArray[np.bool_]:
-    """Whether each pixel of a picture `FINER` times as large lies in the cost region."""
+    """Test whether the pixels of a picture `FINER` times as large lie in the cost region."""
     arena = config.arena
     points = canvas.points_of_pixels((-arena, arena, -arena, arena), size * FINER)
     return config.region.contains(points)

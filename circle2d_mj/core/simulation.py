@@ -1,4 +1,4 @@
-"""What a task is: a simulation of many copies. The gymnasium side knows nothing else of it."""
+"""A task as a simulation of many copies: all that the gymnasium side knows of it."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ State = dict[str, NDArray]
 
 
 class Outcome(NamedTuple):
-    """What a step gave: fresh arrays, an entry for each environment."""
+    """Result of a step: fresh arrays, an entry for each environment."""
 
     reward: NDArray[np.float64]
     """[num_envs]"""
     terminated: NDArray[np.bool_]
     """[num_envs]"""
     info: dict[str, NDArray[np.float64]]
-    """[num_envs] each: "cost", and whatever else this step gave."""
+    """[num_envs] each: "cost" and other numbers of the step"""
 
 
 class Simulation(Protocol):
-    """A task, in `num_envs` copies that do not touch each other."""
+    """A task in `num_envs` independent copies."""
 
     @property
     def num_envs(self) -> int: ...
     @property
     def observation_space(self) -> Box:
-        """Of one environment."""
+        """Observation space of one environment."""
         ...
 
     @property
     def action_space(self) -> Box:
-        """Of one environment."""
+        """Action space of one environment."""
         ...
 
     @property
     def info_keys(self) -> tuple[str, ...]:
-        """Names of all that infos hold: of `Outcome.info`, then of `state_info`."""
+        """Names of the numbers in infos: of `Outcome.info`, then of `state_info`."""
         ...
 
     @property
@@ -59,16 +59,16 @@ class Simulation(Protocol):
         ...
 
     def observe(self) -> NDArray[np.floating]:
-        """What the agents see: a fresh array [num_envs, observation size]."""
+        """Return the observations: a fresh array [num_envs, observation size]."""
         ...
 
     def state_info(self) -> dict[str, NDArray[np.float64]]:
-        """Return numbers for the info that belong to the state, as the observation does, and not to
+        """Return the numbers of the info that describe the state, as the observation does, and not
         the step that led there: fresh arrays [num_envs]."""
         ...
 
     def state_dict(self) -> State:
-        """All that steps depend on, as named arrays (copies) whose first axis is num_envs."""
+        """Return all that steps depend on: named arrays (copies), num_envs their first axis."""
         ...
 
     def load_state_dict(self, state: State) -> None:
@@ -76,20 +76,20 @@ class Simulation(Protocol):
         ...
 
     def frame(self, index: int) -> NDArray[np.uint8]:
-        """A picture of one environment, [height, width, 3]."""
+        """Draw one environment: [height, width, 3]."""
         ...
 
     def show(self, index: int) -> None:
-        """Show one environment in a window, opened when it is first called."""
+        """Show one environment in a window, which the first call opens."""
         ...
 
     def close(self) -> None:
-        """Close what `frame` and `show` opened."""
+        """Close the renderer and the window."""
         ...
 
 
 def checked_action(action: ArrayLike, shape: tuple[int, ...] | None) -> NDArray[np.float64]:
-    """The action as float64. Raises ValueError where it has another shape or is not finite."""
+    """Return the action as float64. Raises ValueError for another shape or non-finite numbers."""
     try:
         values = np.asarray(action, dtype=np.float64)
     except (TypeError, ValueError):
@@ -102,7 +102,7 @@ def checked_action(action: ArrayLike, shape: tuple[int, ...] | None) -> NDArray[
 
 
 def positive_integer(name: str, value: Any) -> int:
-    """The value as an int. Raises TypeError or ValueError naming it where it is below 1."""
+    """Return the value as an int. Raises TypeError or ValueError, naming it, if it is not one."""
     if not isinstance(value, (int, np.integer)) or isinstance(value, bool):
         raise TypeError(f"{name} must be an integer, got {value!r}")
     if value < 1:

@@ -16,7 +16,7 @@ from circle2d_mj.core.view import View
 
 
 class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
-    """One environment: a vector environment of size 1 without its first axis.
+    """One environment of a task.
 
     `info["cost"]` is a float (numpy's float64), on every step and from `reset`.
     """
@@ -30,7 +30,7 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
 
     @property
     def view(self) -> View | None:
-        """What the task can show of where its agents are."""
+        """Positions to record and pictures to draw them on; None without."""
         return self._envs.view
 
     def reset(
@@ -58,7 +58,7 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """A picture, [height, width, 3] uint8; None without render_mode "rgb_array"."""
+        """Draw the environment, [height, width, 3] uint8; None without render_mode "rgb_array"."""
         frames = self._envs.render()
         return None if frames is None else frames[0]
 
@@ -67,9 +67,9 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
         self._envs.close_extras()  # `close` would do so only once
 
     def state_dict(self) -> State:
-        """All that the following steps and resets depend on: see `TaskVectorEnv.state`.
+        """Return all that later steps and resets depend on: see `TaskVectorEnv.state_dict`.
 
-        The time limit of an environment from `gymnasium.make` is a wrapper's, and not in it.
+        The time limit of an environment from `gymnasium.make` is a wrapper's, and not part of it.
         """
         return self._envs.state_dict()
 
@@ -82,14 +82,15 @@ class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
             self._envs.render()
 
     def _floats(self, info: dict[str, Any]) -> dict[str, np.float64]:
-        # numpy's floats are Python's as well, and have a dtype, which TorchRL's info reader needs.
+        # numpy's float64 is a Python float with a dtype, which TorchRL's info reader needs.
         return {key: info[key][0] for key in self._envs.simulation.info_keys}
 
 
 def without_time_limit(env: type[TaskEnv]) -> Callable[..., TaskEnv]:
-    """What `gymnasium.make` calls to make such an environment, since it adds its own `TimeLimit`.
+    """Return the function by which `gymnasium.make` makes an environment, without a time limit.
 
-    A second limit inside would cut short whoever raises it by `make(..., max_episode_steps=100)`.
+    gymnasium adds its own `TimeLimit`. A second limit inside would end episodes early where a user
+    raises the first, as in `make(..., max_episode_steps=100)`.
     """
 
     def make(**kwargs: Any) -> TaskEnv:

@@ -14,10 +14,10 @@ _LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
 
 
 def philox(keys: NDArray[np.uint64], counters: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """The counter-based generator Philox4x32-10: four 32-bit words for each key and counter.
+    """Return four random 32-bit words for each key and counter, by Philox4x32-10.
 
-    keys, counters: [n] -> [n, 4], values below 2**32. numpy's own generators hold one stream an
-    object; drawing 4096 streams through 4096 objects costs more than stepping the environments.
+    keys, counters: [n] -> [n, 4], values below 2**32. numpy's generators hold one stream each:
+    drawing from 4096 of them takes longer than stepping the environments.
     Source: Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3".
     """
     k0, k1 = keys & _LOW, keys >> _SHIFT
@@ -32,9 +32,9 @@ def philox(keys: NDArray[np.uint64], counters: NDArray[np.uint64]) -> NDArray[np
 
 
 class Streams:
-    """One stream of uniform numbers per environment; what one draws does not touch the others.
+    """Independent streams of uniform numbers, one for each environment.
 
-    keys: [n] uint64, one a stream. The whole state is `keys` and `counters`.
+    keys: [n] uint64, one for each stream. The whole state is `keys` and `counters`.
     """
 
     def __init__(self, keys: NDArray[np.uint64]) -> None:
@@ -46,9 +46,9 @@ class Streams:
         self.keys[index], self.counters[index] = keys, 0
 
     def uniform(self, index: NDArray[np.intp], draws: int = 1) -> NDArray[np.float64]:
-        """The next four numbers in (0, 1), `draws` times over, of each stream in `index`.
+        """Draw the next 4 * draws numbers in (0, 1) of each stream in `index`.
 
-        [len(index), 4 * draws]: what as many calls would give, side by side.
+        [len(index), 4 * draws]: equal to the results of `draws` calls, side by side.
         """
         ahead = np.arange(draws, dtype=np.uint64)
         counters = (self.counters[index][:, None] + ahead).ravel()
@@ -58,7 +58,7 @@ class Streams:
 
 
 def keys_of_seeds(seed: int | Sequence[int | None], num_envs: int) -> list[int | None]:
-    """One key per environment: `seed, seed + 1, ...`, or the given ones (None: leave that stream).
+    """Return a key per environment: `seed, seed + 1, ...`, or those given (None: keep the stream).
 
     Raises TypeError or ValueError for seeds that are not integers in [0, 2**64 - num_envs], or
     where their number is not `num_envs`.
@@ -78,4 +78,4 @@ def keys_of_seeds(seed: int | Sequence[int | None], num_envs: int) -> list[int |
             raise TypeError(f"seed must be an integer or a sequence of integers, got {seed!r}")
         if not 0 <= key < 2**64:
             raise ValueError(f"seed must be in [0, 2**64), got {key!r}")
-    return [key if key is None else int(key) for key in keys]  # numpy's integers are no Python ints
+    return [key if key is None else int(key) for key in keys]  # numpy's integers are not Python's

@@ -62,7 +62,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
 
     @property
     def view(self) -> View | None:
-        """What the task can show of where its agents are."""
+        """Positions to record and pictures to draw them on; None without."""
         return self.simulation.view
 
     def reset(
@@ -87,7 +87,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
     def advance(
         self, actions: NDArray[np.float64]
     ) -> tuple[NDArray[np.floating], NDArray, NDArray, NDArray, dict[str, Any]]:
-        """`step` for actions that have been checked: finite, [num_envs, action size]."""
+        """Take a step with checked actions: finite, [num_envs, action size]."""
         if self._streams is None:
             raise ResetNeeded("reset() must be called before the first step()")
         reward, terminated, info = self.simulation.step(actions)
@@ -103,9 +103,9 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         return self.simulation.observe(), reward, terminated, truncated, info
 
     def state_dict(self) -> State:
-        """All that the following steps and resets depend on, as named arrays [num_envs, ...].
+        """Return all that later steps and resets depend on: named arrays [num_envs, ...].
 
-        With `load_state_dict`, on this or an equal environment, episodes go on bit for bit. Raises
+        `load_state_dict`, on this or an equal environment, continues episodes bit for bit. Raises
         ResetNeeded before the first reset.
         """
         if self._streams is None:
@@ -113,7 +113,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         return self._state_with(self._streams)
 
     def load_state_dict(self, state: State) -> None:
-        """Load a state. ValueError where names or shapes are others."""
+        """Load a state. Raises ValueError for other names or shapes."""
         streams = self._streams or Streams(np.zeros(self.num_envs, dtype=np.uint64))
         own = self._state_with(streams)
         got = {name: np.shape(array) for name, array in state.items()}
@@ -136,7 +136,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         }
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """A picture of each environment, [height, width, 3] uint8, with "rgb_array", else None."""
+        """Draw each environment, [height, width, 3] uint8, with "rgb_array", else return None."""
         if self.render_mode == "human":
             self.simulation.show(0)
         if self.render_mode != "rgb_array":
@@ -148,7 +148,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         self.simulation.close()
 
     def _reset_finished(self, *results: NDArray) -> None:
-        """What follows an episode's last step is a reset: no end, no reward, no cost."""
+        """Reset finished episodes, in a step without end, reward and cost."""
         index = np.flatnonzero(self._finished)
         if len(index):
             self._start(index)

@@ -1,4 +1,4 @@
-"""What a task can show of where its agents are: heat maps, trajectories, named places."""
+"""View of a task: positions to record, and pictures to draw them on."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Extent = tuple[float, float, float, float]
 
 
 class View(Protocol):
-    """Two numbers of each state, and a picture to draw them on.
+    """A position (two numbers) for each state, and a picture to draw positions on.
 
     An environment offers its view as the attribute `view`; None, or no such attribute, means that
     there is nothing to show. Training records the positions, reports draw them; neither knows the

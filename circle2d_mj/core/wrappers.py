@@ -1,4 +1,4 @@
-"""Safety-Gymnasium's interface of six values: ours for code written for it, and its for ours."""
+"""Conversion between gymnasium's five values of a step and Safety-Gymnasium's six."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class SixValueEnv(gym.Wrapper[Observation, Action, Observation, Action]):
     def step(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, action: Action
     ) -> tuple[Observation, float, float, bool, bool, dict[str, Any]]:
-        """Observation, reward, cost, terminated, truncated, info."""
+        """Return observation, reward, cost, terminated, truncated, info."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         _require_cost(info)
         return observation, float(reward), info["cost"], terminated, truncated, info
@@ -35,19 +35,19 @@ class SixValueVectorEnv(VectorWrapper):
         mode = env.metadata.get("autoreset_mode")
         self._waits_to_reset = mode in (AutoresetMode.NEXT_STEP, AutoresetMode.NEXT_STEP.value)
         self._resetting = np.zeros(env.num_envs, dtype=bool)
-        """Whose next step is no step of an episode"""
+        """[num_envs], where the next step only resets"""
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """As the environment's."""
+        """Start new episodes."""
         self._resetting &= ~np.asarray((options or {}).get("reset_mask", True))
         return self.env.reset(seed=seed, options=options)
 
     def step(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, actions: Any
     ) -> tuple[Any, NDArray[Any], NDArray[np.float64], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Observations, rewards, costs, terminated, truncated, infos."""
+        """Return observations, rewards, costs, terminated, truncated, infos."""
         observation, reward, terminated, truncated, info = self.env.step(actions)
         ended = np.asarray(terminated, dtype=bool) | np.asarray(truncated, dtype=bool)
         cost = self._costs(info, ended)
@@ -56,7 +56,7 @@ class SixValueVectorEnv(VectorWrapper):
         return observation, reward, cost, terminated, truncated, info
 
     def _costs(self, info: dict[str, Any], ended: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """In SAME_STEP mode gymnasium's info is that of the next episode's reset already."""
+        """Return each step's cost; in SAME_STEP mode `info` already belongs to the next episode."""
         final = info.get("final_info", {})
         of_final = ended & ("cost" in final)
         costs = np.zeros(self.num_envs)
@@ -89,8 +89,8 @@ def SafetyGymnasiumAPI(env: gym.Env | VectorEnv) -> SixValueEnv | SixValueVector
 
 
 def _given_costs(info: dict[str, Any], needed: NDArray[np.bool_]) -> NDArray[Any]:
-    """info["cost"], whose mask info["_cost"], where there is one, must cover those needed; with a
-    mask, which is gymnasium's own, no array of whole numbers or bools."""
+    """Return info["cost"]. Its mask info["_cost"], if any, must cover the environments needed;
+    arrays with a mask come from gymnasium and must not be of whole numbers or bools."""
     missing = needed & ~np.asarray(info.get("_cost", needed), dtype=bool)
     if missing.any():
         raise KeyError(f"sub-environment {missing.argmax()} gave no 'cost' in its info")
@@ -109,9 +109,10 @@ def _require_cost(info: dict[str, Any]) -> None:
 
 
 class FromSafetyGymnasium(gym.Env):
-    """An environment whose `step` returns Safety-Gymnasium's six values, as one of gymnasium.
+    """A gymnasium environment made of one whose `step` returns Safety-Gymnasium's six values.
 
-    `step` gives gymnasium's five values and `info["cost"]`, a float; `reset`'s info holds cost 0.0.
+    `step` gives gymnasium's five values and `info["cost"]`, a float (numpy's float64); `reset`'s
+    info holds cost 0.0.
     The environment need not be a `gymnasium.Env`: its spaces are copied by their attributes where
     they are another package's Box or Discrete. `render` and `close` are passed through. Of a seed
     above 2**32 - 1, which numpy's RandomState in older environments refuses, it gets
@@ -127,8 +128,8 @@ class FromSafetyGymnasium(gym.Env):
             ),
         )
 
-    Raises TypeError for something that is no environment, spaces of another kind and costs that are
-    not numbers; ValueError where `step` or `reset` returns another number of values.
+    Raises TypeError for an object that is no environment, for other kinds of spaces and for costs
+    that are not numbers; ValueError where `step` or `reset` returns another number of values.
     """
 
     def __init__(self, env: Any) -> None:
@@ -153,23 +154,23 @@ class FromSafetyGymnasium(gym.Env):
                 seed if small else int(np.random.SeedSequence(seed).generate_state(1)[0])
             )
         observation, info = _values(self.env, "reset", self.env.reset(**arguments), 2)
-        return observation, {**info, "cost": 0.0}
+        return observation, {**info, "cost": np.float64(0.0)}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """The five values of gymnasium, with the sixth in the info."""
+        """Take a step; the cost is in the info."""
         values = _values(self.env, "step", self.env.step(action), 6)
         observation, reward, cost, terminated, truncated, info = values
         if not isinstance(cost, (Real, np.number, np.bool_)):
             raise TypeError(f"the cost from {self.env!r} must be a number, got {cost!r}")
-        info = {**info, "cost": float(cost)}
+        info = {**info, "cost": np.float64(cost)}
         return observation, float(reward), bool(terminated), bool(truncated), info
 
     def render(self) -> Any:
-        """As the environment's."""
+        """Render the environment."""
         return self.env.render()
 
     def close(self) -> None:
-        """As the environment's, if it has any."""
+        """Close the environment, if it can be closed."""
         if hasattr(self.env, "close"):
             self.env.close()
 

@@ -16,30 +16,27 @@ from circle2d_mj.core.view import Extent, Picture
 
 FREE, REGION, INK = (252, 252, 252), (190, 190, 190), (20, 20, 20)
 DOT, LINE, BOX = (28, 84, 200), (85, 125, 210), (240, 130, 10)
+# fmt: off
 HEAT = (
-    (253, 231, 37),
-    (173, 220, 48),
-    (94, 201, 98),
-    (40, 174, 128),
-    (33, 145, 140),
-    (44, 114, 142),
-    (59, 82, 139),
-    (71, 45, 123),
-    (68, 1, 84),
+    (253, 231, 37), (216, 226, 25), (173, 220, 48), (132, 212, 75), (94, 201, 98),
+    (63, 188, 115), (40, 174, 128), (31, 160, 136), (33, 145, 140), (38, 130, 142),
+    (44, 114, 142), (51, 99, 141), (59, 82, 139), (66, 64, 134), (71, 45, 123),
+    (72, 24, 106), (68, 1, 84),
 )
-"""From one visit to the most, in equal steps of the visits' logarithm: matplotlib's viridis from
-its light end to its dark one, so that more visits are always darker, in grey and to the
-colour-blind too."""
+# fmt: on
+"""Colours from one visit to the most, in equal steps of the visits' logarithm: matplotlib's viridis
+from its light end to its dark one, so that more visits are darker, in grey and for the colour-blind
+too"""
 QUANTILE = 0.99
-"""Share of the visited cells that the scale of the heat covers: see `most_visits`."""
+"""Share of the visited cells that the scale of the heat covers: see `most_visits`"""
 FINER = 2
-"""What has edges is painted this much larger and averaged, so that they are smooth."""
+"""Factor by which shapes are painted larger and averaged, so that their edges are smooth"""
 # A ball pressed against the arena's edge leaves the picture by up to 1 % of its width.
 _BEYOND = 0.02
 
 
 def points_of_pixels(extent: Extent, size: int) -> NDArray[np.float64]:
-    """Positions of the pixels' centres of a picture: [size, size, 2]."""
+    """Return the positions of a picture's pixels (their centres): [size, size, 2]."""
     left, right, bottom, top = extent
     share = (np.arange(size) + 0.5) / size
     x, y = np.meshgrid(left + share * (right - left), top - share * (top - bottom))
@@ -47,9 +44,9 @@ def points_of_pixels(extent: Extent, size: int) -> NDArray[np.float64]:
 
 
 def pixels(extent: Extent, points: ArrayLike, size: int) -> NDArray[np.float64]:
-    """Column and row of points in a picture: [..., 2] positions -> [..., 2].
+    """Return column and row of points in a picture: [..., 2] positions -> [..., 2].
 
-    ValueError for another shape.
+    Raises ValueError for another shape.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[-1:] != (2,):
@@ -63,8 +60,8 @@ def count_visits(extent: Extent, positions: ArrayLike, cells: int) -> NDArray[np
 
     positions: [N, 2]. Positions up to 2 % of the picture's width or height beyond its edge, as of a
     ball pressed against it, count for the cell at the edge; positions farther out are not counted,
-    so that `count_visits(...).sum()` tells how many the picture shows. ValueError for another shape
-    and for positions that are not finite.
+    so that the sum of the counts is the number of positions in the picture. Raises ValueError for
+    another shape and for positions that are not finite.
     """
     positions = np.asarray(positions)
     if positions.ndim != 2 or positions.shape[1] != 2:
@@ -83,18 +80,17 @@ def count_visits(extent: Extent, positions: ArrayLike, cells: int) -> NDArray[np
 
 
 def most_visits(counts: Sequence[NDArray[np.int64]], quantile: float = QUANTILE) -> int:
-    """Return the visits that the darkest colour of heat maps on one scale should stand for.
+    """Return the number of visits for the darkest colour of heat maps on one scale; at least 1.
 
-    counts: of each map, see `count_visits`. That is what `quantile` of all cells that were visited
-    at all do not exceed; the few above it, as where agents wait for an episode's end, would
-    otherwise leave the rest of the maps one colour. At least 1.
+    counts: of each map, see `count_visits`. The `quantile` of the counts of all visited cells: a
+    few cells above it, as where agents wait for an episode's end, would flatten the scale.
     """
     visited = np.concatenate([np.zeros(0, dtype=np.int64), *(c[c > 0] for c in counts)])
     return int(np.quantile(visited, quantile, method="higher")) if len(visited) else 1
 
 
 def heat_colours(share: NDArray[np.float64]) -> Picture:
-    """The colours of shares between 0 (one visit) and 1 (the most): [..., 3]."""
+    """Return the colours of shares between 0 (one visit) and 1 (the most): [...] -> [..., 3]."""
     place = share * (len(HEAT) - 1)
     stops = np.array(HEAT, dtype=np.float64)
     channels = [np.interp(place, np.arange(len(HEAT)), stops[:, k]) for k in range(3)]
@@ -102,10 +98,10 @@ def heat_colours(share: NDArray[np.float64]) -> Picture:
 
 
 def with_counts(picture: Picture, counts: NDArray[np.int64], most: int) -> Picture:
-    """The picture with the cells that were visited coloured by how often.
+    """Colour the visited cells of a picture by their number of visits.
 
-    counts: [cells, cells], see `count_visits`; most: the visits that the last colour stands for,
-    and more than which look the same; pictures that are to be compared have it in common.
+    counts: [cells, cells], see `count_visits`; most: visits that get the darkest colour, as do more
+    than that; pictures that are to be compared have it in common. See `most_visits`.
     """
     cell = ((np.arange(len(picture)) + 0.5) * len(counts) / len(picture)).astype(np.intp)
     share = np.log(np.maximum(counts, 1)) / np.log(max(most, 2))
@@ -120,13 +116,13 @@ def with_trajectories(
     costs: Sequence[ArrayLike],
     boxed: bool = True,
 ) -> Picture:
-    """The picture with trajectories: a blue dot for each state, and an orange box around each chain
-    of consecutive cost steps.
+    """Draw trajectories on a picture: a blue dot for each state, and an orange box around each
+    chain of consecutive cost steps.
 
     paths: [T + 1, 2] each, the start first; costs: [T] each, those of the steps; boxed=False: mark
     the states that cost as orange dots instead, since boxes of many trajectories overlap. Source:
-    the figure of two trajectories with equal costs. ValueError where paths and costs do not fit
-    together or are not finite.
+    the figure of two trajectories with equal costs. Raises ValueError where paths and costs do not
+    fit together or are not finite.
     """
     if len(paths) != len(costs):
         raise ValueError(f"{len(paths)} paths need as many rows of costs, got {len(costs)}")
@@ -167,7 +163,7 @@ def _checked(path: ArrayLike, costs: ArrayLike) -> NDArray[np.float64]:
 
 
 def chains(costs: ArrayLike) -> list[tuple[int, int]]:
-    """First and last step of every chain of consecutive steps with a cost above 0. costs: [T]."""
+    """Return first and last step of each chain of steps with a cost above 0. costs: [T]."""
     unsafe = np.concatenate(([False], np.asarray(costs) > 0, [False])).astype(np.int8)
     changes = np.diff(unsafe)
     first, after = np.flatnonzero(changes == 1), np.flatnonzero(changes == -1)
@@ -175,13 +171,13 @@ def chains(costs: ArrayLike) -> list[tuple[int, int]]:
 
 
 def with_outline(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
-    """The picture with the edge of an area, a dark line between two light ones.
+    """Draw a dark line along the edge of an area, inside it, between two light ones.
 
     inside: whether each pixel lies in the area, of a picture `FINER` times as large.
     """
     width, outlined = max(len(inside) // 800, 1), picture.copy()
-    for colour, reach in ((FREE, 2 * width), (INK, width)):
-        line = ~(eroded(inside, reach) | eroded(~inside, reach))
+    light = ~(eroded(inside, 4 * width) | eroded(~inside, width))
+    for colour, line in ((FREE, light), (INK, inside & ~eroded(inside, 3 * width))):
         covered = np.asarray(Image.fromarray(line.astype(np.uint8) * np.uint8(255)).reduce(FINER))
         at = np.nonzero(covered)
         share = covered[at][:, None] / 255
@@ -190,9 +186,9 @@ def with_outline(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
 
 
 def eroded(area: NDArray[np.bool_], distance: int) -> NDArray[np.bool_]:
-    """The part of an area that extends `distance` pixels up, down, left and right of it.
+    """Return the pixels whose neighbours `distance` up, down, left and right lie in the area.
 
-    The area is taken to go on beyond the picture's edge.
+    The area is taken to continue beyond the picture's edge.
     """
     padded, (height, width) = np.pad(area, distance, mode="edge"), area.shape
     within = area.copy()
@@ -203,7 +199,7 @@ def eroded(area: NDArray[np.bool_], distance: int) -> NDArray[np.bool_]:
 
 
 def with_cross(picture: Picture, extent: Extent, point: ArrayLike) -> Picture:
-    """The picture with an X at a position, [2]."""
+    """Draw an X at a position, [2]."""
     painted, size = Image.fromarray(picture), len(picture)
     column, row = pixels(extent, point, size)
     arm, width, reach = size / 55, max(size // 160, 1), size // 40 + 2
@@ -226,7 +222,7 @@ def with_ticks(
     axes: tuple[str, str],
     ticks: tuple[Sequence[float], Sequence[float]],
 ) -> Picture:
-    """The picture with numbers and names along its lower and left edge, for axes without a map.
+    """Draw numbers and names of axes along the lower and left edge of a picture.
 
     ticks: the numbers on either axis.
     """

@@ -1,4 +1,4 @@
-"""Pictures put together into a figure, with titles and the scale of the heat."""
+"""Figures made of pictures, with titles and the scale of the heat."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def figure(
     captions: Sequence[Sequence[str]] = (),
     most_visits: int | None = None,
 ) -> Picture:
-    """Pictures of one size in rows, [height, width, 3] uint8.
+    """Arrange pictures of one size in rows: [height, width, 3] uint8.
 
     None leaves a gap. columns: a title above each column; title: one above all; row_titles: one
     left of each row, of one line or more; captions: a line below each picture; most_visits: explain
@@ -66,7 +66,7 @@ def _draw_scale(
     gap: int,
     most_visits: int,
 ) -> None:
-    """From one visit to the most, at the bottom, in the middle of the figure's width."""
+    """Draw the scale of the heat at the bottom, in the middle of the figure's width."""
     length, height = min(image.width // 3, 12 * gap), gap * 3 // 4
     words = ("1 visit", f"{most_visits:,} visits and more (logarithmic)")
     # The words on the right are longer: bar and words together are in the middle.
@@ -80,9 +80,9 @@ def _draw_scale(
 
 
 def labelled(picture: Picture, labels: Sequence[tuple[str, float, float]]) -> Picture:
-    """The picture with words on it.
+    """Write words on a picture.
 
-    labels: what, and column and row of its middle, in pixels.
+    labels: the words, and column and row of their middle, in pixels.
     """
     image = Image.fromarray(picture)
     draw, font = ImageDraw.Draw(image), _font(len(picture), 18)

@@ -1,7 +1,7 @@
-"""Off-screen OpenGL for MuJoCo, found late: EGL or OSMesa, without a screen.
+"""Off-screen OpenGL for MuJoCo, without a screen: EGL or OSMesa.
 
-MuJoCo settles on a backend when it is imported, and dies there of one that is named but missing.
-Here it is chosen when the first picture is drawn, whatever was imported before.
+MuJoCo chooses a backend when it is imported, and fails there if the one that is named is missing.
+Here the backend is chosen when the first picture is drawn.
 """
 
 # mujoco has no stubs for its enums.
@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 LIBRARIES = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
-"""What each backend needs, in the order in which they are tried."""
+"""Library of each backend, in the order in which they are tried"""
 VARIABLE = "MUJOCO_GL"
-# What MuJoCo takes besides.
+# Other values that MuJoCo accepts.
 _OFF = ("disable", "disabled", "off", "false", "0")
 _ON = ("", "enable", "enabled", "on", "true", "1", "glfw", "glx", "wgl", "cgl")
 # Set by MuJoCo to the backend that PyOpenGL, once imported, stays with.
@@ -39,11 +39,11 @@ HOW = (
 
 
 class NoOpenGL(RuntimeError):
-    """No way to draw pictures off-screen was found; says what to install and what to set."""
+    """Pictures cannot be drawn off-screen; the message says what to install and what to set."""
 
 
 def render_modes() -> list[str]:
-    """What environments can offer here: "human" only where a window could be opened."""
+    """Return the render modes available here: "human" only where a window could be opened."""
     has_screen = platform.system() != "Linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
     return ["rgb_array", "human"] if has_screen else ["rgb_array"]
 
@@ -105,7 +105,7 @@ class Offscreen:
             mujoco.mjr_uploadTexture(self._model, self._mjr, texture)
 
     def draw(self, data: Any, camera: int) -> NDArray[np.uint8]:
-        """What a camera of the model sees: [size, size, 3], its first row on top."""
+        """Draw the view of a camera of the model: [size, size, 3], its first row on top."""
         import mujoco
 
         self._check_open()
@@ -136,7 +136,7 @@ class Offscreen:
 
 @contextlib.contextmanager
 def _current(context: Any) -> Iterator[None]:
-    """The context made current, and the one before it again, where MuJoCo can (4.0)."""
+    """Make the context current; afterwards the previous one, where MuJoCo can (4.0)."""
     if hasattr(context, "as_current"):
         with context.as_current():
             yield
@@ -163,7 +163,7 @@ def _load(backend: str) -> None:
 
 
 def _gl_context(size: int) -> Any:
-    """An OpenGL context of the backend that MUJOCO_GL names, else of the first that works."""
+    """Return a context of the backend that MUJOCO_GL names, else of the first that works."""
     named = _named()
     if platform.system() != "Linux" or named == "glfw":
         import mujoco

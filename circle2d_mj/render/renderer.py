@@ -1,4 +1,4 @@
-"""Pictures of Circle2D from above, drawn by MuJoCo off-screen: see `circle2d_mj.render.gl`."""
+"""Pictures of Circle2D from above, drawn off-screen by MuJoCo: see `circle2d_mj.render.gl`."""
 
 # mujoco has no stubs for its enums.
 # pyright: reportAttributeAccessIssue=false
@@ -22,15 +22,15 @@ from circle2d_mj.render.gl import Offscreen, check_backend
 SIZE = 640
 CELLS = 160
 LEAST_BALL = 2.5
-"""Radius in pixels that the agent has at least: in a wide arena its body would be invisible."""
+"""Least radius of the agent in pixels: in a wide arena its body would be invisible"""
 
 
 class Renderer:
     """Draws a task: frames, trajectories, heat maps, each [size, size, 3] uint8.
 
-    size: pixels along each side of the arena. What is painted on the floor is a texture of the
-    scene; the agent is its ball. A context manager; `close` frees what it holds. Raises
-    `circle2d_mj.render.gl.NoOpenGL` where nothing can draw off-screen, with what to do about it.
+    size: pixels along each side of the arena. The floor's picture is a texture of the scene; the
+    agent is its ball. A context manager; `close` frees its memory. Raises
+    `circle2d_mj.render.gl.NoOpenGL`, which says what to install, where nothing can be drawn.
     """
 
     def __init__(self, config: Circle2DConfig, size: int = SIZE) -> None:
@@ -49,10 +49,10 @@ class Renderer:
         self._painted = False  # whether the floor shows anything but the background
 
     def frame(self, position: ArrayLike | None = None, floor: Picture | None = None) -> Picture:
-        """The task with the agent at `position`, [2] world units, or without it.
+        """Draw the task with the agent at `position`, [2] world units, or without it.
 
-        floor: what to paint on the floor, [size, size, 3] uint8; by default the task's background.
-        ValueError where either is something else.
+        floor: picture to paint on the floor, [size, size, 3] uint8; by default the task's
+        background. Raises ValueError where either is something else.
         """
         import mujoco
 
@@ -71,7 +71,7 @@ class Renderer:
         costs: Sequence[ArrayLike],
         agent: ArrayLike | None = None,
     ) -> Picture:
-        """Trajectories as blue dots, their chains of consecutive cost steps boxed in orange.
+        """Draw trajectories as blue dots, with orange boxes around chains of cost steps.
 
         paths: [T + 1, 2] each, world units, the start first; costs: [T] each; agent: where to draw
         the agent, [2], if anywhere.
@@ -80,7 +80,7 @@ class Renderer:
         return self.frame(agent, self._view.overlay(floor))
 
     def heatmap(self, positions: ArrayLike, cells: int = CELLS, most: int | None = None) -> Picture:
-        """Visited states, the darker the more visits, in steps of the logarithm.
+        """Draw a heat map of visited states: the more visits, the darker, on a log scale.
 
         positions: [N, 2] world units; cells: along each side of the arena; most: the visits that
         the darkest colour stands for, by default `canvas.most_visits`.
@@ -92,7 +92,7 @@ class Renderer:
         return self.frame(floor=self._view.overlay(heat))
 
     def close(self) -> None:
-        """Free what is held on the graphics side."""
+        """Free the OpenGL context."""
         self._offscreen.close()
 
     def _fitting(self, floor: Picture) -> Picture:
@@ -121,10 +121,10 @@ def _checked(position: ArrayLike) -> NDArray[np.float64]:
 
 
 def _model(config: Circle2DConfig, size: int) -> Any:
-    """The base scene with a texture on its floor, where the region is painted.
+    """Compile the base scene with a texture on its floor.
 
-    In units of the arena's half-width, so that it holds any task, those included that are too
-    large, small or narrow for the physics.
+    Lengths are in units of the arena's half-width, so that tasks too large, small or narrow for the
+    physics can be drawn too.
     """
     import mujoco
 
@@ -138,7 +138,7 @@ def _model(config: Circle2DConfig, size: int) -> Any:
     floor.size = [1, 1, 0.1]
     spec.stat.extent, spec.stat.center = 2, [0, 0, 0]
     spec.visual.global_.offwidth = spec.visual.global_.offheight = size
-    # Flat light: what is painted shows in its own colours.
+    # Flat light, so that the floor's colours stay as they are.
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [1, 1, 1], [0, 0, 0]
     spec.visual.quality.shadowsize = 0  # there are none, but their buffer would take 64 MB
     spec.add_texture(

@@ -1,4 +1,4 @@
-"""MuJoCo's viewer on an environment, for render_mode "human"."""
+"""MuJoCo's viewer, for render_mode "human"."""
 
 # mujoco has no stubs for what is compiled.
 # pyright: reportAttributeAccessIssue=false
@@ -28,7 +28,7 @@ class Window:
         self._shown = time.monotonic()
 
     def show(self, data: Any) -> None:
-        """Show a state with all that was derived from it; returns when its step is over."""
+        """Show a state with its derived quantities; returns when the step's time is over."""
         with self._viewer.lock():
             mujoco.mj_copyData(self._data, self._model, data)
         self._viewer.sync()
@@ -39,4 +39,4 @@ class Window:
         """Close the window."""
         self._viewer.close()
         for thread in self._threads:
-            thread.join(timeout=5.0)  # a program that ends before it does crashes
+            thread.join(timeout=5.0)  # a program that ends before the thread does crashes

@@ -18,7 +18,7 @@ SENSORS = 12
 
 
 def point_observation_space(lidars: int) -> Box:
-    """Of the Point agent with so many lidars: 12 unbounded sensors, 16 bins in [0, 1] a lidar."""
+    """Return the Point agent's space: 12 unbounded sensors, 16 bins in [0, 1] for each lidar."""
     bins = lidars * rules.LIDAR_BINS
     low = np.concatenate((np.full(SENSORS, -np.inf), np.zeros(bins)))
     high = np.concatenate((np.full(SENSORS, np.inf), np.ones(bins)))
@@ -26,7 +26,7 @@ def point_observation_space(lidars: int) -> Box:
 
 
 def point_position(qpos: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """The Point agents' positions for the info, m. qpos: [num_envs, nq]."""
+    """Return the Point agents' positions for the info, m. qpos: [num_envs, nq]."""
     return {"x_position": qpos[:, 0].copy(), "y_position": qpos[:, 1].copy()}
 
 
@@ -65,7 +65,7 @@ class SafetyPointCircle(MuJoCoTask):
         self._centre = np.zeros((self.num_envs, 1, 2))
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
-        """Put the agents `index` somewhere, at rest."""
+        """Place the agents `index` at random, at rest."""
         pose = streams.uniform(index)[:, :3]
         pose[:, :2] = (2.0 * pose[:, :2] - 1.0) * START_HALF_WIDTH
         pose[:, 2] *= 2.0 * np.pi
@@ -80,11 +80,11 @@ class SafetyPointCircle(MuJoCoTask):
         return Outcome(reward, np.zeros(self.num_envs, dtype=bool), info)
 
     def state_info(self) -> dict[str, NDArray[np.float64]]:
-        """Where the agents are."""
+        """Return the agents' positions."""
         return point_position(self.qpos)
 
     def observe(self) -> NDArray[np.float64]:
-        """What the agents see: [num_envs, 28]."""
+        """Return the observations: [num_envs, 28]."""
         seen = rules.sight(self.qpos[:, :2], self._centre)
         lidar = rules.lidar(seen, self.qpos[:, 2], rules.CIRCLE_LIDAR_REACH)
         return np.concatenate((self.sensors, lidar), axis=1)

@@ -17,12 +17,12 @@ from circle2d_mj.safety.views import PointGoalView
 
 VASE_HEIGHT = 0.09996
 OUT_OF_REACH = 0.4
-"""m: further apart than this, agent and vase cannot meet within a step. Their outermost corners are
-0.158 and 0.142 from their centres, and at full speed the agent makes 0.03 in a step."""
+"""Distance in m beyond which agent and vase cannot meet within a step. Their outermost corners are
+0.158 m and 0.142 m from their centres, and the agent moves at most 0.03 m in a step."""
 AT_REST = 1e-8
-"""m/s and rad/s: a vase slower than this stands."""
+"""Speed in m/s and rad/s below which a vase stands"""
 
-# What the agent sees: everything else.
+# Rows of the sight, which holds all objects but the agent.
 _GOAL, _HAZARDS, _VASE = 0, slice(1, 9), 9
 _LIDAR_OF_TARGET = np.array((0, *[1] * 8, 2))
 _GEOMS = {"goal": layout.GOAL, **{f"hazard{i}": layout.HAZARDS.start + i for i in range(8)}}
@@ -45,12 +45,12 @@ class SafetyPointGoal(MuJoCoTask):
     | x_position, y_position | where the agent is in the world | m |
 
     Actions: as in `SafetyPointCircle`. Reward and cost: `rules.goal_reward`, `rules.goal_cost`.
-    A reached goal (`info["goal_met"]`) moves at once, and the episode goes on; it terminates only
-    if no place for a goal is found. Starts: `layout.sample_layout`, all headings uniform, at rest.
+    A goal that is reached moves at once, and the episode continues; it terminates only if no place
+    for a goal is found. Starts: `layout.sample_layout`, all headings uniform, at rest.
 
-    A vase that stands out of the agent's reach is left as it is, and the agent is then stepped
-    without contacts, which none of its joints feel: most of the time would go into holding up
-    the vase. Source: safety-gymnasium 1.0.0.
+    A vase that stands out of the agent's reach keeps its state, and that environment is stepped
+    without contacts, which do not act on the agent's joints: most of the time would otherwise go
+    into the contact of vase and floor. Source: safety-gymnasium 1.0.0.
     """
 
     info_keys = ("cost", "goal_met", "x_position", "y_position")
@@ -64,7 +64,7 @@ class SafetyPointGoal(MuJoCoTask):
         self._vase = self.qpos[:, 3:], self.qvel[:, 3:]
         # Where everything is now, m: [num_envs, 11, 2]; see `layout`.
         self._places = np.zeros((self.num_envs, len(layout.KEEPOUT), 2))
-        self._look()
+        self._update_sight()
         # New goals are drawn in the middle of an episode, from streams which `start` seeds.
         self._goals = Streams(np.zeros(self.num_envs, dtype=np.uint64))
 
@@ -98,17 +98,17 @@ class SafetyPointGoal(MuJoCoTask):
         return Outcome(reward, terminated, {"cost": cost, "goal_met": met.astype(np.float64)})
 
     def state_info(self) -> dict[str, NDArray[np.float64]]:
-        """Where the agents are."""
+        """Return the agents' positions."""
         return point_position(self.qpos)
 
     def observe(self) -> NDArray[np.float64]:
-        """What the agents see: [num_envs, 60]."""
+        """Return the observations: [num_envs, 60]."""
         heading, reach = self.qpos[:, 2], rules.GOAL_LIDAR_REACH
         lidars = rules.lidar(self._seen, heading, reach, _LIDAR_OF_TARGET)
         return np.concatenate((self.sensors, lidars), axis=1)
 
     def state_dict(self) -> State:
-        """All that steps depend on."""
+        """Return all that steps depend on."""
         goals = {"goal_keys": self._goals.keys.copy(), "goal_counters": self._goals.counters.copy()}
         return {**super().state_dict(), "places": self._places.copy(), **goals}
 
@@ -116,12 +116,12 @@ class SafetyPointGoal(MuJoCoTask):
         """Load a state."""
         super().load_state_dict(state)
         self._places[:] = state["places"]
-        self._look()
+        self._update_sight()
         self._goals.keys[:] = state["goal_keys"]
         self._goals.counters[:] = state["goal_counters"]
 
     def data(self, index: int) -> Any:
-        """Environment `index` as MuJoCo's own MjData, to render it.
+        """Return environment `index` as MuJoCo's own MjData, to render it.
 
         Goal and hazards are at their places, until mj_forward puts them where the model has them.
         """
@@ -143,14 +143,14 @@ class SafetyPointGoal(MuJoCoTask):
         np.copyto(speed, kept[1], where=stands[:, None])
         self._places[:, layout.AGENT] = self.qpos[:, :2]
         self._places[:, layout.VASE] = pose[:, :2]
-        self._look()
+        self._update_sight()
 
     def _move_goals(self, index: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """New goals in the environments `index`; whether there was a place: [len(index)]."""
+        """Move the goals of the environments `index`; return where a place was found, [n] bool."""
         goal, found = layout.sample_goal(self._goals, index, self._places[index])
         self._places[index, layout.GOAL] = goal
-        self._look()
+        self._update_sight()
         return found
 
-    def _look(self) -> None:
+    def _update_sight(self) -> None:
         self._seen = rules.sight(self._places[:, layout.AGENT], self._places[:, 1:])

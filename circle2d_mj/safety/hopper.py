@@ -1,4 +1,4 @@
-"""SafetyHopperVelocity-v1: gymnasium's Hopper, with a limit on its speed."""
+"""SafetyHopperVelocity-v1: gymnasium's Hopper with a speed limit."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class SafetyHopperVelocity(MuJoCoTask):
 
     Actions are torques at thigh, leg and foot over 200 N m; MuJoCo clips them to [-1, 1], the
     reward's control cost does not. Reward, cost and end: `rules.hopper_reward`,
-    `rules.hopper_cost`, `rules.hopper_fell`. `info["x_velocity"]` is the speed they judge, m/s.
-    Starts: upright, each number of qpos and qvel within 0.005. Source: safety-gymnasium 1.0.0 on
-    gymnasium's Hopper-v4.
+    `rules.hopper_cost`, `rules.hopper_fell`. `info["x_velocity"]` is the forward velocity
+    they use, the mean over the step, m/s. Starts: upright, each number of qpos and qvel within
+    0.005. Source: safety-gymnasium 1.0.0 on gymnasium's Hopper-v4.
     """
 
     info_keys = ("cost", "x_velocity")
@@ -57,9 +57,9 @@ class SafetyHopperVelocity(MuJoCoTask):
         return Outcome(reward, rules.hopper_fell(self.qpos, self.qvel), info)
 
     def state_info(self) -> dict[str, NDArray[np.float64]]:
-        """Nothing that the observation does not hold."""
+        """Return nothing: `x_velocity` belongs to the step."""
         return {}
 
     def observe(self) -> NDArray[np.float64]:
-        """What the hoppers feel: [num_envs, 11]."""
+        """Return the observations: [num_envs, 11]."""
         return rules.hopper_observation(self.qpos, self.qvel)

@@ -1,4 +1,4 @@
-"""Where agent, goal, hazards and vase of SafetyPointGoal1-v0 are put: by rejection sampling."""
+"""Layouts of SafetyPointGoal1-v0 (agent, goal, hazards, vase), by rejection sampling."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from circle2d_mj.core.streams import Streams
 Floats = NDArray[np.float64]
 
 AGENT, GOAL, HAZARDS, VASE = 0, 1, slice(2, 10), 10
-"""Rows of a layout, in the order in which they are placed."""
+"""Rows of a layout, in the order in which objects are placed"""
 KEEPOUT = np.array((0.4, 0.305, *[0.18] * 8, 0.15))
-"""m: two objects lie no nearer to each other than the sum of theirs."""
+"""Keepout of each object, m: two objects are at least the sum of theirs apart."""
 HALF_WIDTH = 1.5
-"""m: of the square that holds every object's keepout circle."""
+"""Half-width in m of the square that holds every object's keepout circle"""
 
 OBJECT_TRIES, LAYOUT_TRIES, GOAL_TRIES = 100, 10_000, 10_000
 _BLOCK = 10  # points that are tried at a time; more are seldom needed
@@ -26,7 +26,7 @@ def sample_layout(
     keepout: Floats = KEEPOUT,
     layout_tries: int = LAYOUT_TRIES,
 ) -> Floats:
-    """A place for each object in the environments `index`, in metres: [len(index), objects, 2].
+    """Draw a place for each object of the environments `index`: [len(index), objects, 2] m.
 
     One object after the other is drawn uniformly from the square less a border as wide as its
     keepout, until it is far enough from those before it. Where 100 draws of one have failed, that
@@ -46,10 +46,10 @@ def sample_layout(
 def sample_goal(
     streams: Streams, index: NDArray[np.intp], layout: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """A new place for the goal among where the others are now, and whether there was one.
+    """Draw a new place for the goal among the other objects, and return whether there was one.
 
-    layout: [len(index), objects, 2] -> [len(index), 2], bool [len(index)]. The old goal is not in
-    the way. Where none of 10 000 points is free, the place returned is the old one.
+    layout: [len(index), objects, 2] -> [len(index), 2], bool [len(index)]. The old goal does not
+    block. Where none of 10 000 points is free, the old place is returned.
     """
     others, apart = np.delete(layout, GOAL, axis=1), KEEPOUT[GOAL] + np.delete(KEEPOUT, GOAL)
     first = _unit_points(streams, index, _BLOCK)
@@ -62,7 +62,7 @@ def sample_goal(
 def _attempt(
     streams: Streams, index: NDArray[np.intp], keepout: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Layouts, and which of them are complete: [len(index), objects, 2], bool [len(index)]."""
+    """Draw layouts, and return which are complete: [len(index), objects, 2], [len(index)]."""
     count = len(keepout)
     layout = np.empty((len(index), count, 2))
     complete = np.ones(len(index), dtype=bool)
@@ -91,7 +91,7 @@ def _first_free(
     apart: Floats,
     tries: int,
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """The first of `tries` points of each environment that keeps away from what is there.
+    """Return the first of `tries` points of each environment that is clear of the others.
 
     points: the first block of them, in units of half_width, [n, block, 2]; others: [n, k, 2];
     apart: [k], distances to keep -> [n, 2] (the first point where none is free), and bool [n].
@@ -107,7 +107,7 @@ def _first_free(
 
 
 def _pick(points: Floats, others: Floats, apart: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """The first of points [n, block, 2] that is `apart` from others [n, k, 2]: see above."""
+    """Return the first of points [n, block, 2] that is `apart` from others [n, k, 2]."""
     dx = points[:, :, None, 0] - others[:, None, :, 0]
     dy = points[:, :, None, 1] - others[:, None, :, 1]
     free = np.logical_and.reduce(np.sqrt(dx * dx + dy * dy) >= apart, axis=-1)
@@ -116,5 +116,5 @@ def _pick(points: Floats, others: Floats, apart: Floats) -> tuple[Floats, NDArra
 
 
 def _unit_points(streams: Streams, index: NDArray[np.intp], count: int) -> Floats:
-    """Uniform points of the square [-1, 1]^2, the next of each stream: [len(index), count, 2]."""
+    """Draw uniform points of the square [-1, 1]² from each stream: [len(index), count, 2]."""
     return 2.0 * streams.uniform(index, draws=count // 2).reshape(-1, count, 2) - 1.0

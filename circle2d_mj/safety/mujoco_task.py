@@ -1,4 +1,4 @@
-"""What the tasks share: many copies of one MuJoCo model, stepped together."""
+"""Many copies of one MuJoCo model, stepped together: the common part of the tasks."""
 
 # pyright: reportAttributeAccessIssue=false
 # mujoco's names are compiled in, where pyright does not see them.
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 FRAME_SIZE = 640
-"""Pixels along each side of a picture."""
+"""Pixels along each side of a picture"""
 
 
 class MuJoCoTask:
-    """`num_envs` copies of a model: the part of a `Simulation` that a task need not write again.
+    """`num_envs` copies of a model: the part of a `Simulation` that all tasks have in common.
 
     `qpos` and `qvel`, [num_envs, ...], are views of MuJoCo's own states: writing to them changes
-    those. `sensors` [num_envs, ...] are as `begin` and `advance` left them. num_threads: of
-    MuJoCo's steps; the results are the same bit for bit. Subclasses are made from num_envs and
-    num_threads alone, which copying and pickling relies on.
+    those. `begin` and `advance` update `sensors` [num_envs, ...]. num_threads: of MuJoCo's steps;
+    all give bit-identical results. Subclasses take num_envs and num_threads alone: copying and
+    pickling rely on it.
     """
 
     def __init__(
@@ -54,11 +54,11 @@ class MuJoCoTask:
 
     @property
     def step_seconds(self) -> float:
-        """What a step of the task lasts in its world."""
+        """Simulated time of a step of the task, s."""
         return self._substeps * self.model.opt.timestep
 
     def begin(self, index: NDArray[np.intp], qpos: Floats, qvel: Floats | float = 0.0) -> None:
-        """Put the copies `index` anew into this state: [len(index), nq] and [len(index), nv]."""
+        """Reset the copies `index` to a state: qpos [len(index), nq], qvel [len(index), nv]."""
         self.batch.state[index] = self._initial
         self.qpos[index], self.qvel[index] = qpos, qvel
         if self._sensed is not None:
@@ -73,7 +73,7 @@ class MuJoCoTask:
             self.sensors[:] = self._sensed
 
     def state_dict(self) -> State:
-        """MuJoCo's states in full, warm starts among them, and what the sensors showed."""
+        """Return MuJoCo's states in full, warm starts included, and the sensors' values."""
         return {"mujoco": self.batch.state.copy(), "sensors": self.sensors.copy()}
 
     def load_state_dict(self, state: State) -> None:
@@ -82,19 +82,19 @@ class MuJoCoTask:
         self.sensors[:] = state["sensors"]
 
     def data(self, index: int) -> mujoco.MjData:
-        """Environment `index` as MuJoCo's own MjData, derived quantities and all, to render it."""
+        """Return environment `index` as MuJoCo's own MjData, with derived quantities, to render."""
         data = self.batch.get_data(index)
         mujoco.mj_forward(self.model, data)
         return data
 
     def frame(self, index: int) -> NDArray[np.uint8]:
-        """Environment `index` as a camera of its model sees it, [640, 640, 3]."""
+        """Draw environment `index` as a camera of its model sees it: [640, 640, 3]."""
         if self._offscreen is None:
             self._offscreen = Offscreen(self.model, FRAME_SIZE)
         return self._offscreen.draw(self.data(index), camera=0)
 
     def show(self, index: int) -> None:
-        """Environment `index` in MuJoCo's viewer."""
+        """Show environment `index` in MuJoCo's viewer."""
         if self._window is None:
             from circle2d_mj.render.window import Window
 

@@ -1,4 +1,4 @@
-"""What the tasks observe, reward, forbid and end by: functions of arrays, without state.
+"""Observations, rewards, costs and ends of the tasks: functions of arrays, without state.
 
 Leading axes `...` are any number of environments side by side. Positions are in metres, angles in
 radians. Source of everything here: safety-gymnasium 1.0.0, whose recorded episodes the tests hold.
@@ -31,7 +31,7 @@ _UPRIGHT_HIGH = np.array((np.inf, 0.2, *[100.0] * 9))
 
 
 class Sight(NamedTuple):
-    """Where targets are from an agent, in the world's directions: [..., k] each, metres."""
+    """Targets relative to an agent, along the world's axes: [..., k] each, metres."""
 
     dx: Floats
     dy: Floats
@@ -39,7 +39,7 @@ class Sight(NamedTuple):
 
 
 def sight(position: Floats, targets: Floats) -> Sight:
-    """Where each target is from the agent: [..., 2] and [..., k, 2]."""
+    """Return the targets relative to the agent. position: [..., 2], targets: [..., k, 2]."""
     dx = targets[..., 0] - position[..., None, 0]
     dy = targets[..., 1] - position[..., None, 1]
     return Sight(dx, dy, np.sqrt(dx * dx + dy * dy))
@@ -48,7 +48,7 @@ def sight(position: Floats, targets: Floats) -> Sight:
 def lidar(
     seen: Sight, heading: Floats, reach: float, group: NDArray[np.intp] | None = None
 ) -> Floats:
-    """How near the nearest target in each of 16 directions is, for each group of targets.
+    """Return the nearness of the nearest target in each of 16 directions, for each group.
 
     seen: k targets, heading [...], reach in metres -> [..., 16] in [0, 1], or [..., 16 * groups]
     where `group` [k] numbers the target's group from 0. Bin b looks from b to b + 1 sixteenths of
@@ -83,11 +83,11 @@ def lidar(
 
 
 def circle_reward(position: Floats, velocity: Floats) -> Floats:
-    """Speed round the circle, anticlockwise, less the farther from it: both [..., 2] -> [...].
+    """Return the speed round the circle, anticlockwise, damped by the distance to it.
 
-    0.1 (v x - u y) / r / (1 + |r - 1.5|) for the position (x, y) and velocity (u, v) after the
-    step, in the world; 0 at the very centre. The original clips it to [-10, 10], which the agent's
-    speed, 1.5 m/s at most, never reaches.
+    Both [..., 2] -> [...]: 0.1 (v x - u y) / r / (1 + |r - 1.5|) for the position (x, y) and
+    velocity (u, v) after the step, in the world; 0 at the very centre. The original clips it to
+    [-10, 10], which it never reaches: the agent's speed is at most 1.5 m/s.
     """
     x, y = position[..., 0], position[..., 1]
     u, v = velocity[..., 0], velocity[..., 1]
@@ -97,43 +97,43 @@ def circle_reward(position: Floats, velocity: Floats) -> Floats:
 
 
 def circle_cost(position: Floats) -> Floats:
-    """1.0 beyond one of the two walls, |x| > 1.125, else 0.0: [..., 2] -> [...]."""
+    """Return 1.0 beyond one of the two walls, |x| > 1.125 m, else 0.0: [..., 2] -> [...]."""
     return (np.abs(position[..., 0]) > CIRCLE_WALL).astype(np.float64)
 
 
 def goal_reward(before: Floats, after: Floats) -> Floats:
-    """The way made towards the goal, and 1 for reaching it: distances [...], in metres -> [...]."""
+    """Return the way made towards the goal, m, plus 1 for reaching it: distances [...] -> [...]."""
     return before - after + goal_met(after)
 
 
 def goal_met(after: Floats) -> Flags:
-    """Whether the agent's centre is in the goal, rim included: its distance [...] -> [...]."""
+    """Test whether the agent's centre is in the goal, rim included: distance [...] -> [...]."""
     return after <= GOAL_RADIUS
 
 
 def goal_cost(hazard_distance: Floats) -> Floats:
-    """1.0 with the agent's centre in a hazard, rim excluded: distances [..., k] -> [...]."""
+    """Return 1.0 with the agent's centre in a hazard, rim excluded: distances [..., k] -> [...]."""
     return np.asarray((hazard_distance < HAZARD_RADIUS).any(axis=-1), dtype=np.float64)
 
 
 def hopper_observation(qpos: Floats, qvel: Floats) -> Floats:
-    """All but how far it got, speeds cut to [-10, 10]: [..., 6] and [..., 6] -> [..., 11]."""
+    """Return qpos without x, then qvel clipped to [-10, 10]: [..., 6] each -> [..., 11]."""
     return np.concatenate((qpos[..., 1:], np.clip(qvel, -10.0, 10.0)), axis=-1)
 
 
 def hopper_reward(x_velocity: Floats, action: Floats) -> Floats:
-    """Forward speed + 1 - 0.001 |action|^2: [...] and [..., 3], not clipped -> [...]."""
+    """Return forward velocity + 1 - 0.001 |action|²: [...] and [..., 3], not clipped -> [...]."""
     a, b, c = action[..., 0], action[..., 1], action[..., 2]
     return x_velocity + 1.0 - 0.001 * (a * a + b * b + c * c)
 
 
 def hopper_cost(x_velocity: Floats) -> Floats:
-    """1.0 above 0.7402 m/s forward, else 0.0: [...] -> [...]."""
+    """Return 1.0 above 0.7402 m/s forward, else 0.0: [...] -> [...]."""
     return (x_velocity > HOPPER_MAX_SPEED).astype(np.float64)
 
 
 def hopper_fell(qpos: Floats, qvel: Floats) -> Flags:
-    """Whether the torso is too low or tilted, or a number has run away: two [..., 6] -> [...].
+    """Test whether the torso is too low or tilted, or the state diverges: two [..., 6] -> [...].
 
     Upright: height > 0.7, |tilt| < 0.2, and joint angles and all speeds within (-100, 100).
     """

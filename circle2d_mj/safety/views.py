@@ -1,4 +1,4 @@
-"""What reports show of the Safety-Gymnasium tasks: see `circle2d_mj.core.view.View`."""
+"""Views of the Safety-Gymnasium tasks: see `circle2d_mj.core.view.View`."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ class _MapView(ABC):
     axes: tuple[str, str]
 
     def places(self, positions: NDArray[np.floating]) -> list[str]:
-        """No place has a name."""
+        """Return nothing: no place has a name."""
         return []
 
     def background(self, size: int) -> Picture:
-        """The states that cost, grey: [size, size, 3]."""
+        """Paint the states that cost grey: [size, size, 3]."""
         costs = self._costs(canvas.points_of_pixels(self.extent, size))
         return np.where(costs[..., None], REGION, FREE).astype(np.uint8)
 
     def overlay(self, picture: Picture) -> Picture:
-        """The outline of the states that cost."""
+        """Add the outline of the states that cost."""
         return canvas.with_outline(picture, self._costs(self._fine_points(picture)))
 
     @abstractmethod
     def _costs(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether states at positions [..., 2] cost: [...]."""
+        """Test whether states at positions [..., 2] cost: [...]."""
 
     def _fine_points(self, picture: Picture) -> NDArray[np.float64]:
         return canvas.points_of_pixels(self.extent, len(picture) * FINER)
 
 
 class PointCircleView(_MapView):
-    """The plane from above: beyond the two walls states cost, the circle is where reward is."""
+    """The plane from above, with the circle; beyond the two walls states cost."""
 
     extent = (-2.5, 2.5, -2.5, 2.5)
     axes = ("x (m)", "y (m)")
@@ -53,11 +53,11 @@ class PointCircleView(_MapView):
     def positions(
         self, observation: NDArray[np.floating], info: Mapping[str, Any]
     ) -> NDArray[np.float64]:
-        """Where the agents are in the world: [..., 2] m."""
+        """Return the positions in the world: [..., 2] m."""
         return np.stack((info["x_position"], info["y_position"]), axis=-1)
 
     def overlay(self, picture: Picture) -> Picture:
-        """The walls and the circle."""
+        """Add the walls and the circle."""
         radius = np.linalg.norm(self._fine_points(picture), axis=-1)
         return canvas.with_outline(super().overlay(picture), radius < rules.CIRCLE_RADIUS)
 
@@ -80,19 +80,19 @@ class PointGoalView(_MapView):
     def positions(
         self, observation: NDArray[np.floating], info: Mapping[str, Any]
     ) -> NDArray[np.floating]:
-        """The distances: [..., 60] -> [..., 2] m."""
+        """Return the two distances: [..., 60] -> [..., 2] m."""
         goal, hazards, _ = np.split(np.asarray(observation)[..., -3 * rules.LIDAR_BINS :], 3, -1)
         nearest = np.stack((goal.max(axis=-1), hazards.max(axis=-1)), axis=-1)
         return rules.GOAL_LIDAR_REACH * (1.0 - nearest)
 
     def background(self, size: int) -> Picture:
-        """The states that cost, grey, and the others in which the goal is reached, green."""
+        """Paint the states that cost grey, the others in which the goal is reached green."""
         points, picture = canvas.points_of_pixels(self.extent, size), super().background(size)
         reached = rules.goal_met(points[..., 0]) & ~self._costs(points)
         return np.where(reached[..., None], _GOAL_COLOUR, picture).astype(np.uint8)
 
     def overlay(self, picture: Picture) -> Picture:
-        """The outline of the states that cost, and the axes."""
+        """Add the outline of the states that cost, and the axes."""
         ticks = ((0.5, 1, 1.5, 2, 2.5), (0.2, 0.5, 1))
         return canvas.with_ticks(super().overlay(picture), self.extent, self.axes, ticks)
 
@@ -109,11 +109,11 @@ class HopperView(_MapView):
     def positions(
         self, observation: NDArray[np.floating], info: Mapping[str, Any]
     ) -> NDArray[np.floating]:
-        """Velocity, the mean over the step, and height: [..., 2], m/s and m."""
+        """Return velocity (the mean over the step) and height: [..., 2], m/s and m."""
         return np.stack((info["x_velocity"], observation[..., 0]), axis=-1)
 
     def overlay(self, picture: Picture) -> Picture:
-        """The outline of the velocities that cost, and the axes."""
+        """Add the outline of the velocities that cost, and the axes."""
         ticks = ((-1, 0, 1, 2, 3), (0.7, 1, 1.3, 1.6))
         return canvas.with_ticks(super().overlay(picture), self.extent, self.axes, ticks)
 

@@ -13,9 +13,9 @@ STREAKS = [(0, 4), (5, 1), (2, 2), (3, 0), (5, 5), (1, 0), (2, 4), (0, 0), (1, 1
 STREAKS += [(0, 1)]
 
 
-def write_runs(folder):
-    """Two runs on a task of Circle2D: what they recorded, and no checkpoint."""
-    config = TrainConfig("sac-lag", TASK, (0, 1), 120, preset("sac-lag", TASK))
+def write_runs(folder, task=TASK):
+    """Two runs on a task: what they recorded, and no checkpoint."""
+    config = TrainConfig("sac-lag", task, (0, 1), 120, preset("sac-lag", task))
     config.write(folder)
     for seed in (0, 1):
         lines = ["rollout,start_step,length,return,cost,longest_streak"]
@@ -33,6 +33,25 @@ def results(folder):
     found = sorted(path for path in folder.rglob("*") if path.is_file())
     kept = (path for path in found if path.name != "status.json" and path.stem != "report")
     return {str(path.relative_to(folder)): path.read_bytes() for path in kept}
+
+
+def write_evaluated(folder, name, costs, hyperparameters=None, old=False):
+    """Evaluated runs on Circle2D-1 of ten episodes of ten steps, with as many steps at a cost in
+    each episode, in one chain: one run for each number in `costs`.
+
+    old: as before cost steps and streaks were recorded.
+    """
+    task, seeds = "Circle2D-1-v0", tuple(range(len(costs)))
+    TrainConfig(name, task, seeds, 100, hyperparameters or preset(name, task)).write(folder)
+    head = "rollout,start_step,length,return,cost,longest_streak"
+    for seed, cost in zip(seeds, costs, strict=True):
+        lines = [head + ("" if old else ",cost_steps,streaks")]
+        more = "" if old else f",{cost},1"
+        lines += [f"{k},{10 * k},10,-1.0,{cost}.0,{5 if old else cost}{more}" for k in range(10)]
+        (folder / f"seed-{seed}" / "episodes.csv").write_text("\n".join([*lines, ""]))
+        of = {"J_R": -9.0, "J_C": 4.25, "CVaR_0.5": 6.5, "final_observations": [[1.0, 0.0]]}
+        content = {"episodes": 1, "deterministic": of, "stochastic": of}
+        (folder / f"seed-{seed}" / "evaluation.json").write_text(json.dumps(content))
 
 
 def write_status(folder, share, speed=None, **sessions):

@@ -1,4 +1,4 @@
-"""Every algorithm on a problem with a known constrained optimum, and one of each family on Circle2D-1."""
+"""Algorithms on a problem with a known constrained optimum; one of each family on Circle2D-1."""
 
 from dataclasses import replace
 

@@ -43,7 +43,7 @@ def five_steps():
 
 def test_surrogate_and_its_gradient_by_hand():
     """From N(0, 1) to N(½, 1): log ρ = a/2 - 1/8, so ρ = 1.4549914 at a = 1, 0.5352614 at -1 and 1
-    at ¼; ε = 0.2. The slope of ρ A is ρ A (a - ½) along the mean and ρ A ((a - ½)² - 1) along log σ.
+    at ¼; ε = 0.2. The slope of ρ A is ρ A (a - ½) along the mean, ρ A ((a - ½)² - 1) along log σ.
 
     a = 1, A = 2: clipped to 1.2·2 = 2.4, slopes 0.
     a = 1, A = -1: -1.4549914 is less than -1.2 and stays; slopes -0.7274957 and 1.0912436.

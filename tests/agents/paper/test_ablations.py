@@ -11,7 +11,7 @@ import pytest
 from agents.cli.main import main
 from agents.paper.grid import grid
 from agents.paper.presets import ablation, preset, unprinted
-from agents.reporting.report import report
+from agents.reporting.report import table
 from agents.training.config import TrainConfig
 
 ALGORITHMS = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
@@ -56,13 +56,13 @@ def test_a_table_says_what_of_its_presets_is_not_printed(tmp_path):
     for task in (TASK, SAFETY):
         for name in ("trpo-lag", "cpo", "sac-lb"):
             write_runs(tmp_path / task / name, name, [-10.0], task=task)
-    by_circle2d, by_safety = report(tmp_path).split(f"| {SAFETY}")
+    by_circle2d, by_safety = table(tmp_path).split(f"| {SAFETY}")
     inferred = "That the paper did so is inferred from its results, not printed.\n"
     assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {inferred}" in by_circle2d
     assert f"SAC-LB: the last step of an episode counts as terminal. {inferred}" in by_circle2d
     told = "Whether the paper did so is not printed.\n"
     assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {told}" in by_safety
-    assert f"SAC-LB: values go on behind the time limit of an episode. {told}" in by_safety
+    assert f"SAC-LB: values bootstrap at the time limit of an episode. {told}" in by_safety
 
 
 def write_runs(folder, name, j_r, hyperparameters=None, steps=100, ends=((-0.5, 0.0),), task=TASK):
@@ -99,7 +99,7 @@ def rows(markdown):
 
 
 def test_both_choices_side_by_side(folder):
-    markdown = report(folder)
+    markdown = table(folder)
     start = markdown.index("Both choices of what the paper does not print")
     main_table, ablated = rows(markdown[:start]), rows(markdown[start:])
     assert [row[0] for row in ablated[2:]] == [
@@ -113,7 +113,7 @@ def test_both_choices_side_by_side(folder):
     assert of_paper[5] == "-4.68"
     assert of_preset[6].startswith("**4.25**")  # of two equal ones either
     assert of_other[6].startswith("**4.25**")
-    assert (of_preset[8], of_other[8]) == ("corridor 2, right rim 1", "corridor 1, right rim 1")
+    assert (of_preset[9], of_other[9]) == ("corridor 2, right rim 1", "corridor 1, right rim 1")
     # The best J_R of the main table is the preset's, though the ablated runs' is higher.
     assert not any("sgd" in row[0] for row in main_table)
     (of_preset,) = (row for row in main_table if row[0] == "TRPO-Lag (100 steps), mean of 3")
@@ -123,7 +123,7 @@ def test_both_choices_side_by_side(folder):
 
 def test_without_the_presets_runs_it_is_a_group_like_any_other(folder):
     shutil.rmtree(folder / "trpo-lag")
-    markdown = report(folder)
+    markdown = table(folder)
     assert "Both choices" not in markdown
     assert "TRPO-Lag (multiplier_optimizer sgd, 100 steps), mean of 2" in markdown
 
@@ -131,7 +131,7 @@ def test_without_the_presets_runs_it_is_a_group_like_any_other(folder):
 def test_runs_of_other_steps_are_no_pair(folder):
     other = ablation("trpo-lag", TASK)[1]
     write_runs(folder / "longer", "trpo-lag", [-1.0], other, steps=200)
-    assert "TRPO-Lag (multiplier_optimizer sgd, 200 steps), mean of 1" in report(folder)
+    assert "TRPO-Lag (multiplier_optimizer sgd, 200 steps), mean of 1" in table(folder)
 
 
 def test_reproduce_with_ablations(tmp_path, capsys):

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from html import unescape
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ import pytest
 from agents.paper.claims import CLAIMS, check_claims
 from agents.paper.presets import PAPER_STEPS, preset
 from agents.reporting import claims_text
+from agents.reporting.page import Section, page
 from agents.results.reading import Group, Run
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
@@ -19,14 +19,19 @@ SAFETY = [task for task in PAPER_STEPS if "Safety" in task]
 LEVEL = [f"Circle2D-{level}-v0" for level in range(4)]
 
 
-def run(seed, parts, rate, j_c, ends, later_cost):
+def run(seed, parts, rate, j_c, end, later_cost):
     """Ten episodes, the first four at a cost of 40: only the others are after the first third."""
     measures = dict(zip(("EMCC_0.33", "EMCC_0.66", "EMCC_0.99"), parts, strict=True))
     measures |= {"cost_rate": rate, "J_R": -9.0, "J_C": j_c, "CVaR_0.5": j_c}
     cost = np.array([40.0] * 4 + [later_cost] * 6)
     of_ten, zero = np.arange(10), np.zeros(10)
     records = EpisodeRecords(of_ten, of_ten * 10, zero + 10, zero, cost, zero)
-    return Run(seed, measures, 100, ends, records)
+    return Run(seed, measures, 100, end_at(end), records)
+
+
+def end_at(place, share=80):
+    """Most of 100 episodes at a place."""
+    return {"right rim" if place == "bottom rim" else "bottom rim": 100 - share, place: share}
 
 
 def as_the_paper_says(task, name):
@@ -35,7 +40,7 @@ def as_the_paper_says(task, name):
     if name in ("trpo-lag", "cpo"):
         parts = (0.5, 0.3, 0.2)
         if name == "trpo-lag" and task in LEVEL[1:]:
-            j_c, ends = 9.4, "corridor (80 %)"
+            j_c, ends = 9.4, "corridor"
     elif name in ("sac-lag", "sac-lb"):
         parts = (0.3, 0.4, 0.5)
         ends = "corridor" if task == LEVEL[0] or (name, task) == ("sac-lb", LEVEL[1]) else ends
@@ -52,7 +57,7 @@ def group(task, name, runs, steps=None, **changes):
     seeds = tuple(of.seed for of in runs) or (0,)
     hyperparameters = replace(preset(name, task), **changes)
     config = TrainConfig(name, task, seeds, steps or PAPER_STEPS[task], hyperparameters)
-    return Group(Path(name), config, list(runs))
+    return Group(name, config, list(runs))
 
 
 @pytest.fixture
@@ -77,7 +82,9 @@ def changed(runs, seeds, ends=None, records=None, **measures):
     """Some runs with other numbers; two underscores in a name are a dot."""
     measures = {k.replace("__", "."): v for k, v in measures.items()}
     return [
-        replace(of, measures=of.measures | measures, ends=ends or of.ends) if k in seeds else of
+        replace(of, measures=of.measures | measures, ends=end_at(ends, 51) if ends else of.ends)
+        if k in seeds
+        else of
         for k, of in enumerate(runs)
     ]
 
@@ -98,7 +105,7 @@ SCENARIOS = {
     "off-policy falls once": (SAFETY[1], "wcsac", ALL, {"EMCC_0__99": 0.1}, 2, "confirmed"),
     "SAC-Lag nowhere": (LEVEL[0], "sac-lag", ALL, {"ends": "right rim"}, 3, "refuted"),
     "SAC-Lag once": (LEVEL[0], "sac-lag", (0, 1), {"ends": "right rim"}, 3, "confirmed"),
-    "CPO once": (LEVEL[0], "cpo", (1,), {"ends": "corridor (51 %)"}, 3, "refuted"),
+    "CPO once": (LEVEL[0], "cpo", (1,), {"ends": "corridor"}, 3, "refuted"),
     "SAC-LB above": (LEVEL[1], "sac-lb", ALL, {"J_C": 5.01}, 3, "refuted"),
     "WCSAC too": (LEVEL[1], "wcsac", (2,), {"ends": "corridor", "J_C": 5.0}, 3, "refuted"),
     "in a cut-out": (LEVEL[3], "wcsac", ALL, {"ends": "top cut-out"}, 4, "confirmed"),
@@ -145,7 +152,7 @@ def test_what_decides_nothing(world):
     assert check_claims(others) == []
     # Beside the runs of the preset they change nothing.
     ablated = [group(of.config.task, "trpo-lag", changed(of.runs, ALL, J_C=0.0)) for of in others]
-    ablated = [of._replace(config=other.config) for of, other in zip(ablated, others, strict=True)]
+    ablated = [replace(of, config=other.config) for of, other in zip(ablated, others, strict=True)]
     presets = [group(task, name, runs) for (task, name), runs in world.items()]
     assert [c.verdict for c in check_claims([*ablated, *presets])] == ["confirmed"] * 6
 
@@ -170,10 +177,11 @@ def test_what_is_missing_is_named(world):
 
 def test_the_page_says_the_same(world):
     checked = check_claims([group(task, name, runs) for (task, name), runs in world.items()])
-    text, html = claims_text.markdown(checked), unescape(claims_text.html(checked))
+    text = claims_text.markdown(checked)
+    html = unescape(page("x", [Section("The paper's claims", claims=checked)], {}))
     assert text.count("**Confirmed**") == html.count("<em>Confirmed</em>") == 6
     for claim, findings, _ in checked:
-        for part in (claim.text, claim.rule, *(finding.text for finding in findings)):
+        for part in (claim.text, claim.rule, *map(claims_text.finding_words, findings)):
             assert part in text
             assert part in html
     # By hand: 9.4 for all three; .2, .21, .22, of which the paper prints .22 on level 1.
@@ -194,4 +202,4 @@ def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
     groups = [group(task, name, runs) for (task, name), runs in world.items()]
     checked = check_claims([*others, *groups])[0]
     assert checked.verdict == "open"
-    assert any("2,000,000 of 1,000,000 steps" in part.text for part in checked.findings)
+    assert any("2,000,000 of 1,000,000 steps" in part.lacking for part in checked.findings)

@@ -4,9 +4,10 @@ import json
 from importlib.resources import files
 
 from agents.paper.presets import preset
-from agents.reporting.tables import best, paper_results
-from agents.results.reading import MEASURES
+from agents.paper.printed import paper_results
+from agents.reporting.marks import best
 
+MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
 NAMES = {"TRPO-Lag": 0, "CPO": 1, "SAC-Lag": 2, "SAC-LB": 3, "WCSAC": 4}
 T, C, S, B, W = range(5)
 # The bold cells of the paper's two tables, from its source; rows in the order of MEASURES.
@@ -48,3 +49,15 @@ def test_equal_to_two_digits_is_equal_and_one_alone_is_not_best():
     assert best({3: (one, 5.0)}) == set()
     assert not {m for m in best({0: (two, 5.0), 1: (two, 5.0)}) if m[1] == "J_R"}
     assert {m for m in best({0: (two, 5.0), 1: (two, 6.0)}) if m[1] == "J_R"} == {(1, "J_R")}
+
+
+def test_what_is_not_known_is_not_marked():
+    """Neither are rows without a cost limit for what they reach, nor a measure that one row has."""
+    one, two = values(0.3, -3.0, 1.0), values(0.4, -2.0, 1.0)
+    marked = best({0: (one | {"EMCC_0.33": None}, 5.0), 1: (two, 5.0), 2: (two, None)})
+    assert {key for key, name in marked if name == "EMCC_0.33"} == {1, 2}
+    assert {key for key, name in marked if name == "J_R"} == {1}
+    assert not {
+        m for m in best({0: (one | {"cost_rate": None}, 5.0), 1: (two, 5.0)}) if m[1] == "cost_rate"
+    }
+    assert not {m for m in marked if m[1] == "mean_streak"}

@@ -45,7 +45,7 @@ def test_by_hand(tmp_path):
     assert found["B - A: CPO - TRPO-Lag"][0] == "-0.10 [-0.10, -0.10]"
     assert found["B - A: CPO - TRPO-Lag"][5] == "+0.00 [+0.00, +0.00]"
     assert found["A: TRPO-Lag, seed 1"] == [
-        *("0.40", "0.40", "0.40", "0.40", "-20.00", "4.25", "6.50", "right rim")
+        *("0.40", "0.40", "0.40", "0.40", "-20.00", "4.25", "6.50", "–", "right rim")
     ]
     assert "resamples the seeds of either side independently" in markdown
     assert rows(compare(b, a))["B - A: TRPO-Lag - CPO"][4] == "-8.00 [-15.00, -1.00]"

@@ -10,6 +10,7 @@ from agents.cli.main import main
 from agents.paper.presets import preset
 from agents.reporting.provenance import command, made
 from agents.results.reading import Group
+from agents.results.source import FolderSource
 from agents.training import machine
 from agents.training.config import TrainConfig
 from agents.training.files import read_json
@@ -50,25 +51,33 @@ def test_what_is_told(tmp_path):
         config = TrainConfig(name, task, (0, 1), 1000, preset(name, task))
         config.write(tmp_path / name)
         write_status(tmp_path / name, 1.0, **{name: 300.4})
-        groups.append(Group(tmp_path / name, config, []))
+        groups.append(Group(name, config, []))
     of = machine.machine()
-    assert made(tmp_path, groups)["machine"] == f"{of['processor']}, {of['cores']} cores"
-    assert made(tmp_path, groups)["training time"] == "10 min, all processes together"
-    first, second = made(tmp_path, groups)["command"].splitlines()
+    assert (
+        made(FolderSource(tmp_path), groups)["machine"] == f"{of['processor']}, {of['cores']} cores"
+    )
+    assert made(FolderSource(tmp_path), groups)["training time"] == "10 min, all processes together"
+    first, second = made(FolderSource(tmp_path), groups)["command"].splitlines()
     assert first == (
         "circle2d train --algorithm cpo --task Circle2D-1-v0 --seeds 0 1 --steps 1000 "
         f"--backend eager --out {tmp_path.name}/cpo"
     )
     assert "wcsac" in second
-    assert made(tmp_path, groups)["steps"] == "1,000"
+    assert made(FolderSource(tmp_path), groups)["steps"] == "1,000"
     assert read_json(tmp_path / "cpo" / "seed-0" / "config.json")["machine"] == of
     # Runs of before these were recorded.
     content = (tmp_path / "cpo" / "config.json").read_text().replace('"machine"', '"versions"')
     (tmp_path / "cpo" / "config.json").write_text(content)
     (tmp_path / "cpo" / "status.json").unlink()
-    told = made(tmp_path, groups)["training time"]
+    told = made(FolderSource(tmp_path), groups)["training time"]
     assert told == "5 min, all processes together, of 1 of 2 folders"
-    assert made(tmp_path, groups[:1]).keys() == {"command", "versions", "runs", "seeds", "steps"}
+    assert made(FolderSource(tmp_path), groups[:1]).keys() == {
+        "command",
+        "versions",
+        "runs",
+        "seeds",
+        "steps",
+    }
 
 
 def test_who_went_on_is_recorded_and_told(tmp_path, monkeypatch):
@@ -89,7 +98,7 @@ def test_who_went_on_is_recorded_and_told(tmp_path, monkeypatch):
     assert said.startswith("trained so far with other versions {'python'")
     machine.note_session(tmp_path)
     assert TrainConfig.read(tmp_path) == config
-    told = made(tmp_path, [Group(tmp_path, config, [])])
+    told = made(FolderSource(tmp_path), [Group(".", config, [])])
     assert told["machine"].count(" cores") == 2
     assert "A Chip, 9 cores" in told["machine"]
     assert "torch 9.9" in told["versions"]

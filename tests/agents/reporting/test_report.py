@@ -5,8 +5,8 @@ import json
 import numpy as np
 
 from agents.paper.presets import preset
-from agents.reporting.report import report
-from agents.reporting.tables import paper_results
+from agents.paper.printed import paper_results
+from agents.reporting.report import table
 from agents.training.config import TrainConfig
 from circle2d_mj import Circle2DConfig
 
@@ -33,14 +33,14 @@ def test_a_table_by_hand(tmp_path):
     config.write(tmp_path)
     write_run(tmp_path / "seed-0", -10.0)
     write_run(tmp_path / "seed-1", -20.0)
-    rows = [line.split("|")[1:-1] for line in report(tmp_path).splitlines() if "| SAC" in line]
+    rows = [line.split("|")[1:-1] for line in table(tmp_path).splitlines() if "| SAC" in line]
     rows = [[cell.strip() for cell in row] for row in rows]
     # Starts 0 10 20 30 | 40 50 60 | 70 80 90 of 100 steps. The highest tenth of three or four
     # values is the highest alone: .8, .4, 1. Costs: 46 of 100 steps.
     numbers = ["0.80", "0.40", "1.00", "0.46"]
     end = "corridor (75 %)"
-    assert rows[2] == ["SAC-Lag (100 steps), seed 0", *numbers, "-10.00", "4.25", "6.50", end]
-    assert rows[3] == ["SAC-Lag (100 steps), seed 1", *numbers, "-20.00", "4.25", "6.50", end]
+    assert rows[2] == ["SAC-Lag (100 steps), seed 0", *numbers, "-10.00", "4.25", "6.50", "–", end]
+    assert rows[3] == ["SAC-Lag (100 steps), seed 1", *numbers, "-20.00", "4.25", "6.50", "–", end]
     assert rows[0][0] == "SAC-Lag (100 steps), mean of 2"
     assert [cell.split(" ")[0] for cell in rows[0][1:8]] == [*numbers, "-15.00", "4.25", "6.50"]
     assert rows[0][5] == "-15.00 [-20.00, -10.00]"
@@ -72,7 +72,7 @@ def test_an_unfinished_run_is_in_no_mean(tmp_path):
         write_run(tmp_path / f"seed-{seed}", -10.0)
     episodes = tmp_path / "seed-1" / "episodes.csv"
     episodes.write_text("".join(episodes.read_text().splitlines(keepends=True)[:-2]))
-    markdown = report(tmp_path)
+    markdown = table(tmp_path)
     assert "seed-1: is unfinished: 80 of 100 steps" in markdown
     assert "mean of 1" in markdown
     assert "seed 1 |" not in markdown

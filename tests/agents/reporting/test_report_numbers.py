@@ -21,7 +21,8 @@ from circle2d_mj.core.single_env import TaskEnv
 TASK, SEEDS, STEPS, EVALUATED, LIMIT = "Circle2D-3-v0", (3, 4, 5), 3000, 100, 5
 TIME_LIMIT = 50  # kept by gymnasium's wrapper, above what is written down
 EPISODES = {"cpo": 10, "wcsac": 1}  # an epoch
-MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
+PRINTED = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
+MEASURES = (*PRINTED, "mean_streak")
 PAPER = {  # tables Circle2DResults and EMCC of the paper, level 3
     "cpo": (0.47, 0.31, 0.20, 0.11, -19.22, 8.28, 12.00),
     "wcsac": (0.56, 0.57, 0.50, 0.11, -15.40, 0.01, 0.01),
@@ -78,7 +79,7 @@ def raw(written, tmp_path_factory):
         numbers[name + choice] = numbers_of(list(written.values()), EPISODES[name])
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(presets.PAPER_STEPS, TASK, STEPS)
-        report(out, with_figures=True)
+        report(out)
     return out, numbers
 
 
@@ -101,7 +102,7 @@ def numbers_of(environments, of_epoch):
 def of_training(epochs):
     """Epochs count until the steps are reached."""
     parts = {"EMCC_0.33": [], "EMCC_0.66": [], "EMCC_0.99": []}
-    steps, costs, later = 0, 0.0, []
+    steps, costs, later, chains = 0, 0.0, [], []
     for episodes in epochs:
         if steps >= STEPS:
             break
@@ -116,9 +117,16 @@ def of_training(epochs):
                 later.append(sum(episode.costs))
             costs += sum(episode.costs)
             steps += len(episode.costs)
+            chains += streaks(episode.costs)
     assert steps >= STEPS
     emcc = {name: highest(values, 0.1) for name, values in parts.items()}
-    return emcc | {"cost_rate": costs / steps, "later": fmean(later)}
+    mean = fmean(chains) if chains else 0.0
+    return emcc | {"cost_rate": costs / steps, "later": fmean(later), "mean_streak": mean}
+
+
+def streaks(costs):
+    """Lengths of all chains of cost steps in an episode."""
+    return [len(chain) for chain in "".join("x" if c > 0 else " " for c in costs).split()]
 
 
 def longest(costs):
@@ -213,9 +221,10 @@ def check_rows(rows, numbers):
     papers = {f"{TITLES[name]}, paper (3 seeds)": PAPER[name] for name in EPISODES}
     papers[f"{TASK}, WCSAC, paper (3 seeds)"] = PAPER["wcsac"]
     for name, *cells in rows:
-        measured = dict(zip(MEASURES, cells[:7], strict=True))
+        measured = dict(zip(MEASURES, cells[:8], strict=True))
         if name in papers:
             assert [float(cell) for cell in cells[:7]] == list(papers[name])
+            assert cells[7] == "–"
         elif name in means:
             for measure, cell in measured.items():
                 assert is_mean(cell, column(means[name], measure)), (name, measure, cell)
@@ -223,10 +232,10 @@ def check_rows(rows, numbers):
             run = singles[name]
             for measure, cell in measured.items():
                 assert near(cell, run[measure]), (name, measure, cell, run[measure])
-            assert cells[7] == run["ends"]
+            assert cells[8] == run["ends"]
         if preset in name or other in name:
             places = Counter(run["ends"].partition(" (")[0] for run in means[name])
-            assert cells[7] == ", ".join(f"{p} {n}" for p, n in places.most_common())
+            assert cells[8] == ", ".join(f"{p} {n}" for p, n in places.most_common())
     assert {name for name, *_ in rows} == {*means, *singles, *papers}
 
 
@@ -253,14 +262,16 @@ def test_the_numbers_for_a_program(raw):
         for kind, of in (("mean", fmean), ("mean low", min), ("mean high", max)):
             expected[name, kind, ""] = [of(column(numbers[key], m)) for m in MEASURES]
     for key, values in PAPER.items():
-        expected[TITLES[key], "paper", ""] = values
+        expected[TITLES[key], "paper", ""] = [*values, ""]
     with (out / "report.csv").open(newline="") as file:
         lines = list(csv.DictReader(file))
     found = {(x["algorithm"], x["kind"], x["seed"]): x for x in lines}
     assert len(found) == len(lines)
     assert found.keys() == expected.keys()
     for key, line in found.items():
-        assert [float(line[m]) for m in MEASURES] == pytest.approx(expected[key], abs=1e-5), key
+        known = [float(line[m]) if line[m] else "" for m in MEASURES]
+        assert known[:7] == pytest.approx(expected[key][:7], abs=1e-5), key
+        assert known[7:] == (pytest.approx(expected[key][7:]) if key[1] != "paper" else [""])
         assert line["task"] == TASK
         folders = [k for k, name in names.items() if name == key[0] and key[1] != "paper"]
         assert [line["folder"]] == (folders or [""])
@@ -277,19 +288,19 @@ def test_what_is_best_is_marked(raw):
         name, *cells = (cell.strip() for cell in line.strip("| ").split("|"))
         marks[name] = {m for m, c in zip(MEASURES, cells, strict=False) if c.startswith("**")}
     means = {
-        f"{TITLES[name]}, mean of 3": [round(fmean(column(numbers[name], m)), 2) for m in MEASURES]
+        f"{TITLES[name]}, mean of 3": [round(fmean(column(numbers[name], m)), 2) for m in PRINTED]
         for name in EPISODES
     }
     papers = {f"{TITLES[name]}, paper (3 seeds)": PAPER[name] for name in EPISODES}
     for compared in (means, papers):
         best = {name: set() for name in compared}
-        for k, measure in enumerate(MEASURES[:4]):
+        for k, measure in enumerate(PRINTED[:4]):
             for name, values in compared.items():
                 if values[k] == min(other[k] for other in compared.values()):
                     best[name].add(measure)
         safe = {name: values[4] for name, values in compared.items() if values[5] <= LIMIT}
         for name, value in safe.items():
-            best[name] |= set(MEASURES[4:]) if value == max(safe.values()) else set()
+            best[name] |= set(PRINTED[4:]) if value == max(safe.values()) else set()
         assert {name: marks[name] for name in compared} == best
 
 
@@ -298,7 +309,7 @@ def test_of_both_choices_the_nearer_to_the_paper_is_marked(raw):
     _, _, text = (out / "report.md").read_text().partition("task, algorithm and choice")
     preset, other, paper = (line.split("|") for line in text.splitlines()[2:5])
     assert paper[1].strip() == f"{TASK}, WCSAC, paper (3 seeds)"
-    for k, measure in enumerate(MEASURES):
+    for k, measure in enumerate(PRINTED):
         off = [
             abs(round(fmean(column(numbers[name], measure)), 2) - PAPER["wcsac"][k])
             for name in ("wcsac", "wcsacb")

@@ -107,15 +107,16 @@ def test_the_cost_is_of_the_state_that_a_step_ends_in():
     physics._qvel[:] = [[-TOP_SPEED, 0.0]] * 2
     before = placed(outside + np.array([0.11, 0.0]), level=1)
     before._qvel[:] = physics._qvel
-    info = physics.step(np.array([[-1.0, 0.0]] * 2))
+    contact, _ = physics.step(np.array([[-1.0, 0.0]] * 2))
     assert (np.hypot(*physics.position.T) < 10 - 0.02).all()
     assert (np.hypot(*physics.position.T) > 10 - 0.11).all()
-    np.testing.assert_array_equal(info["cost"], [1, 1])
-    np.testing.assert_array_equal(before.step(np.array([[-1.0, 0.0]] * 2))["cost"], [0, 0])
+    np.testing.assert_array_equal(contact, [True, True])
+    contact, _ = before.step(np.array([[-1.0, 0.0]] * 2))
+    np.testing.assert_array_equal(contact, [False, False])
     # The other way it leaves with the last one.
     physics = placed([[10.0 - 1.05, 0.0]], level=1)
     physics._qvel[:] = [[TOP_SPEED, 0.0]]
-    assert physics.step(np.array([[1.0, 0.0]]))["cost"] == 0
+    assert not physics.step(np.array([[1.0, 0.0]])).contact
     assert 10 < physics.position[0, 0] < 10.11
 
 
@@ -124,24 +125,24 @@ def test_level_0_counts_what_follows_the_actions_not_what_they_found():
     not (it has cost in the step before)."""
     physics = placed([[10.25 + 1.05, 0.0]], level=0)
     physics._qvel[:] = [[-TOP_SPEED, 0.0]]
-    info = physics.step(np.array([[-1.0, 0.0]]))
+    contact, info = physics.step(np.array([[-1.0, 0.0]]))
     assert 10.25 - 0.11 < physics.position[0, 0] < 10.25
-    assert info["cost"] == 1
+    assert contact
     assert info["penetration"] == pytest.approx(10.25 - physics.position[0, 0], abs=1e-3)
     assert info["contact_force"] == 0
     leaving = placed([[10.25 - 0.02, 0.0]], level=0)
     leaving._qvel[:] = [[TOP_SPEED, 0.0]]
-    info = leaving.step(np.array([[1.0, 0.0]]))
-    assert (info["cost"], info["penetration"]) == (0, 0)
+    contact, info = leaving.step(np.array([[1.0, 0.0]]))
+    assert (contact, info["penetration"]) == (False, 0)
 
 
 def test_a_touch_within_a_step_costs_on_level_0():
     """The ball bounces off and is clear of the region again at the step's end."""
     physics = placed([[10.25 + 0.15, 0.0]], level=0, actuation="force")
     physics._qvel[:] = [[-TOP_SPEED, 0.0]]
-    info = physics.step(np.array([[1.0, 0.0]]))
+    contact, info = physics.step(np.array([[1.0, 0.0]]))
     assert physics.position[0, 0] > 10.26
-    assert info["cost"] == 1
+    assert contact
     assert info["contact_force"] > 0
     assert 0 < info["penetration"] < 0.2
 

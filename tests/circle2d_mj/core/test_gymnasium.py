@@ -38,7 +38,7 @@ class AsSingle(gym.Env):
         return observation[0], *(v.item() for v in values), self._floats(info)
 
     def _floats(self, info):
-        return {key: float(info[key][0]) for key in info if not key.startswith("_")}
+        return {key: np.float64(info[key][0]) for key in info if not key.startswith("_")}
 
 
 @tasks

@@ -1,138 +1,70 @@
-"""What is painted on the floor, pixel by pixel, against tests that share no code with it."""
+"""Heat, trajectories and outlines, pixel by pixel, against tests that share no code with them."""
 
-from colorsys import rgb_to_hsv
 from itertools import groupby
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib import colormaps
 
-from circle2d_mj import Circle2DConfig
 from circle2d_mj.render import canvas
 
 SIZE = 160
 BLANK = np.full((SIZE, SIZE, 3), 252, dtype=np.uint8)
-TASK = Circle2DConfig()  # R = 10 in an arena of ±15
-
-
-def centres(config, size):
-    """World coordinates of the pixels' centres: [size, size, 2], y falling from row to row."""
-    steps = (np.arange(size) - (size - 1) / 2) * (2 * config.arena / size)
-    return np.stack(np.meshgrid(steps, -steps), axis=-1)
+ARENA = (-15.0, 15.0, -15.0, 15.0)
 
 
 def with_heat(positions, cells):
     """The heat of some positions on a blank picture, scaled to the most visits, and these."""
-    counts = canvas.visits(TASK, positions, cells)
+    counts = canvas.count_visits(ARENA, positions, cells)
     most = int(counts.max())
     return canvas.with_counts(BLANK, counts, most), most
-
-
-def near_an_edge(mask):
-    """Where a pixel or one of its eight neighbours has another value."""
-    padded = np.pad(mask, 1, mode="edge")
-    shifts = [padded[i : i + len(mask), j : j + len(mask)] for i in range(3) for j in range(3)]
-    return np.any(shifts, axis=0) & ~np.all(shifts, axis=0)
 
 
 def painted_like(image, colour, tolerance=4):
     return (np.abs(image.astype(int) - colour) <= tolerance).all(axis=-1)
 
 
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        *({"level": level} for level in range(4)),
-        {"level": 3, "corridor_height_factor": 0.9, "constraint_radius": 0.01},
-        {"level": 2, "corridor_height_factor": 0.2, "init_radius_multiplier": 2.5},
-        {"level": 3, "corridor_height_factor": 0.03, "init_radius_multiplier": 1.05},
-        {"level": 1, "init_region_size": 1.5, "init_radius_multiplier": 1.8},
-        {"level": 2, "init_region_size": 1.5, "allow_infeasible_init": True},
-        {"level": 3, "optima_perturbation": (4.0, -3.0), "constraint_radius": 20.0},
-    ],
-)
-@pytest.mark.parametrize("size", [SIZE, 321])
-def test_every_pixel_of_the_background(parameters, size):
-    """Region and start area, but next to their edges, below circles and below the X."""
-    config = Circle2DConfig(**parameters)
-    image = canvas.background(config, size)
-    assert (image.shape, image.dtype) == ((size, size, 3), np.uint8)
-    points = centres(config, size)
-    inside = config.region.contains(points)
-    (left, low), (right, high) = config.start_rectangle
-    x, y = points[..., 0], points[..., 1]
-    start = (x >= left) & (x <= right) & (y >= low) & (y <= high)
-    start &= ~inside | config.allow_infeasible_init
-    from_optimum = np.linalg.norm(points - config.optima_perturbation, axis=-1)
-    pixel, ring = 2 * config.arena / size, config.constraint_radius / 4
-    on_circle = np.abs(from_optimum - ring * np.rint(from_optimum / ring)) < 1.8 * pixel
-    sure = (
-        ~on_circle
-        & ~near_an_edge(inside)
-        & ~near_an_edge(start)
-        & (from_optimum > 0.04 * size * pixel)
-    )
-    expected = np.where(inside[..., None], canvas.REGION, canvas.FREE)
-    expected[start] = canvas.START
-    expected[start & inside] = canvas.START_IN_REGION
-    assert sure.mean() > 0.5
-    assert (start & sure).any()
-    np.testing.assert_array_equal(image[sure], expected[sure])
+EXTENTS = [ARENA, (-1.5, 4.0, 0.6, 1.9), (0.0, 3e-3, -5e-3, -1e-3)]
 
 
-def test_circles_of_equal_reward():
-    """Every R/4 around the optimum; in an arena of 50 R as far apart as can be told apart."""
-    config = Circle2DConfig(optima_perturbation=(3.0, 5.0))
-    image = canvas.background(config, 640).astype(int)
-    angles = np.deg2rad([10, 80, 100, 200, 260])
-    for radius in np.arange(1, 13) * 1.25:  # circles, and halfway between them
-        points = np.stack((3 + radius * np.cos(angles), 5 + radius * np.sin(angles)), axis=-1)
-        points = points[np.abs(points).max(axis=1) < 14.9]
-        columns, rows = ((points * (1, -1) + 15) * 640 / 30).astype(int).T
-        around = zip(columns, rows, strict=True)
-        darkest = [image[r - 1 : r + 2, c - 1 : c + 2].min() for c, r in around]
-        flat = np.isin(darkest, (canvas.FREE[0], canvas.REGION[0], canvas.START[2]))
-        assert flat.all() == (radius % 2.5 > 1), radius
-    wide = canvas.background(Circle2DConfig(init_radius_multiplier=50.0), 640)
-    assert painted_like(wide, canvas.FREE).mean() > 0.7
-
-
-@pytest.mark.parametrize("optimum", [(0.0, 0.0), (4.0, -3.0), (-2.0, 7.5)])
-def test_cross_on_the_optimum(optimum):
-    config = Circle2DConfig(optima_perturbation=optimum)
-    image = canvas.background(config, 640)
-    rows, columns = np.nonzero((image < 100).all(axis=-1))
-    expected = (np.array(optimum) * (1, -1) + 15) * 640 / 30
-    assert np.abs((columns.mean() + 0.5, rows.mean() + 0.5) - expected).max() < 1
-    assert 15 < np.ptp(columns) < 30
-    assert 15 < np.ptp(rows) < 30
-    slopes = (columns - columns.mean()) * (rows - rows.mean())
-    assert (slopes > 20).any()
-    assert (slopes < -20).any()
-
-
-@pytest.mark.parametrize("radius", [1e-3, 1.0, 10.0])
+@pytest.mark.parametrize("extent", EXTENTS)
 @pytest.mark.parametrize("cells", [1, 7, 40, SIZE, 200])
-def test_visits_against_numpys_histogram(radius, cells):
-    config = Circle2DConfig(constraint_radius=radius)
-    middle = 0.1 * radius, 0.2 * radius
-    positions = np.random.default_rng(cells).normal(middle, 0.6 * radius, (20_000, 2))
-    positions = positions[np.abs(positions).max(axis=1) < config.arena]
-    edges = np.linspace(-config.arena, config.arena, cells + 1)
-    x_by_y, _, _ = np.histogram2d(*positions.T, bins=(edges, edges))
-    np.testing.assert_array_equal(canvas.visits(config, positions, cells), x_by_y.T[::-1])
+def test_visits_against_numpys_histogram(extent, cells):
+    left, right, bottom, top = extent
+    positions = np.random.default_rng(cells).uniform((left, bottom), (right, top), (20_000, 2))
+    edges = np.linspace(left, right, cells + 1), np.linspace(bottom, top, cells + 1)
+    x_by_y, _, _ = np.histogram2d(*positions.T, bins=edges)
+    np.testing.assert_array_equal(canvas.count_visits(extent, positions, cells), x_by_y.T[::-1])
 
 
-def test_visits_at_the_edge_of_the_arena():
-    """Corners and just beyond them, as a ball pressed against the edge is."""
+def test_visits_at_the_edge():
+    """Corners, and 1.4 % beyond them, as a ball pressed against the arena's edge is."""
     corners = np.array([(-15, 15), (15, 15), (-15, -15), (15, -15)])
     repeated = np.repeat(corners, [1, 2, 3, 4], axis=0)
     expected = np.zeros((30, 30))
     expected[[0, 0, -1, -1], [0, -1, 0, -1]] = [1, 2, 3, 4]
-    for scale in (1.0, 1 - 1e-12, 1.02):
-        np.testing.assert_array_equal(canvas.visits(TASK, repeated * scale, 30), expected)
-    assert canvas.visits(TASK, repeated.astype(np.float32), 30).sum() == 10
+    for scale in (1.0, 1 - 1e-12, 1.014):
+        counts = canvas.count_visits(ARENA, repeated * scale, 30)
+        np.testing.assert_array_equal(counts, expected)
+    assert canvas.count_visits(ARENA, repeated.astype(np.float32), 30).sum() == 10
+
+
+def test_visits_outside_are_not_counted():
+    positions = [(0.0, 16.0), (-16.0, 0.0), (0.0, -1e9), (1e300, 1.0), (3.0, 4.0)]
+    assert canvas.count_visits(ARENA, positions, 30).sum() == 1
+
+
+@pytest.mark.parametrize("extent", EXTENTS)
+def test_pixels_and_their_positions(extent):
+    """Corners of the picture, and each pixel's centre there and back."""
+    left, right, bottom, top = extent
+    at = canvas.pixels(extent, [(left, top), (right, bottom), (left, bottom)], 50)
+    np.testing.assert_allclose(at, [(0, 0), (50, 50), (0, 50)], atol=1e-9)
+    there = canvas.pixels(extent, canvas.points_of_pixels(extent, 12), 12)
+    columns, rows = np.meshgrid(np.arange(12) + 0.5, np.arange(12) + 0.5)
+    np.testing.assert_allclose(there, np.stack((columns, rows), axis=-1), atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -143,9 +75,6 @@ def test_visits_at_the_edge_of_the_arena():
         np.zeros((2, 5, 2)),
         [[0.0, np.nan], [1, 1]],
         [[np.inf, 0.0]],
-        [[0.0, 30.0]],
-        [[-30.0, 0.0]],
-        [[0.0, 0.0], [0.0, -1e9]],
     ],
 )
 def test_positions_that_are_none(positions):
@@ -163,11 +92,10 @@ def test_heat_colours_the_visited_cells_alone():
     image, most = with_heat(positions, 20)
     assert most == 9
     expected = BLANK.copy()
-    stops = {(0, 0): canvas.HEAT[0], (1, 19): canvas.HEAT[2], (19, 10): canvas.HEAT[4]}
+    stops = {(0, 0): canvas.HEAT[0], (1, 19): canvas.HEAT[8], (19, 10): canvas.HEAT[-1]}
     for (row, column), colour in stops.items():
-        blended = np.array(colour) * canvas.OPACITY + 252 * (1 - canvas.OPACITY)
-        expected[8 * row : 8 * row + 8, 8 * column : 8 * column + 8] = blended.astype(int)
-    assert np.abs(image.astype(int) - expected).max() <= 1
+        expected[8 * row : 8 * row + 8, 8 * column : 8 * column + 8] = colour
+    np.testing.assert_array_equal(image, expected)
     np.testing.assert_array_equal(image == BLANK, expected == BLANK)
     np.testing.assert_array_equal(positions, before)
     assert (BLANK == 252).all()
@@ -177,9 +105,18 @@ def test_a_common_scale_colours_by_its_own_most():
     """Nine visits are half of the way to 81, and what is beyond the most is as the most."""
     counts = np.array([[9, 200]])[[0, 0]]
     image = canvas.with_counts(np.full((2, 2, 3), 252, np.uint8), counts, 81)
-    for column, colour in ((0, canvas.HEAT[2]), (1, canvas.HEAT[4])):
-        blended = np.array(colour) * canvas.OPACITY + 252 * (1 - canvas.OPACITY)
-        assert np.abs(image[:, column] - blended).max() <= 1
+    np.testing.assert_array_equal(image[0], [canvas.HEAT[8], canvas.HEAT[-1]])
+
+
+def test_one_hot_cell_does_not_flatten_the_scale():
+    """The most is the count that 99 % of the visited cells do not exceed, of all maps together."""
+    one, two = np.zeros((20, 20), np.int64), np.zeros((20, 20), np.int64)
+    one.flat[:100], two.flat[:99] = np.arange(1, 101), np.arange(101, 200)
+    two.flat[399] = 10**6
+    assert canvas.most_visits([one, two]) == 199  # 198 of 200 are at most 198
+    assert canvas.most_visits([one]) == 100
+    assert canvas.most_visits([one, two], quantile=1.0) == 10**6
+    assert canvas.most_visits([one * 0]) == canvas.most_visits([]) == 1
 
 
 @pytest.mark.parametrize("cells", [37, 200])
@@ -188,34 +125,44 @@ def test_a_pixel_shows_the_cell_of_its_centre(cells):
     image, _ = with_heat(positions, cells)
     edges = np.linspace(-15, 15, cells + 1)
     visited = np.histogram2d(*positions.T, bins=(edges, edges))[0] > 0
-    x, y = (np.searchsorted(edges, centres(TASK, SIZE)[..., k]) - 1 for k in (0, 1))
+    centres = (np.arange(SIZE) + 0.5) * 30 / SIZE - 15
+    x, y = np.meshgrid(*[np.searchsorted(edges, at) - 1 for at in (centres, -centres)])
     np.testing.assert_array_equal((image != BLANK).any(axis=-1), visited[x, y])
 
 
-def test_heat_colours():
-    dark_blue, *between, red = canvas.heat_colours(np.linspace(0, 1, 101)).astype(int)
-    assert dark_blue[2] > 90
-    assert dark_blue[:2].max() < 40
-    assert red[0] > 180
-    assert red[1:].max() < 60
-    path = np.array([dark_blue, *between, red])
-    hues = np.array([rgb_to_hsv(*colour)[0] for colour in path / 255])
-    assert (np.diff(hues) <= 1e-9).all()  # from blue to red, never back
-    assert len(np.unique(path, axis=0)) == 101
-    assert np.abs(np.diff(path, axis=0)).max() < 15
+def lightness(colours):
+    """CIE L*, 0 to 100, of sRGB colours [..., 3] in [0, 255]."""
+    share = np.asarray(colours) / 255
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    luminance = linear @ [0.2126, 0.7152, 0.0722]
+    return np.where(luminance > 0.008856, 116 * np.cbrt(luminance) - 16, 903.3 * luminance)
+
+
+def test_more_visits_are_always_darker():
+    colours = canvas.heat_colours(np.linspace(0, 1, 101))
+    falling = -np.diff(lightness(colours))
+    assert (falling > 0).all()
+    assert falling.max() < 2 * falling.mean()  # equal steps look equal
+    assert lightness(colours[0]) > 85
+    assert lightness(colours[-1]) < 20
+
+
+def test_the_heat_is_matplotlibs_viridis():
+    share = np.linspace(0, 1, 101)
+    expected = colormaps["viridis"](1 - share)[:, :3] * 255
+    assert np.abs(canvas.heat_colours(share) - expected).max() < 6
 
 
 @pytest.mark.parametrize(("times", "colour"), [(0, None), (1, 0), (2, -1), (5, -1)])
 def test_cells_visited_equally_often(times, colour):
-    """One visit each is dark blue; none leaves the picture as it is."""
+    """One visit each is the lightest; none leaves the picture as it is."""
     positions = np.tile([(1.0, 1.0), (-5.0, 8.0)], (times, 1))
     image, most = with_heat(positions, 20)
     assert most == times
     changed = image[(image != BLANK).any(axis=-1)].astype(int)
     assert len(changed) == (128 if times else 0)
     if times:
-        blended = np.array(canvas.HEAT[colour]) * canvas.OPACITY + 252 * (1 - canvas.OPACITY)
-        assert np.abs(changed - blended).max() <= 1
+        assert (changed == canvas.HEAT[colour]).all()
 
 
 @settings(max_examples=200, deadline=None)
@@ -249,7 +196,7 @@ PATH = np.array([(-13 + 2.6 * k, 8 - 1.6 * k) for k in range(11)])
 def test_without_boxes_states_that_cost_are_orange():
     """Each dot has the colour of the step that ended there; the start has none."""
     costs = np.isin(np.arange(10), [0, 4, 5, 9]).astype(float)
-    image = canvas.with_trajectories(BLANK, TASK, [PATH], [costs], boxed=False)
+    image = canvas.with_trajectories(BLANK, ARENA, [PATH], [costs], boxed=False)
     for column, row, cost in zip(
         *(((PATH * (1, -1) + 15) * SIZE / 30).T), [0, *costs], strict=True
     ):
@@ -264,7 +211,7 @@ def test_without_boxes_states_that_cost_are_orange():
 def test_a_box_around_each_chain(unsafe):
     """And around all its states alone: those that the steps with cost end in."""
     costs = np.isin(np.arange(10), unsafe).astype(float)
-    image = canvas.with_trajectories(BLANK, TASK, [PATH], [costs])
+    image = canvas.with_trajectories(BLANK, ARENA, [PATH], [costs])
     at = (PATH * (1, -1) + 15) * SIZE / 30
     groups = groupby(range(10), key=lambda k: k in unsafe)
     members = [np.array(list(group)) + 1 for inside, group in groups if inside]
@@ -277,7 +224,7 @@ def test_a_box_around_each_chain(unsafe):
 
 def test_a_dot_at_each_state():
     large = np.full((4 * SIZE, 4 * SIZE, 3), 252, dtype=np.uint8)
-    image = canvas.with_trajectories(large, TASK, [PATH, PATH * (1, -1)], np.zeros((2, 10)))
+    image = canvas.with_trajectories(large, ARENA, [PATH, PATH * (1, -1)], np.zeros((2, 10)))
     dots = painted_like(image, canvas.DOT, 2)
     for points in (PATH, PATH * (1, -1)):
         for column, row in (points * (1, -1) + 15) * 4 * SIZE / 30:
@@ -310,17 +257,35 @@ def test_a_dot_at_each_state():
 )
 def test_paths_that_are_none(paths, costs, message):
     with pytest.raises(ValueError, match=message):
-        canvas.with_trajectories(BLANK, TASK, paths, costs)
+        canvas.with_trajectories(BLANK, ARENA, paths, costs)
 
 
 def test_nothing_drawn_is_nothing_changed():
     for size in (64, 101):
-        background = canvas.background(TASK, size)
+        background = np.random.default_rng(0).integers(0, 256, (size, size, 3), dtype=np.uint8)
+        nowhere = np.zeros((2 * size, 2 * size), dtype=bool)
+        for area in (nowhere, ~nowhere):
+            np.testing.assert_array_equal(canvas.with_outline(background, area), background)
         np.testing.assert_array_equal(
-            canvas.with_trajectories(background, TASK, [], []), background
+            canvas.with_trajectories(background, ARENA, [], []), background
         )
         np.testing.assert_array_equal(
             canvas.with_counts(background, np.zeros((20, 20), np.int64), 0), background
         )
-    one_state = canvas.with_trajectories(BLANK, TASK, [[(3.0, 3.0)]], [[]])
+    one_state = canvas.with_trajectories(BLANK, ARENA, [[(3.0, 3.0)]], [[]])
     assert 1 <= (~painted_like(one_state, 252)).sum() < 20
+
+
+def test_an_outline_follows_the_edge_of_an_area():
+    """Of a half-plane: dark along the edge, light on either side, nothing at the border."""
+    inside = np.zeros((2 * SIZE, 2 * SIZE), dtype=bool)
+    inside[:, 100:] = True  # from pixel 50 on
+    grey = np.full((SIZE, SIZE, 3), 128, dtype=np.uint8)
+    image = canvas.with_outline(grey, inside)
+    assert (image == image[:1]).all()
+    columns = image[0, :, 0].astype(int)
+    assert columns[50] == 20
+    assert 100 < columns[51] < 160  # half of it
+    assert columns[49] > 180
+    assert (columns[[*range(49), *range(52, SIZE)]] == 128).all()
+    assert (grey == 128).all()

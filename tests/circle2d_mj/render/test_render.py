@@ -13,6 +13,7 @@ from gymnasium.wrappers import RenderCollection
 import circle2d_mj
 from circle2d_mj import Circle2DConfig, Circle2DEnv, Circle2DVectorEnv
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
+from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.render import canvas
 from circle2d_mj.render.renderer import Renderer
 
@@ -93,18 +94,19 @@ def test_trajectories_and_heat_are_what_is_painted():
     path = np.linspace((12.0, 1.0), (-3.0, 6.0), 12)
     costs = config.region.contains(path[1:]).astype(float)
     with Renderer(config, 200) as renderer:
-        background, ground = renderer.background, canvas.ground(config, 200)
+        view = Circle2DView(config)
+        background, ground = renderer.background, view.background(200)
         for picture, painted in (
             (
                 renderer.trajectories([path], [costs]),
-                canvas.with_trajectories(ground, config, [path], [costs]),
+                canvas.with_trajectories(ground, view.extent, [path], [costs]),
             ),
             (
                 renderer.heatmap(path, cells=25, most=5),
-                canvas.with_counts(ground, canvas.visits(config, path, 25), 5),
+                canvas.with_counts(ground, canvas.count_visits(view.extent, path, 25), 5),
             ),
         ):
-            np.testing.assert_array_equal(picture, canvas.with_cross(painted, config))
+            np.testing.assert_array_equal(picture, view.overlay(painted))
         np.testing.assert_array_equal(renderer.heatmap(np.zeros((0, 2))), background)
         assert (renderer.trajectories([path], [costs]) != background).any()
         with pytest.raises(ValueError, match="cells must be at least 1, got 0"):
@@ -264,3 +266,14 @@ def test_physics_in_a_wide_arena():
         start = envs.position
         envs.step(np.ones((2, 2)))
         assert (np.abs(envs.position - start) > 0.05 * radius).any()
+
+
+def test_pictures_are_the_same_at_any_radius(opengl):
+    def picture(radius):
+        with Renderer(Circle2DConfig(constraint_radius=radius), size=64) as renderer:
+            return renderer.frame([0.3 * radius, -0.4 * radius])
+
+    usual = picture(10.0)
+    for radius in (100.0, 1e5):
+        different = np.abs(picture(radius).astype(int) - usual).max(axis=-1) > 8
+        assert different.mean() < 0.01

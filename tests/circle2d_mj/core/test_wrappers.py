@@ -1,4 +1,4 @@
-"""FromSafetyGymnasium: environments of six values, from packages of their own."""
+"""Both ways between gymnasium's five values of a step and Safety-Gymnasium's six."""
 
 import gymnasium as gym
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 
 from agents.training.environments import is_native, make_envs
-from circle2d_mj import Circle2DEnv, FromSafetyGymnasium, SafetyGymnasiumAPI
+from circle2d_mj import Circle2DEnv, Circle2DVectorEnv, FromSafetyGymnasium, SafetyGymnasiumAPI
 
 
 class OldBox:
@@ -71,7 +71,7 @@ def test_values():
             float,
             bool,
             bool,
-            float,
+            np.float64,
         ]
     assert info["cost"] == 3.0
     assert env.render().shape == (4, 4, 3)
@@ -178,3 +178,115 @@ def test_training_takes_them():
         assert envs.unwrapped.simulation.num_threads == 2
         envs.reset(seed=[5, 6, 7])
         assert envs.step(np.zeros(envs.action_space.shape))[4]["cost"].tolist() == [0.0] * 3
+
+
+def test_six_values():
+    env = SafetyGymnasiumAPI(Circle2DEnv(level=1))
+    assert isinstance(env, gym.Wrapper)
+    env.reset(seed=0)
+    cost = 0.0
+    for _ in range(20):
+        observation, reward, step_cost, terminated, truncated, info = env.step([-1.0, 0.0])
+        assert step_cost == info["cost"]
+        assert (observation.shape, type(reward), terminated, truncated) == (
+            (2,),
+            float,
+            False,
+            False,
+        )
+        cost += step_cost
+    assert cost >= 9
+    ends = [env.step([0.0, 0.0])[3:5] for _ in range(30)]
+    assert ends == [(False, False)] * 29 + [(False, True)]  # terminated, truncated
+    env = SafetyGymnasiumAPI(Circle2DEnv(level=1, reset_on_cost=True))
+    env.reset(seed=0)
+    ends = [env.step([-1.0, 0.0])[3:5] for _ in range(20)]
+    assert (True, False) in ends
+    assert (False, True) not in ends
+    envs = SafetyGymnasiumAPI(Circle2DVectorEnv(3, level=1))
+    assert isinstance(envs, gym.vector.VectorWrapper)
+    envs.reset(seed=0)
+    values = envs.step(np.zeros((3, 2)))
+    assert len(values) == 6
+    np.testing.assert_array_equal(values[2], np.zeros(3))
+
+
+class Rare(gym.Env):
+    """Episodes of two steps at costs of 0.25 and 2; the info of a reset holds no cost."""
+
+    observation_space = action_space = gym.spaces.Box(-1, 1, (1,))
+    silent = False
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.steps = 0
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        self.steps += 1
+        info = {} if self.silent else {"cost": (0.25, 2.0)[self.steps - 1]}
+        return np.zeros(1, np.float32), 0.0, self.steps == 2, False, info
+
+
+@pytest.mark.parametrize(
+    ("mode", "expected"),
+    [
+        (gym.vector.AutoresetMode.SAME_STEP, [0.25, 2.0, 0.25, 2.0]),
+        (gym.vector.AutoresetMode.NEXT_STEP, [0.25, 2.0, 0.0, 0.25, 2.0, 0.0]),
+    ],
+)
+def test_six_values_of_gymnasiums_vector_environments(mode, expected):
+    """The cost of an episode's last step is neither lost to the reset nor asked of it."""
+    envs = SafetyGymnasiumAPI(gym.vector.SyncVectorEnv([Rare, Rare], autoreset_mode=mode))
+    envs.reset(seed=0)
+    steps = [envs.step(np.zeros((2, 1), np.float32)) for _ in expected]
+    costs = np.array([cost for _, _, cost, *_ in steps])
+    np.testing.assert_array_equal(costs, np.array([expected] * 2).T)
+    terminated = np.array([terminated for *_, terminated, _, _ in steps])
+    np.testing.assert_array_equal(terminated, costs == 2.0)
+    assert not any(truncated.any() for *_, truncated, _ in steps)
+
+
+def test_six_values_where_one_environment_gives_no_cost():
+    class Silent(Rare):
+        silent = True
+
+    envs = SafetyGymnasiumAPI(gym.vector.SyncVectorEnv([Rare, Silent]))
+    envs.reset(seed=0)
+    with pytest.raises(KeyError, match="sub-environment 1 gave no 'cost'"):
+        envs.step(np.zeros((2, 1), np.float32))
+
+
+def test_six_values_of_costs_that_gymnasium_may_have_rounded():
+    class Whole(Rare):
+        def step(self, action):
+            *others, info = super().step(action)
+            return *others, {"cost": int(info["cost"])}
+
+    envs = SafetyGymnasiumAPI(gym.vector.SyncVectorEnv([Whole, Rare]))  # 0 and 0.25 become 0 and 0
+    envs.reset(seed=0)
+    with pytest.raises(TypeError, match=r"came as int64: .* let every one give a float"):
+        envs.step(np.zeros((2, 1), np.float32))
+
+
+def test_six_values_of_costs_that_are_comparisons():
+    """numpy's bools, which gymnasium keeps as they are."""
+
+    class Near(Rare):
+        def step(self, action):
+            *others, info = super().step(action)
+            return *others, {"cost": np.float64(info["cost"]) > 1}
+
+    envs = SafetyGymnasiumAPI(gym.vector.SyncVectorEnv([Near, Near]))
+    envs.reset(seed=0)
+    costs = [envs.step(np.zeros((2, 1), np.float32))[2].tolist() for _ in range(2)]
+    assert costs == [[0.0, 0.0], [1.0, 1.0]]
+
+
+def test_six_values_of_something_else():
+    with pytest.raises(TypeError, match="env must be a gymnasium Env or VectorEnv, got 'Circle2D'"):
+        SafetyGymnasiumAPI("Circle2D")
+    env = SafetyGymnasiumAPI(gym.make("CartPole-v1"))
+    env.reset(seed=0)
+    with pytest.raises(KeyError, match="info has no 'cost'"):
+        env.step(0)

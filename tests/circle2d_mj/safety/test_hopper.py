@@ -1,4 +1,4 @@
-"""Hopper's steps and starts beside plain MuJoCo; its rules are in test_safety_golden.py."""
+"""Hopper's steps and starts beside plain MuJoCo; its rules are in test_rules.py."""
 
 import mujoco
 import numpy as np

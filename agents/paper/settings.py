@@ -1,0 +1,54 @@
+"""The settings of runs beside the paper's: what differs, and how runs are named by it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any
+
+from agents.algorithms import ALGORITHMS, title
+from agents.paper.presets import preset, usual_steps
+from agents.results.reading import Group
+from agents.training.config import TrainConfig
+
+
+def title_of(config: TrainConfig) -> str:
+    """The algorithm, with what differs from the preset, from the task as it is registered, and from
+    the usual number of steps."""
+    told = differences(config)
+    return title(config.algorithm) + (f" ({', '.join(told)})" if told else "")
+
+
+def differences(config: TrainConfig) -> list[str]:
+    """Each setting of `changes` in words, and the number of steps where it is not the usual one."""
+    return [f"{k} {v}" for k, v in changes(config).items()] + unusual_steps(config)
+
+
+def unusual_steps(config: TrainConfig) -> list[str]:
+    """The training's length, where it is not the usual one: see `presets.usual_steps`."""
+    return [] if config.steps == usual_steps(config.task) else [f"{config.steps:,} steps"]
+
+
+def changes(config: TrainConfig) -> dict[str, Any]:
+    """What differs from the preset and from the task as it is registered."""
+    return hyperparameter_changes(config) | config.task_parameters
+
+
+def hyperparameter_changes(config: TrainConfig) -> dict[str, Any]:
+    """The hyper-parameters that differ from the preset; all of an unregistered algorithm."""
+    chosen = dataclasses.asdict(config.hyperparameters)
+    if config.algorithm not in ALGORITHMS:
+        return chosen
+    usual = dataclasses.asdict(preset(config.algorithm, config.task))
+    return {k: v for k, v in chosen.items() if v != usual[k]}
+
+
+def cost_limit(config: TrainConfig) -> float | None:
+    """The cost limit of an algorithm's hyper-parameters; None for one without constraints."""
+    return getattr(config.hyperparameters, "cost_limit", None)
+
+
+def in_order(groups: Iterable[Group]) -> list[Group]:
+    """Groups in the order of the algorithms."""
+    order = {name: index for index, name in enumerate(ALGORITHMS)}
+    return sorted(groups, key=lambda group: order.get(group.config.algorithm, len(order)))

@@ -1,0 +1,80 @@
+"""Which measures of which rows are best, as the paper's tables highlight them."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Mapping
+from typing import TypeVar
+
+from agents.results.measures import Measure, measures
+
+Key = TypeVar("Key", bound=Hashable)
+
+
+def best(
+    candidates: Mapping[Key, tuple[Mapping[str, float | None], float | None]],
+) -> set[tuple[Key, str]]:
+    """The best measures of some candidates.
+
+    candidates: measures and cost limit (None: without one). Of each measure of training the lowest,
+    or the highest where that is better; of those of the trained policy all that belong to the
+    candidates of the highest J_R among those whose J_C is within their limit. All to the digits
+    that are printed, so that equal ones are marked together; nothing where there is nothing to
+    compare with. Source: caption of table Circle2DResults.
+    """
+    marked: set[tuple[Key, str]] = set()
+    safest = _best_policies(candidates)
+    for measure in measures():
+        values = _printed(candidates, measure)
+        if len(values) < 2 or measure.better == "neither":
+            continue
+        if measure.of == "policy":
+            chosen = safest & values.keys()
+        else:
+            wanted = (min if measure.better == "lower" else max)(values.values())
+            chosen = {key for key, value in values.items() if value == wanted}
+        marked |= {(key, measure.name) for key in chosen}
+    return marked
+
+
+def _best_policies(
+    candidates: Mapping[Key, tuple[Mapping[str, float | None], float | None]],
+) -> set[Key]:
+    """The candidates of the highest J_R within their cost limits."""
+    returns, costs = (
+        {key: values.get(name) for key, (values, _) in candidates.items()}
+        for name in ("J_R", "J_C")
+    )
+    within = {}
+    for key, (_, limit) in candidates.items():
+        j_r, j_c = returns[key], costs[key]
+        if j_r is not None and j_c is not None and limit is not None and round(j_c, 2) <= limit:
+            within[key] = round(j_r, 2)
+    return {key for key, value in within.items() if value == max(within.values())}
+
+
+def _printed(
+    candidates: Mapping[Key, tuple[Mapping[str, float | None], float | None]], measure: Measure
+) -> dict[Key, float]:
+    """The measure of each candidate that has it, as it is printed."""
+    values = {key: of.get(measure.name) for key, (of, _) in candidates.items()}
+    return {key: round(v, measure.digits) for key, v in values.items() if v is not None}
+
+
+def marking() -> str:
+    """The rule of `best` in words."""
+    of_training = [measure for measure in measures() if measure.of == "training"]
+    told = [
+        f"the {rule} {_list(chosen)}"
+        for rule, better in (("lowest", "lower"), ("highest", "higher"))
+        if (chosen := [measure for measure in of_training if measure.better == better])
+    ]
+    of_policy = [m for m in measures() if m.of == "policy" and m.better != "neither"]
+    if of_policy:
+        told.append(f"{_list(of_policy)} of the highest return within the cost limit")
+    return "; ".join(told)
+
+
+def _list(chosen: Iterable[Measure]) -> str:
+    """Their words: A, B and C."""
+    *first, last = dict.fromkeys(measure.word or measure.title for measure in chosen)
+    return f"{', '.join(first)} and {last}" if first else last

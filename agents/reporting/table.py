@@ -1,0 +1,114 @@
+"""Tables of typed cells. They become text only where they are rendered."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from emcc import Difference, Estimate
+
+MISSING = "\N{EN DASH}"
+
+
+@dataclass(frozen=True)
+class Number:
+    """A cell with a number, its interval and how it is written."""
+
+    value: float | None
+    """None where it is unknown, which is printed as a dash."""
+    digits: int = 2
+    """After the decimal point."""
+    low: float | None = None
+    high: float | None = None
+    """Ends of the interval, where there is one."""
+    signed: bool = False
+    """Whether positive numbers have a sign too, as differences have."""
+    marked: bool = False
+    """Whether it stands out."""
+
+    @property
+    def text(self) -> str:
+        """The number, without its interval."""
+        return MISSING if self.value is None else self._written(self.value)
+
+    @property
+    def interval(self) -> str:
+        """Its interval in brackets; empty without one."""
+        if self.low is None or self.high is None:
+            return ""
+        return f"[{self._written(self.low)}, {self._written(self.high)}]"
+
+    def __str__(self) -> str:
+        return f"{self.text} {self.interval}".rstrip()
+
+    def _written(self, value: float) -> str:
+        return f"{value:{'+' if self.signed else ''}.{self.digits}f}"
+
+
+def number_of(found: Estimate | Difference | None, digits: int = 2, marked: bool = False) -> Number:
+    """The cell of a mean or of a difference."""
+    if found is None:
+        return Number(None)
+    signed = isinstance(found, Difference)
+    return Number(found.value, digits, found.low, found.high, signed, marked)
+
+
+Cell = str | Number
+
+
+@dataclass(frozen=True)
+class Row:
+    """Cells of a table: a name, numbers, and where runs end."""
+
+    name: str
+    numbers: Sequence[Number]
+    ends: str = ""
+    kind: Literal["mean", "paper", "run", "difference"] = "run"
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """All of them, in order."""
+        return (self.name, *self.numbers, self.ends)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows below a head, with what has to be said above and below them."""
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Row]
+    notes: Sequence[str] = ()
+    marking: str = ""
+    """The meaning of a mark."""
+
+    @property
+    def columns(self) -> int:
+        """Those shown: the last one, where runs end, only where a run's task has places."""
+        return len(self.head) - (not any(row.ends for row in self.rows))
+
+    @property
+    def legend(self) -> str:
+        """The caption, and the meaning of a mark where there are marks."""
+        marked = any(cell.marked for row in self.rows for cell in row.numbers)
+        return self.caption + (f"; bold: {self.marking}" if marked else "")
+
+    def markdown(self) -> str:
+        """The legend, the rows, and a paragraph for each note."""
+        lines = [list(self.head), ["---"] * len(self.head)]
+        lines += [[_markdown(cell) for cell in row.cells] for row in self.rows]
+        lines = [line[: self.columns] for line in lines]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        padded = (
+            " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+            for line in lines
+        )
+        notes = [part for note in self.notes for part in ("", f"Note: {note}")]
+        return "\n".join([self.legend, "", *(f"| {line} |" for line in padded), *notes, ""])
+
+
+def _markdown(cell: Cell) -> str:
+    if isinstance(cell, str) or not cell.marked:
+        return str(cell)
+    return f"**{cell.text}** {cell.interval}".rstrip()

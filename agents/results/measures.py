@@ -1,0 +1,144 @@
+"""The measures of a run: what tables, figures and files of a report show.
+
+A new measure is one entry: `register(Measure(...))`, here or in a user's own module. Every
+rendering goes through `measures()` and takes what a run lacks (None) as missing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+from emcc import EpisodeRecords, cost_rate, emcc_by_part
+from emcc.parts import ALPHA, PARTS
+
+
+@dataclass(frozen=True)
+class RunData:
+    """What a measure is computed from."""
+
+    records: EpisodeRecords
+    """A row per training episode."""
+    steps: int
+    """Environment steps of the training."""
+    evaluation: dict[str, Any]
+    """`evaluation.json`: of the trained policy "deterministic" and "stochastic", each with means
+    (J_R, J_C, ...) and values per episode, undiscounted."""
+
+    @cached_property
+    def emcc_by_part(self) -> dict[float, float]:
+        """EMCC of each third with `ALPHA`. ValueError where no rollout starts in one."""
+        return emcc_by_part(*self.records.mcc_per_rollout(), self.steps, ALPHA)
+
+    def evaluated(self, name: str) -> float | None:
+        """A mean over the episodes of the deterministic policy; None where it was not measured."""
+        value = self.evaluation.get("deterministic", {}).get(name)
+        return None if value is None else float(value)
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number of a run."""
+
+    name: str
+    """The column's name in CSV files; unique."""
+    title: str
+    """The column's head in tables."""
+    unit: str
+    """Behind the title, in words; empty for one without."""
+    digits: int
+    """After the decimal point, in tables."""
+    better: Literal["lower", "higher", "neither"]
+    """Which value is marked as best."""
+    compute: Callable[[RunData], float | None]
+    """None where the run lacks what it takes. It may raise ValueError for damaged records."""
+    of: Literal["training", "policy"] = "training"
+    """Marks of the trained policy's measures go to the policy of the highest return within the cost
+    limit, whatever the single measure says: see `agents.reporting.marks`."""
+    word: str = ""
+    """Its name in sentences, where that is not the title; measures may share one."""
+    note: str = ""
+    """How it is defined, for the legend of tables, where its title does not say it."""
+
+    @property
+    def head(self) -> str:
+        """Title and unit."""
+        return f"{self.title} ({self.unit})" if self.unit else self.title
+
+    def __post_init__(self) -> None:
+        if not self.name or set(self.name) & set(' ,"\n'):
+            raise ValueError(f"the name of a measure must be one word, got {self.name!r}")
+
+    def __call__(self, data: RunData) -> float | None:
+        """The measure of a run. ValueError where it is not finite."""
+        value = self.compute(data)
+        if value is not None and not math.isfinite(value):
+            raise ValueError(f"{self.name} is not finite: {value}")
+        return value
+
+
+_REGISTRY: dict[str, Measure] = {}
+
+
+def register(measure: Measure) -> None:
+    """Add a measure to every report. ValueError for a name that is taken."""
+    if measure.name in _REGISTRY:
+        raise ValueError(f"there is a measure {measure.name!r} already")
+    _REGISTRY[measure.name] = measure
+
+
+def unregister(name: str) -> None:
+    """Remove a measure from every report. KeyError for an unknown one."""
+    del _REGISTRY[name]
+
+
+def measures() -> tuple[Measure, ...]:
+    """All measures, in the order of their registration, which is that of the columns."""
+    return tuple(_REGISTRY.values())
+
+
+def measure(name: str) -> Measure:
+    """The measure of a name. KeyError for an unknown one."""
+    return _REGISTRY[name]
+
+
+def _emcc(part: float) -> Callable[[RunData], float | None]:
+    return lambda run: run.emcc_by_part[part]
+
+
+def _evaluated(name: str) -> Callable[[RunData], float | None]:
+    return lambda run: run.evaluated(name)
+
+
+def _cost_rate(run: RunData) -> float:
+    return cost_rate(run.records.cost, run.records.length)
+
+
+def _mean_streak(run: RunData) -> float | None:
+    """Mean length of all streaks of cost steps in training; 0 without a streak."""
+    cost_steps, streaks = run.records.cost_steps, run.records.streaks
+    if cost_steps is None or streaks is None:
+        return None
+    return float(cost_steps.sum() / max(streaks.sum(), 1))
+
+
+for _part in PARTS:
+    register(Measure(f"EMCC_{_part}", f"EMCC_{_part}", "", 2, "lower", _emcc(_part), word="EMCC"))
+register(Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate))
+register(Measure("J_R", "J_R", "", 2, "higher", _evaluated("J_R"), "policy"))
+register(Measure("J_C", "J_C", "", 2, "lower", _evaluated("J_C"), "policy"))
+register(Measure("CVaR_0.5", "CVaR_0.5", "", 2, "lower", _evaluated("CVaR_0.5"), "policy", "CVaR"))
+register(
+    Measure(
+        "mean_streak",
+        "mean streak",
+        "steps",
+        2,
+        "neither",  # fewer and longer, or more and shorter: neither is better by itself
+        _mean_streak,
+        note="mean streak: the mean length of training's streaks of cost steps",
+    )
+)

@@ -1,0 +1,191 @@
+"""Sources of results: a folder with runs at or below it; `archive` has the other kind."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.errors import UserError
+from agents.results import steps
+from agents.results.steps import Episode, Replay, Visits
+from agents.training.config import FAILURE, TrainConfig, run_folder
+from agents.training.environments import view_of
+from agents.training.files import read_json
+from agents.training.status import sessions
+from circle2d_mj.core.view import View
+from emcc import EpisodeRecords
+
+
+class DamagedSource(UserError):
+    """A source that cannot be read as a whole, whatever single runs lack."""
+
+
+class RunFiles(NamedTuple):
+    """The records of one run."""
+
+    records: EpisodeRecords
+    evaluation: dict[str, Any]
+    """`evaluation.json`."""
+    ends: dict[str, int]
+    """Evaluated episodes of the deterministic policy by the place where they end."""
+
+
+class Source(Protocol):
+    """All that a report reads. Folders are named from the source's own: "." or "a/b"."""
+
+    name: str
+    """Of the folder that holds all of them."""
+    configs: Mapping[str, dict[str, Any]]
+    """`config.json` of each folder of runs, in the order of the report."""
+    problems: Sequence[str]
+    """Folders that cannot be read, and why."""
+
+    def title(self, folder: str) -> str:
+        """A folder as seen from beside the source's."""
+        ...
+
+    def sessions(self, folder: str) -> Mapping[str, float]:
+        """Seconds that each process trained a folder; empty where nothing says."""
+        ...
+
+    def run(self, folder: str, config: TrainConfig, seed: int) -> RunFiles:
+        """Read a run. Raises UserError where it failed, or is missing or damaged."""
+        ...
+
+    def visits(
+        self, folder: str, config: TrainConfig, records: Mapping[int, EpisodeRecords]
+    ) -> list[Visits]:
+        """States visited in each third of training, of runs by seed. Raises UserError."""
+        ...
+
+    def trained(
+        self, folder: str, config: TrainConfig, seeds: Sequence[int]
+    ) -> dict[int, list[Episode] | None]:
+        """Episodes of the trained policies, by seed; None of one that diverged. UserError."""
+        ...
+
+    def costs(self, folder: str, seed: int, records: EpisodeRecords) -> NDArray[np.float64]:
+        """Costs of all steps of a run, [steps]. Raises UserError."""
+        ...
+
+    def replay(
+        self, folder: str, config: TrainConfig, seed: int, records: EpisodeRecords
+    ) -> Replay:
+        """The episode of highest MCC in each window of training. Raises UserError."""
+        ...
+
+
+class FolderSource:
+    """Runs in a folder, or in several such folders below it. Raises UserError without a folder."""
+
+    def __init__(self, root: Path) -> None:
+        if not root.is_dir():
+            raise UserError(f"{root} is no folder")
+        self.root, self.name = root, root.resolve().name
+        self._trained: dict[str, dict[int, list[Episode] | None]] = {}
+        self._visits: dict[str, list[Visits]] = {}
+        self._views: dict[str, View | None] = {}
+        configs: dict[str, dict[str, Any]] = {}
+        problems: list[str] = []
+        for path in sorted(root.rglob("config.json")):
+            try:
+                content = read_json(path)
+            except UserError as error:
+                problems.append(self._relative(error))
+                continue
+            if "seed" not in content:  # that of a single run has one seed
+                configs[path.parent.relative_to(root).as_posix()] = content
+        self.configs: Mapping[str, dict[str, Any]] = configs
+        self.problems: Sequence[str] = problems
+
+    def title(self, folder: str) -> str:
+        """A folder as seen from beside the source's."""
+        return title(self.name, folder)
+
+    def sessions(self, folder: str) -> Mapping[str, float]:
+        """Seconds that each process trained a folder; empty where nothing says."""
+        return sessions(self.root / folder)
+
+    def run(self, folder: str, config: TrainConfig, seed: int) -> RunFiles:
+        """Read a run. Raises UserError where it failed, or is missing or damaged."""
+        path = run_folder(self.root / folder, seed)
+        try:
+            if (path / FAILURE).exists():
+                step = read_json(path / FAILURE)["step"]
+                raise UserError(f"failed at step {step}: it met a number that is not finite")
+            if not (path / "episodes.csv").exists():
+                raise UserError("has no checkpoint yet")
+            records = EpisodeRecords.load(path / "episodes.csv")
+            evaluation = read_json(path / "evaluation.json")
+        except (ValueError, OSError) as error:
+            raise UserError(self._relative(error)) from None
+        if folder not in self._views:
+            self._views[folder] = view_of(config.task, config.task_parameters)
+        return RunFiles(records, evaluation, count_ends(self._views[folder], evaluation))
+
+    def visits(
+        self, folder: str, config: TrainConfig, records: Mapping[int, EpisodeRecords]
+    ) -> list[Visits]:
+        """States visited in each third of training, of runs by seed. Raises UserError."""
+        if folder not in self._visits:
+            of = replace(config, seeds=tuple(records))
+            try:
+                found = steps.count_visits(self.root / folder, of, list(records.values()))
+            except UserError as error:
+                raise UserError(self._relative(error)) from None
+            self._visits[folder] = found
+        return self._visits[folder]
+
+    def trained(
+        self, folder: str, config: TrainConfig, seeds: Sequence[int]
+    ) -> dict[int, list[Episode] | None]:
+        """Episodes of the trained policies, by seed; None of one that diverged. UserError."""
+        if folder not in self._trained:
+            try:
+                self._trained[folder] = steps.play_trained(self.root / folder, config)
+            except UserError as error:
+                raise UserError(self._relative(error)) from None
+        return {seed: self._trained[folder][seed] for seed in seeds}
+
+    def costs(self, folder: str, seed: int, records: EpisodeRecords) -> NDArray[np.float64]:
+        """Costs of all steps of a run, [steps]. Raises UserError."""
+        try:
+            return steps.read_costs(run_folder(self.root / folder, seed), records)
+        except UserError as error:
+            raise UserError(self._relative(error)) from None
+
+    def replay(
+        self, folder: str, config: TrainConfig, seed: int, records: EpisodeRecords
+    ) -> Replay:
+        """The episode of highest MCC in each window of training. Raises UserError."""
+        try:
+            return steps.replay(run_folder(self.root / folder, seed), config, records)
+        except UserError as error:
+            raise UserError(self._relative(error)) from None
+
+    def _relative(self, error: Exception) -> str:
+        """An error's words with paths as seen from beside the folder: reports name no machine."""
+        return str(error).replace(str(self.root), self.name)
+
+
+def title(name: str, folder: str) -> str:
+    """A folder below `name`, as seen from beside it."""
+    return name if folder == "." else f"{name}/{folder}"
+
+
+def count_ends(view: View | None, evaluation: dict[str, Any]) -> dict[str, int]:
+    """Evaluated episodes of the deterministic policy by the place where they end."""
+    last = evaluation.get("deterministic", {}).get("final_observations")
+    if view is None or not last:
+        return {}
+    left, right, bottom, top = view.extent
+    middle = np.array([[(left + right) / 2, (bottom + top) / 2]])
+    if not view.places(middle):  # the task's places have no names
+        return {}
+    return dict(Counter(view.places(view.positions(np.array(last), {}))))

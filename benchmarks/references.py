@@ -1,0 +1,127 @@
+"""SAC and PPO without a constraint beside Stable-Baselines3's: learning curves on Pendulum-v1.
+
+Equal networks and hyper-parameters on both sides, those of RL Baselines3 Zoo for this task as far
+as both have them. Each takes its own initial weights, episodes and noise. Prints the mean return of
+training's episodes in each quarter of training: mean over seeds, 95 % interval, seeds.
+
+python benchmarks/references.py --algorithms sac ppo --seeds 0 1 2
+"""
+
+import argparse
+import sys
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import torch
+from torch import nn
+
+from agents.algorithms import algorithm
+from agents.lockstep import backend
+from agents.training.config import TrainConfig
+from agents.training.loop import Training
+from emcc import estimate
+
+TASK, EPISODE, QUARTERS = "FreePendulum-v0", 200, 4
+STEPS = {"sac": 12_000, "ppo": 60_000}
+HIDDEN, RATE = (64, 64), 1e-3
+SAC = {"batch_size": 256, "gradient_steps": EPISODE, "replay_size": 50_000, "random_steps": 1_000}
+PPO = {"batch_size": 64, "episodes": 10, "discount": 0.9, "critic_iterations": 10}
+
+
+class Free(gym.Wrapper):
+    """Actions in [-1, 1]; no step costs anything."""
+
+    def __init__(self):
+        super().__init__(gym.wrappers.RescaleAction(gym.make("Pendulum-v1"), -1.0, 1.0))
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, float(reward), terminated, truncated, info | {"cost": 0.0}
+
+
+def ours(name, seeds, steps):
+    """Returns of the episodes of each seed."""
+    settings = {"hidden": HIDDEN, "learning_rate": RATE} | (SAC if name == "sac" else PPO)
+    config = algorithm(name).config(**settings)
+    training = Training(TrainConfig(name, TASK, tuple(seeds), steps, config))
+    while not training.done:
+        training.run_epoch()
+        print(f"{name} {training.steps.min()} of {steps}", file=sys.stderr, end="\r")
+    training.close()
+    return [training.log.episodes[:, run, :, 2].ravel() for run in range(len(seeds))]
+
+
+def theirs(name, seeds, steps):
+    """Those of Stable-Baselines3, one seed after the other."""
+    import stable_baselines3 as sb3
+    from stable_baselines3.common.monitor import Monitor
+
+    common = {"learning_rate": RATE, "device": "cpu"}
+    layers = {"net_arch": list(HIDDEN), "activation_fn": nn.Tanh}
+    found = []
+    for seed in seeds:
+        env = Monitor(Free())
+        if name == "sac":
+            model = sb3.SAC(
+                "MlpPolicy",
+                env,
+                buffer_size=SAC["replay_size"],
+                learning_starts=SAC["random_steps"],
+                batch_size=SAC["batch_size"],
+                train_freq=(1, "episode"),
+                gradient_steps=SAC["gradient_steps"],
+                policy_kwargs=layers,
+                seed=seed,
+                **common,
+            )
+        else:
+            model = sb3.PPO(
+                "MlpPolicy",
+                env,
+                n_steps=PPO["episodes"] * EPISODE,
+                batch_size=PPO["batch_size"],
+                gamma=PPO["discount"],
+                policy_kwargs=layers,
+                seed=seed,
+                **common,
+            )
+        model.learn(steps)
+        found.append(np.array(env.get_episode_rewards()))
+    return found
+
+
+def quarters(returns, steps):
+    """Mean return of the episodes in each quarter of training, [seeds, quarters]."""
+    episodes = steps // EPISODE
+    parts = [np.array_split(of_seed[:episodes], QUARTERS) for of_seed in returns]
+    return np.array([[part.mean() for part in of_seed] for of_seed in parts])
+
+
+def main():
+    """Print a row for each algorithm and implementation."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--algorithms", nargs="+", choices=STEPS, default=list(STEPS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
+    parser.add_argument("--steps", type=int, help="by default 12000 of SAC, 60000 of PPO")
+    options = parser.parse_args()
+    warnings.filterwarnings("ignore", module="stable_baselines3")  # a last, smaller minibatch
+    gym.register(TASK, entry_point=Free, disable_env_checker=True)
+    backend.configure()
+    torch.set_num_threads(1)
+    print("| algorithm | steps | implementation | seeds |", " | ".join("1234"), "|")
+    for name in options.algorithms:
+        steps = options.steps or STEPS[name]
+        for title, train in (("ours", ours), ("Stable-Baselines3", theirs)):
+            curves = quarters(train(name, options.seeds, steps), steps)
+            cells = []
+            for values in curves.T:
+                it = estimate({title: values}, rng=np.random.default_rng(0))[title]
+                interval = "" if it.low is None else f" [{it.low:.0f}, {it.high:.0f}]"
+                cells.append(f"{it.value:.0f}{interval}")
+            row = (name, steps, title, len(curves), *cells)
+            print("|", " | ".join(map(str, row)), "|", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""Circle2D's pictures and places, against tests that share no code with them."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from circle2d_mj import Circle2DConfig, Circle2DEnv
+from circle2d_mj.circle2d import view
+from circle2d_mj.circle2d.view import Circle2DView
+from circle2d_mj.render import canvas
+
+SIZE = 160
+
+
+def picture(config, size):
+    """The task with nothing between what lies below and what lies on top."""
+    shown = Circle2DView(config)
+    return shown.overlay(shown.background(size))
+
+
+def centres(config, size):
+    """World coordinates of the pixels' centres: [size, size, 2], y falling from row to row."""
+    steps = (np.arange(size) - (size - 1) / 2) * (2 * config.arena / size)
+    return np.stack(np.meshgrid(steps, -steps), axis=-1)
+
+
+def near_an_edge(mask, distance=1):
+    """Where a pixel or a neighbour up to a distance on each axis has another value."""
+    padded, width = np.pad(mask, distance, mode="edge"), range(2 * distance + 1)
+    shifts = [padded[i : i + len(mask), j : j + len(mask)] for i in width for j in width]
+    return np.any(shifts, axis=0) & ~np.all(shifts, axis=0)
+
+
+def painted_like(image, colour, tolerance=4):
+    return (np.abs(image.astype(int) - colour) <= tolerance).all(axis=-1)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        *({"level": level} for level in range(4)),
+        {"level": 3, "corridor_height_factor": 0.9, "constraint_radius": 0.01},
+        {"level": 2, "corridor_height_factor": 0.2, "init_radius_multiplier": 2.5},
+        {"level": 3, "corridor_height_factor": 0.03, "init_radius_multiplier": 1.05},
+        {"level": 1, "init_region_size": 1.5, "init_radius_multiplier": 1.8},
+        {"level": 2, "init_region_size": 1.5, "allow_infeasible_init": True},
+        {"level": 3, "optima_perturbation": (4.0, -3.0), "constraint_radius": 20.0},
+    ],
+)
+@pytest.mark.parametrize("size", [SIZE, 321])
+def test_every_pixel_of_the_background(parameters, size):
+    """Region and start area, but next to their edges, below circles and below the X."""
+    config = Circle2DConfig(**parameters)
+    image = picture(config, size)
+    assert (image.shape, image.dtype) == ((size, size, 3), np.uint8)
+    points = centres(config, size)
+    inside = config.region.contains(points)
+    (left, low), (right, high) = config.start_rectangle
+    x, y = points[..., 0], points[..., 1]
+    start = (x >= left) & (x <= right) & (y >= low) & (y <= high)
+    start &= ~inside | config.allow_infeasible_init
+    from_optimum = np.linalg.norm(points - config.optima_perturbation, axis=-1)
+    pixel, ring = 2 * config.arena / size, config.constraint_radius / 4
+    on_circle = np.abs(from_optimum - ring * np.rint(from_optimum / ring)) < 1.8 * pixel
+    sure = (
+        ~on_circle
+        & ~near_an_edge(inside, 3)
+        & ~near_an_edge(start)
+        & (from_optimum > 0.04 * size * pixel)
+    )
+    expected = np.where(inside[..., None], canvas.REGION, canvas.FREE)
+    expected[start] = view.START
+    expected[start & inside] = view.START_IN_REGION
+    assert sure.mean() > 0.45
+    assert (start & sure).any()
+    np.testing.assert_array_equal(image[sure], expected[sure])
+
+
+def test_circles_of_equal_reward():
+    """Every R/4 around the optimum; in an arena of 50 R as far apart as can be told apart."""
+    config = Circle2DConfig(optima_perturbation=(3.0, 5.0))
+    image = picture(config, 640).astype(int)
+    angles = np.deg2rad([10, 80, 100, 200, 260])
+    for radius in np.arange(1, 13) * 1.25:  # circles, and halfway between them
+        points = np.stack((3 + radius * np.cos(angles), 5 + radius * np.sin(angles)), axis=-1)
+        points = points[np.abs(points).max(axis=1) < 14.9]
+        columns, rows = ((points * (1, -1) + 15) * 640 / 30).astype(int).T
+        around = zip(columns, rows, strict=True)
+        darkest = [image[r - 1 : r + 2, c - 1 : c + 2].min() for c, r in around]
+        flat = np.isin(darkest, (canvas.FREE[0], canvas.REGION[0], view.START[2]))
+        assert flat.all() == (radius % 2.5 > 1), radius
+    wide = picture(Circle2DConfig(init_radius_multiplier=50.0), 640)
+    assert painted_like(wide, canvas.FREE).mean() > 0.7
+
+
+@pytest.mark.parametrize("optimum", [(4.0, -3.0), (-2.0, 7.5), (3.0, 0.0)])
+def test_cross_on_the_optimum(optimum):
+    config = Circle2DConfig(optima_perturbation=optimum)
+    image = picture(config, 640)
+    expected = (np.array(optimum) * (1, -1) + 15) * 640 / 30
+    rows, columns = np.nonzero((image < 100).all(axis=-1))
+    near = np.hypot(columns - expected[0], rows - expected[1]) < 20  # and not the outline
+    rows, columns = rows[near], columns[near]
+    assert np.abs((columns.mean() + 0.5, rows.mean() + 0.5) - expected).max() < 1
+    assert 15 < np.ptp(columns) < 30
+    assert 15 < np.ptp(rows) < 30
+    slopes = (columns - columns.mean()) * (rows - rows.mean())
+    assert (slopes > 20).any()
+    assert (slopes < -20).any()
+
+
+@pytest.mark.parametrize("level", range(4))
+def test_the_outline_lies_above_the_heat(level):
+    """The region's edge, the corridor's walls among it, and the X show where all is covered."""
+    config = Circle2DConfig(level=level)
+    shown, size = Circle2DView(config), 320
+    heat = np.full((size, size, 3), 200, dtype=np.uint8)
+    image = shown.overlay(heat)
+    changed = (image != heat).any(axis=-1)
+    points = centres(config, size)
+    edge = near_an_edge(config.region.contains(points), 1)
+    dark = image.max(axis=-1) < 170
+    assert (dark & edge).sum() > 0.3 * edge.sum()  # the edge is two pixels wide
+    around_x = np.hypot(points[..., 0], points[..., 1]) < 1.0
+    assert not (changed & ~near_an_edge(config.region.contains(points), 3) & ~around_x).any()
+    column, row = canvas.pixels(shown.extent, (-5.0, 2.5), size)  # the corridor's upper wall
+    assert image[int(row) - 1 : int(row) + 2, int(column)].min() < 60
+    assert (dark & around_x).any()
+
+
+@pytest.mark.parametrize("name", ["Circle2D-2-v0", "Circle2DMuJoCo-2-v0"])
+def test_the_view_of_an_environment(name):
+    """Through wrappers and from the native vector environment; positions are the agents'."""
+    env = gym.make(name, constraint_radius=3.0)
+    shown = env.get_wrapper_attr("view")
+    assert shown.extent == (-4.5, 4.5, -4.5, 4.5)
+    assert shown.axes == ("x (world units)", "y (world units)")
+    envs = gym.make_vec(name, 5, vectorization_mode="vector_entry_point", constraint_radius=3.0)
+    assert envs.view == shown
+    for go in (lambda: envs.reset(seed=0), lambda: envs.step(-np.ones((5, 2)))):
+        observation, *_, info = go()
+        found = envs.view.positions(observation, info)
+        np.testing.assert_allclose(found, envs.position, atol=1e-6)
+    single = Circle2DEnv(constraint_radius=3.0)
+    observation, info = single.reset(seed=0)
+    np.testing.assert_allclose(single.view.positions(observation, info), single.position, atol=1e-6)
+    assert shown.places(np.array([(-2.0, 0.0), (0.0, 2.5), (3.5, 0.0), (1.0, 0.5)])) == [
+        "corridor",
+        "top cut-out",
+        "right rim",
+        "cost region",
+    ]

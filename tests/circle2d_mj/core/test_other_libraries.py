@@ -1,0 +1,49 @@
+"""Our tasks in Stable-Baselines3 and TorchRL, by the checkers of these libraries."""
+
+import warnings
+
+import gymnasium as gym
+import pytest
+
+import circle2d_mj
+import emcc
+
+IDS = sorted(
+    name
+    for name, spec in gym.registry.items()
+    if str(spec.entry_point).startswith("circle2d_mj") or name.startswith("circle2d_mj/")
+)
+
+
+def test_there_are_ids_to_check():
+    assert {"Circle2D-1-v0", "Circle2DMuJoCo-0-v0", "circle2d_mj/SafetyPointGoal1-v0"} <= set(IDS)
+
+
+@pytest.mark.parametrize("task", IDS)
+def test_stable_baselines3(task):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    env = gym.make(task)
+    with warnings.catch_warnings():
+        # The action space of the original Safety Gymnasium tasks.
+        warnings.filterwarnings("ignore", "Your action space has dtype float64")
+        checker.check_env(env, skip_render_check=True)
+    env.close()
+
+
+@pytest.mark.parametrize("task", IDS)
+@pytest.mark.filterwarnings("ignore")  # torchrl's own, of its future versions
+def test_torchrl(task):
+    envs = pytest.importorskip("torchrl.envs")
+    from torchrl.envs.utils import check_env_specs
+
+    env = envs.GymEnv(task)
+    env.auto_register_info_dict()
+    check_env_specs(env)
+    batch = env.rollout(8)
+    records = emcc.from_tensordict(batch)
+    assert records.total_steps == 8
+    assert records.cost.sum() == batch["next", "cost"].sum()
+    env.close()
+
+
+assert circle2d_mj  # registers the tasks

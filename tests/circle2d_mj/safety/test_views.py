@@ -1,0 +1,106 @@
+"""What the Safety tasks show, against their simulations and simple geometry."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from circle2d_mj.registration import SAFETY
+from circle2d_mj.render import canvas
+
+CIRCLE, GOAL, HOPPER = SAFETY
+SIZE = 300
+
+
+def driven(name, steps, n=16):
+    """The environments, and positions [n, 2] and costs [n] of random steps with lasting actions."""
+    envs = gym.make_vec(name, n, vectorization_mode="vector_entry_point")
+    observation, info = envs.reset(seed=0)
+    rng, shape = np.random.default_rng(0), envs.action_space.shape
+    actions = np.repeat([rng.uniform(-1, 1, shape) for _ in range(steps // 20 + 1)], 20, axis=0)
+    for action in actions[:steps]:
+        observation, _, terminated, truncated, info = envs.step(action)
+        yield envs, envs.view.positions(observation, info), info["cost"], terminated | truncated
+
+
+@pytest.mark.parametrize(("name", "steps"), [(CIRCLE, 120), (GOAL, 120), (HOPPER, 60)])
+def test_states_that_cost_lie_on_what_is_shaded(name, steps):
+    """Each position, painted on the background, is grey where its step cost, and only there."""
+    seen = set()
+    for envs, positions, cost, _ in driven(name, steps):
+        background = envs.view.background(SIZE)
+        at = canvas.pixels(envs.view.extent, positions, SIZE)
+        edge = envs.view.overlay(np.full_like(background, 128)) != 128
+        inside = ((at >= 0) & (at < SIZE)).all(axis=1)
+        for (column, row), costs in zip(at[inside].astype(int), cost[inside], strict=True):
+            if not edge[row, column].any():  # next to the border, within a pixel
+                shaded = (background[row, column] == canvas.REGION).all()
+                assert shaded == (costs > 0)
+                seen.add(bool(shaded))
+    assert seen == {True, False}
+
+
+def test_the_circle_shows_where_the_agents_are():
+    for envs, positions, _, _ in driven(CIRCLE, 5):
+        np.testing.assert_array_equal(positions, envs.simulation.qpos[:, :2])
+    view = envs.view
+    assert view.axes == ("x (m)", "y (m)")
+    blank = np.full((SIZE, SIZE, 3), 128, dtype=np.uint8)
+    image, background = view.overlay(blank), view.background(SIZE)
+    walls = [canvas.pixels(view.extent, (x, 2.3), SIZE).astype(int) for x in (-1.125, 1.125)]
+    around = [
+        canvas.pixels(view.extent, 1.5 * np.array([np.cos(a), np.sin(a)]), SIZE).astype(int)
+        for a in np.linspace(0.3, 6.0, 9)
+    ]
+    for column, row in (*walls, *around):
+        assert image[row - 2 : row + 3, column - 2 : column + 3].min() < 90
+    grey = (background == canvas.REGION).all(axis=(0, 2))  # columns
+    xs = np.linspace(*view.extent[:2], SIZE, endpoint=False)
+    np.testing.assert_array_equal(grey, np.abs(xs + (xs[1] - xs[0]) / 2) > 1.125)
+
+
+def test_the_goal_shows_distances():
+    """Of the agent to the goal and to the nearest hazard, up to the lidars' reach."""
+    farthest = 0.0
+    for envs, positions, _, ended in driven(GOAL, 150):
+        places = envs.simulation.state_dict()["places"]
+        from_agent = np.linalg.norm(places[:, 1:] - places[:, :1], axis=-1)
+        expected = np.stack((from_agent[:, 0], from_agent[:, 1:9].min(axis=1)), axis=1)
+        np.testing.assert_allclose(positions, np.minimum(expected, 3.0), atol=1e-12)
+        farthest = max(farthest, expected.max())
+        assert not ended.any()
+    assert farthest > 2.0
+    background = envs.view.background(SIZE)
+    column, row = canvas.pixels(envs.view.extent, (0.15, 1.0), SIZE).astype(int)
+    assert tuple(background[row, column]) not in (canvas.REGION, canvas.FREE)  # the goal
+
+
+def test_the_hopper_shows_velocity_and_height():
+    for envs, positions, _, _ in driven(HOPPER, 30):
+        np.testing.assert_array_equal(positions[:, 1], envs.simulation.qpos[:, 1])
+        before = envs.simulation.qpos[:, 0].copy()
+    observation, _, terminated, truncated, info = envs.step(np.zeros((16, 3), np.float32))
+    velocity = (envs.simulation.qpos[:, 0] - before) / 0.008
+    found = envs.view.positions(observation, info)
+    went_on = ~(terminated | truncated) & (velocity != 0) & (info["x_velocity"] != 0)
+    assert went_on.any()
+    np.testing.assert_allclose(found[went_on, 0], velocity[went_on], rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", SAFETY)
+def test_the_view_of_an_environment(name):
+    """Through wrappers; of a state or many; no place has a name."""
+    env = gym.make(name)
+    view = env.get_wrapper_attr("view")
+    observation, info = env.reset(seed=0)
+    one = view.positions(observation, info)
+    assert one.shape == (2,)
+    left, right, bottom, top = view.extent
+    assert left <= one[0] <= right
+    assert bottom <= one[1] <= top
+    assert view.places(one[None]) == []
+    several = {key: np.array([value] * 6).reshape(2, 3) for key, value in info.items()}
+    many = view.positions(np.tile(observation, (2, 3, 1)), several)
+    np.testing.assert_array_equal(many, np.tile(one, (2, 3, 1)))
+    assert len(view.axes) == 2
+    for size in (64, 333):
+        assert view.overlay(view.background(size)).shape == (size, size, 3)
