@@ -1,7 +1,6 @@
 """Where training was: checked against the costs that the region puts on those places."""
 
 import shutil
-from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -11,7 +10,7 @@ from agents.errors import UserError
 from agents.lockstep.rollout import Rollout
 from agents.paper.presets import preset
 from agents.training.config import TrainConfig
-from agents.training.loop import Training, load_training, train
+from agents.training.loop import load_training, train
 from agents.training.step_files import COSTS, VISITED, StepFiles, read_steps
 from circle2d_mj import Circle2DConfig
 from emcc import EpisodeRecords
@@ -66,26 +65,26 @@ def test_the_mode_with_physics(tmp_path):
 def test_rows_by_hand(tmp_path):
     """Two runs of two episodes each; one run takes no part in the second epoch."""
     rollout = Rollout(*[None] * 9)._replace(
-        next_observation=np.arange(24, dtype=np.float32).reshape(3, 4, 2) / 24,
         cost=np.arange(12, dtype=np.float64).reshape(3, 4),
         length=np.array([3, 1, 2, 3]),
     )
+    positions = np.arange(24, dtype=np.float32).reshape(3, 4, 2)
     visited = StepFiles(True, 2)
-    visited.add(rollout, np.array([True, True]))
-    visited.add(rollout, np.array([False, True]))
+    visited.add(rollout, np.array([True, True]), positions)
+    visited.add(rollout, np.array([False, True]), positions)
     folders = [tmp_path / "a", tmp_path / "b"]
     for path in folders:
         path.mkdir()
     visited.write(folders)
-    visited.add(rollout, np.array([True, False]))
+    visited.add(rollout, np.array([True, False]), positions)
     visited.write(folders)
-    scaled = [
+    expected = [
         # step 0 of episode 0 is (0, 1), step 1 is (8, 9), step 2 is (16, 17); episode 1: (2, 3)
         np.array([[0, 1], [8, 9], [16, 17], [2, 3]] * 2),
         np.array([[4, 5], [12, 13], [6, 7], [14, 15], [22, 23]] * 2),
     ]
-    for path, rows in zip(folders, scaled, strict=True):
-        np.testing.assert_allclose(read_steps(path, VISITED), 3 * rows / 24, rtol=1e-6)
+    for path, rows in zip(folders, expected, strict=True):
+        np.testing.assert_array_equal(read_steps(path, VISITED), rows)
         np.testing.assert_array_equal(read_steps(path, COSTS), rows[:, 0] / 2)
 
 
@@ -112,21 +111,3 @@ def test_damaged_records_are_named(folder, tmp_path, damage, name):
         load_training(copy)
     with pytest.raises(UserError, match=f"{name} is"):
         read_steps(copy / "seed-4", name)
-
-
-def test_other_tasks_leave_costs_alone(tmp_path):
-    import gymnasium as gym
-    from toys import Target
-
-    for name in ("Target-v9", "Circle2DTarget-v9"):  # which is not Circle2D
-        gym.register(name, Target)
-        assert preset("sac-lag", name).cost_limit == 25
-        hyperparameters = replace(preset("sac-lag", name), random_steps=0)
-        config = TrainConfig("sac-lag", name, (0,), 10, hyperparameters)
-        config.write(tmp_path / name)
-        training = Training(config)
-        training.save(tmp_path / name)
-        found = {path.name for path in (tmp_path / name / "seed-0").iterdir()}
-        assert COSTS in found
-        assert VISITED not in found
-        gym.registry.pop(name)
