@@ -1,19 +1,29 @@
 # make demo: train TRPO-Lag on Circle2D-1 for a minute or two; tables, heat map, trajectories.
-# make test: run the tests. Both build .venv first; Python 3.11 or newer is all they need.
+# make test: run the tests, at most six minutes on two cores.
+# make check: run the slow tests; among them installations in environments of their own.
+# Each builds .venv first; Python 3.11 or newer is all they need.
 
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test lint clean
+.PHONY: demo test check lint clean
 .DELETE_ON_ERROR:
 
-$(VENV)/installed: pyproject.toml constraints.txt
+$(VENV)/made:
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 
-demo: $(VENV)/installed
+$(VENV)/trains: $(VENV)/made pyproject.toml constraints.txt
+	$(INSTALL) -e '.[train]'
+	touch $@
+
+$(VENV)/develops: $(VENV)/made pyproject.toml constraints.txt
+	$(INSTALL) -e '.[dev]'
+	touch $@
+
+demo: $(VENV)/trains
 	rm -rf runs/demo
 	$(BIN)/circle2d train --algorithm trpo-lag --task Circle2D-1-v0 --seeds 0 1 2 --steps 250000 \
 		--backend eager --out runs/demo
@@ -22,10 +32,13 @@ demo: $(VENV)/installed
 	-$(BIN)/circle2d render runs/demo
 	@echo "The report, with training curves and heat map: runs/demo/index.html"
 
-test: $(VENV)/installed
+test: $(VENV)/develops
 	$(BIN)/python -m pytest -n logical --dist loadfile
 
-lint: $(VENV)/installed
+check: $(VENV)/develops
+	$(BIN)/python -m pytest -m slow -n logical --dist loadfile --durations 20
+
+lint: $(VENV)/develops
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python

@@ -39,7 +39,7 @@ from agents.reporting.report import report as write_report
 from agents.runs import Runs
 from agents.training import loop
 from agents.training.config import Backend, Device, TrainConfig
-from agents.training.environments import Vectorization, check_task
+from agents.training.environments import Vectorization, check_task, task_id
 from agents.training.epochs import Epoch, follower
 from agents.training.playing import Evaluation, evaluate
 from agents.training.policy import Policy, load_policy
@@ -122,6 +122,7 @@ def train(
 
     Raises UserError for what is unknown or not allowed, before anything is written.
     """
+    task = task_id(task)
     own = _hyperparameters(algorithm, task, hyperparameters)
     config = TrainConfig(algorithm, task, _seeds(seeds), steps, own, dict(task_parameters or {}))
     config = dataclasses.replace(

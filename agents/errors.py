@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Iterable
 from numbers import Real
 from typing import Any
 
@@ -12,6 +14,16 @@ class UserError(ValueError):
 
     The command line prints it as one line and exits with status 2.
     """
+
+
+def nearest(given: str, valid: Iterable[str], otherwise: str = "") -> str:
+    """Return "did you mean 'x'?" for the most similar of the valid names.
+
+    otherwise: what to return where none is similar, by default the list of the valid names.
+    """
+    names = list(valid)
+    near = difflib.get_close_matches(given, names, n=1)
+    return f"did you mean {near[0]!r}?" if near else otherwise or f"valid are {', '.join(names)}"
 
 
 def check_integers(config: Any, *names: str, low: int, high: int = 2**40) -> None:

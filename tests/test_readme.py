@@ -1,38 +1,72 @@
 """The README's examples run as they stand there."""
 
+import json
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import gymnasium as gym
+import pytest
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 
 
-def test_the_sixth_algorithm_trains(tmp_path):
-    """In a copy of the package, edited as the README says."""
-    shutil.copytree(ROOT / "agents", tmp_path / "agents")
-    ((path, code),) = re.findall(r"```python\n# (agents/\S+)\n(.*?)```", README, re.DOTALL)
-    (tmp_path / path).write_text(code)
-    ((imports, entry),) = re.findall(r"```python\n(from .*)\n\.\.\.\n( +.*)\n```", README)
-    listing = tmp_path / "agents/algorithms/__init__.py"
-    edited = re.sub(r"(?m)^from agents\.algorithms import .*$", imports, listing.read_text())
-    listing.write_text(re.sub(r'(?m)^( +"wcsac": .*)$', rf"\1\n{entry}", edited))
-    command = [sys.executable, "-m", "agents.cli", "train", "--algorithm", "sac-fixed"]
-    command += ["--price", "0.5", "--seeds", "0", "--steps", "1000", "--out", "runs"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+def circle2d(folder, *args, status=0):
+    command = [sys.executable, "-m", "agents.cli", *args]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == status, done.stderr
+    return done
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with the README's algorithm, outside the package."""
+    ((name, code),) = re.findall(r"```python\n# (my_\w+\.py)\n(.*?)```", README, re.DOTALL)
+    (tmp_path / name).write_text(code)
+    return tmp_path
+
+
+def test_an_algorithm_of_the_users_own(folder):
+    """Trains by the README's command, resumes, is evaluated, reported and explained."""
+    ((line),) = re.findall(r"```\ncircle2d (train --import my_.*)\n```", README)
+    train = line.replace("runs/fixed", "runs").split()
+    done = circle2d(folder, *train, "--seeds", "0", "--steps", "1e3")
     assert "SAC-Fixed (price 0.5, 1,000 steps), mean of 1" in done.stdout
+    assert json.loads((folder / "runs/config.json").read_text())["algorithm"] == "sac-fixed"
+    done = circle2d(folder, "resume", "runs", status=2)
+    assert done.stderr.count("\n") == 1
+    assert "my_algorithm" in done.stderr
+    known = ("--import", "my_algorithm")
+    circle2d(folder, "resume", "runs", *known)
+    assert "J_R" in circle2d(folder, "evaluate", "runs", "--episodes", "2", *known).stdout
+    assert "SAC-Fixed (price 0.5" in circle2d(folder, "report", "runs", *known).stdout
+    text = circle2d(folder, "train", *known, "--algorithm", "sac-fixed", "--help").stdout
+    assert "--price" in text
+    assert "Price of a unit of discounted cost" in re.sub(r"[│\s]+", " ", text)
+    assert "--price" in circle2d(folder, "train", *known, "--help").stdout
+
+
+def test_an_algorithm_of_the_users_own_in_worker_processes(folder):
+    command = [
+        "reproduce",
+        "--import",
+        "my_algorithm",
+        "--algorithms",
+        "sac-fixed",
+        "--levels",
+        "1",
+    ]
+    command += ["--seeds", "0", "--steps", "1000", "--backend", "eager", "--out", "grid"]
+    assert "SAC-Fixed (1,000 steps), mean of 1" in circle2d(folder, *command).stdout
 
 
 def test_the_examples_run(opengl, tmp_path, monkeypatch):
     """One after another, as a reader would type them; a random agent stands for the reader's."""
     monkeypatch.chdir(tmp_path)
-    examples = re.findall(r"```python\n((?!# agents/|from agents).*?)```", README, re.DOTALL)
-    assert len(examples) == 3
+    examples = re.findall(r"```python\n((?!# my_).*?)```", README, re.DOTALL)
+    assert len(examples) == 4
 
     def training(env):
         env.reset(seed=0)
@@ -45,4 +79,5 @@ def test_the_examples_run(opengl, tmp_path, monkeypatch):
     for example in examples:
         exec(compile(example, "README.md", "exec"), names)
     assert (tmp_path / "circle2d.png").stat().st_size > 1000
+    assert names["action"].shape == (2,)
     assert names["env"].records.total_steps == 500

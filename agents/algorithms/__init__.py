@@ -7,7 +7,7 @@ import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from agents.errors import UserError
+from agents.errors import UserError, nearest
 
 if TYPE_CHECKING:  # torch takes a second to import, and a list of names does not need it
     from agents.lockstep.learner import Learner
@@ -84,7 +84,7 @@ def register(name: str, algorithm: Algorithm) -> None:
 def algorithm(name: str) -> Algorithm:
     """The algorithm of that name. Raises UserError, naming the valid ones, for another."""
     if name not in ALGORITHMS:
-        raise UserError(f"unknown algorithm {name!r}: valid are {', '.join(ALGORITHMS)}")
+        raise UserError(f"unknown algorithm {name!r}: {nearest(name, ALGORITHMS)}")
     return ALGORITHMS[name]
 
 

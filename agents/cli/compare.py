@@ -1,4 +1,4 @@
-"""The command that sets two sets of runs side by side: compare."""
+"""`circle2d compare`: two sets of runs side by side."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from agents.cli.options import parse
+from agents.cli.options import Imports, parse
 from agents.reporting.compare import compare
 from agents.training.progress import working
 
@@ -26,12 +26,13 @@ class CompareOptions:
     out: Path | None = None
     """Folder for compare.md, compare.csv, and compare.html with the training curves of both; by
     default nothing is written."""
+    imports: Imports = ()
 
 
-def run_compare(args: Sequence[str]) -> int:
-    """`circle2d compare`; returns the exit status."""
+def run(args: Sequence[str]) -> int:
+    """Run `circle2d compare`; returns the exit status."""
     options = parse(CompareOptions, "compare", args)
     with working("reading runs and drawing figures"):
-        told = compare(options.a, options.b, options.out)
-    print(told)
+        table = compare(options.a, options.b, options.out)
+    print(table)
     return 0

@@ -1,9 +1,8 @@
-"""The command that reproduces the paper: reproduce."""
+"""`circle2d reproduce`: run the paper's experiments and report."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import sys
 import time
@@ -15,19 +14,19 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from agents import api
 from agents.algorithms import ALGORITHMS
-from agents.cli.options import BackendChoice, chosen_backend, parse
+from agents.cli.options import BackendChoice, Imports, parse
 from agents.errors import UserError
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
-from agents.reporting.report import report
 from agents.training.config import Device, TrainConfig
-from agents.training.environments import check_task
+from agents.training.environments import check_task, task_id
 from agents.training.files import locked
 from agents.training.machine import other_session
 from agents.training.progress import working
 from agents.training.status import duration, share_done, speed
-from agents.training.workers import Group, Workers
+from agents.training.workers import Group, Workers, cores
 from circle2d_mj.circle2d.config import LEVELS
 
 
@@ -63,12 +62,13 @@ class ReproduceOptions:
     with, and eager with quick, which is over before anything is compiled."""
     device: Device = "cpu"
     """Where updates run: cuda on a GPU."""
-    workers: int = os.cpu_count() or 1
-    """Processes, of one thread each; by default one for each core."""
+    workers: int = cores()
+    """Processes, of one thread each; by default one for each core that this process may use."""
+    imports: Imports = ()
 
 
-def run_reproduce(args: Sequence[str]) -> int:
-    """`circle2d reproduce`; returns the exit status."""
+def run(args: Sequence[str]) -> int:
+    """Run `circle2d reproduce`; returns the exit status."""
     options = parse(ReproduceOptions, "reproduce", args)
     if not options.algorithms:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
@@ -77,17 +77,17 @@ def run_reproduce(args: Sequence[str]) -> int:
     configs = _configs(options)
     grid.prepare(configs)
     for folder, config in configs.items():
-        if (said := other_session(folder)) and not grid.finished(folder, config):
-            print(f"circle2d: {folder}: {said}", file=sys.stderr)
+        if (note := other_session(folder)) and not grid.finished(folder, config):
+            print(f"circle2d: {folder}: {note}", file=sys.stderr)
     with _ended_by_signals():
         with locked(options.out):
-            failed = _train(configs, options.workers)
-        for folder, said in failed.items():
-            print(f"circle2d: {folder} failed: {said}", file=sys.stderr)
+            failed = _train(configs, options.workers, options.imports)
+        for folder, message in failed.items():
+            print(f"circle2d: {folder} failed: {message}", file=sys.stderr)
         try:
             with working("drawing the report"):
-                told = report(options.out)
-            print(told)
+                table = api.report(options.out)
+            print(table)
         except UserError as error:
             print(f"circle2d: no report: {error}", file=sys.stderr)
             return 1
@@ -96,7 +96,7 @@ def run_reproduce(args: Sequence[str]) -> int:
 
 def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     """The grid's folders and what is trained in them."""
-    tasks = _tasks(options)
+    tasks = [task_id(task) for task in _tasks(options)]
     for task in tasks:
         check_task(task, {})
     seeds, steps = options.seeds, options.steps
@@ -107,7 +107,7 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     what = (tasks, options.algorithms, seeds, steps, options.device, options.ablations)
     configs = grid.grid(options.out, *what)
     usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
-    backend = chosen_backend(options.backend or usual)
+    backend = api.choose_backend(options.backend or usual)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}
 
 
@@ -123,12 +123,14 @@ def _tasks(options: ReproduceOptions) -> Sequence[str]:
 
 @contextlib.contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """What a batch system or a closed terminal sends ends us as Ctrl-C does, workers included."""
+    """End this process and its workers, as Ctrl-C does, at a signal that a batch system or a closed
+    terminal sends."""
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    signals = (signal.SIGTERM, signal.SIGHUP)
+    names = ("SIGTERM", "SIGHUP")  # the second is not everywhere
+    signals = [getattr(signal, name) for name in names if hasattr(signal, name)]
     before = [signal.signal(number, interrupt) for number in signals]
     try:
         yield
@@ -137,8 +139,8 @@ def _ended_by_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
-    """Train what is not finished; the folders that failed, and what was said of it."""
+def _train(configs: dict[Path, TrainConfig], count: int, imports: Sequence[str]) -> dict[Path, str]:
+    """Train what is not finished; returns the folders that failed, each with its error."""
     left = [folder for folder, config in configs.items() if not grid.finished(folder, config)]
     shares = {folder: share_done(folder) if folder in left else 1.0 for folder in configs}
     started, (before, total) = time.monotonic(), grid.work_left(shares, configs)
@@ -149,34 +151,34 @@ def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
         return grid.finished(folder, configs[folder])
 
     with (
-        Workers(groups, count, is_finished) as workers,
+        Workers(groups, count, is_finished, imports) as workers,
         Live(console=console, auto_refresh=False) as live,
     ):
-        told, tenths = 0, 0
+        shown, tenths = 0, 0
 
         def show() -> None:
-            nonlocal told, tenths
+            nonlocal shown, tenths
             for folder in left:
                 shares[folder] = 1.0 if folder in workers.over else share_done(folder)
             done, _ = grid.work_left(shares, configs)
             seconds = time.monotonic() - started
-            rest = seconds * (total - done) / (done - before) if done > before else None
-            headline = _headline(workers.running, shares, done / total, rest)
+            left_of_all = grid.seconds_left(seconds, before, done, total)
+            headline = _headline(workers.running, shares, done / total, left_of_all)
             if console.is_terminal:
                 live.update(_table(headline, workers.running, shares), refresh=True)
                 return
-            for folder in workers.over[told:]:
+            for folder in workers.over[shown:]:
                 how = "failed" if folder in workers.failed else "done"
                 print(f"{folder}: {how} after {seconds:.0f} s", file=sys.stderr, flush=True)
-            told = len(workers.over)
+            shown = len(workers.over)
             if int(10 * done / total) > tenths:
                 tenths = int(10 * done / total)
                 print(headline, file=sys.stderr, flush=True)
 
         workers.run(show)
         return {
-            folder: said
-            for folder, said in workers.failed.items()
+            folder: message
+            for folder, message in workers.failed.items()
             # Of a group one run may have failed, and the other folders be done.
             if grid.has_failures(folder, configs[folder])
             or not grid.finished(folder, configs[folder])
@@ -184,10 +186,11 @@ def _train(configs: dict[Path, TrainConfig], count: int) -> dict[Path, str]:
 
 
 def _headline(
-    running: Sequence[Group], shares: dict[Path, float], done: float, rest: float | None
+    running: Sequence[Group], shares: dict[Path, float], done: float, seconds_left: float | None
 ) -> str:
+    """How far all trainings are, how long they will take and how fast they are."""
     over = sum(share == 1.0 for share in shares.values())
-    left = "" if rest is None else f", {duration(rest)} left"
+    left = "" if seconds_left is None else f", {duration(seconds_left)} left"
     in_all = sum(filter(None, (speed(group[0]) for group in running)))
     return (
         f"{100 * done:.0f} % done, {over} of {len(shares)} trainings{left}, "
@@ -196,6 +199,7 @@ def _headline(
 
 
 def _table(headline: str, running: Sequence[Group], shares: dict[Path, float]) -> Table:
+    """A row for each group that is trained now."""
     table = Table(title=headline)
     table.add_column("training")
     table.add_column("done", justify="right")

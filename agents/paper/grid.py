@@ -190,3 +190,11 @@ def work_left(shares: dict[Path, float], configs: dict[Path, TrainConfig]) -> tu
     }
     done = sum(shares.get(folder, 0.0) * work for folder, work in total.items())
     return done, sum(total.values())
+
+
+def seconds_left(elapsed: float, before: float, done: float, total: float) -> float | None:
+    """Seconds that the rest of some work takes at its mean pace so far; None where there is none.
+
+    elapsed: seconds since a time at which `before` of the `total` was done; done: of it now.
+    """
+    return elapsed * (total - done) / (done - before) if done > before else None

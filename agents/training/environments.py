@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import inspect
+import re
 from numbers import Real
 from typing import Any, Literal, NamedTuple
 
@@ -15,7 +16,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.vector import RescaleAction
 
-from agents.errors import UserError
+from agents.errors import UserError, nearest
 from agents.lockstep.rollout import require_cost
 from circle2d_mj.core.view import View
 
@@ -170,13 +171,37 @@ def sizes_of(task: str, parameters: dict[str, Any]) -> tuple[int, int]:
 
 def registered(task: str) -> str:
     """The id of a task, of which "module:id" imports the module first, as gymnasium does it."""
-    module, _, name = task.rpartition(":")
+    name = _imported(task)
     try:
-        if module:
-            importlib.import_module(module)
         gym.spec(name)
-    except (gym.error.Error, ImportError) as error:
-        raise UserError(f"cannot make task {task!r}: {error}") from None
+    except gym.error.Error as error:
+        message = str(error)
+        if not isinstance(error, gym.error.VersionNotFound) and "Did you mean" not in message:
+            message = f"{message} {nearest(name, gym.registry, otherwise=' ')}".strip()
+        raise UserError(f"cannot make task {task!r}: {message}") from None
+    return name
+
+
+def task_id(task: str) -> str:
+    """The id of a task with its version, where none is given the newest: Circle2D-1-v0 for
+    Circle2D-1. Raises UserError for an unknown task."""
+    name = _imported(task)
+    versions = [re.fullmatch(f"{re.escape(name)}-v([0-9]+)", other) for other in gym.registry]
+    newest = max(filter(None, versions), key=lambda found: int(found[1]), default=None)
+    if name not in gym.registry and newest:
+        return task + newest[0].removeprefix(name)
+    registered(task)
+    return task
+
+
+def _imported(task: str) -> str:
+    """The id of a task without its module, which is imported."""
+    module, _, name = task.rpartition(":")
+    if module:
+        try:
+            importlib.import_module(module)
+        except ImportError as error:
+            raise UserError(f"cannot make task {task!r}: {error}") from None
     return name
 
 

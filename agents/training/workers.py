@@ -11,9 +11,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 LOG = "worker.log"
-"""In the folder of the runs, the first of a group: what the process that trained them said."""
+"""In the folder of the runs, the first of a group: output of the process that trained them."""
 Group = tuple[Path, ...]
 """Folders that train together."""
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class Workers:
@@ -27,14 +34,20 @@ class Workers:
     """
 
     def __init__(
-        self, groups: Sequence[Group], count: int, finished: Callable[[Path], bool]
+        self,
+        groups: Sequence[Group],
+        count: int,
+        finished: Callable[[Path], bool],
+        imports: Sequence[str] = (),
     ) -> None:
+        """imports: modules that each process imports first."""
         self._waiting, self._count, self._finished = list(groups), count, finished
+        self._imports = imports
         self._running: dict[Group, subprocess.Popen] = {}
         self.over: list[Path] = []
         """Folders whose process has ended, those that failed among them."""
         self.failed: dict[Path, str] = {}
-        """Those that failed, and the last line that their process said."""
+        """Those that failed, and the last line that their process printed."""
 
     @property
     def running(self) -> list[Group]:
@@ -46,7 +59,7 @@ class Workers:
         while self._waiting or self._running:
             while self._waiting and len(self._running) < self._count:
                 group = self._waiting.pop(0)
-                self._running[group] = _start(group)
+                self._running[group] = _start(group, self._imports)
             on_change()
             time.sleep(every)
             for group, process in list(self._running.items()):
@@ -75,11 +88,12 @@ class Workers:
             process.wait()
 
 
-def _start(group: Group) -> subprocess.Popen:
+def _start(group: Group, imports: Sequence[str]) -> subprocess.Popen:
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    options = [option for name in imports for option in ("--import", name)]
     with (group[0] / LOG).open("ab") as log:
         return subprocess.Popen(
-            [sys.executable, "-m", "agents.cli", "resume", *map(str, group)],
+            [sys.executable, "-m", "agents.cli", "resume", *map(str, group), *options],
             stdout=log,
             stderr=log,
             stdin=subprocess.DEVNULL,
@@ -93,4 +107,4 @@ def _last_words(group: Group) -> str:
         lines = (group[0] / LOG).read_text(errors="replace").strip().splitlines()
     except OSError:
         lines = []
-    return lines[-1] if lines else "it said nothing"
+    return lines[-1] if lines else "it printed nothing"

@@ -1,4 +1,4 @@
-"""The command line: what it does, and one line with status 2 for every mistake."""
+"""The command line: commands, their output, their files and their exit status."""
 
 import re
 import shutil
@@ -71,6 +71,18 @@ def test_hyperparameters_and_task_parameters(tmp_path):
     assert config.seeds == (4,)
 
 
+def test_counts_may_be_written_as_1e6_and_the_newest_version_of_a_task_is_found(tmp_path):
+    from agents.training.config import TrainConfig
+
+    arguments = ["train", "--algorithm", "sac-lag", "--task", "Circle2D-3", "--steps", "1e2"]
+    arguments += ["--seeds", "0", "--replay-size", "2e4", "--out", str(tmp_path / "x")]
+    assert main(arguments) == 0
+    config = TrainConfig.read(tmp_path / "x")
+    assert config.task == "Circle2D-3-v0"
+    assert type(config.steps) is int
+    assert (config.steps, config.hyperparameters.replay_size) == (100, 20_000)
+
+
 def test_help_explains_every_option(capsys):
     with pytest.raises(SystemExit) as done:
         main(["train", "--algorithm", "sac-lag", "--help"])
@@ -78,7 +90,7 @@ def test_help_explains_every_option(capsys):
     text = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
     for option in ("--seeds", "--steps", "--cost-limit", "--multiplier-lr", "--time-limit"):
         assert option in text
-    assert "Limit d of the discounted cost return." in text
+    assert "Limit d of the discounted cost return" in text
     assert "(default: 5.0)" in text
     assert main(["--help"]) == 0
     assert main([]) == 2
@@ -123,59 +135,6 @@ def test_tensorboard_where_it_is_missing(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     assert main([*TRAIN, "--out", str(tmp_path / "x"), "--tensorboard"]) == 2
     assert "pip install 'circle2d-mj[tensorboard]'" in capsys.readouterr().err
-    assert not (tmp_path / "x").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["fly"], "unknown command 'fly': valid are train, resume, evaluate, report"),
-        (["train", "--algorithm", "sac-log"], "unknown algorithm 'sac-log': valid are trpo-lag, "),
-        (["train", "--out", "{tmp}"], "--algorithm"),
-        ([*TRAIN], "--out"),
-        ([*TRAIN, "--out", "{tmp}/x", "--task", "Nope-v1"], "cannot make task 'Nope-v1'"),
-        ([*TRAIN, "--out", "{tmp}/x", "--task", "CartPole-v1"], "action space.*flat Box"),
-        ([*TRAIN, "--out", "{tmp}/x", "--task", "Pendulum-v1"], "info\\['cost'\\]"),
-        ([*TRAIN, "--out", "{tmp}/x", "--learning-rat", "1"], "--learning-rat"),
-        ([*TRAIN, "--out", "{tmp}/x", "--learning-rate", "0"], "learning_rate must be above 0"),
-        (
-            [*TRAIN, "--out", "{tmp}/x", "--discount", "1.5"],
-            "discount must be .*at most 1, got 1.5",
-        ),
-        ([*TRAIN, "--out", "{tmp}/x", "--batch-size", "100"], "multiples of 32, got 100"),
-        ([*TRAIN, "--out", "{tmp}/x", "--replay-size", "64"], "batch_size must be at most 64"),
-        (
-            [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "max_episode_steps", "None"],
-            "episodes must end",
-        ),
-        (
-            [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "level", "3"],
-            "level is part of the task's id",
-        ),
-        ([*TRAIN, "--out", "{tmp}/x", "--steps", "0"], "steps must be at least 1, got 0"),
-        ([*TRAIN, "--out", "{tmp}/x", "--steps", "many"], "'many'"),
-        ([*TRAIN, "--out", "{tmp}/x", "--seeds", "1", "1"], "seeds must be different"),
-        ([*TRAIN, "--out", "{tmp}/x", "--seeds", "-1"], "seeds must be in"),
-        (
-            [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "radius", "3"],
-            "got an unexpected keyword argument 'radius'",
-        ),
-        (["resume", "{tmp}/nothing"], r"nothing/config\.json is missing"),
-        (["evaluate", "{tmp}/nothing"], r"nothing/config\.json is missing"),
-        (["report", "{tmp}/nothing"], "nothing is no folder"),
-        (["report", "{tmp}"], "holds no runs"),
-        (["evaluate", "{folder}", "--episodes", "0"], "episodes must be at least 1"),
-        ([*TRAIN, "--out", "{folder}"], "holds runs already: go on with them by 'circle2d resume"),
-    ],
-)
-def test_mistakes(arguments, message, folder, tmp_path, capsys):
-    arguments = [a.format(tmp=tmp_path, folder=folder) for a in arguments]
-    assert main(arguments) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("circle2d: ")
-    assert err.count("\n") == 1
-    assert re.search(message, err), err
     assert not (tmp_path / "x").exists()
 
 

@@ -1,0 +1,52 @@
+"""`circle2d heatmap`: draw which states were visited in training."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from agents.cli.options import Imports, check_size, check_suffix, parse
+from agents.errors import UserError
+from agents.reporting import image_files, pictures
+from emcc.parts import ALPHA, PARTS
+
+
+@dataclass(frozen=True)
+class HeatmapOptions:
+    """Draw which states the agents visited in training, in the rollouts that dominate EMCC, of the
+    runs of a folder together: a PNG."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Folder of runs on a task that offers positions."""
+    part: tuple[float, ...] = tuple(PARTS)
+    """Parts of training, named as EMCC names them: 0.33, 0.66, 0.99."""
+    alpha: float = ALPHA
+    """Share of a part's rollouts, those of the highest MCC; 1 draws all."""
+    seeds: tuple[int, ...] | None = None
+    """Of the runs; by default all but those that failed."""
+    out: Path | None = None
+    """File to write; by default heatmap.png in the folder."""
+    size: int = 640
+    """Pixels along each side of a map."""
+    imports: Imports = ()
+
+
+def run(args: Sequence[str]) -> int:
+    """Run `circle2d heatmap`; returns the exit status."""
+    options = parse(HeatmapOptions, "heatmap", args)
+    if not options.part or not set(options.part) <= set(PARTS):
+        raise UserError(f"part must be some of {list(PARTS)}, got {list(options.part)}")
+    check_size(options.size)
+    if not 0 < options.alpha <= 1:
+        raise UserError(f"alpha must be in (0, 1], got {options.alpha}")
+    out = options.out or options.folder / "heatmap.png"
+    check_suffix(out, ".png")
+    of_file = (options.part, options.alpha, options.size, options.seeds)
+    picture = pictures.heatmap(options.folder, *of_file)
+    image_files.write_picture(out, picture)
+    print(out)
+    return 0

@@ -1,0 +1,37 @@
+"""`circle2d report`: tables, figures and the page of trained runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from agents import api
+from agents.cli.options import Imports, parse
+from agents.training.progress import working
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Print the table of trained runs beside the paper's; write report.md, report.csv,
+    and index.html with training curves and heat maps as well."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Folder of runs, or one with several such folders below it, or an archive."""
+    archive: Path | None = None
+    """File to pack all that the report needs into; `circle2d report FILE` writes it again."""
+    out: Path | None = None
+    """Folder for the report; by default that of the runs, or one beside an archive, of its name."""
+    imports: Imports = ()
+
+
+def run(args: Sequence[str]) -> int:
+    """Run `circle2d report`; returns the exit status."""
+    options = parse(ReportOptions, "report", args)
+    with working("reading runs and drawing figures"):
+        table = api.report(options.folder, options.archive, options.out)
+    print(table)
+    return 0

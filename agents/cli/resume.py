@@ -1,0 +1,38 @@
+"""`circle2d resume`: go on with interrupted runs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from agents import api
+from agents.cli.options import Imports, parse
+from agents.cli.outcome import finish
+from agents.training.config import TrainConfig
+from agents.training.machine import other_session
+
+
+@dataclass(frozen=True)
+class ResumeOptions:
+    """Go on with interrupted runs from their last checkpoint; the results are bit for bit those of
+    runs that were never interrupted."""
+
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Folder of the runs; several, which differ in task and seeds only, train together."""
+    imports: Imports = ()
+
+
+def run(args: Sequence[str]) -> int:
+    """Run `circle2d resume`; returns the exit status."""
+    folders = parse(ResumeOptions, "resume", args).folders
+    for folder in folders:
+        TrainConfig.read(folder)
+    for folder in folders:
+        if note := other_session(folder):
+            print(f"circle2d: {folder}: {note}", file=sys.stderr)
+    return finish(api.resume(*folders, progress=True))

@@ -1,0 +1,92 @@
+"""Mistakes on the command line: one line on stderr, status 2, nothing written."""
+
+import re
+
+import pytest
+
+from agents.cli.main import main
+
+TRAIN = ["train", "--algorithm", "sac-lag", "--seeds", "0", "1", "--steps", "600"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder that holds runs already."""
+    path = tmp_path_factory.mktemp("runs") / "first"
+    assert main([*TRAIN[:-1], "50", "--out", str(path)]) == 0
+    return path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["fly"], "unknown command 'fly': valid are train, resume, evaluate, reproduce, report"),
+        (["trian"], "unknown command 'trian': did you mean 'train'\\?\n"),
+        (["--verison"], "unknown option '--verison': did you mean '--version'\\?\n"),
+        (["train", "--algorithm", "sac-log"], "'sac-log': did you mean 'sac-lag'\\?\n"),
+        (["train", "--algorithm", "dqn"], "unknown algorithm 'dqn': valid are trpo-lag, "),
+        (["train", "--out", "{tmp}"], "train needs --algorithm: one of trpo-lag, "),
+        ([*TRAIN], "--out"),
+        ([*TRAIN, "--out", "{tmp}/x", "--task", "Nope-v1"], "cannot make task 'Nope-v1'"),
+        ([*TRAIN, "--out", "{tmp}/x", "--task", "CartPole-v1"], "action space.*flat Box"),
+        ([*TRAIN, "--out", "{tmp}/x", "--task", "Pendulum-v1"], "info\\['cost'\\]"),
+        ([*TRAIN, "--out", "{tmp}/x", "--task", "Circle2D-9"], "Did you mean: `Circle2D-"),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--task", "SafetyPointGoal1-v0"],
+            "did you mean 'circle2d_mj/SafetyPointGoal1-v0'",
+        ),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--learning-rat", "1"],
+            "train has no option --learning-rat: did you mean '--learning-rate'\\?\n",
+        ),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--log_barrier_factor=3"],
+            "no option --log-barrier-factor: an option of sac-lb, not of sac-lag\n",
+        ),
+        ([*TRAIN, "--out", "{tmp}/x", "--qqq"], "'circle2d train --help' lists those it has\n"),
+        ([*TRAIN, "--out", "{tmp}/x", "--vectorization", "fast"], "invalid choice 'fast'"),
+        ([*TRAIN, "--out", "{tmp}/x", "--import", "no_such"], "cannot import 'no_such': .*No mod"),
+        ([*TRAIN, "--out", "{tmp}/x", "--import", "mine.py"], "a module's name: 'mine'\n"),
+        (["report", "{tmp}", "--import", "no_such"], "cannot import 'no_such'"),
+        ([*TRAIN, "--out", "{tmp}/x", "--learning-rate", "0"], "learning_rate must be above 0"),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--discount", "1.5"],
+            "discount must be .*at most 1, got 1.5",
+        ),
+        ([*TRAIN, "--out", "{tmp}/x", "--batch-size", "100"], "multiples of 32, got 100"),
+        ([*TRAIN, "--out", "{tmp}/x", "--replay-size", "64"], "batch_size must be at most 64"),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "max_episode_steps", "None"],
+            "episodes must end",
+        ),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "level", "3"],
+            "level is part of the task's id",
+        ),
+        ([*TRAIN, "--out", "{tmp}/x", "--steps", "0"], "steps must be at least 1, got 0"),
+        ([*TRAIN, "--out", "{tmp}/x", "--steps", "many"], "as 1000000 or 1e6, got 'many'\n"),
+        ([*TRAIN, "--out", "{tmp}/x", "--steps", "1e-3"], "must be an integer .*got '1e-3'"),
+        ([*TRAIN, "--out", "{tmp}/x", "--seeds", "1", "1"], "seeds must be different"),
+        ([*TRAIN, "--out", "{tmp}/x", "--seeds", "-1"], "seeds must be in"),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "radius", "3"],
+            "unexpected keyword argument 'radius'",
+        ),
+        (["resume", "{tmp}/nothing"], r"nothing/config\.json is missing"),
+        (["evaluate", "{tmp}/nothing"], "nothing is no folder"),
+        (["report", "{tmp}/nothing"], "nothing is no folder"),
+        (["report", "{tmp}"], "holds no runs"),
+        (["evaluate", "{folder}", "--episodes", "0"], "episodes must be at least 1"),
+        ([*TRAIN, "--out", "{folder}"], "holds runs already: go on with them by 'circle2d resume"),
+    ],
+)
+def test_mistakes(arguments, message, folder, tmp_path, capsys):
+    arguments = [a.format(tmp=tmp_path, folder=folder) for a in arguments]
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("circle2d: ")
+    assert err.count("\n") == 1
+    assert err.lower().count("did you mean") <= 1
+    assert re.search(message, err), err
+    assert not (tmp_path / "x").exists()
