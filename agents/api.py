@@ -4,6 +4,16 @@ They sit on top of everything but the command line, which is a thin skin over th
 in the caller's process: torch's threads, default device and matrix products are as before when it
 returns or raises, and no signal handler is touched. One thing cannot be undone: on Linux, freed
 memory stays with the process from the first training on, for the next tensor (`mallopt`).
+
+>>> import agents, numpy as np
+>>> runs = agents.train("trpo-lag", "Circle2D-1-v0", seeds=0, steps=200, episodes=2)
+>>> policy = agents.load_policy(runs.folder)
+>>> policy(np.zeros(2)).shape, policy(np.zeros((7, 2))).shape
+((2,), (7, 2))
+>>> agents.evaluate(policy, episodes=3).lengths.tolist()
+[50, 50, 50]
+>>> agents.resume(runs.folder).config.steps  # it is done: nothing changes
+200
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The one kind of error that is the user's to mend."""
+"""Mistakes of the user, and checks of the values they give."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 class UserError(ValueError):
-    """A mistake in what was asked for: the message says what was given and what is allowed.
+    """A mistake of the user. The message names the thing, the value given, and those allowed.
 
     The command line prints it as one line and exits with status 2.
     """
@@ -56,7 +56,7 @@ def check(
 
 
 def check_choice(config: Any, name: str, *allowed: str) -> None:
-    """Refuse a field of a config that is none of the allowed words."""
+    """Refuse a field of a config that is not one of the allowed words."""
     if getattr(config, name) not in allowed:
         given = getattr(config, name)
         raise UserError(f"{name} must be {' or '.join(allowed)}, got {given!r}")

@@ -17,6 +17,10 @@ class Learner(Protocol):
 
     R runs train side by side. `policy`, `state_dict` and `load_state_dict` are of the runs in a
     slice, by default of all.
+
+    Arrays of the state whose names are `actor` or begin with `actor.` are those that the policy
+    depends on: a trained policy is loaded from them alone. For `to_torch` a learner also has a
+    method `module(run)`: its deterministic policy as an `nn.Module`, observations -> actions.
     """
 
     episodes: int

@@ -39,7 +39,7 @@ EARLY, MIDDLE, LATE = "EMCC_0.33", "EMCC_0.66", "EMCC_0.99"
 
 
 class Claim(NamedTuple):
-    """What the paper says, and how it is decided."""
+    """A statement of the paper, and the rule that decides it."""
 
     text: str
     rule: str

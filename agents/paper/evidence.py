@@ -79,9 +79,9 @@ class Finding(NamedTuple):
     lacking: Mapping[str, Sequence[str]]
     """Algorithms or tasks that decide nothing, by the reason."""
     about: str = ""
-    """What the facts count, where they do not say it."""
+    """In words, the event that the facts count, where their names do not say it."""
     claimed: str = ""
-    """What the claim expects of them, likewise."""
+    """In words, the counts that the claim expects, likewise."""
 
 
 Evidence = Mapping[tuple[str, str], Cell]

@@ -70,7 +70,7 @@ class Unprinted(NamedTuple):
 
     field: str
     choices: dict[str, str]
-    """What each of the two means, in words."""
+    """Both, each with its meaning in words."""
 
 
 MULTIPLIER = Unprinted(

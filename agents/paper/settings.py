@@ -15,8 +15,8 @@ from agents.training.config import TrainConfig
 def title_of(config: TrainConfig) -> str:
     """The algorithm, with what differs from the preset, from the task as it is registered, and from
     the usual number of steps."""
-    told = differences(config)
-    return title(config.algorithm) + (f" ({', '.join(told)})" if told else "")
+    settings = differences(config)
+    return title(config.algorithm) + (f" ({', '.join(settings)})" if settings else "")
 
 
 def differences(config: TrainConfig) -> list[str]:
@@ -30,7 +30,7 @@ def unusual_steps(config: TrainConfig) -> list[str]:
 
 
 def changes(config: TrainConfig) -> dict[str, Any]:
-    """What differs from the preset and from the task as it is registered."""
+    """Settings that differ from the preset and from the task as it is registered."""
     return hyperparameter_changes(config) | config.task_parameters
 
 

@@ -69,7 +69,9 @@ def _row(group: Group) -> Row:
     choice = getattr(config.hyperparameters, setting.field)
     if config.hyperparameters == preset(config.algorithm, config.task):
         choice += " (preset)"
-    told = [config.task, title(config.algorithm), choice, *unusual_steps(config)]
+    words = [config.task, title(config.algorithm), choice, *unusual_steps(config)]
     places = Counter(run.end for run in group.runs if run.end)
     ends = ", ".join(f"{place} {count}" for place, count in places.most_common())
-    return replace(mean_row(group), name=f"{', '.join(told)}, mean of {len(group.runs)}", ends=ends)
+    return replace(
+        mean_row(group), name=f"{', '.join(words)}, mean of {len(group.runs)}", ends=ends
+    )

@@ -13,7 +13,7 @@ from agents.reporting.curves import Line, curves_svg
 from agents.reporting.image_files import png
 from agents.results.measures import measure
 from agents.results.reading import Group, Run
-from agents.results.source import Source
+from agents.results.source import DamagedSource, Source
 from agents.results.steps import DRAWN, Episode, Visits
 from agents.training.environments import view_of
 from circle2d_mj.core.view import Picture, View
@@ -43,6 +43,24 @@ class Figure(NamedTuple):
         return f"{self.name}.{self.kind}"
 
 
+class Ground(NamedTuple):
+    """A task's view with its background, to draw on."""
+
+    view: View
+    background: Picture
+
+    def heatmap(self, visits: Visits, most: int) -> Picture:
+        """Visited states. most: visits of the last colour."""
+        return self.view.overlay(canvas.with_counts(self.background, visits.counts, most))
+
+    def trajectories(self, episodes: Sequence[Episode], boxed: bool) -> Picture:
+        """Episodes, a dot for each state. boxed: see `canvas.with_trajectories`."""
+        paths, costs = zip(*episodes, strict=True)
+        extent = self.view.extent
+        picture = canvas.with_trajectories(self.background, extent, paths, costs, boxed=boxed)
+        return self.view.overlay(picture)
+
+
 def introduction() -> list[Figure]:
     """The tasks and the metric, which are the same in every report on Circle2D."""
     picture, about_trajectories = example.two_trajectories(SIZE)
@@ -63,8 +81,12 @@ def figures(source: Source, groups: Sequence[Group], notes: list[str]) -> list[F
     if not groups:
         return []
     drawn: list[Figure | None] = [curves([(title_of(group.config), group) for group in groups])]
-    views = {g.folder: view_of(g.config.task, g.config.task_parameters) for g in groups}
-    seen = [(group, view) for group in groups if (view := views[group.folder])]
+    grounds = {}  # painted once for equal tasks
+    for config in (group.config for group in groups):
+        if repr(config.task_parameters) not in grounds:
+            view = view_of(config.task, config.task_parameters)
+            grounds[repr(config.task_parameters)] = view and Ground(view, view.background(SIZE))
+    seen = [(group, on) for group in groups if (on := grounds[repr(group.config.task_parameters)])]
     if seen:
         drawn += [_heatmaps(source, seen, notes), _trained(source, seen, notes)]
     return [shown for shown in drawn if shown]
@@ -72,8 +94,8 @@ def figures(source: Source, groups: Sequence[Group], notes: list[str]) -> list[F
 
 def _row_title(group: Group) -> str:
     """The algorithm, and each of its settings that are not the preset's, in lines of their own."""
-    name, told = title(group.config.algorithm), ",\n".join(differences(group.config))
-    return f"{name}\n({told})" if told else name
+    name, settings = title(group.config.algorithm), ",\n".join(differences(group.config))
+    return f"{name}\n({settings})" if settings else name
 
 
 def _file(kind: str, group: Group) -> str:
@@ -107,25 +129,27 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
 
 
 def _heatmaps(
-    source: Source, seen: Sequence[tuple[Group, View]], notes: list[str]
+    source: Source, seen: Sequence[tuple[Group, Ground]], notes: list[str]
 ) -> Figure | None:
     """A row for each algorithm, a column for each third of training; one scale for all."""
     titles, captions, rows = [], [], []
-    for group, view in seen:
+    for group, ground in seen:
         records = {run.seed: run.records for run in group.runs}
         try:
             parts = source.visits(group.folder, group.config, records)
+        except DamagedSource:
+            raise
         except UserError as error:
             notes.append(f"no heat map of {source.title(group.folder)}: {error}")
             continue
-        rows.append((view, parts))
+        rows.append((ground, parts))
         titles.append(_row_title(group))
         captions.append([visits_words(part) for part in parts])
     if not rows:
         return None
     most = canvas.most_visits([part.counts for _, parts in rows for part in parts])
     shown = figure(
-        [[heatmap(view, part, most, SIZE) for part in parts] for view, parts in rows],
+        [[ground.heatmap(part, most) for part in parts] for ground, parts in rows],
         [f"{words} of training" for words in PARTS.values()],
         row_titles=titles,
         captions=captions,
@@ -140,29 +164,30 @@ def _heatmaps(
     return Figure(_file("visited", seen[0][0]), "png", png(shown), "Visited states", words)
 
 
-def heatmap(view: View, visits: Visits, most: int, size: int) -> Picture:
-    """A heat map on the task's background: [size, size, 3]. most: visits of the last colour."""
-    return view.overlay(canvas.with_counts(view.background(size), visits.counts, most))
-
-
 def visits_words(visits: Visits) -> str:
     """The line below a heat map."""
     return f"EMCC {visits.emcc:.2f} ({visits.rollouts:,} of {visits.of:,} rollouts)"
 
 
-def _trained(source: Source, seen: Sequence[tuple[Group, View]], notes: list[str]) -> Figure | None:
+def _trained(
+    source: Source, seen: Sequence[tuple[Group, Ground]], notes: list[str]
+) -> Figure | None:
     """A row for each algorithm, a column for each run."""
     titles, captions, pictures = [], [], []
     columns = min(COLUMNS, max(len(group.runs) for group, _ in seen))
-    for group, view in seen:
+    for group, ground in seen:
         try:
             played = source.trained(group.folder, group.config, group.seeds)
+        except DamagedSource:
+            raise
         except UserError as error:
             notes.append(f"no trajectories of {source.title(group.folder)}: {error}")
             continue
         shown = group.runs[:columns]
         gaps = [None] * (columns - len(shown))
-        pictures.append([*(trajectories(view, played[run.seed], SIZE) for run in shown), *gaps])
+        episodes = [played[run.seed] for run in shown]  # None of a policy that diverged
+        drawn = [of and ground.trajectories(of, boxed=False) for of in episodes]
+        pictures.append([*drawn, *gaps])
         captions.append([*map(_words, shown), *[""] * len(gaps)])
         titles.append(_row_title(group))
     if not any(picture is not None for row in pictures for picture in row):
@@ -176,16 +201,7 @@ def _trained(source: Source, seen: Sequence[tuple[Group, View]], notes: list[str
     return Figure(_file("trained", seen[0][0]), "png", content, "Trained policies", words)
 
 
-def trajectories(view: View, episodes: Sequence[Episode] | None, size: int) -> Picture | None:
-    """Episodes on the task's background: [size, size, 3]; None of a policy that diverged."""
-    if episodes is None:
-        return None
-    paths, costs = zip(*episodes, strict=True)
-    ground = view.background(size)
-    return view.overlay(canvas.with_trajectories(ground, view.extent, paths, costs, boxed=False))
-
-
 def _words(run: Run) -> str:
     named = [(measure(name), run.measures[name]) for name in ("J_R", "J_C")]
-    told = [f"{of.title} {value:.1f}" for of, value in named if value is not None]
-    return f"seed {run.seed}: {', '.join(told)}"
+    words = [f"{of.title} {value:.1f}" for of, value in named if value is not None]
+    return f"seed {run.seed}: {', '.join(words)}"

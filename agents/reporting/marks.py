@@ -63,15 +63,15 @@ def _printed(
 def marking() -> str:
     """The rule of `best` in words."""
     of_training = [measure for measure in measures() if measure.of == "training"]
-    told = [
+    rules = [
         f"the {rule} {_list(chosen)}"
         for rule, better in (("lowest", "lower"), ("highest", "higher"))
         if (chosen := [measure for measure in of_training if measure.better == better])
     ]
     of_policy = [m for m in measures() if m.of == "policy" and m.better != "neither"]
     if of_policy:
-        told.append(f"{_list(of_policy)} of the highest return within the cost limit")
-    return "; ".join(told)
+        rules.append(f"{_list(of_policy)} of the highest return within the cost limit")
+    return "; ".join(rules)
 
 
 def _list(chosen: Iterable[Measure]) -> str:

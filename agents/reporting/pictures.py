@@ -12,8 +12,7 @@ from PIL import Image, ImageDraw
 
 from agents.algorithms import title
 from agents.errors import UserError
-from agents.reporting import figures
-from agents.reporting.figures import visits_words
+from agents.reporting.figures import Ground, visits_words
 from agents.results.steps import Episode, count_visits, play_trained, require_view
 from agents.training.config import FAILURE, TrainConfig, run_folder
 from agents.training.loop import EVALUATION_EPISODES
@@ -46,11 +45,12 @@ def heatmap(
     records = [_records(run_folder(folder, seed)) for seed in config.seeds]
     of_parts = count_visits(folder, config, records, parts, alpha)
     most = canvas.most_visits([part.counts for part in of_parts])
+    ground = Ground(view, view.background(size))
     heading = f"{title(config.algorithm)} on {config.task}"
     if set(config.seeds) != set(everyone):
         heading += f" (seeds: {', '.join(map(str, config.seeds))})"
     return figure(
-        [[figures.heatmap(view, part, most, size) for part in of_parts]],
+        [[ground.heatmap(part, most) for part in of_parts]],
         [f"{PARTS[part]} of training" for part in parts],
         title=heading,
         captions=[[visits_words(part) for part in of_parts]],
@@ -80,8 +80,7 @@ def _of_seeds(folder: Path, config: TrainConfig, seeds: tuple[int, ...] | None) 
 
 def trajectories(episodes: Sequence[Episode], view: View, size: int = SIZE) -> Picture:
     """All episodes in one picture, chains of cost steps boxed: [size, size, 3]."""
-    paths, costs = zip(*episodes, strict=True)
-    return view.overlay(canvas.with_trajectories(view.background(size), view.extent, paths, costs))
+    return Ground(view, view.background(size)).trajectories(episodes, boxed=True)
 
 
 def film(episodes: Sequence[Episode], view: View, size: int = SIZE) -> Iterator[Picture]:
@@ -116,7 +115,7 @@ def evaluation_episodes(
         raise UserError(f"{folder} has no run of seed {seed}: its seeds are {list(config.seeds)}")
     if not 1 <= episodes <= EVALUATION_EPISODES:
         raise UserError(f"episodes must be in [1, {EVALUATION_EPISODES}], got {episodes}")
-    found = play_trained(folder, config, episodes, noisy)[seed]
+    found = play_trained(folder, config, seed, episodes, noisy)
     if found is None:
         raise UserError(f"the policy of seed {seed} gives numbers that are not finite")
     return found, require_view(config)

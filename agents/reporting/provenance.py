@@ -29,7 +29,7 @@ def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
         for of in sessions
         if of["machine"]
     }
-    told = {
+    found = {
         "command": "\n".join(command(group.config, source.title(group.folder)) for group in groups),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
@@ -38,7 +38,7 @@ def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
         "seeds": _list(seed for group in groups for seed in group.config.seeds),
         "steps": _list(group.config.steps for group in groups),
     }
-    return {name: text for name, text in told.items() if text}
+    return {name: text for name, text in found.items() if text}
 
 
 def command(config: TrainConfig, out: str) -> str:

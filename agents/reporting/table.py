@@ -74,7 +74,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows below a head, with what has to be said above and below them."""
+    """Rows below a head, with a caption above and notes below."""
 
     caption: str
     head: Sequence[str]

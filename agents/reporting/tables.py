@@ -119,10 +119,10 @@ def _paper_notes(groups: Sequence[Group]) -> list[str]:
         ):
             choice = getattr(config.hyperparameters, setting.field)
             titles.setdefault(setting.choices[choice], {})[name] = None
-    told = "Whether the paper did so is not printed."
+    source = "Whether the paper did so is not printed."
     if is_circle2d(groups[0].config.task):
-        told = "That the paper did so is inferred from its results, not printed."
-    notes = [f"{', '.join(of)}: {meaning}. {told}" for meaning, of in titles.items()]
+        source = "That the paper did so is inferred from its results, not printed."
+    notes = [f"{', '.join(of)}: {meaning}. {source}" for meaning, of in titles.items()]
     limited: dict[str, dict[str, None]] = {}
     for config in (group.config for group in groups):
         if words := getattr(config.hyperparameters, "limited_cost", ""):

@@ -1,1 +1,1 @@
-"""What runs came to: reading, measures, statistics."""
+"""Results of runs: measures, statistics, and where they are read from."""

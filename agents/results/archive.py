@@ -11,6 +11,7 @@ from __future__ import annotations
 import io
 import json
 import lzma
+import struct
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,6 +31,11 @@ from emcc import EpisodeRecords
 
 FORMAT, VERSION = "circle2d results", 1
 INDEX = "index.json"
+UNREADABLE = (
+    *(OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError),
+    *(zipfile.BadZipFile, lzma.LZMAError, struct.error),
+)
+"""Errors of files that are no zip files, or damaged ones."""
 FIRST = (1980, 1, 1, 0, 0, 0)
 """Date of every member: equal results give equal bytes."""
 
@@ -129,10 +135,10 @@ class ArchiveSource:
             self._file = zipfile.ZipFile(path)
             content = json.loads(self._file.read(INDEX))
             form, version = content["format"], content["version"]
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
-            raise UserError(f"{path} is no archive that circle2d report wrote") from None
-        except (lzma.LZMAError, NotImplementedError) as error:
-            raise DamagedSource(f"{path} is damaged: {error}") from None
+        except UNREADABLE:
+            raise UserError(
+                f"{path} is no archive that circle2d report wrote, or a damaged one"
+            ) from None
         if form != FORMAT or version != VERSION:
             raise UserError(
                 f"{path} is an archive of form {form!r}, version {version!r}; this program reads "
@@ -181,8 +187,8 @@ class ArchiveSource:
     ) -> list[Visits]:
         """States visited in each third of training, of all runs. Raises UserError."""
         self._require(folder, "visits")
-        counts, told = self._array(folder, "visits"), self._entry(folder, "visits")
-        pairs = zip(counts.astype(np.int64), told, strict=True)
+        counts, others = self._array(folder, "visits"), self._entry(folder, "visits")
+        pairs = zip(counts.astype(np.int64), others, strict=True)
         return [Visits(of_part, *numbers) for of_part, numbers in pairs]
 
     def trained(
@@ -249,9 +255,7 @@ class ArchiveSource:
         try:
             data = self._file.read(f"{self._numbers[folder]}/{name}.npy")
             return np.load(io.BytesIO(data), allow_pickle=False)
-        except (OSError, ValueError, KeyError, EOFError) as error:
-            raise self._damaged(error) from None
-        except (zipfile.BadZipFile, lzma.LZMAError) as error:
+        except UNREADABLE as error:
             raise self._damaged(error) from None
 
     def _damaged(self, error: Exception) -> DamagedSource:

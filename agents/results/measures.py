@@ -18,7 +18,7 @@ from emcc.parts import ALPHA, PARTS
 
 @dataclass(frozen=True)
 class RunData:
-    """What a measure is computed from."""
+    """Data of a run that measures are computed from."""
 
     records: EpisodeRecords
     """A row per training episode."""

@@ -88,7 +88,7 @@ class FolderSource:
         if not root.is_dir():
             raise UserError(f"{root} is no folder")
         self.root, self.name = root, root.resolve().name
-        self._trained: dict[str, dict[int, list[Episode] | None]] = {}
+        self._trained: dict[tuple[str, int], list[Episode] | None] = {}
         self._visits: dict[str, list[Visits]] = {}
         self._views: dict[str, View | None] = {}
         configs: dict[str, dict[str, Any]] = {}
@@ -146,12 +146,14 @@ class FolderSource:
         self, folder: str, config: TrainConfig, seeds: Sequence[int]
     ) -> dict[int, list[Episode] | None]:
         """Episodes of the trained policies, by seed; None of one that diverged. UserError."""
-        if folder not in self._trained:
-            try:
-                self._trained[folder] = steps.play_trained(self.root / folder, config)
-            except UserError as error:
-                raise UserError(self._relative(error)) from None
-        return {seed: self._trained[folder][seed] for seed in seeds}
+        for seed in seeds:
+            if (folder, seed) not in self._trained:
+                try:
+                    played = steps.play_trained(self.root / folder, config, seed)
+                except UserError as error:
+                    raise UserError(self._relative(error)) from None
+                self._trained[folder, seed] = played
+        return {seed: self._trained[folder, seed] for seed in seeds}
 
     def costs(self, folder: str, seed: int, records: EpisodeRecords) -> NDArray[np.float64]:
         """Costs of all steps of a run, [steps]. Raises UserError."""

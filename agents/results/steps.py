@@ -5,17 +5,21 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from agents.errors import UserError
-from agents.training.config import TrainConfig, run_folder
+from agents.training.config import TrainConfig, read_spaces, run_folder
 from agents.training.environments import make_envs, view_of
 from agents.training.evaluation import play
-from agents.training.loop import EVALUATION_EPISODES, load_training
+from agents.training.loop import EVALUATION_EPISODES
+from agents.training.policy import load_learner
+from agents.training.positions import RecordPositions
 from agents.training.step_files import COSTS, VISITED, read_steps
 from circle2d_mj.core.view import View
 from circle2d_mj.render import canvas
@@ -80,7 +84,7 @@ class Replay(NamedTuple):
 
 
 def require_view(config: TrainConfig) -> View:
-    """What the task can show. Raises UserError for one that has no positions."""
+    """The view of the task. Raises UserError for one that has no positions."""
     view = view_of(config.task, config.task_parameters)
     if view is None:
         raise UserError(f"task {config.task!r} has no positions to draw: it offers no view")
@@ -191,29 +195,50 @@ def replay(folder: Path, config: TrainConfig, records: EpisodeRecords) -> Replay
 
 
 def play_trained(
-    folder: Path, config: TrainConfig, episodes: int = DRAWN, noisy: bool = False
-) -> dict[int, list[Episode] | None]:
-    """The first episodes of the evaluation of every run of a folder, by seed.
+    folder: Path, config: TrainConfig, seed: int, episodes: int = DRAWN, noisy: bool = False
+) -> list[Episode] | None:
+    """The first episodes of the evaluation of one run; None where its policy diverged.
 
-    None where a policy gives numbers that are not finite. episodes: in [1, 100]; noisy: of the
-    stochastic policy. Raises UserError for a task without positions, or without a checkpoint.
+    episodes: in [1, 100]; noisy: of the stochastic policy. Raises UserError for a task without
+    positions, or without a checkpoint.
     """
-    view, runs = require_view(config), len(config.seeds)
-    policy, everyone = load_training(folder).learner.policy(), np.ones(runs, dtype=bool)
-    with contextlib.closing(make_envs(config.task, runs * episodes, config.task_parameters)) as e:
-        rollout = play(e, config, policy, EVALUATION_EPISODES, 0, episodes, everyone, noisy)
-    try:
-        start, then = (
-            view.positions(observation, {}).astype(np.float32)
-            for observation in (rollout.observation, rollout.next_observation)
+    view, spaces = require_view(config), read_spaces(folder, config)
+    policy = load_learner(folder, config, spaces, seed).policy()
+    alone, active = replace(config, seeds=(seed,)), np.ones(1, dtype=bool)
+    made = make_envs(config.task, episodes, config.task_parameters)
+    with contextlib.closing(_FromStart(made, view)) as envs:
+        rollout = play(envs, alone, policy, EVALUATION_EPISODES, 0, episodes, active, noisy)
+        start, then = envs.start, envs.positions
+    if rollout.diverged.any():
+        return None
+    return [
+        Episode(
+            np.concatenate((start[None, k], then[:steps, k])),
+            rollout.cost[:steps, k].astype(np.float64),
         )
-    except KeyError:
-        raise UserError(f"observations of task {config.task!r} do not hold the position") from None
-    found: dict[int, list[Episode] | None] = {}
-    for run, seed in enumerate(config.seeds):
-        columns = range(run * episodes, (run + 1) * episodes)
-        paths = [np.concatenate((start[:1, k], then[: rollout.length[k], k])) for k in columns]
-        costs = [rollout.cost[: rollout.length[k], k].astype(np.float64) for k in columns]
-        played = [Episode(*pair) for pair in zip(paths, costs, strict=True)]
-        found[seed] = None if rollout.diverged[columns].any() else played
-    return found
+        for k, steps in enumerate(rollout.length)
+    ]
+
+
+class _FromStart(RecordPositions):
+    """Records where the agents start as well."""
+
+    def __init__(self, env: VectorEnv, view: View) -> None:
+        super().__init__(env, view)
+        self._seen = view
+        self._start: NDArray[np.float32] | None = None
+
+    @property
+    def start(self) -> NDArray[np.float32]:
+        """Where they were reset, [num_envs, 2]; where the first step ended, for positions that are
+        known of steps alone, such as velocities."""
+        return self.positions[0] if self._start is None else self._start
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        observation, info = super().reset(seed=seed, options=options)
+        with contextlib.suppress(KeyError):
+            found = self._seen.positions(np.asarray(observation, dtype=np.float32), info)
+            self._start = np.asarray(found, dtype=np.float32)
+        return observation, info

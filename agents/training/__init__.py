@@ -1,1 +1,1 @@
-"""Training runs and what they leave behind: folders, records, checkpoints, evaluations."""
+"""Training of runs, and their files: folders, records, checkpoints, evaluations, policies."""

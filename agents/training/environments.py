@@ -28,7 +28,7 @@ def make_envs(
 ) -> VectorEnv:
     """`num_envs` environments that take actions in [-1, 1] and do not reset themselves.
 
-    auto: a native vector environment where the task has one that can be told so, gymnasium's
+    auto: the task's own vector environment where it has one that need not reset itself, gymnasium's
     `SyncVectorEnv` otherwise; async: `AsyncVectorEnv`, a process for each environment. All give the
     same numbers. Raises UserError for an unknown task, parameters it refuses, and spaces that are
     not flat Boxes (actions: bounded).
@@ -78,10 +78,10 @@ def _unscaled(
 
 
 class FloatCost(gym.Wrapper):
-    """Sees to it that every step gives `info["cost"]`, as a float.
+    """Makes `info["cost"]` of every step a float.
 
     gymnasium's vector environments type the array of costs by the first cost they meet, and fill
-    in 0 where one is missing: either would change costs without a word.
+    in 0 where one is missing: either would change costs silently.
     """
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -118,7 +118,7 @@ def sizes(envs: VectorEnv) -> tuple[int, int]:
 
 
 def view_of(task: str, parameters: dict[str, Any]) -> View | None:
-    """What a registered task can show: the attribute `view` of its environment.
+    """The view of a registered task: the attribute `view` of its environment.
 
     None where the task has no view or is not registered; no module is imported for it. Raises
     UserError where the task cannot be made.
@@ -206,7 +206,7 @@ def _imported(task: str) -> str:
 
 
 def is_native(task: str) -> bool:
-    """Whether a task has a vector environment of its own that need not reset itself."""
+    """Whether a task has a vector environment of its own with a choice of autoreset mode."""
     entry_point = gym.spec(registered(task)).vector_entry_point
     if entry_point is None:
         return False

@@ -127,7 +127,7 @@ def play(
     active: NDArray[np.bool_],
     noisy: bool,
 ) -> Rollout:
-    """Episodes `first`, `first + 1`, ... of an evaluation over `episodes`, `count` of each run.
+    """Play episodes `first`, `first + 1`, ... of an evaluation over `episodes`, `count` a run.
 
     envs: R·count environments. The rollout holds run after run, [T, R·count].
     """

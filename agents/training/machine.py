@@ -1,4 +1,4 @@
-"""What trained some runs, as far as it may matter to their numbers and their speed."""
+"""Versions and machine that trained some runs: numbers and speed may depend on them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CPUINFO = Path("/proc/cpuinfo")
 
 
 def made_with() -> dict[str, Any]:
-    """Versions and machine of this process: always the same for the same, no times."""
+    """Versions and machine of this process, without times."""
     return {"versions": versions(), "machine": machine()}
 
 
@@ -25,12 +25,12 @@ def versions() -> dict[str, str]:
 
 
 def machine() -> dict[str, str | int]:
-    """Processor and number of cores: always the same on the same machine, no times."""
+    """Processor and number of cores, without times."""
     return {"processor": _processor(), "cores": os.cpu_count() or 1}
 
 
 def _processor() -> str:
-    """The name that Linux gives; elsewhere, and where it gives none, the platform's."""
+    """The name that Linux gives, or else the platform's."""
     try:
         lines = CPUINFO.read_text(errors="replace").splitlines()
     except OSError:
@@ -40,8 +40,8 @@ def _processor() -> str:
 
 
 def other_session(folder: Path) -> str:
-    """In words, what trained the runs of a folder so far, where that is not this process's versions
-    and machine; nothing where it is."""
+    """Words on the versions and machine that trained a folder so far; empty where they are this
+    process's own."""
     now, last = made_with(), sessions_of(read_json(folder / "config.json"))[-1]
     changed = [f"{name} {last[name]}" for name in now if last[name] != now[name]]
     if not changed:
@@ -51,7 +51,7 @@ def other_session(folder: Path) -> str:
 
 def note_session(folder: Path) -> None:
     """Record in a folder's configuration that this process goes on with its runs, where its
-    versions and machine are not what they were trained with last."""
+    versions or machine differ from the last ones."""
     now, path = made_with(), folder / "config.json"
     content = read_json(path)
     sessions = sessions_of(content)
@@ -61,6 +61,6 @@ def note_session(folder: Path) -> None:
 
 def sessions_of(content: dict[str, Any]) -> list[dict[str, Any]]:
     """Versions and machine that began the runs of a configuration, then those that went on with
-    them; None for what was not recorded."""
+    them; None where not recorded."""
     sessions = (content, *content.get("resumed", []))
     return [{name: of.get(name) for name in ("versions", "machine")} for of in sessions]

@@ -134,6 +134,13 @@ def load_policy(folder: str | Path, seed: int | None = None, step: int | None = 
     if seed not in config.seeds:
         raise UserError(f"{folder} has no run of seed {seed}: there are {config.seeds}")
     spaces = read_spaces(folder, config)
+    return Policy(config, seed, spaces, load_learner(folder, config, spaces, seed, step))
+
+
+def load_learner(
+    folder: Path, config: TrainConfig, spaces: Spaces, seed: int, step: int | None = None
+) -> Learner:
+    """Load what one run of a folder learned, without its replay. Raises as `load_policy`."""
     arrays = read_policy_arrays(folder, config, seed, step)
     stream_seed = config.stream_seeds[config.seeds.index(seed)]
     learner = make_learner(config.algorithm, config.hyperparameters, [stream_seed], *spaces.sizes)
@@ -147,4 +154,4 @@ def load_policy(folder: str | Path, seed: int | None = None, step: int | None = 
         learner.load_state_dict(fresh)
     except (KeyError, ValueError) as error:
         raise UserError(f"{folder}: the policy is damaged or of another version: {error}") from None
-    return Policy(config, seed, spaces, learner)
+    return learner

@@ -34,7 +34,7 @@ class Log:
         metrics: NDArray,
     ) -> None:
         """Record an epoch. rollout: of R·E episodes; steps: [R], those each run had taken before;
-        active: [R], runs that it belongs to; metrics: [R, metrics], NaN where nothing was learned.
+        active: [R], runs that took part; metrics: [R, metrics], NaN where nothing was learned.
         """
         runs, episodes, _ = self._shapes[0]
         length = rollout.length.reshape(runs, episodes)

@@ -1,4 +1,4 @@
-"""Vector environments of several tasks as one."""
+"""Vector environments of several tasks in one."""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ class Events:
 
     folders: one a run; steps: [R], environment steps taken when the training begins or goes on.
 
-    Event files hold times of day, unlike the other records. After a resume, what an interrupted
-    training had written beyond its checkpoint is marked as void.
+    Event files hold times of day, unlike the other records. After a resume, the events that an
+    interrupted training had written beyond its checkpoint are marked as void.
     """
 
     def __init__(self, folders: Sequence[Path], steps: NDArray[np.int64]) -> None:

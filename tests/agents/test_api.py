@@ -2,6 +2,7 @@
 
 import doctest
 import gc
+import shutil
 import signal
 import subprocess
 import sys
@@ -47,7 +48,7 @@ def test_names():
 
 def test_examples():
     outcome = doctest.testmod(api, raise_on_error=True)
-    assert outcome.attempted >= 3
+    assert outcome.attempted >= 9
 
 
 def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
@@ -55,9 +56,7 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
     command = ["train", "--algorithm", "sac-lag", *options, "--steps", "400"]
     assert main([*command, "--out", str(tmp_path / "x")]) == 0
     assert results(tmp_path / "x") == results(runs.folder)
-    out = capsys.readouterr().out
-    if "no table" not in out and out:
-        assert runs.table() in out
+    assert runs.table() in capsys.readouterr().out
 
 
 def test_results(runs):
@@ -67,6 +66,12 @@ def test_results(runs):
     records = runs.records[runs.folder, 3]
     assert records.total_steps == 400
     assert repr(runs) == f"Runs({str(runs.folder)!r})"
+
+
+def test_report(runs, tmp_path):
+    shutil.copytree(runs.folder, tmp_path / "x")
+    assert agents.report(tmp_path).startswith(runs.table()[:80])
+    assert (tmp_path / "index.html").exists()
 
 
 def test_to_pandas(runs, monkeypatch):

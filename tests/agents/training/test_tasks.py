@@ -6,7 +6,7 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 
 from agents.errors import UserError
-from agents.training.environments import check_task, circle2d_config, make_envs, sizes
+from agents.training.environments import check_task, make_envs, sizes
 
 
 class Other(gym.Env):
@@ -95,12 +95,3 @@ def test_a_task_whose_constructor_fails():
     with pytest.raises(UserError, match="cannot make task 'Failing-v0': no licence"):
         make_envs("Failing-v0", 2, {})
     del gym.registry["Failing-v0"]
-
-
-def test_a_module_may_stand_before_the_id():
-    plain = circle2d_config("Circle2DMuJoCo-3-v0", {"constraint_radius": 3.0, "num_threads": 2})
-    assert plain == circle2d_config(
-        "circle2d_mj:Circle2DMuJoCo-3-v0", {"constraint_radius": 3.0, "actuation": "force"}
-    )
-    assert (plain.level, plain.constraint_radius) == (3, 3.0)
-    assert circle2d_config("Pendulum-v1", {}) is None
