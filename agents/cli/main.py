@@ -26,7 +26,7 @@ COMMANDS = {
     "scene": "print the MuJoCo scene of a task (MJCF)",
 }
 """Names of the files beside this one, and what each command does."""
-EXTRA = ("filelock", "jinja2", "matplotlib", "rich", "torch", "tyro")
+EXTRA = ("filelock", "jinja2", "matplotlib", "rich", "scipy", "torch", "tyro")
 """Packages that the commands need and an installation without [train] lacks."""
 
 
