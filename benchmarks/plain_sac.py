@@ -82,7 +82,7 @@ class SACLag:
         return functional.softplus(self.raw_multiplier)
 
     def risk(self, costs):
-        """What the actor fears, of the outputs of both cost critics."""
+        """Cost estimate that the actor penalises, from the outputs of both cost critics."""
         return torch.maximum(*costs)
 
     def cost_loss(self, costs, next_costs, cost, discount):

@@ -101,7 +101,7 @@ def as_threshold(threshold: float) -> float:
 
 
 def exceed(costs: NDArray[Any], threshold: float) -> NDArray[np.bool_]:
-    """Which costs exceed the threshold, compared as float64.
+    """Mask of the costs that exceed the threshold, compared as float64.
 
     numpy alone would round the threshold to the type of costs of lower precision.
     """

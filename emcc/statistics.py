@@ -38,7 +38,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Share:
-    """How many of some runs do something: `count` of `runs`, the share `value` and its interval."""
+    """Count of runs that do something: `count` of `runs`, the share `value` and its interval."""
 
     count: int
     runs: int

@@ -38,7 +38,7 @@ def cvar(values: ArrayLike, alpha: float = 0.5, ties: str = "all") -> float:
 
 
 def worst(values: ArrayLike, alpha: float = 0.1) -> NDArray[np.bool_]:
-    """Which values `emcc` and `cvar` with ties="all" are the mean of: those at or above the
+    """Mask of the values that `emcc` and `cvar` with ties="all" average: those at or above the
     quantile F^-1(1 - alpha).
 
     values: [D] finite numbers, such as the MCC of each rollout -> [D] bool. It tells which rollouts

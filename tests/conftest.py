@@ -1,4 +1,4 @@
-"""What tests of all packages share."""
+"""Settings and fixtures of all tests."""
 
 import os
 

@@ -109,3 +109,12 @@ def test_what_is_public_is_documented(path):
         overload = public and "overload" in map(ast.unparse, node.decorator_list)
         if public and not overload and path.name not in ("__main__.py", "main.py"):
             assert ast.get_docstring(node), node.name
+
+
+def test_no_docstring_begins_with_what():
+    """The first line says what a thing is or does: a noun, or an imperative."""
+    for folder in (*PACKAGES, "tests", "benchmarks", "examples"):
+        for path in (ROOT / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+                    assert not str(node.value.value).startswith("What "), f"{path}:{node.lineno}"

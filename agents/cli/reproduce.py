@@ -188,7 +188,7 @@ def _train(configs: dict[Path, TrainConfig], count: int, imports: Sequence[str])
 def _headline(
     running: Sequence[Group], shares: dict[Path, float], done: float, seconds_left: float | None
 ) -> str:
-    """How far all trainings are, how long they will take and how fast they are."""
+    """Progress, time left and speed of all trainings."""
     over = sum(share == 1.0 for share in shares.values())
     left = "" if seconds_left is None else f", {duration(seconds_left)} left"
     in_all = sum(filter(None, (speed(group[0]) for group in running)))

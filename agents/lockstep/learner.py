@@ -33,7 +33,7 @@ class Learner(Protocol):
         ...
 
     def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
-        """How the runs act in an epoch; steps: [R], environment steps each has taken before."""
+        """Actions of the runs in an epoch; steps: [R], environment steps each has taken before."""
         ...
 
     def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray:
@@ -44,7 +44,7 @@ class Learner(Protocol):
         ...
 
     def finite(self) -> NDArray[np.bool_]:
-        """Which runs hold only finite numbers, [R]."""
+        """Mask of the runs that hold only finite numbers, [R]."""
         ...
 
     def state_dict(self, runs: slice = ALL) -> dict[str, NDArray]:

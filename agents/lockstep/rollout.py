@@ -42,7 +42,7 @@ class Rollout(NamedTuple):
 
     @property
     def during(self) -> NDArray[np.bool_]:
-        """Which steps belong to the episodes, [T, N]."""
+        """Mask of the steps that belong to the episodes, [T, N]."""
         return np.arange(len(self.reward))[:, None] < self.length
 
     def terminal(self, time_limit: str) -> NDArray[np.bool_]:

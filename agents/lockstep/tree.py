@@ -36,7 +36,7 @@ def select(mask: Tensor, new: Any, old: Any) -> Any:
 
 
 def finite(tree: Any) -> NDArray[np.bool_]:
-    """Which runs hold only finite numbers, [R]."""
+    """Mask of the runs that hold only finite numbers, [R]."""
     return array(_finite(list(_leaves(tree))))
 
 

@@ -69,7 +69,7 @@ class OnPolicy(ABC):
         return mlp([layer[0] for layer in net.layers(params)])
 
     def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
-        """How the runs act in an epoch: by the policy, with its noise."""
+        """Actions of the runs in an epoch: the policy's, with its noise."""
         policy, runs = self.policy(), len(self.seeds)
         shape = (self.episodes, self.action_size)
         noise = steps_of_noise(normal, self.seeds, Purpose.EXPLORATION, epoch, shape)
@@ -148,7 +148,7 @@ class OnPolicy(ABC):
         return self._state.actor[:, start : start + actions].exp().mean(dim=-1)
 
     def finite(self) -> NDArray[np.bool_]:
-        """Which runs hold only finite numbers, [R]."""
+        """Mask of the runs that hold only finite numbers, [R]."""
         return tree.finite(self._state)
 
     def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:

@@ -37,7 +37,7 @@ class Cell(NamedTuple):
         return paper_results(self.task, self.title)
 
     def share(self, does: Callable[[Run], bool], words: str = "") -> Share:
-        """How many runs do something."""
+        """Number of runs that do something."""
         return Share(sum(map(does, self.runs)), len(self.runs), words)
 
     def mean(self, measure: str) -> Estimate | None:
@@ -50,7 +50,7 @@ class Cell(NamedTuple):
 
 
 class Share(NamedTuple):
-    """How many runs do something."""
+    """Number of runs that do something."""
 
     number: int
     of: int

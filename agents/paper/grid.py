@@ -77,7 +77,7 @@ def grid(
 
 
 def backend_of(folders: Iterable[Path]) -> Backend | None:
-    """What the updates of a grid's runs began with; None where there are no runs yet."""
+    """Backend that the runs of a grid began with; None where there are no runs yet."""
     there = (folder for folder in folders if (folder / "config.json").exists())
     return next((TrainConfig.read(folder).backend for folder in there), None)
 
@@ -102,7 +102,7 @@ def prepare(folders: dict[Path, TrainConfig]) -> None:
 
 
 def groups(configs: dict[Path, TrainConfig], workers: int) -> list[Group]:
-    """Which folders train together, in a process each; what takes longest first.
+    """Groups of folders that train together, a process each, the longest first.
 
     Those of equal settings and sizes that have come equally far are dealt evenly into groups of 12
     runs at most: as large as may be while that keeps all workers busy to the end.
@@ -147,7 +147,7 @@ def _dealt(kind: list[Path], configs: dict[Path, TrainConfig], most: int) -> lis
 
 
 def _time(group: Group, configs: dict[Path, TrainConfig]) -> float:
-    """How long a group trains, in steps of a run of TRPO-Lag."""
+    """Time that a group trains, in steps of a run of TRPO-Lag."""
     config = configs[group[0]]
     runs = sum(len(configs[folder].seeds) for folder in group)
     return WORK.get(config.algorithm, UNKNOWN_WORK) * config.steps * (runs + OVERHEAD)

@@ -1,4 +1,4 @@
-"""How return, cost return and EMCC went over training: numbers, and the figure."""
+"""Return, cost return and EMCC over training: numbers, and the figure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which measures of which rows are best, as the paper's tables highlight them."""
+"""The best values of a table, as the paper's tables highlight them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the numbers of a report came about: commands, versions, machines, time."""
+"""Provenance of the numbers of a report: commands, versions, machines, time."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def mark(rows: Sequence[Row], marked: set[tuple[int, str]]) -> list[Row]:
 
 
 def caption(groups: Sequence[Group]) -> str:
-    """How the numbers of a table are defined."""
+    """Definitions of the numbers of a table."""
     episodes = sorted({run.episodes for group in groups for run in group.runs})
     notes = "".join(f"{measure.note}; " for measure in measures() if measure.note)
     return (
@@ -101,7 +101,7 @@ def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:
 
 
 def ends_words(run: Run) -> str:
-    """Where the evaluated episodes of a run end most often, with their share unless all do."""
+    """Place where most evaluated episodes of a run end, with their share unless all do."""
     if len(run.ends) < 2:
         return run.end
     return f"{run.end} ({100 * run.ends[run.end] / sum(run.ends.values()):.0f} %)"

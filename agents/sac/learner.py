@@ -65,7 +65,7 @@ class OffPolicy:
         return nn.Sequential(*mlp(layers), nn.Tanh())
 
     def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
-        """How the runs act in an epoch: at random until `random_steps`, then by the policy.
+        """Actions of the runs in an epoch: random until `random_steps`, then the policy's.
 
         steps: [R], environment steps each run has taken before.
         """
@@ -120,7 +120,7 @@ class OffPolicy:
             self._state = tree.where(learning, state, self._state)
 
     def finite(self) -> NDArray[np.bool_]:
-        """Which runs hold only finite numbers, [R]."""
+        """Mask of the runs that hold only finite numbers, [R]."""
         return tree.finite(self._state)
 
     def _draws(self, epoch: Epochs) -> list[tuple[NDArray[np.int64], sac.UpdateNoise]]:

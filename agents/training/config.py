@@ -213,7 +213,7 @@ def read_spaces(folder: Path, config: TrainConfig) -> Spaces:
 
 
 def run_folder(folder: Path, seed: int) -> Path:
-    """Where the files of one run are."""
+    """Folder of the files of one run."""
     return folder / f"seed-{seed}"
 
 

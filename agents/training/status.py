@@ -1,4 +1,4 @@
-"""How far trainings are, how fast, and how long they took: `status.json` in their folders.
+"""Progress, speed and time of trainings: `status.json` in their folders.
 
 Results hold no times; this file does, and nothing that is computed depends on it.
 """
@@ -113,7 +113,7 @@ class _Status(NamedTuple):
 
 
 def share_done(folder: Path) -> float:
-    """How far the training of a folder last was, in [0, 1]; 0 where nothing says."""
+    """Share of the training of a folder that is done, in [0, 1]; 0 where nothing says."""
     status = _read(folder)
     return status.share if status else 0.0
 

@@ -30,7 +30,7 @@ class Golden:
         return self.raw[name][self.during]
 
     def of_episode(self, name):
-        """What stays the same in an episode, repeated for each of its steps."""
+        """Constants of an episode, repeated for each of its steps."""
         steps = self.during.shape[1]
         return np.repeat(self.raw[name][:, None], steps, axis=1)[self.during]
 

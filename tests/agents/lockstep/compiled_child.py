@@ -1,4 +1,4 @@
-"""What `test_compiled` runs in a process of its own, where PyTorch may compile: prints JSON."""
+"""The process that `test_compiled` starts, where PyTorch may compile: prints JSON."""
 
 import json
 import sys

@@ -14,7 +14,7 @@ HERE = Path(__file__).parent
 
 
 def run(*command):
-    """What a process prints that may compile, unlike this one."""
+    """Output of a process that may compile, unlike this one."""
     environment = {k: v for k, v in os.environ.items() if k != "TORCH_COMPILE_DISABLE"}
     there = (HERE.parent, HERE.parent / "algorithms")
     paths = [*map(str, there), environment.get("PYTHONPATH", "")]

@@ -108,7 +108,7 @@ LENGTHS = {0: (37, 60), 1: (900, 201), 2: (1, 2), 3: (250, 263)}
 
 
 def trained(rule, config, seeds, epochs=2, absent=()):
-    """What learning leaves behind and its metrics, after epochs on each seed's own episodes."""
+    """State and metrics after epochs of learning on each seed's own episodes."""
     it, metrics = learner(rule, config, seeds), []
     for epoch in range(epochs):
         lengths = [length for seed in seeds for length in LENGTHS[seed]]

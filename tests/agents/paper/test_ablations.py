@@ -1,4 +1,4 @@
-"""Both choices of what the paper does not print: which runs there are, and where they are told."""
+"""Both choices of settings that the paper does not print: their runs, and their table."""
 
 import json
 import re

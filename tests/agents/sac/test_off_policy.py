@@ -1,4 +1,4 @@
-"""What an epoch feeds the update: replay, noise and policy; runs that learn or wait."""
+"""Inputs of an epoch's updates: replay, noise and policy; runs that learn or wait."""
 
 from dataclasses import replace
 

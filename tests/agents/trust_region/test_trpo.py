@@ -1,4 +1,4 @@
-"""What the on-policy family shares, against PyTorch's own modules, one run at a time; TRPO-Lag."""
+"""Nets, surrogates and critics against PyTorch's own modules, one run at a time; TRPO-Lag."""
 
 import math
 
@@ -45,7 +45,7 @@ def random_actor(runs, seed=0):
 
 
 def random_epoch(steps, size):
-    """What lies in the rows beyond a run's steps is not 0: only their weight keeps it out."""
+    """Rows beyond a run's steps are not 0: only their weight keeps them out."""
     runs, steps = len(steps), torch.tensor(steps)
     columns = normal(runs, size, OBSERVATION + ACTION + 2, seed=1)
     observation, action, advantages = columns.split((OBSERVATION, ACTION, 2), dim=-1)

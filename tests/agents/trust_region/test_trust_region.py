@@ -30,7 +30,7 @@ def times(matrix):
 
 
 def random_epoch(steps, size, seed=0):
-    """What lies in the rows beyond a run's steps is not 0: only their weight keeps it out."""
+    """Rows beyond a run's steps are not 0: only their weight keeps them out."""
     runs = len(steps)
     weight = (torch.arange(size) < steps[:, None]) / steps[:, None].double()
     columns = normal(runs, size, 6, seed=seed)

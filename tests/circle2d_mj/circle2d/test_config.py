@@ -1,4 +1,4 @@
-"""What a task's parameters may be, and the one clear error for what they may not."""
+"""Allowed values of a task's parameters, and one clear error for each other."""
 
 import copy
 import pickle

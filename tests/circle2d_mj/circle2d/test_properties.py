@@ -1,4 +1,4 @@
-"""What holds for every configuration, start and action."""
+"""Properties of every configuration, start and action."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What the Safety tasks show, against their simulations and simple geometry."""
+"""Views of the Safety tasks, against their simulations and simple geometry."""
 
 import gymnasium as gym
 import numpy as np
