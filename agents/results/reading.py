@@ -96,8 +96,6 @@ def _read_group(source: Source, folder: str, config: TrainConfig) -> Group:
 
 def _read_run(source: Source, folder: str, config: TrainConfig, seed: int) -> Run:
     files = source.run(folder, config, seed)
-    if files.records.total_steps < config.steps:
-        raise UserError(f"is unfinished: {files.records.total_steps} of {config.steps} steps")
     data = RunData(files.records, config.steps, files.evaluation)
     return Run(
         seed,

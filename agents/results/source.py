@@ -55,7 +55,7 @@ class Source(Protocol):
         ...
 
     def run(self, folder: str, config: TrainConfig, seed: int) -> RunFiles:
-        """Read a run. Raises UserError where it failed, or is missing or damaged."""
+        """Read a run. Raises UserError where it failed, is unfinished, missing or damaged."""
         ...
 
     def visits(
@@ -113,7 +113,7 @@ class FolderSource:
         return sessions(self.root / folder)
 
     def run(self, folder: str, config: TrainConfig, seed: int) -> RunFiles:
-        """Read a run. Raises UserError where it failed, or is missing or damaged."""
+        """Read a run. Raises UserError where it failed, is unfinished, missing or damaged."""
         path = run_folder(self.root / folder, seed)
         try:
             if (path / FAILURE).exists():
@@ -122,6 +122,8 @@ class FolderSource:
             if not (path / "episodes.csv").exists():
                 raise UserError("has no checkpoint yet")
             records = EpisodeRecords.load(path / "episodes.csv")
+            if records.total_steps < config.steps:
+                raise UserError(f"is unfinished: {records.total_steps} of {config.steps} steps")
             evaluation = read_json(path / "evaluation.json")
         except (ValueError, OSError) as error:
             raise UserError(self._relative(error)) from None

@@ -161,7 +161,8 @@ def test_policy_steps(name, target_kl):
     excess = torch.tensor([-20, -1, 1, 20, 1, 1, -1]).double() * (100 * target_kl) ** 0.5
     for run, factor in ((4, 0.0), (5, 1.0), (6, -1.0)):
         epoch.cost_advantage[run] = factor * epoch.reward_advantage[run]
-    epoch, state = epoch._replace(excess=excess), double(it._state)
+    cost = excess + it.config.cost_limit
+    epoch, state = epoch._replace(cost=cost), double(it._state)
     params, records = trpo.policy_step(it.nets, it.config, it.rule, state, epoch)
     if name == "cpo":
         assert records["case"].tolist() == [1, 2, 3, 4, 1, 3, 2]

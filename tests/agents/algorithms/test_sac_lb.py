@@ -50,7 +50,7 @@ def test_penalty_is_of_the_cost_above_its_limit():
     # z = -1 and 2: see above; there is no multiplier
     penalty = RULE.penalty(config, risk, torch.zeros(1, 1))
     assert penalty[0].tolist() == pytest.approx([0.0, 7.0657415], abs=1e-6)
-    assert RULE.multiplier is None
+    assert RULE.multiplier_form is None
 
 
 def test_the_factor_must_be_positive():

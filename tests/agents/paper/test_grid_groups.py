@@ -5,8 +5,8 @@ from pathlib import Path
 
 from small_runs import write_status
 
-from agents.algorithms import ALGORITHMS
 from agents.paper import grid
+from agents.paper.presets import PAPER_ALGORITHMS
 
 
 def groups(workers, algorithms=("sac-lag", "trpo-lag"), levels=(0, 1, 2, 3), seeds=grid.SEEDS):
@@ -33,7 +33,7 @@ def test_an_algorithm_is_split_alone_where_that_fills_a_gap():
     two workers ends after 140. With WCSAC in two groups of 41.6 it does after 70 + 41.6 + 18.2."""
     alone = [("cpo", 4), ("trpo-lag", 4)]
     halves = [("wcsac", 2)] * 2
-    assert groups(2, ALGORITHMS) == [("sac-lag", 4), ("sac-lb", 4), *halves, *alone]
+    assert groups(2, PAPER_ALGORITHMS) == [("sac-lag", 4), ("sac-lb", 4), *halves, *alone]
 
 
 def test_groups_have_twelve_runs_at_most():
