@@ -75,7 +75,14 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib
 
-    value = getattr(importlib.import_module(_LIGHT.get(name, "agents.api")), name)
+    from agents.errors import extra_hint
+
+    try:
+        value = getattr(importlib.import_module(_LIGHT.get(name, "agents.api")), name)
+    except ModuleNotFoundError as error:
+        if not (hint := extra_hint(error, f"agents.{name}")):
+            raise
+        raise ImportError(hint) from None
     globals()[name] = value
     return value
 

@@ -16,6 +16,17 @@ class UserError(ValueError):
     """
 
 
+EXTRA = ("filelock", "jinja2", "matplotlib", "rich", "scipy", "torch", "tyro")
+"""Packages that training and reports need, and that an installation without [train] lacks."""
+
+
+def extra_hint(error: ModuleNotFoundError, user: str) -> str:
+    """Return how to install the package of [train] that `user` lacks; "" for any other module."""
+    if (error.name or "").partition(".")[0] not in EXTRA:
+        return ""
+    return f"{user} needs {error.name}, which is not installed: pip install 'circle2d-mj[train]'"
+
+
 def nearest(given: str, valid: Iterable[str], otherwise: str = "") -> str:
     """Return "did you mean 'x'?" for the most similar of the valid names.
 

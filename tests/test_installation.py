@@ -37,6 +37,13 @@ assert "contact_force" in env.step(env.action_space.sample())[4]
 envs = gym.make_vec("circle2d_mj/SafetyPointGoal1-v0", num_envs=2)
 envs.reset(seed=0)
 assert envs.step(envs.action_space.sample())[4]["cost"].shape == (2,)
+try:
+    agents.train
+except ImportError as error:
+    assert str(error).startswith("agents.train needs "), error
+    assert str(error).endswith("pip install 'circle2d-mj[train]'"), error
+else:
+    raise AssertionError("agents.train is there")
 np.save("costs.npy", np.tile([0.0, 1.0, 1.0, 0.0], (9, 1)))
 
 package = Path(circle2d_mj.__file__).parent

@@ -12,7 +12,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 
-from agents.errors import UserError, nearest
+from agents.errors import UserError, extra_hint, nearest
 
 COMMANDS = {
     "train": "train runs of an algorithm on a task, evaluate them and print their table",
@@ -26,8 +26,6 @@ COMMANDS = {
     "scene": "print the MuJoCo scene of a task (MJCF)",
 }
 """Names of the files beside this one, and what each command does."""
-EXTRA = ("filelock", "jinja2", "matplotlib", "rich", "scipy", "torch", "tyro")
-"""Packages that the commands need and an installation without [train] lacks."""
 
 
 def usage() -> str:
@@ -79,12 +77,9 @@ def _run(command: str, args: Sequence[str]) -> int:
         try:
             return importlib.import_module(f"agents.cli.{command}").run(args)
         except ModuleNotFoundError as error:
-            if (error.name or "").partition(".")[0] not in EXTRA:
+            if not (hint := extra_hint(error, command)):
                 raise
-            raise UserError(
-                f"{command} needs {error.name}, which is not installed: "
-                "pip install 'circle2d-mj[train]'"
-            ) from None
+            raise UserError(hint) from None
 
 
 def _print_warning(message: object, *_: object) -> None:

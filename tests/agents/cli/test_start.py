@@ -34,7 +34,7 @@ def test_packages_that_an_installation_may_lack():
     import tomllib
     from pathlib import Path
 
-    from agents.cli.main import EXTRA
+    from agents.errors import EXTRA
 
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
     names = [re.match(r"\w+", text)[0] for text in project["optional-dependencies"]["train"]]
