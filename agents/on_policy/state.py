@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from torch import Tensor
@@ -58,7 +58,7 @@ class OnPolicyConfig:
 class EpisodeCostLimit:
     """The constraint of the on-policy algorithms that have one."""
 
-    limited_cost: ClassVar = "undiscounted cost of an episode"  # in words, for tables
+    limited_cost = "undiscounted cost of an episode"  # in words, for tables
     cost_limit: float = 25.0
     """Limit d of the undiscounted cost J_C of an episode, mean over an epoch's episodes. Paper: 5
     on Circle2D, 25 on Safety-Gymnasium."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -76,7 +76,7 @@ class ConstrainedSACConfig(SACConfig):
     The default is that of the paper's other tasks; presets set it for Circle2D.
     """
 
-    limited_cost: ClassVar = "discounted cost return Q_c"  # in words, for tables
+    limited_cost = "discounted cost return Q_c"  # in words, for tables
     cost_limit: float = 25.0
     """Limit d of the discounted cost return Q_c that the cost critics estimate, with the discount γ
     of the rewards; not of an episode's cost. Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
