@@ -12,6 +12,8 @@ import time
 
 import gymnasium as gym
 
+import circle2d_mj  # noqa: F401 - registers the tasks
+
 SIZE, STEPS, TURNS = 4096, 500, 9
 
 

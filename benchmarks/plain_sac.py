@@ -14,6 +14,8 @@ from torch import nn
 from torch.distributions import Normal
 from torch.nn import functional
 
+import circle2d_mj  # noqa: F401 - registers the tasks
+
 
 def mlp(n_in, n_out):
     return nn.Sequential(

@@ -15,6 +15,8 @@ from torch.distributions import Normal, kl_divergence
 from torch.nn import functional
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
+import circle2d_mj  # noqa: F401 - registers the tasks
+
 
 def mlp(n_in, n_out):
     return nn.Sequential(

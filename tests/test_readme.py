@@ -41,7 +41,7 @@ def test_the_examples_run(opengl, tmp_path, monkeypatch):
             if terminated or truncated:
                 env.reset()
 
-    names = {"your_env": gym.make("Circle2D-1-v0"), "your_training": training}
+    names = {"your_env": gym.make("circle2d_mj:Circle2D-1-v0"), "your_training": training}
     for example in examples:
         exec(compile(example, "README.md", "exec"), names)
     assert (tmp_path / "circle2d.png").stat().st_size > 1000

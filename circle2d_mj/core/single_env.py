@@ -15,7 +15,7 @@ from circle2d_mj.core.vector_env import TaskVectorEnv
 from circle2d_mj.core.view import View
 
 
-class TaskEnv(gym.Env[NDArray[np.floating], NDArray[np.floating]]):
+class TaskEnv(gym.Env[NDArray[np.floating], ArrayLike]):
     """One environment of a task.
 
     `info["cost"]` is a float (numpy's float64), on every step and from `reset`.

@@ -76,28 +76,35 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         self._seed(seed, index)
         self._start(index)
         zeros = {key: np.zeros(self.num_envs) for key in self.simulation.info_keys}
-        return self.simulation.observe(), self._info({**zeros, **self.simulation.state_info()})
+        info = {**zeros, **self.simulation.state_info()}
+        return self.simulation.observe(), self._with_masks(info)
 
     def step(
         self, actions: ArrayLike
     ) -> tuple[NDArray[np.floating], NDArray, NDArray, NDArray, dict[str, Any]]:
         """Move every agent by its action, [num_envs, action size]."""
-        return self.advance(checked_action(actions, self.action_space.shape))
+        results = self.advance(checked_action(actions, self.action_space.shape))
+        self._with_masks(results[-1])
+        return results
 
     def advance(
         self, actions: NDArray[np.float64]
     ) -> tuple[NDArray[np.floating], NDArray, NDArray, NDArray, dict[str, Any]]:
-        """Take a step with checked actions: finite, [num_envs, action size]."""
+        """Take a step with checked actions: finite, [num_envs, action size].
+
+        The info has none of gymnasium's masks `_cost`, ..., which say that every environment has a
+        value.
+        """
         if self._streams is None:
             raise ResetNeeded("reset() must be called before the first step()")
-        reward, terminated, info = self.simulation.step(actions)
+        reward, terminated, of_step = self.simulation.step(actions)
         self._steps += 1
         limit = self.max_episode_steps
         never = limit is None
         truncated = np.zeros(self.num_envs, dtype=bool) if never else self._steps >= limit
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
-            self._reset_finished(terminated, truncated, reward, *info.values())
-        info = self._info({**info, **self.simulation.state_info()})
+            self._reset_finished(terminated, truncated, reward, *of_step.values())
+        info: dict[str, Any] = {**of_step, **self.simulation.state_info()}
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             self._reset_now(terminated | truncated, info)
         return self.simulation.observe(), reward, terminated, truncated, info
@@ -209,6 +216,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
             raise ResetNeeded("the first reset() must reset every environment, without reset_mask")
         return np.flatnonzero(mask)
 
-    def _info(self, values: dict[str, NDArray]) -> dict[str, Any]:
-        info: dict[str, Any] = dict(values)
-        return info | {f"_{key}": np.ones(self.num_envs, dtype=bool) for key in values}
+    def _with_masks(self, info: dict[str, Any]) -> dict[str, Any]:
+        for key in self.simulation.info_keys:
+            info[f"_{key}"] = np.ones(self.num_envs, dtype=bool)
+        return info

@@ -46,6 +46,8 @@ DISTANCE = {
     "wcsac": 0.07,
 }
 
+SEEDS = dict.fromkeys(SETTINGS, (0, 1)) | {"sac-lb": (2, 3)}  # those that start far from it
+
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_comes_close_to_the_optimum_within_the_limit(name):
@@ -56,7 +58,7 @@ def test_comes_close_to_the_optimum_within_the_limit(name):
     config = replace(algorithm(name).config(), **SHARED, **changes)
     if algorithm(name).family is OffPolicy:
         config = replace(config, random_steps=100, gradient_steps=1, replay_size=1000)
-    training = Training(TrainConfig(name, "Target-v0", (0, 1), steps, config, parameters))
+    training = Training(TrainConfig(name, "Target-v0", SEEDS[name], steps, config, parameters))
     actions, nothing = [], np.zeros((2, 1, 1), np.float32)
     untrained = training.learner.policy()(nothing, None)
     assert np.abs(untrained - OPTIMUM[name]).max() > DISTANCE[name]

@@ -158,7 +158,7 @@ def test_tensorboard_where_it_is_missing(tmp_path, capsys, monkeypatch):
         ([*TRAIN, "--out", "{tmp}/x", "--seeds", "-1"], "seeds must be in"),
         (
             [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "radius", "3"],
-            "unknown parameter 'radius'",
+            "got an unexpected keyword argument 'radius'",
         ),
         (["resume", "{tmp}/nothing"], r"nothing/config\.json is missing"),
         (["evaluate", "{tmp}/nothing"], r"nothing/config\.json is missing"),

@@ -67,7 +67,9 @@ def test_no_feasible_start_is_fine_where_infeasible_starts_are_allowed():
 
 
 def test_unknown_parameter_names_the_nearest():
-    message = "unknown parameter 'constraint_radus': did you mean 'constraint_radius'"
+    message = (
+        "got an unexpected keyword argument 'constraint_radus': did you mean 'constraint_radius'"
+    )
     for make in (
         lambda: Circle2DEnv(constraint_radus=3),
         lambda: Circle2DVectorEnv(2, constraint_radus=3),

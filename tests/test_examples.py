@@ -1,0 +1,58 @@
+"""The examples run, print a panel, and stay short."""
+
+import ast
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "examples"
+NEEDED = {
+    "with_gymnasium.py": ("gymnasium",),
+    "with_minari.py": ("minari", "jax", "h5py"),
+    "with_sb3.py": ("stable_baselines3",),
+    "with_tianshou.py": ("tianshou",),
+    "with_torchrl.py": ("torchrl",),
+}
+"""Libraries that an example imports, or that it needs to run."""
+
+
+def test_every_example_is_listed():
+    assert {path.name for path in FOLDER.glob("*.py")} == set(NEEDED)
+
+
+@pytest.mark.parametrize("name", NEEDED)
+def test_at_most_15_lines_of_substance(name):
+    text = (FOLDER / name).read_text()
+    imports = (ast.Import, ast.ImportFrom)
+    lines = [
+        node.lineno
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.stmt) and not isinstance(node, imports)
+    ]
+    assert len(set(lines)) - 1 <= 15  # without the docstring
+
+
+@pytest.mark.parametrize("name", NEEDED)
+def test_it_runs(name, tmp_path):
+    for module in NEEDED[name]:
+        if importlib.util.find_spec(module) is None:
+            pytest.skip(f"needs {module}")
+    done = subprocess.run(
+        [sys.executable, FOLDER / name],
+        cwd=tmp_path,
+        env={
+            **os.environ,
+            "PYTHONPATH": str(FOLDER.parent),
+            "MINARI_DATASETS_PATH": str(tmp_path),
+            "OMP_NUM_THREADS": "1",
+        },
+        capture_output=True,
+        encoding="utf-8",
+    )
+    assert done.returncode == 0, done.stderr
+    assert "violation rate V" in done.stdout
+    assert "limit 5" in done.stdout
