@@ -15,6 +15,8 @@ from agents.training.config import TrainConfig
 from agents.training.environments import make_envs
 from agents.training.loop import Training
 
+pytestmark = pytest.mark.slow
+
 register()
 LIMIT = 0.6
 SHARED = {"cost_limit": LIMIT, "learning_rate": 3e-3, "batch_size": 64, "hidden": (32, 32)}

@@ -134,6 +134,7 @@ def test_runs_of_other_steps_are_no_pair(folder):
     assert "TRPO-Lag (multiplier_optimizer sgd, 200 steps), mean of 1" in table(folder)
 
 
+@pytest.mark.slow
 def test_reproduce_with_ablations(tmp_path, capsys):
     out = tmp_path / "grid"
     command = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3"]
