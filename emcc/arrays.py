@@ -108,6 +108,23 @@ def exceed(costs: NDArray[Any], threshold: float) -> NDArray[np.bool_]:
     return np.greater(costs, threshold, signature="dd->?")
 
 
+def as_level(level: float) -> float:
+    """The coverage of an interval: a number in (0, 1).
+
+    TypeError: not a number. ValueError: another one.
+    """
+    level = as_number(level, "level")
+    if not 0 < level < 1:
+        raise ValueError(f"level must be in (0, 1), got {level}")
+    return level
+
+
+def check_generator(rng: np.random.Generator) -> None:
+    """TypeError where rng is no numpy.random.Generator."""
+    if not isinstance(rng, np.random.Generator):
+        raise TypeError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
+
+
 def as_count(value: int, name: str) -> int:
     """A whole number >= 1.
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_count, as_number, check_range
+from emcc.arrays import as_array, as_count, as_level, check_generator, check_range
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +81,8 @@ def difference(
 
 
 def _check(rng: np.random.Generator, level: float, resamples: int) -> None:
-    if not isinstance(rng, np.random.Generator):
-        raise TypeError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
-    level = as_number(level, "level")
-    if not 0 < level < 1:
-        raise ValueError(f"level must be in (0, 1), got {level}")
+    check_generator(rng)
+    as_level(level)
     as_count(resamples, "resamples")
 
 

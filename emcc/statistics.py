@@ -12,7 +12,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_integers, as_number, as_vector, check_range
+from emcc.arrays import (
+    as_array,
+    as_integers,
+    as_level,
+    as_vector,
+    check_generator,
+    check_range,
+)
 
 FEWEST_RUNS = 5
 """Runs that an interval of a mean needs. Of fewer, the range is given instead."""
@@ -56,7 +63,7 @@ def mean_interval(values: ArrayLike, level: float = 0.95) -> Interval:
     different places, give shares instead: no interval covers such a mean at small numbers.
     ValueError: no values, NaN or infinite ones, level outside (0, 1).
     """
-    values, level = as_vector(values, "values").astype(np.float64), _as_level(level)
+    values, level = as_vector(values, "values").astype(np.float64), as_level(level)
     mean, n = float(values.mean()), len(values)
     if n == 1:
         return Interval(mean, None, None, "range", 1)
@@ -78,7 +85,7 @@ def share(count: int, runs: int, level: float = 0.95) -> Share:
     if k > n:
         raise ValueError(f"count must be at most runs, got {k} of {n}")
     test = _scipy_stats().binomtest(k, n)
-    interval = test.proportion_ci(confidence_level=_as_level(level), method="exact")
+    interval = test.proportion_ci(confidence_level=as_level(level), method="exact")
     return Share(k, n, k / n, float(interval.low), float(interval.high))
 
 
@@ -131,9 +138,8 @@ def bootstrap(
     stratum) anew. A set with fewer than five runs gives no interval.
     TypeError: rng is no numpy Generator. ValueError: as in `iqm`, level outside (0, 1).
     """
-    if not isinstance(rng, np.random.Generator):
-        raise TypeError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
-    runs, level = [_as_runs(values, "values") for values in sets], _as_level(level)
+    check_generator(rng)
+    runs, level = [_as_runs(values, "values") for values in sets], as_level(level)
     value, fewest = float(statistic(*runs)), min(map(len, runs))
     if fewest < FEWEST_RUNS:
         return Interval(value, None, None, "range", fewest)
@@ -154,8 +160,7 @@ def permutation_test(
     generalized Behrens-Fisher problem".
     TypeError: rng is no numpy Generator. ValueError: fewer than two runs, NaN or infinite values.
     """
-    if not isinstance(rng, np.random.Generator):
-        raise TypeError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
+    check_generator(rng)
     a, b = (as_vector(v, n).astype(np.float64) for v, n in ((first, "first"), (second, "second")))
     if min(len(a), len(b)) < 2:
         raise ValueError(f"first and second need two runs at least, got {len(a)} and {len(b)}")
@@ -214,13 +219,6 @@ def _two_sets(first: ArrayLike, second: ArrayLike) -> Sequence[NDArray[np.float6
         tasks = " and ".join(str(of.shape[1]) for of in sets)
         raise ValueError(f"first and second must have the same tasks, got {tasks} of them")
     return sets
-
-
-def _as_level(level: float) -> float:
-    level = as_number(level, "level")
-    if not 0 < level < 1:
-        raise ValueError(f"level must be in (0, 1), got {level}")
-    return level
 
 
 def _scipy_stats() -> Any:

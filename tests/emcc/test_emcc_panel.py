@@ -144,7 +144,7 @@ def test_distribution_of_mcc():
 
 
 def test_rollouts_of_several_trajectories():
-    """MCC is of a rollout, costs are of an episode: those are told apart."""
+    """MCC is of a rollout, costs are of an episode: the two differ."""
     episodes = [[1, 0], [0, 0], [1, 1], [0, 0]]
     found = panel(records_of(episodes, rollouts=[0, 0, 1, 1]), 1.0)
     assert (found.mcc, found.violation_rate) == (0.75, 0.25)

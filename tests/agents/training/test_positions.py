@@ -20,7 +20,7 @@ POINT = "circle2d_mj/SafetyPointCircle1-v0"
 
 
 class Drift(gym.Env):
-    """A point that drifts from a random start; its place is told in the info alone, and its
+    """A point that drifts from a random start; its place is in the info alone, and its
     observation is the place in tenths, so that both can be compared."""
 
     observation_space = Box(-np.inf, np.inf, (2,))

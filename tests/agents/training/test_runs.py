@@ -110,7 +110,7 @@ def test_killed_at_any_moment(tmp_path):
     code = "import sys; from pathlib import Path; from agents.training.loop import train\n"
     code += "train(Path(sys.argv[1]), on_epoch=lambda _: print('an epoch', flush=True))"
     rng = np.random.default_rng(0)
-    for epochs in (1, 3, 2, 4):  # of 40; each is saved before it is told
+    for epochs in (1, 3, 2, 4):  # of 40; each is saved before it is printed
         process = subprocess.Popen(
             [sys.executable, "-c", code, str(folder)], stdout=subprocess.PIPE
         )
