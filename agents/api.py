@@ -22,6 +22,7 @@ import contextlib
 import dataclasses
 import difflib
 import functools
+import inspect
 import operator
 import shutil
 import tempfile
@@ -226,24 +227,9 @@ def _hyperparameters(algorithm: str, task: str, given: dict[str, Any]) -> Any:
     names = [field.name for field in dataclasses.fields(config)]
     for name in given:
         if name not in names:
-            near = difflib.get_close_matches(name, [*names, *_OPTIONS], n=1)
+            options = inspect.signature(train).parameters
+            near = difflib.get_close_matches(name, [*names, *options], n=1)
             hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(names)}"
             raise UserError(f"{algorithm} has no hyper-parameter {name!r}: {hint}")
     values = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
     return dataclasses.replace(config, **values)
-
-
-_OPTIONS = (
-    "seeds",
-    "steps",
-    "out",
-    "task_parameters",
-    "checkpoint_every",
-    "evaluate_every",
-    "vectorization",
-    "backend",
-    "device",
-    "tensorboard",
-    "on_epoch",
-    "progress",
-)
