@@ -16,16 +16,16 @@ from emcc.interval import Difference, Estimate, difference, estimate
 from emcc.measures import regret_curve
 from emcc.panels import Panel, panel
 from emcc.parts import cost_rate, emcc_by_part
+from emcc.permutation import equivalence_test, holm, permutation_test
 from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords
 from emcc.statistics import (
     Interval,
     Share,
     bootstrap,
-    holm,
     iqm,
+    mean_difference,
     mean_interval,
-    permutation_test,
     probability_of_improvement,
     profile,
     share,
@@ -55,6 +55,7 @@ __all__ = [
     "difference",
     "emcc",
     "emcc_by_part",
+    "equivalence_test",
     "estimate",
     "from_minari",
     "from_tensordict",
@@ -63,6 +64,7 @@ __all__ = [
     "longest_streak",
     "longest_streaks",
     "mcc",
+    "mean_difference",
     "mean_interval",
     "panel",
     "permutation_test",

@@ -41,6 +41,33 @@ def as_vector(
     return array
 
 
+def as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """A new float64 array of the values of runs: [runs], or [runs, tasks] where tasks are strata.
+
+    TypeError: not numbers. ValueError: another shape, no values, NaN or infinite ones.
+    """
+    array = as_array(values, name)
+    if array.ndim not in (1, 2) or not array.size:
+        raise ValueError(
+            f"{name} must be [runs] or [runs, tasks] and not empty, got shape {array.shape}"
+        )
+    check_range(array, name)
+    return array.astype(np.float64)
+
+
+def as_two_vectors(
+    first: ArrayLike, second: ArrayLike, fewest: int = 1
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The values of two sets of runs, [runs] each, with `fewest` runs at least.
+
+    TypeError: not numbers. ValueError: fewer, NaN or infinite ones, another shape.
+    """
+    a, b = (as_vector(v, n).astype(np.float64) for v, n in ((first, "first"), (second, "second")))
+    if min(len(a), len(b)) < fewest:
+        raise ValueError(f"first and second need {fewest} runs each, got {len(a)} and {len(b)}")
+    return a, b
+
+
 def as_integers(values: ArrayLike, name: str, low: float = 0) -> NDArray[np.int64]:
     """An int64 array of any shape; floats are accepted where they are whole numbers.
 

@@ -1,4 +1,7 @@
-"""Means over seeds with bootstrap intervals."""
+"""Means over seeds with percentile bootstrap intervals, by numpy alone.
+
+Of few runs these intervals are too short: `emcc.statistics` says what to use instead.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_count, as_level, check_generator, check_range
+from emcc.arrays import as_count, as_level, as_runs, check_generator
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +47,10 @@ def estimate(
 ) -> dict[str, Estimate]:
     """Mean over seeds of each entry, with a stratified percentile bootstrap interval.
 
+    For ten runs and more, for several tasks at once, or without scipy. Of three runs the interval
+    is their range and covers the mean in about 75 % of cases, of two in 50 %: for one task take
+    `mean_interval`, and `share` where runs end in different places.
+
     results: name -> values [seeds] or [seeds, tasks]. With tasks, the seeds are resampled within
     each task independently (a task is a stratum) and the mean is over both axes.
     level: coverage of the interval, in (0, 1). Equal generators and entries give equal intervals.
@@ -52,7 +59,7 @@ def estimate(
     """
     _check(rng, level, resamples)
     return {
-        name: _estimate(_as_runs(values, name), rng, level, resamples)
+        name: _estimate(as_runs(values, f"values of {name!r}"), rng, level, resamples)
         for name, values in results.items()
     }
 
@@ -67,12 +74,16 @@ def difference(
 ) -> Difference:
     """The mean of `second` minus the mean of `first`, with a percentile bootstrap interval.
 
+    For ten runs a side and more. Of three against three, 19 % of equal pairs have an interval
+    without 0: to decide whether two sets differ take `permutation_test`, and `mean_difference` for
+    the interval.
+
     first, second: values of independent runs, [seeds] or [seeds, tasks] as in `estimate`; the two
     may differ in their seeds. The seeds of either side are resampled independently of the other's.
     level, resamples and errors: as in `estimate`.
     """
     _check(rng, level, resamples)
-    sides = _as_runs(first, "first"), _as_runs(second, "second")
+    sides = [as_runs(v, f"values of {n!r}") for v, n in ((first, "first"), (second, "second"))]
     value = float(sides[1].mean() - sides[0].mean())
     if min(map(len, sides)) == 1:
         return Difference(value, None, None)
@@ -86,22 +97,10 @@ def _check(rng: np.random.Generator, level: float, resamples: int) -> None:
     as_count(resamples, "resamples")
 
 
-def _as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    array = as_array(values, f"values of {name!r}")
-    if array.ndim not in (1, 2) or array.size == 0:
-        raise ValueError(
-            f"values of {name!r} must be [seeds] or [seeds, tasks] and not empty, "
-            f"got shape {array.shape}"
-        )
-    check_range(array, f"values of {name!r}")
-    runs = array.astype(np.float64)  # a copy
-    runs.flags.writeable = False
-    return runs
-
-
 def _estimate(
     runs: NDArray[np.float64], rng: np.random.Generator, level: float, resamples: int
 ) -> Estimate:
+    runs.flags.writeable = False
     if len(runs) == 1:
         return Estimate(float(runs.mean()), None, None, runs)
     means = _resampled_means(runs, rng, resamples)

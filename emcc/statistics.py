@@ -1,4 +1,4 @@
-"""Statistics of few runs: intervals, shares, tests and profiles, for EMCC as for any other measure.
+"""Statistics of few runs: intervals, shares and profiles, for EMCC as for any other measure.
 
 Arrays in, numbers or frozen dataclasses out; `[runs]`, or `[runs, tasks]` where tasks are strata.
 scipy is imported when one of these is first called.
@@ -6,34 +6,31 @@ scipy is imported when one of these is first called.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import comb
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from emcc.arrays import (
-    as_array,
     as_integers,
     as_level,
+    as_runs,
+    as_two_vectors,
     as_vector,
     check_generator,
-    check_range,
 )
 
 FEWEST_RUNS = 5
 """Runs that an interval of a mean needs. Of fewer, the range is given instead."""
-MOST_EXACT = 200_000
-"""Ways to divide the runs among two sets up to which a permutation test goes through all of them:
-10 runs against 10 have 184 756."""
 
 
 @dataclass(frozen=True)
 class Interval:
     """An estimate over runs with its interval; the unit is that of the values.
 
-    kind: "t" (Student's t interval of the mean), "bootstrap" (percentiles of resampled runs), or
-    "range" (lowest and highest run, no coverage stated). low and high are None for a single run.
+    kind: "t" (Student's t interval of a mean, Welch's of a difference), "bootstrap" (percentiles of resampled runs), or
+    "range" (lowest and highest run, no coverage stated). low and high are None where there is
+    nothing to give: of a single run, and of a difference with too few runs.
     """
 
     value: float
@@ -73,6 +70,27 @@ def mean_interval(values: ArrayLike, level: float = 0.95) -> Interval:
     return Interval(mean, float(mean - half), float(mean + half), "t", n)
 
 
+def mean_difference(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Interval:
+    """Mean of `second` minus mean of `first`, with Welch's t interval.
+
+    first, second: [runs]; with fewer than five on a side there is no interval (None). As that of
+    `mean_interval` it is for runs that end in one place; `permutation_test` decides whether two
+    sets differ. Source: Welch 1947, "The generalization of Student's problem when several different
+    population variances are involved". ValueError: as in `mean_interval`.
+    """
+    a, b = as_two_vectors(first, second)
+    level, n = as_level(level), min(len(a), len(b))
+    value = float(b.mean() - a.mean())
+    if n < FEWEST_RUNS:
+        return Interval(value, None, None, "range", n)
+    parts = np.array([of.var(ddof=1) / len(of) for of in (a, b)])
+    if not parts.any():
+        return Interval(value, value, value, "t", n)
+    degrees = parts.sum() ** 2 / (parts**2 / (len(a) - 1, len(b) - 1)).sum()
+    half = _scipy_stats().t.ppf((1 + level) / 2, degrees) * np.sqrt(parts.sum())
+    return Interval(value, float(value - half), float(value + half), "t", n)
+
+
 def share(count: int, runs: int, level: float = 0.95) -> Share:
     """Share of runs that do something, with its Clopper-Pearson interval.
 
@@ -96,7 +114,7 @@ def iqm(values: ArrayLike) -> float:
     "Deep reinforcement learning at the edge of the statistical precipice".
     ValueError: no values, NaN or infinite ones, another shape.
     """
-    return float(_scipy_stats().trim_mean(_as_runs(values, "values"), 0.25, axis=None))
+    return float(_scipy_stats().trim_mean(as_runs(values, "values"), 0.25, axis=None))
 
 
 def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> float:
@@ -139,7 +157,7 @@ def bootstrap(
     TypeError: rng is no numpy Generator. ValueError: as in `iqm`, level outside (0, 1).
     """
     check_generator(rng)
-    runs, level = [_as_runs(values, "values") for values in sets], as_level(level)
+    runs, level = [_by_task(values, "values") for values in sets], as_level(level)
     value, fewest = float(statistic(*runs)), min(map(len, runs))
     if fewest < FEWEST_RUNS:
         return Interval(value, None, None, "range", fewest)
@@ -148,73 +166,18 @@ def bootstrap(
     return Interval(value, float(low), float(high), "bootstrap", fewest)
 
 
-def permutation_test(
-    first: ArrayLike, second: ArrayLike, *, rng: np.random.Generator, resamples: int = 20_000
-) -> float:
-    """Two-sided p value that two sets of runs have the same mean: of Welch's t, by permutation.
-
-    first, second: [runs], two at least each. Exact, over all ways to divide the runs among the two
-    sets, where there are 200 000 at most; otherwise over `resamples` random ones. Welch's t keeps
-    the test near its level where the spreads differ too. Of 3 runs against 3 no p value is below
-    0.1. Source: Janssen 1997, "Studentized permutation tests for non-i.i.d. hypotheses and the
-    generalized Behrens-Fisher problem".
-    TypeError: rng is no numpy Generator. ValueError: fewer than two runs, NaN or infinite values.
-    """
-    check_generator(rng)
-    a, b = (as_vector(v, n).astype(np.float64) for v, n in ((first, "first"), (second, "second")))
-    if min(len(a), len(b)) < 2:
-        raise ValueError(f"first and second need two runs at least, got {len(a)} and {len(b)}")
-    exact = comb(len(a) + len(b), len(a)) <= MOST_EXACT
-    result = _scipy_stats().permutation_test(
-        (a, b),
-        _welch_angle,
-        permutation_type="independent",
-        alternative="greater",
-        vectorized=True,
-        n_resamples=np.inf if exact else resamples,
-        rng=rng,
-    )
-    return float(result.pvalue)
-
-
-def holm(p_values: ArrayLike) -> NDArray[np.float64]:
-    """P values of many tests corrected for their number, in the same order: [tests].
-
-    A test is significant at a level where its corrected p value is at most that level; the chance
-    of one or more false ones is then at most the level. Source: Holm 1979, "A simple sequentially
-    rejective multiple test procedure".
-    ValueError: no values, or one outside [0, 1].
-    """
-    p = as_vector(p_values, "p_values", low=0, high=1).astype(np.float64)
-    order = np.argsort(p, kind="stable")
-    corrected = np.empty_like(p)
-    corrected[order] = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
-    return np.minimum(corrected, 1.0)
-
-
-def _welch_angle(a: NDArray, b: NDArray, axis: int) -> NDArray:
-    """Angle whose tangent is |Welch's t|: rises with it, and is finite where there is no spread."""
-    spread = a.var(axis=axis, ddof=1) / a.shape[axis] + b.var(axis=axis, ddof=1) / b.shape[axis]
-    return np.arctan2(np.abs(a.mean(axis=axis) - b.mean(axis=axis)), np.sqrt(spread))
-
-
 def _resampled(runs: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
     return np.take_along_axis(runs, rng.integers(len(runs), size=runs.shape), axis=0)
 
 
-def _as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
+def _by_task(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """[runs, tasks]"""
-    array = as_array(values, name)
-    if array.ndim not in (1, 2) or not array.size:
-        raise ValueError(
-            f"{name} must be [runs] or [runs, tasks] and not empty, got shape {array.shape}"
-        )
-    check_range(array, name)
-    return array.astype(np.float64).reshape(len(array), -1)
+    runs = as_runs(values, name)
+    return runs.reshape(len(runs), -1)
 
 
 def _two_sets(first: ArrayLike, second: ArrayLike) -> Sequence[NDArray[np.float64]]:
-    sets = [_as_runs(first, "first"), _as_runs(second, "second")]
+    sets = [_by_task(first, "first"), _by_task(second, "second")]
     if sets[0].shape[1] != sets[1].shape[1]:
         tasks = " and ".join(str(of.shape[1]) for of in sets)
         raise ValueError(f"first and second must have the same tasks, got {tasks} of them")

@@ -67,8 +67,8 @@ def test_runs_go_on_to_other_packages_but_stay_as_they_are():
 
 
 BAD = {
-    "no values": ([], {}, r"values of 'x' must be \[seeds\].*got shape \(0,\)"),
-    "three axes": (np.zeros((2, 2, 2)), {}, r"values of 'x' must be \[seeds\]"),
+    "no values": ([], {}, r"values of .x. must be \[runs\].*got shape \(0,\)"),
+    "three axes": (np.zeros((2, 2, 2)), {}, r"values of .x. must be \[runs\]"),
     "NaN": ([0.1, np.nan], {}, "values of 'x' must be finite, got nan at index 1"),
     "level": ([0.1], {"level": 1.0}, r"level must be in \(0, 1\), got 1.0"),
     "resamples": ([0.1], {"resamples": 0}, "resamples must be >= 1, got 0"),

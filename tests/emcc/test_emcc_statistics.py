@@ -1,9 +1,6 @@
 """Statistics of few runs: by hand, by brute force, and by simulating what they promise."""
 
-import itertools
 import math
-import statistics as statistics_of_python
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -120,71 +117,26 @@ def test_profile_is_a_count(values, thresholds):
     np.testing.assert_allclose(found, shares, atol=1e-15)
 
 
-def welch(a, b):
-    """|t|, with fractions under the root."""
-    variances = [
-        statistics_of_python.variance([Fraction(value) for value in of]) / len(of) for of in (a, b)
-    ]
-    difference = abs(Fraction(sum(a), len(a)) - Fraction(sum(b), len(b)))
-    if sum(variances) == 0:
-        return math.inf if difference else 0.0
-    return difference / math.sqrt(sum(variances))
+def test_mean_difference_is_welchs_interval():
+    rng = np.random.default_rng(5)
+    a, b = rng.normal(size=8), rng.normal(1.0, 3.0, size=11)
+    found = statistics.mean_difference(a, b)
+    expected = scipy.stats.ttest_ind(b, a, equal_var=False).confidence_interval(0.95)
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
+    assert (found.value, found.kind, found.runs) == (pytest.approx(b.mean() - a.mean()), "t", 8)
+    few = statistics.mean_difference(a[:4], b)
+    assert (few.low, few.high, few.kind, few.runs) == (None, None, "range", 4)
+    same = statistics.mean_difference([1.0] * 5, [3.0] * 5)
+    assert (same.value, same.low, same.high) == (2.0, 2.0, 2.0)
 
 
-@given(
-    st.lists(st.integers(0, 3), min_size=2, max_size=4),
-    st.lists(st.integers(0, 3), min_size=2, max_size=4),
-)
-def test_permutation_test_is_the_count_over_all_divisions(a, b):
-    """Brute force, with Welch's t in fractions; ties within rounding count as ties."""
-    pooled, observed = a + b, welch(a, b)
-    extreme = []
-    for chosen in itertools.combinations(range(len(pooled)), len(a)):
-        one = [pooled[k] for k in chosen]
-        other = [pooled[k] for k in range(len(pooled)) if k not in chosen]
-        extreme.append(welch(one, other) >= observed * (1 - 1e-9))
-    found = statistics.permutation_test(a, b, rng=np.random.default_rng(0))
-    assert found == pytest.approx(np.mean(extreme))
-
-
-def test_permutation_tests_of_three_runs_decide_nothing():
-    found = statistics.permutation_test([1, 2, 3], [101, 102, 103], rng=np.random.default_rng(0))
-    assert found == pytest.approx(2 / math.comb(6, 3))
-
-
-NULLS = {
-    "equal": (lambda rng, n: rng.normal(size=n), lambda rng, n: rng.normal(size=n)),
-    "unequal spread": (lambda rng, n: rng.normal(size=n), lambda rng, n: 3.0 * rng.normal(size=n)),
-    "two basins": (
-        lambda rng, n: np.where(rng.random(n) < 0.8, 0.0, 10.0) + rng.normal(size=n),
-        lambda rng, n: np.where(rng.random(n) < 0.8, 0.0, 10.0) + rng.normal(size=n),
-    ),
-}
-
-
-@pytest.mark.parametrize("name", NULLS)
-def test_false_positives_of_the_permutation_test(name):
-    """Sets of equal mean: 5 % are called different, and not more but for the margin."""
-    first, second = NULLS[name]
-    rng, simulations = np.random.default_rng(1), 600
-    found = [
-        statistics.permutation_test(first(rng, 6), second(rng, 6), rng=rng) <= 0.05
-        for _ in range(simulations)
-    ]
-    assert np.mean(found) <= 0.05 + margin(0.05, simulations) + 0.01
-
-
-def test_many_runs_are_permuted_at_random():
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(size=30), rng.normal(0.5, size=30)
-    found = statistics.permutation_test(a, b, rng=rng)
-    assert found == pytest.approx(scipy.stats.ttest_ind(a, b, equal_var=False).pvalue, abs=0.01)
-
-
-def test_holm_by_hand():
-    """Sorted .01 .02 .04 times 3, 2, 1; none below the one before; at most 1."""
-    np.testing.assert_allclose(statistics.holm([0.04, 0.01, 0.02]), [0.04, 0.03, 0.04])
-    np.testing.assert_allclose(statistics.holm([0.9, 0.8]), [1.0, 1.0])
+@pytest.mark.parametrize("runs", [5, 10])
+def test_the_interval_of_a_difference_covers_it_as_it_says(runs):
+    rng = np.random.default_rng(4)
+    pairs = [(rng.normal(size=runs), rng.normal(1.0, 3.0, size=runs)) for _ in range(2_000)]
+    found = [statistics.mean_difference(*pair) for pair in pairs]
+    held = np.mean([of.low <= 1.0 <= of.high for of in found])
+    assert held == pytest.approx(0.95, abs=margin(0.95, 2_000) + 0.005)
 
 
 def test_the_bootstrap_of_a_mean_is_near_its_t_interval():
@@ -205,7 +157,6 @@ def test_the_bootstrap_draws_each_task_on_its_own():
     assert (few.low, few.high, few.kind) == (None, None, "range")
 
 
-RNG = np.random.default_rng(0)
 BAD = {
     "empty": (lambda: statistics.mean_interval([]), "values is empty"),
     "NaN": (lambda: statistics.iqm([1.0, math.nan]), "values must be finite, got nan"),
@@ -215,8 +166,6 @@ BAD = {
         lambda: statistics.probability_of_improvement([[1, 2]], [[1]]),
         "the same tasks, got 2 and 1",
     ),
-    "one run": (lambda: statistics.permutation_test([1], [1, 2], rng=RNG), "two runs at least"),
-    "p": (lambda: statistics.holm([0.5, 1.5]), r"p_values must be finite and in \[0, 1\]"),
     "shape": (lambda: statistics.iqm(np.zeros((2, 2, 2))), r"\[runs\] or \[runs, tasks\]"),
 }
 
@@ -228,7 +177,5 @@ def test_bad_input_is_named(call, message):
 
 
 def test_generators_are_explicit():
-    with pytest.raises(TypeError, match="rng must be a numpy"):
-        statistics.permutation_test([1, 2], [1, 2], rng=0)
     with pytest.raises(TypeError, match="rng must be a numpy"):
         statistics.bootstrap(statistics.iqm, [1, 2], rng=None)

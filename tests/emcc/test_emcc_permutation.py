@@ -1,0 +1,156 @@
+"""Permutation tests: by brute force, against scipy, and by simulating what they promise."""
+
+import itertools
+import math
+import statistics
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given
+from hypothesis import strategies as st
+
+from emcc import equivalence_test, holm, permutation_test
+
+RNG = np.random.default_rng(0)
+
+
+def margin(rate, simulations):
+    """Four standard errors of a share that was counted in so many simulations."""
+    return 4 * math.sqrt(rate * (1 - rate) / simulations)
+
+
+def welch(a, b):
+    """|t|, with fractions under the root."""
+    variances = [statistics.variance([Fraction(value) for value in of]) / len(of) for of in (a, b)]
+    difference = abs(Fraction(sum(a), len(a)) - Fraction(sum(b), len(b)))
+    if sum(variances) == 0:
+        return math.inf if difference else 0.0
+    return difference / math.sqrt(sum(variances))
+
+
+@given(
+    st.lists(st.integers(0, 3), min_size=2, max_size=4),
+    st.lists(st.integers(0, 3), min_size=2, max_size=4),
+)
+def test_permutation_test_is_the_count_over_all_divisions(a, b):
+    """Brute force, with Welch's t in fractions; ties within rounding count as ties."""
+    pooled, observed = a + b, welch(a, b)
+    extreme = []
+    for chosen in itertools.combinations(range(len(pooled)), len(a)):
+        one = [pooled[k] for k in chosen]
+        other = [pooled[k] for k in range(len(pooled)) if k not in chosen]
+        extreme.append(welch(one, other) >= observed * (1 - 1e-9))
+    found = permutation_test(a, b, rng=np.random.default_rng(0))
+    assert found == pytest.approx(np.mean(extreme))
+
+
+@pytest.mark.parametrize(("runs", "others"), [(6, 5), (4, 9), (9, 8)])
+def test_permutation_test_against_scipy(runs, others):
+    """Exact ones of values without ties: the same share of all divisions."""
+    rng = np.random.default_rng(runs)
+    a, b = rng.normal(size=runs), rng.lognormal(size=others)
+
+    def t(x, y, axis):
+        found = scipy.stats.ttest_ind(x, y, axis=axis, equal_var=False).statistic
+        return np.abs(found)
+
+    options = {"permutation_type": "independent", "alternative": "greater", "n_resamples": np.inf}
+    expected = scipy.stats.permutation_test((a, b), t, vectorized=True, **options).pvalue
+    assert permutation_test(a, b, rng=rng) == pytest.approx(expected, rel=1e-9)
+    assert permutation_test(1e6 + 1e-3 * a, 1e6 + 1e-3 * b, rng=rng) == pytest.approx(
+        expected, abs=2e-3
+    )
+
+
+def test_equivalence_is_two_one_sided_tests_by_scipy():
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=7), rng.normal(0.3, size=6)
+
+    def t(x, y, axis):
+        return scipy.stats.ttest_ind(x, y, axis=axis, equal_var=False).statistic
+
+    options = {"permutation_type": "independent", "alternative": "greater", "n_resamples": np.inf}
+    expected = max(
+        scipy.stats.permutation_test((x, y), t, vectorized=True, **options).pvalue
+        for x, y in ((b + 2.0, a), (a + 2.0, b))
+    )
+    assert 0.001 < expected < 0.2
+    found = equivalence_test(a, b, 2.0, rng=rng)
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_equal_sets_are_equivalent_and_far_ones_are_not():
+    """Of 5 runs against 5 there are 252 divisions, of which one is the most extreme."""
+    equal = equivalence_test([1, 2, 3, 4, 5], [1, 2, 3, 4, 5], 99, rng=RNG)
+    assert equal == pytest.approx(1 / 252)
+    assert equivalence_test([1, 2, 3], [11, 12, 13], 5, rng=RNG) == 1.0
+
+
+@pytest.mark.parametrize("spread", [1.0, 3.0])
+def test_sets_that_differ_by_the_margin_are_seldom_called_equivalent(spread):
+    rng, simulations = np.random.default_rng(3), 600
+    found = [
+        equivalence_test(rng.normal(size=6), rng.normal(4.0, spread, size=6), 4.0, rng=rng) <= 0.05
+        for _ in range(simulations)
+    ]
+    assert np.mean(found) <= 0.05 + margin(0.05, simulations) + 0.01
+
+
+def test_permutation_tests_of_three_runs_decide_nothing():
+    found = permutation_test([1, 2, 3], [101, 102, 103], rng=np.random.default_rng(0))
+    assert found == pytest.approx(2 / math.comb(6, 3))
+
+
+NULLS = {
+    "equal": (lambda rng, n: rng.normal(size=n), lambda rng, n: rng.normal(size=n)),
+    "unequal spread": (lambda rng, n: rng.normal(size=n), lambda rng, n: 3.0 * rng.normal(size=n)),
+    "two basins": (
+        lambda rng, n: np.where(rng.random(n) < 0.8, 0.0, 10.0) + rng.normal(size=n),
+        lambda rng, n: np.where(rng.random(n) < 0.8, 0.0, 10.0) + rng.normal(size=n),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NULLS)
+def test_false_positives_of_the_permutation_test(name):
+    """Sets of equal mean: 5 % are called different, and not more but for the margin."""
+    first, second = NULLS[name]
+    rng, simulations = np.random.default_rng(1), 600
+    found = [
+        permutation_test(first(rng, 6), second(rng, 6), rng=rng) <= 0.05 for _ in range(simulations)
+    ]
+    assert np.mean(found) <= 0.05 + margin(0.05, simulations) + 0.01
+
+
+def test_many_runs_are_permuted_at_random():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=30), rng.normal(0.5, size=30)
+    found = permutation_test(a, b, rng=rng)
+    assert found == pytest.approx(scipy.stats.ttest_ind(a, b, equal_var=False).pvalue, abs=0.01)
+
+
+def test_holm_by_hand():
+    """Sorted .01 .02 .04 times 3, 2, 1; none below the one before; at most 1."""
+    np.testing.assert_allclose(holm([0.04, 0.01, 0.02]), [0.04, 0.03, 0.04])
+    np.testing.assert_allclose(holm([0.9, 0.8]), [1.0, 1.0])
+
+
+BAD = {
+    "one run": (lambda: permutation_test([1], [1, 2], rng=RNG), "need 2 runs each, got 1 and 2"),
+    "margin": (lambda: equivalence_test([1, 2], [1, 2], 0, rng=RNG), "margin must be above 0"),
+    "p": (lambda: holm([0.5, 1.5]), r"p_values must be finite and in \[0, 1\]"),
+}
+
+
+@pytest.mark.parametrize(("call", "message"), BAD.values(), ids=BAD)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+@pytest.mark.parametrize("rng", [0, None])
+def test_generators_are_explicit(rng):
+    with pytest.raises(TypeError, match="rng must be a numpy"):
+        permutation_test([1, 2], [1, 2], rng=rng)
