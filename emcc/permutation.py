@@ -85,25 +85,33 @@ def _permuted(
     if np.ptp(pooled) == 0:
         return np.zeros(1)
     pooled = (pooled - pooled.mean()) / np.ptp(pooled)  # t does not change, sums lose no digits
-    if comb(n + m, n) <= MOST_EXACT:
+    exact = comb(n + m, n) <= MOST_EXACT
+    if exact:
         chosen = _divisions(n + m, n)
     else:
         order = np.tile(np.arange(n + m), (1 + as_count(resamples, "resamples"), 1))
         rng.permuted(order[1:], axis=1, out=order[1:])
         chosen = (order < n).astype(np.float64)
-    sums, squares = chosen @ pooled, chosen @ pooled**2
-    others, others_squares = pooled.sum() - sums, (pooled**2).sum() - squares
+    powers = np.stack((pooled, pooled**2), axis=1)
+    (sums, squares), (all_sum, all_squares) = (chosen @ powers).T, powers.sum(axis=0)
+    others, others_squares = all_sum - sums, all_squares - squares
     spread = np.maximum(squares - sums**2 / n, 0) / (n * (n - 1))
     spread += np.maximum(others_squares - others**2 / m, 0) / (m * (m - 1))
     gap = sums / n - others / m
-    return np.arctan2(gap * np.abs(gap), spread)
+    angles = np.arctan2(gap * np.abs(gap), spread)
+    return np.concatenate((angles, -angles)) if exact and n == m else angles
 
 
 @lru_cache(maxsize=2)
 def _divisions(runs: int, of_first: int) -> NDArray[np.float64]:
-    """All ways to choose the first set's runs, a row of ones and zeros each: the first runs
-    first."""
+    """All ways to choose the first set's runs, a row of ones and zeros each, the first runs first.
+
+    Where both sets have as many runs, those with the very first run alone: exchanging the sets
+    gives the others, and the opposite t.
+    """
     rows = np.array(list(combinations(range(runs), of_first)))
+    if runs == 2 * of_first:
+        rows = rows[rows[:, 0] == 0]
     chosen = np.zeros((len(rows), runs))
     np.put_along_axis(chosen, rows, 1.0, axis=1)
     return chosen

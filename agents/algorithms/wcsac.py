@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
 from agents.algorithms import Algorithm
-from agents.errors import check
+from agents.errors import check, check_choice
 from agents.lockstep.lagrange import EXP, MultiplierConfig
 from agents.lockstep.replay import Batch
 from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
@@ -37,6 +38,12 @@ class WCSACConfig(MultiplierConfig, ConstrainedSACConfig):
     damping: float = 10.0
     """Scale of the damping of the multiplier in the actor's loss. Not printed in the paper; 10 in
     the code of Yang et al."""
+    variance_target: Literal["squared", "unsquared"] = "squared"
+    """Last term of the variance's target: squared, as a variance needs it, or unsquared and the
+    target without the end of episodes, as in a later library of the paper's group. No preset."""
+    damping_gradient: Literal["stopped", "through"] = "stopped"
+    """Whether the actor's gradient goes through the damping: stopped as in the code of Yang et al.,
+    or through it as in that library. No preset."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
@@ -44,6 +51,8 @@ class WCSACConfig(MultiplierConfig, ConstrainedSACConfig):
         check(self, "initial_multiplier", high=50)  # far from where exp overflows
         check(self, "risk_level", above=0, high=1)
         check(self, "damping", low=0)
+        check_choice(self, "variance_target", "squared", "unsquared")
+        check_choice(self, "damping_gradient", "stopped", "through")
 
 
 def tail_factor(level: float) -> Tensor:
@@ -73,6 +82,10 @@ def critic_loss(
     mean_target, variance_target = targets(
         discount, cost_values[:, 0].detach(), next_cost_values, batch.cost
     )
+    if config.variance_target == "unsquared":
+        variance_target = unsquared_variance_target(
+            config.discount, cost_values[:, 0].detach(), next_cost_values, batch.cost
+        )
     error = cost_values[:, 0] - mean_target
     spread = variance(cost_values[:, 1])
     distance = spread + variance_target - 2.0 * (spread * variance_target).sqrt()
@@ -92,9 +105,23 @@ def targets(
     return cost + discount * next_mean, (second_moment - mean * mean).clamp(*VARIANCE)
 
 
+def unsquared_variance_target(
+    discount: float, mean: Tensor, next_cost_values: Tensor, cost: Tensor
+) -> Tensor:
+    """`c² - Q_c² + 2 γ c Q_c' + γ² V_c' + γ² Q_c'`, clamped, at the end of an episode as elsewhere.
+
+    Not a variance: for large Q_c' far below it. Shapes as in `targets`.
+    """
+    next_mean, next_variance = next_cost_values[:, 0], variance(next_cost_values[:, 1])
+    future = discount * discount * (next_variance + next_mean)
+    target = cost * cost - mean * mean + 2.0 * discount * cost * next_mean + future
+    return target.clamp(*VARIANCE)
+
+
 def penalty(config: WCSACConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
-    """`(κ - κ_d) Γ`, damped by `κ_d = scale · E[d - Γ]`, which no gradient goes through."""
-    damping = config.damping * (config.cost_limit - risk.detach().mean(dim=-1, keepdim=True))
+    """`(κ - κ_d) Γ`, damped by `κ_d = scale · E[d - Γ]`, which by default no gradient goes through."""
+    mean = (risk.detach() if config.damping_gradient == "stopped" else risk).mean(-1, keepdim=True)
+    damping = config.damping * (config.cost_limit - mean)
     return (multiplier - damping) * risk
 
 

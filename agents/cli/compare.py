@@ -17,7 +17,7 @@ from agents.training.progress import working
 @dataclass(frozen=True)
 class CompareOptions:
     """Print the tables of two sets of runs, such as your algorithm's and a baseline's, with the
-    differences B - A and their 95 % bootstrap intervals over seeds."""
+    differences B - A, their 95 % intervals over seeds, and permutation tests."""
 
     a: Annotated[Path, tyro.conf.Positional]
     """Folder of runs, or one with several such folders below it."""

@@ -50,8 +50,8 @@ class ReproduceOptions:
     tasks: tuple[str, ...] = ()
     """Ids of other tasks to run instead, such as circle2d_mj/SafetyPointGoal1-v0."""
     ablations: bool = False
-    """Run the other choice of the two settings that the paper does not print as well: the
-    multiplier's optimiser of TRPO-Lag, and what a time limit is to the off-policy algorithms."""
+    """Run other choices of what the paper does not print as well: the multiplier's optimiser of
+    TRPO-Lag, what a time limit is to the off-policy algorithms, and WCSAC as in a later library."""
     seeds: tuple[int, ...] | None = None
     """Seeds of each algorithm and task; by default 0 1 2."""
     steps: int | None = None

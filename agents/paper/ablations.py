@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agents.paper.presets import ablation, preset
+from agents.algorithms import ALGORITHMS
+from agents.paper.presets import ablations, preset
 from agents.results.reading import Group
 from agents.training.config import TrainConfig
 
 
 def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group]]]:
-    """The groups to report as usual, and the pairs of a preset's group and its ablated one.
+    """The groups to report as usual, and the pairs of a preset's group and an ablated one.
 
-    Ablated is a group whose unprinted setting has the other choice while nothing else differs from
-    the preset, where the preset's group is there too; without it, it is a group like any other.
+    Ablated is a group with another choice of what the paper does not print (`presets.ablations`)
+    while nothing else differs from the preset, where the preset's group is there too; without it,
+    it is a group like any other.
     """
     pairs = []
     for group in groups:
@@ -25,8 +27,9 @@ def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group
 
 def _is_ablation(config: TrainConfig, of: TrainConfig) -> bool:
     """Whether it is that of a preset but for the choice of what is not printed, on equal terms."""
-    other = ablation(config.algorithm, config.task)
-    if other is None or config.hyperparameters != other[1]:
+    if config.algorithm not in ALGORITHMS:
+        return False
+    if config.hyperparameters not in ablations(config.algorithm, config.task).values():
         return False
     if of.algorithm != config.algorithm or of.hyperparameters != preset(of.algorithm, of.task):
         return False

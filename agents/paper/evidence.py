@@ -7,14 +7,22 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from agents.algorithms import algorithm
-from agents.paper.presets import PAPER_ALGORITHMS, PAPER_SEEDS, PAPER_STEPS, registered_id
+from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, registered_id
 from agents.paper.printed import paper_results
 from agents.paper.settings import changes
 from agents.results.reading import Group, Run
-from agents.results.statistics import mean_of
-from emcc import Difference, Estimate
+from agents.results.statistics import equivalence_of, known, mean_of, p_of
+from emcc import Interval, Share, mean_interval, share
 
-Verdict = Literal["confirmed", "refuted", "open"]
+Verdict = Literal["confirmed", "refuted", "undecided"]
+
+SEEDS = 10
+"""Complete runs of the paper's length that an algorithm needs on a task to decide anything."""
+LEVEL = 0.05
+"""Of every test."""
+HALF, RARE = 0.5, 0.05
+"""Shares of runs: "the runs do" is more than half; "there are runs that do" is more than one in
+twenty."""
 
 
 class Cell(NamedTuple):
@@ -24,7 +32,9 @@ class Cell(NamedTuple):
     algorithm: str
     runs: tuple[Run, ...]
     lacking: str
-    """Why they decide nothing: fewer than the paper's, or of other length; empty where they do."""
+    """Why they decide nothing: fewer than `SEEDS`, or of other length; empty where they decide."""
+    full: bool = False
+    """Whether they have the paper's length."""
 
     @property
     def title(self) -> str:
@@ -36,26 +46,27 @@ class Cell(NamedTuple):
         """The paper's numbers."""
         return paper_results(self.task, self.title)
 
-    def share(self, does: Callable[[Run], bool], words: str = "") -> Share:
-        """Number of runs that do something."""
-        return Share(sum(map(does, self.runs)), len(self.runs), words)
+    @property
+    def one_place(self) -> bool:
+        """Whether all runs end in the same place."""
+        return len({run.end for run in self.runs}) < 2
 
-    def mean(self, measure: str) -> Estimate | None:
-        """Of a measure; None where there are no runs or one lacks it."""
-        return mean_of([run.measures[measure] for run in self.runs])
+    def share(self, does: Callable[[Run], bool], name: str, words: str) -> list[Fact]:
+        """Share of runs that do something; nothing where there are no runs."""
+        counted = sum(map(does, self.runs))
+        return [Fact(name, share(counted, len(self.runs)), does=words)] if self.runs else []
+
+    def mean(self, name: str, values: Sequence[float | None], printed: float | None) -> list[Fact]:
+        """Mean over the runs beside the paper's number; nothing where there are no runs."""
+        return [Fact(name, mean_of(values, self.one_place), printed)] if self.runs else []
 
     def means(self, *measures: str) -> list[Fact]:
-        """Means beside the paper's numbers; nothing where there are no runs."""
-        return [Fact(name, self.mean(name), self.printed[name]) for name in measures if self.runs]
-
-
-class Share(NamedTuple):
-    """Number of runs that do something."""
-
-    number: int
-    of: int
-    does: str = ""
-    """In words, where the fact's name does not say it."""
+        """Means of measures."""
+        return [
+            fact
+            for name in measures
+            for fact in self.mean(name, [r.measures[name] for r in self.runs], self.printed[name])
+        ]
 
 
 class Fact(NamedTuple):
@@ -63,10 +74,16 @@ class Fact(NamedTuple):
 
     name: str
     """Of what: a measure, an algorithm, a task."""
-    value: Share | Estimate | Difference | None
+    value: Share | Interval | None
     """None where a run lacks it."""
     printed: float | None = None
     """The paper's, where it prints one."""
+    does: str = ""
+    """What a share of runs does, in words, where the fact's name does not say it."""
+    signed: bool = False
+    """Whether it is a change or a difference."""
+    tests: Sequence[tuple[str, float | None]] = ()
+    """P values, each with the name of its test."""
 
 
 class Finding(NamedTuple):
@@ -113,9 +130,9 @@ def _cell(groups: Sequence[Group], task: str, name: str) -> Cell:
     lacking = ""
     if steps != full:
         lacking = f"{steps:,} of {full:,} steps"
-    elif len(found[steps]) < PAPER_SEEDS:
-        lacking = f"{len(found[steps])} of {PAPER_SEEDS} runs"
-    return Cell(task, name, tuple(found[steps].values()), lacking)
+    elif len(found[steps]) < SEEDS:
+        lacking = f"{len(found[steps])} of {SEEDS} runs"
+    return Cell(task, name, tuple(found[steps].values()), lacking, steps == full)
 
 
 def _has(run: Run, task: str, name: str) -> bool:
@@ -127,73 +144,97 @@ def _has(run: Run, task: str, name: str) -> bool:
 def all_of(verdicts: Iterable[Verdict]) -> Verdict:
     """Of a claim that holds where all its parts hold: one that does not refutes it."""
     found = set(verdicts)
-    return "refuted" if "refuted" in found else "open" if "open" in found else "confirmed"
+    return "refuted" if "refuted" in found else "undecided" if "undecided" in found else "confirmed"
 
 
 def any_of(verdicts: Iterable[Verdict]) -> Verdict:
     """Of a claim that holds where one of its parts holds: one that does confirms it."""
     found = set(verdicts)
-    return "confirmed" if "confirmed" in found else "open" if "open" in found else "refuted"
+    return (
+        "confirmed" if "confirmed" in found else "undecided" if "undecided" in found else "refuted"
+    )
 
 
 def opposite(verdict: Verdict) -> Verdict:
     """Of the claim that it is not so."""
-    return "refuted" if verdict == "confirmed" else "confirmed" if verdict == "refuted" else "open"
+    opposites: dict[Verdict, Verdict] = {"confirmed": "refuted", "refuted": "confirmed"}
+    return opposites.get(verdict, "undecided")
 
 
 def judge(cell: Cell, rule: Callable[[Sequence[Run]], Verdict]) -> Verdict:
-    """The rule's verdict; open where runs are lacking."""
-    return "open" if cell.lacking else rule(cell.runs)
+    """The rule's verdict; undecided where runs are lacking."""
+    return "undecided" if cell.lacking else rule(cell.runs)
 
 
-def most(count: int, of: int) -> Verdict:
-    """Of "the runs do": all do, half or fewer do, or it is undecided."""
-    return "confirmed" if count == of else "refuted" if 2 * count <= of else "open"
+def refuting(parts: int) -> float:
+    """Level of the interval whose either end is a one-sided bound at `LEVEL` over the parts of a
+    claim: a claim is refuted by any of them, so that their errors add up."""
+    return 1 - 2 * LEVEL / parts
 
 
-def some(count: int) -> Verdict:
-    """Of "there are runs that do"."""
-    return "confirmed" if count else "refuted"
-
-
-def none(count: int) -> Verdict:
-    """Of "no run does"."""
-    return "refuted" if count else "confirmed"
-
-
-def about(mean: Estimate | None, printed: float) -> Verdict:
-    """Of "the mean is about": it is within a fifth of the number; refuted where the whole 95 %
-    interval over seeds is farther away."""
-    if mean is None:
-        return "open"
-    near = 0.8 * printed, 1.2 * printed
-    if near[0] <= mean.value <= near[1]:
+def mostly(count: int, of: int, parts: int) -> Verdict:
+    """Of "the runs do": the share's interval is above a half; refuted where it is below."""
+    if share(count, of).low > HALF:
         return "confirmed"
-    if mean.low is None or mean.high is None:
-        return "open"
-    return "refuted" if mean.low > near[1] or mean.high < near[0] else "open"
+    return "refuted" if share(count, of, refuting(parts)).high < HALF else "undecided"
 
 
-def below_zero(mean: Estimate | None) -> Verdict:
-    """Of "it falls": the 95 % interval over seeds of the changes is below 0; refuted where it has
-    nothing below 0."""
-    if mean is None or mean.low is None or mean.high is None:
-        return "open"
-    return "confirmed" if mean.high < 0 else "refuted" if mean.low >= 0 else "open"
+def some(count: int, of: int, parts: int) -> Verdict:
+    """Of "there are runs that do": the share's interval is above `RARE`; refuted where no run does
+    and the interval is below a half."""
+    if share(count, of).low > RARE:
+        return "confirmed"
+    nobody = count == 0 and share(count, of, refuting(parts)).high < HALF
+    return "refuted" if nobody else "undecided"
 
 
-def apart(gap: Difference | None) -> Verdict:
-    """Of "the two differ": the 95 % interval of the difference of means leaves out 0."""
-    if gap is None or gap.low is None or gap.high is None:
-        return "open"
-    return "confirmed" if gap.low > 0 or gap.high < 0 else "open"
+def none(count: int, of: int, parts: int) -> Verdict:
+    """Of "no run does": none does and the share's interval is below a half; refuted where the
+    interval is above `RARE`."""
+    if count == 0 and share(count, of).high < HALF:
+        return "confirmed"
+    return "refuted" if share(count, of, refuting(parts)).low > RARE else "undecided"
 
 
-def equal(gap: Difference | None) -> Verdict:
-    """Of "the two cannot be told apart": that interval has 0 in it."""
-    if gap is None or gap.low is None:
-        return "open"
-    return "refuted" if apart(gap) == "confirmed" else "confirmed"
+def about(values: Sequence[float | None], printed: float, parts: int) -> Verdict:
+    """Of "the mean is about": its whole interval is within a fifth of the number; refuted where it
+    lies wholly farther away."""
+    found, near = known(values), (0.8 * printed, 1.2 * printed)
+    if found is None:
+        return "undecided"
+    mean, wide = mean_interval(found), mean_interval(found, refuting(parts))
+    if mean.low is None or mean.high is None or wide.low is None or wide.high is None:
+        return "undecided"
+    if mean.kind == "t" and near[0] <= mean.low and mean.high <= near[1]:
+        return "confirmed"
+    farther = wide.low > near[1] or wide.high < near[0]
+    return "refuted" if mean.kind == "t" and farther else "undecided"
+
+
+def equal(
+    a: Sequence[float | None], b: Sequence[float | None], margin: float, parts: int
+) -> Verdict:
+    """Of "the means are equal": equivalent within the margin; refuted where they are not and the
+    permutation test tells them apart."""
+    equivalence, p = equivalence_of(a, b, margin), p_of(a, b)
+    if equivalence is None or p is None:
+        return "undecided"
+    if equivalence <= LEVEL:
+        return "confirmed"
+    return "refuted" if p <= LEVEL / parts else "undecided"
+
+
+def apart(
+    a: Sequence[float | None], b: Sequence[float | None], margin: float, parts: int
+) -> Verdict:
+    """Of "the means differ": the permutation test tells them apart; refuted where they are
+    equivalent within the margin."""
+    equivalence, p = equivalence_of(a, b, margin), p_of(a, b)
+    if equivalence is None or p is None:
+        return "undecided"
+    if equivalence <= LEVEL / parts:
+        return "refuted"
+    return "confirmed" if p <= LEVEL else "undecided"
 
 
 def finding(

@@ -9,7 +9,8 @@ from math import ceil
 from pathlib import Path
 
 from agents.errors import UserError
-from agents.paper.presets import PAPER_SEEDS, ablation, preset, usual_steps
+from agents.paper.presets import PAPER_SEEDS, preset, usual_steps
+from agents.paper.presets import ablations as ablations_of
 from agents.training.config import FAILURE, Backend, Device, TrainConfig, run_folder
 from agents.training.environments import sizes_of
 from agents.training.files import read_json
@@ -54,18 +55,17 @@ def grid(
     """The runs of every algorithm on every task with its preset, by folder; what takes longest
     first. The seeds of a folder train in lockstep.
 
-    steps: of each run; by default the usual ones of its task. ablations: those with the other
-    choice of what the paper does not print as well, in folders like trpo-lag-sgd. Raises
-    UserError for what is unknown. Of eager updates, until a backend is chosen.
+    steps: of each run; by default the usual ones of its task. ablations: those with other choices
+    of what the paper does not print as well, in folders like trpo-lag-sgd. Raises UserError for what is unknown. Of eager updates, until a backend is chosen.
     """
     order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, UNKNOWN_WORK))
     found = {}
     for name in order:
         for task in dict.fromkeys(tasks):
             chosen = {name: preset(name, task)}
-            other = ablation(name, task) if ablations else None
-            if other:
-                chosen[f"{name}-{other[0]}"] = other[1]
+            if ablations:
+                others = ablations_of(name, task).items()
+                chosen |= {f"{name}-{choice}": config for choice, config in others}
             of_each = usual_steps(task) if steps is None else steps
             # Twenty checkpoints at the most: those of a long off-policy training hold gigabytes.
             every = max(50_000, of_each // 20)

@@ -102,11 +102,17 @@ def unprinted(name: str) -> Unprinted | None:
     return TIME_LIMIT if name in PAPER_ALGORITHMS and _is_off_policy(name) else None
 
 
-def ablation(name: str, task: str) -> tuple[str, Any] | None:
-    """The preset with its unprinted hyper-parameter at the other choice, and that choice's name."""
-    setting = unprinted(name)
-    if setting is None:
-        return None
-    config = preset(name, task)
-    (other,) = set(setting.choices) - {getattr(config, setting.field)}
-    return other, replace(config, **{setting.field: other})
+LIBRARY = {"variance_target": "unsquared", "damping_gradient": "through"}
+"""WCSAC as in a later library of the paper's group: see `WCSACConfig`."""
+
+
+def ablations(name: str, task: str) -> dict[str, Any]:
+    """The preset with other choices of what the paper does not print, by the choice's name."""
+    config, setting = preset(name, task), unprinted(name)
+    found = {}
+    if setting is not None:
+        (other,) = set(setting.choices) - {getattr(config, setting.field)}
+        found[other] = replace(config, **{setting.field: other})
+    if name == "wcsac":
+        found["library"] = replace(config, **LIBRARY)
+    return found

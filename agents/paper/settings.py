@@ -52,3 +52,12 @@ def in_order(groups: Iterable[Group]) -> list[Group]:
     """Groups in the order of the algorithms."""
     order = {name: index for index, name in enumerate(ALGORITHMS)}
     return sorted(groups, key=lambda group: order.get(group.config.algorithm, len(order)))
+
+
+def by_task(groups: Iterable[Group]) -> dict[str, list[Group]]:
+    """Groups with complete runs by their task, in the order of the algorithms."""
+    found: dict[str, list[Group]] = {}
+    for group in in_order(groups):
+        if group.runs:
+            found.setdefault(group.config.task, []).append(group)
+    return dict(sorted(found.items()))

@@ -1,50 +1,64 @@
-"""Both choices of the settings that the paper does not print, side by side."""
+"""Choices that the paper does not print, side by side: settings of training, and of EMCC."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import isclose
 
 from agents.algorithms import title
-from agents.paper.presets import preset, unprinted
+from agents.paper.presets import ablations, preset, unprinted
 from agents.paper.printed import paper_results
-from agents.paper.settings import unusual_steps
-from agents.reporting.table import Row, Table
+from agents.paper.settings import by_task, title_of, unusual_steps
+from agents.reporting.table import Number, Row, Table, number_of
 from agents.reporting.tables import caption, mark, mean_row, means, measures_table, paper_row
-from agents.results.measures import measures
+from agents.results.measures import measure, measures
 from agents.results.reading import Group
+from agents.results.statistics import INTERVALS, group_mean, mean_of
+from emcc import emcc_by_part
+from emcc.parts import ALPHA, PARTS
 
-TITLE = "Both choices of what the paper does not print"
+TITLE = "Other choices of what the paper does not print"
 MEANING = (
     "TRPO-Lag's multiplier ascends by Adam or by the plain gradient (multiplier_optimizer adam or "
     "sgd); a time limit ends an episode for good or not in the off-policy methods (time_limit "
-    "terminal or bootstrap). Runs of the choice that is not the preset's are in no other table and "
-    "decide no claim"
+    "terminal or bootstrap); library: WCSAC as in a later library of the paper's group, the last "
+    "term of its variance's target without the square and that target without the end of "
+    "episodes (variance_target unsquared), and a damping that the gradient goes through "
+    "(damping_gradient through). Runs of a choice that is not the preset's are in no other table "
+    "and decide no claim"
 )
-MARKING = "of the two choices the mean that is nearer to the paper's"
+TIES = "Ties split instead of kept"
+TIES_MEANING = (
+    "EMCC is the mean of the highest tenth of a third's MCC. Many rollouts have equal MCC: ties "
+    "are kept where every value equal to the quantile counts, as in the paper's equation and in "
+    "all other tables; they are split where exactly a tenth of the rollouts counts. Computed from "
+    "the records of the same runs"
+)
+MARKING = "of the choices the mean that is nearest to the paper's"
 
 
 def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table:
-    """For each task and algorithm the preset's means, those of the other choice, and the paper's.
+    """For each task and algorithm the preset's means, those of the other choices, and the paper's.
 
-    "ends in" counts the runs that end in each place. Marked is, of each measure, the choice whose
-    mean is nearer to what the paper prints.
+    Marked is, of each measure, the choice whose mean is nearest to what the paper prints.
     """
     rows: list[Row] = []
     marked = set()
-    for pair in pairs:
-        complete = [group for group in pair if group.runs]
-        config = pair[0].config
+    of_presets: dict[str, list[Group]] = {}
+    for usual, other in pairs:
+        of_presets.setdefault(usual.folder, [usual]).append(other)
+    for choices in of_presets.values():
+        complete = [group for group in choices if group.runs]
+        config = choices[0].config
         name = title(config.algorithm)
         printed = paper_results(config.task, name)
-        if len(complete) == 2:
+        if len(complete) > 1:
             marked |= {(len(rows) + row, name) for row, name in _nearer(complete, printed)}
         rows += [_row(group) for group in complete]
         if printed:
             rows.append(paper_row(f"{config.task}, {name}", printed))
-    groups = [group for pair in pairs for group in pair]
+    groups = [group for choices in of_presets.values() for group in choices]
     what = "task, algorithm and choice"
     words = f"{TITLE}: {MEANING}. {caption(groups)}"
     return measures_table(words, what, mark(rows, marked), marking=MARKING)
@@ -53,25 +67,64 @@ def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table:
 def _nearer(groups: Sequence[Group], printed: Mapping[str, float]) -> Iterator[tuple[int, str]]:
     """Place and measure of the means that are nearest to the paper's numbers, as printed."""
     of_groups = [means(group) for group in groups]
-    for measure in measures():
-        values = [of_group[measure.name] for of_group in of_groups]
-        if measure.name not in printed or None in values:
+    for column in measures():
+        values = [of_group[column.name] for of_group in of_groups]
+        if column.name not in printed or None in values:
             continue
-        goal = printed[measure.name]
-        off = [abs(round(value, measure.digits) - goal) for value in values if value is not None]
-        yield from ((row, measure.name) for row, far in enumerate(off) if isclose(far, min(off)))
+        goal = printed[column.name]
+        off = [abs(round(value, column.digits) - goal) for value in values if value is not None]
+        yield from ((row, column.name) for row, far in enumerate(off) if isclose(far, min(off)))
 
 
 def _row(group: Group) -> Row:
     config = group.config
     setting = unprinted(config.algorithm)
     assert setting is not None
-    choice = getattr(config.hyperparameters, setting.field)
-    if config.hyperparameters == preset(config.algorithm, config.task):
-        choice += " (preset)"
+    choice = f"{getattr(config.hyperparameters, setting.field)} (preset)"
+    if config.hyperparameters != preset(config.algorithm, config.task):
+        others = ablations(config.algorithm, config.task).items()
+        (choice,) = (name for name, other in others if other == config.hyperparameters)
     words = [config.task, title(config.algorithm), choice, *unusual_steps(config)]
-    places = Counter(run.end for run in group.runs if run.end)
-    ends = ", ".join(f"{place} {count}" for place, count in places.most_common())
-    return replace(
-        mean_row(group), name=f"{', '.join(words)}, mean of {len(group.runs)}", ends=ends
-    )
+    return replace(mean_row(group), name=f"{', '.join(words)}, mean of {len(group.runs)}")
+
+
+def ties_table(groups: Sequence[Group]) -> Table:
+    """EMCC of each third with both readings of its quantile, and the paper's.
+
+    The records of training decide it: no run is trained for it.
+    """
+    columns = [measure(f"EMCC_{part}") for part in PARTS]
+    rows: list[Row] = []
+    for group in (group for of_task in by_task(groups).values() for group in of_task):
+        name = f"{group.config.task}, {title_of(group.config)}"
+        printed = paper_results(group.config.task, title(group.config.algorithm))
+        kept = [group_mean(group, column.name) for column in columns]
+        split = [mean_of(values, group.one_place) for values in _split(group)]
+        cells: list[list[Number]] = [[], []]
+        for column, pair in zip(columns, zip(kept, split, strict=True), strict=True):
+            goal = printed.get(column.name)
+            off = (
+                [abs(round(of.value, column.digits) - goal) for of in pair if of]
+                if goal is not None
+                else []
+            )
+            for k, of in enumerate(pair):
+                nearer = len(off) == 2 and isclose(off[k], min(off))
+                cells[k].append(number_of(of, column.digits, marked=nearer))
+        for way, of_way in zip(("kept", "split"), cells, strict=True):
+            rows.append(Row(f"{name}, ties {way}, mean of {len(group.runs)}", of_way, kind="mean"))
+        if printed:
+            of_paper = [Number(printed.get(column.name), column.digits) for column in columns]
+            rows.append(Row(f"{name}, paper", of_paper, kind="paper"))
+    words = f"{TIES_MEANING}; mean {INTERVALS}"
+    head = ["task, algorithm and ties", *(column.head for column in columns)]
+    return Table(words, head, rows, marking=MARKING)
+
+
+def _split(group: Group) -> list[list[float]]:
+    """EMCC with split ties of each run, by third."""
+    runs = [
+        emcc_by_part(*run.records.mcc_per_rollout(), group.config.steps, ALPHA, "split").values()
+        for run in group.runs
+    ]
+    return [list(of_third) for of_third in zip(*runs, strict=True)]

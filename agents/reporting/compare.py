@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,18 +12,22 @@ from agents.reporting.csv_table import Line, difference_lines, group_lines, numb
 from agents.reporting.figures import curves
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import made
-from agents.reporting.table import Row, Table, number_of
+from agents.reporting.table import Number, Row, Table, number_of, p_number
 from agents.reporting.tables import caption, mean_row, measures_table, run_rows
 from agents.results.archive import open_source
 from agents.results.measures import measures
 from agents.results.reading import Group, read_groups
-from agents.results.statistics import difference_of
+from agents.results.statistics import corrected, group_difference, improvement_of, p_of
 from agents.training.files import write_whole
 
 METHOD = (
-    "B - A: difference of the means; its interval is the 95 % percentile bootstrap that resamples "
-    "the seeds of either side independently"
+    "B - A: difference of the means [Welch's 95 % t interval, where both sides have five seeds or "
+    "more that end in one place]; p: two-sided permutation test of Welch's t, corrected for the "
+    "{} comparisons made here (Holm); B better: probability that a run of B is better than one "
+    "of A, equal ones half [95 % bootstrap interval]"
 )
+Pair = tuple[Group, Group]
+PValues = Mapping[tuple[str, str, str], float | None]
 
 
 class Sides(NamedTuple):
@@ -66,8 +70,10 @@ def compare(a: Path, b: Path, out: Path | None = None) -> str:
         for task in common
     }
     notes.insert(0, f"A is {a}, B is {b}.")
+    p_values = _p_values(by_task.values())
     tables = [
-        _table(task, sides, notes if task == common[-1] else []) for task, sides in by_task.items()
+        _table(task, sides, p_values, notes if task == common[-1] else [])
+        for task, sides in by_task.items()
     ]
     markdown = "\n".join(table.markdown() for table in tables)
     if out is not None:
@@ -89,18 +95,20 @@ def compare(a: Path, b: Path, out: Path | None = None) -> str:
     return markdown
 
 
-def _table(task: str, sides: Sides, notes: Sequence[str]) -> Table:
+def _table(task: str, sides: Sides, p_values: PValues, notes: Sequence[str]) -> Table:
     """Means of both sides, the differences, then every run."""
     named = list(zip(("A: ", "B: "), sides, strict=True))
     rows = [mean_row(group, prefix) for prefix, groups in named for group in groups]
-    rows += [_difference_row(*pair) for pair in _pairs(sides)]
+    rows += [row for pair in _pairs(sides) for row in _difference_rows(*pair, p_values)]
     for prefix, groups in named:
         rows += [row for group in in_order(groups) for row in run_rows(group, prefix)]
     notes = [*notes, *_notes(task, sides)]
-    return measures_table(f"{caption([*sides.a, *sides.b])}; {METHOD}", task, rows, notes)
+    count = sum(p is not None for p in p_values.values())
+    words = f"{caption([*sides.a, *sides.b])}; {METHOD.format(count)}"
+    return measures_table(words, task, rows, notes)
 
 
-def _pairs(sides: Sides) -> list[tuple[Group, Group]]:
+def _pairs(sides: Sides) -> list[Pair]:
     pairs = []
     for of_b in sides.b:
         same = [of_a for of_a in sides.a if _settings(of_a) == _settings(of_b)]
@@ -112,10 +120,27 @@ def _settings(group: Group) -> tuple[str, dict[str, Any]]:
     return group.config.algorithm, changes(group.config)
 
 
-def _difference_row(a: Group, b: Group) -> Row:
-    found = [(difference_of(a.values(m.name), b.values(m.name)), m.digits) for m in measures()]
-    cells = [number_of(*of_measure) for of_measure in found]
-    return Row(_difference_name(a, b), cells, kind="difference")
+def _p_values(of_tasks: Iterable[Sides]) -> PValues:
+    """Corrected p values of every pair, by the folders of its runs and the measure."""
+    pairs = [pair for sides in of_tasks for pair in _pairs(sides)]
+    return corrected(
+        {
+            (a.folder, b.folder, m.name): p_of(a.values(m.name), b.values(m.name))
+            for a, b in pairs
+            for m in measures()
+        }
+    )
+
+
+def _difference_rows(a: Group, b: Group, p_values: PValues) -> Iterator[Row]:
+    name, empty = _difference_name(a, b), Number(None)
+    gaps = [(group_difference(a, b, m.name), m.digits) for m in measures()]
+    cells = [number_of(*of_measure, signed=True) for of_measure in gaps]
+    yield Row(name, [*cells, empty], kind="difference")
+    cells = [p_number(p_values[a.folder, b.folder, m.name]) for m in measures()]
+    yield Row(f"p, {name}", [*cells, empty], kind="test")
+    better = [improvement_of(a.values(m.name), b.values(m.name), m) for m in measures()]
+    yield Row(f"B better, {name}", [*map(number_of, better), empty], kind="test")
 
 
 def _difference_name(a: Group, b: Group) -> str:
@@ -136,5 +161,5 @@ def _notes(task: str, sides: Sides) -> list[str]:
     notes = []
     for name, group in sides.named:
         if len(group.runs) == 1:
-            notes.append(f"{task}, {name} has one seed: no interval, of its mean or difference.")
+            notes.append(f"{task}, {name} has one seed: no interval, and no test.")
     return notes

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.reporting.style import Style, drawing, svg_of
 from agents.results.precision import five_digits
+from agents.results.statistics import mean_of
 from emcc import EpisodeRecords, emcc, emcc_by_part
 from emcc.parts import PARTS
 
@@ -17,16 +18,27 @@ POINTS = 50
 """Along the training."""
 WINDOW = 0.1
 """Of the running EMCC, as a share of the training."""
-# Okabe and Ito's palette, which people with any colour vision can tell apart.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-DASHES = ("-", "--", ":", "-.")
 
 
 class Curve(NamedTuple):
-    """Of some runs: mean and standard deviation over them, at some points of training."""
+    """Of some runs at some points of training: the mean over them with its interval or range, as in
+    tables. NaN where a run has nothing, low and high also of a single run."""
 
     mean: NDArray[np.float64]
-    spread: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+class Line(NamedTuple):
+    """Runs that the figure draws as one line."""
+
+    name: str
+    style: Style
+    records: Sequence[EpisodeRecords]
+    """Of each run"""
+    total_steps: int
+    one_place: bool = True
+    """Whether all runs end in the same place: of others there is no interval, but a range."""
 
 
 def midpoints(total_steps: int) -> NDArray[np.float64]:
@@ -34,15 +46,13 @@ def midpoints(total_steps: int) -> NDArray[np.float64]:
     return (np.arange(POINTS) + 0.5) / POINTS * total_steps
 
 
-def episode_means(
-    records: Sequence[EpisodeRecords], column: Literal["reward", "cost"], total_steps: int
-) -> Curve:
+def episode_means(line: Line, column: Literal["reward", "cost"]) -> Curve:
     """The mean of a column of the episodes that start in each part; NaN where none does.
 
-    column: "reward" (the return) or "cost". Spread is over runs, as in the paper's training curves.
+    column: "reward" (the return) or "cost".
     """
-    rows = []
-    for of_run in records:
+    rows, total_steps = [], line.total_steps
+    for of_run in line.records:
         part = np.minimum(of_run.start_step * POINTS // total_steps, POINTS - 1)
         values = of_run.cost
         if column == "reward":  # as archives keep it, so that a report from one has the same bytes
@@ -50,100 +60,75 @@ def episode_means(
         sums = np.bincount(part, values, minlength=POINTS)
         count = np.bincount(part, minlength=POINTS)
         rows.append(np.where(count > 0, sums / np.maximum(count, 1), np.nan))
-    return _over_runs(rows)
+    return _over_runs(rows, line.one_place)
 
 
-def running_emcc(records: Sequence[EpisodeRecords], total_steps: int, alpha: float) -> Curve:
+def running_emcc(line: Line, alpha: float) -> Curve:
     """EMCC of the rollouts that start within half a window of each point; NaN where none does."""
-    rows = []
-    for of_run in records:
+    rows, total_steps = [], line.total_steps
+    for of_run in line.records:
         mcc, starts = of_run.mcc_per_rollout()
         near = [np.abs(starts - s) <= WINDOW / 2 * total_steps for s in midpoints(total_steps)]
         rows.append([emcc(mcc[chosen], alpha) if chosen.any() else np.nan for chosen in near])
-    return _over_runs(rows)
+    return _over_runs(rows, line.one_place)
 
 
-def thirds_emcc(records: Sequence[EpisodeRecords], total_steps: int, alpha: float) -> Curve:
-    """EMCC of the thirds of training: mean and spread [3]."""
-    return _over_runs(
-        [
-            list(emcc_by_part(*of_run.mcc_per_rollout(), total_steps, alpha).values())
-            for of_run in records
-        ]
-    )
+def thirds_emcc(line: Line, alpha: float) -> Curve:
+    """EMCC of the thirds of training: [3]."""
+    rows = [
+        list(emcc_by_part(*of_run.mcc_per_rollout(), line.total_steps, alpha).values())
+        for of_run in line.records
+    ]
+    return _over_runs(rows, line.one_place)
 
 
-def _over_runs(rows: Sequence[Sequence[float] | NDArray]) -> Curve:
-    values = np.array(rows)
-    known = ~np.isnan(values).any(axis=0)
-    mean, spread = np.full((2, values.shape[1]), np.nan)
-    mean[known], spread[known] = values[:, known].mean(axis=0), values[:, known].std(axis=0)
-    return Curve(mean, spread)
+def _over_runs(rows: Sequence[Sequence[float] | NDArray], one_place: bool) -> Curve:
+    found = np.full((3, len(rows[0])), np.nan)
+    for k, values in enumerate(np.array(rows).T):
+        mean = mean_of(values.tolist(), one_place) if np.isfinite(values).all() else None
+        if mean is not None:
+            found[:, k] = [np.nan if v is None else v for v in (mean.value, mean.low, mean.high)]
+    return Curve(*found)
 
 
-class Line(NamedTuple):
-    """Runs that the figure draws as one line."""
-
-    name: str
-    colour: int
-    """Place in `COLOURS`; lines of one colour differ in their dashes"""
-    records: Sequence[EpisodeRecords]
-    """Of each run"""
-    total_steps: int
-
-
-def curves_svg(title: str, lines: Sequence[Line], cost_limit: float | None, alpha: float) -> str:
+def curves_svg(title: str, lines: Sequence[Line], cost_limit: float | None, alpha: float) -> bytes:
     """The figure of a task as SVG: return, cost return, running EMCC, and EMCC of the thirds.
 
-    cost_limit: a dashed line, if the runs share one. Equal input gives equal bytes.
+    cost_limit: a thin line, if the runs share one. Equal input gives equal bytes.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    with pyplot.rc_context({"svg.hashsalt": "circle2d", "font.size": 10}):
-        figure, ((returns, costs), (running, thirds)) = pyplot.subplots(
-            2, 2, figsize=(9, 6), layout="constrained"
-        )
+    with drawing() as pyplot:
+        figure, axes = pyplot.subplots(2, 2, figsize=(9, 6), layout="constrained")
+        (returns, costs), (running, thirds) = axes
         figure.suptitle(title)
         for k, line in enumerate(lines):
-            records, steps = line.records, line.total_steps
-            before = sum(other.colour == line.colour for other in lines[:k])
-            style = {
-                "color": COLOURS[line.colour % len(COLOURS)],
-                "linestyle": DASHES[before % len(DASHES)],
-                "label": line.name,
-            }
-            _draw(returns, steps, episode_means(records, "reward", steps), style)
-            _draw(costs, steps, episode_means(records, "cost", steps), style)
-            _draw(running, steps, running_emcc(records, steps, alpha), style)
-            _draw_thirds(thirds, thirds_emcc(records, steps, alpha), k, len(lines), style)
+            _draw(returns, line, episode_means(line, "reward"))
+            _draw(costs, line, episode_means(line, "cost"), lowest=0.0)
+            _draw(running, line, running_emcc(line, alpha), lowest=0.0)
+            _draw_thirds(thirds, line, thirds_emcc(line, alpha), (k, len(lines)))
         if cost_limit is not None:
-            dashes = {"color": "black", "linestyle": "--", "linewidth": 0.9}
-            costs.axhline(cost_limit, label="cost limit", **dashes)
-        _label(((returns, costs), (running, thirds)), max(line.total_steps for line in lines))
+            costs.axhline(cost_limit, label="cost limit", color="#888888", linewidth=0.9)
+        _label(axes, max(line.total_steps for line in lines))
         columns = max(1, 100 // (8 + max(len(line.name) for line in lines)))
-        handles = costs.get_legend_handles_labels()
-        figure.legend(*handles, loc="outside lower center", ncols=min(columns, 6), frameon=False)
-        image = io.StringIO()
-        figure.savefig(image, format="svg", metadata={"Date": None})
-        pyplot.close(figure)
-    return image.getvalue()
+        handles, labels = costs.get_legend_handles_labels()
+        options: dict[str, Any] = {"ncols": min(columns, 6), "frameon": False, "handlelength": 3.2}
+        figure.legend(handles, labels, loc="outside lower center", **options)
+        return svg_of(figure)
 
 
-def _draw(axis: Any, total_steps: int, curve: Curve, style: dict[str, Any]) -> None:
-    at, low, high = midpoints(total_steps), curve.mean - curve.spread, curve.mean + curve.spread
-    axis.plot(at, curve.mean, linewidth=1.5, **style)
-    axis.fill_between(at, low, high, color=style["color"], alpha=0.15, linewidth=0)
+def _draw(axis: Any, line: Line, curve: Curve, lowest: float = -np.inf) -> None:
+    """lowest: that the quantity can be, where the band ends."""
+    at, (colour, dash, _) = midpoints(line.total_steps), line.style
+    axis.plot(at, curve.mean, linewidth=1.5, color=colour, linestyle=dash, label=line.name)
+    low = np.maximum(curve.low, lowest)
+    axis.fill_between(at, low, curve.high, color=colour, alpha=0.15, linewidth=0)
 
 
-def _draw_thirds(axis: Any, curve: Curve, k: int, count: int, style: dict[str, Any]) -> None:
-    """The k-th of `count` lines, beside the others of each third."""
+def _draw_thirds(axis: Any, line: Line, curve: Curve, place: tuple[int, int]) -> None:
+    """place: of the line, and the number of all lines, which stand beside each other."""
+    (k, count), (colour, _, marker) = place, line.style
     at = np.arange(len(curve.mean)) + (k - (count - 1) / 2) * 0.6 / count
-    bars = axis.errorbar(at, curve.mean, curve.spread, fmt="o", markersize=5, color=style["color"])
-    for bar in bars[2]:
-        bar.set_linestyle(style["linestyle"])
+    axis.vlines(at, np.maximum(curve.low, 0), curve.high, color=colour, linewidth=1.5)
+    axis.plot(at, curve.mean, linestyle="", marker=marker, markersize=5, color=colour)
 
 
 def _label(axes: Any, total_steps: int) -> None:

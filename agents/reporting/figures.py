@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from agents.algorithms import ALGORITHMS, title
+from agents.algorithms import title
 from agents.errors import UserError
 from agents.paper import introduction as example
 from agents.paper.settings import cost_limit, differences, in_order, title_of
 from agents.reporting.curves import Line, curves_svg
 from agents.reporting.image_files import png
+from agents.reporting.style import styles
 from agents.results.measures import measure
 from agents.results.reading import Group, Run
 from agents.results.source import DamagedSource, Source
+from agents.results.statistics import INTERVALS
 from agents.results.steps import DRAWN, Episode, Visits
 from agents.training.environments import view_of
 from circle2d_mj.core.view import Picture, View
@@ -107,25 +109,20 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
     groups = [group for _, group in named]
     limits = {cost_limit(group.config) for group in groups}
     limit = limits.pop() if len(limits) == 1 else None
-    order = {name: index for index, name in enumerate(ALGORITHMS)}
-    lines = [
-        Line(
-            name,
-            order.get(group.config.algorithm, len(order)),
-            [run.records for run in group.runs],
-            group.config.steps,
-        )
-        for name, group in named
-    ]
+    lines = []
+    for (name, group), style in zip(named, styles([g.config for g in groups]), strict=True):
+        records = [run.records for run in group.runs]
+        lines.append(Line(name, style, records, group.config.steps, group.one_place))
     svg = curves_svg(groups[0].config.task, lines, limit, ALPHA)
     words = (
-        "Of training's episodes. Lines: the mean over seeds; faint areas and bars: the standard "
-        f"deviation. EMCC with α = {ALPHA:g}: of the rollouts in a window of a tenth of training "
-        "around each point, and of the thirds of training, whose borders are dotted."
+        f"Of training's episodes. Lines and markers: the mean over seeds. Faint areas and bars: "
+        f"{INTERVALS}, at each point; of costs and EMCC they are cut off at 0. EMCC with "
+        f"α = {ALPHA:g}: of the rollouts in a window of a tenth of training around each point, and "
+        "of the thirds of training, whose borders are dotted."
     )
     if limit is not None:
-        words += f" Dashed: the cost limit, {limit:g}."
-    return Figure(_file("curves", groups[0]), "svg", svg.encode(), "Training curves", words)
+        words += f" Thin line: the cost limit, {limit:g}."
+    return Figure(_file("curves", groups[0]), "svg", svg, "Training curves", words)
 
 
 def _heatmaps(

@@ -11,15 +11,15 @@ Key = TypeVar("Key", bound=Hashable)
 
 
 def best(
-    candidates: Mapping[Key, tuple[Mapping[str, float | None], float | None]],
+    candidates: Mapping[Key, tuple[Mapping[str, float | None], bool | None]],
 ) -> set[tuple[Key, str]]:
     """The best measures of some candidates.
 
-    candidates: measures and cost limit (None: without one). Of each measure of training the lowest,
-    or the highest where that is better; of those of the trained policy all that belong to the
-    candidates of the highest J_R among those whose J_C is within their limit. All to the digits
-    that are printed, so that equal ones are marked together; nothing where there is nothing to
-    compare with. Source: caption of table Circle2DResults.
+    candidates: measures, and whether the candidate is within its cost limit (None: without one or
+    not known). Of each measure of training the lowest, or the highest where that is better; of
+    those of the trained policy all that belong to the candidates of the highest J_R among those
+    within their limit. All to the digits that are printed, so that equal ones are marked together;
+    nothing where there is nothing to compare with. Source: caption of table Circle2DResults.
     """
     marked: set[tuple[Key, str]] = set()
     safest = _best_policies(candidates)
@@ -37,23 +37,18 @@ def best(
 
 
 def _best_policies(
-    candidates: Mapping[Key, tuple[Mapping[str, float | None], float | None]],
+    candidates: Mapping[Key, tuple[Mapping[str, float | None], bool | None]],
 ) -> set[Key]:
-    """The candidates of the highest J_R within their cost limits."""
-    returns, costs = (
-        {key: values.get(name) for key, (values, _) in candidates.items()}
-        for name in ("J_R", "J_C")
-    )
-    within = {}
-    for key, (_, limit) in candidates.items():
-        j_r, j_c = returns[key], costs[key]
-        if j_r is not None and j_c is not None and limit is not None and round(j_c, 2) <= limit:
-            within[key] = round(j_r, 2)
-    return {key for key, value in within.items() if value == max(within.values())}
+    """The candidates of the highest J_R among those within their cost limits."""
+    returns = {
+        key: values.get("J_R") for key, (values, is_within) in candidates.items() if is_within
+    }
+    known = {key: round(value, 2) for key, value in returns.items() if value is not None}
+    return {key for key, value in known.items() if value == max(known.values())}
 
 
 def _printed(
-    candidates: Mapping[Key, tuple[Mapping[str, float | None], float | None]], measure: Measure
+    candidates: Mapping[Key, tuple[Mapping[str, float | None], bool | None]], measure: Measure
 ) -> dict[Key, float]:
     """The measure of each candidate that has it, as it is printed."""
     values = {key: of.get(measure.name) for key, (of, _) in candidates.items()}
@@ -70,7 +65,7 @@ def marking() -> str:
     ]
     of_policy = [m for m in measures() if m.of == "policy" and m.better != "neither"]
     if of_policy:
-        rules.append(f"{_list(of_policy)} of the highest return within the cost limit")
+        rules.append(f"{_list(of_policy)} of the highest return with every seed within the limit")
     return "; ".join(rules)
 
 

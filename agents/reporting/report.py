@@ -10,7 +10,7 @@ from agents.errors import UserError
 from agents.paper import ablations
 from agents.paper.claims import check_claims
 from agents.paper.presets import is_circle2d
-from agents.reporting import claims_text
+from agents.reporting import claims_text, summary
 from agents.reporting.ablations import TITLE, ablation_table
 from agents.reporting.csv_table import numbers_csv, report_lines
 from agents.reporting.figures import Figure, figures, introduction
@@ -54,6 +54,7 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
         write_archive(archive, source, everything)
     if any(is_circle2d(group.config.task) and group.runs for group in groups):
         shown = {"Circle2D and EMCC": introduction()} | shown
+    shown = summary.figures(groups) | shown
     sections = [
         Section(name, tables.get(name), shown.get(name, [])) for name in {**shown, **tables}
     ]
@@ -98,6 +99,8 @@ def _tables(
     tables = {task: task_table(of_task) for task, of_task in by_task.items()}
     *_, last = by_task
     tables[last] = dataclasses.replace(tables[last], notes=[*tables[last].notes, *notes])
+    groups = [group for of_task in by_task.values() for group in of_task]
+    tables |= summary.tables(groups)
     return tables | ({TITLE: ablation_table(ablated)} if ablated else {})
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from emcc import Difference, Estimate
+from emcc import Interval, Share
 
 MISSING = "\N{EN DASH}"
 
@@ -21,7 +21,13 @@ class Number:
     """After the decimal point."""
     low: float | None = None
     high: float | None = None
-    """Ends of the interval, where there is one."""
+    """Ends of the interval or of the range, where there is one."""
+    is_range: bool = False
+    """Whether they are the lowest and the highest run, and no interval."""
+    of: int | None = None
+    """The number of runs that it is a count of."""
+    is_p: bool = False
+    """Whether it is a p value, which is never written as 0."""
     signed: bool = False
     """Whether positive numbers have a sign too, as differences have."""
     marked: bool = False
@@ -30,28 +36,48 @@ class Number:
     @property
     def text(self) -> str:
         """The number, without its interval."""
+        if self.value is not None and self.of is not None:
+            return f"{self.value:.0f} of {self.of}"
         return MISSING if self.value is None else self._written(self.value)
 
     @property
     def interval(self) -> str:
-        """Its interval in brackets; empty without one."""
+        """Its interval in brackets, or its range in words; empty without either."""
         if self.low is None or self.high is None:
             return ""
+        if self.is_range:
+            return f"range {self._written(self.low)} to {self._written(self.high)}"
         return f"[{self._written(self.low)}, {self._written(self.high)}]"
 
     def __str__(self) -> str:
         return f"{self.text} {self.interval}".rstrip()
 
     def _written(self, value: float) -> str:
+        if self.is_p and value < (least := 10**-self.digits):
+            return f"<{least:.{self.digits}f}"
         return f"{value:{'+' if self.signed else ''}.{self.digits}f}"
 
 
-def number_of(found: Estimate | Difference | None, digits: int = 2, marked: bool = False) -> Number:
-    """The cell of a mean or of a difference."""
+def number_of(
+    found: Interval | None, digits: int = 2, marked: bool = False, signed: bool = False
+) -> Number:
+    """The cell of a mean, or of a difference, which is signed."""
     if found is None:
         return Number(None)
-    signed = isinstance(found, Difference)
-    return Number(found.value, digits, found.low, found.high, signed, marked)
+    ends = {"low": found.low, "high": found.high, "is_range": found.kind == "range"}
+    return Number(found.value, digits, **ends, signed=signed, marked=marked)
+
+
+def p_number(p: float | None) -> Number:
+    """The cell of a p value."""
+    return Number(p, 3, is_p=True)
+
+
+def count_of(share: Share | None) -> Number:
+    """The cell of a share of runs."""
+    if share is None:
+        return Number(None)
+    return Number(share.count, low=share.low, high=share.high, of=share.runs)
 
 
 Cell = str | Number
@@ -64,7 +90,7 @@ class Row:
     name: str
     numbers: Sequence[Number]
     ends: str = ""
-    kind: Literal["mean", "paper", "run", "difference"] = "run"
+    kind: Literal["mean", "paper", "run", "difference", "test"] = "run"
 
     @property
     def cells(self) -> tuple[Cell, ...]:
@@ -86,7 +112,8 @@ class Table:
     @property
     def columns(self) -> int:
         """Those shown: the last one, where runs end, only where a run's task has places."""
-        return len(self.head) - (not any(row.ends for row in self.rows))
+        without = max((1 + len(row.numbers) for row in self.rows), default=len(self.head))
+        return without + any(row.ends for row in self.rows)
 
     @property
     def legend(self) -> str:

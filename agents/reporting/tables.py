@@ -10,10 +10,10 @@ from agents.paper.presets import PAPER_SEEDS, is_circle2d, preset, unprinted
 from agents.paper.printed import paper_results
 from agents.paper.settings import cost_limit, hyperparameter_changes, in_order, title_of
 from agents.reporting.marks import best, marking
-from agents.reporting.table import Number, Row, Table, number_of
+from agents.reporting.table import Number, Row, Table, count_of, number_of
 from agents.results.measures import measures
 from agents.results.reading import Group, Run
-from agents.results.statistics import mean_of
+from agents.results.statistics import INTERVALS, group_mean, places, within_limit
 from emcc.parts import ALPHA
 
 
@@ -29,22 +29,25 @@ def task_table(groups: Sequence[Group]) -> Table:
     for name in dict.fromkeys(group.config.algorithm for group in groups):
         for group in groups:
             if group.config.algorithm == name and group.runs:
-                ours[len(rows)] = means(group), cost_limit(group.config)
+                ours[len(rows)] = means(group), within(group)
                 rows.append(mean_row(group))
         if paper := paper_results(task, title(name)):
-            papers[len(rows)] = paper, preset(name, task).cost_limit
+            papers[len(rows)] = paper, paper["J_C"] <= preset(name, task).cost_limit
             rows.append(paper_row(title(name), paper))
     rows = mark(rows, best(ours) | best(papers))
     rows += [row for group in groups for row in run_rows(group)]
-    words = f"{marking()}; among our means" + (", and among the paper's" if papers else "")
+    words = f"{marking()}; among our means" + (
+        ", and among the paper's, of which J_C, a mean, is within the limit" if papers else ""
+    )
     return measures_table(caption(groups), task, rows, notes, words)
 
 
 def measures_table(
     caption: str, first: str, rows: Sequence[Row], notes: Sequence[str] = (), marking: str = ""
 ) -> Table:
-    """A table of rows of a name (headed by `first`), each measure, and where runs end."""
-    head = [first, *(measure.head for measure in measures()), "ends in"]
+    """A table of rows of a name (headed by `first`), each measure, the runs within the cost limit,
+    and where runs end."""
+    head = [first, *(measure.head for measure in measures()), "within limit", "ends in"]
     return Table(caption, head, rows, notes, marking)
 
 
@@ -56,7 +59,7 @@ def mark(rows: Sequence[Row], marked: set[tuple[int, str]]) -> list[Row]:
             row,
             numbers=[
                 replace(cell, marked=(place, name) in marked)
-                for name, cell in zip(names, row.numbers, strict=True)
+                for name, cell in zip([*names, ""], row.numbers, strict=True)
             ],
         )
         for place, row in enumerate(rows)
@@ -70,33 +73,45 @@ def caption(groups: Sequence[Group]) -> str:
     return (
         f"EMCC with alpha = {ALPHA:g}, all values at the quantile kept; J_R, J_C and CVaR: "
         f"undiscounted, deterministic policy, {' or '.join(map(str, episodes)) or 'no'} episodes; "
-        f"{notes}[95 % bootstrap interval over seeds; of two or three it is their range]"
+        f"{notes}mean {INTERVALS}; within limit: the seeds whose J_C is at most the cost limit; "
+        "within limit and ends in: counts of seeds [95 % Clopper-Pearson interval of the share]"
     )
 
 
 def means(group: Group) -> dict[str, float | None]:
     """The mean over a group's runs of each measure; None where a run lacks it."""
-    found = {measure.name: mean_of(group.values(measure.name)) for measure in measures()}
+    found = {measure.name: group_mean(group, measure.name) for measure in measures()}
     return {name: mean and mean.value for name, mean in found.items()}
 
 
+def within(group: Group) -> bool | None:
+    """Whether all runs of a group keep its cost limit; None where that is not known."""
+    share = within_limit(group, cost_limit(group.config))
+    return share and share.count == share.runs
+
+
 def mean_row(group: Group, prefix: str = "") -> Row:
-    """The row of the means of a group, with their intervals over seeds."""
-    cells = [number_of(mean_of(group.values(m.name)), m.digits) for m in measures()]
+    """The row of the means of a group, with their intervals over seeds, and of its shares."""
+    cells = [number_of(group_mean(group, m.name), m.digits) for m in measures()]
+    cells.append(count_of(within_limit(group, cost_limit(group.config))))
+    ends = ", ".join(f"{place} {count_of(of)}" for place, of in places(group).items())
     name = f"{prefix}{title_of(group.config)}, mean of {len(group.runs)}"
-    return Row(name, cells, kind="mean")
+    return Row(name, cells, ends, kind="mean")
 
 
 def paper_row(name: str, printed: Mapping[str, float]) -> Row:
     """The row of what the paper prints."""
     cells = [Number(printed.get(measure.name), measure.digits) for measure in measures()]
-    return Row(f"{name}, paper ({PAPER_SEEDS} seeds)", cells, kind="paper")
+    return Row(f"{name}, paper ({PAPER_SEEDS} seeds)", [*cells, Number(None)], kind="paper")
 
 
 def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:
     """A row for each run of a group."""
+    limit = cost_limit(group.config)
     for run in group.runs:
         cells = [Number(run.measures.get(m.name), m.digits) for m in measures()]
+        share = within_limit(replace(group, runs=[run]), limit)
+        cells.append(Number(share and share.count, of=1))
         yield Row(f"{prefix}{title_of(group.config)}, seed {run.seed}", cells, ends_words(run))
 
 

@@ -52,6 +52,11 @@ class Group:
         """Of the complete runs."""
         return [run.seed for run in self.runs]
 
+    @property
+    def one_place(self) -> bool:
+        """Whether all its complete runs end in the same place, or the task has no places."""
+        return len({run.end for run in self.runs}) < 2
+
     def values(self, measure: str) -> list[float | None]:
         """A measure of each complete run."""
         return [run.measures.get(measure) for run in self.runs]

@@ -1,0 +1,73 @@
+"""Colour, dashes and marker of each algorithm in figures, and their SVG files."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+from agents.algorithms import ALGORITHMS
+from agents.training.config import TrainConfig
+
+# Okabe and Ito's palette, which people with any colour vision can tell apart.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)))
+DASHES = (*DASHES, (0, (9, 2)), (0, (2, 2.5)), (0, (9, 1.5, 3, 1.5)))
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+"""As many as dashes: what tells colours apart without colour."""
+
+
+class Style(NamedTuple):
+    """How the runs of a group are drawn."""
+
+    colour: str
+    """Of the algorithm."""
+    dash: Any
+    """Of the algorithm; another one for each further group of it in the same figure."""
+    marker: str
+    """Likewise."""
+
+
+def styles(configs: Sequence[TrainConfig]) -> list[Style]:
+    """Styles of the groups of one figure, by the place of their algorithm among all."""
+    order = {name: index for index, name in enumerate(ALGORITHMS)}
+    places = [order.get(config.algorithm, len(order)) for config in configs]
+    taken, found = set(), []
+    for k, place in enumerate(places):
+        wanted = place % len(DASHES)
+        if place in places[:k]:
+            free = set(range(len(DASHES))) - taken - {p % len(DASHES) for p in places}
+            wanted = min(free, default=wanted)
+        taken.add(wanted)
+        found.append(Style(COLOURS[place % len(COLOURS)], DASHES[wanted], MARKERS[wanted]))
+    return found
+
+
+@contextlib.contextmanager
+def drawing(font_size: int = 10) -> Iterator[Any]:
+    """pyplot without a display, in a style whose files are equal for equal input."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    with pyplot.rc_context({"svg.hashsalt": "circle2d", "font.size": font_size}):
+        yield pyplot
+
+
+def svg_of(figure: Any) -> bytes:
+    """A figure of matplotlib as SVG, which is closed."""
+    from matplotlib import pyplot
+
+    image = io.StringIO()
+    figure.savefig(image, format="svg", metadata={"Date": None})
+    pyplot.close(figure)
+    # Places to a hundredth of a point: half the size, and nothing that an eye could see.
+    shorter = re.sub(r' (?:d|x|y)="[^"]*"', _to_hundredths, image.getvalue())
+    return shorter.encode()
+
+
+def _to_hundredths(attribute: re.Match[str]) -> str:
+    return re.sub(r"-?\d+\.\d{3,}", lambda x: f"{float(x.group()):.2f}", attribute.group())

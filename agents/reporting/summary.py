@@ -1,0 +1,30 @@
+"""Figures and tables over all tasks of a report, by the title of their section."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from agents.reporting.ablations import TIES, ties_table
+from agents.reporting.figures import Figure
+from agents.reporting.over_tasks import over_tasks
+from agents.reporting.overview import intervals_figure, profiles_figure, rates_figure
+from agents.reporting.separated import separated_table
+from agents.reporting.table import Table
+from agents.results.reading import Group
+
+RUNS, RATES, TASKS = "Every run", "Cost rate against EMCC", "All tasks together"
+
+
+def figures(groups: Sequence[Group]) -> dict[str, list[Figure]]:
+    """Every run with its mean, and what EMCC shows that the cost rate does not."""
+    return {
+        RUNS: [intervals_figure(groups)],
+        RATES: [rates_figure(groups), profiles_figure(groups)],
+    }
+
+
+def tables(groups: Sequence[Group]) -> dict[str, Table]:
+    """The separated pairs, the measures over all tasks, and EMCC with ties split; those for which
+    there are enough runs."""
+    found = {RATES: separated_table(groups), TASKS: over_tasks(groups), TIES: ties_table(groups)}
+    return {title: table for title, table in found.items() if table is not None}
