@@ -43,7 +43,7 @@ class WCSACConfig(MultiplierConfig, ConstrainedSACConfig):
     target without the end of episodes, as in a later library of the paper's group. No preset."""
     damping_gradient: Literal["stopped", "through"] = "stopped"
     """Whether the actor's gradient goes through the damping: stopped as in the code of Yang et al.,
-    or through it as in that library. No preset."""
+    or through it as in a later library of the paper's group. No preset."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
@@ -119,7 +119,7 @@ def unsquared_variance_target(
 
 
 def penalty(config: WCSACConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
-    """`(κ - κ_d) Γ`, damped by `κ_d = scale · E[d - Γ]`, which by default no gradient goes through."""
+    """`(κ - κ_d) Γ` with the damping `κ_d = scale · E[d - Γ]`, by default without its gradient."""
     mean = (risk.detach() if config.damping_gradient == "stopped" else risk).mean(-1, keepdim=True)
     damping = config.damping * (config.cost_limit - mean)
     return (multiplier - damping) * risk

@@ -79,7 +79,7 @@ class Fact(NamedTuple):
     printed: float | None = None
     """The paper's, where it prints one."""
     does: str = ""
-    """What a share of runs does, in words, where the fact's name does not say it."""
+    """In words, behind a share: the thing that so many runs do."""
     signed: bool = False
     """Whether it is a change or a difference."""
     tests: Sequence[tuple[str, float | None]] = ()

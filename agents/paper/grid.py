@@ -56,7 +56,8 @@ def grid(
     first. The seeds of a folder train in lockstep.
 
     steps: of each run; by default the usual ones of its task. ablations: those with other choices
-    of what the paper does not print as well, in folders like trpo-lag-sgd. Raises UserError for what is unknown. Of eager updates, until a backend is chosen.
+    of what the paper does not print as well, in folders like trpo-lag-sgd. Raises UserError for
+    what is unknown. Of eager updates, until a backend is chosen.
     """
     order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, UNKNOWN_WORK))
     found = {}

@@ -46,7 +46,7 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     groups, ablated = ablations.split(everything)
     by_task = _by_task(groups)
     shown = {task: figures(source, of_task, notes) for task, of_task in by_task.items()}
-    tables = _tables(by_task, ablated, notes)
+    tables = _tables(by_task, ablated, notes) | summary.tables(groups)
     checked = check_claims(groups)
     markdown = "\n".join(table.markdown() for table in tables.values())
     markdown += "\n" + claims_text.markdown(checked) if checked else ""
@@ -99,8 +99,6 @@ def _tables(
     tables = {task: task_table(of_task) for task, of_task in by_task.items()}
     *_, last = by_task
     tables[last] = dataclasses.replace(tables[last], notes=[*tables[last].notes, *notes])
-    groups = [group for of_task in by_task.values() for group in of_task]
-    tables |= summary.tables(groups)
     return tables | ({TITLE: ablation_table(ablated)} if ablated else {})
 
 

@@ -5,7 +5,13 @@ import pytest
 import torch
 from torch.nn.functional import softplus
 
-from agents.algorithms.wcsac import RULE, WCSACConfig, tail_factor, targets
+from agents.algorithms.wcsac import (
+    RULE,
+    WCSACConfig,
+    tail_factor,
+    targets,
+    unsquared_variance_target,
+)
 from agents.errors import UserError
 from agents.lockstep.replay import Batch
 
@@ -38,8 +44,7 @@ def test_tail_factor_by_hand():
 
 def test_targets_by_hand():
     """γ = 0.9, c = 1, Q_c = 2, Q_c' = 3, V_c' = 0.5: the mean's target is 1 + 0.9·3 = 3.7, the
-    variance's 1 - 4 + 2·0.9·1·3 + 0.81·0.5 + 0.81·9 = 10.095. Without the square on the last term,
-    as some implementations have it, that would be 1 - 4 + 5.4 + 0.405 + 0.81·3 = 5.235.
+    variance's 1 - 4 + 2·0.9·1·3 + 0.81·0.5 + 0.81·9 = 10.095.
 
     Terminal, with Q_c = 0.5: 1 and 1 - 0.25 = 0.75."""
     following = outputs([3.0, 3.0], [0.5, 0.5])
@@ -84,6 +89,36 @@ def test_critic_loss_by_hand():
     assert loss.item() == pytest.approx(2.1379740, rel=1e-5)
 
 
+def test_variance_target_of_the_later_library_by_hand():
+    """As above, without the square on the last term: 1 - 4 + 5.4 + 0.405 + 0.81·3 = 5.235, and with
+    Q_c = 0.5 1 - 0.25 + 5.4 + 0.405 + 2.43 = 8.985, at the end of an episode too: no mask."""
+    following = outputs([3.0, 3.0], [0.5, 0.5])
+    means, cost = torch.tensor([[2.0, 0.5]]), torch.ones(1, 2)
+    found = unsquared_variance_target(0.9, means, following, cost)
+    assert found[0].tolist() == pytest.approx([5.235, 8.985], rel=1e-6)
+    cheap = unsquared_variance_target(0.9, means + 3, following, cost)
+    assert cheap[0].tolist() == pytest.approx([1e-8] * 2)  # below 0: clamped
+
+
+@pytest.mark.parametrize("terminal", [0.0, 1.0])
+def test_critic_loss_of_the_later_library_by_hand(terminal):
+    """Q_c = 2, V = 4; the mean's target 3.7, or 1 at an episode's end, where it keeps the mask; the
+    variance's is 5.235 either way: ½ (2 - 3.7)² + ½ (4 + 5.235 - 2 √20.94), or ½ instead of the
+    first term."""
+    config = WCSACConfig(cost_limit=5.0, discount=0.9, variance_target="unsquared")
+    batch = Batch(
+        *[torch.zeros(1, 1, 2)] * 2,
+        reward=torch.zeros(1, 1),
+        cost=torch.ones(1, 1),
+        next_observation=torch.zeros(1, 1, 2),
+        terminal=torch.full((1, 1), terminal),
+    )
+    loss = RULE.critic_loss(config, outputs([2.0], [4.0]), outputs([3.0], [0.5]), batch)
+    distance = 4 + 5.235 - 2 * np.sqrt(20.94)
+    error = 0.5 * (2 - (1.0 if terminal else 3.7)) ** 2
+    assert loss.item() == pytest.approx(error + 0.5 * distance, rel=1e-4)
+
+
 def test_critics_learn_mean_and_variance_of_a_known_return():
     """Terminal costs from a known distribution: the loss is least at its mean and variance."""
     rng = np.random.default_rng(0)
@@ -118,3 +153,20 @@ def test_penalty_is_damped_without_a_gradient_through_the_damping():
     assert penalty[0].tolist() == pytest.approx([44.0, 88.0])
     (slope,) = torch.autograd.grad(penalty.sum(), risk)
     assert slope[0].tolist() == pytest.approx([11.0, 11.0])
+
+
+def test_penalty_with_a_gradient_through_the_damping():
+    """As above; the slope of (κ - 10 (5 - mean Γ)) Γ_i adds 10/2 · Σ Γ = 60 to the 11."""
+    config = WCSACConfig(cost_limit=5.0, discount=0.9, damping=10.0, damping_gradient="through")
+    risk = torch.tensor([[4.0, 8.0]], requires_grad=True)
+    penalty = RULE.penalty(config, risk, torch.ones(1, 1))
+    assert penalty[0].tolist() == pytest.approx([44.0, 88.0])
+    (slope,) = torch.autograd.grad(penalty.sum(), risk)
+    assert slope[0].tolist() == pytest.approx([71.0, 71.0])
+
+
+def test_unknown_choices_are_refused():
+    with pytest.raises(UserError, match="variance_target must be"):
+        WCSACConfig(variance_target="cubed")
+    with pytest.raises(UserError, match="damping_gradient must be"):
+        WCSACConfig(damping_gradient="no")

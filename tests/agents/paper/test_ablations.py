@@ -10,7 +10,7 @@ import pytest
 
 from agents.cli.main import main
 from agents.paper.grid import grid
-from agents.paper.presets import ablation, preset, unprinted
+from agents.paper.presets import ablations, preset, unprinted
 from agents.reporting.report import table
 from agents.training.config import TrainConfig
 
@@ -22,11 +22,12 @@ def test_the_grid_with_ablations():
     arguments = (Path("x"), [TASK, SAFETY], ALGORITHMS, (0, 1, 2), 1000)
     usual, all_of = grid(*arguments), grid(*arguments, ablations=True)
     assert {folder: all_of[folder] for folder in usual} == usual
-    added = {str(f): c for f, c in all_of.items() if f not in usual}
     safety = f"x/{SAFETY.replace('/', '-')}"
+    added = {str(f): c for f, c in all_of.items() if f not in usual}
     assert added.keys() == {
         *(f"x/{TASK}/{name}" for name in ("trpo-lag-sgd", "sac-lag-bootstrap")),
         *(f"x/{TASK}/{name}" for name in ("sac-lb-bootstrap", "wcsac-bootstrap")),
+        *(f"{folder}/wcsac-library" for folder in (f"x/{TASK}", safety)),
         # There the presets bootstrap.
         *(f"{safety}/{name}" for name in ("trpo-lag-sgd", "sac-lag-terminal")),
         *(f"{safety}/{name}" for name in ("sac-lb-terminal", "wcsac-terminal")),
@@ -34,7 +35,10 @@ def test_the_grid_with_ablations():
     for folder, config in added.items():
         algorithm, _, choice = folder.rpartition("/")[2].rpartition("-")
         field = "multiplier_optimizer" if algorithm == "trpo-lag" else "time_limit"
-        expected = replace(preset(algorithm, config.task), **{field: choice})
+        changed = {field: choice}
+        if choice == "library":
+            changed = {"variance_target": "unsquared", "damping_gradient": "through"}
+        expected = replace(preset(algorithm, config.task), **changed)
         assert config.hyperparameters == expected
         assert (config.seeds, config.steps) == ((0, 1, 2), 1000)
     # What takes longest still goes first.
@@ -46,7 +50,7 @@ def test_presets_take_what_gives_the_papers_results_on_circle2d():
         setting = unprinted(name)
         if name == "cpo":
             assert setting is None
-            assert ablation(name, TASK) is None
+            assert ablations(name, TASK) == {}
         else:
             expected = "adam" if name == "trpo-lag" else "terminal"
             assert getattr(preset(name, TASK), setting.field) == expected
@@ -87,7 +91,7 @@ ENDS = ((-0.5, 0.0), (1.0, 0.0))
 @pytest.fixture
 def folder(tmp_path):
     write_runs(tmp_path / "trpo-lag", "trpo-lag", [-10.0, -20.0, -12.0], ends=ENDS)
-    sgd = ablation("trpo-lag", TASK)[1]
+    sgd = ablations("trpo-lag", TASK)["sgd"]
     write_runs(tmp_path / "trpo-lag-sgd", "trpo-lag", [-1.0, -3.0], sgd, ends=ENDS)
     write_runs(tmp_path / "cpo", "cpo", [-30.0, -32.0], ends=ENDS)
     return tmp_path
@@ -100,7 +104,7 @@ def rows(markdown):
 
 def test_both_choices_side_by_side(folder):
     markdown = table(folder)
-    start = markdown.index("Both choices of what the paper does not print")
+    start = markdown.index("Other choices of what the paper does not print")
     main_table, ablated = rows(markdown[:start]), rows(markdown[start:])
     assert [row[0] for row in ablated[2:]] == [
         f"{TASK}, TRPO-Lag, adam (preset), 100 steps, mean of 3",
@@ -108,28 +112,36 @@ def test_both_choices_side_by_side(folder):
         f"{TASK}, TRPO-Lag, paper (3 seeds)",
     ]
     of_preset, of_other, of_paper = ablated[2:]
-    assert of_preset[5] == "-14.00 [-20.00, -10.00]"
-    assert of_other[5] == "**-2.00** [-3.00, -1.00]"  # 2.68 from the paper, not 9.32
+    assert of_preset[5] == "-14.00 range -20.00 to -10.00"
+    assert of_other[5] == "**-2.00** range -3.00 to -1.00"  # 2.68 from the paper, not 9.32
     assert of_paper[5] == "-4.68"
     assert of_preset[6].startswith("**4.25**")  # of two equal ones either
     assert of_other[6].startswith("**4.25**")
-    assert (of_preset[9], of_other[9]) == ("corridor 2, right rim 1", "corridor 1, right rim 1")
+    # Of 3 of 3 runs the lower end is the third root of .025; of 2 of 2 the square root.
+    assert of_preset[9:] == [
+        "3 of 3 [0.29, 1.00]",
+        "corridor 2 of 3 [0.09, 0.99], right rim 1 of 3 [0.01, 0.91]",
+    ]
+    assert of_other[9:] == [
+        "2 of 2 [0.16, 1.00]",
+        "corridor 1 of 2 [0.01, 0.99], right rim 1 of 2 [0.01, 0.99]",
+    ]
     # The best J_R of the main table is the preset's, though the ablated runs' is higher.
     assert not any("sgd" in row[0] for row in main_table)
     (of_preset,) = (row for row in main_table if row[0] == "TRPO-Lag (100 steps), mean of 3")
-    assert of_preset[5] == "**-14.00** [-20.00, -10.00]"
+    assert of_preset[5] == "**-14.00** range -20.00 to -10.00"
     assert "TRPO-Lag (multiplier_optimizer sgd" in (folder / "report.csv").read_text()
 
 
 def test_without_the_presets_runs_it_is_a_group_like_any_other(folder):
     shutil.rmtree(folder / "trpo-lag")
     markdown = table(folder)
-    assert "Both choices" not in markdown
+    assert "Other choices" not in markdown
     assert "TRPO-Lag (multiplier_optimizer sgd, 100 steps), mean of 2" in markdown
 
 
 def test_runs_of_other_steps_are_no_pair(folder):
-    other = ablation("trpo-lag", TASK)[1]
+    other = ablations("trpo-lag", TASK)["sgd"]
     write_runs(folder / "longer", "trpo-lag", [-1.0], other, steps=200)
     assert "TRPO-Lag (multiplier_optimizer sgd, 200 steps), mean of 1" in table(folder)
 
@@ -145,6 +157,6 @@ def test_reproduce_with_ablations(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "TRPO-Lag, sgd, 2,000 steps, mean of 1" in printed
     page = (out / "index.html").read_text()
-    assert "Both choices of what the paper does not print" in page
+    assert "Other choices of what the paper does not print" in page
     assert len(re.findall(r"circle2d train .*--multiplier-optimizer sgd", page)) == 1
     assert (out / "report.md").read_text().count("TRPO-Lag, sgd,") == 1

@@ -17,6 +17,7 @@ from emcc import EpisodeRecords
 ALGORITHMS = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac")
 SAFETY = [task for task in PAPER_STEPS if "Safety" in task]
 LEVEL = [f"Circle2D-{level}-v0" for level in range(4)]
+ALL = tuple(range(10))
 
 
 def run(seed, parts, rate, j_c, end, later_cost):
@@ -35,7 +36,7 @@ def end_at(place, share=80):
 
 
 def as_the_paper_says(task, name):
-    """Three runs for which every claim holds; seeds differ a little."""
+    """Ten runs for which every claim holds; seeds differ a little."""
     parts, rate, j_c, ends, later = (0.5, 0.4, 0.45), 0.1, 1.0, "right rim", 1.0
     if name in ("trpo-lag", "cpo"):
         parts = (0.5, 0.3, 0.2)
@@ -47,9 +48,9 @@ def as_the_paper_says(task, name):
     else:
         parts = (0.5, 0.6, 0.7)
     runs = []
-    for seed in (0, 1, 2):
-        shifted = [part + 0.01 * seed for part in parts]
-        runs.append(run(seed, shifted, rate + 0.001 * seed, j_c, ends, later))
+    for seed in ALL:
+        shifted = [part + 0.003 * seed for part in parts]
+        runs.append(run(seed, shifted, rate + 0.001 * seed, j_c + 0.01 * seed, ends, later))
     return runs
 
 
@@ -89,33 +90,45 @@ def changed(runs, seeds, ends=None, records=None, **measures):
     ]
 
 
-ALL = (0, 1, 2)
 SCENARIOS = {
-    # which runs, what of which seeds, the claim (from 1), its verdict
-    "one run stays within": (LEVEL[2], "trpo-lag", (0,), {"J_C": 5.0}, 1, "open"),
-    "two runs stay within": (LEVEL[2], "trpo-lag", (0, 1), {"J_C": 5.0}, 1, "refuted"),
-    "a run waits": (LEVEL[3], "trpo-lag", (2,), {"ends": "right rim"}, 1, "open"),
+    # which runs, what of which seeds, the claim (from 1), its verdict. Of 9 of 10 runs the lower
+    # end of the 95 % interval is .555, of 8 of 10 .444; one-sided at .05 / 9 the upper end of 0 of
+    # 10 is .405, of 1 of 10 .53; at .05 / 10 the lower end of 4 of 10 is .08, of 3 of 10 .04.
+    "one run stays within": (LEVEL[2], "trpo-lag", (0,), {"J_C": 5.0}, 1, "confirmed"),
+    "two runs stay within": (LEVEL[2], "trpo-lag", (0, 1), {"J_C": 5.0}, 1, "undecided"),
+    "nine runs stay within": (LEVEL[2], "trpo-lag", ALL[:9], {"J_C": 5.0}, 1, "undecided"),
+    "all stay within": (LEVEL[2], "trpo-lag", ALL, {"J_C": 5.0}, 1, "refuted"),
+    "two runs wait": (LEVEL[3], "trpo-lag", (1, 2), {"ends": "right rim"}, 1, "undecided"),
     "cost of 10.7": (LEVEL[1], "trpo-lag", ALL, {"J_C": 10.7}, 1, "confirmed"),
     "cost of 11": (LEVEL[1], "trpo-lag", ALL, {"J_C": 11.0}, 1, "refuted"),
-    "cost of 9 to 15": (LEVEL[1], "trpo-lag", (0, 1), {"J_C": 15.0}, 1, "open"),
+    "cost of 9 to 15": (LEVEL[1], "trpo-lag", (0, 1, 2), {"J_C": 15.0}, 1, "undecided"),
+    "one cost of 100 within": (LEVEL[1], "trpo-lag", (0,), {"J_C": 0.1}, 1, "confirmed"),
     "late EMCC": (LEVEL[1], "trpo-lag", ALL, {"EMCC_0__99": 0.25}, 1, "refuted"),
     "level 0 is not claimed": (LEVEL[0], "trpo-lag", ALL, {"J_C": 20.0}, 1, "confirmed"),
     "on-policy rises": (SAFETY[1], "cpo", ALL, {"EMCC_0__99": 0.6}, 2, "refuted"),
-    "one seed rises": (SAFETY[1], "cpo", (0,), {"EMCC_0__99": 0.6}, 2, "open"),
+    "one seed rises": (SAFETY[1], "cpo", (0,), {"EMCC_0__99": 0.6}, 2, "confirmed"),
+    "two seeds rise": (SAFETY[1], "cpo", (0, 1), {"EMCC_0__99": 0.6}, 2, "undecided"),
     "off-policy falls once": (SAFETY[1], "wcsac", ALL, {"EMCC_0__99": 0.1}, 2, "confirmed"),
     "SAC-Lag nowhere": (LEVEL[0], "sac-lag", ALL, {"ends": "right rim"}, 3, "refuted"),
-    "SAC-Lag once": (LEVEL[0], "sac-lag", (0, 1), {"ends": "right rim"}, 3, "confirmed"),
-    "CPO once": (LEVEL[0], "cpo", (1,), {"ends": "corridor"}, 3, "refuted"),
+    "SAC-Lag once": (LEVEL[0], "sac-lag", ALL[1:], {"ends": "right rim"}, 3, "undecided"),
+    "SAC-Lag thrice": (LEVEL[0], "sac-lag", ALL[3:], {"ends": "right rim"}, 3, "confirmed"),
+    "CPO once": (LEVEL[0], "cpo", (1,), {"ends": "corridor"}, 3, "undecided"),
+    "CPO thrice": (LEVEL[0], "cpo", (1, 2, 3), {"ends": "corridor"}, 3, "undecided"),
+    "CPO four times": (LEVEL[0], "cpo", ALL[:4], {"ends": "corridor"}, 3, "refuted"),
     "SAC-LB above": (LEVEL[1], "sac-lb", ALL, {"J_C": 5.01}, 3, "refuted"),
-    "WCSAC too": (LEVEL[1], "wcsac", (2,), {"ends": "corridor", "J_C": 5.0}, 3, "refuted"),
+    "WCSAC too": (LEVEL[1], "wcsac", ALL, {"ends": "corridor", "J_C": 5.0}, 3, "refuted"),
     "in a cut-out": (LEVEL[3], "wcsac", ALL, {"ends": "top cut-out"}, 4, "confirmed"),
-    "one in the corridor": (LEVEL[3], "wcsac", (1,), {"ends": "corridor"}, 4, "open"),
-    "two above the limit": (LEVEL[0], "wcsac", (1, 2), {"J_C": 6.0}, 4, "refuted"),
+    "one in the corridor": (LEVEL[3], "wcsac", (1,), {"ends": "corridor"}, 4, "confirmed"),
+    "two in the corridor": (LEVEL[3], "wcsac", (1, 2), {"ends": "corridor"}, 4, "undecided"),
+    "nine above the limit": (LEVEL[0], "wcsac", ALL[1:], {"J_C": 6.0}, 4, "refuted"),
     "but for level 2": (LEVEL[2], "wcsac", ALL, {"J_C": 20.0}, 4, "confirmed"),
-    "somebody": (LEVEL[3], "sac-lb", (0,), {"ends": "corridor"}, 5, "refuted"),
-    "not safely": (LEVEL[3], "sac-lb", (0,), {"ends": "corridor", "J_C": 6.0}, 5, "confirmed"),
+    "somebody once": (LEVEL[3], "sac-lb", (0,), {"ends": "corridor"}, 5, "undecided"),
+    "somebody often": (LEVEL[3], "sac-lb", ALL[:5], {"ends": "corridor"}, 5, "refuted"),
+    "not safely": (LEVEL[3], "sac-lb", ALL, {"ends": "corridor", "J_C": 6.0}, 5, "confirmed"),
     "other cost rates": (LEVEL[3], "cpo", ALL, {"cost_rate": 0.2}, 6, "refuted"),
-    "equal EMCC": (LEVEL[3], "wcsac", ALL, {"EMCC_0__66": 0.31}, 6, "open"),
+    "cost rates of .1 to .2": (LEVEL[3], "cpo", (0, 1), {"cost_rate": 0.2}, 6, "undecided"),
+    "equal EMCC": (LEVEL[3], "wcsac", ALL, {"EMCC_0__66": 0.31}, 6, "refuted"),
+    "EMCC of .3 to .9": (LEVEL[3], "wcsac", ALL[1:], {"EMCC_0__66": 0.31}, 6, "undecided"),
 }
 
 
@@ -130,8 +143,8 @@ def test_off_policy_that_falls_everywhere(world):
     for task in PAPER_STEPS:
         world[task, "sac-lb"] = changed(world[task, "sac-lb"], ALL, EMCC_0__99=0.1)
     assert verdicts(world)[1] == "refuted"
-    world[LEVEL[1], "sac-lb"] = changed(world[LEVEL[1], "sac-lb"], (0,), EMCC_0__99=0.9)
-    assert verdicts(world)[1] == "open"
+    world[LEVEL[1], "sac-lb"] = changed(world[LEVEL[1], "sac-lb"], (0, 1), EMCC_0__99=0.9)
+    assert verdicts(world)[1] == "undecided"
 
 
 def test_cost_late_in_training(world):
@@ -143,8 +156,8 @@ def test_cost_late_in_training(world):
 
 def test_what_decides_nothing(world):
     assert verdicts(world, steps=10_000) == []  # not even a claim: nothing is of the grid
-    two = {key: runs[:2] for key, runs in world.items()}
-    assert verdicts(two) == []
+    nine = {key: runs[:9] for key, runs in world.items()}
+    assert verdicts(nine) == ["undecided"] * 6
     others = [
         group(task, "trpo-lag", world[task, "trpo-lag"], multiplier_optimizer="sgd")
         for task in LEVEL
@@ -168,11 +181,11 @@ def test_two_folders_of_other_seeds_count_together(world):
 
 def test_what_is_missing_is_named(world):
     del world[SAFETY[2], "cpo"]
-    world[LEVEL[3], "wcsac"] = world[LEVEL[3], "wcsac"][:2]
+    world[LEVEL[3], "wcsac"] = world[LEVEL[3], "wcsac"][:3]
     groups = [group(task, name, runs) for (task, name), runs in world.items()]
     text = claims_text.markdown(check_claims(groups))
-    assert "; no runs: SafetyHopperVelocity: open" in text
-    assert "; 2 of 3 runs: WCSAC: open" in text
+    assert "; no runs: SafetyHopperVelocity: undecided" in text
+    assert "; 3 of 10 runs: WCSAC: undecided" in text
 
 
 def test_the_page_says_the_same(world):
@@ -184,10 +197,11 @@ def test_the_page_says_the_same(world):
         for part in (claim.text, claim.rule, *map(claims_text.finding_words, findings)):
             assert part in text
             assert part in html
-    # By hand: 9.4 for all three; .2, .21, .22, of which the paper prints .22 on level 1.
+    # By hand: 9.40 to 9.49 and .200 to .227 with t of 9 degrees of freedom, 2.262; of 10 of 10 the
+    # tenth root of .025.
     assert (
-        "- Circle2D-1: 3 of 3 runs go through, J_C 9.40 [9.40, 9.40] (paper 9.39), "
-        "EMCC_0.99 0.21 [0.20, 0.22] (paper 0.22): confirmed" in text
+        "- Circle2D-1: 10 of 10 runs [0.69, 1.00] go through, J_C 9.45 [9.42, 9.47] (n = 10; paper "
+        "9.39), EMCC_0.99 0.21 [0.21, 0.22] (n = 10; paper 0.22): confirmed" in text
     )
 
 
@@ -201,5 +215,5 @@ def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
     del world[LEVEL[1], "trpo-lag"]
     groups = [group(task, name, runs) for (task, name), runs in world.items()]
     checked = check_claims([*others, *groups])[0]
-    assert checked.verdict == "open"
+    assert checked.verdict == "undecided"
     assert any("2,000,000 of 1,000,000 steps" in part.lacking for part in checked.findings)

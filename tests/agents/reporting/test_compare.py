@@ -2,7 +2,12 @@
 
 import csv
 import json
+import math
 import re
+
+import numpy as np
+import pytest
+import scipy.stats
 
 from agents.cli.main import main
 from agents.paper.presets import preset
@@ -37,18 +42,55 @@ def test_by_hand(tmp_path):
     b = write_runs(tmp_path / "b", "cpo", [-5.0, -9.0], streak=3)
     markdown = compare(a, b)
     found = rows(markdown)
-    assert found["A: TRPO-Lag, mean of 2"][4] == "-15.00 [-20.00, -10.00]"
-    assert found["B: CPO, mean of 2"][4] == "-7.00 [-9.00, -5.00]"
-    # Of the 16 resamples of two seeds each, the lowest difference, -9 + 10, has a share of 1/16,
-    # which is above 2.5 %; so has the highest, -5 + 20.
-    assert found["B - A: CPO - TRPO-Lag"][4] == "+8.00 [+1.00, +15.00]"
-    assert found["B - A: CPO - TRPO-Lag"][0] == "-0.10 [-0.10, -0.10]"
-    assert found["B - A: CPO - TRPO-Lag"][5] == "+0.00 [+0.00, +0.00]"
+    assert found["A: TRPO-Lag, mean of 2"][4] == "-15.00 range -20.00 to -10.00"
+    assert found["B: CPO, mean of 2"][4] == "-7.00 range -9.00 to -5.00"
+    assert found["A: TRPO-Lag, mean of 2"][8] == "2 of 2 [0.16, 1.00]"  # 4.25 is within 5
+    assert found["B - A: CPO - TRPO-Lag"][4] == "+8.00"
+    assert found["B - A: CPO - TRPO-Lag"][0] == "-0.10"
+    # Of the six divisions of two against two, two are as extreme; where all are equal, all.
+    assert found["p, B - A: CPO - TRPO-Lag"][:6] == ["1.000"] * 6
+    assert found["B better, B - A: CPO - TRPO-Lag"][:6] == [*["1.00"] * 3, "0.50", "1.00", "0.50"]
     assert found["A: TRPO-Lag, seed 1"] == [
-        *("0.40", "0.40", "0.40", "0.40", "-20.00", "4.25", "6.50", "–", "right rim")
+        *("0.40", "0.40", "0.40", "0.40", "-20.00", "4.25", "6.50", "–", "1 of 1", "right rim")
     ]
-    assert "resamples the seeds of either side independently" in markdown
-    assert rows(compare(b, a))["B - A: TRPO-Lag - CPO"][4] == "-8.00 [-15.00, -1.00]"
+    assert "corrected for the 7 comparisons made here (Holm)" in markdown  # no mean streak
+    assert rows(compare(b, a))["B - A: TRPO-Lag - CPO"][4] == "-8.00"
+
+
+def test_five_seeds_have_intervals_and_tests(tmp_path):
+    """J_R of 1 to 5 less 100, against 2 to 10: means 3 and 6, variances 2.5 and 10.
+
+    Welch's t interval: 3 ± t √(2.5/5 + 10/5), with 2.5² / (.5²/4 + 2²/4) = 5.88 degrees of freedom.
+    """
+    first = [k - 100.0 for k in range(1, 6)]
+    second = [2 * k - 100.0 for k in range(1, 6)]
+    a = write_runs(tmp_path / "a", "cpo", first)
+    b = write_runs(tmp_path / "b", "trpo-lag", second)
+    out = tmp_path / "out"
+    found = rows(compare(a, b, out))
+    name = "B - A: TRPO-Lag - CPO"
+    half = scipy.stats.t.ppf(0.975, 2.5**2 / (0.5**2 / 4 + 2**2 / 4)) * math.sqrt(2.5)
+    assert found[name][4] == f"+3.00 [{3 - half:+.2f}, {3 + half:+.2f}]"
+    expected = scipy.stats.permutation_test(
+        (first, second),
+        lambda x, y, axis: np.abs(scipy.stats.ttest_ind(x, y, axis=axis, equal_var=False)[0]),
+        permutation_type="independent",
+        n_resamples=np.inf,
+        alternative="greater",
+    ).pvalue
+    (line,) = (x for x in lines(out) if x["kind"] == "p")
+    assert float(line["J_R"]) == pytest.approx(expected)
+    # All other measures are equal: p = 1, and Holm multiplies the smallest of seven by 7.
+    assert float(found[f"p, {name}"][4]) == pytest.approx(min(1, 7 * expected), abs=0.0006)
+    higher = [y > x for x in first for y in second]
+    equal = [y == x for x in first for y in second]
+    assert found[f"B better, {name}"][4].startswith(f"{(sum(higher) + sum(equal) / 2) / 25:.2f} [")
+    middle = next(x for x in lines(out) if (x["algorithm"][:1], x["kind"]) == ("B", "iqm"))
+    assert float(middle["J_R"]) == -94  # the mean of the middle three of five
+
+
+def lines(out):
+    return list(csv.DictReader((out / "compare.csv").read_text().splitlines()))
 
 
 def test_which_stands_against_which(tmp_path):
@@ -68,10 +110,7 @@ def test_one_seed_other_tasks_and_other_steps_are_named(tmp_path):
     b = write_runs(tmp_path / "b", "cpo", [-5.0, -9.0], steps=200)
     markdown = compare(tmp_path / "a", b)
     assert rows(markdown)["B - A: CPO (200 steps) - CPO"][4] == "+3.00"
-    assert (
-        "Circle2D-1-v0, A: CPO (100 steps) has one seed: no interval, of its mean or difference."
-        in markdown
-    )
+    assert "Circle2D-1-v0, A: CPO (100 steps) has one seed: no interval, and no test." in markdown
     assert "only A has runs on Circle2D-2-v0." in markdown
     assert "Circle2D-2-v0 |" not in markdown
 
@@ -87,25 +126,40 @@ def test_what_is_written(tmp_path, capsys):
     assert main(["compare", str(a), str(b), "--out", str(out)]) == 0
     assert capsys.readouterr().out == printed
     assert (out / "compare.md").read_text() + "\n" == printed
-    lines = list(csv.DictReader((out / "compare.csv").read_text().splitlines()))
-    found = [(x["algorithm"], x["kind"], x["seed"], float(x["J_R"])) for x in lines]
+    numbers = [x for x in lines(out) if x["J_R"]]
+    found = [(x["algorithm"], x["kind"], x["seed"], float(x["J_R"])) for x in numbers]
+    of_a, of_b, both = ("A: CPO (100 steps)", "B: CPO (100 steps)", "B - A: CPO (100 steps)")
     assert found == [
-        ("A: CPO (100 steps)", "mean", "", -15),
-        ("A: CPO (100 steps)", "mean low", "", -20),
-        ("A: CPO (100 steps)", "mean high", "", -10),
-        ("A: CPO (100 steps)", "run", "0", -10),
-        ("A: CPO (100 steps)", "run", "1", -20),
-        ("B: CPO (100 steps)", "mean", "", -7),
-        ("B: CPO (100 steps)", "mean low", "", -9),
-        ("B: CPO (100 steps)", "mean high", "", -5),
-        ("B: CPO (100 steps)", "run", "0", -5),
-        ("B: CPO (100 steps)", "run", "1", -9),
-        ("B - A: CPO (100 steps)", "difference", "", 8),
-        ("B - A: CPO (100 steps)", "difference low", "", 1),
-        ("B - A: CPO (100 steps)", "difference high", "", 15),
+        (of_a, "mean", "", -15),
+        (of_a, "mean lowest", "", -20),
+        (of_a, "mean highest", "", -10),
+        (of_a, "iqm", "", -15),
+        (of_a, "run", "0", -10),
+        (of_a, "run", "1", -20),
+        (of_b, "mean", "", -7),
+        (of_b, "mean lowest", "", -9),
+        (of_b, "mean highest", "", -5),
+        (of_b, "iqm", "", -7),
+        (of_b, "run", "0", -5),
+        (of_b, "run", "1", -9),
+        (both, "difference", "", 8),
+        (both, "p", "", pytest.approx(1 / 3)),
+        (both, "improvement", "", 1),
     ]
+    shares = [
+        (x["algorithm"], x["kind"], x["ends_in"], x["seeds"], x["share"])
+        for x in lines(out)
+        if x["share"]
+    ]
+    assert shares == [
+        (side, *of, "2", "1.0")
+        for side in (of_a, of_b)
+        for of in (("ends in", "right rim"), ("within limit", ""))
+    ]
+    low = [float(x["share_low"]) for x in lines(out) if x["share"]]
+    assert low == pytest.approx([math.sqrt(0.025)] * 4)
     html = (out / "compare.html").read_text()
-    assert "+8.00<br><small>[+1.00, +15.00]</small>" in html
+    assert "<td>+8.00</td>" in html
     assert "A: CPO" in html
     first = {path.name: path.read_bytes() for path in out.iterdir()}
     assert main(["compare", str(a), str(b), "--out", str(out)]) == 0

@@ -202,7 +202,7 @@ def test_tasks_without_a_view_have_curves_alone(groups, tmp_path):
     finally:
         del gym.registry["NoView-v0"]
     assert curves.file == "curves-NoView-v0.svg"
-    assert "Dashed: the cost limit, 5." in curves.caption
+    assert "Thin line: the cost limit, 5." in curves.caption
     assert notes == []
     nobody = [replace(g, runs=[]) for g in other]
     assert figures.figures(FolderSource(tmp_path), nobody, notes) == []

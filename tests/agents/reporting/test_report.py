@@ -39,11 +39,30 @@ def test_a_table_by_hand(tmp_path):
     # values is the highest alone: .8, .4, 1. Costs: 46 of 100 steps.
     numbers = ["0.80", "0.40", "1.00", "0.46"]
     end = "corridor (75 %)"
-    assert rows[2] == ["SAC-Lag (100 steps), seed 0", *numbers, "-10.00", "4.25", "6.50", "–", end]
-    assert rows[3] == ["SAC-Lag (100 steps), seed 1", *numbers, "-20.00", "4.25", "6.50", "–", end]
+    assert rows[2] == [
+        "SAC-Lag (100 steps), seed 0",
+        *numbers,
+        "-10.00",
+        "4.25",
+        "6.50",
+        "–",
+        "1 of 1",
+        end,
+    ]
+    assert rows[3] == [
+        "SAC-Lag (100 steps), seed 1",
+        *numbers,
+        "-20.00",
+        "4.25",
+        "6.50",
+        "–",
+        "1 of 1",
+        end,
+    ]
     assert rows[0][0] == "SAC-Lag (100 steps), mean of 2"
     assert [cell.split(" ")[0] for cell in rows[0][1:8]] == [*numbers, "-15.00", "4.25", "6.50"]
-    assert rows[0][5] == "-15.00 [-20.00, -10.00]"
+    assert rows[0][5] == "-15.00 range -20.00 to -10.00"
+    assert rows[0][9:] == ["2 of 2 [0.16, 1.00]", "corridor 2 of 2 [0.16, 1.00]"]
 
 
 def test_places():

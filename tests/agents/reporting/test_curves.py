@@ -1,0 +1,163 @@
+"""Training curves against loops over the episodes."""
+
+import math
+import re
+from statistics import fmean, stdev
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+
+from agents.algorithms import ALGORITHMS
+from agents.paper.presets import preset
+from agents.reporting.curves import (
+    POINTS,
+    WINDOW,
+    Line,
+    curves_svg,
+    episode_means,
+    midpoints,
+    running_emcc,
+    thirds_emcc,
+)
+from agents.reporting.style import COLOURS, DASHES, MARKERS, Style, styles
+from agents.training.config import TrainConfig
+from emcc import EpisodeRecords, emcc
+
+TOTAL = 4000
+STYLE = Style(COLOURS[1], DASHES[1], MARKERS[1])
+
+
+def records(seed):
+    """Episodes of 5 to 40 steps, two a rollout."""
+    rng = np.random.default_rng(seed)
+    length = rng.integers(5, 41, 200)
+    length = length[: np.searchsorted(np.cumsum(length), TOTAL) + 1]
+    start = np.cumsum(length) - length
+    streak = rng.integers(0, length + 1)
+    return EpisodeRecords(
+        np.arange(len(length)) // 2, start, length, rng.normal(size=len(length)), streak, streak
+    )
+
+
+RUNS = [records(seed) for seed in range(5)]
+THREE = Line("three", STYLE, RUNS[:3], TOTAL)
+FIVE = Line("five", STYLE, RUNS, TOTAL)
+T_OF_4 = 2.7764451
+"""Student's t of 4 degrees of freedom, 97.5 %."""
+
+
+@pytest.mark.parametrize("column", ["reward", "cost"])
+def test_episode_means_by_a_loop(column):
+    """Of three runs with their range, of five with the t interval, and of five that end in
+    different places with their range."""
+    other_places = FIVE._replace(one_place=False)
+    found = [episode_means(line, column) for line in (THREE, FIVE, other_places)]
+    for k in range(POINTS):
+        means = []
+        for run in RUNS:
+            low, high = k * TOTAL / POINTS, (k + 1) * TOTAL / POINTS
+            inside = [
+                value
+                for start, value in zip(run.start_step, getattr(run, column), strict=True)
+                if low <= start < high
+            ]
+            means.append(sum(inside) / len(inside) if inside else math.nan)
+        half = T_OF_4 * stdev(means) / math.sqrt(5)
+        if math.isnan(sum(means)):
+            assert math.isnan(found[1].mean[k] + found[1].low[k] + found[1].high[k])
+            continue
+        expected = (
+            (fmean(means[:3]), min(means[:3]), max(means[:3])),
+            (fmean(means), fmean(means) - half, fmean(means) + half),
+            (fmean(means), min(means), max(means)),
+        )
+        for curve, numbers in zip(found, expected, strict=True):
+            # Returns are drawn to five digits.
+            drawn = [of[k] for of in curve]
+            assert drawn == pytest.approx(numbers, rel=1e-4, abs=1e-4)
+    assert np.isfinite(found[1].mean).sum() > POINTS // 2
+
+
+def test_running_emcc_by_a_loop():
+    curve = running_emcc(THREE, 0.3)
+    for k, middle in enumerate(midpoints(TOTAL)):
+        values = []
+        for run in RUNS[:3]:
+            mcc = {}
+            for rollout, start, length, streak in zip(
+                run.rollout, run.start_step, run.length, run.longest_streak, strict=True
+            ):
+                first, share = mcc.get(rollout, (start, 0.0))
+                mcc[rollout] = (first, max(share, streak / length))
+            near = [v for s, v in mcc.values() if abs(s - middle) <= WINDOW / 2 * TOTAL]
+            values.append(emcc(near, 0.3))
+        assert curve.mean[k] == pytest.approx(np.mean(values))
+        assert (curve.low[k], curve.high[k]) == (min(values), max(values))
+
+
+def test_emcc_of_the_thirds():
+    curve = thirds_emcc(THREE, 0.3)
+    for k, (low, high) in enumerate(((0, 0.33), (0.33, 0.66), (0.66, 0.9901))):
+        values = []
+        for run in RUNS[:3]:
+            mcc, starts = run.mcc_per_rollout()
+            values.append(emcc(mcc[(low * TOTAL <= starts) & (starts < high * TOTAL)], 0.3))
+        assert curve.mean[k] == pytest.approx(np.mean(values))
+        assert (curve.low[k], curve.high[k]) == (min(values), max(values))
+
+
+def test_one_run_has_a_line_alone():
+    curve = thirds_emcc(THREE._replace(records=RUNS[:1]), 0.3)
+    assert np.isfinite(curve.mean).all()
+    assert np.isnan(curve.low).all()
+
+
+def test_curves_are_the_same_bytes_and_keep_an_algorithms_colour():
+    lines = [Line("A", STYLE, RUNS, TOTAL), THREE._replace(style=STYLE._replace(dash=DASHES[2]))]
+    svg = curves_svg("Task", lines, 5.0, 0.1)
+    assert svg == curves_svg("Task", lines, 5.0, 0.1)
+    text = svg.decode()
+    assert text.lstrip().startswith("<?xml")
+    drawn = {c: len(re.findall(f"stroke: {c.lower()}", text)) for c in COLOURS[:6]}
+    assert [c for c, count in drawn.items() if count] == [COLOURS[1]]
+    dashes = set(re.findall("stroke-dasharray: ([^;]+)", text))
+    assert len(dashes) >= 3  # of either line, and the thirds' borders
+
+
+def test_no_band_below_a_cost_of_zero(monkeypatch):
+    """Two of five runs cost 9, three nothing: the t interval of the mean reaches below 0."""
+    of_ten = np.arange(10)
+    none = of_ten * 0
+    runs = [
+        EpisodeRecords(of_ten, of_ten * 400, none + 400, none - 1.0, none + c, none)
+        for c in (0, 0, 0, 9, 9)
+    ]
+    line = Line("A", STYLE, runs, TOTAL)
+    assert np.nanmin(episode_means(line, "cost").low) < -1
+    drawn = []
+    fill = Axes.fill_between
+
+    def noted(self, x, low, high, **options):
+        drawn.append((np.nanmin(low), np.nanmax(high)))
+        return fill(self, x, low, high, **options)
+
+    monkeypatch.setattr(Axes, "fill_between", noted)
+    curves_svg("Task", [line], None, 0.1)
+    returns, costs, running = drawn
+    assert returns == (-1, -1)
+    assert costs == (0, pytest.approx(3.6 + T_OF_4 * 9 * math.sqrt(0.3 / 5)))
+    assert running == (0, 0)
+
+
+def test_styles_by_algorithm():
+    def config(name):
+        return TrainConfig(name, "Circle2D-1-v0", (0,), 100, preset(name, "Circle2D-1-v0"))
+
+    everyone = styles([config(name) for name in ALGORITHMS])
+    for of_all in zip(*everyone, strict=True):
+        assert len(set(of_all[:7])) == 7
+    alone = styles([config("wcsac"), config("wcsac"), config("cpo")])
+    assert alone[0] == everyone[list(ALGORITHMS).index("wcsac")]
+    assert alone[0].colour == alone[1].colour
+    assert len({(of.dash, of.marker) for of in alone}) == 3
