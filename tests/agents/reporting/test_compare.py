@@ -82,6 +82,8 @@ def test_five_seeds_have_intervals_and_tests(tmp_path):
     assert float(line["J_R"]) == pytest.approx(expected)
     # All other measures are equal: p = 1, and Holm multiplies the smallest of seven by 7.
     assert float(found[f"p, {name}"][4]) == pytest.approx(min(1, 7 * expected), abs=0.0006)
+    half = scipy.stats.t.ppf(0.975, 4) * math.sqrt(2.5 / 5)
+    assert found["A: CPO, mean of 5"][4] == f"-97.00 [{-97 - half:.2f}, {-97 + half:.2f}]"
     higher = [y > x for x in first for y in second]
     equal = [y == x for x in first for y in second]
     assert found[f"B better, {name}"][4].startswith(f"{(sum(higher) + sum(equal) / 2) / 25:.2f} [")

@@ -8,8 +8,8 @@ import csv
 import math
 import re
 from collections import Counter
-from itertools import product
-from statistics import fmean
+from itertools import combinations
+from statistics import fmean, stdev, variance
 
 import pytest
 
@@ -18,11 +18,12 @@ from agents.paper import presets
 from agents.reporting.report import report
 from circle2d_mj.core.single_env import TaskEnv
 
-TASK, SEEDS, STEPS, EVALUATED, LIMIT = "Circle2D-3-v0", (3, 4, 5), 3000, 100, 5
+TASK, SEEDS, STEPS, EVALUATED, LIMIT = "Circle2D-3-v0", (3, 4, 5, 6, 7), 3000, 100, 5
 TIME_LIMIT = 50  # kept by gymnasium's wrapper, above what is written down
 EPISODES = {"cpo": 10, "wcsac": 1}  # an epoch
 PRINTED = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
 MEASURES = (*PRINTED, "mean_streak")
+N, T_OF_4 = len(SEEDS), 2.7764451  # Student's t of 4 degrees of freedom, 97.5 %
 PAPER = {  # tables Circle2DResults and EMCC of the paper, level 3
     "cpo": (0.47, 0.31, 0.20, 0.11, -19.22, 8.28, 12.00),
     "wcsac": (0.56, 0.57, 0.50, 0.11, -15.40, 0.01, 0.01),
@@ -101,7 +102,8 @@ def numbers_of(environments, of_epoch):
 
 def of_training(epochs):
     """Epochs count until the steps are reached."""
-    parts = {"EMCC_0.33": [], "EMCC_0.66": [], "EMCC_0.99": []}
+    parts = {"0.33": [], "0.66": [], "0.99": []}
+    rates = {name: [0.0, 0] for name in parts}
     steps, costs, later, chains = 0, 0.0, [], []
     for episodes in epochs:
         if steps >= STEPS:
@@ -111,7 +113,9 @@ def of_training(epochs):
         for name, low, high in (("0.33", 0, 33), ("0.66", 33, 66), ("0.99", 66, 99)):
             start = 100 * steps / STEPS
             if low <= start < high or start == high == 99:
-                parts[f"EMCC_{name}"].append(mcc)
+                parts[name].append(mcc)
+                rates[name][0] += sum(sum(episode.costs) for episode in episodes)
+                rates[name][1] += sum(len(episode.costs) for episode in episodes)
         for episode in episodes:
             if 3 * steps >= STEPS:
                 later.append(sum(episode.costs))
@@ -119,9 +123,18 @@ def of_training(epochs):
             steps += len(episode.costs)
             chains += streaks(episode.costs)
     assert steps >= STEPS
-    emcc = {name: highest(values, 0.1) for name, values in parts.items()}
+    found = {f"EMCC_{name}": highest(values, 0.1) for name, values in parts.items()}
+    found |= {f"split_{name}": top(values) for name, values in parts.items()}
+    found |= {f"rate_{name}": cost / number for name, (cost, number) in rates.items()}
     mean = fmean(chains) if chains else 0.0
-    return emcc | {"cost_rate": costs / steps, "later": fmean(later), "mean_streak": mean}
+    return found | {"cost_rate": costs / steps, "later": fmean(later), "mean_streak": mean}
+
+
+def top(values):
+    """The mean of exactly the highest tenth: of every value ten copies, of which as many count as
+    there are values."""
+    copies = sorted(value for value in values for _ in range(10))
+    return fmean(copies[-len(values) :])
 
 
 def streaks(costs):
@@ -172,28 +185,69 @@ def place(x, y):
     return "cost region"
 
 
-def is_mean(text, values):
-    """Whether "1.23 [0.45, 6.78]" is a mean of three with its bootstrap interval: of 27 equally
-    likely means of resamples one is the lowest and one the highest, more than 2.5 % each."""
-    mean, low, high = (float(x) for x in re.fullmatch(r"(\S+) \[(\S+), (\S+)\]", text).groups())
-    return near(mean, fmean(values)) and near(low, min(values)) and near(high, max(values))
+def interval(values, runs):
+    """Student's t interval where all runs end in one place; otherwise the lowest and highest."""
+    if len({run["ends"].partition(" (")[0] for run in runs}) > 1:
+        return "range {} to {}", min(values), max(values)
+    half = T_OF_4 * stdev(values) / math.sqrt(N)
+    return "[{}, {}]", fmean(values) - half, fmean(values) + half
 
 
-def near(printed, value):
-    """Two digits are printed, of sums that float32 may have rounded."""
-    return abs(float(printed) - value) <= 0.00501
+def is_mean(text, values, runs):
+    """Whether "1.23 [0.45, 6.78]" is the mean of some values of runs with its interval."""
+    form, *ends = interval(values, runs)
+    pattern = re.escape(form).replace(r"\{\}", r"(\S+)")
+    mean, low, high = re.fullmatch(rf"(\S+) {pattern}", text).groups()
+    return near(mean, fmean(values)) and near(low, ends[0]) and near(high, ends[1])
 
 
-def is_difference(text, a, b):
-    """Whether "+0.12 [-0.34, +0.56]" is mean(b) - mean(a) with the bootstrap's interval: of all 27
-    x 27 resamples a quantile of 2.5 %, give or take 1 % for the resamples drawn."""
-    mean, low, high = (float(x) for x in re.fullmatch(r"(\S+) \[(\S+), (\S+)\]", text).groups())
-    means = [[fmean(drawn) for drawn in product(side, repeat=3)] for side in (a, b)]
-    gaps = sorted(of_b - of_a for of_a in means[0] for of_b in means[1])
-    at = [gaps[round(q * (len(gaps) - 1))] for q in (0.015, 0.035, 0.965, 0.985)]
-    assert at[0] - 0.00501 <= low <= at[1] + 0.00501, (text, at)
-    assert at[2] - 0.00501 <= high <= at[3] + 0.00501, (text, at)
-    return near(mean, fmean(b) - fmean(a))
+def near(printed, value, digits=2):
+    """So many digits are printed, of sums that float32 may have rounded."""
+    return abs(float(printed) - value) <= 0.501 * 10**-digits
+
+
+def tail(count, n, p):
+    """P(at least so many of n)."""
+    return sum(math.comb(n, k) * p**k * (1 - p) ** (n - k) for k in range(count, n + 1))
+
+
+def clopper_pearson(count, n):
+    """The shares of which so many of n, or more, and or fewer, are seen in 2.5 % of cases."""
+
+    def solve(rises, aim):
+        low, high = 0.0, 1.0
+        for _ in range(60):
+            middle = (low + high) / 2
+            low, high = (middle, high) if rises(middle) < aim else (low, middle)
+        return low
+
+    low = solve(lambda p: tail(count, n, p), 0.025) if count else 0.0
+    high = solve(lambda p: tail(count + 1, n, p), 0.975) if count < n else 1.0
+    return low, high
+
+
+def share_words(count, n=N):
+    low, high = clopper_pearson(count, n)
+    return f"{count} of {n} [{low:.2f}, {high:.2f}]"
+
+
+def welch(a, b):
+    """t, squared with its sign; without a spread as far out as can be."""
+    gap = fmean(a) - fmean(b)
+    spread = variance(a) / len(a) + variance(b) / len(b)
+    if spread < 1e-18:
+        return math.copysign(math.inf, gap) if abs(gap) > 1e-12 else 0.0
+    return gap * abs(gap) / spread
+
+
+def permuted(a, b, extreme):
+    """Share of all divisions of the runs whose t is as extreme as the one observed."""
+    pooled, found = [*a, *b], []
+    for chosen in combinations(range(len(pooled)), len(a)):
+        others = [pooled[k] for k in range(len(pooled)) if k not in chosen]
+        found.append(extreme(welch([pooled[k] for k in chosen], others)))
+    observed = extreme(welch(a, b))
+    return fmean(t >= observed - 1e-9 * abs(observed) for t in found)
 
 
 def column(runs, name):
@@ -210,9 +264,9 @@ def rows_of(markdown):
 def check_rows(rows, numbers):
     """Every row is known and every number right; returns how many rows there were."""
     preset, other = "terminal (preset)", "bootstrap"
-    means = {f"{TITLES[name]}, mean of 3": numbers[name] for name in EPISODES}
-    means[f"{TASK}, WCSAC, {preset}, mean of 3"] = numbers["wcsac"]
-    means[f"{TASK}, WCSAC, {other}, mean of 3"] = numbers["wcsacb"]
+    means = {f"{TITLES[name]}, mean of {N}": numbers[name] for name in EPISODES}
+    means[f"{TASK}, WCSAC, {preset}, mean of {N}"] = numbers["wcsac"]
+    means[f"{TASK}, WCSAC, {other}, mean of {N}"] = numbers["wcsacb"]
     singles = {
         f"{TITLES[name]}, seed {seed}": run
         for name in EPISODES
@@ -224,31 +278,86 @@ def check_rows(rows, numbers):
         measured = dict(zip(MEASURES, cells[:8], strict=True))
         if name in papers:
             assert [float(cell) for cell in cells[:7]] == list(papers[name])
-            assert cells[7] == "–"
+            assert cells[7:] == ["–", "–", ""]
         elif name in means:
+            runs = means[name]
             for measure, cell in measured.items():
-                assert is_mean(cell, column(means[name], measure)), (name, measure, cell)
+                assert is_mean(cell, column(runs, measure), runs), (name, measure, cell)
+            assert cells[8] == share_words(sum(run["J_C"] <= LIMIT for run in runs))
+            places = Counter(run["ends"].partition(" (")[0] for run in runs)
+            assert cells[9] == ", ".join(f"{p} {share_words(n)}" for p, n in places.most_common())
         else:
             run = singles[name]
             for measure, cell in measured.items():
                 assert near(cell, run[measure]), (name, measure, cell, run[measure])
-            assert cells[8] == run["ends"]
-        if preset in name or other in name:
-            places = Counter(run["ends"].partition(" (")[0] for run in means[name])
-            assert cells[8] == ", ".join(f"{p} {n}" for p, n in places.most_common())
+            assert cells[8:] == [f"{int(run['J_C'] <= LIMIT)} of 1", run["ends"]]
     assert {name for name, *_ in rows} == {*means, *singles, *papers}
+
+
+def table_after(out, start, head):
+    """The rows below the head that begins so, of the part of the report that begins there."""
+    text = (out / "report.md").read_text()
+    _, _, text = text[text.index(start) :].partition(f"| {head}")
+    return rows_of("| " + text.partition("\n\n")[0])
 
 
 def test_the_tables(raw):
     out, numbers = raw
-    tables, _, _ = (out / "report.md").read_text().partition("## The paper's claims")
-    rows = [row for row in rows_of(tables) if row[0] not in (TASK, "task, algorithm and choice")]
+    rows = table_after(out, "EMCC with alpha", TASK)
+    rows += table_after(out, "Other choices", "task, algorithm and choice")
     check_rows(rows, numbers)
     page = (out / "index.html").read_text()
     for row in rows:
-        cells = [re.escape(cell).replace(r"\ \[", r"(?:<br><small>| )\[") for cell in row]
+        cells = [re.escape(cell) for cell in row]
+        cells = [re.sub(r"\\ (\\\[|range\\ )", r"(?:<br><small>| )\1", cell) for cell in cells]
         between = r"(?:</small>)?</td><td(?: class=\"best\")?>"
         assert re.search(f"<td>{between.join(cells)}(?:</small>)?</td>", page), row
+
+
+def test_ties_split_instead_of_kept(raw):
+    out, numbers = raw
+    rows = table_after(out, "EMCC is the mean of the highest tenth", "task, algorithm and ties")
+    found = {name: cells for name, *cells in rows}
+    assert len(found) == 6
+    for name, runs in ((name, numbers[name]) for name in EPISODES):
+        for way, key in (("kept", "EMCC"), ("split", "split")):
+            cells = found[f"{TASK}, {TITLES[name]}, ties {way}, mean of {N}"]
+            for part, cell in zip(("0.33", "0.66", "0.99"), cells, strict=True):
+                assert is_mean(cell, column(runs, f"{key}_{part}"), runs), (name, way, cell)
+
+
+def test_pairs_that_emcc_separates(raw):
+    """The counts of the sentence and the rows, by the rule that it prints."""
+    out, numbers = raw
+    parts = ("0.33", "0.66", "0.99")
+    of = {part: [column(numbers[k], f"rate_{part}") for k in ("cpo", "wcsac")] for part in parts}
+    emcc = {part: [column(numbers[k], f"EMCC_{part}") for k in ("cpo", "wcsac")] for part in parts}
+    p_values = sorted((permuted(*pair, abs), part) for part, pair in emcc.items())
+    holm, worst = {}, 0.0
+    for k, (p, part) in enumerate(p_values):
+        worst = max(worst, min(1.0, (3 - k) * p))
+        holm[part] = worst
+    equal = []
+    for part, (a, b) in of.items():
+        shifts = (([x + 0.02 for x in a], b), ([x + 0.02 for x in b], a))
+        tost = max(permuted(*pair, lambda t: t) for pair in shifts)
+        if permuted(a, b, abs) > 0.05 >= tost:
+            equal.append((part, tost))
+    shown = [(part, tost) for part, tost in equal if holm[part] <= 0.05]
+    text = (out / "report.md").read_text()
+    assert (
+        f"Of 3 comparisons {len(equal)} have equal cost rates; of these EMCC tells {len(shown)} "
+        "apart, which are listed." in text
+    )
+    rows = table_after(out, "Compared are all pairs", "A and B")
+    assert len(rows) == len(shown)
+    for (part, tost), (name, *cells) in zip(shown, rows, strict=True):
+        assert name.endswith("CPO and WCSAC")
+        told = [float(re.split(r" \[", cell)[0].lstrip("<")) for cell in cells]
+        means = [[fmean(values) for values in side[part]] for side in (of, emcc)]
+        rates, emccs = ([*pair, pair[1] - pair[0]] for pair in means)
+        expected = [*rates, tost, *emccs, holm[part]]
+        assert told == pytest.approx(expected, abs=0.00051)
 
 
 def test_the_numbers_for_a_program(raw):
@@ -259,12 +368,19 @@ def test_the_numbers_for_a_program(raw):
     for key, name in names.items():
         for seed, run in zip(SEEDS, numbers[key], strict=True):
             expected[name, "run", str(seed)] = [run[m] for m in MEASURES]
-        for kind, of in (("mean", fmean), ("mean low", min), ("mean high", max)):
-            expected[name, kind, ""] = [of(column(numbers[key], m)) for m in MEASURES]
+        values = [column(numbers[key], m) for m in MEASURES]
+        form = interval(values[0], numbers[key])[0]
+        ends = ("mean lowest", "mean highest") if "range" in form else ("mean low", "mean high")
+        expected[name, "mean", ""] = list(map(fmean, values))
+        expected[name, "iqm", ""] = [fmean(sorted(of)[1:-1]) for of in values]  # a quarter of 5: 1
+        for k, kind in enumerate(ends, 1):
+            expected[name, kind, ""] = [interval(of, numbers[key])[k] for of in values]
     for key, values in PAPER.items():
         expected[TITLES[key], "paper", ""] = [*values, ""]
     with (out / "report.csv").open(newline="") as file:
-        lines = list(csv.DictReader(file))
+        everything = list(csv.DictReader(file))
+    lines = [line for line in everything if not line["share"]]
+    check_shares([line for line in everything if line["share"]], numbers, names)
     found = {(x["algorithm"], x["kind"], x["seed"]): x for x in lines}
     assert len(found) == len(lines)
     assert found.keys() == expected.keys()
@@ -280,6 +396,21 @@ def test_the_numbers_for_a_program(raw):
             assert found[name, "run", str(seed)]["ends_in"] == run["ends"]
 
 
+def check_shares(lines, numbers, names):
+    expected = {}
+    for key, name in names.items():
+        runs = numbers[key]
+        expected[name, "within limit", ""] = sum(run["J_C"] <= LIMIT for run in runs)
+        for place, count in Counter(run["ends"].partition(" (")[0] for run in runs).items():
+            expected[name, "ends in", place] = count
+    found = {(x["algorithm"], x["kind"], x["ends_in"]): x for x in lines}
+    assert found.keys() == expected.keys()
+    for key, line in found.items():
+        told = [float(line[name]) for name in ("share", "share_low", "share_high")]
+        assert told == pytest.approx([expected[key] / N, *clopper_pearson(expected[key], N)])
+        assert int(line["seeds"]) == N
+
+
 def test_what_is_best_is_marked(raw):
     out, numbers = raw
     text, *_ = (out / "report.md").read_text().partition("task, algorithm and choice")
@@ -288,17 +419,20 @@ def test_what_is_best_is_marked(raw):
         name, *cells = (cell.strip() for cell in line.strip("| ").split("|"))
         marks[name] = {m for m, c in zip(MEASURES, cells, strict=False) if c.startswith("**")}
     means = {
-        f"{TITLES[name]}, mean of 3": [round(fmean(column(numbers[name], m)), 2) for m in PRINTED]
+        f"{TITLES[name]}, mean of {N}": [round(fmean(column(numbers[name], m)), 2) for m in PRINTED]
         for name in EPISODES
     }
     papers = {f"{TITLES[name]}, paper (3 seeds)": PAPER[name] for name in EPISODES}
+    within = {f"{TITLES[name]}, mean of {N}": numbers[name] for name in EPISODES}
+    within = {name: all(run["J_C"] <= LIMIT for run in runs) for name, runs in within.items()}
+    within |= {name: values[5] <= LIMIT for name, values in papers.items()}
     for compared in (means, papers):
         best = {name: set() for name in compared}
         for k, measure in enumerate(PRINTED[:4]):
             for name, values in compared.items():
                 if values[k] == min(other[k] for other in compared.values()):
                     best[name].add(measure)
-        safe = {name: values[4] for name, values in compared.items() if values[5] <= LIMIT}
+        safe = {name: values[4] for name, values in compared.items() if within[name]}
         for name, value in safe.items():
             best[name] |= set(PRINTED[4:]) if value == max(safe.values()) else set()
         assert {name: marks[name] for name in compared} == best
@@ -321,33 +455,51 @@ def test_of_both_choices_the_nearer_to_the_paper_is_marked(raw):
 def test_the_numbers_of_the_claims(raw):
     out, numbers = raw
     _, _, claims = (out / "report.md").read_text().partition("## The paper's claims")
-    change = {
-        name: [run["EMCC_0.99"] - run["EMCC_0.33"] for run in numbers[name]] for name in EPISODES
-    }
     level = TASK.removesuffix("-v0")
-    for name, values in change.items():
+    for name, runs in ((name, numbers[name]) for name in EPISODES):
+        change = [run["EMCC_0.99"] - run["EMCC_0.33"] for run in runs]
         printed = PAPER[name][2] - PAPER[name][0]
-        (told,) = re.findall(rf"- {TITLES[name]}: {level} (.*?\]) \(paper {printed:.2f}\)", claims)
-        assert is_mean(told, values)
+        pattern = rf"- {TITLES[name]}: {level} (\d) of {N} runs (\[.*?\]) fall, by (.*?) "
+        ((falls, share, told),) = re.findall(
+            rf"{pattern}\(n = {N}; paper {re.escape(f'{printed:+.2f}')}\)", claims
+        )
+        assert int(falls) == sum(value < 0 for value in change)
+        assert share_words(int(falls)).endswith(share)
+        assert is_mean(told, change, runs)
     inside = {
         name: sum(run["ends"].startswith("corridor") and run["J_C"] <= LIMIT for run in runs)
         for name, runs in numbers.items()
     }
     (told,) = re.findall(rf"- {level}: in the corridor within the limit: (.*?) \(claimed", claims)
-    assert told == f"CPO {inside['cpo']} of 3 runs, WCSAC {inside['wcsac']} of 3 runs"
-    pattern = rf"- {level}: (\d) of 3 runs do so, J_C (.*?) \(paper 0\.01\), "
-    pattern += r"episode cost after the first third (.*?\])"
+    words = [share_words(inside[name]).replace(" [", " runs [") for name in ("cpo", "wcsac")]
+    assert told == f"CPO {words[0]}, WCSAC {words[1]}"
+    pattern = rf"- {level}: (\d) of {N} runs \[.*?\] do so, J_C (.*?) \(n = {N}; paper 0\.01\), "
+    pattern += rf"episode cost after the first third (.*?) \(n = {N}\)"
     ((settled, cost, later),) = re.findall(pattern, claims)
     runs = numbers["wcsac"]
     assert int(settled) == sum(
         not run["ends"].startswith("corridor") and max(run["J_C"], run["later"]) <= LIMIT
         for run in runs
     )
-    assert is_mean(cost, column(runs, "J_C"))
-    assert is_mean(later, column(runs, "later"))
-    gaps = re.findall(r"- (\S+): WCSAC - CPO (.*?\]) \(paper (\S+)\)", claims)
+    assert is_mean(cost, column(runs, "J_C"), runs)
+    assert is_mean(later, column(runs, "later"), runs)
+    check_differences(claims, numbers)
+    assert "5 of 10 runs: CPO, WCSAC: undecided" in claims
+
+
+def check_differences(claims, numbers):
+    pattern = r"- (\S+): WCSAC - CPO (\S+)(?: \[(\S+), (\S+)\])? \(n = 5; paper (\S+); "
+    pattern += r"p of equivalence within (\S+): (\S+); p of the difference: (\S+)\)"
+    gaps = re.findall(pattern, claims)
     assert [name for name, *_ in gaps] == ["cost_rate", "EMCC_0.66", "EMCC_0.99"]
-    for name, told, printed in gaps:
-        k = MEASURES.index(name)
-        assert is_difference(told, column(numbers["cpo"], name), column(runs, name))
+    for name, told, low, high, printed, margin, p_equal, p in gaps:
+        k, margin = MEASURES.index(name), float(margin)
+        a, b = (column(numbers[of], name) for of in ("cpo", "wcsac"))
+        assert near(told, fmean(b) - fmean(a))
         assert near(printed, PAPER["wcsac"][k] - PAPER["cpo"][k])
+        places = [{run["ends"].partition(" (")[0] for run in numbers[of]} for of in EPISODES]
+        assert bool(low) == bool(high) == all(len(of) == 1 for of in places)
+        shifts = (([x + margin for x in a], b), ([x + margin for x in b], a))
+        tost = max(permuted(*pair, lambda t: t) for pair in shifts)
+        assert float(p_equal.lstrip("<")) == pytest.approx(max(tost, 0.001), abs=0.00051)
+        assert float(p.lstrip("<")) == pytest.approx(permuted(a, b, abs), abs=0.00051)

@@ -1,0 +1,187 @@
+"""Figures and tables over all tasks, against counts and means worked out here."""
+
+import re
+from itertools import product
+from statistics import fmean
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+
+from agents.paper.presets import preset
+from agents.reporting import summary
+from agents.reporting.over_tasks import over_tasks
+from agents.reporting.overview import intervals_figure, profiles_figure, rates_figure
+from agents.reporting.separated import separated_table
+from agents.results.measures import RunData, measures
+from agents.results.reading import Group, Run
+from agents.results.separation import comparisons
+from agents.results.thirds import thirds
+from agents.training.config import TrainConfig
+from emcc import EpisodeRecords
+
+TASKS = ("Circle2D-1-v0", "Circle2D-2-v0")
+STEPS, EPISODES = 3000, 60
+
+
+def run(seed, cost, streak, end="corridor"):
+    """60 episodes of 50 steps, each with as many cost steps, and a longest streak; the last third
+    costs nothing."""
+    start = 50 * np.arange(EPISODES)
+    costs = np.where(start < 0.66 * STEPS, cost, 0)
+    streaks = np.minimum(costs, streak)
+    length = np.full(EPISODES, 50)
+    records = EpisodeRecords(np.arange(EPISODES), start, length, -1.0 * length, costs, streaks)
+    evaluation = {"deterministic": {"J_R": -9.0 - seed, "J_C": 1.0, "CVaR_0.5": 1.0}}
+    data = RunData(records, STEPS, evaluation)
+    return Run(seed, {m.name: m(data) for m in measures()}, 100, {end: 100}, records)
+
+
+def group(task, name, runs):
+    seeds = tuple(of.seed for of in runs)
+    config = TrainConfig(name, task, seeds, STEPS, preset(name, task))
+    return Group(f"{task}/{name}", config, list(runs))
+
+
+@pytest.fixture
+def groups():
+    """CPO and WCSAC with equal cost rates of about .2 and longest streaks of about 2 and 8 steps;
+    TRPO-Lag with a cost rate of .4 and streaks of 8."""
+    found = []
+    for task in TASKS:
+        for name, cost, streak in (("trpo-lag", 20, 8), ("cpo", 10, 2), ("wcsac", 10, 8)):
+            # Cost rates and streaks of other seeds are a little higher.
+            runs = [run(seed, cost + seed % 2, streak + seed % 3) for seed in range(6)]
+            found.append(group(task, name, runs))
+    return found
+
+
+def test_thirds_of_a_run_by_hand():
+    found = thirds(run(0, 10, 4).records, STEPS)
+    assert [of.cost_rate for of in found.values()] == [0.2, 0.2, 0.0]
+    assert [of.emcc for of in found.values()] == pytest.approx([0.08, 0.08, 0.0])
+    assert [len(of.mcc) for of in found.values()] == [20, 20, 20]  # of 990 steps each
+
+
+def test_rollouts_of_several_episodes_stay_together():
+    """Rollouts of two episodes of 100 steps; the last third begins within the third one, which
+    belongs to the second third as a whole."""
+    records = EpisodeRecords(
+        [0, 0, 1, 1, 2, 2, 3, 3],
+        100 * np.arange(8),
+        np.full(8, 100),
+        np.zeros(8),
+        [10, 0, 20, 0, 30, 40, 0, 0],
+        [10, 0, 5, 0, 30, 20, 0, 0],
+    )
+    found = thirds(records, 800)
+    # They start at 0, 25, 50 and 75 %.
+    assert [of.cost_rate for of in found.values()] == pytest.approx([30 / 400, 70 / 200, 0.0])
+    assert [of.mcc.tolist() for of in found.values()] == [[0.1, 0.05], [0.3], [0.0]]
+
+
+def test_a_dot_for_each_run_and_a_cross_for_each_printed_value(groups):
+    text = intervals_figure(groups).content.decode()
+    columns = 7  # no run has a mean streak here
+    for colour in ("#0072b2", "#d55e00", "#e69f00"):
+        uses = re.findall(f"<use [^>]*fill: {colour}", text)
+        assert len(uses) == len(TASKS) * columns * 6
+    # A cross is one path with four strokes, defined once.
+    (cross,) = set(re.findall(r'<path id="(\w+)" d="M -2.5 2.5 \nL 2.5 -2.5 \nM', text))
+    assert len(re.findall(f'<use xlink:href="#{cross}"', text)) == len(groups) * columns
+    assert text == intervals_figure(groups).content.decode()
+
+
+def test_a_dot_for_each_run_and_third(groups):
+    text = rates_figure(groups).content.decode()
+    for colour in ("#0072b2", "#d55e00", "#e69f00"):
+        # One more is in the legend.
+        assert len(re.findall(f"<use [^>]*fill: {colour}", text)) == len(TASKS) * 3 * 6 + 1
+
+
+def test_profiles_are_shares_of_rollouts(groups, monkeypatch):
+    drawn = []
+    plot = Axes.plot
+
+    def noted(self, *points, **options):
+        drawn.append(points)
+        return plot(self, *points, **options)
+
+    monkeypatch.setattr(Axes, "plot", noted)
+    profiles_figure(groups)
+    assert len(drawn) == len(groups) * 3
+    thresholds, shares = drawn[3]  # CPO in the first third: all rollouts of a run are alike
+    streaks = [2 + k % 3 for k in range(6)]
+    expected = [fmean(streak / 50 > tau for streak in streaks) for tau in thresholds]
+    assert shares == pytest.approx(expected)
+
+
+def test_pairs_of_equal_cost_rates_and_different_emcc(groups):
+    """In the first two thirds of both tasks CPO and WCSAC are; in the last one nobody costs."""
+    found = [of for of in comparisons(groups) if of.separated]
+    named = [
+        (of.a.config.task, of.part, of.a.config.algorithm, of.b.config.algorithm) for of in found
+    ]
+    assert named == [(task, part, "cpo", "wcsac") for task in TASKS for part in (0.33, 0.66)]
+    table = separated_table(groups)
+    # 2 tasks x 3 thirds x 3 pairs; of the last thirds all six have equal rates, and equal EMCC.
+    assert (
+        "Of 18 comparisons 10 have equal cost rates; of these EMCC tells 4 apart" in table.caption
+    )
+    (row, *_) = table.rows
+    assert row.name == "Circle2D-1-v0, 0 to 33 %: CPO (3,000 steps) and WCSAC (3,000 steps)"
+    rate, streaks = 10.5 / 50, (3 / 50, 9 / 50)
+    values = [cell.value for cell in row.numbers]
+    assert values[:3] == pytest.approx([rate, rate, 0])
+    assert values[4:7] == pytest.approx([*streaks, streaks[1] - streaks[0]])
+    # The most extreme of 924 divisions, and its mirror; 12 of 18 pairs differ as far as can be.
+    assert values[7] == pytest.approx(18 * 2 / 924, rel=0.4)
+
+
+def test_unequal_spreads_are_not_equal_rates(groups):
+    """Cost rates that no test tells apart, since they differ wildly, are not equivalent."""
+    wild = [run(k, 10 + 30 * (k % 2), 8) for k in range(6)]
+    compared = comparisons([groups[1], group(TASKS[0], "wcsac", wild)])
+    first = next(of for of in compared if of.part == 0.33)
+    assert first.rate_p > 0.05
+    assert first.equivalence_p > 0.05
+    assert not first.equal_rates
+
+
+def test_fewer_than_five_runs_are_in_no_comparison(groups):
+    few = [group(of.config.task, of.config.algorithm, of.runs[:4]) for of in groups]
+    assert comparisons(few) == []
+    assert separated_table(few) is over_tasks(few) is None
+    assert list(summary.tables(few)) == [summary.TIES]
+
+
+def test_over_tasks_by_hand(groups):
+    table = over_tasks(groups)
+    names = [row.name for row in table.rows]
+    assert names[:3] == [f"{name}, 6 seeds" for name in ("TRPO-Lag", "CPO", "WCSAC")]
+    assert names[3:] == [
+        *("P(TRPO-Lag better than CPO)", "P(TRPO-Lag better than WCSAC)"),
+        "P(CPO better than WCSAC)",
+    ]
+    assert table.head[1:] == ["EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost rate"]
+    # Streaks 2 3 4 2 3 4 on either task: of twelve values the middle six are 2 3 3 3 3 4 or so.
+    streaks = sorted([2, 3, 4] * 4)
+    assert table.rows[1].numbers[0].value == pytest.approx(fmean(streaks[3:9]) / 50)
+    rates = (
+        [40 * (20 + k % 2) / STEPS for k in range(6)],
+        [40 * (10 + k % 2) / STEPS for k in range(6)],
+    )
+    lower = fmean(a < b or (a == b) / 2 for a, b in product(*rates))
+    assert table.rows[3].numbers[3].value == pytest.approx(lower)
+    cpo, wcsac = ([s + k % 3 for k in range(6)] for s in (2, 8))
+    better = fmean(a < b or (a == b) / 2 for a, b in product(cpo, wcsac))
+    assert table.rows[5].numbers[0].value == pytest.approx(better) == 1.0
+    low, high = table.rows[5].numbers[3].low, table.rows[5].numbers[3].high
+    assert low < 0.5 < high  # equal cost rates
+
+
+def test_one_task_has_no_table_over_tasks(groups):
+    assert over_tasks(groups[:3]) is None
+    # An algorithm without enough runs on one of the tasks is left out.
+    names = [row.name for row in over_tasks(groups[:5]).rows]
+    assert not any("WCSAC" in name for name in names)
