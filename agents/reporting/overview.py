@@ -31,7 +31,7 @@ def intervals_figure(groups: Sequence[Group]) -> Figure:
     A row of panels for each task, a column for each measure.
     """
     tasks, columns = by_task(groups), measures()
-    heights = [len(of_task) for of_task in tasks.values()]
+    heights = [max(len(of_task), 5) for of_task in tasks.values()]  # the task's name stands beside
     with drawing(8) as pyplot:
         size = (1.2 * len(columns) + 1.2, 0.22 * sum(heights) + 0.45 * len(tasks) + 0.7)
         figure, axes = pyplot.subplots(

@@ -10,7 +10,7 @@ from agents.errors import UserError
 from agents.paper import ablations
 from agents.paper.claims import check_claims
 from agents.paper.presets import is_circle2d
-from agents.reporting import claims_text, summary
+from agents.reporting import claims_text, together
 from agents.reporting.ablations import TITLE, ablation_table
 from agents.reporting.csv_table import numbers_csv, report_lines
 from agents.reporting.figures import Figure, figures, introduction
@@ -46,7 +46,7 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     groups, ablated = ablations.split(everything)
     by_task = _by_task(groups)
     shown = {task: figures(source, of_task, notes) for task, of_task in by_task.items()}
-    tables = _tables(by_task, ablated, notes) | summary.tables(groups)
+    tables = _tables(by_task, ablated, notes) | together.tables(groups)
     checked = check_claims(groups)
     markdown = "\n".join(table.markdown() for table in tables.values())
     markdown += "\n" + claims_text.markdown(checked) if checked else ""
@@ -54,7 +54,7 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
         write_archive(archive, source, everything)
     if any(is_circle2d(group.config.task) and group.runs for group in groups):
         shown = {"Circle2D and EMCC": introduction()} | shown
-    shown = summary.figures(groups) | shown
+    shown = together.figures(groups) | shown
     sections = [
         Section(name, tables.get(name), shown.get(name, [])) for name in {**shown, **tables}
     ]

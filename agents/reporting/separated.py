@@ -32,11 +32,14 @@ def separated_table(groups: Sequence[Group]) -> Table | None:
     found = comparisons([group for of_task in by_task(groups).values() for group in of_task])
     if not found:
         return None
-    equal = [of for of in found if of.equal_rates]
-    shown = [of for of in found if of.separated]
+    not_told = [of for of in found if of.rate_p > LEVEL]
+    equal = [of for of in not_told if of.equal_rates]
+    shown = [of for of in equal if of.separated]
+    differ = sum(of.emcc_p <= LEVEL for of in not_told)
     caption = (
-        f"{RULE}. Of {len(found)} comparisons {len(equal)} have equal cost rates; of these EMCC "
-        f"tells {len(shown)} apart, which are listed. Differences with Welch's 95 % t interval; p "
+        f"{RULE}. Of {len(found)} comparisons the cost rate does not tell {len(not_told)} apart, "
+        f"of which EMCC tells {differ} apart; {len(equal)} have equal cost rates, of which EMCC "
+        f"tells {len(shown)} apart: these are listed. Differences with Welch's 95 % t interval; p "
         f"equal: of the equivalence test; p: of EMCC, corrected for {len(found)} tests"
     )
     return Table(caption, ["A and B", *HEAD], [_row(of) for of in shown])

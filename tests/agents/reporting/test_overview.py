@@ -9,7 +9,7 @@ import pytest
 from matplotlib.axes import Axes
 
 from agents.paper.presets import preset
-from agents.reporting import summary
+from agents.reporting import together
 from agents.reporting.over_tasks import over_tasks
 from agents.reporting.overview import intervals_figure, profiles_figure, rates_figure
 from agents.reporting.separated import separated_table
@@ -126,7 +126,8 @@ def test_pairs_of_equal_cost_rates_and_different_emcc(groups):
     table = separated_table(groups)
     # 2 tasks x 3 thirds x 3 pairs; of the last thirds all six have equal rates, and equal EMCC.
     assert (
-        "Of 18 comparisons 10 have equal cost rates; of these EMCC tells 4 apart" in table.caption
+        "Of 18 comparisons the cost rate does not tell 10 apart, of which EMCC tells 4 apart; 10 "
+        "have equal cost rates, of which EMCC tells 4 apart: these are listed." in table.caption
     )
     (row, *_) = table.rows
     assert row.name == "Circle2D-1-v0, 0 to 33 %: CPO (3,000 steps) and WCSAC (3,000 steps)"
@@ -152,7 +153,7 @@ def test_fewer_than_five_runs_are_in_no_comparison(groups):
     few = [group(of.config.task, of.config.algorithm, of.runs[:4]) for of in groups]
     assert comparisons(few) == []
     assert separated_table(few) is over_tasks(few) is None
-    assert list(summary.tables(few)) == [summary.TIES]
+    assert list(together.tables(few)) == [together.TIES]
 
 
 def test_over_tasks_by_hand(groups):

@@ -1,4 +1,4 @@
-"""Figures and tables over all tasks of a report, by the title of their section."""
+"""Figures and tables of all tasks of a report together, by the title of their section."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ RUNS, RATES, TASKS = "Every run", "Cost rate against EMCC", "All tasks together"
 
 
 def figures(groups: Sequence[Group]) -> dict[str, list[Figure]]:
-    """Every run with its mean, and what EMCC shows that the cost rate does not."""
+    """Every run with its mean, and what EMCC shows that the cost rate does not; nothing where no
+    run is complete."""
+    if not any(group.runs for group in groups):
+        return {}
     return {
         RUNS: [intervals_figure(groups)],
         RATES: [rates_figure(groups), profiles_figure(groups)],
