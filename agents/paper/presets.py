@@ -108,11 +108,10 @@ LIBRARY = {"variance_target": "unsquared", "damping_gradient": "through"}
 
 def ablations(name: str, task: str) -> dict[str, Any]:
     """The preset with other choices of what the paper does not print, by the choice's name."""
-    config, setting = preset(name, task), unprinted(name)
-    found = {}
-    if setting is not None:
-        (other,) = set(setting.choices) - {getattr(config, setting.field)}
-        found[other] = replace(config, **{setting.field: other})
-    if name == "wcsac":
-        found["library"] = replace(config, **LIBRARY)
-    return found
+    setting = unprinted(name)
+    if setting is None:
+        return {}
+    config = preset(name, task)
+    (other,) = set(setting.choices) - {getattr(config, setting.field)}
+    found = {other: replace(config, **{setting.field: other})}
+    return found | ({"library": replace(config, **LIBRARY)} if name == "wcsac" else {})
