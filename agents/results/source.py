@@ -148,13 +148,13 @@ class FolderSource:
         self, folder: str, config: TrainConfig, seeds: Sequence[int]
     ) -> dict[int, list[Episode] | None]:
         """Episodes of the trained policies, by seed; None of one that diverged. UserError."""
-        for seed in seeds:
-            if (folder, seed) not in self._trained:
-                try:
-                    played = steps.play_trained(self.root / folder, config, seed)
-                except UserError as error:
-                    raise UserError(self._relative(error)) from None
-                self._trained[folder, seed] = played
+        new = [seed for seed in seeds if (folder, seed) not in self._trained]
+        if new:
+            try:
+                played = steps.play_trained(self.root / folder, config, new)
+            except UserError as error:
+                raise UserError(self._relative(error)) from None
+            self._trained |= {(folder, seed): of_run for seed, of_run in played.items()}
         return {seed: self._trained[folder, seed] for seed in seeds}
 
     def costs(self, folder: str, seed: int, records: EpisodeRecords) -> NDArray[np.float64]:

@@ -1,0 +1,103 @@
+"""Replay of training: the data of the page's player, for every run the episode of highest MCC in
+each window of training, and the running EMCC.
+
+Positions are on a grid of 4096 points along each side of the box of those shown, EMCC has three
+digits; all else is exact. The page's script, `templates/replay.js`, reads it.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.errors import UserError
+from agents.paper.settings import in_order, title_of
+from agents.reporting.curves import running_emcc
+from agents.reporting.scenes import STATES, Scenes, shown_states
+from agents.results.reading import Group, Run
+from agents.results.source import DamagedSource, Source
+from agents.results.steps import LAST, WINDOWS, Replay
+from emcc.parts import ALPHA, PARTS
+
+GRID = 4095
+"""The last point along a side."""
+DIGITS = 1000
+"""Parts of 1 that EMCC is told in."""
+
+
+def replay_data(
+    source: Source, groups: Sequence[Group], scenes: Scenes, notes: list[str]
+) -> dict[str, Any]:
+    """The data of the player; no runs where none has recorded positions and costs.
+
+    What cannot be replayed of a task with positions goes into the notes.
+    """
+    runs = []
+    for group in in_order(groups):
+        scene = scenes.of(group.config) if group.runs else None
+        if scene is None:
+            continue
+        named = {"task": group.config.task, "algorithm": title_of(group.config)}
+        for run in group.runs:
+            try:
+                replay = source.replay(group.folder, group.config, run.seed, run.records)
+            except DamagedSource:
+                raise
+            except UserError as error:
+                notes.append(f"no replay of {source.title(group.folder)}: {error}")
+                break
+            if not all(len(episode.points) for episode in replay.episodes):
+                notes.append(f"no replay of {source.title(group.folder)}: it has no positions")
+                break
+            of_run = _run(run, replay, group.config.steps)
+            runs.append({**named, "scene": scene.number, **of_run})
+    extents = [list(scene.extent) for scene in scenes.all]
+    return {
+        "windows": WINDOWS,
+        "grid": GRID,
+        "digits": DIGITS,
+        "states": STATES,
+        "parts": list(PARTS),
+        "extents": extents,
+        "runs": runs,
+    }
+
+
+def replay_json(data: dict[str, Any]) -> str:
+    """The data as JSON that can stand in a script element."""
+    return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
+    """One run's entry: numbers of each episode, then all points and all costs in a row."""
+    episodes = replay.episodes
+    points = [episode.points[shown_states(len(episode.points))] for episode in episodes]
+    costs = np.concatenate([episode.costs for episode in episodes])
+    curve = running_emcc([run.records], steps, ALPHA).mean
+    return {
+        "seed": run.seed,
+        "steps": steps,
+        "box": replay.box.ravel().tolist(),
+        "window": [episode.window for episode in episodes],
+        "start": [episode.start_step for episode in episodes],
+        "length": [len(episode.costs) for episode in episodes],
+        "cost": [float(episode.costs.sum()) for episode in episodes],
+        "points": _text(_packed(np.concatenate(points))),
+        "unsafe": _text(np.packbits(costs > 0)),
+        "emcc": [None if np.isnan(v) else round(v * DIGITS) for v in curve.tolist()],
+    }
+
+
+def _packed(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Points [N, 2] on the finer grid as three bytes each: twelve bits a coordinate."""
+    x, y = np.round(points.astype(np.float64) * (GRID / LAST)).astype(np.uint16).T
+    return np.stack((x >> 4, (x & 15) << 4 | y >> 8, y & 255), axis=-1).astype(np.uint8)
+
+
+def _text(data: NDArray[np.uint8]) -> str:
+    return base64.b64encode(data.tobytes()).decode()
