@@ -17,18 +17,17 @@ def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group
     """
     pairs = []
     for group in groups:
-        beside = [other for other in groups if _is_ablation(group.config, other.config)]
+        other = ablation(group.config.algorithm, group.config.task)
+        if other is None or group.config.hyperparameters != other[1]:
+            continue
+        beside = [of for of in groups if _is_preset(of.config, group.config)]
         pairs += [(beside[0], group)] if beside else []
     ablated = {group.folder for _, group in pairs}
     return [group for group in groups if group.folder not in ablated], pairs
 
 
-def _is_ablation(config: TrainConfig, of: TrainConfig) -> bool:
-    """Whether it is that of a preset but for the choice of what is not printed, on equal terms."""
-    other = ablation(config.algorithm, config.task)
-    if other is None or config.hyperparameters != other[1]:
-        return False
-    if of.algorithm != config.algorithm or of.hyperparameters != preset(of.algorithm, of.task):
-        return False
-    terms = [(c.task, c.task_parameters, c.steps) for c in (config, of)]
-    return terms[0] == terms[1]
+def _is_preset(config: TrainConfig, ablated: TrainConfig) -> bool:
+    """Whether it is that of the preset, on equal terms with an ablated one."""
+    terms = [(c.algorithm, c.task, c.task_parameters, c.steps) for c in (config, ablated)]
+    usual = preset(ablated.algorithm, ablated.task)
+    return terms[0] == terms[1] and config.hyperparameters == usual

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from agents.errors import UserError
 from agents.paper.settings import in_order, title_of
 from agents.reporting.figures import visits_words
@@ -12,7 +15,7 @@ from agents.reporting.scenes import STATES, Scene, Scenes, heat_png, paths
 from agents.results.measures import measure
 from agents.results.reading import Group, Run
 from agents.results.source import DamagedSource, Source
-from agents.results.steps import DRAWN, Episode, Visits
+from agents.results.steps import DRAWN, Episode
 from circle2d_mj.render import canvas
 from emcc.parts import ALPHA, PARTS
 
@@ -64,7 +67,8 @@ def _turned(shown: Maps) -> Maps:
 
 def _visited(source: Source, seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | None:
     """A row for each third of training; one scale for all."""
-    found: list[tuple[str, Scene, list[Visits]]] = []
+    names: list[str] = []
+    columns: list[list[tuple[Scene, str, NDArray[np.int64]]]] = []
     for group, scene in seen:
         records = {run.seed: run.records for run in group.runs}
         try:
@@ -74,13 +78,14 @@ def _visited(source: Source, seen: Sequence[tuple[Group, Scene]], notes: list[st
         except UserError as error:
             notes.append(f"no heat map of {source.title(group.folder)}: {error}")
             continue
-        found.append((title_of(group.config), scene, parts))
-    if not found:
+        names.append(title_of(group.config))
+        columns.append([(scene, visits_words(of), _coarser(of.counts)) for of in parts])
+    if not columns:
         return None
-    most = canvas.most_visits([part.counts for *_, parts in found for part in parts])
+    most = canvas.most_visits([counts for column in columns for *_, counts in column])
     cells = [
-        [Map(scene, visits_words(of[k]), heat_png(of[k].counts, most)) for _, scene, of in found]
-        for k in range(len(PARTS))
+        [Map(scene, words, heat_png(counts, most)) for scene, words, counts in row]
+        for row in zip(*columns, strict=True)
     ]
     words = (
         "States visited in the rollouts that dominate EMCC in each third of training (the share "
@@ -89,7 +94,13 @@ def _visited(source: Source, seen: Sequence[tuple[Group, Scene]], notes: list[st
         f"{100 * canvas.QUANTILE:.0f} % of the visited cells do not exceed. EMCC: mean over seeds."
     )
     rows = [f"{part} of training" for part in PARTS.values()]
-    return Maps("Visited states", words, [name for name, *_ in found], rows, cells, most)
+    return Maps("Visited states", words, names, rows, cells, most)
+
+
+def _coarser(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Counts of cells of twice the side: on a page the smaller ones are a pixel or two."""
+    half = len(counts) // 2
+    return counts.reshape(half, 2, half, 2).sum(axis=(1, 3))
 
 
 def _trained(source: Source, seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | None:

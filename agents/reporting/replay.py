@@ -1,7 +1,7 @@
 """Replay of training: the data of the page's player, for every run the episode of highest MCC in
 each window of training, and the running EMCC.
 
-Positions are on a grid of 4096 points along each side of the box of those shown, EMCC has three
+Positions are on a grid of 1024 points along each side of the box of those shown, EMCC has three
 digits; all else is exact. The page's script, `templates/replay.js`, reads it.
 """
 
@@ -17,15 +17,16 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.paper.settings import in_order, title_of
-from agents.reporting.curves import running_emcc
+from agents.reporting.curves import WINDOW, midpoints
 from agents.reporting.scenes import STATES, Scenes, shown_states
 from agents.results.reading import Group, Run
 from agents.results.source import DamagedSource, Source
 from agents.results.steps import LAST, WINDOWS, Replay
+from emcc import emcc
 from emcc.parts import ALPHA, PARTS
 
-GRID = 4095
-"""The last point along a side."""
+BITS = 10
+"""Of a coordinate: the last of the grid's points along a side is 2**BITS - 1."""
 DIGITS = 1000
 """Parts of 1 that EMCC is told in."""
 
@@ -59,7 +60,7 @@ def replay_data(
     extents = [list(scene.extent) for scene in scenes.all]
     return {
         "windows": WINDOWS,
-        "grid": GRID,
+        "bits": BITS,
         "digits": DIGITS,
         "states": STATES,
         "parts": list(PARTS),
@@ -78,25 +79,33 @@ def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
     episodes = replay.episodes
     points = [episode.points[shown_states(len(episode.points))] for episode in episodes]
     costs = np.concatenate([episode.costs for episode in episodes])
-    curve = running_emcc([run.records], steps, ALPHA).mean
+    lengths = {len(episode.costs) for episode in episodes}
     return {
         "seed": run.seed,
         "steps": steps,
         "box": replay.box.ravel().tolist(),
         "window": [episode.window for episode in episodes],
         "start": [episode.start_step for episode in episodes],
-        "length": [len(episode.costs) for episode in episodes],
-        "cost": [float(episode.costs.sum()) for episode in episodes],
+        # One number where all episodes are as long, none where cost steps cost 1.
+        "length": lengths.pop() if len(lengths) == 1 else [len(e.costs) for e in episodes],
+        "cost": [float(e.costs.sum()) for e in episodes] if set(costs) - {0.0, 1.0} else None,
         "points": _text(_packed(np.concatenate(points))),
         "unsafe": _text(np.packbits(costs > 0)),
-        "emcc": [None if np.isnan(v) else round(v * DIGITS) for v in curve.tolist()],
+        "emcc": _running_emcc(run, steps),
     }
 
 
+def _running_emcc(run: Run, steps: int) -> list[int | None]:
+    """EMCC around each of `midpoints`, as in the curves, in parts of 1; None without a rollout."""
+    mcc, starts = run.records.mcc_per_rollout()
+    near = (mcc[np.abs(starts - at) <= WINDOW / 2 * steps] for at in midpoints(steps))
+    return [round(emcc(of, ALPHA) * DIGITS) if len(of) else None for of in near]
+
+
 def _packed(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Points [N, 2] on the finer grid as three bytes each: twelve bits a coordinate."""
-    x, y = np.round(points.astype(np.float64) * (GRID / LAST)).astype(np.uint16).T
-    return np.stack((x >> 4, (x & 15) << 4 | y >> 8, y & 255), axis=-1).astype(np.uint8)
+    """Points [N, 2] on the coarser grid: x and y of one after another, `BITS` bits each."""
+    coarse = np.round(points.astype(np.float64) * ((2**BITS - 1) / LAST)).astype(np.uint16)
+    return np.packbits(coarse.reshape(-1, 1) >> np.arange(BITS)[::-1] & 1)
 
 
 def _text(data: NDArray[np.uint8]) -> str:

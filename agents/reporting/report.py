@@ -61,6 +61,7 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     if archive is not None:
         write_archive(archive, source, everything)
     sections = [Section(claims_text.TITLE, claims=checked)] if checked else []
+    # Here stands the overview: one figure of intervals, with a dot for each run.
     sections += [Section("Replay of training", replay=replay)] if replay["runs"] else []
     sections += [
         drawn.get(name, Section(name))._replace(table=of_task) for name, of_task in tables.items()

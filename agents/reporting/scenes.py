@@ -55,7 +55,7 @@ class Scenes:
         key = repr((config.task, config.task_parameters))
         if key not in self._found:
             view = view_of(config.task, config.task_parameters)
-            self._found[key] = view and _scene(len(self.all), view)
+            self._found[key] = None if view is None else _scene(len(self.all), view)
         return self._found[key]
 
     @property

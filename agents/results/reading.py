@@ -28,6 +28,8 @@ class Run:
     records: EpisodeRecords = field(repr=False)
     evaluation: Mapping[str, Any] = field(default_factory=dict, repr=False)
     """`evaluation.json`: means and values per episode of either policy."""
+    ways: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    """Of the episodes that end in a place, those that came by each way; empty where none tells."""
 
     @property
     def end(self) -> str:
@@ -104,4 +106,5 @@ def _read_run(source: Source, folder: str, config: TrainConfig, seed: int) -> Ru
         files.ends,
         files.records,
         files.evaluation,
+        files.ways,
     )

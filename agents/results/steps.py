@@ -97,14 +97,16 @@ def count_visits(
     records: Sequence[EpisodeRecords],
     parts: Sequence[float] = tuple(PARTS),
     alpha: float = ALPHA,
+    view: View | None = None,
 ) -> list[Visits]:
     """States of the rollouts that dominate EMCC in some parts of training, all runs together.
 
     records: those of each seed of the configuration. alpha: the share of rollouts with the highest
-    MCC, those equal to the last of them included; 1 takes all. Source: the figures of visited
-    states. Raises UserError where positions are missing or damaged.
+    MCC, those equal to the last of them included; 1 takes all. view: of the task, made here where
+    it is not given. Source: the figures of visited states. Raises UserError where positions are
+    missing or damaged.
     """
-    extent = require_view(config).extent
+    extent = (view or require_view(config)).extent
     visited = [
         _visited(run_folder(folder, seed), of_run)
         for seed, of_run in zip(config.seeds, records, strict=True)
@@ -200,13 +202,14 @@ def play_trained(
     seeds: Sequence[int],
     episodes: int = DRAWN,
     noisy: bool = False,
+    view: View | None = None,
 ) -> dict[int, list[Episode] | None]:
     """The first episodes of the evaluation of some runs, by seed; None of a policy that diverged.
 
-    episodes: in [1, 100]; noisy: of the stochastic policy. Raises UserError for a task without
-    positions, or without a checkpoint.
+    episodes: in [1, 100]; noisy: of the stochastic policy; view: as in `count_visits`. Raises
+    UserError for a task without positions, or without a checkpoint.
     """
-    view, spaces = require_view(config), read_spaces(folder, config)
+    view, spaces = view or require_view(config), read_spaces(folder, config)
     policies = [load_learner(folder, config, spaces, seed).policy() for seed in seeds]
     chosen, active = replace(config, seeds=tuple(seeds)), np.ones(len(seeds), dtype=bool)
 
@@ -226,7 +229,7 @@ def play_trained(
         )
         for k, steps in enumerate(rollout.length)
     ]
-    diverged = rollout.diverged.reshape(len(seeds), episodes).any(axis=1)
+    diverged = np.any(rollout.diverged.reshape(len(seeds), episodes), axis=1)
     return {
         seed: None if diverged[k] else played[k * episodes : (k + 1) * episodes]
         for k, seed in enumerate(seeds)
