@@ -34,7 +34,7 @@ def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
         if of["machine"]
     }
     found = {
-        "program": _program(),
+        "program": program(),
         "command": "\n".join(command(group.config, source.title(group.folder)) for group in groups),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
@@ -44,6 +44,20 @@ def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
         "steps": _list(group.config.steps for group in groups),
     }
     return {name: text for name, text in found.items() if text}
+
+
+def program() -> str:
+    """Name, version and, where it runs from a git repository of its own, commit."""
+    root = Path(__file__).parents[2]
+    words = f"circle2d-mj {version('circle2d-mj')}"
+    if not (root / ".git").exists():
+        return words
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        commit = subprocess.run([*command, "--exclude=*"], capture_output=True, text=True)
+    except OSError:  # no git
+        return words
+    return f"{words}, commit {commit.stdout.strip()}" if commit.returncode == 0 else words
 
 
 def heading(groups: Sequence[Group]) -> str:
@@ -64,7 +78,7 @@ def summary(groups: Sequence[Group]) -> str:
         _count(len(names), "algorithm"),
         *([f"{len(settings)} settings"] if len(settings) > len(names) else []),
         f"seeds {_seeds({seed for config in configs for seed in config.seeds})}",
-        f"{_list(config.steps for config in configs)} steps each",
+        f"{' or '.join(f'{n:,}' for n in sorted({c.steps for c in configs}))} steps each",
     ]
     return ", ".join(parts)
 
@@ -85,20 +99,6 @@ def _few(names: Sequence[str], many: str) -> str:
 
 def _count(number: int, name: str) -> str:
     return f"{number:,} {name}{'s' * (number != 1)}"
-
-
-def _program() -> str:
-    """Name, version and, where it runs from a git repository of its own, commit."""
-    root = Path(__file__).parents[2]
-    words = f"circle2d-mj {version('circle2d-mj')}"
-    if not (root / ".git").exists():
-        return words
-    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
-    try:
-        commit = subprocess.run([*command, "--exclude=*"], capture_output=True, text=True)
-    except OSError:  # no git
-        return words
-    return f"{words}, commit {commit.stdout.strip()}" if commit.returncode == 0 else words
 
 
 def command(config: TrainConfig, out: str) -> str:

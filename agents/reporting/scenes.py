@@ -32,7 +32,7 @@ SHADES = 31
 
 
 class Scene(NamedTuple):
-    """What the pictures of one task share."""
+    """The part that all pictures of one task share."""
 
     number: int
     """Its place among the page's."""

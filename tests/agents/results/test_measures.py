@@ -50,7 +50,7 @@ def test_a_measure_from_outside_is_everywhere(outside, tmp_path):
     of = rows("| task, algorithm and choice" + ablations)
     assert of["Circle2D-1-v0, TRPO-Lag, sgd, 100 steps, mean of 2"][head] == "0.750 [0.750, 0.750]"
     page = (a / "index.html").read_text()
-    assert page.count(f"<th>{head}</th>") == 2
+    assert page.count(f'<th scope="col">{head}</th>') == 3  # means, runs and ablations
     assert '<td class="best">0.375<br><small>[0.375, 0.375]</small></td>' in page
     of = rows((tmp_path / "compare.md").read_text())
     assert of["B - A: TRPO-Lag (100 steps)"][head] == "+0.312 [+0.250, +0.375]"
