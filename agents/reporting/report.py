@@ -49,11 +49,11 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     groups, ablated = ablations.split(everything)
     by_task = _by_task(groups)
     scenes = Scenes()
+    replay = replay_data(source, groups, scenes, notes)
     drawn = {
         task: Section(task, figures=figures(of_task), maps=maps(source, of_task, scenes, notes))
         for task, of_task in by_task.items()
     }
-    replay = replay_data(source, groups, scenes, notes)
     tables = _tables(by_task, ablated, notes)
     checked = check_claims(groups)
     markdown = "\n".join(table.markdown() for table in tables.values())

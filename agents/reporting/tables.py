@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -89,7 +90,13 @@ def mean_row(group: Group, prefix: str = "") -> Row:
     """The row of the means of a group, with their intervals over seeds."""
     cells = [number_of(mean_of(group.values(m.name)), m.digits) for m in measures()]
     name = f"{prefix}{title_of(group.config)}, mean of {len(group.runs)}"
-    return Row(name, cells, kind="mean")
+    return Row(name, cells, _ends_of(group), kind="mean")
+
+
+def _ends_of(group: Group) -> str:
+    """Runs by the place where they end, and by the way there: "7 corridor, through; 3 top rim"."""
+    places = Counter(", ".join(filter(None, (run.end, run.way))) for run in group.runs if run.end)
+    return "; ".join(f"{count} {place}" for place, count in places.most_common())
 
 
 def paper_row(name: str, printed: Mapping[str, float]) -> Row:

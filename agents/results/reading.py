@@ -36,6 +36,12 @@ class Run:
         """The place where most of its evaluated episodes end; empty without places."""
         return max(self.ends, key=self.ends.__getitem__, default="")
 
+    @property
+    def way(self) -> str:
+        """The way by which most of them came to that place; empty where none is told."""
+        of = self.ways.get(self.end, {})
+        return max(of, key=of.__getitem__, default="")
+
 
 @dataclass(frozen=True)
 class Group:
