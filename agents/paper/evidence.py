@@ -48,8 +48,8 @@ class Cell(NamedTuple):
 
     @property
     def one_place(self) -> bool:
-        """Whether all runs end in the same place."""
-        return len({run.end for run in self.runs}) < 2
+        """Whether all runs end in the same place, by the same way there."""
+        return len({run.place for run in self.runs}) < 2
 
     def share(self, does: Callable[[Run], bool], name: str, words: str) -> list[Fact]:
         """Share of runs that do something; nothing where there are no runs."""

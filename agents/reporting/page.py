@@ -6,25 +6,37 @@ import base64
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
+from urllib.parse import quote
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from markupsafe import Markup
 
 from agents.paper.claims import Checked
 from agents.reporting import claims_text
 from agents.reporting.figures import Figure
+from agents.reporting.maps import Map, Maps
+from agents.reporting.replay import replay_json
+from agents.reporting.scenes import SIDE, Scene
 from agents.reporting.table import Number, Table
+from circle2d_mj.render import canvas
 
+URL = " !$()*+,-./:;=?@[]^_`{|}~'"
+"""Characters that need no escape in a data URL in double quotes."""
 MEDIA = {"png": "image/png", "svg": "image/svg+xml"}
 
 
 class Section(NamedTuple):
-    """A part of the page: a task with its table and then its figures, or the claims."""
+    """A part of the page: a task with its table, figures and maps, the claims, or the replay."""
 
     title: str
     table: Table | None = None
     figures: Sequence[Figure] = ()
     claims: Sequence[Checked] = ()
+    maps: Sequence[Maps] = ()
+    replay: Mapping[str, Any] | None = None
+    """See `replay.replay_data`."""
 
     @property
     def anchor(self) -> str:
@@ -32,12 +44,27 @@ class Section(NamedTuple):
         return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
 
 
-def page(title: str, sections: Sequence[Section], made: Mapping[str, str]) -> str:
-    """The page. made: how the numbers came about, by name."""
+def page(
+    title: str,
+    sections: Sequence[Section],
+    made: Mapping[str, str],
+    lead: str = "",
+    scenes: Sequence[Scene] = (),
+) -> str:
+    """The page.
+
+    sections: in their order; made: how the numbers came about, by name; lead: one line below the
+    title; scenes: of all maps and of the replay.
+    """
     last = Section("How it was made")
-    contents = [*sections, last]
     return _template().render(
-        title=title, contents=contents, sections=sections, last=last, made=made
+        title=title,
+        lead=lead,
+        contents=[*sections, last],
+        sections=sections,
+        last=last,
+        made=made,
+        scenes=scenes,
     )
 
 
@@ -52,12 +79,48 @@ def _template() -> Template:
         keep_trailing_newline=True,
     )
     environment.filters["embedded"] = _embedded
+    environment.filters["png"] = lambda content: _data(MEDIA["png"], content)
     environment.filters["finding"] = claims_text.finding_words
+    environment.filters["json"] = replay_json
     environment.tests["number"] = lambda cell: isinstance(cell, Number)
-    environment.globals["method"] = claims_text.METHOD
+    environment.tests["map"] = lambda cell: isinstance(cell, Map)
+    environment.globals.update(
+        method=claims_text.METHOD,
+        side=SIDE,
+        heat=_gradient(),
+        colours={
+            name: f"rgb{colour}"
+            for name, colour in (("line", canvas.LINE), ("dot", canvas.DOT), ("cost", canvas.BOX))
+        },
+    )
     return environment.get_template("page.html")
 
 
 def _embedded(figure: Figure) -> str:
     """A figure's file as a data URL."""
-    return f"data:{MEDIA[figure.kind]};base64,{base64.b64encode(figure.content).decode()}"
+    if figure.kind == "png":
+        return _data(MEDIA["png"], figure.content)
+    # As text, which takes a third less than base64; a URL has no line breaks.
+    return Markup(f"data:{MEDIA['svg']},{quote(_shorter(figure.content), safe=URL)}")
+
+
+def _shorter(svg: bytes) -> bytes:
+    """The drawing with its paths' coordinates, in points, to a tenth: a third of the letters go."""
+
+    def path(found: re.Match[bytes]) -> bytes:
+        tenths = re.sub(rb"(\.\d)\d+", rb"\1", found[0])
+        return re.sub(rb"\s*([A-Zz])\s*", rb"\1", tenths)
+
+    svg = re.sub(rb'(?<= d=")[^"]*', path, svg)
+    svg = svg.replace(b'"', b"'") if b"'" not in svg else svg
+    return re.sub(rb"\s+", b" ", svg)
+
+
+def _data(media: str, content: bytes) -> str:
+    return f"data:{media};base64,{base64.b64encode(content).decode()}"
+
+
+def _gradient() -> str:
+    """The colours of heat, from one visit to the most, for CSS."""
+    colours = canvas.heat_colours(np.linspace(0.0, 1.0, len(canvas.HEAT))).tolist()
+    return ", ".join(f"rgb({r} {g} {b})" for r, g, b in colours)

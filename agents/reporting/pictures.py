@@ -115,7 +115,7 @@ def evaluation_episodes(
         raise UserError(f"{folder} has no run of seed {seed}: its seeds are {list(config.seeds)}")
     if not 1 <= episodes <= EVALUATION_EPISODES:
         raise UserError(f"episodes must be in [1, {EVALUATION_EPISODES}], got {episodes}")
-    found = play_trained(folder, config, seed, episodes, noisy)
+    found = play_trained(folder, config, [seed], episodes, noisy)[seed]
     if found is None:
         raise UserError(f"the policy of seed {seed} gives numbers that are not finite")
     return found, require_view(config)

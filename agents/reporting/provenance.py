@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import shlex
+import subprocess
 from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
-from agents.paper.settings import hyperparameter_changes
+from agents.algorithms import title
+from agents.paper.settings import hyperparameter_changes, in_order, title_of
 from agents.results.reading import Group
 from agents.results.source import Source
 from agents.training.config import TrainConfig
@@ -17,8 +21,8 @@ from agents.training.status import duration
 def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
     """All that is needed to make the numbers again, by name.
 
-    Versions, machine and training time are those that the run folders hold, and left out where
-    there are none.
+    program: this one, with its commit; command: a line for each folder. Versions, machine and
+    training time are those that the run folders hold, and left out where there are none.
     """
     sessions = [of for group in groups for of in sessions_of(source.configs[group.folder])]
     versions = {
@@ -30,6 +34,7 @@ def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
         if of["machine"]
     }
     found = {
+        "program": program(),
         "command": "\n".join(command(group.config, source.title(group.folder)) for group in groups),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
@@ -39,6 +44,61 @@ def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
         "steps": _list(group.config.steps for group in groups),
     }
     return {name: text for name, text in found.items() if text}
+
+
+def program() -> str:
+    """Name, version and, where it runs from a git repository of its own, commit."""
+    root = Path(__file__).parents[2]
+    words = f"circle2d-mj {version('circle2d-mj')}"
+    if not (root / ".git").exists():
+        return words
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        commit = subprocess.run([*command, "--exclude=*"], capture_output=True, text=True)
+    except OSError:  # no git
+        return words
+    return f"{words}, commit {commit.stdout.strip()}" if commit.returncode == 0 else words
+
+
+def heading(groups: Sequence[Group]) -> str:
+    """A title that names the runs: their algorithms and tasks."""
+    names = list(dict.fromkeys(title(group.config.algorithm) for group in in_order(groups)))
+    tasks = list(dict.fromkeys(group.config.task for group in groups))
+    return f"{_few(names, 'algorithms')} on {_few(tasks, 'tasks')}"
+
+
+def summary(groups: Sequence[Group]) -> str:
+    """One line on the runs: how many, on how many tasks, for how long."""
+    configs = [group.config for group in groups]
+    names = {config.algorithm for config in configs}
+    settings = {title_of(config) for config in configs}
+    parts = [
+        _count(sum(len(group.runs) for group in groups), "run"),
+        _count(len({config.task for config in configs}), "task"),
+        _count(len(names), "algorithm"),
+        *([f"{len(settings)} settings"] if len(settings) > len(names) else []),
+        f"seeds {_seeds({seed for config in configs for seed in config.seeds})}",
+        f"{' or '.join(f'{n:,}' for n in sorted({c.steps for c in configs}))} steps each",
+    ]
+    return ", ".join(parts)
+
+
+def _seeds(seeds: set[int]) -> str:
+    """Numbers as a list, or as a range where there are no gaps."""
+    low, high = min(seeds), max(seeds)
+    return f"{low} to {high}" if len(seeds) == high - low + 1 > 3 else _list(seeds)
+
+
+def _few(names: Sequence[str], many: str) -> str:
+    """Up to five names; more are counted."""
+    if len(names) > 5:
+        return f"{len(names)} {many}"
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last
+
+
+def _count(number: int, name: str) -> str:
+    return f"{number:,} {name}{'s' * (number != 1)}"
 
 
 def command(config: TrainConfig, out: str) -> str:

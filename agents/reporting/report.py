@@ -13,9 +13,12 @@ from agents.paper.presets import is_circle2d
 from agents.reporting import claims_text, together
 from agents.reporting.ablations import TITLE, ablation_table
 from agents.reporting.csv_table import numbers_csv, report_lines
-from agents.reporting.figures import Figure, figures, introduction
+from agents.reporting.figures import figures, introduction
+from agents.reporting.maps import maps
 from agents.reporting.page import Section, page
-from agents.reporting.provenance import made
+from agents.reporting.provenance import heading, made, summary
+from agents.reporting.replay import replay_data
+from agents.reporting.scenes import Scenes
 from agents.reporting.table import Table
 from agents.reporting.tables import task_table
 from agents.results.archive import open_source, write_archive
@@ -27,10 +30,10 @@ from agents.training.files import write_whole
 def report(path: Path, archive: Path | None = None, out: Path | None = None) -> str:
     """Write the report of every folder of runs at or below a folder, or in an archive.
 
-    Writes `report.md`, `report.csv` for a program, figures into `pictures`, and `index.html`, which
-    holds everything, and returns the tables and the paper's claims as Markdown. Runs that are
-    missing, damaged or unfinished are named below the table and left out of its means; figures
-    that cannot be drawn are named too.
+    Writes `report.md`, `report.csv` for a program, and `index.html`, which holds everything, with
+    all figures, and returns the tables and the paper's claims as Markdown. Runs that are missing,
+    damaged or unfinished are named below the table and left out of its means; figures that cannot
+    be drawn are named too.
 
     archive: a file to pack all that the report needs into; a report from it has the same bytes.
     out: folder to write to; by default the runs' own, for an archive the one beside it that has its
@@ -45,26 +48,34 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     everything = read_groups(source, notes)
     groups, ablated = ablations.split(everything)
     by_task = _by_task(groups)
-    shown = {task: figures(source, of_task, notes) for task, of_task in by_task.items()}
-    tables = _tables(by_task, ablated, notes) | together.tables(groups)
+    scenes = Scenes()
+    replay = replay_data(source, groups, scenes, notes)
+    drawn = {
+        task: Section(task, figures=figures(of_task), maps=maps(source, of_task, scenes, notes))
+        for task, of_task in by_task.items()
+    }
+    shown, common = together.figures(groups), together.tables(groups)
+    tables = _tables(by_task, ablated, notes) | common
     checked = check_claims(groups)
     markdown = "\n".join(table.markdown() for table in tables.values())
     markdown += "\n" + claims_text.markdown(checked) if checked else ""
     if archive is not None:
         write_archive(archive, source, everything)
-    if any(is_circle2d(group.config.task) and group.runs for group in groups):
-        shown = {"Circle2D and EMCC": introduction()} | shown
-    shown = together.figures(groups) | shown
-    sections = [
-        Section(name, tables.get(name), shown.get(name, [])) for name in {**shown, **tables}
+    sections = [Section(claims_text.TITLE, claims=checked)] if checked else []
+    sections += [Section(name, common.get(name), of) for name, of in shown.items()]
+    sections += [Section("Replay of training", replay=replay)] if replay["runs"] else []
+    sections += [
+        drawn.get(name, Section(name))._replace(table=of_task)
+        for name, of_task in tables.items()
+        if name not in shown
     ]
-    if checked:
-        sections.append(Section(claims_text.TITLE, claims=checked))
+    if any(is_circle2d(group.config.task) and group.runs for group in groups):
+        sections.append(Section("Circle2D and EMCC", figures=introduction()))
     out.mkdir(parents=True, exist_ok=True)
-    images = _write(out / "pictures", [f for of_task in shown.values() for f in of_task])
-    html = page(source.name, sections, made(source, everything))
+    title = f"{heading(groups)} ({source.name})"
+    html = page(title, sections, made(source, everything), summary(groups), scenes.all)
     write_whole(out / "index.html", html)
-    write_whole(out / "report.md", "\n".join([markdown, *images]))
+    write_whole(out / "report.md", f"{markdown}\nFigures, heat maps and replay: index.html\n")
     write_whole(out / "report.csv", numbers_csv(report_lines(everything)))
     return markdown
 
@@ -100,14 +111,3 @@ def _tables(
     *_, last = by_task
     tables[last] = dataclasses.replace(tables[last], notes=[*tables[last].notes, *notes])
     return tables | ({TITLE: ablation_table(ablated)} if ablated else {})
-
-
-def _write(folder: Path, shown: Sequence[Figure]) -> list[str]:
-    """Write the figures into a folder; returns the lines of Markdown that show them."""
-    folder.mkdir(exist_ok=True)
-    for figure in shown:
-        write_whole(folder / figure.file, figure.content)
-    return [
-        f"![{figure.title}](<{folder.name}/{figure.file}>)\n\n{figure.caption}\n"
-        for figure in shown
-    ]

@@ -70,6 +70,11 @@ def caption(groups: Sequence[Group]) -> str:
     """Definitions of the numbers of a table."""
     episodes = sorted({run.episodes for group in groups for run in group.runs})
     notes = "".join(f"{measure.note}; " for measure in measures() if measure.note)
+    if any(run.ways for group in groups for run in group.runs):
+        notes += (
+            '"through": it came to where it ends with at least as many cost steps as the shortest '
+            'way through the region takes, "round": with fewer; '
+        )
     return (
         f"EMCC with alpha = {ALPHA:g}, all values at the quantile kept; J_R, J_C and CVaR: "
         f"undiscounted, deterministic policy, {' or '.join(map(str, episodes)) or 'no'} episodes; "
@@ -94,7 +99,7 @@ def mean_row(group: Group, prefix: str = "") -> Row:
     """The row of the means of a group, with their intervals over seeds, and of its shares."""
     cells = [number_of(group_mean(group, m.name), m.digits) for m in measures()]
     cells.append(count_of(within_limit(group, cost_limit(group.config))))
-    ends = ", ".join(f"{place} {count_of(of)}" for place, of in places(group).items())
+    ends = "; ".join(f"{place} {count_of(of)}" for place, of in places(group).items())
     name = f"{prefix}{title_of(group.config)}, mean of {len(group.runs)}"
     return Row(name, cells, ends, kind="mean")
 
@@ -116,10 +121,15 @@ def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:
 
 
 def ends_words(run: Run) -> str:
-    """Place where most evaluated episodes of a run end, with their share unless all do."""
-    if len(run.ends) < 2:
-        return run.end
-    return f"{run.end} ({100 * run.ends[run.end] / sum(run.ends.values()):.0f} %)"
+    """Place where most evaluated episodes of a run end, with their share unless all do, and the way
+    by which they came, where that is told."""
+    total = sum(run.ends.values())
+    shares = [f"{100 * run.ends[run.end] / total:.0f} %"] if len(run.ends) > 1 else []
+    ways = run.ways.get(run.end, {})
+    if len(ways) == 1:
+        return f"{run.end}, {next(iter(ways))}" + "".join(f" ({share})" for share in shares)
+    shares += [f"{100 * count / total:.0f} % {way}" for way, count in sorted(ways.items())]
+    return run.end + (f" ({', '.join(shares)})" if shares else "")
 
 
 def _paper_notes(groups: Sequence[Group]) -> list[str]:

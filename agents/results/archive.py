@@ -99,7 +99,7 @@ def _pack_group(source: Source, group: Group, entry: dict[str, Any]) -> dict[str
         for seed, played in trained.items():
             arrays |= {f"{seed}/trained_{k}": v for k, v in _pack_episodes(played or []).items()}
     for run in group.runs:
-        of_run: dict[str, Any] = {"evaluation": run.evaluation, "ends": run.ends}
+        of_run: dict[str, Any] = {"evaluation": run.evaluation, "ends": run.ends, "ways": run.ways}
         packed: dict[str, NDArray] = {}
         try:
             costs = source.costs(folder, run.seed, run.records)
@@ -171,7 +171,8 @@ class ArchiveSource:
         costs = None if "no_costs" in of_run else self._all_costs(folder, seed)
         try:
             records = columns.unpack_records(self._arrays(folder, seed), costs)
-            return RunFiles(records, of_run["evaluation"], of_run["ends"])
+            ways = of_run.get("ways", {})  # earlier archives have none
+            return RunFiles(records, of_run["evaluation"], of_run["ends"], ways)
         except (KeyError, ValueError, TypeError, IndexError) as error:
             raise self._damaged(error) from None
 

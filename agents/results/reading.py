@@ -28,11 +28,24 @@ class Run:
     records: EpisodeRecords = field(repr=False)
     evaluation: Mapping[str, Any] = field(default_factory=dict, repr=False)
     """`evaluation.json`: means and values per episode of either policy."""
+    ways: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    """Of the episodes that end in a place, those that came by each way; empty where none tells."""
 
     @property
     def end(self) -> str:
         """The place where most of its evaluated episodes end; empty without places."""
         return max(self.ends, key=self.ends.__getitem__, default="")
+
+    @property
+    def way(self) -> str:
+        """The way by which most of them came to that place; empty where none is told."""
+        of = self.ways.get(self.end, {})
+        return max(of, key=of.__getitem__, default="")
+
+    @property
+    def place(self) -> str:
+        """Place and way; empty without places."""
+        return ", ".join(filter(None, (self.end, self.way)))
 
 
 @dataclass(frozen=True)
@@ -54,8 +67,9 @@ class Group:
 
     @property
     def one_place(self) -> bool:
-        """Whether all its complete runs end in the same place, or the task has no places."""
-        return len({run.end for run in self.runs}) < 2
+        """Whether all its complete runs end in the same place by the same way, or the task has
+        no places."""
+        return len({run.place for run in self.runs}) < 2
 
     def values(self, measure: str) -> list[float | None]:
         """A measure of each complete run."""
@@ -109,4 +123,5 @@ def _read_run(source: Source, folder: str, config: TrainConfig, seed: int) -> Ru
         files.ends,
         files.records,
         files.evaluation,
+        files.ways,
     )

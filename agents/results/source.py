@@ -18,7 +18,7 @@ from agents.training.config import FAILURE, TrainConfig, run_folder
 from agents.training.environments import view_of
 from agents.training.files import read_json
 from agents.training.status import sessions
-from circle2d_mj.core.view import View
+from circle2d_mj.core.view import TellsWays, View
 from emcc import EpisodeRecords
 
 
@@ -34,6 +34,8 @@ class RunFiles(NamedTuple):
     """`evaluation.json`."""
     ends: dict[str, int]
     """Evaluated episodes of the deterministic policy by the place where they end."""
+    ways: dict[str, dict[str, int]]
+    """Of each place, by the way to it, where the task tells ways: see `view.TellsWays`."""
 
 
 class Source(Protocol):
@@ -89,7 +91,6 @@ class FolderSource:
             raise UserError(f"{root} is no folder")
         self.root, self.name = root, root.resolve().name
         self._trained: dict[tuple[str, int], list[Episode] | None] = {}
-        self._visits: dict[str, list[Visits]] = {}
         self._views: dict[str, View | None] = {}
         configs: dict[str, dict[str, Any]] = {}
         problems: list[str] = []
@@ -127,34 +128,37 @@ class FolderSource:
             evaluation = read_json(path / "evaluation.json")
         except (ValueError, OSError) as error:
             raise UserError(self._relative(error)) from None
-        if folder not in self._views:
-            self._views[folder] = view_of(config.task, config.task_parameters)
-        return RunFiles(records, evaluation, count_ends(self._views[folder], evaluation))
+        return RunFiles(records, evaluation, *count_ends(self._view(config), evaluation))
+
+    def _view(self, config: TrainConfig) -> View | None:
+        """The view of the task of some runs, made once for each task."""
+        key = repr((config.task, config.task_parameters))
+        if key not in self._views:
+            self._views[key] = view_of(config.task, config.task_parameters)
+        return self._views[key]
 
     def visits(
         self, folder: str, config: TrainConfig, records: Mapping[int, EpisodeRecords]
     ) -> list[Visits]:
         """States visited in each third of training, of runs by seed. Raises UserError."""
-        if folder not in self._visits:
-            of = replace(config, seeds=tuple(records))
-            try:
-                found = steps.count_visits(self.root / folder, of, list(records.values()))
-            except UserError as error:
-                raise UserError(self._relative(error)) from None
-            self._visits[folder] = found
-        return self._visits[folder]
+        of, view = replace(config, seeds=tuple(records)), self._view(config)
+        try:
+            return steps.count_visits(self.root / folder, of, list(records.values()), view=view)
+        except UserError as error:
+            raise UserError(self._relative(error)) from None
 
     def trained(
         self, folder: str, config: TrainConfig, seeds: Sequence[int]
     ) -> dict[int, list[Episode] | None]:
         """Episodes of the trained policies, by seed; None of one that diverged. UserError."""
-        for seed in seeds:
-            if (folder, seed) not in self._trained:
-                try:
-                    played = steps.play_trained(self.root / folder, config, seed)
-                except UserError as error:
-                    raise UserError(self._relative(error)) from None
-                self._trained[folder, seed] = played
+        new = [seed for seed in seeds if (folder, seed) not in self._trained]
+        if new:
+            try:
+                view = self._view(config)
+                played = steps.play_trained(self.root / folder, config, new, view=view)
+            except UserError as error:
+                raise UserError(self._relative(error)) from None
+            self._trained |= {(folder, seed): of_run for seed, of_run in played.items()}
         return {seed: self._trained[folder, seed] for seed in seeds}
 
     def costs(self, folder: str, seed: int, records: EpisodeRecords) -> NDArray[np.float64]:
@@ -183,13 +187,26 @@ def title(name: str, folder: str) -> str:
     return name if folder == "." else f"{name}/{folder}"
 
 
-def count_ends(view: View | None, evaluation: dict[str, Any]) -> dict[str, int]:
-    """Evaluated episodes of the deterministic policy by the place where they end."""
-    last = evaluation.get("deterministic", {}).get("final_observations")
+def count_ends(
+    view: View | None, evaluation: dict[str, Any]
+) -> tuple[dict[str, int], dict[str, dict[str, int]]]:
+    """Evaluated episodes of the deterministic policy by the place where they end, and those of each
+    place by the way to it."""
+    evaluated = evaluation.get("deterministic", {})
+    last = evaluated.get("final_observations")
     if view is None or not last:
-        return {}
+        return {}, {}
     left, right, bottom, top = view.extent
     middle = np.array([[(left + right) / 2, (bottom + top) / 2]])
     if not view.places(middle):  # the task's places have no names
-        return {}
-    return dict(Counter(view.places(view.positions(np.array(last), {}))))
+        return {}, {}
+    positions = view.positions(np.array(last), {})
+    places = view.places(positions)
+    ways: dict[str, dict[str, int]] = {}
+    costs = evaluated.get("cost_returns")
+    if costs and isinstance(view, TellsWays):
+        for place, way in zip(places, view.ways(positions, np.array(costs)), strict=True):
+            if way:
+                of_place = ways.setdefault(place, {})
+                of_place[way] = of_place.get(way, 0) + 1
+    return dict(Counter(places)), ways

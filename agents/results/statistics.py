@@ -118,8 +118,9 @@ def group_difference(a: Group, b: Group, measure: str) -> Interval | None:
 
 
 def places(group: Group) -> dict[str, Share]:
-    """Share of a group's runs that end in each place, the most frequent first; empty without."""
-    ends = [run.end for run in group.runs if run.end]
+    """Share of a group's runs that end in each place, by each way there, the most frequent first;
+    empty without."""
+    ends = [run.place for run in group.runs if run.place]
     counted = sorted(dict.fromkeys(ends), key=lambda place: -ends.count(place))
     return {place: emcc.share(ends.count(place), len(group.runs)) for place in counted}
 

@@ -97,14 +97,16 @@ def count_visits(
     records: Sequence[EpisodeRecords],
     parts: Sequence[float] = tuple(PARTS),
     alpha: float = ALPHA,
+    view: View | None = None,
 ) -> list[Visits]:
     """States of the rollouts that dominate EMCC in some parts of training, all runs together.
 
     records: those of each seed of the configuration. alpha: the share of rollouts with the highest
-    MCC, those equal to the last of them included; 1 takes all. Source: the figures of visited
-    states. Raises UserError where positions are missing or damaged.
+    MCC, those equal to the last of them included; 1 takes all. view: of the task, made here where
+    it is not given. Source: the figures of visited states. Raises UserError where positions are
+    missing or damaged.
     """
-    extent = require_view(config).extent
+    extent = (view or require_view(config)).extent
     visited = [
         _visited(run_folder(folder, seed), of_run)
         for seed, of_run in zip(config.seeds, records, strict=True)
@@ -195,29 +197,43 @@ def replay(folder: Path, config: TrainConfig, records: EpisodeRecords) -> Replay
 
 
 def play_trained(
-    folder: Path, config: TrainConfig, seed: int, episodes: int = DRAWN, noisy: bool = False
-) -> list[Episode] | None:
-    """The first episodes of the evaluation of one run; None where its policy diverged.
+    folder: Path,
+    config: TrainConfig,
+    seeds: Sequence[int],
+    episodes: int = DRAWN,
+    noisy: bool = False,
+    view: View | None = None,
+) -> dict[int, list[Episode] | None]:
+    """The first episodes of the evaluation of some runs, by seed; None of a policy that diverged.
 
-    episodes: in [1, 100]; noisy: of the stochastic policy. Raises UserError for a task without
-    positions, or without a checkpoint.
+    episodes: in [1, 100]; noisy: of the stochastic policy; view: as in `count_visits`. Raises
+    UserError for a task without positions, or without a checkpoint.
     """
-    view, spaces = require_view(config), read_spaces(folder, config)
-    policy = load_learner(folder, config, spaces, seed).policy()
-    alone, active = replace(config, seeds=(seed,)), np.ones(1, dtype=bool)
-    made = make_envs(config.task, episodes, config.task_parameters)
+    view, spaces = view or require_view(config), read_spaces(folder, config)
+    policies = [load_learner(folder, config, spaces, seed).policy() for seed in seeds]
+    chosen, active = replace(config, seeds=tuple(seeds)), np.ones(len(seeds), dtype=bool)
+
+    def act(observation: NDArray, noise: NDArray | None) -> NDArray:
+        of_runs = range(len(policies))  # each alone, as it was evaluated
+        at = [None if noise is None else noise[k : k + 1] for k in of_runs]
+        return np.concatenate([policies[k](observation[k : k + 1], at[k]) for k in of_runs])
+
+    made = make_envs(config.task, len(seeds) * episodes, config.task_parameters)
     with contextlib.closing(_FromStart(made, view)) as envs:
-        rollout = play(envs, alone, policy, EVALUATION_EPISODES, 0, episodes, active, noisy)
+        rollout = play(envs, chosen, act, EVALUATION_EPISODES, 0, episodes, active, noisy)
         start, then = envs.start, envs.positions
-    if rollout.diverged.any():
-        return None
-    return [
+    played: list[Episode] = [
         Episode(
             np.concatenate((start[None, k], then[:steps, k])),
             rollout.cost[:steps, k].astype(np.float64),
         )
         for k, steps in enumerate(rollout.length)
     ]
+    diverged = np.any(rollout.diverged.reshape(len(seeds), episodes), axis=1)
+    return {
+        seed: None if diverged[k] else played[k * episodes : (k + 1) * episodes]
+        for k, seed in enumerate(seeds)
+    }
 
 
 class _FromStart(RecordPositions):

@@ -125,6 +125,23 @@ class CostRegion:
                 return cut.name if cut.sin == 0 else f"{upright} {cut.name}"
         return "cost region"
 
+    def crossing(self) -> float:
+        """Return the length of the shortest way through the region into the corridor, along the
+        axis on which it is longer; world units. It begins outside the disc, right of the corridor's
+        inner end, or in another cut-out. 0 where no region lies between.
+        """
+        corridor, *others = self.cutouts
+        end, half = corridor.inner, corridor.half_width
+        # Diagonally to the rim: (t - end)² + (t + half)² = R².
+        shift, rest = half - end, (end * end + half * half - self.radius * self.radius) / 2
+        found = [-shift / 2 + math.sqrt(shift * shift / 4 - rest)]
+        for cut in others:  # from the corners of its inner end
+            for across in (-cut.half_width, cut.half_width):
+                x = cut.inner * cut.cos - across * cut.sin
+                y = cut.inner * cut.sin + across * cut.cos
+                found.append(max(x + end, y - half))
+        return max(min(found), 0.0)
+
     # These take coordinates with y >= 0, as arrays or as plain floats, and return bools to match.
 
     def _contains(self, x: Any, y: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -49,6 +50,28 @@ class Circle2DView:
     def places(self, positions: NDArray[np.floating]) -> list[str]:
         """Name the place of each position: see `CostRegion.places`."""
         return self.config.region.places(positions)
+
+    def ways(self, positions: NDArray[np.floating], costs: NDArray[np.floating]) -> list[str]:
+        """Tell how agents that ended in the corridor came there: "round" or "through".
+
+        Through the region: with at least as many cost steps as that takes at full speed, see
+        `CostRegion.crossing`. With fewer an agent has surely come round to the corridor's side,
+        as it has where the region is rigid. positions: [N, 2], where the episodes ended; costs:
+        [N] -> N words; empty for who ended elsewhere, and where an agent may start anywhere or
+        pass at no cost.
+        """
+        config = self.config
+        # Of a way of d, which n + 1 steps cross, the ends of n lie in the region.
+        least = math.ceil(config.region.crossing() / config.full_step) - 1
+        inner_end, ((left, _), _) = -config.region.cutouts[0].inner, config.start_rectangle
+        if config.allow_infeasible_init or left < inner_end or least < 1:
+            return [""] * len(positions)
+        passed = np.asarray(costs) >= least
+        if not config.infeasible_region_penetratable:
+            passed[:] = False
+        words = ["through" if through else "round" for through in passed]
+        pairs = zip(self.places(positions), words, strict=True)
+        return [word if place == "corridor" else "" for place, word in pairs]
 
     def background(self, size: int) -> Picture:
         """Paint the cost region grey, with a dark rim where it is rigid, the start area green, and

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,4 +52,16 @@ class View(Protocol):
 
     def overlay(self, picture: Picture) -> Picture:
         """Return the picture with what lies on top of heat and trajectories: outlines, marks."""
+        ...
+
+
+@runtime_checkable
+class TellsWays(Protocol):
+    """A view that also tells how agents came to the place where their episodes end."""
+
+    def ways(self, positions: NDArray[np.floating], costs: NDArray[np.floating]) -> list[str]:
+        """Name the way of each agent: "round", "through"; "" where there is nothing to tell.
+
+        positions: [N, 2], where the episodes ended; costs: [N], of whole episodes.
+        """
         ...

@@ -97,6 +97,14 @@ def heat_colours(share: NDArray[np.float64]) -> Picture:
     return np.stack(channels, axis=-1).round().astype(np.uint8)
 
 
+def heat_share(counts: NDArray[np.int64], most: int) -> NDArray[np.float64]:
+    """Return the places of visits on the scale of heat, by their logarithm: [...] -> [...].
+
+    most: see `with_counts`.
+    """
+    return np.minimum(np.log(np.maximum(counts, 1)) / np.log(max(most, 2)), 1.0)
+
+
 def with_counts(picture: Picture, counts: NDArray[np.int64], most: int) -> Picture:
     """Colour the visited cells of a picture by their number of visits.
 
@@ -104,8 +112,7 @@ def with_counts(picture: Picture, counts: NDArray[np.int64], most: int) -> Pictu
     than that; pictures that are to be compared have it in common. See `most_visits`.
     """
     cell = ((np.arange(len(picture)) + 0.5) * len(counts) / len(picture)).astype(np.intp)
-    share = np.log(np.maximum(counts, 1)) / np.log(max(most, 2))
-    colours = heat_colours(share)[cell[:, None], cell]
+    colours = heat_colours(heat_share(counts, most))[cell[:, None], cell]
     return np.where((counts > 0)[cell[:, None], cell, None], colours, picture)
 
 

@@ -192,7 +192,7 @@ def test_the_page_says_the_same(world):
     checked = check_claims([group(task, name, runs) for (task, name), runs in world.items()])
     text = claims_text.markdown(checked)
     html = unescape(page("x", [Section("The paper's claims", claims=checked)], {}))
-    assert text.count("**Confirmed**") == html.count("<em>Confirmed</em>") == 6
+    assert text.count("**Confirmed**") == html.count("Confirmed</span>") == 6
     for claim, findings, _ in checked:
         for part in (claim.text, claim.rule, *map(claims_text.finding_words, findings)):
             assert part in text

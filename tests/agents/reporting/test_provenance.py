@@ -1,6 +1,7 @@
 """How a report was made: commands that train the same again, machine, time from status.json."""
 
 import shlex
+import subprocess
 from dataclasses import replace
 
 import pytest
@@ -8,7 +9,8 @@ from small_runs import write_status
 
 from agents.cli.main import main
 from agents.paper.presets import preset
-from agents.reporting.provenance import command, made
+from agents.reporting import provenance
+from agents.reporting.provenance import command, heading, made, summary
 from agents.results.reading import Group
 from agents.results.source import FolderSource
 from agents.training import machine
@@ -57,6 +59,7 @@ def test_what_is_told(tmp_path):
         made(FolderSource(tmp_path), groups)["machine"] == f"{of['processor']}, {of['cores']} cores"
     )
     assert made(FolderSource(tmp_path), groups)["training time"] == "10 min, all processes together"
+    assert made(FolderSource(tmp_path), groups)["program"].startswith("circle2d-mj ")
     first, second = made(FolderSource(tmp_path), groups)["command"].splitlines()
     assert first == (
         "circle2d train --algorithm cpo --task Circle2D-1-v0 --seeds 0 1 --steps 1000 "
@@ -72,6 +75,7 @@ def test_what_is_told(tmp_path):
     told = made(FolderSource(tmp_path), groups)["training time"]
     assert told == "5 min, all processes together, of 1 of 2 folders"
     assert made(FolderSource(tmp_path), groups[:1]).keys() == {
+        "program",
         "command",
         "versions",
         "runs",
@@ -110,3 +114,37 @@ def test_processor(tmp_path, monkeypatch):
     assert machine.machine()["processor"]  # where there is no such file
     (tmp_path / "cpuinfo").write_text("processor\t: 0\nmodel name\t: A  Chip 9\nmodel name\t: B\n")
     assert machine.machine()["processor"] == "A  Chip 9"
+
+
+def test_a_title_and_a_line_that_name_the_runs():
+    """Of algorithms in the registry's order, however the folders are called."""
+    hyperparameters = preset("wcsac", "Circle2D-1-v0")
+    one = TrainConfig("wcsac", "Circle2D-1-v0", tuple(range(10)), 1000, hyperparameters)
+    other = TrainConfig("cpo", "Circle2D-2-v0", (0, 3), 2000, preset("cpo", "Circle2D-2-v0"))
+    groups = [Group(name, config, []) for name, config in (("a", one), ("b", other))]
+    assert heading(groups) == "CPO and WCSAC on Circle2D-1-v0 and Circle2D-2-v0"
+    assert heading(groups[:1]) == "WCSAC on Circle2D-1-v0"
+    assert summary(groups) == (
+        "0 runs, 2 tasks, 2 algorithms, seeds 0 to 9, 1,000 or 2,000 steps each"
+    )
+    again = replace(one, hyperparameters=replace(hyperparameters, cost_limit=1.0))
+    groups = [Group("a", one, []), Group("b", again, []), Group("c", other, [])]
+    assert "1 algorithm, 2 settings, seeds 0 to 9" in summary(groups[:2])
+    assert "seeds 0, 3, 2,000 steps each" in summary(groups[2:])
+    many = [Group(f"{k}", replace(one, task=f"Circle2D-{k}-v0"), []) for k in range(6)]
+    assert heading(many) == "WCSAC on 6 tasks"
+
+
+def test_the_commit_is_told_in_a_repository_of_our_own(tmp_path, monkeypatch):
+    module = tmp_path / "agents" / "reporting" / "provenance.py"
+    monkeypatch.setattr(provenance, "__file__", str(module))
+    assert "commit" not in provenance.program()
+    (tmp_path / "a").write_text("")
+    for words in ("init -q", "add a", "-c user.name=a -c user.email=b commit -qm x"):
+        subprocess.run(["git", "-C", str(tmp_path), *words.split()], check=True)
+    head = subprocess.run(
+        ["git", "-C", str(tmp_path), "rev-parse", "HEAD"], capture_output=True, text=True
+    ).stdout.strip()
+    assert provenance.program().endswith(f", commit {head}")
+    (tmp_path / "a").write_text("changed")
+    assert provenance.program().endswith(f", commit {head}-dirty")

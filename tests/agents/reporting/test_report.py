@@ -65,6 +65,26 @@ def test_a_table_by_hand(tmp_path):
     assert rows[0][9:] == ["2 of 2 [0.16, 1.00]", "corridor 2 of 2 [0.16, 1.00]"]
 
 
+def test_ways_in_words(tmp_path):
+    """Of four episodes three end in the corridor: with the costs 4, 5 and 12 one came round."""
+    task = "Circle2D-1-v0"
+    TrainConfig("sac-lag", task, (0, 1), 100, preset("sac-lag", task)).write(tmp_path)
+    for seed, costs in enumerate(([4.0, 5.0, 12.0, 0.0], [0.0, 0.0, 3.0, 50.0])):
+        write_run(tmp_path / f"seed-{seed}", -10.0)
+        path = tmp_path / f"seed-{seed}" / "evaluation.json"
+        content = json.loads(path.read_text())
+        content["deterministic"]["cost_returns"] = costs
+        path.write_text(json.dumps(content))
+    markdown = table(tmp_path)
+    rows = [line.split("|")[-2].strip() for line in markdown.splitlines() if "| SAC" in line]
+    one = "1 of 2 [0.01, 0.99]"
+    assert rows[0] == f"corridor, through {one}; corridor, round {one}"
+    assert rows[2:] == ["corridor (75 %, 25 % round, 50 % through)", "corridor, round (75 %)"]
+    assert '"through": it came to where it ends' in markdown
+    written = (tmp_path / "report.csv").read_text()
+    assert '"corridor (75 %, 25 % round, 50 % through)"' in written
+
+
 def test_places():
     places = Circle2DConfig(level=3).region.places
     diagonal = 8 / np.sqrt(2)

@@ -55,8 +55,7 @@ def packed(runs, tmp_path_factory):
 
 
 def contents(folder):
-    names = [*WRITTEN, *(f"pictures/{path.name}" for path in (folder / "pictures").iterdir())]
-    return {name: (folder / name).read_bytes() for name in sorted(names)}
+    return {name: (folder / name).read_bytes() for name in WRITTEN}
 
 
 def test_the_same_report_byte_for_byte(packed):
@@ -73,11 +72,10 @@ def test_the_same_report_byte_for_byte(packed):
     ):
         assert note in text
     assert str(archive.parent) not in text + first["index.html"].decode()
-    assert {"visited-Circle2D-1-v0.png", "trained-Circle2D-1-v0.png"} <= {
-        name.removeprefix("pictures/") for name in first
-    }
-    assert "training time" in first["index.html"].decode()
-    assert {path.name for path in again.iterdir()} == {*WRITTEN, "pictures"}
+    html = first["index.html"].decode()
+    for part in ("Visited states", "Trained policies", 'id="replay-data"', "training time"):
+        assert part in html
+    assert {path.name for path in again.iterdir()} == set(WRITTEN)
 
 
 def test_an_archive_of_an_archive_and_a_comparison(packed, runs, tmp_path):

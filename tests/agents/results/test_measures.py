@@ -53,7 +53,7 @@ def test_a_measure_from_outside_is_everywhere(outside, tmp_path):
         == "0.750 range 0.750 to 0.750"
     )
     page = (a / "index.html").read_text()
-    assert page.count(f"<th>{head}</th>") == 2
+    assert page.count(f'<th scope="col">{head}</th>') == 3  # means, runs and ablations
     assert '<td class="best">0.375<br><small>range 0.375 to 0.375</small></td>' in page
     of = rows((tmp_path / "compare.md").read_text())
     assert of["B - A: TRPO-Lag (100 steps)"][head] == "+0.312"

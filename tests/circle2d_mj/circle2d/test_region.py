@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import maximum_filter
 from strips import STRIPS
 
 from circle2d_mj import Circle2DConfig, CostRegion
@@ -79,3 +80,24 @@ def test_shapes_and_bad_input():
     assert region.contains(np.zeros((0, 2))).shape == (0,)
     with pytest.raises(ValueError, match=r"points must have shape \[\.\.\., 2\], got \[5, 3\]"):
         region.contains(np.zeros((5, 3)))
+
+
+@pytest.mark.parametrize("height", [0.2, 0.5, 0.8])
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_the_fewest_cost_steps_through_the_region(level, height):
+    """By flooding a grid of R / 200, a full step of 22 cells a time."""
+    config = Circle2DConfig(level=level, corridor_height_factor=height)
+    region, side = config.region, np.arange(-300, 301) / 20  # R is 10
+    x, y = np.meshgrid(side, side, indexing="ij")
+    inside = region.contains(np.stack((x, y), axis=-1))
+    corridor = (np.hypot(x, y) < 10) & (x <= -0.5) & (np.abs(y) <= 5 * height)
+    reached = ~inside & ~corridor & ((x > -0.5) | (np.hypot(x, y) < 10))
+    steps = 0
+    while not (corridor & (reached := maximum_filter(reached, 45))).any():
+        reached, steps = reached & inside, steps + 1
+    assert np.ceil(region.crossing() / config.full_step) - 1 == steps
+
+
+def test_no_region_between_cutouts_that_touch():
+    config = Circle2DConfig(level=2, corridor_height_factor=1.2)  # the upper one reaches it
+    assert config.region.crossing() == 0

@@ -150,3 +150,41 @@ def test_the_view_of_an_environment(name):
         "right rim",
         "cost region",
     ]
+
+
+def ways(costs, positions=None, **parameters):
+    """The way to inside the corridor at each of some costs."""
+    config = Circle2DConfig(**parameters)
+    at = np.array([(-5.0, 1.0)] * len(costs)) if positions is None else np.array(positions)
+    return Circle2DView(config).ways(at * config.constraint_radius / 10, np.array(costs))
+
+
+def test_ways_into_the_corridor():
+    """Through the region takes five full steps at a cost on level 1, two beside a cut-out."""
+    assert ways([0.0, 4.0, 5.0, 10.0], level=1) == ["round", "round", "through", "through"]
+    for level in (2, 3):
+        assert ways([0.0, 1.0, 2.0], level=level) == ["round", "round", "through"]
+    assert ways([0.0, 4.0, 5.0], level=1, constraint_radius=3.0) == ["round", "round", "through"]
+    # Nobody passes a rigid region; contacts cost all the same.
+    assert ways([0.0, 40.0], level=0) == ["round", "round"]
+    elsewhere = [(-5.0, 1.0), (0.0, 5.0), (12.0, 0.0), (-12.0, 0.0)]
+    assert ways([9.0] * 4, elsewhere, level=1) == ["through", "", "", ""]
+    # There is nothing to tell where one may start anywhere, or pass without a cost.
+    assert ways([0.0, 9.0], level=1, allow_infeasible_init=True) == ["", ""]
+    assert ways([0.0, 9.0], level=1, init_region_size=2.5) == ["", ""]
+    assert ways([0.0, 9.0], level=2, corridor_height_factor=0.9) == ["", ""]
+
+
+@pytest.mark.parametrize("angle", np.linspace(0, 90, 10))
+def test_who_walks_straight_in_comes_through(angle):
+    """By the environment: at full speed from the rim at an angle to the corridor's inner end."""
+    config, turn = Circle2DConfig(level=1), np.deg2rad(angle)
+    env = Circle2DEnv(config=config)
+    env.reset(seed=0)
+    at, goal = 10.5 * np.array([np.cos(turn), np.sin(turn)]), np.array([-0.6, 2.4])
+    env.load_state_dict({**env.state_dict(), "position": at[None]})
+    cost = 0.0
+    while np.abs(goal - at).max() > 1e-6:
+        _, _, _, _, info = env.step(np.clip((goal - at) / config.full_step, -1, 1))
+        at, cost = env.position.copy(), cost + info["cost"]
+    assert Circle2DView(config).ways(at[None], np.array([cost])) == ["through"]

@@ -1,0 +1,112 @@
+"""Replay of training: the data of the page's player, for every run the episode of highest MCC in
+each window of training, and the running EMCC.
+
+Positions are on a grid of 1024 points along each side of the box of those shown, EMCC has three
+digits; all else is exact. The page's script, `templates/replay.js`, reads it.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.errors import UserError
+from agents.paper.settings import in_order, title_of
+from agents.reporting.curves import WINDOW, midpoints
+from agents.reporting.scenes import STATES, Scenes, shown_states
+from agents.results.reading import Group, Run
+from agents.results.source import DamagedSource, Source
+from agents.results.steps import LAST, WINDOWS, Replay
+from emcc import emcc
+from emcc.parts import ALPHA, PARTS
+
+BITS = 10
+"""Of a coordinate: the last of the grid's points along a side is 2**BITS - 1."""
+DIGITS = 1000
+"""Parts of 1 that EMCC is told in."""
+
+
+def replay_data(
+    source: Source, groups: Sequence[Group], scenes: Scenes, notes: list[str]
+) -> dict[str, Any]:
+    """The data of the player; no runs where none has recorded positions and costs.
+
+    What cannot be replayed of a task with positions goes into the notes.
+    """
+    runs = []
+    for group in in_order(groups):
+        scene = scenes.of(group.config) if group.runs else None
+        if scene is None:
+            continue
+        named = {"task": group.config.task, "algorithm": title_of(group.config)}
+        for run in group.runs:
+            try:
+                replay = source.replay(group.folder, group.config, run.seed, run.records)
+            except DamagedSource:
+                raise
+            except UserError as error:
+                notes.append(f"no replay of {source.title(group.folder)}: {error}")
+                break
+            if not all(len(episode.points) for episode in replay.episodes):
+                notes.append(f"no replay of {source.title(group.folder)}: it has no positions")
+                break
+            of_run = _run(run, replay, group.config.steps)
+            runs.append({**named, "scene": scene.number, **of_run})
+    extents = [list(scene.extent) for scene in scenes.all]
+    return {
+        "windows": WINDOWS,
+        "bits": BITS,
+        "digits": DIGITS,
+        "states": STATES,
+        "parts": list(PARTS),
+        "extents": extents,
+        "runs": runs,
+    }
+
+
+def replay_json(data: dict[str, Any]) -> str:
+    """The data as JSON that can stand in a script element."""
+    return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
+    """One run's entry: numbers of each episode, then all points and all costs in a row."""
+    episodes = replay.episodes
+    points = [episode.points[shown_states(len(episode.points))] for episode in episodes]
+    costs = np.concatenate([episode.costs for episode in episodes])
+    lengths = {len(episode.costs) for episode in episodes}
+    return {
+        "seed": run.seed,
+        "steps": steps,
+        "box": replay.box.ravel().tolist(),
+        "window": [episode.window for episode in episodes],
+        "start": [episode.start_step for episode in episodes],
+        # One number where all episodes are as long, none where cost steps cost 1.
+        "length": lengths.pop() if len(lengths) == 1 else [len(e.costs) for e in episodes],
+        "cost": [float(e.costs.sum()) for e in episodes] if set(costs) - {0.0, 1.0} else None,
+        "points": _text(_packed(np.concatenate(points))),
+        "unsafe": _text(np.packbits(costs > 0)),
+        "emcc": _running_emcc(run, steps),
+    }
+
+
+def _running_emcc(run: Run, steps: int) -> list[int | None]:
+    """EMCC around each of `midpoints`, as in the curves, in parts of 1; None without a rollout."""
+    mcc, starts = run.records.mcc_per_rollout()
+    near = (mcc[np.abs(starts - at) <= WINDOW / 2 * steps] for at in midpoints(steps))
+    return [round(emcc(of, ALPHA) * DIGITS) if len(of) else None for of in near]
+
+
+def _packed(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Points [N, 2] on the coarser grid: x and y of one after another, `BITS` bits each."""
+    coarse = np.round(points.astype(np.float64) * ((2**BITS - 1) / LAST)).astype(np.uint16)
+    return np.packbits(coarse.reshape(-1, 1) >> np.arange(BITS)[::-1] & 1)
+
+
+def _text(data: NDArray[np.uint8]) -> str:
+    return base64.b64encode(data.tobytes()).decode()

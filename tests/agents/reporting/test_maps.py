@@ -1,0 +1,189 @@
+"""Maps of the page against positions, costs and records worked out here."""
+
+import io
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from PIL import Image
+from small_runs import write_runs
+
+from agents.reporting.figures import figures
+from agents.reporting.maps import Map, maps
+from agents.reporting.scenes import SIZE, STATES, Scenes, heat_png, paths, shown_states
+from agents.results.reading import Group, Run
+from agents.results.source import FolderSource
+from agents.results.steps import Episode
+from circle2d_mj import Circle2DConfig
+from circle2d_mj.circle2d.view import Circle2DView
+from circle2d_mj.render import canvas
+from emcc import EpisodeRecords
+
+MEASURES = {"J_R": -5.25, "J_C": 3.0}
+TITLE = "SAC-Lag (120 steps)"
+
+
+def image_of(content):
+    return np.asarray(Image.open(io.BytesIO(content)).convert("RGBA")).astype(int)
+
+
+def group(folder, config, seeds=(0, 1)):
+    records = [EpisodeRecords.load(folder / f"seed-{k}" / "episodes.csv") for k in seeds]
+    runs = [Run(k, MEASURES, 100, {}, of) for k, of in zip(seeds, records, strict=True)]
+    return Group(folder.name, config, runs)
+
+
+@pytest.fixture
+def groups(tmp_path):
+    """Three folders, the second without a record of positions and the third with one run less."""
+    found = []
+    for name in ("a", "b", "c"):
+        config = write_runs(tmp_path / name)
+        seeds = (0, 1) if name != "c" else (1,)
+        found.append(group(tmp_path / name, config, seeds))
+    (tmp_path / "b" / "seed-1" / "visited.npy").unlink()
+    return found
+
+
+def test_the_layers_are_those_of_the_view():
+    """Put together in another way, they give the view's picture."""
+    scenes = Scenes()
+    config = of_task("Circle2D-3-v0")
+    scene = scenes.of(config)
+    assert scenes.of(config) is scene
+    assert scenes.all == [scene]
+    view = Circle2DView(Circle2DConfig(level=3))
+    below, above = image_of(scene.below)[..., :3], image_of(scene.above)
+    np.testing.assert_array_equal(below, view.background(SIZE))
+    rng = np.random.default_rng(0)
+    heat = rng.integers(0, 256, (SIZE, SIZE, 3)).astype(np.uint8)
+    share = above[..., 3:] / 255
+    mixed = heat * (1 - share) + above[..., :3] * share
+    assert np.abs(mixed - view.overlay(heat)).max() <= 3
+
+
+def of_task(task):
+    return SimpleNamespace(task=task, task_parameters={})
+
+
+def test_heat_by_hand():
+    """None, one, three and nine visits where the most is nine; and more than that."""
+    counts = np.array([[0, 1], [3, 9], [81, 0]])
+    image = image_of(heat_png(counts, 9))
+    assert image[..., 3].tolist() == [[0, 255], [255, 255], [255, 0]]
+    for (row, column), stop in {(0, 1): 0, (1, 0): 8, (1, 1): 16, (2, 0): 16}.items():
+        assert np.abs(image[row, column, :3] - canvas.HEAT[stop]).max() <= 1
+
+
+def test_heat_maps_by_algorithm_and_third(groups, tmp_path):
+    notes = []
+    shown, *_ = maps(FolderSource(tmp_path), groups, Scenes(), notes)
+    assert f"no heat map of {tmp_path.name}/b: {tmp_path.name}/b/seed-1/visited.npy" in notes[0]
+    assert not any(str(tmp_path) in note for note in notes)
+    assert shown.columns == [TITLE] * 2
+    assert shown.rows[0] == "0 to 33 % of training"
+    # By small_runs' table of streaks, of 4 rollouts a run in each part, with α = .1: MCC .8 1 .4
+    # .6, then 1 .2 .8 0, then .2 .6 .4 .2.
+    rows = np.arange(240, dtype=np.float32).reshape(12, 10, 2) / 100
+    expected = []
+    for worst in (1, 4, 9):
+        for seeds in ((0, 1), (1,)):
+            at = np.concatenate([rows[worst] + k for k in seeds])
+            cells = np.zeros((80, 80), np.int64)  # the arena reaches from -15 to 15
+            for x, y in at:
+                cells[int((15 - y) / 30 * 80), int((x + 15) / 30 * 80)] += 1
+            expected.append(cells)
+    most = canvas.most_visits(expected)
+    assert shown.most_visits == most
+    cells = [cell for row in shown.cells for cell in row]
+    for cell, counts in zip(cells, expected, strict=True):
+        np.testing.assert_array_equal(image_of(cell.heat), image_of(heat_png(counts, most)))
+    words = [cell.words for cell in cells]
+    assert words[:2] == ["EMCC 1.00 (2 of 8 rollouts)", "EMCC 1.00 (1 of 4 rollouts)"]
+    assert words[4:] == ["EMCC 0.60 (2 of 8 rollouts)", "EMCC 0.60 (1 of 4 rollouts)"]
+
+
+class Played(FolderSource):
+    """A source whose policies' episodes are given."""
+
+    def trained(self, folder, config, seeds):
+        return {seed: EPISODES[seed] for seed in seeds}
+
+
+PATH = np.linspace((12.0, 1.5), (2.0, 1.5), 11).astype(np.float32)
+EPISODES = {0: None, 1: [Episode(PATH, np.array([0.0, 1, 1, 0, 0, 0, 0, 0, 0, 1]))]}
+
+
+def test_paths_of_trained_policies(groups, tmp_path):
+    _, shown = maps(Played(tmp_path), groups[::2], Scenes(), [])
+    (diverged, one), (two, gap) = shown.cells
+    assert diverged == "seed 0: J_R -5.2, J_C 3.0; its numbers are not finite"
+    assert gap == ""
+    assert isinstance(one, Map)
+    assert one.words == two.words == "seed 1: J_R -5.2, J_C 3.0"
+    # A unit is 1000 / 30 thousandths; y falls from 15. Costs belong to where the step ended.
+    assert one.way == "M900 450l" + " ".join(["-33 0", "-34 0", "-33 0"] * 3 + ["-33 0"])
+    assert one.costs == "M833 450h0M800 450h0M567 450h0"
+
+
+def test_maps_of_one_algorithm_stand_side_by_side(groups, tmp_path):
+    visited, trained = maps(Played(tmp_path), groups[:1], Scenes(), [])
+    assert (len(visited.columns), visited.rows) == (3, [TITLE])
+    assert (list(trained.columns), len(trained.cells)) == (["run 1", "run 2"], 1)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 127, 128, 129, 500, 1001])
+def test_states_of_long_episodes(steps):
+    shown = shown_states(steps)
+    assert len(shown) <= STATES + 1
+    assert shown[0] == 0
+    assert shown[-1] == steps - 1
+    assert (np.diff(shown) >= 1).all()
+    assert steps > STATES or len(shown) == steps
+
+
+def test_a_cost_between_two_drawn_states_is_shown():
+    """Of 1000 steps every eighth is drawn; the one that cost is the 500th."""
+    scene = Scenes().of(of_task("Circle2D-1-v0"))
+    costs = np.zeros(1000)
+    costs[499] = 1.0
+    positions = np.linspace((0, 0), (10, 0), 1001)
+    way, costly = paths(scene, [Episode(positions, costs)])
+    assert costly.count("M") == 1
+    # State 500 lies between the drawn states 496 and 504, at x = 5.04.
+    assert re.fullmatch(r"M668 500h0", costly)
+    assert way.count(" 0") >= 120
+
+
+def test_tasks_without_a_view_have_curves_alone(groups, tmp_path):
+    gym.register("NoView-v0", lambda: NoView())
+    try:
+        other = [replace(g, config=replace(g.config, task="NoView-v0")) for g in groups]
+        notes = []
+        assert maps(FolderSource(tmp_path), other, Scenes(), notes) == []
+    finally:
+        del gym.registry["NoView-v0"]
+    (curves,) = figures(other)
+    assert "the cost limit, 5." in curves.caption
+    assert notes == []
+    nobody = [replace(g, runs=[]) for g in other]
+    assert figures(nobody) == maps(FolderSource(tmp_path), nobody, Scenes(), notes) == []
+
+
+class NoView(gym.Env):
+    observation_space = action_space = gym.spaces.Box(-1, 1, (1,))
+
+
+def test_the_safety_tasks_have_heat_maps(tmp_path):
+    task, rng = "circle2d_mj/SafetyPointCircle1-v0", np.random.default_rng(0)
+    config = write_runs(tmp_path / "a", task)
+    for seed in (0, 1):
+        positions = rng.uniform(-1, 1, (120, 2)).astype(np.float32)
+        np.save(tmp_path / "a" / f"seed-{seed}" / "visited.npy", positions)
+    notes = []
+    (shown,) = maps(FolderSource(tmp_path), [group(tmp_path / "a", config)], Scenes(), notes)
+    assert [note.partition(" of ")[0] for note in notes] == ["no trajectories"]
+    assert all((image_of(cell.heat)[..., 3] > 0).sum() > 15 for cell in shown.cells[0])
