@@ -22,7 +22,7 @@ COMMANDS = {
     "report": "tables, training curves and heat maps of trained runs",
     "compare": "two sets of runs side by side, with the differences",
     "heatmap": "draw which states were visited in training",
-    "render": "draw episodes of a trained policy: PNG, GIF, MP4",
+    "render": "draw episodes of trained policies, side by side: PNG, GIF, MP4",
     "scene": "print the MuJoCo scene of a task (MJCF)",
 }
 """Names of the files beside this one, and what each command does."""
