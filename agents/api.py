@@ -184,6 +184,7 @@ def _start(
 ) -> Runs:
     """Make the folder of some runs and train them."""
     check_task(config.task, config.task_parameters)
+    lockstep_backend.check_device(config.device)
     if config.tensorboard:
         require_tensorboard()
     config = dataclasses.replace(config, backend=choose_backend(backend))

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from agents.cli.options import Imports, parse
+from agents.cli.options import Folder, Imports, parse
+from agents.cli.terminal import show
 from agents.reporting.compare import compare
 from agents.training.progress import working
 
@@ -19,10 +17,10 @@ class CompareOptions:
     """Print the tables of two sets of runs, such as your algorithm's and a baseline's, with the
     differences B - A and their 95 % bootstrap intervals over seeds."""
 
-    a: Annotated[Path, tyro.conf.Positional]
+    a: Folder
     """Folder of runs, or one with several such folders below it."""
-    b: Annotated[Path, tyro.conf.Positional]
-    """The same, of the runs to be compared with them."""
+    b: Folder
+    """Folder of the runs to compare with them."""
     out: Path | None = None
     """Folder for compare.md, compare.csv, and compare.html with the training curves of both; by
     default nothing is written."""
@@ -34,5 +32,5 @@ def run(args: Sequence[str]) -> int:
     options = parse(CompareOptions, "compare", args)
     with working("reading runs and drawing figures"):
         table = compare(options.a, options.b, options.out)
-    print(table)
+    show(table)
     return 0

@@ -10,7 +10,8 @@ from typing import Annotated, TypeVar
 import tyro
 
 from agents.algorithms import title
-from agents.cli.options import Imports, check_size, check_suffix, parse
+from agents.cli.checks import check_holds_runs, check_size, check_suffix
+from agents.cli.options import Imports, parse
 from agents.errors import UserError
 from agents.reporting import films, image_files, pictures
 from agents.training.config import TrainConfig
@@ -23,7 +24,7 @@ class RenderOptions:
     Several folders are drawn side by side, each with its name and what it has cost so far.
     """
 
-    folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER ...")]
     """Folders of runs on tasks that offer positions."""
     out: Path | None = None
     """File to write, its suffix the format; by default trajectories.png in the first folder."""
@@ -48,6 +49,8 @@ def run(args: Sequence[str]) -> int:
         raise UserError("render needs a folder of runs")
     names = _of_each("names", options.names, options)
     seeds = _of_each("seed", options.seed * (1 if options.seed[1:] else count), options)
+    for folder in options.folders:
+        check_holds_runs(folder)
     check_size(options.size)
     out = options.out or options.folders[0] / "trajectories.png"
     check_suffix(out, ".png", ".gif", ".mp4")

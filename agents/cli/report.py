@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from agents import api
-from agents.cli.options import Imports, parse
+from agents.cli.options import Folder, Imports, parse
+from agents.cli.terminal import show
 from agents.training.progress import working
 
 
@@ -19,7 +17,7 @@ class ReportOptions:
     """Print the table of trained runs beside the paper's; write report.md, report.csv,
     and index.html with training curves and heat maps as well."""
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Folder
     """Folder of runs, or one with several such folders below it, or an archive."""
     archive: Path | None = None
     """File to pack all that the report needs into; `circle2d report FILE` writes it again."""
@@ -33,5 +31,5 @@ def run(args: Sequence[str]) -> int:
     options = parse(ReportOptions, "report", args)
     with working("reading runs and drawing figures"):
         table = api.report(options.folder, options.archive, options.out)
-    print(table)
+    show(table)
     return 0

@@ -16,8 +16,11 @@ from rich.table import Table
 
 from agents import api
 from agents.algorithms import ALGORITHMS
+from agents.cli.checks import check_enough_steps
 from agents.cli.options import BackendChoice, Imports, parse
+from agents.cli.terminal import show
 from agents.errors import UserError
+from agents.lockstep.backend import check_device
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
 from agents.training.config import Device, TrainConfig
@@ -87,7 +90,7 @@ def run(args: Sequence[str]) -> int:
         try:
             with working("drawing the report"):
                 table = api.report(options.out)
-            print(table)
+            show(table)
         except UserError as error:
             print(f"circle2d: no report: {error}", file=sys.stderr)
             return 1
@@ -96,6 +99,7 @@ def run(args: Sequence[str]) -> int:
 
 def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     """The grid's folders and what is trained in them."""
+    check_device(options.device)
     tasks = [task_id(task) for task in _tasks(options)]
     for task in tasks:
         check_task(task, {})
@@ -106,6 +110,8 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
         steps = grid.QUICK_STEPS
     what = (tasks, options.algorithms, seeds, steps, options.device, options.ablations)
     configs = grid.grid(options.out, *what)
+    for config in configs.values():
+        check_enough_steps(config.task, {}, config.steps, config.hyperparameters)
     usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
     backend = api.choose_backend(options.backend or usual)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}

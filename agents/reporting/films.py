@@ -69,7 +69,7 @@ def _length(episodes: Sequence[Episode]) -> int:
 
 
 def _words(number: int, episode: Episode, steps: int) -> str:
-    """What an episode has come to after some steps."""
+    """Number, step, cost and longest streak of an episode after some steps."""
     costs = episode.costs[:steps]
     streak = longest_streak(costs) if steps else 0
     return f"episode {number}, step {steps}: cost {costs.sum():g}, longest streak {streak}"
