@@ -12,6 +12,16 @@ from agents.errors import UserError
 from agents.training.environments import registered
 
 
+LEAST_WIDTH = 40
+"""Characters of the narrowest terminal that tables are laid out for."""
+
+
+def check_width(width: int | None) -> None:
+    """Raise UserError for a line that is too short for a table."""
+    if width is not None and width < LEAST_WIDTH:
+        raise UserError(f"width must be at least {LEAST_WIDTH}, got {width}")
+
+
 def check_suffix(path: Path, *allowed: str) -> None:
     """Raise UserError for a file to be written that has none of these suffixes."""
     if path.suffix.lower() not in allowed:

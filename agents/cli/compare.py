@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from agents.cli.checks import check_width
 from agents.cli.options import Folder, Imports, parse
 from agents.cli.terminal import show
 from agents.reporting.compare import compare
@@ -24,13 +25,17 @@ class CompareOptions:
     out: Path | None = None
     """Folder for compare.md, compare.csv, and compare.html with the training curves of both; by
     default nothing is written."""
+    width: int | None = None
+    """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
+    are printed as Markdown."""
     imports: Imports = ()
 
 
 def run(args: Sequence[str]) -> int:
     """Run `circle2d compare`; returns the exit status."""
     options = parse(CompareOptions, "compare", args)
+    check_width(options.width)
     with working("reading runs and drawing figures"):
         table = compare(options.a, options.b, options.out)
-    show(table)
+    show(table, options.width)
     return 0

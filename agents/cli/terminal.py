@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator, Sequence
 
@@ -12,18 +11,21 @@ from rich.markdown import Markdown
 from rich.table import Table
 from rich.text import Text
 
+from agents.cli.checks import LEAST_WIDTH
+
 Rows = list[list[str]]
-LEAST = 40
-"""Characters of the narrowest terminal that tables are laid out for."""
 _GAP = 3
 """Characters between columns."""
 
 
-def show(markdown: str) -> None:
-    """Print Markdown: laid out on a terminal, or where the variable COLUMNS gives a width; as it is
-    into a file or a pipe, for programs."""
-    console = Console(highlight=False)
-    if not console.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
+def show(markdown: str, width: int | None = None) -> None:
+    """Print Markdown: laid out on a terminal, or where a width is given; as it is into a file or a
+    pipe, for programs.
+
+    width: characters of a line, by default the terminal's.
+    """
+    console = Console(highlight=False, width=width)
+    if width is None and not console.is_terminal:
         print(markdown)
         return
     for block in _blocks(markdown):
@@ -31,7 +33,7 @@ def show(markdown: str) -> None:
             console.print(Markdown(block))
             console.print()
             continue
-        for part in parts(block, max(console.width, LEAST)):
+        for part in parts(block, max(console.width, LEAST_WIDTH)):
             console.print(_table(part))
             console.print()
 

@@ -53,6 +53,7 @@ def folder(tmp_path_factory):
         ([*TRAIN, "--out", "{tmp}/x", "--task-parameters", "radius"], "takes pairs: NAME VALUE"),
         (["reproduce", "--out", "{tmp}/x", "--quik"], "did you mean '--quick'\\?\n"),
         (["reproduce", "--out", "{tmp}/x", "--steps", "100"], "for a table, got 100"),
+        (["report", "{folder}", "--width", "9"], "width must be at least 40, got 9\n"),
         (["evaluate"], "evaluate needs FOLDER: Folder of the runs"),
         (["render", "{tmp}/nothing", "{folder}", "--names", "a"], "one for each of the 2 folders"),
         (["heatmap", "{folder}/.."], "holds folders of runs: did you mean '.*first'\\?\n"),

@@ -24,9 +24,8 @@ MARKDOWN = "\n".join(
 
 
 @pytest.mark.parametrize("width", [80, 100, 200])
-def test_tables_fit_and_lose_nothing(width, monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", str(width))
-    terminal.show(MARKDOWN)
+def test_tables_fit_and_lose_nothing(width, capsys):
+    terminal.show(MARKDOWN, width)
     out = capsys.readouterr().out
     assert max(len(line.rstrip()) for line in out.splitlines()) <= width
     assert "…" not in out
@@ -47,7 +46,6 @@ def test_parts_by_hand():
     ]
 
 
-def test_into_a_pipe_it_stays_markdown(monkeypatch, capsys):
-    monkeypatch.delenv("COLUMNS", raising=False)
+def test_into_a_pipe_it_stays_markdown(capsys):
     terminal.show(MARKDOWN)
     assert capsys.readouterr().out == MARKDOWN + "\n"
