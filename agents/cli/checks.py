@@ -11,7 +11,6 @@ import gymnasium as gym
 from agents.errors import UserError
 from agents.training.environments import registered
 
-
 LEAST_WIDTH = 40
 """Characters of the narrowest terminal that tables are laid out for."""
 
