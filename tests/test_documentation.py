@@ -125,6 +125,11 @@ def test_a_command_that_is_shown_exists(name, words):
         assert option in options_of(command, words) | own
 
 
+def test_every_command_is_in_the_table_of_commands():
+    for command in COMMANDS:
+        assert f"\n| `{command}` | " in TEXTS["docs/training.md"]
+
+
 def test_commands_are_found():
     """The search above finds what it should."""
     found = {words[1] for _, words in commands()}

@@ -15,6 +15,7 @@ from agents.cli.options import Imports, parse
 from agents.errors import UserError
 from agents.reporting import films, image_files, pictures
 from agents.training.config import TrainConfig
+from agents.training.pretrained import pretrained
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,11 @@ class RenderOptions:
     """
 
     folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER ...")]
-    """Folders of runs on tasks that offer positions."""
+    """Folders of runs on tasks that offer positions; pretrained:ALGORITHM/TASK is a policy that
+    comes with the package."""
     out: Path | None = None
-    """File to write, its suffix the format; by default trajectories.png in the first folder."""
+    """File to write, its suffix the format; by default trajectories.png in the first folder, or
+    here for a policy of the package."""
     episodes: int = 3
     """The first episodes of the evaluation."""
     seed: tuple[int, ...] = ()
@@ -44,17 +47,18 @@ class RenderOptions:
 def run(args: Sequence[str]) -> int:
     """Run `circle2d render`; returns the exit status."""
     options = parse(RenderOptions, "render", args)
-    count = len(options.folders)
+    folders, count = [_folder(given) for given in options.folders], len(options.folders)
     if not count:
         raise UserError("render needs a folder of runs")
     names = _of_each("names", options.names, options)
     seeds = _of_each("seed", options.seed * (1 if options.seed[1:] else count), options)
-    for folder in options.folders:
+    for folder in folders:
         check_holds_runs(folder)
     check_size(options.size)
-    out = options.out or options.folders[0] / "trajectories.png"
+    beside = folders[0] if folders[0] == options.folders[0] else Path()
+    out = options.out or beside / "trajectories.png"
     check_suffix(out, ".png", ".gif", ".mp4")
-    of_each = zip(options.folders, names, seeds, strict=True)
+    of_each = zip(folders, names, seeds, strict=True)
     panels = [_panel(options, *of_folder) for of_folder in of_each]
     if out.suffix.lower() == ".png":
         image_files.write_picture(out, films.picture(panels, options.size))
@@ -63,6 +67,13 @@ def run(args: Sequence[str]) -> int:
         image_files.write_film(out, films.film(panels, options.size), total)
     print(out)
     return 0
+
+
+def _folder(given: Path) -> Path:
+    """A folder, or that of a policy of the package for `pretrained:ALGORITHM/TASK`."""
+    kind, _, name = given.as_posix().partition(":")
+    algorithm, _, task = name.partition("/")
+    return pretrained(algorithm, task) if kind == "pretrained" else given
 
 
 T = TypeVar("T")
