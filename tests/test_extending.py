@@ -29,7 +29,7 @@ def folder(tmp_path):
 
 def test_an_algorithm_of_the_users_own(folder):
     """Trains by the page's command, resumes, is evaluated, reported and explained."""
-    (line,) = re.findall(r"```console\ncircle2d (train --import my_algorithm.*)\n```", PAGE)
+    (line,) = re.findall(r"```sh\ncircle2d (train --import my_algorithm.*)\n```", PAGE)
     train = line.replace("runs/fixed", "runs").split()
     done = circle2d(folder, *train, "--seeds", "0", "--steps", "1e3")
     assert "SAC-Fixed (price 0.5, 1,000 steps), mean of 1" in done.stdout

@@ -130,20 +130,32 @@ def _text(doc: str, names: typing.Collection[str] = ()) -> str:
 
 def _paragraph(block: str, names: typing.Collection[str]) -> str:
     """A paragraph whose lines that begin with parameters are a list."""
-    lines, listed = [], False
+    lines, listed, before = [], False, ""
     for line in block.splitlines():
         found = re.match(r"((?:\w+(?:, | and )?)+): ", line)
         words = re.split(r", | and ", found[1]) if found else []
+        choice = re.match(r"\s+(\S+)\s{2,}(\S.*)", line)
         if found and all(word in names for word in words):
             lines += [] if listed or not lines else [""]
             lines.append(f"- {line}")
             listed = True
+        elif re.match(r"\w+Error: |Raises |Source: ", line) or (
+            listed and before.endswith(".") and line[:1].isupper()
+        ):
+            lines += ["", line]
+            listed = False
+        elif choice and listed:
+            lines.append(f"  - `{choice[1]}`: {choice[2]}")
         else:
             lines.append(f"  {line.strip()}" if listed else line)
+        before = line
     marked = "\n".join(lines)
     for name in names:
-        marked = re.sub(rf"(?<![\w`.])({re.escape(name)})(?=(?:, \w+)*: )", r"`\1`", marked)
-    if listed:  # an entry of its own for each parameter, and for what is raised
-        marked = re.sub(r"(?<=[.;])\s+(?=`\w+`(, `?\w+`?)*: )", "\n- ", marked)
-        marked = re.sub(r"(?<=\.)\s+(?=Raises )", "\n\n", marked)
+        marked = re.sub(
+            rf"(?m)(?:^|(?<=[.;,] )|(?<=- ))({re.escape(name)})(?=(?:, \w+)*:\s)", r"`\1`", marked
+        )
+    # An entry of its own for each parameter, and a paragraph for what is raised.
+    if any(line.startswith("- ") for line in lines):
+        marked = re.sub(r"(?<=[.;])\s+(?=`\w+`(, `?\w+`?)*:\s)", "\n- ", marked)
+        marked = re.sub(r"(?<=\.)\s+(?=Raises |\w+Error: )", "\n\n", marked)
     return re.sub(r"(?<!`)<(?=\w)", r"\\<", marked)  # <names> are no tags
