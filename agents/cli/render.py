@@ -64,7 +64,10 @@ def run(args: Sequence[str]) -> int:
         image_files.write_picture(out, films.picture(panels, options.size))
     else:
         total = films.pictures_of(panels)
-        image_files.write_film(out, films.film(panels, options.size), total)
+        pictured = films.film(panels, options.size)
+        if out.suffix.lower() == ".gif":
+            pictured = films.few_colours(pictured)
+        image_files.write_film(out, pictured, total)
     print(out)
     return 0
 

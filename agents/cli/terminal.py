@@ -14,6 +14,8 @@ from rich.text import Text
 from agents.cli.checks import LEAST_WIDTH
 
 Rows = list[list[str]]
+HEAD, WORDS = 12, 20
+"""Characters to which a column's head and its words are broken."""
 _GAP = 3
 """Characters between columns."""
 
@@ -65,7 +67,7 @@ def parts(rows: Rows, width: int) -> list[Rows]:
     names = [_broken(name, max(width // 3, 16)) for name in columns[0]]
     found, used = [[names]], _width(names)
     for column in columns[1:]:
-        cells = [_broken(cell, 0) for cell in column]
+        cells = [_broken(column[0], HEAD), *map(_cell, column[1:])]
         more = _GAP + _width(cells)
         if used + more > width and len(found[-1]) > 1:
             found.append([names])
@@ -73,6 +75,14 @@ def parts(rows: Rows, width: int) -> list[Rows]:
         found[-1].append(cells)
         used += more
     return [[list(row) for row in zip(*part, strict=True)] for part in found]
+
+
+def _cell(cell: str) -> str:
+    """A number above what follows it, its interval; words in lines of some width."""
+    number, _, more = cell.partition(" ")
+    if more and re.fullmatch(r"[-+<\d.*]+", number):
+        return f"{number}\n{_broken(more, WORDS)}"
+    return _broken(cell, WORDS)
 
 
 def _broken(cell: str, width: int) -> str:

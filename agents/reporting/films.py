@@ -58,6 +58,13 @@ def film(panels: Sequence[Panel], size: int) -> Iterator[Picture]:
             yield _even(figure([drawn], [panel.title for panel in panels], captions=[words]))
 
 
+def few_colours(pictures: Iterator[Picture]) -> Iterator[Picture]:
+    """The pictures of a film in the colours that a GIF holds well: it is then half as large."""
+    for shown in pictures:
+        few = Image.fromarray(shown).quantize(64, dither=Image.Dither.NONE)
+        yield np.asarray(few.convert("RGB"))
+
+
 def pictures_of(panels: Sequence[Panel]) -> int:
     """Number of pictures of a film."""
     return sum(map(_length, zip(*(panel.episodes for panel in panels), strict=True)))
