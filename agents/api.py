@@ -186,10 +186,10 @@ def _start(
 ) -> Runs:
     """Make the folder of some runs and train them."""
     check_task(config.task, config.task_parameters)
-    lockstep_backend.check_device(config.device)
     if config.tensorboard:
         require_tensorboard()
     config = dataclasses.replace(config, backend=choose_backend(backend))
+    lockstep_backend.require(config.backend == "compiled", config.device)
     folder = Path(tempfile.mkdtemp(prefix="agents-") if out is None else out)
     try:
         config.write(folder)

@@ -20,7 +20,7 @@ from agents.cli.checks import check_enough_steps, check_width
 from agents.cli.options import BackendChoice, Imports, parse
 from agents.cli.terminal import show
 from agents.errors import UserError
-from agents.lockstep.backend import check_device
+from agents.lockstep.backend import require
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
 from agents.training.config import Device, TrainConfig
@@ -103,7 +103,6 @@ def run(args: Sequence[str]) -> int:
 
 def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     """The grid's folders and what is trained in them."""
-    check_device(options.device)
     tasks = [task_id(task) for task in _tasks(options)]
     for task in tasks:
         check_task(task, {})
@@ -118,6 +117,7 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
         check_enough_steps(config.task, {}, config.steps, config.hyperparameters)
     usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
     backend = api.choose_backend(options.backend or usual)
+    require(False, options.device)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}
 
 
