@@ -25,6 +25,8 @@ PAGES = [ROOT / "README.md", ROOT / "emcc" / "README.md", *sorted(DOCS.rglob("*.
 PAGES = [page for page in PAGES if not {"made", "_build"} & set(page.parts)]
 TEXTS = {str(page.relative_to(ROOT)): page.read_text() for page in PAGES}
 SLOW = ("docs/training.md",)
+ELSEWHERE = ("docs/extending.md", "docs/ray.md")
+"""Pages whose code has tests of its own: test_extending.py; those of the engine ray."""
 DRAWING = ("docs/environments.md",)
 README = TEXTS["README.md"]
 TITLES = ("Description", "Action space", "Observation space", "Reward", "Cost", "Start", "End")
@@ -50,7 +52,7 @@ def train_randomly(env):
     [
         pytest.param(name, marks=pytest.mark.slow if name in SLOW else ())
         for name, text in TEXTS.items()
-        if code_of(text) and name != "docs/extending.md"  # whose files and commands run below
+        if code_of(text) and name not in ELSEWHERE
     ],
 )
 def test_the_code_of_a_page_runs(name, request, tmp_path, monkeypatch):

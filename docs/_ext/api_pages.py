@@ -152,7 +152,9 @@ def _paragraph(block: str, names: typing.Collection[str]) -> str:
     marked = "\n".join(lines)
     for name in names:
         marked = re.sub(
-            rf"(?m)(?:^|(?<=[.;,] )|(?<=- ))({re.escape(name)})(?=(?:, `?\w+`?)*:\s)", r"`\1`", marked
+            rf"(?m)(?:^|(?<=[.;,] )|(?<=- ))({re.escape(name)})(?=(?:, `?\w+`?)*:\s)",
+            r"`\1`",
+            marked,
         )
     # An entry of its own for each parameter, and a paragraph for what is raised.
     if any(line.startswith("- ") for line in lines):
