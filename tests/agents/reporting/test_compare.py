@@ -174,7 +174,7 @@ def test_mistakes(tmp_path, capsys):
     for arguments, message in (
         ([a, b], "have no task in common: Circle2D-1-v0 against Circle2D-2-v0"),
         ([a, tmp_path / "none"], "none is no folder"),
-        ([a], "required"),
+        ([a], "compare needs FOLDER"),
         ([a, a, "--out", a / "config.json"], "config.json"),
     ):
         assert main(["compare", *map(str, arguments)]) == 2
