@@ -40,5 +40,7 @@ def test_found_by_algorithm_and_task(folder, tmp_path, monkeypatch):
     assert agents.pretrained("sac-lb", "circle2d_mj:Circle2D-1-v0") == expected
     with pytest.raises(agents.UserError, match=r"no policy of 'sac-lbb'.*did you mean 'sac-lb'"):
         agents.pretrained("sac-lbb", "Circle2D-1-v0")
-    with pytest.raises(agents.UserError, match=r"for 'Circle2D-7-v0'.*did you mean 'Circle2D-1-v0'"):
+    with pytest.raises(
+        agents.UserError, match=r"for 'Circle2D-7-v0'.*did you mean 'Circle2D-1-v0'"
+    ):
         agents.pretrained("sac-lb", "Circle2D-7-v0")
