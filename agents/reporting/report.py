@@ -48,6 +48,9 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     everything = read_groups(source, notes)
     groups, ablated = ablations.split(everything)
     by_task = _by_task(groups)
+    # Early, since later it would add to the memory that all else holds.
+    on_circle2d = any(is_circle2d(group.config.task) and group.runs for group in groups)
+    about = introduction() if on_circle2d else []
     scenes = Scenes()
     replay = replay_data(source, groups, scenes, notes)
     drawn = {
@@ -69,8 +72,8 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
         for name, of_task in tables.items()
         if name not in shown
     ]
-    if any(is_circle2d(group.config.task) and group.runs for group in groups):
-        sections.append(Section("Circle2D and EMCC", figures=introduction()))
+    if about:
+        sections.append(Section("Circle2D and EMCC", figures=about))
     out.mkdir(parents=True, exist_ok=True)
     title = f"{heading(groups)} ({source.name})"
     html = page(title, sections, made(source, everything), summary(groups), scenes.all)

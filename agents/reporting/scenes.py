@@ -21,7 +21,7 @@ from agents.training.environments import view_of
 from circle2d_mj.core.view import Extent, View
 from circle2d_mj.render import canvas
 
-SIZE = 480
+SIZE = 360
 """Pixels along the side of the pictures below and on top."""
 SIDE = 1000
 """Of a picture in the units of its paths."""

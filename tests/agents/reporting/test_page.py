@@ -13,7 +13,7 @@ from agents.training.loop import train
 
 
 class Page(HTMLParser):
-    """Cells, images, ids, links within the page, and whatever a browser would fetch."""
+    """Cells of tables of numbers, images, ids, links within the page, and whatever a browser would fetch."""
 
     def __init__(self, text):
         super().__init__()
@@ -26,7 +26,9 @@ class Page(HTMLParser):
         attributes = dict(attributes)
         if tag not in ("meta", "link", "img", "br", "!doctype", "input"):
             self.open.append(tag)
-        if tag == "td":
+        if tag == "table":
+            self.numbers = attributes.get("class") == "numbers"
+        if tag == "td" and self.numbers:
             self.cells.append("")
         if tag == "img":
             self.images.append(attributes)
@@ -47,7 +49,7 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        if "td" in self.open:
+        if "td" in self.open and self.numbers:
             self.cells[-1] += data
 
 
