@@ -13,7 +13,7 @@ from agents.training.loop import train
 
 
 class Page(HTMLParser):
-    """Cells of tables of numbers, images, ids, links within the page, and whatever a browser would fetch."""
+    """Cells of numbers, images, ids, links within the page, and what a browser would fetch."""
 
     def __init__(self, text):
         super().__init__()
