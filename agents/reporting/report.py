@@ -15,6 +15,7 @@ from agents.reporting.ablations import TITLE, ablation_table
 from agents.reporting.csv_table import numbers_csv, report_lines
 from agents.reporting.figures import Figure, figures, introduction
 from agents.reporting.page import Section, page
+from agents.reporting.panel_table import panel_table, panel_title
 from agents.reporting.provenance import made
 from agents.reporting.table import Table
 from agents.reporting.tables import task_table
@@ -47,6 +48,11 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     by_task = _by_task(groups)
     shown = {task: figures(source, of_task, notes) for task, of_task in by_task.items()}
     tables = _tables(by_task, ablated, notes)
+    tables |= {
+        panel_title(task): panel_table(of)
+        for task, of in by_task.items()
+        if any(group.runs for group in of)
+    }
     checked = check_claims(groups)
     markdown = "\n".join(table.markdown() for table in tables.values())
     markdown += "\n" + claims_text.markdown(checked) if checked else ""

@@ -161,10 +161,16 @@ def test_the_report_of_a_small_grid(tmp_path):
     text = (tmp_path / "index.html").read_text()
     shown = Page(text)
     assert shown.fetched == []  # no network, no files beside it
-    rows = [line for line in markdown.splitlines() if line.startswith("| TRPO-Lag")]
+    rows = [
+        line
+        for line in markdown.splitlines()
+        if line.startswith(("| TRPO-Lag", "| training: ", "| policy "))
+    ]
     cells = [cell.strip() for row in rows for cell in row.split("|")[1:-1]]
     assert [re.sub(r"\s", "", c) for c in shown.cells] == [re.sub(r"\s", "", c) for c in cells]
-    assert shown.links == shown.ids == ["circle2d-and-emcc", "circle2d-1-v0", "how-it-was-made"]
+    panel = "circle2d-1-v0-panel-of-cost-measures"
+    sections = ["circle2d-and-emcc", "circle2d-1-v0", panel, "how-it-was-made"]
+    assert shown.links == shown.ids == sections
     names = ["levels.png", "trajectories.png"]
     names += [f"{k}-Circle2D-1-v0.{s}" for k, s in KINDS.items()]
     assert sorted(p.name for p in (tmp_path / "pictures").iterdir()) == sorted(names)
