@@ -1,6 +1,7 @@
 # make demo: train TRPO-Lag on Circle2D-1 for a minute or two; tables, heat map, trajectories.
 # make test: run the tests, at most six minutes on two cores.
 # make check: run the slow tests; among them installations in environments of their own.
+# make integrate: run the tests against other libraries, in an environment with [integrations].
 # Each builds .venv first; Python 3.11 or newer is all they need.
 
 PYTHON ?= python3
@@ -8,7 +9,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test check lint clean
+.PHONY: demo test check integrate lint clean
 .DELETE_ON_ERROR:
 
 $(VENV)/made:
@@ -38,10 +39,18 @@ test: $(VENV)/develops
 check: $(VENV)/develops
 	$(BIN)/python -m pytest -m slow -n logical --dist loadfile --durations 20
 
+integrate:
+	$(PYTHON) -m venv $(VENV)-integrations
+	$(VENV)-integrations/bin/python -m pip install --quiet --disable-pip-version-check \
+		-c constraints.txt -e '.[integrations]' pytest pytest-xdist hypothesis
+	$(VENV)-integrations/bin/python -m pytest -n logical --durations 5 tests/emcc \
+		tests/circle2d_mj/core/test_other_libraries.py tests/agents/test_export.py \
+		tests/test_examples.py
+
 lint: $(VENV)/develops
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 clean:
-	rm -rf $(VENV) runs/demo
+	rm -rf $(VENV) $(VENV)-integrations runs/demo

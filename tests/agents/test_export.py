@@ -23,7 +23,7 @@ FORMATS = ("safetensors", "onnx")
 def folder(request, tmp_path_factory):
     """Of a task with actions in [-2, 2]."""
     out = tmp_path_factory.mktemp("export") / "x"
-    more = {"evaluate_every": 100} if request.param == "trpo-lag" else {"random_steps": 100}
+    more = {"evaluate_every": 100} if request.param == "trpo-lag" else {"random_steps": 1400}
     return agents.train(
         request.param, "Walk-v0", seeds=(0, 4), steps=1500, out=out, **SMALL, **more
     ).folder
@@ -59,7 +59,7 @@ def test_the_card(folder, tmp_path):
     assert f"(`{config.algorithm}`)" in card
     assert "| task | `Walk-v0` |" in card
     assert "| seeds | 0, 4 |" in card
-    assert re.search(r"\| environment steps \| \d+( or \d+)?; planned 1,500 \|", card)
+    assert re.search(r"\| environment steps \| [\d,]+( or [\d,]+)?; planned 1,500 \|", card)
     assert re.search(r"\| commit \| ([0-9a-f]{40}(-dirty)?|not recorded \(version .*) \|", card)
     assert "| observation | float32 [N, 2], as the task gives it |" in card
     assert "| action | float32 [N, 1], in [-2, 2]; without noise |" in card
