@@ -44,6 +44,7 @@ from agents.training.environments import Vectorization, check_task, task_id
 from agents.training.epochs import Epoch, follower
 from agents.training.playing import Evaluation, evaluate
 from agents.training.policy import Policy, load_policy
+from agents.training.pretrained import pretrained
 from agents.training.progress import show_progress
 from agents.training.tensorboard import require_tensorboard
 
@@ -56,6 +57,7 @@ __all__ = (
     "UserError",
     "evaluate",
     "load_policy",
+    "pretrained",
     "register",
     "report",
     "resume",
@@ -187,6 +189,7 @@ def _start(
     if config.tensorboard:
         require_tensorboard()
     config = dataclasses.replace(config, backend=choose_backend(backend))
+    lockstep_backend.require(config.backend == "compiled", config.device)
     folder = Path(tempfile.mkdtemp(prefix="agents-") if out is None else out)
     try:
         config.write(folder)

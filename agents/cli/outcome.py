@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+from agents.cli.terminal import show
 from agents.errors import UserError
 from agents.reporting.report import table
 from agents.runs import Runs
@@ -15,7 +16,7 @@ def finish(runs: Runs) -> int:
     """Print the table of every folder, and the failures; returns the exit status."""
     for folder in runs.folders:
         try:
-            print(table(folder))
+            show(table(folder))
         except UserError as error:  # the training itself is done
             print(f"circle2d: no table: {error}", file=sys.stderr)
     return name_failures(runs)
