@@ -2,6 +2,7 @@
 # make test: run the tests, at most six minutes on two cores.
 # make check: run the slow tests, among them installations in environments of their own; make docs.
 # make docs: build the documentation: docs/_build/html/index.html.
+# make integrate: install [integrations] as well, and run the tests against other libraries.
 # Each builds .venv first; Python 3.11 or newer is all they need.
 
 PYTHON ?= python3
@@ -9,7 +10,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test check docs lint clean
+.PHONY: demo test check docs integrate lint clean
 .DELETE_ON_ERROR:
 
 $(VENV)/made:
@@ -55,6 +56,15 @@ check: $(VENV)/develops
 docs: $(VENV)/develops
 	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
 	@echo "The documentation: $(abspath docs/_build/html/index.html)"
+
+# All that is pinned but pandas, of which tianshou needs version 2. Last of all in .ci/run, since it
+# puts these libraries into the same environment.
+integrate: $(VENV)/develops
+	grep -v '^pandas==' constraints.txt > $(VENV)/constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c $(VENV)/constraints.txt \
+		-e '.[dev,integrations]'
+	$(BIN)/python -m pytest -n logical --durations 5 tests/emcc tests/agents/test_export.py \
+		tests/circle2d_mj/core/test_other_libraries.py tests/test_examples.py
 
 lint: $(VENV)/develops
 	$(BIN)/ruff check .

@@ -25,6 +25,7 @@ The rooms of the house, of which each uses only those before it:
 - `results`: measures of the runs on disk
 - `paper`: its presets, grid and claims
 - `reporting`: tables, figures, page
+- `export`: policies as files for other programs
 - `api`: this entrance
 - `cli`: the command `circle2d`
 """

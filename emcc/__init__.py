@@ -78,20 +78,25 @@ __all__ = [
 ]
 
 
-_OF_GYMNASIUM = {"RecordCosts": "emcc.wrappers", "StreakCost": "emcc.streak_cost"}
+_OF_GYMNASIUM = {
+    "RecordCosts": ("emcc.wrappers", "gymnasium>=0.28"),
+    "StreakCost": ("emcc.streak_cost", "gymnasium>=1.1"),
+}
+"""Names, by the module that has them and the version of gymnasium that it takes."""
 
 
 def __getattr__(name: str) -> Any:
     if name == "sb3":  # late, because it needs stable-baselines3
         return import_module("emcc.sb3")
     if name in _OF_GYMNASIUM:
+        module, needed = _OF_GYMNASIUM[name]
         try:
-            return getattr(import_module(_OF_GYMNASIUM[name]), name)
-        except ModuleNotFoundError as error:
-            if error.name != "gymnasium":
+            return getattr(import_module(module), name)
+        except ImportError as error:  # gymnasium is missing, or too old to have a name
+            if (error.name or "").partition(".")[0] != "gymnasium":
                 raise
             raise ImportError(
-                f"emcc.{name} needs gymnasium: pip install gymnasium; without it, "
+                f"emcc.{name} needs {needed}: pip install '{needed}'; without it, "
                 "emcc.CostRecorder takes the costs of steps"
             ) from None
     raise AttributeError(f"module 'emcc' has no attribute {name!r}")

@@ -190,5 +190,9 @@ def _scipy_stats() -> Any:
     try:
         import scipy.stats
     except ImportError:
-        raise ImportError("statistics of runs need scipy: pip install scipy") from None
-    return scipy.stats
+        old = ""
+    else:
+        if tuple(map(int, scipy.__version__.split(".")[:2])) >= (1, 15):
+            return scipy.stats
+        old = f", found {scipy.__version__}"
+    raise ImportError(f"statistics of runs need scipy>=1.15{old}: pip install 'scipy>=1.15'")

@@ -24,6 +24,7 @@ LAYERS = (
     "results",
     "paper",
     "reporting",
+    "export",
     "runs",
     "api",
     "cli",

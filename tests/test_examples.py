@@ -13,9 +13,12 @@ FOLDER = Path(__file__).parents[1] / "examples"
 NEEDED = {
     "with_gymnasium.py": ("gymnasium",),
     "with_minari.py": ("minari", "jax", "h5py"),
+    "with_mlflow.py": ("mlflow",),
+    "with_optuna.py": ("optuna",),
     "with_sb3.py": ("stable_baselines3",),
     "with_tianshou.py": ("tianshou",),
     "with_torchrl.py": ("torchrl",),
+    "with_wandb.py": ("wandb",),
 }
 """Libraries that an example imports, or that it needs to run."""
 
@@ -46,7 +49,9 @@ def test_it_runs(name, tmp_path):
         cwd=tmp_path,
         env={
             **os.environ,
-            "PYTHONPATH": str(FOLDER.parent),
+            "PYTHONPATH": os.pathsep.join(
+                filter(None, [str(FOLDER.parent), os.environ.get("PYTHONPATH")])
+            ),
             "MINARI_DATASETS_PATH": str(tmp_path),
             "OMP_NUM_THREADS": "1",
         },

@@ -22,6 +22,7 @@ COMMANDS = {
     "report": "tables, training curves and heat maps of trained runs",
     "compare": "two sets of runs side by side, with the differences",
     "heatmap": "draw which states were visited in training",
+    "export": "write trained policies as safetensors or ONNX files, with a model card",
     "render": "draw episodes of trained policies, side by side: PNG, GIF, MP4",
     "scene": "print the MuJoCo scene of a task (MJCF)",
 }

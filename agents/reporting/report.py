@@ -16,6 +16,7 @@ from agents.reporting.csv_table import numbers_csv, report_lines
 from agents.reporting.figures import figures, introduction
 from agents.reporting.maps import maps
 from agents.reporting.page import Section, page
+from agents.reporting.panel_table import panel_table, panel_title
 from agents.reporting.provenance import heading, made, summary
 from agents.reporting.replay import replay_data
 from agents.reporting.scenes import Scenes
@@ -59,6 +60,11 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     }
     shown, common = together.figures(groups), together.tables(groups)
     tables = _tables(by_task, ablated, notes) | common
+    tables |= {
+        panel_title(task): panel_table(of)
+        for task, of in by_task.items()
+        if any(group.runs for group in of)
+    }
     checked = check_claims(groups)
     markdown = "\n".join(table.markdown() for table in tables.values())
     markdown += "\n" + claims_text.markdown(checked) if checked else ""

@@ -13,13 +13,13 @@ from agents.errors import UserError, check_choice, check_integers
 from agents.lockstep.noise import stream_seed
 from agents.training.environments import Spaces, Vectorization, is_native, sizes_of, spaces_of
 from agents.training.files import locked, read_json, write_json
-from agents.training.machine import made_with
+from agents.training.machine import commit, made_with
 
 Backend = Literal["compiled", "eager"]
 Device = Literal["cpu", "cuda"]
 FAILURE = "failed.json"
 """In the folder of a run that stopped at a number which is not finite: the step it had come to."""
-NOT_SETTINGS = ("versions", "machine", "resumed", "spaces", "algorithm_module")
+NOT_SETTINGS = ("versions", "machine", "resumed", "spaces", "algorithm_module", "commit")
 """Entries of config.json that are no fields of `TrainConfig`."""
 
 
@@ -107,6 +107,7 @@ class TrainConfig:
         time, and where the task cannot be made.
         """
         content = dataclasses.asdict(self) | made_with()
+        content["commit"] = commit()
         content["algorithm_module"] = type(self.hyperparameters).__module__
         content["spaces"] = spaces_of(self.task, self.task_parameters)._asdict()
         if self.evaluate_every is None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
-from importlib.metadata import version
+import subprocess
+from importlib.metadata import distribution, version
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,23 @@ def made_with() -> dict[str, Any]:
 def versions() -> dict[str, str]:
     """Python and the packages that results depend on."""
     return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
+
+
+def commit() -> str | None:
+    """Commit of this code, "-dirty" behind it where files are changed: that of the checkout it lies
+    in, or that pip installed it from; None for an installation from anything else."""
+    root = Path(__file__).parents[2]
+    if (root / ".git").exists():
+        git = ("git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40")
+        try:
+            done = subprocess.run(
+                [*git, "--exclude=*"], capture_output=True, encoding="utf-8", check=True
+            )
+        except (OSError, subprocess.CalledProcessError):
+            return None
+        return done.stdout.strip()
+    origin = json.loads(distribution("circle2d-mj").read_text("direct_url.json") or "{}")
+    return origin.get("vcs_info", {}).get("commit_id")
 
 
 def machine() -> dict[str, str | int]:

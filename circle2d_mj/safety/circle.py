@@ -25,6 +25,15 @@ def point_observation_space(lidars: int) -> Box:
     return Box(low, high, dtype=np.float64)
 
 
+def point_action_space() -> Box:
+    """Return the Point agent's space: thrust and turning rate, in float64 as in safety-gymnasium.
+
+    Stable-Baselines3 advises float32. Actions of that type are taken too, and without loss; the
+    space keeps the original's type, so that its samples and those who compare are not rounded.
+    """
+    return Box(-1.0, 1.0, (2,), np.float64)
+
+
 def point_position(qpos: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     """Return the Point agents' positions for the info, m. qpos: [num_envs, nq]."""
     return {"x_position": qpos[:, 0].copy(), "y_position": qpos[:, 1].copy()}
@@ -61,7 +70,7 @@ class SafetyPointCircle(MuJoCoTask):
     def __init__(self, num_envs: int = 1, num_threads: int = 1) -> None:
         super().__init__(models.point_circle(), num_envs, num_threads, SUBSTEPS)
         self.observation_space = point_observation_space(lidars=1)
-        self.action_space = Box(-1.0, 1.0, (2,), np.float64)
+        self.action_space = point_action_space()
         self._centre = np.zeros((self.num_envs, 1, 2))
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:

@@ -5,13 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from circle2d_mj.core.simulation import Outcome, State
 from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import layout, models, rules
-from circle2d_mj.safety.circle import SUBSTEPS, point_observation_space, point_position
+from circle2d_mj.safety.circle import (
+    SUBSTEPS,
+    point_action_space,
+    point_observation_space,
+    point_position,
+)
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
 from circle2d_mj.safety.views import PointGoalView
 
@@ -59,7 +63,7 @@ class SafetyPointGoal(MuJoCoTask):
     def __init__(self, num_envs: int = 1, num_threads: int = 1) -> None:
         super().__init__(models.point_goal(), num_envs, num_threads, SUBSTEPS)
         self.observation_space = point_observation_space(lidars=3)
-        self.action_space = Box(-1.0, 1.0, (2,), np.float64)
+        self.action_space = point_action_space()
         self._disabled = self.batch.expand("opt.disableflags")
         self._vase = self.qpos[:, 3:], self.qvel[:, 3:]
         # Where everything is now, m: [num_envs, 11, 2]; see `layout`.

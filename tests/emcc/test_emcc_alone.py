@@ -3,13 +3,14 @@
 import re
 import subprocess
 import sys
-import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
 
 import emcc
+
+tomllib = pytest.importorskip("tomllib")  # Python 3.11
 
 PACKAGE = Path(emcc.__file__).parent
 ROOT = PACKAGE.parent

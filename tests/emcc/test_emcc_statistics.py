@@ -4,11 +4,13 @@ import math
 
 import numpy as np
 import pytest
-import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
 from emcc import statistics
+
+pytest.importorskip("scipy", minversion="1.15")
+import scipy.stats
 
 SIMULATIONS = 4_000
 

@@ -2,13 +2,13 @@
 
 import warnings
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # torchrl's own, of its future versions
     pytest.importorskip("torchrl.collectors")
+    import gymnasium as gym
     import torch
     from tensordict import TensorDict
     from torchrl.collectors import Collector

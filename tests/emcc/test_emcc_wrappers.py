@@ -2,9 +2,12 @@
 
 from functools import partial
 
-import gymnasium as gym
 import numpy as np
 import pytest
+
+pytest.importorskip("gymnasium", minversion="1.1")
+
+import gymnasium as gym
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 from emcc import CostRecorder, EpisodeRecords, RecordCosts

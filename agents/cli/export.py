@@ -1,0 +1,40 @@
+"""`circle2d export`: trained policies as files that other programs read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from agents.cli.options import Imports, parse
+from agents.export import Format, export
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Write trained policies, without their noise, as files that other programs read, and a model
+    card. Needs the extra [export]."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Folder of the runs."""
+    format: Format
+    """safetensors: the network's arrays; onnx: a graph from observations to actions."""
+    out: Path | None = None
+    """Folder for the files; by default `exported` in the runs' own."""
+    seeds: tuple[int, ...] | None = None
+    """Of the runs; by default all."""
+    step: int | None = None
+    """Environment steps of the training at which the policy was kept, a multiple of its
+    --evaluate-every; by default the last checkpoint's."""
+    imports: Imports = ()
+
+
+def run(args: Sequence[str]) -> int:
+    """Run `circle2d export`; returns the exit status."""
+    options = parse(ExportOptions, "export", args)
+    for path in export(options.folder, options.format, options.out, options.seeds, options.step):
+        print(path)
+    return 0

@@ -1,0 +1,83 @@
+"""The panel of a task: numbers by hand, and which limit and window its columns have."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from agents.paper.presets import preset
+from agents.reporting.panel_table import panel_table
+from agents.results.reading import Group, Run
+from agents.training.config import TrainConfig
+from emcc import EpisodeRecords
+
+TASK = "Circle2D-1-v0"
+COSTS = [[1, 1, 0, 0], [0, 1, 0, 1], [0, 0, 0, 0], [1, 1, 1, 1]]
+FINAL = {"cost_returns": [4.0, 0.0], "lengths": [4, 4]}
+
+
+def a_group(algorithm, costs=COSTS, seeds=(0,), evaluation=None, **changes):
+    hyperparameters = dataclasses.replace(preset(algorithm, TASK), **changes)
+    steps = sum(map(len, costs))
+    config = TrainConfig(algorithm, TASK, tuple(seeds), steps, hyperparameters)
+    records = EpisodeRecords.from_costs(np.concatenate(costs), list(map(len, costs)))
+    evaluation = {"deterministic": FINAL} if evaluation is None else evaluation
+    runs = [Run(seed, {}, 2, {}, records, evaluation) for seed in seeds]
+    return Group(algorithm, config, runs)
+
+
+def cells(table):
+    return {row.name: [str(cell) for cell in row.numbers] for row in table.rows}
+
+
+def test_numbers_by_hand():
+    found = cells(panel_table([a_group("cpo", cost_limit=2.0)]))
+    assert found["training: EMCC (α = 0.1)"] == ["1.000"]
+    assert found["training: mean MCC"] == ["0.438"]  # 2, 1, 0 and 4 of 4 steps
+    assert found["training: longest streak (steps)"] == ["4"]
+    assert found["training: mean streak (steps)"] == ["2.00"]  # 8 steps, streaks of 2 1 1 4
+    assert found["training: cost rate (per step)"] == ["0.500"]
+    assert found["training: violation rate V"] == ["0.250"]
+    assert found["training: severity D"] == ["0.000"]
+    assert found["training: severity of violations D+"] == ["1.000"]
+    assert found["training: cost regret"] == ["2.0"]
+    assert found["training: steps until 4 episodes are within the limit"] == ["0"]
+    assert found["policy without noise: violation rate V"] == ["0.500"]
+    assert found["policy without noise: cost rate (per step)"] == ["0.500"]
+    assert found["policy without noise: severity D"] == ["0.000"]
+    assert not any(name.startswith("policy with its noise") for name in found)
+
+
+def test_algorithms_are_columns_in_their_order():
+    table = panel_table([a_group("wcsac", seeds=(0, 1)), a_group("cpo")])
+    assert [name.split(" (")[0] for name in table.head] == [TASK, "CPO", "WCSAC", ""]
+    assert table.columns == 3
+    assert cells(table)["training: cost rate (per step)"] == ["0.500", "0.500 [0.500, 0.500]"]
+    assert "limit 5" in table.caption
+
+
+def test_limits():
+    """Each algorithm has its own; one without constraints has that of the others."""
+    table = panel_table([a_group("cpo", cost_limit=2.0), a_group("sac-lag", cost_limit=3.0)])
+    assert "limit of CPO (cost_limit 2.0, 16 steps) 2, limit of SAC-Lag" in table.caption
+    assert cells(table)["training: cost regret"] == ["2.0", "1.0"]
+    table = panel_table([a_group("sac"), a_group("cpo", cost_limit=2.0)])
+    assert cells(table)["training: cost regret"] == ["2.0", "2.0"]
+    table = panel_table([a_group("sac")])
+    assert "no limit" in table.caption
+    assert not any("violation" in row.name for row in table.rows if "training" in row.name)
+
+
+def test_one_window_for_all_columns():
+    table = panel_table([a_group("cpo"), a_group("sac-lag", costs=COSTS[:2])])
+    assert "training: peak cost rate (2 episodes)" in cells(table)
+    assert cells(table)["training: peak cost rate (2 episodes)"] == ["0.500", "0.500"]
+
+
+@pytest.mark.parametrize("evaluation", [{}, {"deterministic": {"J_C": 1.0}}])
+def test_evaluations_without_episodes(evaluation):
+    """As runs of early versions have them."""
+    found = cells(panel_table([a_group("cpo", evaluation=evaluation)]))
+    assert all(name.startswith("training: ") for name in found)
+    both = cells(panel_table([a_group("cpo", evaluation=evaluation), a_group("sac-lag")]))
+    assert both["policy without noise: violation rate V"] == ["–", "0.000"]

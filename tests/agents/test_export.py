@@ -1,0 +1,122 @@
+"""Exported policies, as other libraries read them, against the policies themselves."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from toys import register
+
+import agents
+from agents.cli.main import main
+from agents.export import export
+
+pytest.importorskip("onnx")
+pytest.importorskip("safetensors")
+register()
+SMALL = {"batch_size": 32, "hidden": (32, 32), "input_scale": 2.0}
+OBSERVATIONS = np.random.default_rng(0).normal(0, 3, (1000, 2)).astype(np.float32)
+FORMATS = ("safetensors", "onnx")
+
+
+@pytest.fixture(scope="module", params=["sac-lb", "trpo-lag"])
+def folder(request, tmp_path_factory):
+    """Of a task with actions in [-2, 2]."""
+    out = tmp_path_factory.mktemp("export") / "x"
+    more = {"evaluate_every": 100} if request.param == "trpo-lag" else {"random_steps": 1400}
+    return agents.train(
+        request.param, "Walk-v0", seeds=(0, 4), steps=1500, out=out, **SMALL, **more
+    ).folder
+
+
+def loaded(card, monkeypatch, folder):
+    """The function `policy` that the card's own code makes."""
+    if "onnxruntime" in card:
+        pytest.importorskip("onnxruntime")
+    code = re.search(r"```python\n(.*?)```", card, re.S)[1]
+    names = {}
+    with monkeypatch.context() as patch:
+        patch.chdir(folder)
+        exec(code, names)
+    return names["policy"]
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_the_cards_code_gives_our_actions(folder, tmp_path, monkeypatch, format):
+    paths = export(folder, format, tmp_path)
+    assert [path.name for path in paths] == [f"seed-{k}.{format}" for k in (0, 4)] + ["README.md"]
+    policy = loaded(paths[-1].read_text(), monkeypatch, tmp_path)
+    found, ours = policy(OBSERVATIONS), agents.load_policy(folder, seed=0)(OBSERVATIONS)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, ours, rtol=0, atol=1e-6)
+    assert np.abs(ours).max() > 0.1
+    np.testing.assert_allclose(policy(OBSERVATIONS[:1]), ours[:1], rtol=0, atol=1e-6)
+
+
+def test_the_card(folder, tmp_path):
+    *_, path = export(folder, "safetensors", tmp_path)
+    card, config = path.read_text(), agents.resume(folder).config
+    assert f"(`{config.algorithm}`)" in card
+    assert "| task | `Walk-v0` |" in card
+    assert "| seeds | 0, 4 |" in card
+    assert re.search(r"\| environment steps \| [\d,]+( or [\d,]+)?; planned 1,500 \|", card)
+    assert re.search(r"\| commit \| ([0-9a-f]{40}(-dirty)?|not recorded \(version .*) \|", card)
+    assert "| observation | float32 [N, 2], as the task gives it |" in card
+    assert "| action | float32 [N, 1], in [-2, 2]; without noise |" in card
+    assert "--hidden 32 32" in card
+    (row,) = (line for line in card.splitlines() if ", mean of 2 " in line)
+    assert row in agents.report(folder).splitlines()
+
+
+def test_files_say_what_they_are(folder, tmp_path):
+    import onnx
+    from safetensors import safe_open
+
+    (path, _) = export(folder, "onnx", tmp_path, seeds=[4])
+    about = {entry.key: entry.value for entry in onnx.load(path).metadata_props}
+    (path, _) = export(folder, "safetensors", tmp_path, seeds=[4])
+    with safe_open(path, "np") as file:
+        assert json.loads(file.metadata()["about"]) == about
+    taken = agents.resume(folder).records[folder, 4].total_steps
+    assert (about["task"], about["seed"], about["step"]) == ("Walk-v0", "4", str(taken))
+
+
+def test_equal_policies_give_equal_bytes(folder, tmp_path):
+    for format in FORMATS:
+        (first, *_), (second, *_) = (export(folder, format, tmp_path / name) for name in "ab")
+        assert first.read_bytes() == second.read_bytes()
+
+
+def test_the_command(folder, capsys):
+    assert main(["export", str(folder), "--format", "safetensors", "--seeds", "4"]) == 0
+    assert capsys.readouterr().out.split() == [
+        str(folder / "exported" / name) for name in ("seed-4.safetensors", "README.md")
+    ]
+    for options, message in (
+        (["--format", "pickle"], "onnx"),
+        (["--format", "onnx", "--seeds", "1"], "has no run of seed 1"),
+        (["--format", "onnx", "--step", "7"], "no policy of seed 0 at step 7"),
+        ([], "--format"),
+    ):
+        assert main(["export", str(folder), *options]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_an_earlier_policy(tmp_path):
+    runs = agents.train(
+        "trpo-lag", "Walk-v0", seeds=0, steps=800, out=tmp_path, evaluate_every=400, **SMALL
+    )
+    path, card = export(runs.folder, "safetensors", step=400)
+    assert "| environment steps | 400; planned 800 |" in card.read_text()
+    assert path.read_bytes() != export(runs.folder, "safetensors")[0].read_bytes()
+
+
+def test_a_missing_library_is_named(folder, tmp_path, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(
+        agents.UserError, match=r"needs onnx, .* pip install 'circle2d-mj\[export\]"
+    ):
+        export(folder, "onnx", tmp_path / "x")
+    assert not (tmp_path / "x").exists()
