@@ -21,12 +21,13 @@ from agents.errors import UserError
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
 from agents.training.config import Device, TrainConfig
+from agents.training.engines import Engine, EngineName, engine
 from agents.training.environments import check_task, task_id
 from agents.training.files import locked
 from agents.training.machine import other_session
 from agents.training.progress import working
 from agents.training.status import duration, share_done, speed
-from agents.training.workers import Group, Workers, cores
+from agents.training.workers import Group, cores
 from circle2d_mj.circle2d.config import LEVELS
 
 
@@ -64,6 +65,14 @@ class ReproduceOptions:
     """Where updates run: cuda on a GPU."""
     workers: int = cores()
     """Processes, of one thread each; by default one for each core that this process may use."""
+    engine: EngineName = "local"
+    """local: processes of this machine. ray: tasks of a Ray cluster, of one core each (and one GPU
+    with --device cuda); needs the extra [ray]."""
+    address: str | None = None
+    """Of the Ray cluster's head, HOST:PORT, or auto for one that runs on this machine; by default
+    RAY_ADDRESS, or else a cluster of this machine is started."""
+    shard: str | None = None
+    """I/N, such as 1/4: train the I-th of N equal parts, for job arrays. Writes no report."""
     imports: Imports = ()
 
 
@@ -75,15 +84,24 @@ def run(args: Sequence[str]) -> int:
     if options.workers < 1:
         raise UserError(f"workers must be at least 1, got {options.workers}")
     configs = _configs(options)
+    if options.shard is not None:
+        configs = grid.shard(configs, *_shard(options.shard))
     grid.prepare(configs)
     for folder, config in configs.items():
         if (note := other_session(folder)) and not grid.finished(folder, config):
             print(f"circle2d: {folder}: {note}", file=sys.stderr)
     with _ended_by_signals():
-        with locked(options.out):
-            failed = _train(configs, options.workers, options.imports)
+        # The parts of a grid train at the same time: there each folder has a lock alone.
+        lock = contextlib.nullcontext() if options.shard else locked(options.out)
+        with lock:
+            count = options.workers if options.engine == "local" else None
+            with engine(options.engine, count, options.address, options.device) as ready:
+                failed = _train(configs, ready, options.imports)
         for folder, message in failed.items():
             print(f"circle2d: {folder} failed: {message}", file=sys.stderr)
+        if options.shard is not None:
+            print(f"part {options.shard} is over; after all: circle2d report {options.out}")
+            return int(bool(failed))
         try:
             with working("drawing the report"):
                 table = api.report(options.out)
@@ -109,6 +127,14 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
     backend = api.choose_backend(options.backend or usual)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """I and N of "I/N". Raises UserError."""
+    part, _, count = text.partition("/")
+    if not (part.isdecimal() and count.isdecimal() and 1 <= int(part) <= int(count)):
+        raise UserError(f"shard must be I/N with I from 1 to N, such as 1/4, got {text!r}")
+    return int(part), int(count)
 
 
 def _tasks(options: ReproduceOptions) -> Sequence[str]:
@@ -139,19 +165,21 @@ def _ended_by_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _train(configs: dict[Path, TrainConfig], count: int, imports: Sequence[str]) -> dict[Path, str]:
+def _train(
+    configs: dict[Path, TrainConfig], engine: Engine, imports: Sequence[str]
+) -> dict[Path, str]:
     """Train what is not finished; returns the folders that failed, each with its error."""
     left = [folder for folder, config in configs.items() if not grid.finished(folder, config)]
     shares = {folder: share_done(folder) if folder in left else 1.0 for folder in configs}
     started, (before, total) = time.monotonic(), grid.work_left(shares, configs)
     console = Console(stderr=True)
-    groups = grid.groups({folder: configs[folder] for folder in left}, count)
+    groups = grid.groups({folder: configs[folder] for folder in left}, engine.count)
 
     def is_finished(folder: Path) -> bool:
         return grid.finished(folder, configs[folder])
 
     with (
-        Workers(groups, count, is_finished, imports) as workers,
+        engine.workers(groups, is_finished, imports) as workers,
         Live(console=console, auto_refresh=False) as live,
     ):
         shown, tenths = 0, 0

@@ -59,7 +59,7 @@ class Workers:
         while self._waiting or self._running:
             while self._waiting and len(self._running) < self._count:
                 group = self._waiting.pop(0)
-                self._running[group] = _start(group, self._imports)
+                self._running[group] = self._start(group)
             on_change()
             time.sleep(every)
             for group, process in list(self._running.items()):
@@ -67,6 +67,9 @@ class Workers:
                     del self._running[group]
                     self._ended(group, process.returncode)
         on_change()
+
+    def _start(self, group: Group) -> subprocess.Popen:
+        return start(group, self._imports)
 
     def _ended(self, group: Group, status: int) -> None:
         left = []
@@ -88,7 +91,8 @@ class Workers:
             process.wait()
 
 
-def _start(group: Group, imports: Sequence[str]) -> subprocess.Popen:
+def start(group: Group, imports: Sequence[str]) -> subprocess.Popen:
+    """Start a process of one thread that trains a group. imports: modules it imports first."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     options = [option for name in imports for option in ("--import", name)]
     with (group[0] / LOG).open("ab") as log:
