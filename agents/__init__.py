@@ -8,6 +8,7 @@ The whole entrance from Python:
 | `resume(*folders)` | go on with interrupted runs -> `Runs` |
 | `load_policy(folder, seed, step=None)` | a trained policy -> `Policy` |
 | `evaluate(policy_or_folder, task)` | play episodes -> `Evaluation` |
+| `sweep(algorithm, task, grid={...}, out=...)` | every combination of hyper-parameters -> `Runs` |
 | `report(folder)` | tables, figures and a page of all runs below a folder |
 | `register(name, Algorithm(...))` | make an algorithm of your own known |
 
@@ -25,6 +26,7 @@ The rooms of the house, of which each uses only those before it:
 - `paper`: its presets, grid and claims
 - `reporting`: tables, figures, page
 - `export`: policies as files for other programs
+- `sweeps`: combinations of hyper-parameters, and the engines that train them
 - `api`: this entrance
 - `cli`: the command `circle2d`
 """
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
         register,
         report,
         resume,
+        sweep,
         train,
     )
 
@@ -61,6 +64,7 @@ __all__ = (
     "register",
     "report",
     "resume",
+    "sweep",
     "train",
 )
 _LIGHT = {
