@@ -95,7 +95,7 @@ def processes_that_train():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("when", ["training", "checkpoint"])
+@pytest.mark.parametrize("when", ["running", "stopped"])
 def test_a_node_that_is_killed(tmp_path, monkeypatch, when):
     """The group goes on from its last checkpoint on the other node, to the same results."""
     pytest.importorskip("ray")
@@ -112,7 +112,7 @@ def test_a_node_that_is_killed(tmp_path, monkeypatch, when):
         if killed or not (folder / "checkpoint.npz").exists() or share_done(folder) > 0.9:
             return
         (busy,) = (node for node in nodes if node_is_busy(node))
-        if when == "checkpoint":  # stop the process wherever it is, then lose the node
+        if when == "stopped":  # wherever it is, be it in the middle of a file
             for process in processes_that_train():
                 os.kill(process, signal.SIGSTOP)
         cluster.remove_node(busy, allow_graceful=False)
@@ -132,12 +132,48 @@ def test_a_node_that_is_killed(tmp_path, monkeypatch, when):
     finally:
         cluster.shutdown()
     assert killed
-    alone = small_grid(tmp_path / "alone", steps=4000)
-    train(*alone)
-    names = ("episodes.csv", "updates.csv", "costs.npy", "visited.npy", "evaluation.json")
-    for name in names:
-        a, b = (f / "seed-3" / name for f in (folder, *alone))
-        assert a.read_bytes() == b.read_bytes(), name
+    assert_as_trained_alone(folder, tmp_path / "alone")
+
+
+def assert_as_trained_alone(folder, out):
+    (alone,) = small_grid(out, steps=4000)
+    train(alone)
+    for name in ("episodes.csv", "updates.csv", "costs.npy", "visited.npy", "evaluation.json"):
+        of_both = (of / "seed-3" / name for of in (folder, alone))
+        assert next(of_both).read_bytes() == next(of_both).read_bytes(), name
+
+
+@pytest.mark.slow
+def test_a_driver_that_ends_between_the_files_of_a_checkpoint(tmp_path, monkeypatch):
+    """Given again, the training goes on to the same results."""
+    pytest.importorskip("ray")
+    from agents.training import ray_engine
+
+    configs = small_grid(tmp_path / "ray", steps=4000)
+    (folder,) = configs
+    written, write_whole = [], ray_engine.write_whole
+
+    def write_some(path, content):
+        if any(path.name == "checkpoint.npz" for path in written):
+            raise KeyboardInterrupt
+        write_whole(path, content)
+        written.append(path)
+
+    def run():
+        with (
+            engine("ray", 1) as ready,
+            ready.workers([(folder,)], lambda f: grid.finished(f, configs[f]), ()) as workers,
+        ):
+            workers.run(lambda: None, 0.2)
+            assert workers.failed == {}
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ray_engine, "write_whole", write_some)
+        with pytest.raises(KeyboardInterrupt):
+            run()
+    assert not grid.finished(folder, configs[folder])
+    run()
+    assert_as_trained_alone(folder, tmp_path / "alone")
 
 
 def node_is_busy(node):
