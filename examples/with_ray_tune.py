@@ -15,7 +15,8 @@ def emcc_of(config: dict) -> dict:
 
 
 space = {"log_barrier_factor": tune.loguniform(0.5, 10.0)}
-tuner = tune.Tuner(emcc_of, param_space=space, tune_config=tune.TuneConfig("emcc", "min"))
+search = tune.TuneConfig(metric="emcc", mode="min", num_samples=3)
+tuner = tune.Tuner(emcc_of, param_space=space, tune_config=search)
 best = tuner.fit().get_best_result().config
 runs = agents.train("sac-lb", seeds=9, **SMALL, **best)
 print(emcc.panel(runs.records[runs.folder, 9], limit=5.0).to_markdown())
