@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from rich.console import Console
 from rich.progress import track
 
 from agents.errors import UserError
-from agents.training.files import write_whole
+from agents.training.files import unfinished, write_whole
 from circle2d_mj.core.view import Picture
 
 FRAMES_A_SECOND = 10
@@ -44,17 +43,13 @@ def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:
     if path.suffix.lower() == ".gif":
         timing = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0}
     _prepare(path)
-    unfinished = path.with_name(f".unfinished-{path.name}")
-    try:
-        writer: Any = imageio.get_writer(unfinished, **timing)
+    with unfinished(path) as temporary:
+        writer: Any = imageio.get_writer(temporary, **timing)
         with writer:
             for frame in track(
                 frames, "drawing", total, console=Console(stderr=True), transient=True
             ):
                 writer.append_data(frame)
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def _prepare(path: Path) -> None:
