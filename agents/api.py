@@ -91,6 +91,7 @@ def train(
     checkpoint_every: int = 50_000,
     evaluate_every: int | None = None,
     vectorization: Vectorization = "auto",
+    step_timeout: float | None = None,
     backend: Backend | Literal["auto"] = "auto",
     device: Device = "cpu",
     tensorboard: bool = False,
@@ -116,6 +117,7 @@ def train(
         evaluations, each of which leaves the policy too (`load_policy(..., step=...)`); None: none.
     vectorization: "auto": the task's own vector environment or one process; "sync": gymnasium's
         `SyncVectorEnv`; "async": a process for each environment. All give the same results.
+        step_timeout: seconds that a step may take with "async"; None: any.
     backend: how updates run: "compiled", "eager", or "auto": compiled where that is possible.
     tensorboard: whether to write event files too. progress: whether to show it on stderr.
     on_epoch: called with an `Epoch` after each epoch; returning False stops the training after a
@@ -129,7 +131,9 @@ def train(
     config = dataclasses.replace(
         config, checkpoint_every=checkpoint_every, evaluate_every=evaluate_every, device=device
     )
-    config = dataclasses.replace(config, vectorization=vectorization, tensorboard=tensorboard)
+    config = dataclasses.replace(
+        config, vectorization=vectorization, step_timeout=step_timeout, tensorboard=tensorboard
+    )
     return _start(config, backend, out, on_epoch, progress)
 
 

@@ -72,7 +72,8 @@ def play_policies(
         # A native vector environment plays all at once; others are a model or a process each.
         at_once = episodes if config.is_native else min(episodes, 10)
         arguments = (config.task, len(config.seeds) * at_once, config.task_parameters)
-        with contextlib.closing(make_envs(*arguments, config.vectorization)) as envs:
+        how = (config.vectorization, config.step_timeout)
+        with contextlib.closing(make_envs(*arguments, *how)) as envs:
             for name in POLICIES:
                 noisy = name == "stochastic"
                 results[name] = _play(envs, config, policy, episodes, at_once, active, noisy)

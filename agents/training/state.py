@@ -65,7 +65,8 @@ class Training:
     def _envs(self) -> VectorEnv:
         """The environments of an epoch; made when they are first needed."""
         config, count = self.config, len(self.config.seeds) * self.learner.episodes
-        envs = make_envs(config.task, count, config.task_parameters, config.vectorization)
+        how = (config.vectorization, config.step_timeout)
+        envs = make_envs(config.task, count, config.task_parameters, *how)
         return envs if self._view is None else RecordPositions(envs, self._view)
 
     @property

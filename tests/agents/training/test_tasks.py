@@ -48,7 +48,7 @@ def test_actions_are_rescaled_and_costs_stay_what_they_are():
     assert envs.step(np.array([[0.0], [0.5]], np.float32))[4]["cost"].tolist() == [0.0, 0.0]
     costs = envs.step(np.array([[-1.0], [0.5]], np.float32))[4]["cost"]
     np.testing.assert_allclose(costs, [0.0, 0.3])  # actions 0 and 3
-    np.testing.assert_allclose(envs.env.envs[1].unwrapped.seen, [3.0, 3.0])
+    np.testing.assert_allclose(envs.unwrapped.envs[1].unwrapped.seen, [3.0, 3.0])
 
 
 def test_a_missing_cost_is_not_taken_for_none():
