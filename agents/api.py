@@ -191,6 +191,7 @@ def _start(
     if config.tensorboard:
         require_tensorboard()
     config = dataclasses.replace(config, backend=choose_backend(backend))
+    lockstep_backend.require(config.backend == "compiled", config.device)
     folder = Path(tempfile.mkdtemp(prefix="agents-") if out is None else out)
     try:
         config.write(folder)

@@ -16,6 +16,7 @@ from agents import api
 from agents.algorithms import ALGORITHMS
 from agents.cli.options import BackendChoice, Imports, parse
 from agents.errors import UserError, one_line
+from agents.lockstep.backend import require
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
 from agents.training.config import Device, TrainConfig
@@ -106,6 +107,7 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     configs = grid.grid(options.out, *what)
     usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
     backend = api.choose_backend(options.backend or usual)
+    require(False, options.device)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}
 
 

@@ -136,7 +136,7 @@ def _check_evaluation(content: Mapping[str, Any]) -> None:
         for name in {"J_R", "J_C", CVAR} & of.keys():
             value = of[name]
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not number or not math.isfinite(value) or (name != "J_R" and value < 0):
+            if not number or (name != "J_R" and value < 0):
                 raise UserError(
                     f"evaluation.json is damaged: {name} of the {policy} policy is {value!r}"
                 )

@@ -15,6 +15,7 @@ from agents.lockstep.noise import stream_seed
 from agents.training.environments import Spaces, Vectorization, is_native, sizes_of, spaces_of
 from agents.training.files import compare, json_bytes, locked, read_json
 from agents.training.machine import made_with
+from agents.training.memory import check_memory
 from emcc.files import write_files
 
 Backend = Literal["compiled", "eager"]
@@ -124,11 +125,13 @@ class TrainConfig:
         """Make the run folder.
 
         Raises UserError where there is one already, be it that another process makes it at the same
-        time, and where the task cannot be made.
+        time, where the task cannot be made, and where the runs need more than the machine's memory.
         """
         content = dataclasses.asdict(self) | made_with()
         content["algorithm_module"] = type(self.hyperparameters).__module__
-        content["spaces"] = spaces_of(self.task, self.task_parameters)._asdict()
+        spaces = spaces_of(self.task, self.task_parameters)
+        check_memory(self.hyperparameters, len(self.seeds), spaces.sizes)
+        content["spaces"] = spaces._asdict()
         for name in ("evaluate_every", "step_timeout"):
             if content[name] is None:
                 del content[name]
@@ -171,7 +174,9 @@ class TrainConfig:
         own = {name: content.get(name) for name in NOT_SETTINGS}
         content = {name: value for name, value in content.items() if name not in NOT_SETTINGS}
         try:
-            values, name = _tuples(content.pop("hyperparameters")), str(content["algorithm"])
+            values, name = _tuples(content.pop("hyperparameters")), content["algorithm"]
+            if not isinstance(name, str):
+                raise ValueError(f"algorithm must be a name, got {name!r}")
             content["seeds"] = tuple(content["seeds"])
             if name not in ALGORITHMS and strict and own["algorithm_module"]:
                 raise _Unregistered(

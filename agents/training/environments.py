@@ -102,11 +102,11 @@ class FloatCost(gym.Wrapper):
                 f"{self.env} gives an observation of shape {list(np.shape(observation))}, its "
                 f"observation space has {list(given or ())}"
             )
+        if isinstance(reward, np.ndarray) and reward.size == 1:
+            reward = reward.reshape(())[()]
         return observation, self._number("reward", reward), terminated, truncated, info
 
     def _number(self, name: str, value: Any) -> float:
-        if isinstance(value, np.ndarray) and value.size == 1:
-            value = value.reshape(())[()]
         if not isinstance(value, (Real, np.floating, np.integer, np.bool_)):
             raise UserError(f"{self.env} gives {name} = {value!r}, which is no number")
         return float(value)

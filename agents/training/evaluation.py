@@ -23,6 +23,7 @@ Results = dict[str, list[dict[str, Any]]]
 CVAR_ALPHA = 0.5
 EVALUATION_EPISODES = 100
 """Of each run and policy at the end of a training."""
+MOST_EPISODES = 1_000_000
 POLICIES = ("deterministic", "stochastic")
 
 
@@ -65,8 +66,9 @@ def play_policies(
     active: [R], runs to be evaluated. The results of the others, and of a run whose policy gives
     numbers that are not finite, are empty.
     """
-    if episodes < 1:
-        raise UserError(f"episodes must be at least 1, got {episodes}")
+    if not 1 <= episodes <= MOST_EPISODES:
+        rule = "at least 1" if episodes < 1 else f"at most {MOST_EPISODES}"
+        raise UserError(f"episodes must be {rule}, got {episodes}")
     results = {name: [{} for _ in config.seeds] for name in POLICIES}
     if active.any():
         # A native vector environment plays all at once; others are a model or a process each.

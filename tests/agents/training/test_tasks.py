@@ -6,7 +6,7 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 
 from agents.errors import UserError
-from agents.training.environments import check_task, make_envs, sizes
+from agents.training.environments import check_task, make_envs, sizes, task_id
 
 
 class Other(gym.Env):
@@ -82,9 +82,11 @@ def test_a_cost_that_is_no_number(cost):
 
 def test_an_id_with_its_module():
     envs = make_envs("circle2d_mj:Circle2D-2-v0", 3, {})
-    assert type(envs).__name__ == "Circle2DVectorEnv"
+    assert type(envs.unwrapped).__name__ == "Circle2DVectorEnv"
     with pytest.raises(UserError, match="cannot make task 'no_such:Circle2D-2-v0'"):
-        make_envs("no_such:Circle2D-2-v0", 3, {})
+        task_id("no_such:Circle2D-2-v0")
+    with pytest.raises(UserError, match=r"'no_such:Mine-v0' is not registered: .*--import no_such"):
+        make_envs("no_such:Mine-v0", 3, {})
 
 
 def test_a_task_whose_constructor_fails():
