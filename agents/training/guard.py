@@ -29,6 +29,9 @@ class Guard(VectorWrapper):
         self._task, self._timeout, self._steps = task, step_timeout, 0
         self._shape, self._each = env.observation_space.shape, (env.num_envs,)
 
+    def __repr__(self) -> str:
+        return f"task {self._task!r}"
+
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:

@@ -7,6 +7,7 @@ import shutil
 import signal
 import sys
 
+import numpy as np
 from fault_common import (
     SAC,
     SMALL,
@@ -191,10 +192,22 @@ def kill_of(rng):
     def act(file):
         if file is not None and rng.random() < 0.5:
             size = os.fstat(file).st_size
-            os.ftruncate(file, max(0, size - rng.randrange(1, 200)))
+            os.ftruncate(file, max(least(file), size - rng.randrange(1, 200)))
         os.kill(os.getpid(), signal.SIGKILL)
 
     return act
+
+
+def least(file):
+    """The least length of a file in the midst of a write: one that grows keeps its old rows."""
+    path = os.readlink(f"/proc/self/fd/{file}")
+    if not path.endswith(".npy"):
+        return 0
+    try:
+        rows = np.load(path, mmap_mode="r")
+    except ValueError:  # new, and still without its header
+        return 0
+    return rows.offset + rows.nbytes
 
 
 def no_space(file):
