@@ -1,6 +1,8 @@
 # make demo: train TRPO-Lag on Circle2D-1 for a minute or two; tables, heat map, trajectories.
 # make test: run the tests, at most six minutes on two cores.
 # make check: run the slow tests; among them installations in environments of their own.
+# make faults: kill, damage, fill and mistype thousands of times, about 25 minutes on a core; prints what
+# was tried and what was wrong (docs/faults.md).
 # Each builds .venv first; Python 3.11 or newer is all they need.
 
 PYTHON ?= python3
@@ -8,7 +10,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test check lint clean
+.PHONY: demo test check faults lint clean
 .DELETE_ON_ERROR:
 
 $(VENV)/made:
@@ -37,6 +39,9 @@ test: $(VENV)/develops
 
 check: $(VENV)/develops
 	$(BIN)/python -m pytest -m slow -n logical --dist loadfile --durations 20
+
+faults: $(VENV)/develops
+	OMP_NUM_THREADS=1 $(BIN)/python tests/faults/run.py
 
 lint: $(VENV)/develops
 	$(BIN)/ruff check .
