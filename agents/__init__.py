@@ -7,6 +7,7 @@ The whole entrance from Python:
 | `train(algorithm, task, seeds=..., steps=..., out=...)` | train runs and evaluate them -> `Runs` |
 | `resume(*folders)` | go on with interrupted runs -> `Runs` |
 | `load_policy(folder, seed, step=None)` | a trained policy -> `Policy` |
+| `pretrained(algorithm, task)` | the folder of a policy that comes with the package |
 | `evaluate(policy_or_folder, task)` | play episodes -> `Evaluation` |
 | `report(folder)` | tables, figures and a page of all runs below a folder |
 | `register(name, Algorithm(...))` | make an algorithm of your own known |
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
         UserError,
         evaluate,
         load_policy,
+        pretrained,
         register,
         report,
         resume,
@@ -57,6 +59,7 @@ __all__ = (
     "UserError",
     "evaluate",
     "load_policy",
+    "pretrained",
     "register",
     "report",
     "resume",
@@ -66,6 +69,7 @@ _LIGHT = {
     "Algorithm": "agents.algorithms",
     "register": "agents.algorithms",
     "UserError": "agents.errors",
+    "pretrained": "agents.training.pretrained",
 }
 """Names that need less than all of `agents.api`."""
 

@@ -44,6 +44,7 @@ from agents.training.environments import Vectorization, check_task, task_id
 from agents.training.epochs import Epoch, follower
 from agents.training.playing import Evaluation, evaluate
 from agents.training.policy import Policy, load_policy
+from agents.training.pretrained import pretrained
 from agents.training.progress import show_progress
 from agents.training.tensorboard import require_tensorboard
 
@@ -56,6 +57,7 @@ __all__ = (
     "UserError",
     "evaluate",
     "load_policy",
+    "pretrained",
     "register",
     "report",
     "resume",

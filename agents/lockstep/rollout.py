@@ -10,6 +10,7 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from agents.errors import TaskFailure, UserError
+from emcc.streak_cost import weighted
 
 
 class Rollout(NamedTuple):
@@ -40,6 +41,17 @@ class Rollout(NamedTuple):
         columns = [column[:, episodes] for column in columns]
         return Rollout._make([*columns, length[episodes], diverged[episodes]])
 
+    def learned(self, config: Any) -> Rollout:
+        """The rollout as an algorithm learns from it: observations times `config.input_scale`, and
+        costs that grow along a streak by `config.streak_weight`, where the algorithm has one."""
+        scale = np.float32(config.input_scale)
+        observations = self.observation * scale, self.next_observation * scale
+        weight = getattr(config, "streak_weight", 0.0)
+        cost = streak_costs(self.cost, weight) if weight else self.cost
+        return self._replace(
+            observation=observations[0], next_observation=observations[1], cost=cost
+        )
+
     @property
     def during(self) -> NDArray[np.bool_]:
         """Mask of the steps that belong to the episodes, [T, N]."""
@@ -69,6 +81,18 @@ class Rollout(NamedTuple):
     def final_observation(self) -> NDArray[np.float32]:
         """Last observation of each episode, [N, observation size]."""
         return self.next_observation[self.length - 1, np.arange(len(self.length))]
+
+
+def streak_costs(costs: NDArray[np.float64], weight: float) -> NDArray[np.float64]:
+    """Costs [T, N] with the k-th of consecutive cost steps `1 + weight (k - 1)` times as large.
+
+    The cost of `emcc.StreakCost`, which does the same for an environment.
+    """
+    streak, streaks = np.zeros(costs.shape[1]), np.zeros(costs.shape)
+    for t, at_step in enumerate(costs):
+        streak = np.where(at_step > 0, streak + 1, 0)
+        streaks[t] = streak
+    return weighted(costs, streaks, weight)
 
 
 def require_cost(source: object, info: dict[str, Any]) -> None:

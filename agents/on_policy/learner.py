@@ -59,14 +59,15 @@ class OnPolicy(ABC):
 
     def policy(self, runs: slice = tree.ALL) -> Policy:
         """The policy of some runs as it stands now."""
-        params = array(self._state.actor[runs])
-        return lambda observation, noise: self.nets.actor.act(params, observation, noise)
+        params, scale = array(self._state.actor[runs]), np.float32(self.config.input_scale)
+        return lambda observation, noise: self.nets.actor.act(params, scale * observation, noise)
 
     def module(self, run: int) -> nn.Module:
         """The deterministic policy of a run in PyTorch: observations -> actions."""
         net = self.nets.actor.net
         params = array(self._state.actor)[run : run + 1, : net.size]
-        return mlp([layer[0] for layer in net.layers(params)])
+        first, *others = (layer[0] for layer in net.layers(params))
+        return mlp([np.float32(self.config.input_scale) * first, *others])
 
     def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
         """Actions of the runs in an epoch: the policy's, with its noise."""
@@ -85,7 +86,7 @@ class OnPolicy(ABC):
         [R, metrics]; NaN for runs that take no part.
         """
         length = np.where(np.repeat(active, self.episodes), rollout.length, 0)
-        rollout = rollout._replace(length=length)
+        rollout = rollout.learned(self.config)._replace(length=length)
         packing = Packing(rollout.during, len(self.seeds))
         data = self._epoch(rollout, packing)
         generators = streams(self.seeds, Purpose.UPDATE, epoch)

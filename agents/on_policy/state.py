@@ -38,6 +38,9 @@ class OnPolicyConfig:
     """Passes of the critics over an epoch's steps. Paper: 10."""
     hidden: tuple[int, ...] = (64, 64)
     """Sizes of the hidden layers of actor and critics (tanh); multiples of 32. Paper: 64, 64."""
+    input_scale: float = 1.0
+    """Factor on observations before the networks. Small tanh networks are smooth: observations in
+    [-1, 1] whose details matter want a larger one. Not in the paper; 1 leaves them as they are."""
     initial_log_std: float = 0.0
     """Initial logarithm of the policy's standard deviation. Not printed in the paper; 0 as in
     Stable-Baselines3."""
@@ -49,6 +52,7 @@ class OnPolicyConfig:
         check_integers(self, "episodes", "critic_iterations", low=1, high=10_000)
         check(self, "discount", "gae_lambda", low=0, high=1)
         check(self, "learning_rate", above=0, high=1)
+        check(self, "input_scale", low=1e-6, high=1e6)
         check(self, "initial_log_std", low=-20, high=20)
         check_lanes(self)
         check_choice(self, "time_limit", "bootstrap", "terminal")
@@ -62,10 +66,14 @@ class EpisodeCostLimit:
     cost_limit: float = 25.0
     """Limit d of the undiscounted cost J_C of an episode, mean over an epoch's episodes. Paper: 5
     on Circle2D, 25 on Safety-Gymnasium."""
+    streak_weight: float = 0.0
+    """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
+    step costs `1 + β (k - 1)` times. Records keep the plain cost. Not in the paper; 0: none."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         check(self, "cost_limit", low=0, high=1e9)
+        check(self, "streak_weight", low=0, high=1e6)
         of_family = getattr(super(), "__post_init__", None)
         if of_family:
             of_family()

@@ -54,14 +54,16 @@ class OffPolicy:
     def policy(self, runs: slice = tree.ALL) -> Policy:
         """The policy of some runs as it stands now."""
         layers = self.nets.actor.layers(array(self._state.actor[runs]))
+        scale = np.float32(self.config.input_scale)
         return lambda observation, noise: squashed_gaussian.act(
-            forward_numpy(layers, observation), noise
+            forward_numpy(layers, scale * observation), noise
         )
 
     def module(self, run: int) -> nn.Module:
         """The deterministic policy of a run in PyTorch: observations -> actions in [-1, 1]."""
         layers = [layer[run] for layer in self.nets.actor.layers(array(self._state.actor))]
         layers[-2:] = [layer[..., : self.action_size] for layer in layers[-2:]]  # of the mean
+        layers[0] = np.float32(self.config.input_scale) * layers[0]
         return nn.Sequential(*mlp(layers), nn.Tanh())
 
     def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
@@ -92,7 +94,7 @@ class OffPolicy:
         """
         length = np.where(active, rollout.length, 0)
         terminal = rollout.terminal(self.config.time_limit)
-        self._replay.add(rollout._replace(length=length), terminal)
+        self._replay.add(rollout.learned(self.config)._replace(length=length), terminal)
         learning = active & (self._replay.size >= self.config.batch_size)
         if not learning.any():
             return np.full((len(self.seeds), len(self.metrics)), np.nan)

@@ -51,6 +51,9 @@ class SACConfig:
     Safety-Gymnasium."""
     hidden: tuple[int, ...] = (64, 64)
     """Sizes of the hidden layers of actor and critics (tanh); multiples of 32. Paper: 64, 64."""
+    input_scale: float = 1.0
+    """Factor on observations before the networks. Small tanh networks are smooth: observations in
+    [-1, 1] whose details matter want a larger one. Not in the paper; 1 leaves them as they are."""
     target_rate: float = 0.005
     """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
     al."""
@@ -66,6 +69,7 @@ class SACConfig:
         check_integers(self, "random_steps", low=0)
         check(self, "discount", "target_rate", low=0, high=1)
         check(self, "learning_rate", above=0, high=1)
+        check(self, "input_scale", low=1e-6, high=1e6)
         check_lanes(self)
         check_choice(self, "time_limit", "bootstrap", "terminal")
 
@@ -81,11 +85,15 @@ class ConstrainedSACConfig(SACConfig):
     cost_limit: float = 25.0
     """Limit d of the discounted cost return Q_c that the cost critics estimate, with the discount γ
     of the rewards; not of an episode's cost. Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
+    streak_weight: float = 0.0
+    """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
+    step costs `1 + β (k - 1)` times. Records keep the plain cost. Not in the paper; 0: none."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         super().__post_init__()
         check(self, "cost_limit", low=0, high=1e9)
+        check(self, "streak_weight", low=0, high=1e6)
 
 
 class CostRule(NamedTuple):

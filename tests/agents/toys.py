@@ -41,8 +41,9 @@ class Walk(gym.Env):
     observation_space = Box(-np.inf, np.inf, (2,), np.float64)
     action_space = Box(-2.0, 2.0, (1,))
 
-    def __init__(self, poison=0.0, poisons="reward"):
-        self.poison, self.poisons = poison, poisons
+    def __init__(self, poison=0.0, poisons="reward", scale=1.0):
+        """scale: factor on observations."""
+        self.poison, self.poisons, self.scale = poison, poisons, scale
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -50,7 +51,7 @@ class Walk(gym.Env):
         return self.observation(), {}
 
     def observation(self):
-        return np.array([self.x, self.t / 40])
+        return self.scale * np.array([self.x, self.t / 40])
 
     def step(self, action):
         assert self.action_space.contains(np.asarray(action, np.float32)), action

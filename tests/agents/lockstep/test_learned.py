@@ -1,0 +1,106 @@
+"""Rollouts as algorithms learn from them: scaled observations, costs that grow along a streak."""
+
+import dataclasses
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from toys import Walk, register
+
+import agents
+from agents.algorithms import algorithm
+from agents.lockstep.rollout import collect, streak_costs
+from agents.training.config import TrainConfig
+from agents.training.loop import Training
+from agents.training.records import COLUMNS
+from emcc import StreakCost
+
+register()
+
+SMALL = {"batch_size": 32, "hidden": (32, 32), "episodes": 3, "random_steps": 50}
+SMALL |= {"gradient_steps": 2, "actor_iterations": 2}
+FAMILIES = ("trpo-lag", "ppo-lag", "sac-lb")
+
+
+def trained(name, hyperparameters, **parameters):
+    """The finished training of two runs."""
+    of_all = {field.name for field in dataclasses.fields(algorithm(name).config)}
+    config = algorithm(name).config(
+        **{k: v for k, v in (SMALL | hyperparameters).items() if k in of_all}
+    )
+    training = Training(TrainConfig(name, "Walk-v0", (0, 1), 600, config, parameters, 300))
+    while not training.done:
+        training.run_epoch()
+    return training
+
+
+def test_streak_costs_by_hand():
+    costs = np.array([[1.0, 0.0], [1.0, 2.0], [0.0, 2.0], [1.0, 2.0]])
+    # 1 and 1 (1 + .5), a new streak; 2, 2 (1 + .5) and 2 (1 + 2 · .5)
+    expected = [[1.0, 0.0], [1.5, 2.0], [0.0, 3.0], [1.0, 4.0]]
+    np.testing.assert_array_equal(streak_costs(costs, 0.5), expected)
+
+
+def test_streak_costs_are_those_of_the_wrapper():
+    """On episodes of different lengths, against `emcc.StreakCost` around each environment."""
+
+    def episodes(wrap):
+        makers = [lambda: wrap(gym.wrappers.TimeLimit(Walk(), 40))] * 6
+        envs = SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+        return collect(envs, range(6), lambda observation: np.full((6, 1), 0.6, np.float32))
+
+    plain = episodes(lambda env: env)
+    expected = episodes(lambda env: StreakCost(env, 0.25, observe=False))
+    config = algorithm("sac-lb").config(streak_weight=0.25)
+    during = plain.during
+    assert (plain.cost[during] != expected.cost[during]).any()
+    np.testing.assert_array_equal(plain.learned(config).cost[during], expected.cost[during])
+    np.testing.assert_array_equal(plain.learned(config).reward, plain.reward)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_the_scale_is_that_of_observations(name):
+    """A scale in the networks is, bit for bit, one in the task: 16 only moves the exponent."""
+    inside = trained(name, {"input_scale": 16.0})
+    outside = trained(name, {}, scale=16.0)
+    expected = outside.learner.state_dict()
+    for key, value in inside.learner.state_dict().items():
+        np.testing.assert_array_equal(value, expected[key], err_msg=key)
+    without = trained(name, {}).learner.state_dict()
+    assert (without["actor"] != expected["actor"]).any()
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_records_keep_the_plain_cost(name):
+    """Walk's steps cost 0 or 1: an episode's recorded cost is the number of its cost steps."""
+    plain, weighted = (trained(name, {"streak_weight": w, "cost_limit": 1.0}) for w in (0.0, 3.0))
+    cost, longest, steps = (COLUMNS.index(c) for c in ("cost", "longest_streak", "cost_steps"))
+    episodes = weighted.log.episodes.reshape(-1, len(COLUMNS))
+    np.testing.assert_array_equal(episodes[:, cost], episodes[:, steps])
+    assert np.nanmax(episodes[:, longest]) > 1
+    actors = [training.learner.state_dict()["actor"] for training in (plain, weighted)]
+    assert (actors[0] != actors[1]).any()
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_a_policy_takes_observations_as_the_task_gives_them(name, tmp_path):
+    keywords = {k: v for k, v in SMALL.items() if hasattr(algorithm(name).config(), k)}
+    agents.train(name, "Walk-v0", seeds=[0], steps=300, out=tmp_path, input_scale=7.0, **keywords)
+    policy = agents.load_policy(tmp_path)
+    observations = np.random.default_rng(0).normal(size=(50, 2)).astype(np.float32)
+    module = policy.to_torch()
+    with torch.no_grad():
+        found = module(torch.from_numpy(observations)).numpy()
+    np.testing.assert_allclose(found, policy(observations), atol=1e-5)
+    assert np.ptp(found) > 0
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("input_scale", 0.0), ("input_scale", 1e7), ("streak_weight", -0.5)]
+)
+def test_values_that_cannot_be(field, value):
+    for name in FAMILIES:
+        with pytest.raises(agents.UserError, match=field):
+            algorithm(name).config(**{field: value})
