@@ -160,7 +160,7 @@ def _close(process: subprocess.Popen) -> None:
 
 
 def _last_words(group: Group, since: int) -> str:
-    """What the process of a group said at its end, of the log from a byte on."""
+    """The last line of a group's process, its error if there is one, in the log from a byte on."""
     try:
         text = (group[0] / LOG).read_bytes()[since:].decode(errors="replace")
     except OSError:

@@ -1,4 +1,4 @@
-"""What the faults have in common: commands in forked processes, and the count of what they left."""
+"""Common parts of the faults: commands in forked processes, and the count of what they left."""
 
 import contextlib
 import io
@@ -55,7 +55,7 @@ class Done:
     err: str
 
     def problem(self, allowed: tuple[int, ...]) -> str:
-        """What is wrong with it; empty where nothing is."""
+        """Say what is wrong with it; empty where nothing is."""
         if "Traceback" in self.err or "Exception ignored" in self.err:
             return f"a traceback: {self.err[-600:]}"
         if self.status not in allowed:

@@ -107,7 +107,7 @@ class Readers:
         fresh(whole, folder)
 
     def problems(self, rng, name):
-        """What is wrong with what some of the commands do now. name: the damaged file."""
+        """Say what is wrong with what some commands do now. name: the damaged file."""
         self.name = name
         yield self._emcc()
         yield self._report()
