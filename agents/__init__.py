@@ -7,6 +7,7 @@ The whole entrance from Python:
 | `train(algorithm, task, seeds=..., steps=..., out=...)` | train runs and evaluate them -> `Runs` |
 | `resume(*folders)` | go on with interrupted runs -> `Runs` |
 | `load_policy(folder, seed, step=None)` | a trained policy -> `Policy` |
+| `pretrained(algorithm, task)` | the folder of a policy that comes with the package |
 | `evaluate(policy_or_folder, task)` | play episodes -> `Evaluation` |
 | `sweep(algorithm, task, grid={...}, out=...)` | every combination of hyper-parameters -> `Runs` |
 | `report(folder)` | tables, figures and a page of all runs below a folder |
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
         UserError,
         evaluate,
         load_policy,
+        pretrained,
         register,
         report,
         resume,
@@ -61,6 +63,7 @@ __all__ = (
     "UserError",
     "evaluate",
     "load_policy",
+    "pretrained",
     "register",
     "report",
     "resume",
@@ -71,6 +74,7 @@ _LIGHT = {
     "Algorithm": "agents.algorithms",
     "register": "agents.algorithms",
     "UserError": "agents.errors",
+    "pretrained": "agents.training.pretrained",
 }
 """Names that need less than all of `agents.api`."""
 

@@ -46,6 +46,7 @@ from agents.training.environments import Vectorization, check_task, task_id
 from agents.training.epochs import Epoch, follower
 from agents.training.playing import Evaluation, evaluate
 from agents.training.policy import Policy, load_policy
+from agents.training.pretrained import pretrained
 from agents.training.progress import show_progress
 from agents.training.tensorboard import require_tensorboard
 
@@ -58,6 +59,7 @@ __all__ = (
     "UserError",
     "evaluate",
     "load_policy",
+    "pretrained",
     "register",
     "report",
     "resume",
@@ -94,6 +96,7 @@ def train(
     checkpoint_every: int = 50_000,
     evaluate_every: int | None = None,
     vectorization: Vectorization = "auto",
+    step_timeout: float | None = None,
     backend: Backend | Literal["auto"] = "auto",
     device: Device = "cpu",
     tensorboard: bool = False,
@@ -121,6 +124,7 @@ def train(
         evaluations, each of which leaves the policy too (`load_policy(..., step=...)`); None: none.
     vectorization: "auto": the task's own vector environment or one process; "sync": gymnasium's
         `SyncVectorEnv`; "async": a process for each environment. All give the same results.
+        step_timeout: seconds that a step may take with "async"; None: any.
     backend: how updates run: "compiled", "eager", or "auto": compiled where that is possible.
     tensorboard: whether to write event files too. progress: whether to show it on stderr.
     on_epoch: called with an `Epoch` after each epoch; returning False stops the training after a
@@ -136,7 +140,9 @@ def train(
     config = dataclasses.replace(
         config, checkpoint_every=checkpoint_every, evaluate_every=evaluate_every, device=device
     )
-    config = dataclasses.replace(config, vectorization=vectorization, tensorboard=tensorboard)
+    config = dataclasses.replace(
+        config, vectorization=vectorization, step_timeout=step_timeout, tensorboard=tensorboard
+    )
     if engine != "local" and (on_epoch or progress):
         raise UserError("on_epoch and progress are of the engine local")
     return _start(config, backend, out, on_epoch, progress, engine, address)
@@ -234,6 +240,7 @@ def _start(
     if config.tensorboard:
         require_tensorboard()
     config = dataclasses.replace(config, backend=choose_backend(backend))
+    lockstep_backend.require(config.backend == "compiled", config.device)
     folder = Path(tempfile.mkdtemp(prefix="agents-") if out is None else out)
     try:
         if engine == "local" and address is None:

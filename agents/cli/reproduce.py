@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +16,8 @@ from rich.table import Table
 from agents import api
 from agents.algorithms import ALGORITHMS
 from agents.cli.options import BackendChoice, Imports, parse
-from agents.errors import UserError
+from agents.errors import UserError, one_line
+from agents.lockstep.backend import require
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
 from agents.training.config import Device, TrainConfig
@@ -27,7 +27,7 @@ from agents.training.files import locked
 from agents.training.machine import other_session
 from agents.training.progress import working
 from agents.training.status import duration, share_done, speed
-from agents.training.workers import Group, cores
+from agents.training.workers import MOST_WORKERS, Group, cores
 from circle2d_mj.circle2d.config import LEVELS
 
 
@@ -81,8 +81,8 @@ def run(args: Sequence[str]) -> int:
     options = parse(ReproduceOptions, "reproduce", args)
     if not options.algorithms:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
-    if options.workers < 1:
-        raise UserError(f"workers must be at least 1, got {options.workers}")
+    if not 1 <= options.workers <= MOST_WORKERS:
+        raise UserError(f"workers must be in [1, {MOST_WORKERS}], got {options.workers}")
     configs = _configs(options)
     if options.shard is not None:
         configs = grid.shard(configs, *_shard(options.shard))
@@ -90,25 +90,24 @@ def run(args: Sequence[str]) -> int:
     for folder, config in configs.items():
         if (note := other_session(folder)) and not grid.finished(folder, config):
             print(f"circle2d: {folder}: {note}", file=sys.stderr)
-    with _ended_by_signals():
-        # The parts of a grid train at the same time: there each folder has a lock alone.
-        lock = contextlib.nullcontext() if options.shard else locked(options.out)
-        with lock:
-            count = options.workers if options.engine == "local" else None
-            with engine(options.engine, count, options.address, options.device) as ready:
-                failed = _train(configs, ready, options.imports)
-        for folder, message in failed.items():
-            print(f"circle2d: {folder} failed: {message}", file=sys.stderr)
-        if options.shard is not None:
-            print(f"part {options.shard} is over; after all: circle2d report {options.out}")
-            return int(bool(failed))
-        try:
-            with working("drawing the report"):
-                table = api.report(options.out)
-            print(table)
-        except UserError as error:
-            print(f"circle2d: no report: {error}", file=sys.stderr)
-            return 1
+    modules = {task.rpartition(":")[0] for task in options.tasks} - {""}
+    # The parts of a grid train at the same time: there each folder has a lock alone.
+    lock = contextlib.nullcontext() if options.shard else locked(options.out)
+    count = options.workers if options.engine == "local" else None
+    with lock, engine(options.engine, count, options.address, options.device) as ready:
+        failed = _train(configs, ready, [*options.imports, *sorted(modules)])
+    for folder, message in failed.items():
+        print(f"circle2d: {one_line(folder)} failed: {one_line(message)}", file=sys.stderr)
+    if options.shard is not None:
+        print(f"part {options.shard} is over; after all: circle2d report {options.out}")
+        return int(bool(failed))
+    try:
+        with working("drawing the report"):
+            table = api.report(options.out)
+        print(table)
+    except UserError as error:
+        print(f"circle2d: no report: {one_line(error)}", file=sys.stderr)
+        return 1
     return int(bool(failed) or any(grid.has_failures(f, c) for f, c in configs.items()))
 
 
@@ -126,6 +125,7 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     configs = grid.grid(options.out, *what)
     usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
     backend = api.choose_backend(options.backend or usual)
+    require(False, options.device)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}
 
 
@@ -145,24 +145,6 @@ def _tasks(options: ReproduceOptions) -> Sequence[str]:
     if options.quick and options.steps is None:
         raise UserError("quick is of Circle2D: give steps as well for other tasks")
     return options.tasks
-
-
-@contextlib.contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """End this process and its workers, as Ctrl-C does, at a signal that a batch system or a closed
-    terminal sends."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    names = ("SIGTERM", "SIGHUP")  # the second is not everywhere
-    signals = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    before = [signal.signal(number, interrupt) for number in signals]
-    try:
-        yield
-    finally:
-        for number, handler in zip(signals, before, strict=True):
-            signal.signal(number, handler)
 
 
 def _train(

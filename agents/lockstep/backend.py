@@ -24,15 +24,20 @@ def configure(compiles: bool = False, device: str = "cpu") -> None:
     where new tensors go. One thread a process, since lockstep runs fill a core and processes fill
     the others. Raises UserError where torch sees no such device or cannot compile.
     """
-    if device != "cpu" and not torch.cuda.is_available():
-        raise UserError(f"device {device!r}: torch {torch.__version__} sees no GPU; 'cpu' is there")
+    require(compiles, device)
     torch.set_num_threads(1)
     torch.set_default_device(device if device != "cpu" else None)
     _keep_freed_memory()
     _use_onednn_products()
+    set_compiling(compiles)
+
+
+def require(compiles: bool, device: str) -> None:
+    """Raise UserError where torch sees no such device or cannot compile."""
+    if device != "cpu" and not torch.cuda.is_available():
+        raise UserError(f"device {device!r}: torch {torch.__version__} sees no GPU; 'cpu' is there")
     if compiles and (why := cannot_compile()):
         raise UserError(f"backend 'compiled' does not work here ({why}); 'eager' does")
-    set_compiling(compiles)
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from agents.errors import UserError
 from agents.lockstep import backend
-from agents.training.config import TrainConfig, check_together, run_folders
+from agents.training.config import CHECKPOINT, PREVIOUS, TrainConfig, check_together, run_folders
 from agents.training.evaluation import EVALUATION_EPISODES, Results, evaluate
 from agents.training.files import locked
 from agents.training.machine import note_session
@@ -59,11 +59,10 @@ def train(*folders: Path, on_epoch: OnEpoch = lambda trainings: None) -> list[Tr
 
 def _train(trainings: dict[Path, Training], on_epoch: OnEpoch) -> None:
     for folder, training in trainings.items():
-        if (folder / "checkpoint.npz").exists():
+        if any((folder / name).exists() for name in (CHECKPOINT, PREVIOUS)):
             training.load(folder)
-        if training.done:
-            training.write_records(folder)  # they may have been lost or damaged
-        else:
+            training.restore_records(folder)
+        if not training.done:
             note_session(folder)
     with contextlib.ExitStack() as stack:
         events = {}

@@ -147,17 +147,16 @@ class _Task:
 
     def poll(self) -> int | None:
         """Take in what has come; the exit status, None while the group trains."""
-        from ray.exceptions import RayError, RayTaskError
-
+        errors = self._ray.exceptions
         while self.returncode is None:
             ready, _ = self._ray.wait([self._messages], timeout=0)
             if not ready:
                 return None
             try:
                 self._take_in(self._ray.get(next(self._messages)))
-            except (StopIteration, RayTaskError) as error:
+            except (StopIteration, errors.RayTaskError) as error:
                 self._end(1, str(error).strip().splitlines()[-1:])
-            except RayError as error:  # the node is lost, or what it had sent
+            except errors.RayError as error:  # the node is lost, or what it had sent
                 self._losses += 1
                 if self._losses > MOST_LOSSES:
                     self._end(1, [f"lost {self._losses} nodes: {type(error).__name__}"])

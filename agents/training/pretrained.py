@@ -1,0 +1,50 @@
+"""Trained policies that come with the package: run folders with a policy and nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agents.errors import UserError, nearest
+from agents.training.config import TrainConfig
+from agents.training.files import read_json, write_arrays, write_json
+from agents.training.snapshots import read_policy_arrays
+
+FOLDER = Path(__file__).parent.parent / "policies"
+"""Holds a folder `ALGORITHM/TASK` for each policy."""
+
+
+def pretrained(algorithm: str, task: str) -> Path:
+    """Return the folder of a trained policy that comes with the package.
+
+    It is for `load_policy`, `evaluate` and `circle2d render`; `config.json` in it tells how it was
+    trained. Raises UserError, naming what there is, for an algorithm or task without one.
+    """
+    there = sorted(path.parent for path in FOLDER.glob("*/*/config.json"))
+    algorithms = sorted({path.parent.name for path in there})
+    if algorithm not in algorithms:
+        hint = nearest(algorithm, algorithms)
+        raise UserError(f"no policy of {algorithm!r} comes with the package: {hint}")
+    tasks = [path.name for path in there if path.parent.name == algorithm]
+    name = task.rpartition(":")[2]
+    if name not in tasks:
+        hint = nearest(name, tasks)
+        raise UserError(f"no policy of {algorithm} for {task!r} comes with the package: {hint}")
+    return FOLDER / algorithm / name
+
+
+def write_policy(folder: Path, seed: int, out: Path) -> None:
+    """Write a folder with the policy of one run, from which `load_policy` reads it.
+
+    folder: of the runs, with a checkpoint; out: a new folder. Raises UserError where there is no
+    such policy, or `out` exists.
+    """
+    config = TrainConfig.read(folder)
+    if seed not in config.seeds:
+        raise UserError(f"{folder} has no run of seed {seed}: its seeds are {list(config.seeds)}")
+    if out.exists():
+        raise UserError(f"{out} exists already: choose another folder")
+    arrays = read_policy_arrays(folder, config, seed, None)
+    content = read_json(folder / "config.json") | {"seeds": [seed]}
+    out.mkdir(parents=True)
+    write_arrays(out / "checkpoint.npz", arrays)
+    write_json(out / "config.json", content)
