@@ -143,8 +143,6 @@ def train(
     config = dataclasses.replace(
         config, vectorization=vectorization, step_timeout=step_timeout, tensorboard=tensorboard
     )
-    if engine != "local" and (on_epoch or progress):
-        raise UserError("on_epoch and progress are of the engine local")
     return _start(config, backend, out, on_epoch, progress, engine, address)
 
 
@@ -236,6 +234,8 @@ def _start(
     address: str | None,
 ) -> Runs:
     """Make the folder of some runs and train them."""
+    if engine != "local" and (on_epoch or progress):
+        raise UserError("on_epoch and progress are of the engine local")
     check_task(config.task, config.task_parameters)
     if config.tensorboard:
         require_tensorboard()
