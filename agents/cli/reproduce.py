@@ -15,7 +15,9 @@ from rich.table import Table
 
 from agents import api
 from agents.algorithms import ALGORITHMS
+from agents.cli.checks import check_enough_steps, check_width
 from agents.cli.options import BackendChoice, Imports, parse
+from agents.cli.terminal import show
 from agents.errors import UserError, one_line
 from agents.lockstep.backend import require
 from agents.paper import grid
@@ -73,12 +75,16 @@ class ReproduceOptions:
     RAY_ADDRESS, or else a cluster of this machine is started."""
     shard: str | None = None
     """I/N, such as 1/4: train the I-th of N equal parts, for job arrays. Writes no report."""
+    width: int | None = None
+    """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
+    are printed as Markdown."""
     imports: Imports = ()
 
 
 def run(args: Sequence[str]) -> int:
     """Run `circle2d reproduce`; returns the exit status."""
     options = parse(ReproduceOptions, "reproduce", args)
+    check_width(options.width)
     if not options.algorithms:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
     if not 1 <= options.workers <= MOST_WORKERS:
@@ -104,7 +110,7 @@ def run(args: Sequence[str]) -> int:
     try:
         with working("drawing the report"):
             table = api.report(options.out)
-        print(table)
+        show(table, options.width)
     except UserError as error:
         print(f"circle2d: no report: {one_line(error)}", file=sys.stderr)
         return 1
@@ -123,6 +129,8 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
         steps = grid.QUICK_STEPS
     what = (tasks, options.algorithms, seeds, steps, options.device, options.ablations)
     configs = grid.grid(options.out, *what)
+    for config in configs.values():
+        check_enough_steps(config.task, {}, config.steps, config.hyperparameters)
     usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
     backend = api.choose_backend(options.backend or usual)
     require(False, options.device)
