@@ -1,6 +1,7 @@
-# make demo: train TRPO-Lag on Circle2D-1 for a minute or two; tables, heat map, trajectories.
+# make demo: film two trained policies, train two algorithms for two minutes, report.
 # make test: run the tests, at most six minutes on two cores.
-# make check: run the slow tests; among them installations in environments of their own.
+# make check: run the slow tests, among them installations in environments of their own; make docs.
+# make docs: build the documentation: docs/_build/html/index.html.
 # make faults: kill, damage, fill and mistype thousands of times, about 25 minutes on a core; prints what
 # was tried and what was wrong (docs/faults.md).
 # Each builds .venv first; Python 3.11 or newer is all they need.
@@ -10,7 +11,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test check faults lint clean
+.PHONY: demo test check docs faults lint clean
 .DELETE_ON_ERROR:
 
 $(VENV)/made:
@@ -25,20 +26,37 @@ $(VENV)/develops: $(VENV)/made pyproject.toml constraints.txt
 	$(INSTALL) -e '.[dev]'
 	touch $@
 
+# Folders of policies to film side by side before anything is trained, and their titles.
+DEMO_POLICIES ?=
+DEMO_TITLES ?= "ignores the region" "goes round"
+# Trained together, by one process each where there are two cores.
+DEMO_ALGORITHMS ?= trpo-lag sac-lb
+DEMO_TASK ?= Circle2D-1-v0
+DEMO_STEPS ?= 60000
+DEMO := runs/demo
+
 demo: $(VENV)/trains
-	rm -rf runs/demo
-	$(BIN)/circle2d train --algorithm trpo-lag --task Circle2D-1-v0 --seeds 0 1 2 --steps 250000 \
-		--backend eager --out runs/demo
-	$(BIN)/python -m emcc runs/demo --per-run
-	$(BIN)/circle2d report runs/demo > runs/demo/report.txt
-	-$(BIN)/circle2d render runs/demo
-	@echo "The report, with training curves and heat map: runs/demo/index.html"
+	rm -rf $(DEMO)
+ifneq ($(strip $(DEMO_POLICIES)),)
+	$(BIN)/circle2d render $(DEMO_POLICIES) --names $(DEMO_TITLES) --episodes 2 --size 320 \
+		--out $(DEMO)/trained.gif
+endif
+	$(BIN)/circle2d reproduce --algorithms $(DEMO_ALGORITHMS) --tasks $(DEMO_TASK) \
+		--steps $(DEMO_STEPS) --backend eager --width 100 --out $(DEMO)
+	-$(BIN)/circle2d render $(addprefix $(DEMO)/$(DEMO_TASK)/,$(DEMO_ALGORITHMS)) \
+		--episodes 2 --size 320 --out $(DEMO)/film.gif
+	@echo "The report: $(abspath $(DEMO))/index.html"
 
 test: $(VENV)/develops
 	$(BIN)/python -m pytest -n logical --dist loadfile
 
 check: $(VENV)/develops
 	$(BIN)/python -m pytest -m slow -n logical --dist loadfile --durations 20
+	$(MAKE) docs
+
+docs: $(VENV)/develops
+	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
+	@echo "The documentation: $(abspath docs/_build/html/index.html)"
 
 faults: $(VENV)/develops
 	OMP_NUM_THREADS=1 $(BIN)/python tests/faults/run.py
@@ -49,4 +67,4 @@ lint: $(VENV)/develops
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 clean:
-	rm -rf $(VENV) runs/demo
+	rm -rf $(VENV) runs/demo docs/_build docs/made

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from agents.cli.options import Imports, parse
+from agents.cli.checks import check_width
+from agents.cli.options import Folder, Imports, parse
+from agents.cli.terminal import show
 from agents.reporting.compare import compare
 from agents.training.progress import working
 
@@ -19,20 +18,24 @@ class CompareOptions:
     """Print the tables of two sets of runs, such as your algorithm's and a baseline's, with the
     differences B - A and their 95 % bootstrap intervals over seeds."""
 
-    a: Annotated[Path, tyro.conf.Positional]
+    a: Folder
     """Folder of runs, or one with several such folders below it."""
-    b: Annotated[Path, tyro.conf.Positional]
-    """The same, of the runs to be compared with them."""
+    b: Folder
+    """Folder of the runs to compare with them."""
     out: Path | None = None
     """Folder for compare.md, compare.csv, and compare.html with the training curves of both; by
     default nothing is written."""
+    width: int | None = None
+    """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
+    are printed as Markdown."""
     imports: Imports = ()
 
 
 def run(args: Sequence[str]) -> int:
     """Run `circle2d compare`; returns the exit status."""
     options = parse(CompareOptions, "compare", args)
+    check_width(options.width)
     with working("reading runs and drawing figures"):
         table = compare(options.a, options.b, options.out)
-    print(table)
+    show(table, options.width)
     return 0

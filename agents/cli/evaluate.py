@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from agents.cli.options import Imports, parse
+from agents.cli.checks import check_holds_runs
+from agents.cli.options import Folder, Imports, parse
 from agents.cli.outcome import name_failures
 from agents.runs import Runs
 from agents.training.evaluation import EVALUATION_EPISODES
@@ -21,7 +18,7 @@ from agents.training.progress import working
 class EvaluateOptions:
     """Play episodes with the policies of a folder's last checkpoint and print their means."""
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Folder
     """Folder of the runs."""
     episodes: int = EVALUATION_EPISODES
     """Episodes of each run and policy (deterministic, stochastic)."""
@@ -31,6 +28,7 @@ class EvaluateOptions:
 def run(args: Sequence[str]) -> int:
     """Run `circle2d evaluate`; returns the exit status."""
     options = parse(EvaluateOptions, "evaluate", args)
+    check_holds_runs(options.folder)
     with working(f"playing {options.episodes} episodes of each run, by either policy"):
         training, results = evaluate_checkpoint(options.folder, options.episodes)
     active = ~training.failed

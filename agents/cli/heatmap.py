@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from agents.cli.options import Imports, check_size, check_suffix, parse
+from agents.cli.checks import check_holds_runs, check_size, check_suffix
+from agents.cli.options import Folder, Imports, parse
 from agents.errors import UserError
 from agents.reporting import image_files, pictures
 from emcc.parts import ALPHA, PARTS
@@ -20,7 +18,7 @@ class HeatmapOptions:
     """Draw which states the agents visited in training, in the rollouts that dominate EMCC, of the
     runs of a folder together: a PNG."""
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Folder
     """Folder of runs on a task that offers positions."""
     part: tuple[float, ...] = tuple(PARTS)
     """Parts of training, named as EMCC names them: 0.33, 0.66, 0.99."""
@@ -38,6 +36,7 @@ class HeatmapOptions:
 def run(args: Sequence[str]) -> int:
     """Run `circle2d heatmap`; returns the exit status."""
     options = parse(HeatmapOptions, "heatmap", args)
+    check_holds_runs(options.folder)
     if not options.part or not set(options.part) <= set(PARTS):
         raise UserError(f"part must be some of {list(PARTS)}, got {list(options.part)}")
     check_size(options.size)

@@ -23,10 +23,13 @@ COMMANDS = {
     "report": "tables, training curves and heat maps of trained runs",
     "compare": "two sets of runs side by side, with the differences",
     "heatmap": "draw which states were visited in training",
-    "render": "draw episodes of a trained policy: PNG, GIF, MP4",
+    "render": "draw episodes of trained policies, side by side: PNG, GIF, MP4",
     "scene": "print the MuJoCo scene of a task (MJCF)",
 }
 """Names of the files beside this one, and what each command does."""
+
+MEANT = {"help": "--help", "version": "--version", "-v": "--version", "-V": "--version"}
+"""Other programs' names of what this one has."""
 
 
 def usage() -> str:
@@ -79,7 +82,8 @@ def _run(command: str, args: Sequence[str]) -> int:
     if command not in COMMANDS:
         kind = "option" if command.startswith("-") else "command"
         valid = ["--help", "--version"] if kind == "option" else list(COMMANDS)
-        raise UserError(f"unknown {kind} {command!r}: {nearest(command, valid)}")
+        hint = f"did you mean {MEANT[command]!r}?" if command in MEANT else nearest(command, valid)
+        raise UserError(f"unknown {kind} {command!r}: {hint}")
     with _current_folder_on_path(), warnings.catch_warnings():
         warnings.showwarning = _print_warning
         try:

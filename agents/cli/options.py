@@ -15,9 +15,12 @@ from typing import Annotated, Any, Literal, get_type_hints
 
 import tyro
 
+from agents.algorithms import ALGORITHMS
 from agents.errors import UserError, nearest
 
 BackendChoice = Literal["auto", "compiled", "eager"]
+Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
+"""A folder that stands before the options."""
 Imports = Annotated[
     tuple[str, ...],
     tyro.conf.UseAppendAction,
@@ -41,7 +44,7 @@ def parse(
     """
     if "imports" in {field.name for field in dataclasses.fields(options)}:
         import_modules(args)
-    _check_names(options, command, args, elsewhere or {})
+    check_arguments(options, command, args, elsewhere or {})
     message = io.StringIO()
     try:
         with contextlib.redirect_stderr(message), _REGISTRY:
@@ -49,7 +52,7 @@ def parse(
     except SystemExit as exit_:
         if not exit_.code:
             raise
-        raise UserError(_one_line(message.getvalue())) from None
+        raise UserError(_reworded(command, _one_line(message.getvalue()))) from None
 
 
 def read_ahead(args: Sequence[str], **defaults: Any) -> argparse.Namespace:
@@ -77,18 +80,39 @@ def import_modules(args: Sequence[str]) -> None:
             ) from None
 
 
-def _check_names(
-    options: type, command: str, args: Sequence[str], elsewhere: Mapping[str, str]
+def check_arguments(
+    options: type, command: str, args: Sequence[str], elsewhere: Mapping[str, str] | None = None
 ) -> None:
-    """Raise UserError for the first option that the command does not have."""
+    """Raise UserError for the first option that the command does not have, and for what stands
+    before all options of a command that takes nothing there.
+
+    elsewhere: options that the command has in other cases, by name, and in which.
+    """
     valid = {f"--{name.replace('_', '-')}" for name in _names(options)} | {"--help"}
+    if not _takes_folders(options) and args and not args[0].startswith("-"):
+        hint = nearest(f"--{args[0]}", sorted(valid), "options begin with --")
+        if args[0] in ALGORITHMS and "--algorithm" in valid:
+            hint = f"did you mean '--algorithm {args[0]}'?"
+        raise UserError(f"{command} takes no argument {args[0]!r}: {hint}")
     for arg in args:
         name = arg.partition("=")[0].replace("_", "-")
         if re.match(r"--[A-Za-z]", name) and name not in valid:
-            hint = elsewhere.get(name) or nearest(
-                name, sorted(valid), f"'circle2d {command} --help' lists those it has"
-            )
+            near = f"'circle2d {command} --help' lists those it has"
+            hint = (elsewhere or {}).get(name) or nearest(name, sorted(valid), near)
             raise UserError(f"{command} has no option {name}: {hint}")
+        if re.fullmatch(r"\d+(,\d+)+,?", arg):
+            words = arg.replace(",", " ").strip()
+            raise UserError(f"numbers have spaces between them: did you mean '{words}'?")
+
+
+def _takes_folders(options: type) -> bool:
+    """Whether a command has arguments besides its options."""
+    hints = get_type_hints(options, include_extras=True)
+    return any(tyro.conf.Positional in _marks(hint) for hint in hints.values())
+
+
+def _marks(hint: Any) -> tuple[Any, ...]:
+    return getattr(hint, "__metadata__", ())
 
 
 def _names(options: type) -> Iterator[str]:
@@ -118,7 +142,26 @@ def _one_line(message: str) -> str:
     texts = [" ".join(" ".join(paragraph).split()) for paragraph in paragraphs]
     texts = [text for text in texts if text]
     untitled = texts[0:1] if re.match("[╭+]", plain.lstrip()) else texts[1:2]
-    return (untitled or texts or ["the options cannot be understood"])[0]
+    words = (untitled or texts or ["the options cannot be understood"])[0]
+    words = re.sub(r"^Error parsing (?=--)", "", words)
+    return re.sub(r"^Error parsing \w+: ", "", words)
+
+
+_OURS = (
+    (r"Missing from [^:]*: (\S+) (?:[A-Z]+ )?(.*?) *\(required\).*", r"{command} needs \1: \2"),
+    (r"Missing value for argument '(--[\w-]+)'.*", r"\1 needs a value"),
+    (r"(--[\w-]+): could not convert string to float: (.*)", r"\1 must be a number, got \2"),
+    (r"(--[\w-]+): Failed to parse key-value pairs.*", r"\1 takes pairs: NAME VALUE ..."),
+    (r"Unrecognized options: (.*)", r"{command} takes no argument '\1'"),
+)
+"""Messages of tyro, and the same in words of our own."""
+
+
+def _reworded(command: str, words: str) -> str:
+    for theirs, ours in _OURS:
+        if re.fullmatch(theirs, words):
+            return re.sub(theirs, ours.replace("{command}", command), words)
+    return words
 
 
 def _integers(info: Any) -> Any:
@@ -148,18 +191,6 @@ def integer(text: str) -> int:
     if not value.is_integer():
         raise ValueError(f"must be an integer such as 1000000 or 1e6, got {text!r}")
     return int(value)
-
-
-def check_suffix(path: Path, *allowed: str) -> None:
-    """Raise UserError for a file to be written that has none of these suffixes."""
-    if path.suffix.lower() not in allowed:
-        raise UserError(f"out must end in {' or '.join(allowed)}, got {str(path)!r}")
-
-
-def check_size(size: int) -> None:
-    """Raise UserError for a picture's size that is not even and in [64, 4096] pixels."""
-    if not 64 <= size <= 4096 or size % 2:
-        raise UserError(f"size must be an even number in [64, 4096], got {size}")
 
 
 _REGISTRY = tyro.constructors.ConstructorRegistry()

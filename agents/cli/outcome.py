@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from agents.cli.signals import AfterEpoch
+from agents.cli.terminal import show
 from agents.errors import UserError, one_line
 from agents.reporting.report import table
 from agents.runs import Runs
@@ -22,7 +23,7 @@ def finish(runs: Runs, after_epoch: AfterEpoch) -> int:
         return 128 + after_epoch.number
     for folder in runs.folders:
         try:
-            print(table(folder))
+            show(table(folder))
         except UserError as error:  # the training itself is done
             print(f"circle2d: no table: {one_line(error)}", file=sys.stderr)
     return name_failures(runs)

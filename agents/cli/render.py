@@ -1,50 +1,101 @@
-"""`circle2d render`: draw episodes of a trained policy."""
+"""`circle2d render`: draw episodes of trained policies."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import tyro
 
-from agents.cli.options import Imports, check_size, check_suffix, parse
-from agents.reporting import image_files, pictures
+from agents.algorithms import title
+from agents.cli.checks import check_holds_runs, check_size, check_suffix
+from agents.cli.options import Imports, parse
+from agents.errors import UserError
+from agents.reporting import films, image_files, pictures
+from agents.training.config import TrainConfig
+from agents.training.pretrained import pretrained
 
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """Draw episodes of a trained policy: all in one picture (.png), or as a film (.gif, .mp4)."""
+    """Draw episodes of trained policies: all in one picture (.png), or as a film (.gif, .mp4).
 
-    folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of runs on a task that offers positions."""
+    Several folders are drawn side by side, each with its name and what it has cost so far.
+    """
+
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER ...")]
+    """Folders of runs on tasks that offer positions; pretrained:ALGORITHM/TASK is a policy that
+    comes with the package."""
     out: Path | None = None
-    """File to write, its suffix the format; by default trajectories.png in the folder."""
+    """File to write, its suffix the format; by default trajectories.png in the first folder, or
+    here for a policy of the package."""
     episodes: int = 3
     """The first episodes of the evaluation."""
-    seed: int | None = None
-    """Of the run; by default the folder's first."""
+    seed: tuple[int, ...] = ()
+    """Of the run: one for all folders, or one for each; by default a folder's first."""
+    names: tuple[str, ...] = ()
+    """Titles above the panels, one for each folder; by default the algorithm and the seed."""
     stochastic: bool = False
     """Draw the stochastic policy instead of the deterministic one."""
     size: int = 640
-    """Pixels along each side."""
+    """Pixels along each side of a panel."""
     imports: Imports = ()
 
 
 def run(args: Sequence[str]) -> int:
     """Run `circle2d render`; returns the exit status."""
     options = parse(RenderOptions, "render", args)
+    folders, count = [_folder(given) for given in options.folders], len(options.folders)
+    if not count:
+        raise UserError("render needs a folder of runs")
+    names = _of_each("names", options.names, options)
+    seeds = _of_each("seed", options.seed * (1 if options.seed[1:] else count), options)
+    for folder in folders:
+        check_holds_runs(folder)
     check_size(options.size)
-    out = options.out or options.folder / "trajectories.png"
+    beside = folders[0] if folders[0] == options.folders[0] else Path()
+    out = options.out or beside / "trajectories.png"
     check_suffix(out, ".png", ".gif", ".mp4")
-    episodes, view = pictures.evaluation_episodes(
-        options.folder, options.seed, options.episodes, options.stochastic
-    )
+    of_each = zip(folders, names, seeds, strict=True)
+    panels = [_panel(options, *of_folder) for of_folder in of_each]
     if out.suffix.lower() == ".png":
-        image_files.write_picture(out, pictures.trajectories(episodes, view, options.size))
+        image_files.write_picture(out, films.picture(panels, options.size))
     else:
-        total = sum(len(episode.positions) for episode in episodes)
-        image_files.write_film(out, pictures.film(episodes, view, options.size), total)
+        total = films.pictures_of(panels)
+        pictured = films.film(panels, options.size)
+        if out.suffix.lower() == ".gif":
+            pictured = films.few_colours(pictured)
+        image_files.write_film(out, pictured, total)
     print(out)
     return 0
+
+
+def _folder(given: Path) -> Path:
+    """A folder, or that of a policy of the package for `pretrained:ALGORITHM/TASK`."""
+    kind, _, name = given.as_posix().partition(":")
+    algorithm, _, task = name.partition("/")
+    return pretrained(algorithm, task) if kind == "pretrained" else given
+
+
+T = TypeVar("T")
+
+
+def _of_each(name: str, given: Sequence[T], options: RenderOptions) -> Sequence[T | None]:
+    """An option's value for each folder, None where it is not given."""
+    folders = len(options.folders)
+    if given and len(given) != folders:
+        raise UserError(f"{name} must be one for each of the {folders} folders, got {len(given)}")
+    return given or [None] * folders
+
+
+def _panel(options: RenderOptions, folder: Path, name: str | None, seed: int | None) -> films.Panel:
+    """The episodes of a folder's run, below its name or one that is given."""
+    episodes, view = pictures.evaluation_episodes(
+        folder, seed, options.episodes, options.stochastic
+    )
+    if name is None:
+        config = TrainConfig.read(folder)
+        name = f"{title(config.algorithm)}, seed {config.seeds[0] if seed is None else seed}"
+    return films.Panel(name, view, episodes)

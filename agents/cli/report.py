@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from agents import api
-from agents.cli.options import Imports, parse
+from agents.cli.checks import check_width
+from agents.cli.options import Folder, Imports, parse
+from agents.cli.terminal import show
 from agents.training.progress import working
 
 
@@ -19,19 +18,23 @@ class ReportOptions:
     """Print the table of trained runs beside the paper's; write report.md, report.csv,
     and index.html with training curves and heat maps as well."""
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Folder
     """Folder of runs, or one with several such folders below it, or an archive."""
     archive: Path | None = None
     """File to pack all that the report needs into; `circle2d report FILE` writes it again."""
     out: Path | None = None
     """Folder for the report; by default that of the runs, or one beside an archive, of its name."""
+    width: int | None = None
+    """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
+    are printed as Markdown."""
     imports: Imports = ()
 
 
 def run(args: Sequence[str]) -> int:
     """Run `circle2d report`; returns the exit status."""
     options = parse(ReportOptions, "report", args)
+    check_width(options.width)
     with working("reading runs and drawing figures"):
         table = api.report(options.folder, options.archive, options.out)
-    print(table)
+    show(table, options.width)
     return 0

@@ -14,7 +14,9 @@ from rich.table import Table
 
 from agents import api
 from agents.algorithms import ALGORITHMS
+from agents.cli.checks import check_enough_steps, check_width
 from agents.cli.options import BackendChoice, Imports, parse
+from agents.cli.terminal import show
 from agents.errors import UserError, one_line
 from agents.lockstep.backend import require
 from agents.paper import grid
@@ -63,12 +65,16 @@ class ReproduceOptions:
     """Where updates run: cuda on a GPU."""
     workers: int = cores()
     """Processes, of one thread each; by default one for each core that this process may use."""
+    width: int | None = None
+    """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
+    are printed as Markdown."""
     imports: Imports = ()
 
 
 def run(args: Sequence[str]) -> int:
     """Run `circle2d reproduce`; returns the exit status."""
     options = parse(ReproduceOptions, "reproduce", args)
+    check_width(options.width)
     if not options.algorithms:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
     if not 1 <= options.workers <= MOST_WORKERS:
@@ -86,7 +92,7 @@ def run(args: Sequence[str]) -> int:
     try:
         with working("drawing the report"):
             table = api.report(options.out)
-        print(table)
+        show(table, options.width)
     except UserError as error:
         print(f"circle2d: no report: {one_line(error)}", file=sys.stderr)
         return 1
@@ -105,6 +111,8 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
         steps = grid.QUICK_STEPS
     what = (tasks, options.algorithms, seeds, steps, options.device, options.ablations)
     configs = grid.grid(options.out, *what)
+    for config in configs.values():
+        check_enough_steps(config.task, {}, config.steps, config.hyperparameters)
     usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
     backend = api.choose_backend(options.backend or usual)
     require(False, options.device)

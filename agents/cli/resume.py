@@ -12,6 +12,7 @@ import tyro
 
 from agents import api
 from agents.cli import signals
+from agents.cli.checks import check_holds_runs
 from agents.cli.options import Imports, parse
 from agents.cli.outcome import finish
 from agents.training.config import TrainConfig
@@ -23,7 +24,7 @@ class ResumeOptions:
     """Go on with interrupted runs from their last checkpoint; the results are bit for bit those of
     runs that were never interrupted."""
 
-    folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER ...")]
     """Folder of the runs; several, which differ in task and seeds only, train together."""
     imports: Imports = ()
 
@@ -32,6 +33,7 @@ def run(args: Sequence[str]) -> int:
     """Run `circle2d resume`; returns the exit status."""
     folders = parse(ResumeOptions, "resume", args).folders
     for folder in folders:
+        check_holds_runs(folder)
         TrainConfig.read(folder)
     for folder in folders:
         if note := other_session(folder):

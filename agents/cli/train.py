@@ -15,13 +15,21 @@ import tyro
 from agents import api
 from agents.algorithms import ALGORITHMS
 from agents.cli import signals
+from agents.cli.checks import check_enough_steps
 from agents.cli.hyperparameters import explain_all
-from agents.cli.options import BackendChoice, Imports, import_modules, parse, read_ahead
+from agents.cli.options import (
+    BackendChoice,
+    Imports,
+    check_arguments,
+    import_modules,
+    parse,
+    read_ahead,
+)
 from agents.cli.outcome import finish
 from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.training.config import Device
-from agents.training.environments import Vectorization, task_id
+from agents.training.environments import Vectorization, check_task, task_id
 
 
 @dataclass(frozen=True)
@@ -73,6 +81,7 @@ def run(args: Sequence[str]) -> int:
                 parse(TrainOptions, "train", ["--help"])
             print(explain_all(task), end="")
             return 0
+        check_arguments(TrainOptions, "train", args)
         raise UserError(f"train needs --algorithm: one of {', '.join(ALGORITHMS)}")
     hyperparameters = preset(ahead.algorithm, task)
     elsewhere = dict(_options_of_others(ahead.algorithm))
@@ -82,6 +91,8 @@ def run(args: Sequence[str]) -> int:
     values["task"] = task
     values["task_parameters"] = {k: _literal(v) for k, v in options.task_parameters.items()}
     own = options.hyperparameters
+    check_task(task, values["task_parameters"])
+    check_enough_steps(task, values["task_parameters"], options.steps, own)
     values |= {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
     with signals.AfterEpoch() as after_epoch:
         runs = api.train(**values, progress=True, on_epoch=after_epoch)

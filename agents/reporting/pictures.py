@@ -1,14 +1,10 @@
-"""Pictures of runs on demand: heat maps of training, trajectories and films of trained policies."""
+"""Pictures of runs on demand: heat maps of training, episodes of trained policies."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
-from PIL import Image, ImageDraw
 
 from agents.algorithms import title
 from agents.errors import UserError
@@ -23,7 +19,6 @@ from emcc import EpisodeRecords
 from emcc.parts import PARTS
 
 SIZE = 640
-AGENT = (200, 30, 30)
 
 
 def heatmap(
@@ -76,29 +71,6 @@ def _of_seeds(folder: Path, config: TrainConfig, seeds: tuple[int, ...] | None) 
     if not seeds or not set(seeds) <= set(config.seeds):
         raise UserError(f"seeds must be some of {list(config.seeds)}, got {list(seeds)}")
     return replace(config, seeds=seeds)
-
-
-def trajectories(episodes: Sequence[Episode], view: View, size: int = SIZE) -> Picture:
-    """All episodes in one picture, chains of cost steps boxed: [size, size, 3]."""
-    return Ground(view, view.background(size)).trajectories(episodes, boxed=True)
-
-
-def film(episodes: Sequence[Episode], view: View, size: int = SIZE) -> Iterator[Picture]:
-    """The episodes one after another, a picture for each state, with the way that led there."""
-    ground = view.background(size)
-    for path, costs in episodes:
-        for k in range(len(path)):
-            painted = canvas.with_trajectories(ground, view.extent, [path[: k + 1]], [costs[:k]])
-            yield _with_agent(view.overlay(painted), view, path[k])
-
-
-def _with_agent(picture: Picture, view: View, position: NDArray[np.floating]) -> Picture:
-    """The picture with a disc where the agent is."""
-    image, radius = Image.fromarray(picture), max(len(picture) / 60, 2.5)
-    column, row = canvas.pixels(view.extent, position, len(picture))
-    corners = (column - radius, row - radius, column + radius, row + radius)
-    ImageDraw.Draw(image).ellipse(corners, fill=AGENT, outline=(255, 255, 255))
-    return np.asarray(image)
 
 
 def evaluation_episodes(

@@ -204,10 +204,11 @@ def registered(task: str) -> str:
     try:
         gym.spec(name)
     except gym.error.Error as error:
-        message = str(error)
-        if not isinstance(error, gym.error.VersionNotFound) and "Did you mean" not in message:
-            message = f"{message} {nearest(name, gym.registry, otherwise=' ')}".strip()
-        raise UserError(f"cannot make task {task!r}: {message}") from None
+        if isinstance(error, gym.error.VersionNotFound):  # which names the versions there are
+            raise UserError(f"cannot make task {task!r}: {error}") from None
+        names = "a task is an id of gymnasium, or module:id"
+        hint = nearest(name, gym.registry, otherwise=names)
+        raise UserError(f"unknown task {task!r}: {hint}") from None
     return name
 
 

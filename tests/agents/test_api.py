@@ -200,7 +200,7 @@ def test_a_guest_in_the_process(tmp_path, raises):
         ({"step": 3}, "no hyper-parameter 'step': did you mean steps"),
         ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
         ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),
-        ({"task": "Nowhere-v0"}, "cannot make task 'Nowhere-v0'"),
+        ({"task": "Nowhere-v0"}, "unknown task 'Nowhere-v0'"),
         ({"seeds": "ab"}, "seeds must be an integer or several, got 'ab'"),
         ({"seeds": []}, "at least one"),
         ({"seeds": 1.5}, "seeds must be an integer or several, got 1.5"),

@@ -3,6 +3,7 @@
 import re
 
 import pytest
+import torch
 
 from agents.cli.main import main
 
@@ -13,7 +14,7 @@ TRAIN = ["train", "--algorithm", "sac-lag", "--seeds", "0", "1", "--steps", "600
 def folder(tmp_path_factory):
     """A folder that holds runs already."""
     path = tmp_path_factory.mktemp("runs") / "first"
-    assert main([*TRAIN[:-1], "50", "--out", str(path)]) == 0
+    assert main([*TRAIN[:-1], "120", "--out", str(path)]) == 0
     return path
 
 
@@ -21,16 +22,47 @@ def folder(tmp_path_factory):
     ("arguments", "message"),
     [
         (["fly"], "unknown command 'fly': valid are train, resume, evaluate, reproduce, report"),
+        (["help"], "unknown command 'help': did you mean '--help'\\?\n"),
+        (["-V"], "unknown option '-V': did you mean '--version'\\?\n"),
         (["trian"], "unknown command 'trian': did you mean 'train'\\?\n"),
         (["--verison"], "unknown option '--verison': did you mean '--version'\\?\n"),
         (["train", "--algorithm", "sac-log"], "'sac-log': did you mean 'sac-lag'\\?\n"),
         (["train", "--algorithm", "dqn"], "unknown algorithm 'dqn': valid are trpo-lag, "),
+        (["train", "sac-lag", "--out", "{tmp}/x"], "did you mean '--algorithm sac-lag'\\?\n"),
+        (["train", "--algo", "sac-lag"], "no option --algo: did you mean '--algorithm'\\?\n"),
         (["train", "--out", "{tmp}"], "train needs --algorithm: one of trpo-lag, "),
-        ([*TRAIN], "--out"),
-        ([*TRAIN, "--out", "{tmp}/x", "--task", "Nope-v1"], "cannot make task 'Nope-v1'"),
+        ([*TRAIN], "train needs --out: Folder that the runs are written to"),
+        ([*TRAIN, "--out"], "circle2d: --out needs a value\n"),
+        ([*TRAIN, "--out", "{tmp}/x", "more"], "train takes no argument 'more'\n"),
+        ([*TRAIN, "--out", "{tmp}/x", "--seeds", "0,1"], "did you mean '0 1'\\?\n"),
+        ([*TRAIN, "--out", "{tmp}/x", "--learning-rate", "low"], "a number, got 'low'\n"),
+        ([*TRAIN, "--out", "{tmp}/x", "--device", "gpu"], "'gpu'.*'cpu', 'cuda'"),
+        pytest.param(
+            [*TRAIN, "--out", "{tmp}/x", "--device", "cuda"],
+            "sees no GPU; 'cpu' is there\n",
+            marks=pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU"),
+        ),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--steps", "100"],
+            "at least 101 for a table, got 100: .* 50",
+        ),
+        (
+            ["train", "--algorithm", "cpo", "--steps", "1e3", "--out", "{tmp}/x"],
+            "at least 1001 for a table, got 1000: .* 10 episodes of up to 50 steps\n",
+        ),
+        ([*TRAIN, "--out", "{tmp}/x", "--task-parameters", "radius"], "takes pairs: NAME VALUE"),
+        (["reproduce", "--out", "{tmp}/x", "--quik"], "did you mean '--quick'\\?\n"),
+        (["reproduce", "--out", "{tmp}/x", "--steps", "100"], "for a table, got 100"),
+        (["report", "{folder}", "--width", "9"], "width must be at least 40, got 9\n"),
+        (["evaluate"], "evaluate needs FOLDER: Folder of the runs"),
+        (["render", "{tmp}/nothing", "{folder}", "--names", "a"], "one for each of the 2 folders"),
+        (["heatmap", "{folder}/.."], "holds folders of runs: did you mean '.*first'\\?\n"),
+        (["scene", "2"], "scene takes no argument '2': options begin with --\n"),
+        (["scene", "--level", "9"], "circle2d: level must be one of \\(0, 1, 2, 3\\), got 9\n"),
+        ([*TRAIN, "--out", "{tmp}/x", "--task", "Nope-v1"], "unknown task 'Nope-v1': "),
         ([*TRAIN, "--out", "{tmp}/x", "--task", "CartPole-v1"], "action space.*flat Box"),
         ([*TRAIN, "--out", "{tmp}/x", "--task", "Pendulum-v1"], "info\\['cost'\\]"),
-        ([*TRAIN, "--out", "{tmp}/x", "--task", "Circle2D-9"], "Did you mean: `Circle2D-"),
+        ([*TRAIN, "--out", "{tmp}/x", "--task", "Circle2D-9"], "did you mean 'Circle2D-\\d-v0'\\?"),
         (
             [*TRAIN, "--out", "{tmp}/x", "--task", "SafetyPointGoal1-v0"],
             "did you mean 'circle2d_mj/SafetyPointGoal1-v0'",

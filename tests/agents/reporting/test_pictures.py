@@ -13,7 +13,9 @@ from agents.cli.main import main
 from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.reporting import pictures
+from agents.reporting.films import HELD
 from agents.results.steps import count_visits
+from agents.training import pretrained
 from agents.training.config import TrainConfig
 from agents.training.loop import train
 from circle2d_mj import Circle2DConfig
@@ -79,8 +81,9 @@ def folder(tmp_path_factory):
 def test_commands_write_pictures_and_films(folder, tmp_path, capsys):
     for command, name, shape in (
         ("heatmap", "h.png", None),
-        ("render", "t.png", (128, 128, 3)),
-        ("render", "f.mp4", (102, 128, 128, 3)),  # two episodes of 50 steps, and their starts
+        ("render", "t.png", None),
+        # Two episodes of 50 steps, their starts, and their ends, which stay a while.
+        ("render", "f.mp4", 2 * (51 + HELD)),
         ("render", "f.gif", None),
     ):
         out = tmp_path / "new" / name
@@ -88,9 +91,25 @@ def test_commands_write_pictures_and_films(folder, tmp_path, capsys):
         assert main([command, str(folder), "--out", str(out), *options]) == 0
         assert capsys.readouterr().out == f"{out}\n"
         image = imageio.imread(out)
-        assert shape is None or image.shape == shape
+        assert shape is None or len(image) == shape
         assert image.std() > 10
         assert [p.name for p in out.parent.iterdir() if "unfinished" in p.name] == []
+
+
+def test_policies_of_the_package_side_by_side(folder, tmp_path, monkeypatch, capsys):
+    """A folder and a policy alone; the picture is written here, not into the package."""
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "policies")
+    pretrained.write_policy(folder, 6, tmp_path / "policies" / "trpo-lag" / TASK)
+    monkeypatch.chdir(tmp_path)
+    of_package = f"pretrained:trpo-lag/{TASK}"
+    assert main(["render", of_package, str(folder), "--size", "64", "--seed", "6", "6"]) == 0
+    assert capsys.readouterr().out == "trajectories.png\n"
+    both = imageio.imread("trajectories.png")
+    left, right = both[:, : both.shape[1] // 2], both[:, both.shape[1] // 2 :]
+    # The same policy, whichever folder it is read from: panels differ by their margins only.
+    assert abs(int((left < 200).sum()) - int((right < 200).sum())) < 0.02 * (left < 200).sum()
+    assert main(["render", "pretrained:cpo/x"]) == 2
+    assert "no policy of 'cpo' comes with the package" in capsys.readouterr().err
 
 
 def test_the_episodes_drawn_are_those_of_the_evaluation(folder):

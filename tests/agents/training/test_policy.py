@@ -228,7 +228,7 @@ def test_evaluations_that_cannot_be(folder):
         agents.evaluate(policy, episodes=0)
     with pytest.raises(TypeError, match="a policy, a function or a folder, got 3"):
         agents.evaluate(3)
-    with pytest.raises(agents.UserError, match="cannot make task"):
+    with pytest.raises(agents.UserError, match="unknown task"):
         agents.evaluate(policy, "Nowhere-v0")
     with pytest.raises(agents.UserError, match="not finite"):
         agents.evaluate(lambda observation: np.array([np.nan]), "Walk-v0")

@@ -1,4 +1,4 @@
-"""The README's examples run as they stand there."""
+"""The files and commands of the page on an algorithm, task and measure of one's own."""
 
 import json
 import re
@@ -6,11 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import gymnasium as gym
 import pytest
 
 ROOT = Path(__file__).parents[1]
-README = (ROOT / "README.md").read_text()
+PAGE = (ROOT / "docs" / "extending.md").read_text()
 
 
 def circle2d(folder, *args, status=0):
@@ -22,15 +21,15 @@ def circle2d(folder, *args, status=0):
 
 @pytest.fixture
 def folder(tmp_path):
-    """A folder with the README's algorithm, outside the package."""
-    ((name, code),) = re.findall(r"```python\n# (my_\w+\.py)\n(.*?)```", README, re.DOTALL)
-    (tmp_path / name).write_text(code)
+    """A folder with the page's files, outside the package."""
+    for name, code in re.findall(r"```python\n# (my_\w+\.py)\n(.*?)```", PAGE, re.DOTALL):
+        (tmp_path / name).write_text(code)
     return tmp_path
 
 
 def test_an_algorithm_of_the_users_own(folder):
-    """Trains by the README's command, resumes, is evaluated, reported and explained."""
-    ((line),) = re.findall(r"```\ncircle2d (train --import my_.*)\n```", README)
+    """Trains by the page's command, resumes, is evaluated, reported and explained."""
+    (line,) = re.findall(r"```sh\ncircle2d (train --import my_algorithm.*)\n```", PAGE)
     train = line.replace("runs/fixed", "runs").split()
     done = circle2d(folder, *train, "--seeds", "0", "--steps", "1e3")
     assert "SAC-Fixed (price 0.5, 1,000 steps), mean of 1" in done.stdout
@@ -62,22 +61,11 @@ def test_an_algorithm_of_the_users_own_in_worker_processes(folder):
     assert "SAC-Fixed (1,000 steps), mean of 1" in circle2d(folder, *command).stdout
 
 
-def test_the_examples_run(opengl, tmp_path, monkeypatch):
-    """One after another, as a reader would type them; a random agent stands for the reader's."""
-    monkeypatch.chdir(tmp_path)
-    examples = re.findall(r"```python\n((?!# my_).*?)```", README, re.DOTALL)
-    assert len(examples) == 4
-
-    def training(env):
-        env.reset(seed=0)
-        for _ in range(500):
-            *_, terminated, truncated, _ = env.step(env.action_space.sample())
-            if terminated or truncated:
-                env.reset()
-
-    names = {"your_env": gym.make("circle2d_mj:Circle2D-1-v0"), "your_training": training}
-    for example in examples:
-        exec(compile(example, "README.md", "exec"), names)
-    assert (tmp_path / "circle2d.png").stat().st_size > 1000
-    assert names["action"].shape == (2,)
-    assert names["env"].records.total_steps == 500
+def test_a_task_and_a_measure_of_the_users_own(folder):
+    """The page's task trains by the page's command, and its measure is a column of the report."""
+    (line,) = re.findall(r"circle2d (train --import my_tasks .*)", PAGE)
+    train = line.replace("runs/stay", "runs").replace("2e4", "1e3").split()
+    assert "PPO-Lag" in circle2d(folder, *train, "--seeds", "0", "--backend", "eager").stdout
+    done = circle2d(folder, "report", "runs", "--import", "my_measures")
+    assert "clean episodes (share)" in done.stdout
+    assert "clean" in (folder / "runs/report.csv").read_text().splitlines()[0]

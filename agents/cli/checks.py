@@ -1,0 +1,61 @@
+"""Checks of options before anything is read or written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+
+from agents.errors import UserError
+from agents.training.environments import registered
+
+LEAST_WIDTH = 40
+"""Characters of the narrowest terminal that tables are laid out for."""
+
+
+def check_width(width: int | None) -> None:
+    """Raise UserError for a line that is too short for a table."""
+    if width is not None and width < LEAST_WIDTH:
+        raise UserError(f"width must be at least {LEAST_WIDTH}, got {width}")
+
+
+def check_suffix(path: Path, *allowed: str) -> None:
+    """Raise UserError for a file to be written that has none of these suffixes."""
+    if path.suffix.lower() not in allowed:
+        raise UserError(f"out must end in {' or '.join(allowed)}, got {str(path)!r}")
+
+
+def check_enough_steps(
+    task: str, parameters: Mapping[str, Any], steps: int, hyperparameters: Any
+) -> None:
+    """Raise UserError for a training after which there is no table, since EMCC needs a rollout in
+    each third of it.
+
+    A rollout is an epoch: its length is that of its episodes where they come to their limit. For a
+    task without a limit nothing is checked.
+    """
+    limit = parameters.get("max_episode_steps") or gym.spec(registered(task)).max_episode_steps
+    episodes = getattr(hyperparameters, "episodes", 1)
+    if isinstance(limit, int) and 0 < steps <= 2 * episodes * limit:
+        of = f"{episodes} episodes" if episodes > 1 else "an episode"
+        raise UserError(
+            f"steps must be at least {2 * episodes * limit + 1} for a table, got {steps}: each "
+            f"third of training needs a rollout, which is {of} of up to {limit} steps"
+        )
+
+
+def check_holds_runs(folder: Path) -> None:
+    """Raise UserError, naming the nearest, for a folder that has folders of runs below it."""
+    if folder.is_dir() and not (folder / "config.json").exists():
+        below = sorted(path.parent for path in folder.glob("*/config.json"))
+        below += sorted(path.parent for path in folder.glob("*/*/config.json"))
+        if below:
+            raise UserError(f"{folder} holds folders of runs: did you mean '{below[0]}'?")
+
+
+def check_size(size: int) -> None:
+    """Raise UserError for a picture's size that is not even and in [64, 4096] pixels."""
+    if not 64 <= size <= 4096 or size % 2:
+        raise UserError(f"size must be an even number in [64, 4096], got {size}")

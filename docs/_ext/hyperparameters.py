@@ -1,0 +1,36 @@
+"""Tables of the algorithms' hyper-parameters, made from their dataclasses."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from agents.algorithms import ALGORITHMS
+from agents.cli.hyperparameters import texts
+from agents.paper.presets import preset
+
+
+def tables() -> dict[str, str]:
+    """Name of an algorithm -> table of its hyper-parameters in Markdown."""
+    return {name: _table(name) for name in ALGORITHMS}
+
+
+def _table(name: str) -> str:
+    config = ALGORITHMS[name].config
+    explained = {k: v for cls in reversed(config.__mro__[:-1]) for k, v in _texts(cls).items()}
+    usual, on_task = config(), preset(name, "Circle2D-1-v0")
+    lines = ["| option | default | on Circle2D | meaning |", "| --- | --- | --- | --- |"]
+    for field in dataclasses.fields(config):
+        default, here = (getattr(of, field.name) for of in (usual, on_task))
+        option = f"`--{field.name.replace('_', '-')}`"
+        other = "" if here == default else _words(here)
+        lines.append(f"| {option} | {_words(default)} | {other} | {explained[field.name]} |")
+    return "\n".join([*lines, ""])
+
+
+def _texts(cls: type) -> dict[str, str]:
+    return texts(cls) if dataclasses.is_dataclass(cls) else {}
+
+
+def _words(value: object) -> str:
+    """A value as one types it."""
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)

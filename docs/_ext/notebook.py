@@ -1,0 +1,76 @@
+"""A Jupyter notebook as a page: its cells are run, and what they print stands below them."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import io
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+
+def write(path: Path, folder: Path) -> None:
+    """Run a notebook and write its page, its pictures and itself, to be downloaded."""
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = []
+    for number, (source, printed, pictures) in enumerate(run(path)):
+        parts.append(source)
+        if printed:
+            parts.append(f"```text\n{printed.rstrip()}\n```")
+        for place, picture in enumerate(pictures):
+            name = f"{number}-{place}.png"
+            (folder / name).write_bytes(picture)
+            parts.append(f"![Figure of the cell above]({name})")
+    shutil.copy(path, folder)
+    parts.append(f"This page is a notebook: {{download}}`{path.name}`.")
+    (folder / "index.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+
+
+def run(path: Path) -> list[tuple[str, str, list[bytes]]]:
+    """Markdown, printed text and pictures (PNG) of each cell, run in order in an empty folder.
+
+    An exception of a cell is passed on.
+    """
+    names: dict[str, Any] = {"__name__": "__main__"}
+    found, here = [], os.getcwd()
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        try:
+            for cell in cells:
+                source = "".join(cell["source"])
+                if cell["cell_type"] == "markdown":
+                    found.append((source, "", []))
+                else:
+                    found.append((f"```python\n{source}\n```", *_run_cell(source, names)))
+        finally:
+            os.chdir(here)
+    return found
+
+
+def _run_cell(source: str, names: dict[str, Any]) -> tuple[str, list[bytes]]:
+    """Text that a cell prints, its last expression as Jupyter shows it, and its figures."""
+    import matplotlib as mpl
+    import matplotlib.pyplot as plt
+
+    mpl.use("agg")
+    body = ast.parse(source).body
+    last = body.pop() if body and isinstance(body[-1], ast.Expr) else None
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(compile(ast.Module(body, []), "<cell>", "exec"), names)
+        if last is not None:
+            value = eval(compile(ast.Expression(last.value), "<cell>", "eval"), names)
+            if value is not None:
+                print(repr(value))
+    pictures = []
+    for figure in map(plt.figure, plt.get_fignums()):
+        file = io.BytesIO()
+        figure.savefig(file, dpi=110, bbox_inches="tight")
+        pictures.append(file.getvalue())
+    plt.close("all")
+    return printed.getvalue(), pictures

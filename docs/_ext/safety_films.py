@@ -1,0 +1,43 @@
+"""Draw the films of the Safety tasks that `docs/films` holds; needs EGL or OSMesa.
+
+python docs/_ext/safety_films.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gymnasium as gym
+from PIL import Image
+
+import circle2d_mj
+from circle2d_mj.registration import SAFETY
+
+SIZE, PICTURES = 240, 48
+
+
+def write(name: str, folder: Path) -> None:
+    """Write the film of an agent that draws its actions at random, held for some steps each."""
+    env = gym.make(name, render_mode="rgb_array")
+    env.reset(seed=5)
+    env.action_space.seed(2)
+    hold = 2 if "Hopper" in name else 8
+    frames = []
+    for step in range(PICTURES * hold):
+        if step % (2 * hold) == 0:
+            action = env.action_space.sample()
+        *_, terminated, truncated, _ = env.step(action)
+        if step % hold == 0:
+            picture = Image.fromarray(env.render())
+            frames.append(picture.resize((SIZE, SIZE), Image.Resampling.LANCZOS).quantize(64))
+        if terminated or truncated:
+            env.reset()
+    env.close()
+    path = folder / f"{name.rpartition('/')[2]}.gif"
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=100, loop=0)
+
+
+if __name__ == "__main__":
+    gym.register_envs(circle2d_mj)
+    for task in SAFETY:
+        write(task, Path(__file__).parents[1] / "films")

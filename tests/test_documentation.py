@@ -1,0 +1,249 @@
+"""README and documentation: their code runs, their commands exist, links lead somewhere, and what
+is made from the code holds all of it."""
+
+import csv
+import dataclasses
+import itertools
+import os
+import re
+import shlex
+import sys
+import tomllib
+from pathlib import Path
+from urllib.parse import urlparse
+
+import gymnasium as gym
+import pytest
+
+from agents.algorithms import ALGORITHMS
+from agents.cli.main import COMMANDS
+from circle2d_mj.registration import CIRCLE2D, SAFETY
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "emcc" / "README.md", *sorted(DOCS.rglob("*.md"))]
+PAGES = [page for page in PAGES if not {"made", "_build"} & set(page.parts)]
+TEXTS = {str(page.relative_to(ROOT)): page.read_text() for page in PAGES}
+SLOW = ("docs/training.md",)
+ELSEWHERE = ("docs/extending.md", "docs/ray.md")
+"""Pages whose code has tests of its own: test_extending.py; those of the engine ray."""
+DRAWING = ("docs/environments.md",)
+README = TEXTS["README.md"]
+TITLES = ("Description", "Action space", "Observation space", "Reward", "Cost", "Start", "End")
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+
+sys.path.append(str(DOCS / "_ext"))
+
+
+def code_of(text):
+    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+
+
+def train_randomly(env):
+    env.reset(seed=0)
+    for _ in range(500):
+        *_, terminated, truncated, _ = env.step(env.action_space.sample())
+        if terminated or truncated:
+            env.reset()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in SLOW else ())
+        for name, text in TEXTS.items()
+        if code_of(text) and name not in ELSEWHERE
+    ],
+)
+def test_the_code_of_a_page_runs(name, request, tmp_path, monkeypatch):
+    """Its examples one after another, as a reader would type them; a random agent stands for the
+    reader's."""
+    if name in DRAWING:
+        request.getfixturevalue("opengl")
+    monkeypatch.chdir(tmp_path)
+    env = gym.make("circle2d_mj:Circle2D-1-v0")
+    names = {"your_env": env, "your_training": train_randomly}
+    if name == "emcc/README.md":
+        names["records"] = recorded()
+    for code in code_of(TEXTS[name]):
+        exec(compile(code, name, "exec"), names)
+    if "your_env" in TEXTS[name] and "env" in names:
+        assert names["env"].records.total_steps == 500
+
+
+def recorded():
+    import emcc
+
+    env = emcc.RecordCosts(gym.make("circle2d_mj:Circle2D-1-v0"))
+    train_randomly(env)
+    return env.records
+
+
+def commands():
+    """Page and words of every `circle2d` and `make` command that is shown."""
+    for name, text in TEXTS.items():
+        shown = re.findall(r"^((?:circle2d|make) .*)$", text, re.MULTILINE)
+        shown += [
+            re.sub(r"\s+", " ", code) for code in re.findall(r"`((?:circle2d|make) [^`]*)`", text)
+        ]
+        for line in shown:
+            yield name, tuple(shlex.split(line, comments=True))
+
+
+def options_of(command, words):
+    """Every option that a command has."""
+    import importlib
+
+    from agents.cli.options import _names
+
+    module = importlib.import_module(f"agents.cli.{command}")
+    (options,) = (
+        of
+        for of in vars(module).values()
+        if dataclasses.is_dataclass(of) and of.__module__ == module.__name__
+    )
+    known = {f"--{name.replace('_', '-')}" for name in _names(options)} | {"--help"}
+    if command == "train":
+        chosen = [b for a, b in itertools.pairwise(words) if a == "--algorithm"]
+        for name in [of for of in chosen if of in ALGORITHMS] or ALGORITHMS:
+            fields = dataclasses.fields(ALGORITHMS[name].config)
+            known |= {f"--{field.name.replace('_', '-')}" for field in fields}
+    return known
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), sorted(set(commands())), ids=lambda of: " ".join(of)[:60]
+)
+def test_a_command_that_is_shown_exists(name, words):
+    program, command, *rest = words
+    if program == "make":
+        assert re.search(rf"^{command}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+        return
+    if command in ("--version", "--help", "COMMAND"):
+        return
+    assert command in COMMANDS
+    own = {"--price"} if "my_algorithm" in words else set()
+    for option in (word for word in rest if word.startswith("--")):
+        assert option in options_of(command, words) | own
+
+
+def test_every_command_is_in_the_table_of_commands():
+    for command in COMMANDS:
+        assert f"\n| `{command}` | " in TEXTS["docs/training.md"]
+
+
+def test_commands_are_found():
+    """The search above finds what it should."""
+    found = {words[1] for _, words in commands()}
+    assert found >= {"train", "resume", "report", "compare", "render", "demo", "test"}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_links_lead_somewhere(name):
+    """Files are there, or are made with the site; addresses are well formed."""
+    plain = re.sub(r"```.*?```", "", TEXTS[name], flags=re.DOTALL)
+    for target in re.findall(r"\]\(<?([^)<>\s]+)>?\)", plain):
+        if re.match(r"[a-z]+:", target):
+            address = urlparse(target)
+            assert address.scheme == "https"
+            assert "." in address.netloc
+        elif not target.startswith("#"):
+            path = (ROOT / name).parent / target.partition("#")[0]
+            made = path.resolve().is_relative_to(DOCS / "made")
+            assert path.exists() or (
+                made and path.resolve().relative_to(DOCS / "made") in produced()
+            )
+
+
+def produced():
+    """Pages that are made with the site."""
+    import made
+
+    return {Path(name) for name in made.pages()} | {Path("emcc_of_your_logs/index.md")}
+
+
+def test_the_readme_is_short_and_its_film_small():
+    assert README.count("\n") <= 120
+    for film in (DOCS / "films").glob("*.gif"):
+        assert film.stat().st_size < 1e6
+
+
+def test_the_readmes_table_is_of_the_results():
+    with (ROOT / "results/circle2d/report.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["task"] == "Circle2D-1-v0"]
+    for name in ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC"):
+        own = [row for row in rows if row["algorithm"] == name]
+        (mean,) = (row for row in own if row["kind"] == "mean")
+        columns = ("EMCC_0.33", "EMCC_0.99", "cost_rate", "J_R", "J_C")
+        numbers = " | ".join(f"{float(mean[column]):.2f}" for column in columns)
+        runs = [row for row in own if row["seed"]]
+        good = [r for r in runs if r["ends_in"].startswith("corridor") and float(r["J_C"]) <= 5]
+        assert f"| {name} | {numbers} | {len(good)} of {len(runs)} |" in README
+
+
+def test_one_version_everywhere():
+    assert f"\nversion: {VERSION}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"version = {{{VERSION}}}" in README
+
+
+def test_every_algorithm_has_a_page_and_every_hyper_parameter_a_row():
+    import hyperparameters
+
+    tables = hyperparameters.tables()
+    for name, algorithm in ALGORITHMS.items():
+        page = TEXTS[f"docs/algorithms/{name}.md"]
+        assert f"# {algorithm.title}\n" in page
+        assert "**Source**" in page
+        assert f"made/hyperparameters/{name}.md" in page
+        assert f"algorithms/{name}.md" in TEXTS["docs/algorithms.md"]
+        rows = [line for line in tables[name].splitlines() if line.startswith("| `--")]
+        assert len(rows) == len(dataclasses.fields(algorithm.config))
+        assert all(row.split(" | ")[-1].strip(" |") for row in rows)
+
+
+def test_every_task_has_a_page_with_its_own_numbers():
+    import task_pages
+
+    from circle2d_mj import Circle2DConfig
+
+    pages = task_pages.pages()
+    assert set(pages) == {name.rpartition("/")[2] for name in (*CIRCLE2D, *SAFETY)}
+    for name in (*CIRCLE2D, *SAFETY):
+        page, env = pages[name.rpartition("/")[2]], gym.make(name)
+        assert f"made/tasks/{name.rpartition('/')[2]}\n" in TEXTS["docs/environments.md"]
+        assert f"`{env.action_space}`" in page
+        assert f"After {env.spec.max_episode_steps} steps" in page
+        for title in TITLES:
+            assert re.search(rf"^## {title}\n\n\S", page, re.MULTILINE)
+        env.close()
+    for field in dataclasses.fields(Circle2DConfig)[1:]:
+        assert f"| `{field.name}` | `{field.default!r}` |" in pages["Circle2D-3-v0"]
+
+
+def test_every_public_name_has_an_entry():
+    import api_pages
+
+    import agents
+    import circle2d_mj
+    import emcc
+
+    pages = api_pages.pages()
+    for package in (agents, circle2d_mj, emcc):
+        for name in api_pages.public(package):
+            assert re.search(rf"\}} {package.__name__}\.{name}\b", pages[package.__name__]), name
+    assert "- `seeds`: one run for each" in pages["agents"]
+    assert "```pycon\n>>> import agents" in pages["agents"]
+
+
+def test_the_notebook_runs():
+    """Two agents of one cost rate, whose EMCC differs as its text says; and its figure."""
+    import notebook
+
+    here = os.getcwd()
+    cells = notebook.run(DOCS / "emcc_of_your_logs.ipynb")
+    assert os.getcwd() == here
+    printed = "\n".join(text for _, text, _ in cells)
+    assert "stays   cost rate 0.20   EMCC {0.33: 0.2, 0.66: 0.2, 0.99: 0.2}" in printed
+    assert "leaves  cost rate 0.20   EMCC {0.33: 0.05, 0.66: 0.05, 0.99: 0.05}" in printed
+    assert "(1, 20)" in printed
+    assert sum(len(pictures) for *_, pictures in cells) == 1
