@@ -27,6 +27,7 @@ __all__ = (
     "npz_bytes",
     "read_arrays",
     "read_json",
+    "remove_leftovers",
     "unfinished",
     "write_arrays",
     "write_json",
@@ -56,6 +57,15 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what killed processes left of files that they were writing, in folders of runs too.
+
+    Only while the folder is locked.
+    """
+    for path in folder.rglob(".*.unfinished"):
+        path.unlink(missing_ok=True)
 
 
 def json_bytes(content: Any) -> bytes:

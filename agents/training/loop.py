@@ -14,7 +14,7 @@ from agents.errors import UserError
 from agents.lockstep import backend
 from agents.training.config import CHECKPOINT, PREVIOUS, TrainConfig, check_together, run_folders
 from agents.training.evaluation import EVALUATION_EPISODES, Results, evaluate
-from agents.training.files import locked
+from agents.training.files import locked, remove_leftovers
 from agents.training.machine import note_session
 from agents.training.snapshots import write_snapshots
 from agents.training.state import Training, joint_trainings, run_epoch
@@ -52,6 +52,7 @@ def train(*folders: Path, on_epoch: OnEpoch = lambda trainings: None) -> list[Tr
     with contextlib.ExitStack() as stack:
         for folder in configs:
             stack.enter_context(locked(folder))
+            remove_leftovers(folder)
         trainings = joint_trainings(list(configs.values()))
         _train(dict(zip(configs, trainings, strict=True)), on_epoch)
     return trainings

@@ -28,10 +28,10 @@ NUMBERS = ["0", "-1", "1", "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "1
 
 
 def many(count, number=0):
-    """Settings of hypothesis for so many examples, the same each time."""
+    """Settings of hypothesis for so many examples (one at least), the same each time."""
     quiet = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
     checks = settings(
-        max_examples=count,
+        max_examples=max(1, count),
         deadline=None,
         database=None,
         suppress_health_check=quiet,

@@ -90,7 +90,7 @@ def processes_of(words):
 def try_reproduce(tally: Tally, count, rng, root):
     """`reproduce` killed at random moments; no worker is left, and the same command goes on."""
     command = [sys.executable, "-m", "agents.cli", "reproduce", "--algorithms", "trpo-lag", "cpo"]
-    command += ["--levels", "1", "--seeds", "3", "--steps", "1000", "--workers", "2"]
+    command += ["--levels", "1", "--seeds", "3", "--steps", "2000", "--workers", "2"]
     command += ["--backend", "eager", "--out"]
     whole, out = root / "grid", root / "killed"
     started = time.monotonic()

@@ -7,7 +7,7 @@ import pytest
 from agents.cli.main import main
 from agents.training import memory
 
-TRAIN = ["train", "--steps", "100", "--seeds", "0", "--backend", "eager"]
+TRAIN = ["train", "--steps", "150", "--seeds", "0", "--backend", "eager"]
 
 
 @pytest.mark.parametrize(
@@ -41,6 +41,7 @@ def test_a_bound_is_told(algorithm, option, value, message, tmp_path, capsys, mo
     monkeypatch.setattr(memory, "machine_memory", lambda: 64 * 10**9)
     out = tmp_path / "x"
     options = ["--algorithm", algorithm, f"--{option}", value, "--out", str(out)]
+    options += ["--steps", "5000"]  # enough for a table of any algorithm
     assert main([*TRAIN, *options]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1

@@ -203,6 +203,15 @@ def test_temporary_files_follow_no_link_and_are_removed(tmp_path):
     assert target.read_text() == "kept"
 
 
+def test_training_removes_what_killed_processes_left(folder, whole):
+    left = (folder / ".status.json.01.unfinished", folder / "seed-0" / ".x.02.unfinished")
+    for path in left:
+        path.write_text("")
+    agents.resume(folder)
+    assert not any(path.exists() for path in left)
+    assert results(folder) == results(whole)
+
+
 def test_a_file_that_another_process_removed_is_written_again(tmp_path, monkeypatch):
     replace, calls = os.replace, []
 
