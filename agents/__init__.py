@@ -9,6 +9,7 @@ The whole entrance from Python:
 | `load_policy(folder, seed, step=None)` | a trained policy -> `Policy` |
 | `pretrained(algorithm, task)` | the folder of a policy that comes with the package |
 | `evaluate(policy_or_folder, task)` | play episodes -> `Evaluation` |
+| `sweep(algorithm, task, grid={...}, out=...)` | every combination of hyper-parameters -> `Runs` |
 | `report(folder)` | tables, figures and a page of all runs below a folder |
 | `register(name, Algorithm(...))` | make an algorithm of your own known |
 
@@ -26,6 +27,7 @@ The rooms of the house, of which each uses only those before it:
 - `paper`: its presets, grid and claims
 - `reporting`: tables, figures, page
 - `export`: policies as files for other programs
+- `sweeps`: combinations of hyper-parameters, and the engines that train them
 - `api`: this entrance
 - `cli`: the command `circle2d`
 """
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
         register,
         report,
         resume,
+        sweep,
         train,
     )
 
@@ -64,6 +67,7 @@ __all__ = (
     "register",
     "report",
     "resume",
+    "sweep",
     "train",
 )
 _LIGHT = {

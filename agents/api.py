@@ -27,7 +27,7 @@ import operator
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar
 
@@ -38,8 +38,10 @@ from agents.lockstep.compiling import cannot_compile, compiling_is_off
 from agents.paper.presets import preset
 from agents.reporting.report import report as write_report
 from agents.runs import Runs
+from agents.sweeps import Values, sweep_configs, train_groups
 from agents.training import loop
 from agents.training.config import Backend, Device, TrainConfig
+from agents.training.engines import EngineName
 from agents.training.environments import Vectorization, check_task, task_id
 from agents.training.epochs import Epoch, follower
 from agents.training.playing import Evaluation, evaluate
@@ -61,6 +63,7 @@ __all__ = (
     "register",
     "report",
     "resume",
+    "sweep",
     "train",
 )
 
@@ -93,11 +96,14 @@ def train(
     checkpoint_every: int = 50_000,
     evaluate_every: int | None = None,
     vectorization: Vectorization = "auto",
+    step_timeout: float | None = None,
     backend: Backend | Literal["auto"] = "auto",
     device: Device = "cpu",
     tensorboard: bool = False,
     on_epoch: OnEpoch | None = None,
     progress: bool = False,
+    engine: EngineName = "local",
+    address: str | None = None,
     **hyperparameters: Any,
 ) -> Runs:
     """Train runs of an algorithm on a task, one for each seed, and evaluate them.
@@ -118,10 +124,13 @@ def train(
         evaluations, each of which leaves the policy too (`load_policy(..., step=...)`); None: none.
     vectorization: "auto": the task's own vector environment or one process; "sync": gymnasium's
         `SyncVectorEnv`; "async": a process for each environment. All give the same results.
+        step_timeout: seconds that a step may take with "async"; None: any.
     backend: how updates run: "compiled", "eager", or "auto": compiled where that is possible.
     tensorboard: whether to write event files too. progress: whether to show it on stderr.
     on_epoch: called with an `Epoch` after each epoch; returning False stops the training after a
         checkpoint, without the evaluation at its end. `resume` goes on.
+    engine: "local": in this process; "ray": as a task of the Ray cluster at `address`, "HOST:PORT"
+        or "auto"; None: RAY_ADDRESS or a cluster of this machine. Without on_epoch and progress.
 
     Raises UserError for what is unknown or not allowed, before anything is written.
     """
@@ -131,8 +140,46 @@ def train(
     config = dataclasses.replace(
         config, checkpoint_every=checkpoint_every, evaluate_every=evaluate_every, device=device
     )
-    config = dataclasses.replace(config, vectorization=vectorization, tensorboard=tensorboard)
-    return _start(config, backend, out, on_epoch, progress)
+    config = dataclasses.replace(
+        config, vectorization=vectorization, step_timeout=step_timeout, tensorboard=tensorboard
+    )
+    return _start(config, backend, out, on_epoch, progress, engine, address)
+
+
+def sweep(
+    algorithm: str,
+    task: str = "Circle2D-1-v0",
+    *,
+    grid: Mapping[str, Values],
+    seeds: int | Iterable[int] = (0, 1, 2),
+    steps: int = 1_000_000,
+    out: str | Path,
+    backend: Backend | Literal["auto"] = "auto",
+    device: Device = "cpu",
+    engine: EngineName = "local",
+    workers: int | None = None,
+    address: str | None = None,
+    **hyperparameters: Any,
+) -> Runs:
+    """Train an algorithm with every combination of some hyper-parameters.
+
+    grid: values of each hyper-parameter by its name: {"cost_limit": (1.0, 5.0), ...}. Each
+        combination has a folder below `out`, named by its values. Given again, the same call goes
+        on where it was interrupted. workers: processes, or tasks of Ray, at a time; by default as
+        many as there are cores. The other arguments are those of `train`.
+
+    Raises UserError for what is unknown or not allowed, before anything is written, and where a
+    training fails; the others are done by then.
+    """
+    task = task_id(task)
+    check_task(task, {})
+    configs = {}
+    for name, values in sweep_configs(grid).items():
+        own = _hyperparameters(algorithm, task, hyperparameters | values)
+        config = TrainConfig(algorithm, task, _seeds(seeds), steps, own, device=device)
+        configs[Path(out) / name] = dataclasses.replace(config, backend=choose_backend(backend))
+    train_groups(configs, engine, workers, address)
+    return Runs(list(configs))
 
 
 @_as_guest
@@ -183,8 +230,12 @@ def _start(
     out: str | Path | None,
     on_epoch: OnEpoch | None,
     progress: bool,
+    engine: EngineName,
+    address: str | None,
 ) -> Runs:
     """Make the folder of some runs and train them."""
+    if engine != "local" and (on_epoch or progress):
+        raise UserError("on_epoch and progress are of the engine local")
     check_task(config.task, config.task_parameters)
     if config.tensorboard:
         require_tensorboard()
@@ -192,8 +243,13 @@ def _start(
     lockstep_backend.require(config.backend == "compiled", config.device)
     folder = Path(tempfile.mkdtemp(prefix="agents-") if out is None else out)
     try:
-        config.write(folder)
-        _train([folder], on_epoch, progress)
+        if engine == "local" and address is None:
+            config.write(folder)
+            _train([folder], on_epoch, progress)
+        else:
+            if (folder / "config.json").exists():
+                raise UserError(f"{folder} holds runs already")
+            train_groups({folder: config}, engine, None, address)
     except BaseException:
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)

@@ -16,6 +16,19 @@ class UserError(ValueError):
     """
 
 
+class TaskFailure(UserError):
+    """An environment that failed while it was stepped. The command line exits with status 1."""
+
+
+def one_line(text: object) -> str:
+    """Text for a terminal: one line, control characters written as escapes."""
+    words = " ".join(str(text).splitlines())
+    return "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode()
+        for letter in words
+    )
+
+
 EXTRA = ("filelock", "jinja2", "matplotlib", "rich", "scipy", "torch", "tyro")
 """Packages that training and reports need, and that an installation without [train] lacks."""
 
@@ -58,12 +71,20 @@ def check(
     """Refuse fields of a config that are not finite numbers within bounds (`above` is excluded)."""
     for name in names:
         value = getattr(config, name)
-        if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value):
+        if not _is_finite(value):
             raise UserError(f"{name} must be a finite number, got {value!r}")
         if not (low <= float(value) <= high and float(value) > above):
             bounds = {"at least": low, "above": above, "at most": high}
             rule = " and ".join(f"{k} {v:g}" for k, v in bounds.items() if math.isfinite(v))
             raise UserError(f"{name} must be {rule}, got {value!r}")
+
+
+def _is_finite(value: Any) -> bool:
+    """Whether a value is a real number that a float can hold."""
+    try:
+        return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:  # an integer beyond all floats
+        return False
 
 
 def check_choice(config: Any, name: str, *allowed: str) -> None:

@@ -33,7 +33,10 @@ exit status: 0 the table is complete; 1 a number is missing (no rollout starts i
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: error: {message}\n")  # one line, without the usage
+        # One line, without the usage, and without control characters that paths may hold.
+        words = " ".join(message.splitlines())
+        shown = "".join(c if c.isprintable() else repr(c)[1:-1] for c in words)
+        self.exit(2, f"{self.prog}: error: {shown}\n")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -16,6 +16,8 @@ def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
     detach = getattr(values, "detach", None)
     if callable(detach):  # a torch tensor, met without importing torch
         values = detach().cpu()  # pyright: ignore[reportAttributeAccessIssue]
+    if isinstance(values, np.ma.MaskedArray):
+        raise TypeError(f"{name} must not be a masked array: its mask would be lost")
     try:
         array = np.asarray(values)
     except (TypeError, ValueError) as error:  # a ragged list, say
@@ -114,6 +116,8 @@ def as_number(value: float, name: str) -> float:
         number = float(operator.pos(value))  # pos: float() alone would take the text "0.5"
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be a number, got {value!r}") from None
+    except OverflowError:
+        raise ValueError(f"{name} must be finite, got an integer beyond all floats") from None
     if not math.isfinite(number):
         raise ValueError(f"{name} must be finite, got {number}")
     return number

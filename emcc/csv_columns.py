@@ -1,6 +1,7 @@
 """CSV text -> named columns of text -> arrays; a damaged cell is named by file, line and column."""
 
 import csv
+import io
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,15 @@ class Columns(dict[str, list[str]]):
     """Number of the line of the first row."""
 
 
-def read_columns(path: Path) -> Columns:
+def read_columns(path: Path, data: bytes | None = None) -> Columns:
     """The columns of a CSV file. Lines above the header that begin with '#' are skipped.
 
+    data: its content, where that was read already.
     ValueError: not a text file, no header, or a line with another number of fields than the header.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
+        text = (path.read_bytes() if data is None else data).decode("utf-8")
+        rows = list(csv.reader(io.StringIO(text, newline="")))
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path}: not a CSV file: {error}") from None
     comments = 0
@@ -51,6 +53,8 @@ def parse(columns: Columns, name: str, number: type[int] | type[float]) -> NDArr
     path, values = columns.path, []
     for line, text in enumerate(columns[name], start=columns.first_line):
         try:
+            if not text.isascii() or "_" in text:  # Python reads 1_0 and the digits of any script
+                raise ValueError
             values.append(number(text))
         except ValueError:
             raise ValueError(

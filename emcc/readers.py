@@ -2,7 +2,7 @@
 
 import json
 import math
-import zipfile
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 
 from emcc import foreign_logs
 from emcc.csv_columns import Columns, parse, read_columns
+from emcc.files import read_checked
 from emcc.inputs import EpisodeSums, EpochMeans, Run
 from emcc.records import COLUMNS, EpisodeRecords
 
@@ -80,7 +81,7 @@ def _labelled(run: Run) -> Run:
         return run
     try:
         config = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not JSON: {error}") from None
     if not isinstance(config, dict):
         raise ValueError(f"{path}: must be a JSON object, got {type(config).__name__}")
@@ -91,9 +92,10 @@ def _labelled(run: Run) -> Run:
     labels["settings"] = json.dumps(settings, sort_keys=True)
     if "steps" in config:
         steps = config["steps"]
-        if not isinstance(steps, int) or steps < 1:
+        if not isinstance(steps, int) or isinstance(steps, bool) or not 1 <= steps < 2**63:
             raise ValueError(f"{path}: steps must be a whole number >= 1, got {steps!r}")
         labels |= {"total_steps": steps, "total_from": CONFIG_FILE}
+    read_checked(path)
     return replace(run, **labels)
 
 
@@ -111,10 +113,14 @@ def _run_of_costs(
 def _read_numpy(path: Path, threshold: float) -> Run:
     """.npy: costs [steps] or [episodes, steps]. .npz: costs, and lengths of several episodes."""
     try:
-        content = np.load(path, allow_pickle=False)
-        arrays = {"costs": content} if isinstance(content, np.ndarray) else dict(content)
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path}: not a numpy file: {error}") from None
+        with path.open("rb") as file, warnings.catch_warnings():  # numpy leaves a damaged file open
+            warnings.simplefilter("error")  # of a damaged header too
+            content: Any = np.load(file, allow_pickle=False)
+            arrays = {"costs": content} if isinstance(content, np.ndarray) else dict(content)
+    except OSError:
+        raise
+    except Exception as error:  # a damaged file has numpy and zipfile raise errors of any kind
+        raise ValueError(f"{path}: not a numpy file: {error or type(error).__name__}") from None
     if "costs" not in arrays:
         raise ValueError(f"{path}: has the arrays {', '.join(arrays)}; needed is costs")
     costs = np.atleast_1d(arrays["costs"])

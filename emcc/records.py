@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from emcc.arrays import as_array, as_integers
 from emcc.csv_columns import parse, read_columns
+from emcc.files import digest, read_checked, read_checksums, replacing, write_whole
 from emcc.parts import ALPHA, emcc_by_part, rollouts_by_part
 from emcc.streaks import count_streaks, longest_streaks
 from emcc.tail import emcc
@@ -242,31 +243,35 @@ class EpisodeRecords:
         columns["rollout"] = columns["rollout"] + np.repeat(rollouts, sizes)
         return cls(*columns.values())
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a CSV file, whole or not at all; equal records give equal bytes."""
-        path = Path(path)
+    def to_csv(self) -> str:
+        """The text of the CSV file; equal records give equal text."""
         columns = self._columns()
         rows = zip(*(array.tolist() for array in columns.values()), strict=True)
-        lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows), ""]
-        # A fixed name: what a killed process left there, the next one overwrites.
-        unfinished = path.with_name(f".{path.name}.unfinished")
-        try:
-            unfinished.write_text("\n".join(lines), encoding="utf-8", newline="\n")
-            os.replace(unfinished, path)
-        finally:
-            unfinished.unlink(missing_ok=True)
+        return "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""])
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a CSV file, whole or not at all; equal records give equal bytes.
+
+        Where a `checksums.json` beside it holds the file's checksum, it gets the new one.
+        """
+        path, text = Path(path), self.to_csv()
+        known = path.name in read_checksums(path.parent)
+        with replacing(path.parent, {path.name: digest(text.encode())} if known else {}):
+            write_whole(path, text)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "EpisodeRecords":
         """Read what `save` wrote, bit for bit.
 
-        ValueError: a damaged file; the message names it with the line and column.
+        ValueError: a damaged file; the message names it with the line and column, or says that it
+        does not match its checksum, where `checksums.json` beside it or one folder above has one.
         """
         path = Path(path)
-        columns = read_columns(path)
+        data = read_checked(path)
+        columns = read_columns(path, data)
         if list(columns) not in (list(COLUMNS), [name for name in COLUMNS if name not in OPTIONAL]):
             raise ValueError(f"{path}: the header must be {','.join(COLUMNS)}")
-        if not path.read_bytes().endswith(b"\n"):  # a number may have lost its last digits
+        if not data.endswith(b"\n"):  # a number may have lost its last digits
             raise ValueError(f"{path}: the last line is cut off")
         try:
             return cls(*(parse(columns, name, COLUMNS[name]) for name in columns))

@@ -25,6 +25,7 @@ LAYERS = (
     "paper",
     "reporting",
     "export",
+    "sweeps",
     "runs",
     "api",
     "cli",

@@ -3,6 +3,7 @@
 import ast
 import importlib.util
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ NEEDED = {
     "with_minari.py": ("minari", "jax", "h5py"),
     "with_mlflow.py": ("mlflow",),
     "with_optuna.py": ("optuna",),
+    "with_ray_tune.py": ("ray", "pyarrow"),
     "with_sb3.py": ("stable_baselines3",),
     "with_tianshou.py": ("tianshou",),
     "with_torchrl.py": ("torchrl",),
@@ -61,3 +63,14 @@ def test_it_runs(name, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "violation rate V" in done.stdout
     assert "limit 5" in done.stdout
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("slurm/*.sbatch")), ids=lambda path: path.name)
+def test_batch_scripts(path):
+    subprocess.run(["bash", "-n", path], check=True)
+    shellcheck = shutil.which(
+        "shellcheck", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    )
+    if shellcheck is None:
+        pytest.skip("needs shellcheck")
+    subprocess.run([shellcheck, path], check=True)

@@ -48,9 +48,9 @@ class WCSACConfig(MultiplierConfig, ConstrainedSACConfig):
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         super().__post_init__()
-        check(self, "initial_multiplier", high=50)  # far from where exp overflows
+        check(self, "initial_multiplier", low=-50, high=50)  # far from where exp overflows
         check(self, "risk_level", above=0, high=1)
-        check(self, "damping", low=0)
+        check(self, "damping", low=0, high=1e6)
         check_choice(self, "variance_target", "squared", "unsquared")
         check_choice(self, "damping_gradient", "stopped", "through")
 

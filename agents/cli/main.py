@@ -12,7 +12,8 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 
-from agents.errors import UserError, extra_hint, nearest
+from agents.cli import signals
+from agents.errors import TaskFailure, UserError, extra_hint, nearest, one_line
 
 COMMANDS = {
     "train": "train runs of an algorithm on a task, evaluate them and print their table",
@@ -45,29 +46,36 @@ def usage() -> str:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit status: 0 done, 1 a run failed, 2 a mistake of the user,
-    130 interrupted."""
+    """Run a command; returns the exit status: 0 done, 1 a run or a task failed, 2 a mistake of the
+    user, 128 and the number of the signal that ended it (130 for Ctrl-C)."""
     args = sys.argv[1:] if args is None else args
     if not args or args[0] in ("-h", "--help"):
         print(usage(), end="")
         return 0 if args else 2
     try:
-        if args[0] == "--version":
-            from importlib.metadata import version
+        with signals.handled():
+            if args[0] == "--version":
+                from importlib.metadata import version
 
-            print(f"circle2d-mj {version('circle2d-mj')}")
-            return 0
-        return _run(args[0], args[1:])
+                print(f"circle2d-mj {version('circle2d-mj')}")
+                return 0
+            return _run(args[0], args[1:])
     except UserError as error:
-        print(f"circle2d: {error}", file=sys.stderr)
-        return 2
+        _say(error)
+        return 1 if isinstance(error, TaskFailure) else 2
     except (OSError, MemoryError) as error:
-        print(f"circle2d: {error or 'out of memory'}", file=sys.stderr)
+        _say(error or "out of memory")
         return 2
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
+        name = f" by {error}" if str(error) else ""
         how = "'circle2d resume' of a training, or the same 'circle2d reproduce', goes on"
-        print(f"circle2d: interrupted; {how}", file=sys.stderr)
-        return 130
+        _say(f"interrupted{name}; {how}")
+        return 128 + getattr(error, "number", 2)
+
+
+def _say(words: object) -> None:
+    """Print a line of the command's own."""
+    print(f"circle2d: {one_line(words)}", file=sys.stderr)
 
 
 def _run(command: str, args: Sequence[str]) -> int:
@@ -80,7 +88,9 @@ def _run(command: str, args: Sequence[str]) -> int:
     with _current_folder_on_path(), warnings.catch_warnings():
         warnings.showwarning = _print_warning
         try:
-            return importlib.import_module(f"agents.cli.{command}").run(args)
+            with signals.importing():
+                module = importlib.import_module(f"agents.cli.{command}")
+            return module.run(args)
         except ModuleNotFoundError as error:
             if not (hint := extra_hint(error, command)):
                 raise
@@ -89,7 +99,7 @@ def _run(command: str, args: Sequence[str]) -> int:
 
 def _print_warning(message: object, *_: object) -> None:
     """Print a warning as a line of the command's own."""
-    print(f"circle2d: {message}", file=sys.stderr)
+    _say(message)
 
 
 @contextlib.contextmanager

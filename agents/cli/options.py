@@ -180,11 +180,12 @@ def _integers(info: Any) -> Any:
 def integer(text: str) -> int:
     """Read an integer, 1e6 among them. Raises ValueError for any other text."""
     try:
-        return int(text)
+        if text.isascii():  # not the digits of any script
+            return int(text)
     except ValueError:
         pass
     try:
-        value = float(text)
+        value = float(text if text.isascii() else "")
     except ValueError:
         value = 0.5
     if not value.is_integer():

@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import sys
 
+from agents.cli.signals import AfterEpoch
 from agents.cli.terminal import show
-from agents.errors import UserError
+from agents.errors import UserError, one_line
 from agents.reporting.report import table
 from agents.runs import Runs
 from agents.training.config import FAILURE, run_folder
 from agents.training.files import read_json
 
 
-def finish(runs: Runs) -> int:
-    """Print the table of every folder, and the failures; returns the exit status."""
+def finish(runs: Runs, after_epoch: AfterEpoch) -> int:
+    """Print the table of every folder, and the failures; returns the exit status.
+
+    after_epoch: says whether a signal stopped the training, of which one line is printed then.
+    """
+    if after_epoch.number is not None:
+        print(f"circle2d: {one_line(after_epoch.words())}", file=sys.stderr)
+        return 128 + after_epoch.number
     for folder in runs.folders:
         try:
             show(table(folder))
         except UserError as error:  # the training itself is done
-            print(f"circle2d: no table: {error}", file=sys.stderr)
+            print(f"circle2d: no table: {one_line(error)}", file=sys.stderr)
     return name_failures(runs)
 
 
@@ -35,6 +42,6 @@ def name_failures(runs: Runs) -> int:
                 failure = f"the evaluation of seed {seed} met a number that is not finite"
             else:
                 continue
-            print(f"circle2d: {folder}: {failure}", file=sys.stderr)
+            print(f"circle2d: {one_line(folder)}: {one_line(failure)}", file=sys.stderr)
             status = 1
     return status

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,17 +18,18 @@ from agents.algorithms import ALGORITHMS
 from agents.cli.checks import check_enough_steps, check_width
 from agents.cli.options import BackendChoice, Imports, parse
 from agents.cli.terminal import show
-from agents.errors import UserError
+from agents.errors import UserError, one_line
 from agents.lockstep.backend import require
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
 from agents.training.config import Device, TrainConfig
+from agents.training.engines import Engine, EngineName, engine
 from agents.training.environments import check_task, task_id
 from agents.training.files import locked
 from agents.training.machine import other_session
 from agents.training.progress import working
 from agents.training.status import duration, share_done, speed
-from agents.training.workers import Group, Workers, cores
+from agents.training.workers import MOST_WORKERS, Group, cores
 from circle2d_mj.circle2d.config import LEVELS
 
 
@@ -67,6 +67,14 @@ class ReproduceOptions:
     """Where updates run: cuda on a GPU."""
     workers: int = cores()
     """Processes, of one thread each; by default one for each core that this process may use."""
+    engine: EngineName = "local"
+    """local: processes of this machine. ray: tasks of a Ray cluster, of one core each (and one GPU
+    with --device cuda); needs the extra [ray]."""
+    address: str | None = None
+    """Of the Ray cluster's head, HOST:PORT, or auto for one that runs on this machine; by default
+    RAY_ADDRESS, or else a cluster of this machine is started."""
+    shard: str | None = None
+    """I/N, such as 1/4: train the I-th of N equal parts, for job arrays. Writes no report."""
     width: int | None = None
     """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
     are printed as Markdown."""
@@ -79,25 +87,33 @@ def run(args: Sequence[str]) -> int:
     check_width(options.width)
     if not options.algorithms:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
-    if options.workers < 1:
-        raise UserError(f"workers must be at least 1, got {options.workers}")
+    if not 1 <= options.workers <= MOST_WORKERS:
+        raise UserError(f"workers must be in [1, {MOST_WORKERS}], got {options.workers}")
     configs = _configs(options)
+    if options.shard is not None:
+        configs = grid.shard(configs, *_shard(options.shard))
     grid.prepare(configs)
     for folder, config in configs.items():
         if (note := other_session(folder)) and not grid.finished(folder, config):
             print(f"circle2d: {folder}: {note}", file=sys.stderr)
-    with _ended_by_signals():
-        with locked(options.out):
-            failed = _train(configs, options.workers, options.imports)
-        for folder, message in failed.items():
-            print(f"circle2d: {folder} failed: {message}", file=sys.stderr)
-        try:
-            with working("drawing the report"):
-                table = api.report(options.out)
-            show(table, options.width)
-        except UserError as error:
-            print(f"circle2d: no report: {error}", file=sys.stderr)
-            return 1
+    modules = {task.rpartition(":")[0] for task in options.tasks} - {""}
+    # The parts of a grid train at the same time: there each folder has a lock alone.
+    lock = contextlib.nullcontext() if options.shard else locked(options.out)
+    count = options.workers if options.engine == "local" else None
+    with lock, engine(options.engine, count, options.address, options.device) as ready:
+        failed = _train(configs, ready, [*options.imports, *sorted(modules)])
+    for folder, message in failed.items():
+        print(f"circle2d: {one_line(folder)} failed: {one_line(message)}", file=sys.stderr)
+    if options.shard is not None:
+        print(f"part {options.shard} is over; after all: circle2d report {options.out}")
+        return int(bool(failed))
+    try:
+        with working("drawing the report"):
+            table = api.report(options.out)
+        show(table, options.width)
+    except UserError as error:
+        print(f"circle2d: no report: {one_line(error)}", file=sys.stderr)
+        return 1
     return int(bool(failed) or any(grid.has_failures(f, c) for f, c in configs.items()))
 
 
@@ -121,6 +137,14 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}
 
 
+def _shard(text: str) -> tuple[int, int]:
+    """I and N of "I/N". Raises UserError."""
+    part, _, count = text.partition("/")
+    if not (part.isdecimal() and count.isdecimal() and 1 <= int(part) <= int(count)):
+        raise UserError(f"shard must be I/N with I from 1 to N, such as 1/4, got {text!r}")
+    return int(part), int(count)
+
+
 def _tasks(options: ReproduceOptions) -> Sequence[str]:
     if not options.tasks:
         return grid.circle2d_tasks(options.levels, options.mujoco)
@@ -131,37 +155,21 @@ def _tasks(options: ReproduceOptions) -> Sequence[str]:
     return options.tasks
 
 
-@contextlib.contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """End this process and its workers, as Ctrl-C does, at a signal that a batch system or a closed
-    terminal sends."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    names = ("SIGTERM", "SIGHUP")  # the second is not everywhere
-    signals = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    before = [signal.signal(number, interrupt) for number in signals]
-    try:
-        yield
-    finally:
-        for number, handler in zip(signals, before, strict=True):
-            signal.signal(number, handler)
-
-
-def _train(configs: dict[Path, TrainConfig], count: int, imports: Sequence[str]) -> dict[Path, str]:
+def _train(
+    configs: dict[Path, TrainConfig], engine: Engine, imports: Sequence[str]
+) -> dict[Path, str]:
     """Train what is not finished; returns the folders that failed, each with its error."""
     left = [folder for folder, config in configs.items() if not grid.finished(folder, config)]
     shares = {folder: share_done(folder) if folder in left else 1.0 for folder in configs}
     started, (before, total) = time.monotonic(), grid.work_left(shares, configs)
     console = Console(stderr=True)
-    groups = grid.groups({folder: configs[folder] for folder in left}, count)
+    groups = grid.groups({folder: configs[folder] for folder in left}, engine.count)
 
     def is_finished(folder: Path) -> bool:
         return grid.finished(folder, configs[folder])
 
     with (
-        Workers(groups, count, is_finished, imports) as workers,
+        engine.workers(groups, is_finished, imports) as workers,
         Live(console=console, auto_refresh=False) as live,
     ):
         shown, tenths = 0, 0

@@ -11,6 +11,7 @@ from typing import Annotated
 import tyro
 
 from agents import api
+from agents.cli import signals
 from agents.cli.checks import check_holds_runs
 from agents.cli.options import Imports, parse
 from agents.cli.outcome import finish
@@ -37,4 +38,6 @@ def run(args: Sequence[str]) -> int:
     for folder in folders:
         if note := other_session(folder):
             print(f"circle2d: {folder}: {note}", file=sys.stderr)
-    return finish(api.resume(*folders, progress=True))
+    with signals.AfterEpoch() as after_epoch:
+        runs = api.resume(*folders, progress=True, on_epoch=after_epoch)
+    return finish(runs, after_epoch)

@@ -14,6 +14,7 @@ import tyro
 
 from agents import api
 from agents.algorithms import ALGORITHMS
+from agents.cli import signals
 from agents.cli.checks import check_enough_steps
 from agents.cli.hyperparameters import explain_all
 from agents.cli.options import (
@@ -55,6 +56,9 @@ class TrainOptions:
     vectorization: Vectorization = "auto"
     """How environments run side by side: the task's own vector environment or one process (auto),
     gymnasium's SyncVectorEnv (sync), a process each, for slow tasks (async)."""
+    step_timeout: float | None = None
+    """Seconds that a step may take with async; the training fails where a process does not answer
+    in time. By default it is waited for."""
     tensorboard: bool = False
     """Write TensorBoard event files too, into each run's folder."""
     backend: BackendChoice = "auto"
@@ -90,7 +94,9 @@ def run(args: Sequence[str]) -> int:
     check_task(task, values["task_parameters"])
     check_enough_steps(task, values["task_parameters"], options.steps, own)
     values |= {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
-    return finish(api.train(**values, progress=True))
+    with signals.AfterEpoch() as after_epoch:
+        runs = api.train(**values, progress=True, on_epoch=after_epoch)
+    return finish(runs, after_epoch)
 
 
 def _options_of_others(name: str) -> Iterator[tuple[str, str]]:

@@ -45,9 +45,10 @@ class PPOConfig(OnPolicyConfig):
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         super().__post_init__()
-        check_integers(self, "batch_size", "actor_iterations", low=1)
+        check_integers(self, "actor_iterations", low=1, high=10_000)
+        check_integers(self, "batch_size", low=1)
         check(self, "clip_range", above=0, high=1)
-        check(self, "max_gradient_norm", above=0)
+        check(self, "max_gradient_norm", above=0, high=1e6)
 
 
 class Objective(NamedTuple):

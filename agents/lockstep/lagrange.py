@@ -54,8 +54,9 @@ class MultiplierConfig(PIDConfig):
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
-        check(self, "initial_multiplier")
-        check(self, "multiplier_lr", "pid_kp", "pid_ki", "pid_kd", low=0)
+        # Numbers are float32: beyond these bounds the first update is not finite.
+        check(self, "initial_multiplier", low=-1e6, high=1e6)
+        check(self, "multiplier_lr", "pid_kp", "pid_ki", "pid_kd", low=0, high=1e6)
         check_choice(self, "multiplier_optimizer", "adam", "sgd", "pid")
         of_family = getattr(super(), "__post_init__", None)
         if of_family:

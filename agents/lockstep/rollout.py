@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from agents.errors import UserError
+from agents.errors import TaskFailure, UserError
 from emcc.streak_cost import weighted
 
 
@@ -121,7 +121,7 @@ def collect(
     [N, observation size] -> actions [N, action size]; active: [N], the environments of which an
     episode is wanted, all by default. An environment whose episode has ended waits for the others,
     and its further steps are left out; so does one whose action is not finite. Raises UserError
-    where the environment gives no `info["cost"]` or a negative one, or does not end.
+    where the environment gives no `info["cost"]`, TaskFailure for a negative one or no end.
     """
     observation = _reset(envs, seed=list(seeds))
     running = np.ones(len(seeds), dtype=bool) if active is None else active.copy()
@@ -130,7 +130,7 @@ def collect(
     steps: list[tuple] = []
     while running.any():
         if len(steps) == MAX_STEPS:
-            raise UserError(f"an episode of {envs} has not ended after {MAX_STEPS} steps")
+            raise TaskFailure(f"an episode of {envs} has not ended after {MAX_STEPS} steps")
         with np.errstate(over="ignore", invalid="ignore"):  # found by the next line
             action = act(observation)
         if not np.isfinite(action).all():
@@ -158,10 +158,10 @@ def _reset(envs: VectorEnv, **kwargs: Any) -> NDArray[np.float32]:
 
 
 def _checked(rollout: Rollout, envs: VectorEnv) -> Rollout:
-    """The rollout with episodes marked that hold numbers which are not finite. Raises UserError for
-    a negative cost."""
+    """The rollout with episodes marked that hold numbers which are not finite. Raises TaskFailure
+    for a negative cost."""
     if (rollout.cost[rollout.during] < 0).any():
-        raise UserError(f"{envs} gives a negative cost")
+        raise TaskFailure(f"{envs} gives a negative cost")
     finite = np.isfinite(rollout.reward) & np.isfinite(rollout.cost)
     finite &= np.isfinite(rollout.next_observation).all(axis=-1)
     void = (~finite & rollout.during).any(axis=0)

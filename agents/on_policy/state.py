@@ -49,11 +49,11 @@ class OnPolicyConfig:
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
-        check_integers(self, "episodes", "critic_iterations", low=1)
+        check_integers(self, "episodes", "critic_iterations", low=1, high=10_000)
         check(self, "discount", "gae_lambda", low=0, high=1)
         check(self, "learning_rate", above=0, high=1)
         check(self, "input_scale", low=1e-6, high=1e6)
-        check(self, "initial_log_std")
+        check(self, "initial_log_std", low=-20, high=20)
         check_lanes(self)
         check_choice(self, "time_limit", "bootstrap", "terminal")
 
@@ -72,7 +72,7 @@ class EpisodeCostLimit:
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
-        check(self, "cost_limit", low=0)
+        check(self, "cost_limit", low=0, high=1e9)
         check(self, "streak_weight", low=0, high=1e6)
         of_family = getattr(super(), "__post_init__", None)
         if of_family:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PIL import Image
 from rich.console import Console
 from rich.progress import track
 
 from agents.errors import UserError
-from agents.training.files import write_whole
+from agents.training.files import unfinished, write_whole
 from circle2d_mj.core.view import Picture
 
 FRAMES_A_SECOND = 10
@@ -37,24 +37,28 @@ def png(picture: Picture) -> bytes:
 
 def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:
     """Write `total` frames into a .gif or .mp4 file, whole or not at all, showing progress."""
+    _prepare(path)
+    shown = track(frames, "drawing", total, console=Console(stderr=True), transient=True)
+    if path.suffix.lower() == ".gif":
+        import imageio.v3 as imageio
+
+        pictures = np.array(list(shown))
+        timing: dict[str, Any] = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0}
+        write_whole(path, imageio.imwrite("<bytes>", pictures, extension=".gif", **timing))
+    else:
+        _write_stream(path, shown)
+
+
+def _write_stream(path: Path, frames: Iterable[Picture]) -> None:
+    """Write a file frame by frame."""
     import imageio.v2 as imageio
 
-    # Blocks of two pixels: sizes are even, and would be changed to multiples of 16 otherwise.
-    timing: dict[str, Any] = {"fps": FRAMES_A_SECOND, "macro_block_size": 2}
-    if path.suffix.lower() == ".gif":
-        timing = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0}
-    _prepare(path)
-    unfinished = path.with_name(f".unfinished-{path.name}")
-    try:
-        writer: Any = imageio.get_writer(unfinished, **timing)
+    with unfinished(path) as temporary:
+        # Blocks of two pixels: sizes are even, and would be changed to multiples of 16 otherwise.
+        writer: Any = imageio.get_writer(temporary, fps=FRAMES_A_SECOND, macro_block_size=2)
         with writer:
-            for frame in track(
-                frames, "drawing", total, console=Console(stderr=True), transient=True
-            ):
+            for frame in frames:
                 writer.append_data(frame)
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def _prepare(path: Path) -> None:

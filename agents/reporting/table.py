@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from agents.errors import one_line
 from emcc import Interval, Share
 
 MISSING = "\N{EN DASH}"
@@ -123,7 +125,7 @@ class Table:
 
     def markdown(self) -> str:
         """The legend, the rows, and a paragraph for each note."""
-        lines = [list(self.head), ["---"] * len(self.head)]
+        lines = [[plain(cell) for cell in self.head], ["---"] * len(self.head)]
         lines += [[_markdown(cell) for cell in row.cells] for row in self.rows]
         lines = [line[: self.columns] for line in lines]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -131,11 +133,19 @@ class Table:
             " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True))
             for line in lines
         )
-        notes = [part for note in self.notes for part in ("", f"Note: {note}")]
-        return "\n".join([self.legend, "", *(f"| {line} |" for line in padded), *notes, ""])
+        notes = [part for note in self.notes for part in ("", f"Note: {plain(note)}")]
+        return "\n".join([plain(self.legend), "", *(f"| {line} |" for line in padded), *notes, ""])
 
 
 def _markdown(cell: Cell) -> str:
-    if isinstance(cell, str) or not cell.marked:
+    if isinstance(cell, str):
+        return plain(cell).replace("|", "\\|")
+    if not cell.marked:
         return str(cell)
     return f"**{cell.text}** {cell.interval}".rstrip()
+
+
+def plain(text: str) -> str:
+    """Text that is no HTML in Markdown and no control sequence on a terminal: names come from
+    other people's files."""
+    return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", one_line(text))

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from agents.errors import UserError
 from agents.results.measures import RunData, measures
 from agents.results.source import DamagedSource, Source
 from agents.training.config import TrainConfig
-from emcc import EpisodeRecords
+from agents.training.evaluation import CVAR_ALPHA, POLICIES
+from emcc import EpisodeRecords, cvar
+
+CVAR = f"CVaR_{CVAR_ALPHA:g}"
+
+
+UNREADABLE = (OSError, ValueError, ArithmeticError, LookupError, TypeError, AttributeError)
+"""Errors of values in a run's files that are of another kind than they should be."""
 
 
 @dataclass(frozen=True)
@@ -108,13 +118,15 @@ def _read_group(source: Source, folder: str, config: TrainConfig) -> Group:
             runs.append(_read_run(source, folder, config, seed))
         except DamagedSource:
             raise
-        except (UserError, ValueError, OSError, KeyError, TypeError, AttributeError) as error:
+        except UNREADABLE as error:
             missing[seed] = f"{error}"
     return Group(folder, config, runs, missing)
 
 
 def _read_run(source: Source, folder: str, config: TrainConfig, seed: int) -> Run:
     files = source.run(folder, config, seed)
+    _check_records(files.records, config.steps)
+    _check_evaluation(files.evaluation)
     data = RunData(files.records, config.steps, files.evaluation)
     return Run(
         seed,
@@ -125,3 +137,42 @@ def _read_run(source: Source, folder: str, config: TrainConfig, seed: int) -> Ru
         files.evaluation,
         files.ways,
     )
+
+
+def _check_records(records: EpisodeRecords, steps: int) -> None:
+    """Raise UserError for records that no training of so many steps leaves."""
+    last = records.start_step[records.rollout == records.rollout.max()].min()
+    if last >= steps:
+        raise UserError(f"is damaged: a rollout starts at step {last}, the training has {steps}")
+
+
+def _check_evaluation(content: Mapping[str, Any]) -> None:
+    """Raise UserError for an `evaluation.json` with values that cannot be."""
+    episodes = content["episodes"]
+    if not isinstance(episodes, int) or isinstance(episodes, bool) or episodes < 1:
+        raise UserError(f"evaluation.json is damaged: episodes must be >= 1, got {episodes!r}")
+    for policy in POLICIES:
+        of = content.get(policy, {})
+        for name in {"J_R", "J_C", CVAR} & of.keys():
+            value = of[name]
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not number or (name != "J_R" and value < 0):
+                raise UserError(
+                    f"evaluation.json is damaged: {name} of the {policy} policy is {value!r}"
+                )
+        if "returns" in of and "cost_returns" in of:
+            _check_means(policy, of, episodes)
+
+
+def _check_means(policy: str, of: Mapping[str, Any], episodes: int) -> None:
+    """Raise UserError where the means of a policy are not those of its episodes."""
+    returns, costs = (np.array(of[name], dtype=np.float64) for name in ("returns", "cost_returns"))
+    if returns.shape != (episodes,) or costs.shape != (episodes,):
+        raise UserError(f"evaluation.json is damaged: it must hold {episodes} episodes a policy")
+    means = {"J_R": returns.mean(), "J_C": costs.mean(), CVAR: cvar(costs, CVAR_ALPHA)}
+    for name, mean in means.items():
+        if name in of and not math.isclose(of[name], mean, rel_tol=1e-9, abs_tol=1e-9):
+            raise UserError(
+                f"evaluation.json is damaged: {name} of the {policy} policy is {of[name]}, its "
+                f"episodes give {mean}"
+            )

@@ -96,7 +96,7 @@ class FolderSource:
         problems: list[str] = []
         for path in sorted(root.rglob("config.json")):
             try:
-                content = read_json(path)
+                content = read_json(path, checked=True)
             except UserError as error:
                 problems.append(self._relative(error))
                 continue
@@ -125,7 +125,7 @@ class FolderSource:
             records = EpisodeRecords.load(path / "episodes.csv")
             if records.total_steps < config.steps:
                 raise UserError(f"is unfinished: {records.total_steps} of {config.steps} steps")
-            evaluation = read_json(path / "evaluation.json")
+            evaluation = read_json(path / "evaluation.json", checked=True)
         except (ValueError, OSError) as error:
             raise UserError(self._relative(error)) from None
         return RunFiles(records, evaluation, *count_ends(self._view(config), evaluation))

@@ -63,7 +63,8 @@ class SACConfig:
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
-        check_integers(self, "gradient_steps", "replay_size", low=1)
+        check_integers(self, "gradient_steps", low=1, high=100_000)
+        check_integers(self, "replay_size", low=1)
         check_integers(self, "batch_size", low=1, high=self.replay_size)
         check_integers(self, "random_steps", low=0)
         check(self, "discount", "target_rate", low=0, high=1)
@@ -91,7 +92,7 @@ class ConstrainedSACConfig(SACConfig):
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         super().__post_init__()
-        check(self, "cost_limit", low=0)
+        check(self, "cost_limit", low=0, high=1e9)
         check(self, "streak_weight", low=0, high=1e6)
 
 

@@ -4,21 +4,30 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from dataclasses import dataclass, make_dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from agents.algorithms import ALGORITHMS, algorithm
-from agents.errors import UserError, check_choice, check_integers
+from agents.errors import UserError, check, check_choice, check_integers
 from agents.lockstep.noise import stream_seed
 from agents.training.environments import Spaces, Vectorization, is_native, sizes_of, spaces_of
-from agents.training.files import locked, read_json, write_json
+from agents.training.files import compare, json_bytes, locked, read_json
 from agents.training.machine import commit, made_with
+from agents.training.memory import check_memory
+from emcc.files import write_files
 
 Backend = Literal["compiled", "eager"]
 Device = Literal["cpu", "cuda"]
 FAILURE = "failed.json"
 """In the folder of a run that stopped at a number which is not finite: the step it had come to."""
+TASK = re.compile(r"([\w.]+:)?([\w-]+/)?[\w:.-]+")
+"""Ids of tasks, as gymnasium has them, with the module that registers them before."""
+ALGORITHM = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+"""Names of algorithms: see `agents.algorithms.register`."""
+CHECKPOINT, PREVIOUS = "checkpoint.npz", "checkpoint.previous.npz"
+"""In the folder of the runs: the last checkpoint, and the one before it."""
 NOT_SETTINGS = ("versions", "machine", "resumed", "spaces", "algorithm_module", "commit")
 """Entries of config.json that are no fields of `TrainConfig`."""
 
@@ -47,6 +56,8 @@ class TrainConfig:
     """Environment steps of a run between evaluations, which leave the policy too; None: never."""
     vectorization: Vectorization = "auto"
     """How environments run side by side: see `make_envs`."""
+    step_timeout: float | None = None
+    """Seconds that a step of environments in processes of their own may take; None: any."""
     tensorboard: bool = False
     """Whether to write TensorBoard event files too."""
     backend: Backend = "eager"
@@ -56,6 +67,16 @@ class TrainConfig:
     """Where updates run."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.task, str) or not TASK.fullmatch(self.task):
+            raise UserError(f"task must be the id of a gymnasium task, got {self.task!r}")
+        if not isinstance(self.algorithm, str) or not ALGORITHM.fullmatch(self.algorithm):
+            raise UserError(f"algorithm must be a name such as sac-lag, got {self.algorithm!r}")
+        if not isinstance(self.task_parameters, dict):
+            raise UserError(f"task_parameters must be values by name, got {self.task_parameters!r}")
+        if not isinstance(self.tensorboard, bool):
+            raise UserError(f"tensorboard must be True or False, got {self.tensorboard!r}")
+        if self.step_timeout is not None:
+            check(self, "step_timeout", above=0, high=86_400)
         if not isinstance(self.hyperparameters, UnregisteredHyperparameters):
             expected = algorithm(self.algorithm).config
             if type(self.hyperparameters) is not expected:
@@ -104,17 +125,20 @@ class TrainConfig:
         """Make the run folder.
 
         Raises UserError where there is one already, be it that another process makes it at the same
-        time, and where the task cannot be made.
+        time, where the task cannot be made, and where the runs need more than the machine's memory.
         """
         content = dataclasses.asdict(self) | made_with()
         content["commit"] = commit()
         content["algorithm_module"] = type(self.hyperparameters).__module__
-        content["spaces"] = spaces_of(self.task, self.task_parameters)._asdict()
-        if self.evaluate_every is None:
-            del content["evaluate_every"]
+        spaces = spaces_of(self.task, self.task_parameters)
+        check_memory(self.hyperparameters, len(self.seeds), spaces.sizes)
+        content["spaces"] = spaces._asdict()
+        for name in ("evaluate_every", "step_timeout"):
+            if content[name] is None:
+                del content[name]
         try:
             json.dumps(content)
-        except TypeError as error:
+        except (TypeError, ValueError, RecursionError) as error:
             raise UserError(f"task_parameters must be plain values: {error}") from None
         folder.mkdir(parents=True, exist_ok=True)
         with locked(folder):
@@ -123,16 +147,22 @@ class TrainConfig:
                     f"{folder} holds runs already: go on with them by 'circle2d resume {folder}', "
                     "or choose another folder"
                 )
+            files: dict[str, bytes | None] = {}
             for seed in self.seeds:
                 run_folder(folder, seed).mkdir(exist_ok=True)
                 of_run = {"seed": seed} | {k: v for k, v in content.items() if k != "seeds"}
-                write_json(run_folder(folder, seed) / "config.json", of_run)
-            write_json(folder / "config.json", content)
+                files[f"{run_folder(folder, seed).name}/config.json"] = json_bytes(of_run)
+            write_files(folder, files | {"config.json": json_bytes(content)})
 
     @classmethod
     def read(cls, folder: Path, strict: bool = True) -> TrainConfig:
-        """The configuration of a run folder: see `parse`. UserError where the file is missing."""
-        return cls.parse(read_json(folder / "config.json"), folder, strict)
+        """The configuration of a run folder: see `parse`. UserError where the file is missing, or
+        does not match its checksum."""
+        path = folder / "config.json"
+        content, data = read_json(path), path.read_bytes()
+        config = cls.parse(content, folder, strict)
+        compare(path, data)
+        return config
 
     @classmethod
     def parse(cls, content: dict[str, Any], folder: Path | str, strict: bool = True) -> TrainConfig:
@@ -146,6 +176,8 @@ class TrainConfig:
         content = {name: value for name, value in content.items() if name not in NOT_SETTINGS}
         try:
             values, name = _tuples(content.pop("hyperparameters")), content["algorithm"]
+            if not isinstance(name, str):
+                raise ValueError(f"algorithm must be a name, got {name!r}")
             content["seeds"] = tuple(content["seeds"])
             if name not in ALGORITHMS and strict and own["algorithm_module"]:
                 raise _Unregistered(
@@ -157,7 +189,7 @@ class TrainConfig:
             return cls(hyperparameters=config, **content)
         except _Unregistered:
             raise
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise UserError(f"{folder}/config.json is damaged: {error}") from None
 
 
@@ -209,7 +241,7 @@ def read_spaces(folder: Path, config: TrainConfig) -> Spaces:
         if len(low) != len(high) or not all(a < b for a, b in zip(low, high, strict=True)):
             raise ValueError(f"bounds of actions must be increasing, got {content}")
         return spaces
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise UserError(f"{path} is damaged: spaces: {error}") from None
 
 

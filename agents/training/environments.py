@@ -16,24 +16,29 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.vector import RescaleAction
 
-from agents.errors import UserError, nearest
+from agents.errors import TaskFailure, UserError, nearest
 from agents.lockstep.rollout import require_cost
+from agents.training.guard import Guard, quiet_worker
 from circle2d_mj.core.view import View
 
 Vectorization = Literal["auto", "sync", "async"]
 
 
 def make_envs(
-    task: str, num_envs: int, parameters: dict[str, Any], vectorization: Vectorization = "auto"
+    task: str,
+    num_envs: int,
+    parameters: dict[str, Any],
+    vectorization: Vectorization = "auto",
+    step_timeout: float | None = None,
 ) -> VectorEnv:
     """`num_envs` environments that take actions in [-1, 1] and do not reset themselves.
 
     auto: the task's own vector environment where it has one that need not reset itself, gymnasium's
     `SyncVectorEnv` otherwise; async: `AsyncVectorEnv`, a process for each environment. All give the
-    same numbers. Raises UserError for an unknown task, parameters it refuses, and spaces that are
-    not flat Boxes (actions: bounded).
+    same numbers. step_timeout: see `Guard`. Raises UserError for an unknown task, parameters it
+    refuses, and spaces that are not flat Boxes (actions: bounded); stepping them, TaskFailure.
     """
-    envs = _unscaled(task, num_envs, parameters, vectorization)
+    envs = Guard(_unscaled(task, num_envs, parameters, vectorization), task, step_timeout)
     actions = envs.single_action_space
     assert isinstance(actions, Box)
     if (actions.low == -1).all() and (actions.high == 1).all():
@@ -58,11 +63,13 @@ def _unscaled(
                 **parameters,
             )
         else:
+            apart = vectorization == "async"
+            worker = {"worker": quiet_worker} if apart else {}
             envs = gym.make_vec(
                 name,
                 num_envs,
-                vectorization_mode="async" if vectorization == "async" else "sync",
-                vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
+                vectorization_mode="async" if apart else "sync",
+                vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED, **worker},
                 wrappers=(FloatCost,),
                 **parameters,
             )
@@ -78,20 +85,31 @@ def _unscaled(
 
 
 class FloatCost(gym.Wrapper):
-    """Makes `info["cost"]` of every step a float.
+    """Makes reward and `info["cost"]` of every step a float.
 
     gymnasium's vector environments type the array of costs by the first cost they meet, and fill
     in 0 where one is missing: either would change costs silently.
     """
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """As the environment's. Raises UserError where it gives no cost."""
+        """As the environment's. Raises UserError where reward or cost is no number."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         require_cost(self.env, info)
-        if not isinstance(info["cost"], (Real, np.number, np.bool_)):
-            raise UserError(f"{self.env} gives info['cost'] = {info['cost']!r}, which is no number")
-        info = {**info, "cost": float(info["cost"])}
-        return observation, reward, terminated, truncated, info
+        info = {**info, "cost": self._number("info['cost']", info["cost"])}
+        given = self.env.observation_space.shape
+        if np.shape(observation) != given:
+            raise UserError(
+                f"{self.env} gives an observation of shape {list(np.shape(observation))}, its "
+                f"observation space has {list(given or ())}"
+            )
+        if isinstance(reward, np.ndarray) and reward.size == 1:
+            reward = reward.reshape(())[()]
+        return observation, self._number("reward", reward), terminated, truncated, info
+
+    def _number(self, name: str, value: Any) -> float:
+        if not isinstance(value, (Real, np.floating, np.integer, np.bool_)):
+            raise UserError(f"{self.env} gives {name} = {value!r}, which is no number")
+        return float(value)
 
 
 def check_task(task: str, parameters: dict[str, Any]) -> None:
@@ -102,10 +120,12 @@ def check_task(task: str, parameters: dict[str, Any]) -> None:
         raise UserError(
             f"task_parameters: {parameter} is part of the task's id, {task}; choose another id"
         )
-    envs = make_envs(task, 1, parameters)
-    envs.reset(seed=0)
-    info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
-    envs.close()
+    with contextlib.closing(make_envs(task, 1, parameters)) as envs:
+        try:
+            envs.reset(seed=0)
+            info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
+        except TaskFailure as error:
+            raise UserError(str(error)) from None
     require_cost(f"task {task!r}", info)
 
 
@@ -170,8 +190,17 @@ def sizes_of(task: str, parameters: dict[str, Any]) -> tuple[int, int]:
 
 
 def registered(task: str) -> str:
-    """The id of a task, of which "module:id" imports the module first, as gymnasium does it."""
-    name = _imported(task)
+    """The id of a task, without the module in "module:id".
+
+    Nothing is imported: the task may come from the files of somebody else. Raises UserError where
+    the task is not registered, naming the module to be imported.
+    """
+    module, _, name = task.rpartition(":")
+    if module and name not in gym.registry:
+        raise UserError(
+            f"task {task!r} is not registered: if you trust the module {module!r}, import it "
+            f"first, with --import {module} on the command line"
+        )
     try:
         gym.spec(name)
     except gym.error.Error as error:
@@ -184,9 +213,12 @@ def registered(task: str) -> str:
 
 
 def task_id(task: str) -> str:
-    """The id of a task with its version, where none is given the newest: Circle2D-1-v0 for
-    Circle2D-1. Raises UserError for an unknown task."""
-    name = _imported(task)
+    """The id of a task that the user names, with its version, where none is given the newest:
+    Circle2D-1-v0 for Circle2D-1.
+
+    "module:id" imports the module, as gymnasium does it. Raises UserError for an unknown task.
+    """
+    name = import_module_of(task)
     versions = [re.fullmatch(f"{re.escape(name)}-v([0-9]+)", other) for other in gym.registry]
     newest = max(filter(None, versions), key=lambda found: int(found[1]), default=None)
     if name not in gym.registry and newest:
@@ -195,14 +227,17 @@ def task_id(task: str) -> str:
     return task
 
 
-def _imported(task: str) -> str:
-    """The id of a task without its module, which is imported."""
+def import_module_of(task: str) -> str:
+    """The id of a task that the user names without its module, which is imported."""
     module, _, name = task.rpartition(":")
     if module:
         try:
             importlib.import_module(module)
-        except ImportError as error:
-            raise UserError(f"cannot make task {task!r}: {error}") from None
+        except Exception as error:  # of the user's own code
+            why = (
+                str(error) if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
+            )
+            raise UserError(f"cannot make task {task!r}: {why}") from None
     return name
 
 

@@ -15,13 +15,15 @@ from agents.lockstep.noise import Purpose, environment_seeds, normal, steps_of_n
 from agents.lockstep.rollout import Policy, Rollout, collect
 from agents.training.config import TrainConfig, run_folder
 from agents.training.environments import make_envs, sizes
-from agents.training.files import write_json
+from agents.training.files import json_bytes
 from emcc import cvar
+from emcc.files import write_files
 
 Results = dict[str, list[dict[str, Any]]]
 CVAR_ALPHA = 0.5
 EVALUATION_EPISODES = 100
 """Of each run and policy at the end of a training."""
+MOST_EPISODES = 1_000_000
 POLICIES = ("deterministic", "stochastic")
 
 
@@ -34,21 +36,24 @@ def evaluate(
 ) -> Results:
     """Evaluate a policy of every run and write `evaluation.json` into its folder.
 
-    As `play_policies`. Empty results are not written.
+    As `play_policies`. Instead of empty results an older file is removed.
     """
     active = np.ones(len(config.seeds), dtype=bool) if active is None else active
     results = play_policies(config, policy, episodes, active)
+    contents = {}
     for run, seed in enumerate(config.seeds):
-        write_evaluation(run_folder(folder, seed) / "evaluation.json", results, run, seed, episodes)
+        name = f"{run_folder(folder, seed).name}/evaluation.json"
+        contents[name] = evaluation_bytes(results, run, seed, episodes)
+    write_files(folder, contents)
     return results
 
 
-def write_evaluation(path: Path, results: Results, run: int, seed: int, episodes: int) -> None:
-    """Write the results of a run, if there are any; otherwise remove the file."""
+def evaluation_bytes(results: Results, run: int, seed: int, episodes: int) -> bytes | None:
+    """Results of a run as the content of a file; None where there are none."""
     of_run = {name: result[run] for name, result in results.items()}
-    path.unlink(missing_ok=True)
-    if all(of_run.values()):
-        write_json(path, {"seed": seed, "episodes": episodes, **of_run})
+    if not all(of_run.values()):
+        return None
+    return json_bytes({"seed": seed, "episodes": episodes, **of_run})
 
 
 def play_policies(
@@ -61,14 +66,16 @@ def play_policies(
     active: [R], runs to be evaluated. The results of the others, and of a run whose policy gives
     numbers that are not finite, are empty.
     """
-    if episodes < 1:
-        raise UserError(f"episodes must be at least 1, got {episodes}")
+    if not 1 <= episodes <= MOST_EPISODES:
+        rule = "at least 1" if episodes < 1 else f"at most {MOST_EPISODES}"
+        raise UserError(f"episodes must be {rule}, got {episodes}")
     results = {name: [{} for _ in config.seeds] for name in POLICIES}
     if active.any():
         # A native vector environment plays all at once; others are a model or a process each.
         at_once = episodes if config.is_native else min(episodes, 10)
         arguments = (config.task, len(config.seeds) * at_once, config.task_parameters)
-        with contextlib.closing(make_envs(*arguments, config.vectorization)) as envs:
+        how = (config.vectorization, config.step_timeout)
+        with contextlib.closing(make_envs(*arguments, *how)) as envs:
             for name in POLICIES:
                 noisy = name == "stochastic"
                 results[name] = _play(envs, config, policy, episodes, at_once, active, noisy)

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from agents.errors import UserError
 from agents.lockstep import backend
-from agents.training.config import TrainConfig, check_together, run_folders
+from agents.training.config import CHECKPOINT, PREVIOUS, TrainConfig, check_together, run_folders
 from agents.training.evaluation import EVALUATION_EPISODES, Results, evaluate
-from agents.training.files import locked
+from agents.training.files import locked, remove_leftovers
 from agents.training.machine import note_session
 from agents.training.snapshots import write_snapshots
 from agents.training.state import Training, joint_trainings, run_epoch
@@ -52,6 +52,7 @@ def train(*folders: Path, on_epoch: OnEpoch = lambda trainings: None) -> list[Tr
     with contextlib.ExitStack() as stack:
         for folder in configs:
             stack.enter_context(locked(folder))
+            remove_leftovers(folder)
         trainings = joint_trainings(list(configs.values()))
         _train(dict(zip(configs, trainings, strict=True)), on_epoch)
     return trainings
@@ -59,11 +60,10 @@ def train(*folders: Path, on_epoch: OnEpoch = lambda trainings: None) -> list[Tr
 
 def _train(trainings: dict[Path, Training], on_epoch: OnEpoch) -> None:
     for folder, training in trainings.items():
-        if (folder / "checkpoint.npz").exists():
+        if any((folder / name).exists() for name in (CHECKPOINT, PREVIOUS)):
             training.load(folder)
-        if training.done:
-            training.write_records(folder)  # they may have been lost or damaged
-        else:
+            training.restore_records(folder)
+        if not training.done:
             note_session(folder)
     with contextlib.ExitStack() as stack:
         events = {}

@@ -10,7 +10,9 @@ from importlib.metadata import distribution, version
 from pathlib import Path
 from typing import Any
 
-from agents.training.files import read_json, write_json
+from agents.errors import UserError
+from agents.training.files import json_bytes, read_json
+from emcc.files import write_files
 
 PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
 CPUINFO = Path("/proc/cpuinfo")
@@ -75,11 +77,17 @@ def note_session(folder: Path) -> None:
     content = read_json(path)
     sessions = sessions_of(content)
     if sessions[-1] != now:
-        write_json(path, content | {"resumed": [*sessions[1:], now]})
+        changed = content | {"resumed": [*sessions[1:], now]}
+        write_files(folder, {path.name: json_bytes(changed)})
 
 
 def sessions_of(content: dict[str, Any]) -> list[dict[str, Any]]:
     """Versions and machine that began the runs of a configuration, then those that went on with
     them; None where not recorded."""
-    sessions = (content, *content.get("resumed", []))
+    resumed = content.get("resumed", [])
+    if not isinstance(resumed, list) or not all(isinstance(of, dict) for of in resumed):
+        raise UserError(
+            f"config.json is damaged: resumed must be a list of objects, got {resumed!r}"
+        )
+    sessions = (content, *resumed)
     return [{name: of.get(name) for name in ("versions", "machine")} for of in sessions]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,10 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.errors import UserError
+from agents.errors import TaskFailure, UserError
 from agents.lockstep.rollout import MAX_STEPS
 from agents.training.config import TrainConfig
-from agents.training.environments import FloatCost, registered
+from agents.training.environments import FloatCost, import_module_of, registered
 from agents.training.policy import Policy, load_policy
 from emcc import cvar, longest_streak
 
@@ -83,6 +83,8 @@ def evaluate(
     """
     if episodes < 1:
         raise UserError(f"episodes must be at least 1, got {episodes}")
+    if task is not None:
+        import_module_of(task)
     if isinstance(policy, (str, Path)):
         folder = Path(policy)
         seeds = TrainConfig.read(folder).seeds
@@ -138,7 +140,8 @@ def _episode(
     env: gym.Env, act: Callable[[NDArray], Any], seed: int, task: str
 ) -> tuple[list[float], list[float]]:
     """Rewards and costs of an episode's steps."""
-    observation, _ = env.reset(seed=seed)
+    with _failing(task, "in a reset"):
+        observation, _ = env.reset(seed=seed)
     rewards, costs, over = [], [], False
     while not over:
         if len(costs) == MAX_STEPS:
@@ -146,11 +149,22 @@ def _episode(
         action = act(observation)
         if not np.isfinite(action).all():
             raise UserError(f"the policy gives an action that is not finite: {action}")
-        observation, reward, terminated, truncated, info = env.step(action)
+        with _failing(task, f"in step {len(costs) + 1} of an episode"):
+            observation, reward, terminated, truncated, info = env.step(action)
         rewards.append(float(reward))
         costs.append(info["cost"])
         over = terminated or truncated
     return rewards, costs
+
+
+@contextlib.contextmanager
+def _failing(task: str, when: str) -> Iterator[None]:
+    """Raise TaskFailure for any error of the task's own code."""
+    try:
+        yield
+    except Exception as error:
+        why = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
+        raise TaskFailure(f"task {task!r} failed {when}: {why}") from None
 
 
 def _check_fit(policy: Policy, env: gym.Env, task: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 
 from agents.lockstep import tree
 from agents.lockstep.rollout import Rollout
-from agents.training.files import write_whole
 from emcc import EpisodeRecords, count_streaks, longest_streaks
 
 COLUMNS = ("start_step", "length", "return", "cost", "longest_streak", "cost_steps", "streaks")
@@ -97,18 +95,21 @@ class Log:
         returns, cost = rows.mean(axis=0) if len(rows) else (np.nan, np.nan)
         return float(returns), float(cost)
 
-    def write(self, folders: Sequence[Path]) -> None:
-        """Write `episodes.csv` and `updates.csv` into the folder of each run."""
+    def files(self) -> list[dict[str, bytes]]:
+        """The content of `episodes.csv` and `updates.csv` of each run."""
         episodes, updates = self.episodes, self.updates
-        for run, folder in enumerate(folders):
+        found: list[dict[str, bytes]] = []
+        for run in range(episodes.shape[1]):
             epochs = np.flatnonzero(~np.isnan(episodes[:, run, 0, 0]))
             rows = episodes[epochs, run]
             rollout = np.repeat(epochs, rows.shape[1])
             columns: Any = rows.reshape(-1, len(COLUMNS)).T  # the class types each anew
             records = EpisodeRecords(rollout, *columns)
-            records.save(folder / "episodes.csv")
             steps = rows[:, :, 1].sum(axis=1).cumsum().astype(np.int64)
-            write_whole(folder / "updates.csv", self._table(epochs, steps, updates[epochs, run]))
+            table = self._table(epochs, steps, updates[epochs, run])
+            texts = {"episodes.csv": records.to_csv(), "updates.csv": table}
+            found.append({name: text.encode() for name, text in texts.items()})
+        return found
 
     def _table(self, epochs: NDArray[np.int64], steps: NDArray[np.int64], values: NDArray) -> str:
         """CSV of the epochs that learned something; `step`: environment steps taken by then."""

@@ -6,6 +6,7 @@ Each file depends on the state of the training alone: after a kill the same ones
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -14,9 +15,9 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.lockstep.learner import Learner
-from agents.training.config import TrainConfig, run_folder
-from agents.training.evaluation import play_policies, write_evaluation
-from agents.training.files import read_arrays, write_arrays
+from agents.training.config import CHECKPOINT, PREVIOUS, TrainConfig, run_folder
+from agents.training.evaluation import evaluation_bytes, play_policies
+from agents.training.files import read_arrays, write_arrays, write_whole
 
 EPISODES = 20
 """Of each evaluation during training and each policy."""
@@ -46,8 +47,11 @@ def write_snapshots(
         path = snapshot_path(folder, config.seeds[run], int(now[run] // every * every))
         path.parent.mkdir(exist_ok=True)
         write_arrays(path, {name: array[run : run + 1] for name, array in arrays.items()})
-        seed = config.seeds[run]
-        write_evaluation(path.with_suffix(".json"), results, run, seed, EPISODES)
+        evaluation = evaluation_bytes(results, run, config.seeds[run], EPISODES)
+        if evaluation is None:
+            path.with_suffix(".json").unlink(missing_ok=True)
+        else:
+            write_whole(path.with_suffix(".json"), evaluation)
 
 
 def snapshot_path(folder: Path, seed: int, step: int) -> Path:
@@ -92,7 +96,22 @@ def read_policy_arrays(
                 "one every evaluate_every steps"
             )
         return read_arrays(path)
-    path, run = folder / "checkpoint.npz", config.seeds.index(seed)
+    run = config.seeds.index(seed)
+    try:
+        arrays = _policies_in(folder / CHECKPOINT, config)
+    except UserError as error:
+        if not (folder / PREVIOUS).exists():
+            raise
+        try:
+            arrays = _policies_in(folder / PREVIOUS, config)
+        except UserError:
+            raise error from None
+        warnings.warn(f"{error}: this is the policy of the checkpoint before it", stacklevel=4)
+    return {name: array[run : run + 1] for name, array in arrays.items()}
+
+
+def _policies_in(path: Path, config: TrainConfig) -> dict[str, NDArray]:
+    """The arrays of the policies in a checkpoint. Raises UserError where they are not there."""
     arrays = read_arrays(path, is_of_policy)
     if not arrays:  # a family without the convention
         own = ("epoch", "seeds", "steps", "failed")
@@ -100,4 +119,4 @@ def read_policy_arrays(
     for name, array in arrays.items():
         if array.ndim == 0 or len(array) != len(config.seeds):
             raise UserError(f"{path} is damaged or of another version: {name} is {array.shape}")
-    return {name: array[run : run + 1] for name, array in arrays.items()}
+    return arrays

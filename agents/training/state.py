@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import VectorEnv
@@ -16,13 +19,21 @@ from agents.lockstep import tree
 from agents.lockstep.learner import Learner
 from agents.lockstep.noise import Purpose, environment_seeds
 from agents.lockstep.rollout import Rollout, collect
-from agents.training.config import FAILURE, TrainConfig, run_folders
+from agents.training.config import (
+    CHECKPOINT,
+    FAILURE,
+    PREVIOUS,
+    TrainConfig,
+    run_folder,
+    run_folders,
+)
 from agents.training.environments import make_envs, sizes_of, view_of
-from agents.training.files import read_arrays, write_arrays, write_json
+from agents.training.files import compare, json_bytes, npz_bytes, read_arrays
 from agents.training.positions import RecordPositions
 from agents.training.records import Log
 from agents.training.side_by_side import SideBySide
 from agents.training.step_files import VISITED, StepFiles
+from emcc.files import digest, replacing, write_whole
 
 
 class Training:
@@ -47,12 +58,15 @@ class Training:
         """Environment steps each run has taken, [R]."""
         self.failed = np.zeros(runs, dtype=bool)
         """Runs that met a number which is not finite, [R]. They stop; the others go on."""
+        self._fell_back = False
+        self._checkpoint_digest: str | None = None
 
     @functools.cached_property
     def _envs(self) -> VectorEnv:
         """The environments of an epoch; made when they are first needed."""
         config, count = self.config, len(self.config.seeds) * self.learner.episodes
-        envs = make_envs(config.task, count, config.task_parameters, config.vectorization)
+        how = (config.vectorization, config.step_timeout)
+        envs = make_envs(config.task, count, config.task_parameters, *how)
         return envs if self._view is None else RecordPositions(envs, self._view)
 
     @property
@@ -92,29 +106,95 @@ class Training:
         self.epochs_here += 1
 
     def save(self, folder: Path) -> None:
-        """Write the records, then the checkpoint."""
-        folders = run_folders(folder, self.config)
-        self.step_files.write(folders)
-        for of_run in folders:
-            (of_run / "evaluation.json").unlink(missing_ok=True)  # of an earlier policy
-        self.write_records(folder)
+        """Write the records, then the checkpoint; the one before stays beside it."""
         counters = {"epoch": np.array(self.epoch), "seeds": np.array(self.config.seeds)}
         counters |= {"steps": self.steps, "failed": self.failed}
         learned = self.learner.state_dict(self.runs)
-        write_arrays(folder / "checkpoint.npz", counters | self.log.state_dict() | learned)
+        checkpoint = npz_bytes(counters | self.log.state_dict() | learned)
+        sums = {CHECKPOINT: digest(checkpoint), PREVIOUS: self._checkpoint_digest}
+        self._write_records(folder, sums, checkpoint)
+        self._checkpoint_digest = digest(checkpoint)
 
-    def write_records(self, folder: Path) -> None:
-        """Write the files of each run that a checkpoint holds too: records and failure."""
-        folders = run_folders(folder, self.config)
-        self.log.write(folders)
-        for of_run, failed, steps in zip(folders, self.failed, self.steps, strict=True):
-            (of_run / FAILURE).unlink(missing_ok=True)
-            if failed:
-                write_json(of_run / FAILURE, {"step": int(steps)})
+    def restore_records(self, folder: Path) -> None:
+        """Write the records as they were at the checkpoint that was loaded.
+
+        A process that was killed may have written more; some may have been lost or damaged. Where
+        the checkpoint before was loaded, it takes the place of the damaged one.
+        """
+        if not self._fell_back:
+            self._write_records(folder, {})
+            return
+        self._write_records(folder, {CHECKPOINT: self._checkpoint_digest, PREVIOUS: None})
+        os.replace(folder / PREVIOUS, folder / CHECKPOINT)
+        self._fell_back = False
+
+    def _write_records(
+        self,
+        folder: Path,
+        sums: Mapping[str, str | None],
+        checkpoint: bytes | None = None,
+    ) -> None:
+        """Write the files of each run that follow from the state, and their checksums.
+
+        sums: those of checkpoints, where another one becomes the last; the evaluation of the old
+        one's policy is removed. checkpoint: the content of a new one, written last.
+        """
+        folders, of_log = run_folders(folder, self.config), self.log.files()
+        removed = {"evaluation.json": None} if sums else {}
+        contents: dict[str, bytes | None] = self._named(
+            lambda run: of_log[run] | removed | {FAILURE: self._failure(run)}
+        )
+        of_steps = self.step_files.digests()
+        known = {k: None if data is None else digest(data) for k, data in contents.items()}
+        with replacing(folder, known | self._named(lambda run: of_steps[run]) | dict(sums)):
+            self.step_files.write(folders)
+            for name, data in contents.items():
+                if data is None:
+                    (folder / name).unlink(missing_ok=True)
+                else:
+                    write_whole(folder / name, data)
+            if checkpoint is not None:
+                write_whole(folder / CHECKPOINT, checkpoint, keep=folder / PREVIOUS)
+
+    def _failure(self, run: int) -> bytes | None:
+        return json_bytes({"step": int(self.steps[run])}) if self.failed[run] else None
+
+    def _named(self, of_run: Callable[[int], Mapping[str, Any]]) -> dict[str, Any]:
+        """Entries of each run under their names below the folder of the runs."""
+        return {
+            f"{run_folder(Path(), seed).name}/{name}": value
+            for run, seed in enumerate(self.config.seeds)
+            for name, value in of_run(run).items()
+        }
 
     def load(self, folder: Path) -> None:
-        """Load a checkpoint. Raises UserError where it is missing or damaged."""
-        path = folder / "checkpoint.npz"
+        """Load the last checkpoint, or with a warning the one before, where that is damaged.
+
+        Raises UserError where there is none that is whole.
+        """
+        try:
+            self._load(folder / CHECKPOINT)
+        except UserError as error:
+            if not (folder / PREVIOUS).exists():
+                raise
+            try:
+                self._load(folder / PREVIOUS)
+            except UserError:
+                raise error from None
+            self._fell_back = True
+            warnings.warn(
+                f"{error}: going on from the checkpoint before it, {int(self.steps.min())} of "
+                f"{self.config.steps} steps",
+                stacklevel=2,
+            )
+        folders = run_folders(folder, self.config)
+        if self._view and self.epoch and not any((of / VISITED).exists() for of in folders):
+            self._view = None  # trained so far by a version without positions of this task
+            self.step_files = StepFiles(False, len(folders))
+        self.step_files.seek(folders, self.log.steps)
+
+    def _load(self, path: Path) -> None:
+        """Load a file. Raises UserError where it is missing or damaged."""
         state = read_arrays(path)
         try:
             seeds = tree.expect("seeds", state, self.steps.shape, np.int64)
@@ -127,11 +207,7 @@ class Training:
             self.learner.load_state_dict(state, self.runs)
         except (KeyError, ValueError) as error:
             raise UserError(f"{path} is damaged or of another version: {error}") from None
-        folders = run_folders(folder, self.config)
-        if self._view and self.epoch and not any((of / VISITED).exists() for of in folders):
-            self._view = None  # trained so far by a version without positions of this task
-            self.step_files = StepFiles(False, len(folders))
-        self.step_files.seek(folders, self.log.steps)
+        self._checkpoint_digest = compare(path, path.read_bytes())
 
     def close(self) -> None:
         """Close the environments."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.lockstep.rollout import Rollout
+from emcc.files import check_digest
 
 COSTS, VISITED = "costs.npy", "visited.npy"
 """In the folder of a run: the cost of every step, [steps] float64, and the position it ended at,
@@ -32,6 +35,8 @@ class StepFiles:
         self._new: list[dict[str, list[NDArray]]] = [
             {name: [rows] for name, rows in empty.items()} for _ in range(runs)
         ]
+        self._hashes = [{name: hashlib.sha256() for name in empty} for _ in range(runs)]
+        """Of all rows of each run: of those in the files, and of the new ones."""
         self.written = np.zeros(runs, dtype=np.int64)
         """Rows in the files of each run, [R]; more, left by a killed process, are overwritten."""
 
@@ -53,6 +58,7 @@ class StepFiles:
                 for name, column in columns.items():
                     rows = column[:steps, run * length.shape[1] + episode]
                     self._new[run][name].append(rows)
+                    self._hashes[run][name].update(_bytes(rows, self._new[run][name][0]))
 
     def write(self, folders: Sequence[Path]) -> None:
         """Append what is new to the files in the folder of each run."""
@@ -63,38 +69,94 @@ class StepFiles:
                 self._new[run][name] = [new[:0]]
             self.written[run] += len(rows[COSTS])
 
+    def digests(self) -> list[dict[str, str]]:
+        """Checksums of the files of each run after the next `write`."""
+        found: list[dict[str, str]] = []
+        for run, hashes in enumerate(self._hashes):
+            found.append({})
+            for name, rows in self._new[run].items():
+                hashed = hashes[name].copy()
+                hashed.update(_header(rows[0], int(self.written[run]) + sum(map(len, rows))))
+                found[-1][name] = hashed.hexdigest()
+        return found
+
     def seek(self, folders: Sequence[Path], rows: NDArray[np.int64]) -> None:
-        """Go on behind `rows`, [R]. Raises UserError where a file does not hold as many."""
-        for run, (folder, count) in enumerate(zip(folders, rows, strict=True)):
+        """Go on behind `rows`, [R]. Raises UserError where a file does not hold as many, or does
+        not match its checksum."""
+        for run, (folder, count) in enumerate(zip(folders, rows.tolist(), strict=True)):
             for name, (like, *_) in self._new[run].items():
                 path = folder / name
-                least = len(_header(like, 0)) + int(count) * _row_bytes(like)
+                least = len(_header(like, 0)) + count * _row_bytes(like)
                 if not path.exists() or path.stat().st_size < least:
                     raise UserError(f"{path} is missing or damaged: must hold {count} steps")
+                found = _checked(path, like)
+                if len(found) < count:
+                    raise UserError(f"{path} is damaged: must hold {count} steps")
+                self._hashes[run][name] = hashlib.sha256(_bytes(found[:count], like))
         self.written = rows.copy()
 
 
 def read_steps(folder: Path, name: str) -> NDArray:
     """`COSTS` or `VISITED` of a run. Raises UserError where the file is missing or damaged."""
-    path = folder / name
+    like = np.empty(0) if name == COSTS else np.empty((0, 2), np.float32)
+    return _checked(folder / name, like)
+
+
+_found_whole: dict[Path, tuple[int, int, int]] = {}
+"""Files that this process has compared with their checksums, and what the system said of them."""
+
+
+def _checked(path: Path, like: NDArray) -> NDArray:
+    """The rows of a file. Raises UserError where it is missing, of other rows, or damaged."""
     try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)
+        about = path.stat()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # of a damaged header too
+            rows: NDArray = np.load(path, mmap_mode="r", allow_pickle=False)
     except FileNotFoundError:
         raise UserError(f"{path} is missing: the run has no record of its steps") from None
-    except (OSError, ValueError, EOFError) as error:
-        raise UserError(f"{path} is damaged: {error}") from None
+    except Exception as error:  # a damaged file has numpy raise errors of any kind
+        raise UserError(f"{path} is damaged: {error or type(error).__name__}") from None
+    if not isinstance(rows, np.ndarray) or (rows.dtype, rows.shape[1:]) != (
+        like.dtype,
+        like.shape[1:],
+    ):
+        raise UserError(f"{path} is damaged: must hold {like.dtype} [steps{_of(like)}]")
+    state = (about.st_mtime_ns, about.st_size, about.st_ino)
+    if _found_whole.get(path) != state:
+        try:
+            hashed = hashlib.sha256(_bytes(rows, like))
+            with path.open("rb") as file:
+                hashed.update(file.read(len(_header(like, 0))))
+            check_digest(path, hashed.hexdigest())
+        except (OSError, ValueError) as error:
+            raise UserError(str(error)) from None
+        _found_whole[path] = state
+    return rows
+
+
+def _of(like: NDArray) -> str:
+    return "".join(f", {size}" for size in like.shape[1:])
+
+
+def _bytes(rows: NDArray, like: NDArray) -> memoryview:
+    """Rows as they are in a file of rows as in `like`."""
+    kind = like.dtype.newbyteorder("<")
+    return np.ascontiguousarray(rows, kind).reshape(-1).view(np.uint8).data
 
 
 def _append(path: Path, rows: int, new: NDArray) -> None:
     """Write rows behind the first `rows` of a file, and only then its header, which counts them."""
     with path.open("r+b" if path.exists() else "w+b") as file:
         file.seek(len(_header(new, 0)) + rows * _row_bytes(new))
-        file.write(new.astype(new.dtype.newbyteorder("<")).tobytes())
+        file.write(_bytes(new, new))
         file.truncate()
         file.flush()
         os.fsync(file.fileno())
         file.seek(0)
         file.write(_header(new, rows + len(new)))
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _row_bytes(like: NDArray) -> int:

@@ -48,8 +48,9 @@ class TRPOConfig(EpisodeCostLimit, OnPolicyConfig):
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         super().__post_init__()
-        check_integers(self, "batch_size", "cg_iterations", "line_search_steps", low=1)
-        check(self, "cg_damping", low=0)
+        check_integers(self, "cg_iterations", "line_search_steps", low=1, high=10_000)
+        check_integers(self, "batch_size", low=1)
+        check(self, "cg_damping", low=0, high=1e6)
         check(self, "line_search_decay", above=0, high=1)
         check(self, "target_kl", low=1e-8, high=10)
 

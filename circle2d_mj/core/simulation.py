@@ -88,17 +88,37 @@ class Simulation(Protocol):
         ...
 
 
+LARGEST_ACTION = 1e150
+"""Of each number of an action, in size: its square is a finite number."""
+
+
 def checked_action(action: ArrayLike, shape: tuple[int, ...] | None) -> NDArray[np.float64]:
-    """Return the action as float64. Raises ValueError for another shape or non-finite numbers."""
+    """Return the action as float64. Raises ValueError for another shape, for what is no array of
+    real numbers (text, complex numbers, dates, objects, masked arrays), and for numbers that are
+    not finite or larger than `LARGEST_ACTION`."""
     try:
-        values = np.asarray(action, dtype=np.float64)
-    except (TypeError, ValueError):
+        given = np.asarray(action)
+    except (TypeError, ValueError, RuntimeError):  # a ragged list; a tensor with a gradient
         raise ValueError(f"action must be numbers of shape {shape}, got {action!r}") from None
+    if given.dtype.kind not in "fiub":
+        raise ValueError(f"action must be numbers (real), got {given.dtype} in {action!r}")
+    if _is_masked(action):
+        raise ValueError(f"action must not be masked, got {action!r}")
+    values = given.astype(np.float64)
     if values.shape != shape:
         raise ValueError(f"action must have shape {shape}, got shape {values.shape}")
-    if not np.isfinite(values).all():
-        raise ValueError(f"action must be finite, got {action!r}")
+    if not (np.abs(values) <= LARGEST_ACTION).all():
+        raise ValueError(
+            f"action must be finite, and at most {LARGEST_ACTION:g} in size, got {action!r}"
+        )
     return values
+
+
+def _is_masked(action: Any) -> bool:
+    """Whether numpy would drop a mask of the action or of an array in it."""
+    if isinstance(action, (list, tuple)):
+        return any(_is_masked(part) for part in action if not isinstance(part, float))
+    return isinstance(action, np.ma.MaskedArray)
 
 
 def positive_integer(name: str, value: Any) -> int:

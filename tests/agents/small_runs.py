@@ -28,10 +28,14 @@ def write_runs(folder, task=TASK):
     return config
 
 
+NO_RESULTS = ("status.json", "report.md", "report.csv", "checkpoint.previous.npz", "checksums.json")
+"""Timings, the command's table, and what depends on where a training was interrupted."""
+
+
 def results(folder):
-    """The bytes of every file but the timings and the command's table."""
+    """The bytes of every file but those of `NO_RESULTS`."""
     found = sorted(path for path in folder.rglob("*") if path.is_file())
-    kept = (path for path in found if path.name != "status.json" and path.stem != "report")
+    kept = (path for path in found if path.name not in NO_RESULTS)
     return {str(path.relative_to(folder)): path.read_bytes() for path in kept}
 
 

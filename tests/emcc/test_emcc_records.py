@@ -201,3 +201,17 @@ def test_binary_file(tmp_path):
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ValueError, match="not a CSV file"):
         EpisodeRecords.load(path)
+
+
+@pytest.mark.parametrize("text", ["1_0", "١٠", "１０", "0x1", "1e1"])
+def test_only_plain_numbers_are_whole_numbers(tmp_path, text):
+    """Python's own int reads 1_0 and the digits of any script."""
+    head = "rollout,start_step,length,return,cost,longest_streak"
+    (tmp_path / "x.csv").write_text(f"{head}\n0,0,{text},1.0,0.0,0\n", encoding="utf-8")
+    with pytest.raises(
+        ValueError, match=r"x\.csv, line 2, column length: .* is not a whole number"
+    ):
+        EpisodeRecords.load(tmp_path / "x.csv")
+    (tmp_path / "x.csv").write_text(f"{head}\n0,0,5,1_0.0,0.0,0\n")
+    with pytest.raises(ValueError, match=r"'1_0\.0' is not a number"):
+        EpisodeRecords.load(tmp_path / "x.csv")

@@ -164,6 +164,7 @@ def test_one_damaged_folder_does_not_hide_the_others(folder, tmp_path, capsys):
     (tmp_path / "foreign").mkdir()
     (tmp_path / "foreign" / "config.json").write_text("[1, 2]")
     shutil.copytree(folder, tmp_path / "elsewhere")  # with a task that cannot be found here
+    (tmp_path / "elsewhere" / "checksums.json").unlink()
     config = tmp_path / "elsewhere" / "config.json"
     config.write_text(config.read_text().replace("Circle2D-1-v0", "no_such_module:Mine-v0"))
     assert main(["report", str(tmp_path)]) == 0

@@ -140,11 +140,45 @@ def test_stopped_in_the_middle_it_goes_on(whole, tmp_path):
             time.sleep(0.1)
         process.send_signal(number)
         _, err = process.communicate(timeout=60)
-        assert process.returncode in (130, 0), err
+        assert process.returncode in (128 + number, 0), err
         assert not processes_of(out)  # none is left behind
     assert main([*COMMAND, str(out)]) == 0
     assert results(out) == results(whole)
     assert (out / "report.csv").read_bytes() == (whole / "report.csv").read_bytes()
+
+
+@pytest.mark.slow
+def test_killed_it_leaves_no_worker_and_goes_on_at_once(tmp_path):
+    """SIGKILL reaches the parent alone; the second start waits for what is left of the first."""
+    out = tmp_path / "killed"
+    command = [sys.executable, "-m", "agents.cli", *COMMAND, str(out), "--steps", "20000"]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while not list(out.rglob("status.json")):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.kill()
+    process.wait()
+    again = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert again.returncode == 0, again.stderr
+    assert "failed" not in again.stderr
+    assert not processes_of(out)
+
+
+@pytest.mark.slow
+def test_the_workers_of_a_killed_command_end(tmp_path):
+    out = tmp_path / "killed"
+    command = [sys.executable, "-m", "agents.cli", *COMMAND, str(out), "--steps", "1000000"]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while not list(out.rglob("status.json")):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.kill()
+    process.wait()
+    while processes_of(out):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
 
 
 def test_one_failure_does_not_stop_the_others(tmp_path, capsys):

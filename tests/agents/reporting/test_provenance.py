@@ -71,6 +71,7 @@ def test_what_is_told(tmp_path):
     # Runs of before these were recorded.
     content = (tmp_path / "cpo" / "config.json").read_text().replace('"machine"', '"versions"')
     (tmp_path / "cpo" / "config.json").write_text(content)
+    (tmp_path / "cpo" / "checksums.json").unlink()
     (tmp_path / "cpo" / "status.json").unlink()
     told = made(FolderSource(tmp_path), groups)["training time"]
     assert told == "5 min, all processes together, of 1 of 2 folders"

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+from small_runs import write_evaluated
 
 from agents.paper.presets import preset
 from agents.paper.printed import paper_results
@@ -122,3 +123,15 @@ def test_the_papers_misprint():
     for task in ("Circle2D-1-v0", "circle2d_mj:Circle2D-1-v0"):
         assert paper_results(task, "TRPO-Lag")["J_R"] == -4.68
     assert paper_results("Circle2D-2-v0", "TRPO-Lag")["J_R"] == -4.23
+
+
+def test_names_of_other_people_are_neither_html_nor_control_sequences(tmp_path):
+    """In report.md and on the terminal; the page escapes them anyway."""
+    folder = tmp_path / "<script>alert(1)<" / "\x1b[31mred"
+    write_evaluated(folder, "cpo", costs=(4, 4))
+    (folder / "seed-1" / "evaluation.json").unlink()
+    text = table(tmp_path)
+    assert text == (tmp_path / "report.md").read_text()
+    assert "&lt;script>alert" in text
+    assert "<script" not in text
+    assert "\x1b" not in text

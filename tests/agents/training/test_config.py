@@ -25,6 +25,7 @@ def config(task=TASK, seeds=(0,), **changes):
 def edit(folder, **changes):
     path = folder / "config.json"
     content = json.loads(path.read_text()) | changes
+    (folder / "checksums.json").unlink(missing_ok=True)
     path.write_text(json.dumps({k: v for k, v in content.items() if v is not None}))
 
 

@@ -117,6 +117,7 @@ def test_which_run_and_which_step(folder, tmp_path):
 def test_a_policy_of_other_nets_is_refused(folder, tmp_path):
     copy = tmp_path / "x"
     shutil.copytree(folder, copy)
+    (copy / "checksums.json").unlink()
     text = (copy / "config.json").read_text()
     (copy / "config.json").write_text(text.replace("   32,\n   32\n", "   64,\n   64\n"))
     with pytest.raises(agents.UserError, match="damaged or of another version: actor is"):

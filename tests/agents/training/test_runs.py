@@ -263,6 +263,7 @@ def test_damaged_folders(tmp_path, name, damage, message):
 
 def test_checkpoint_of_other_nets_is_refused(tmp_path):
     folder = trained(tmp_path / "run", [0], steps=400)
+    (folder / "checksums.json").unlink()
     content = json.loads((folder / "config.json").read_text())
     content["hyperparameters"]["hidden"] = [32, 32]
     (folder / "config.json").write_text(json.dumps(content))

@@ -6,7 +6,7 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 
 from agents.errors import UserError
-from agents.training.environments import check_task, make_envs, sizes
+from agents.training.environments import check_task, make_envs, sizes, task_id
 
 
 class Other(gym.Env):
@@ -48,7 +48,7 @@ def test_actions_are_rescaled_and_costs_stay_what_they_are():
     assert envs.step(np.array([[0.0], [0.5]], np.float32))[4]["cost"].tolist() == [0.0, 0.0]
     costs = envs.step(np.array([[-1.0], [0.5]], np.float32))[4]["cost"]
     np.testing.assert_allclose(costs, [0.0, 0.3])  # actions 0 and 3
-    np.testing.assert_allclose(envs.env.envs[1].unwrapped.seen, [3.0, 3.0])
+    np.testing.assert_allclose(envs.unwrapped.envs[1].unwrapped.seen, [3.0, 3.0])
 
 
 def test_a_missing_cost_is_not_taken_for_none():
@@ -82,9 +82,11 @@ def test_a_cost_that_is_no_number(cost):
 
 def test_an_id_with_its_module():
     envs = make_envs("circle2d_mj:Circle2D-2-v0", 3, {})
-    assert type(envs).__name__ == "Circle2DVectorEnv"
+    assert type(envs.unwrapped).__name__ == "Circle2DVectorEnv"
     with pytest.raises(UserError, match="cannot make task 'no_such:Circle2D-2-v0'"):
-        make_envs("no_such:Circle2D-2-v0", 3, {})
+        task_id("no_such:Circle2D-2-v0")
+    with pytest.raises(UserError, match=r"'no_such:Mine-v0' is not registered: .*--import no_such"):
+        make_envs("no_such:Mine-v0", 3, {})
 
 
 def test_a_task_whose_constructor_fails():

@@ -1,0 +1,72 @@
+"""Combinations of hyper-parameters, and the training of several folders by an engine."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from agents.errors import UserError
+from agents.paper import grid
+from agents.training.config import TrainConfig
+from agents.training.engines import EngineName, engine
+
+Values = Collection[Any]
+"""Values of a hyper-parameter."""
+
+
+def sweep_configs(values: Mapping[str, Values]) -> dict[str, dict[str, Any]]:
+    """Every combination, by a name for its folder, such as "cost_limit=5.0,hidden=64x64".
+
+    Raises UserError for an empty grid, values that are none, and equal names.
+    """
+    for name, of_name in values.items():
+        if isinstance(of_name, str) or not isinstance(of_name, Collection) or not of_name:
+            raise UserError(f"grid needs several values of {name}, got {of_name!r}")
+    if not values:
+        raise UserError("grid is empty: it needs values of a hyper-parameter at least")
+    found: dict[str, dict[str, Any]] = {}
+    for chosen in itertools.product(*values.values()):
+        combination = dict(zip(values, chosen, strict=True))
+        name = ",".join(f"{key}={_word(value)}" for key, value in combination.items())
+        if name in found:
+            raise UserError(f"grid has {name} twice")
+        found[name] = combination
+    return found
+
+
+def _word(value: Any) -> str:
+    parts = value if isinstance(value, (tuple, list)) else [value]
+    return re.sub(r"[^\w.+-]+", "_", "x".join(map(str, parts)))
+
+
+def train_groups(
+    configs: Mapping[Path, TrainConfig],
+    name: EngineName,
+    count: int | None = None,
+    address: str | None = None,
+) -> None:
+    """Train folders to their end, those of equal settings together; what is done stays.
+
+    count, address: see `engine`. Raises UserError where one holds other runs, and where the
+    training of a folder fails; the others are done by then.
+    """
+    configs = dict(configs)
+    first = next(iter(configs.values()))
+    with engine(name, count, address, first.device) as ready:
+        grid.prepare(configs)
+        left = {f: c for f, c in configs.items() if not grid.finished(f, c)}
+        groups = grid.groups(left, ready.count)
+        modules = {type(c.hyperparameters).__module__ for c in configs.values()}
+        imports = sorted(module for module in modules if not module.startswith("agents."))
+
+        def finished(folder: Path) -> bool:
+            return grid.finished(folder, configs[folder])
+
+        with ready.workers(groups, finished, imports) as workers:
+            workers.run(lambda: None, 0.5)
+        failed = {f: why for f, why in workers.failed.items() if not finished(f)}
+    if failed:
+        raise UserError("; ".join(f"{folder} failed: {why}" for folder, why in failed.items()))

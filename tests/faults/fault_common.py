@@ -1,0 +1,131 @@
+"""Common parts of the faults: commands in forked processes, and the count of what they left."""
+
+import contextlib
+import io
+import os
+import re
+import shutil
+import signal
+import sys
+import tempfile
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from agents.cli.main import main
+
+SMALL = ["--steps", "150", "--checkpoint-every", "50", "--seeds", "0", "1"]
+SAC = ["--random-steps", "50", "--gradient-steps", "1", "--batch-size", "32"]
+NO_RESULTS = ("status.json", "checkpoint.previous.npz", "checksums.json", ".lock", "worker.log")
+"""Timings, logs, and what depends on where a training was interrupted."""
+
+
+@dataclass
+class Tally:
+    """How many faults of each kind were tried, and what was wrong after them."""
+
+    tried: Counter = field(default_factory=Counter)
+    defects: list[tuple[str, str]] = field(default_factory=list)
+
+    def note(self, kind: str, problem: str) -> None:
+        """Count a try. problem: empty where all is as it should be."""
+        self.tried[kind] += 1
+        if problem:
+            self.defects.append((kind, problem))
+            print(f"defect: {kind}: {problem}", file=sys.stderr, flush=True)
+
+    def table(self) -> str:
+        """A row for each kind, in Markdown."""
+        wrong = Counter(kind for kind, _ in self.defects)
+        rows = [(kind, n, n - wrong[kind], wrong[kind]) for kind, n in self.tried.items()]
+        rows.append(("all", *(sum(row[k] for row in rows) for k in (1, 2, 3))))
+        head = "| fault | tried | clean | defects |\n| --- | ---: | ---: | ---: |\n"
+        return head + "".join(f"| {a} | {b:,} | {c:,} | {d:,} |\n" for a, b, c, d in rows)
+
+
+@dataclass
+class Done:
+    """A command that ended."""
+
+    status: int
+    """Of the process; negative: the signal that killed it."""
+    out: str
+    err: str
+
+    def problem(self, allowed: tuple[int, ...]) -> str:
+        """Say what is wrong with it; empty where nothing is."""
+        if "Traceback" in self.err or "Exception ignored" in self.err:
+            return f"a traceback: {self.err[-600:]}"
+        if self.status not in allowed:
+            return f"status {self.status}, not one of {allowed}: {self.err[-300:]}"
+        own = [line for line in self.err.splitlines() if line.startswith("circle2d: ")]
+        if self.status == 2 and len(own) != 1:
+            return f"not one line: {self.err[-400:]}"
+        return ""
+
+
+def forked(act: Callable[[], int]) -> Done:
+    """Run a function in a process of its own, which has all modules that this one has."""
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        pid = os.fork()
+        if not pid:
+            status = 70
+            try:
+                os.dup2(out.fileno(), 1)
+                os.dup2(err.fileno(), 2)
+                sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
+                signal.signal(signal.SIGINT, signal.default_int_handler)
+                status = act()
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                with contextlib.suppress(Exception):
+                    sys.stdout.flush()
+                    sys.stderr.flush()
+                os._exit(status)
+        _, code = os.waitpid(pid, 0)
+        texts = []
+        for file in (out, err):
+            file.seek(0)
+            texts.append(file.read())
+    return Done(os.waitstatus_to_exitcode(code), *texts)
+
+
+def here(args: list[str]) -> Done:
+    """Run a command in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            status = main(args)
+        except BaseException:
+            traceback.print_exc()
+            status = 70
+    return Done(status, out.getvalue(), err.getvalue())
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    """The bytes of every file that must not depend on faults."""
+    found = sorted(path for path in folder.rglob("*") if path.is_file())
+    kept = [path for path in found if path.name not in NO_RESULTS]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in kept}
+
+
+def leftovers(folder: Path) -> list[str]:
+    """Temporary files below a folder."""
+    return [str(path) for path in folder.rglob("*") if re.search("unfinished|tmp", path.name)]
+
+
+def difference(found: dict[str, bytes], expected: dict[str, bytes]) -> str:
+    """In words, which files differ; empty where none does."""
+    names = found.keys() | expected.keys()
+    return ", ".join(sorted(name for name in names if found.get(name) != expected.get(name)))
+
+
+def fresh(of: Path, to: Path) -> Path:
+    """A copy of a folder in the place of another."""
+    shutil.rmtree(to, ignore_errors=True)
+    return shutil.copytree(of, to)

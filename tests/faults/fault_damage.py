@@ -1,0 +1,186 @@
+"""Damaged files: every file of a run folder, cut off, with flipped bits, and of other kinds."""
+
+import contextlib
+import io
+import json
+import warnings
+
+import numpy as np
+from fault_common import Tally, difference, fresh, here, results
+from fault_kills import measures
+
+import agents
+from agents.errors import UserError
+from emcc.__main__ import main as emcc
+
+NOT_OF_RESULTS = (".lock", "status.json", "report.md", "report.csv", "heatmap.png", "film.gif")
+"""Files that commands do not read, or that say nothing of results."""
+
+
+def npy(array):
+    """The array as a file."""
+    buffer = io.BytesIO()
+    np.save(buffer, array, allow_pickle=True)
+    return buffer.getvalue()
+
+
+def npz(**arrays):
+    """The arrays as a file."""
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+OTHERS = [
+    b"", b"\0", b"\xff\xfe\x00", b"x" * 1000, b"[" * 100_000, b'{"a":' * 100_000, b"null", b"true",
+    b"3", b'"x"', b"[1, 2]", b"{}", b'{"seed": 0}', b'{"task": null}', b"NaN", b"1e999", b"\n" * 50,
+    b"rollout,start_step\n1,2\n", b"PK\x03\x04" + b"\0" * 50, 
+    b"\x93NUMPY\x01\x00v\x00{'descr': '<f8'",
+    npy(np.zeros((3, 4, 5))), npy(np.array(["a", "b"])), npy(np.array([{}], dtype=object)),
+    npy(np.array(3.0)), npz(a=np.zeros(3)), npz(epoch=np.array(3)), npz(),
+    "rollout,start_step,length,return,cost,longest_streak\n0,0,١٠,0,0,0\n".encode(),
+]  # fmt: skip
+
+
+def edit_json(data, rng):
+    """JSON with one value replaced; other damage where it is none."""
+    try:
+        content = json.loads(data)
+    except ValueError:
+        return data[: len(data) // 2]
+    at = content
+    while isinstance(at, (dict, list)) and at:
+        key = rng.choice(list(at)) if isinstance(at, dict) else rng.randrange(len(at))
+        if not isinstance(at[key], (dict, list)) or not at[key] or rng.random() < 0.3:
+            values = [None, True, -1, 7.5, "x", [], {}, [[1]], 10**400, float("nan")]
+            at[key] = rng.choice([v for v in values if v != at[key]])
+            break
+        at = at[key]
+    return json.dumps(content).encode()
+
+
+def damaged(data, rng):
+    """Damage of a random kind, and its name."""
+    kind = rng.choice(["cut off", "flipped bit", "flipped bit", "another kind", "edited", "longer"])
+    if kind == "cut off" and data:
+        return kind, data[: rng.randrange(len(data))]
+    if kind == "flipped bit" and data:
+        changed = bytearray(data)
+        # As often near the ends, where headers and directories are.
+        at = rng.choice([rng.randrange(len(data)), rng.randrange(min(200, len(data)))])
+        at = rng.choice([at, len(data) - 1 - rng.randrange(min(400, len(data)))])
+        changed[at] ^= 1 << rng.randrange(8)
+        return kind, bytes(changed)
+    if kind == "edited":
+        return kind, edit_json(data, rng)
+    if kind == "longer":
+        return kind, data + rng.choice([b"\0", b"\n", b"1", data[-50:]])
+    return "another kind", rng.choice(OTHERS)
+
+
+def emcc_of(folder):
+    """Status and output of `python -m emcc`."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            status = emcc([str(folder), "--per-run"])
+        except SystemExit as exit_:
+            status = exit_.code
+    return status, out.getvalue()
+
+
+def without_report(found):
+    """Files but those that tell the folder's name and what was left out."""
+    return {name: data for name, data in found.items() if not name.startswith("report.")}
+
+
+class Readers:
+    """Commands that read a folder, and what they give for the undamaged one."""
+
+    def __init__(self, whole, folder):
+        self.folder = folder
+        self.name = ""
+        fresh(whole, folder)
+        self.expected, self.measures = results(folder), measures(folder)
+        self.emcc, self.table = emcc_of(folder), here(["evaluate", str(folder), "--episodes", "2"])
+        self.action = agents.load_policy(folder, seed=1)(np.zeros(2)).tolist()
+        fresh(whole, folder)
+
+    def problems(self, rng, name):
+        """Say what is wrong with what some commands do now. name: the damaged file."""
+        self.name = name
+        yield self._emcc()
+        yield self._report()
+        yield self._policy()
+        yield self._evaluate() if rng.random() < 0.3 else self._resume()
+
+    def _emcc(self):
+        status, out = emcc_of(self.folder)
+        return "emcc gives other numbers" if status == 0 and out != self.emcc[1] else ""
+
+    def _report(self):
+        for seed, found in measures(self.folder).items():
+            if found != self.measures[seed]:
+                return f"the report gives other numbers of seed {seed}"
+        return ""
+
+    def _policy(self):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                action = agents.load_policy(self.folder, seed=1)(np.zeros(2)).tolist()
+        except UserError:
+            return ""
+        # The checkpoint before the last one holds another policy; that is told.
+        fell_back = not self._is_whole("checkpoint.npz")
+        return "" if action == self.action or fell_back else "another policy"
+
+    def _is_whole(self, name):
+        path = self.folder / name
+        return path.exists() and path.read_bytes() == self.expected[name]
+
+    def _evaluate(self):
+        done = here(["evaluate", str(self.folder), "--episodes", "2"])
+        if problem := self._status(done, (0, 2)):
+            return problem
+        told = "circle2d: " in done.err
+        return "evaluate: other numbers" if not told and done.out != self.table.out else ""
+
+    def _resume(self):
+        done = here(["resume", str(self.folder)])
+        if problem := self._status(done, (0, 2)):
+            return problem
+        changed = ""
+        if done.status == 0:
+            changed = difference(*map(without_report, (results(self.folder), self.expected)))
+        if not changed or (changed == self.name and "/policies/" in self.name):
+            return ""  # policies on the way are looked at when they are loaded
+        if changed == self.name and self.name.endswith("/config.json"):
+            return ""  # the copy of the settings beside a run: emcc reads it, and compares it
+        return f"resume: differs: {changed}"
+
+    def _status(self, done, allowed):
+        text = done.err.replace("going on from the checkpoint before", "")
+        if "Traceback" in text:
+            return f"a traceback: {text[-500:]}"
+        return "" if done.status in allowed else f"status {done.status}: {text[-300:]}"
+
+
+def try_damage(tally: Tally, whole, count, rng, root):
+    """Damage random files and read the folder."""
+    readers = Readers(whole, root / "damaged")
+    paths = sorted(p for p in whole.rglob("*") if p.is_file() and p.name not in NOT_OF_RESULTS)
+    for k in range(count):
+        path = paths[k % len(paths)]
+        name = path.relative_to(whole).as_posix()
+        fresh(whole, readers.folder)
+        kind, data = damaged(path.read_bytes(), rng)
+        (readers.folder / name).write_bytes(data)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("always")  # commands print them
+                problem = next(filter(None, readers.problems(rng, name)), "")
+        except Exception as error:
+            problem = f"{type(error).__name__}: {error}"
+        where = "" if not problem else f"{name}, {kind} ({data[:40]!r}): {problem}"
+        tally.note(f"damaged file: {kind}", where)

@@ -1,0 +1,251 @@
+"""SIGKILL, full disks and signals at random file operations of every command."""
+
+import errno
+import os
+import resource
+import shutil
+import signal
+import sys
+
+import numpy as np
+from fault_common import (
+    SAC,
+    SMALL,
+    Done,
+    Tally,
+    difference,
+    forked,
+    fresh,
+    here,
+    leftovers,
+    results,
+)
+
+import agents
+from agents.cli.main import main
+from agents.errors import UserError
+from agents.results.archive import open_source
+from agents.results.reading import read_groups
+
+WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
+EVENTS = ("open", "os.rename", "os.mkdir", "os.remove")
+
+
+class Operations:
+    """Counts file operations of this process below a folder, and does something at one of them.
+
+    Only for processes that end: an audit hook cannot be removed.
+    """
+
+    def __init__(self, folder, at=-1, act=lambda file: None, until=None):
+        """act: called at operation `at`, and at all to `until`, by default at that one."""
+        self.folder, self.act, self.count = str(folder), act, 0
+        self.at, self.until = at, at if until is None else until
+        self.fsync = os.fsync
+
+    def __enter__(self):
+        sys.addaudithook(self._audit)
+        os.fsync = self._fsync
+        return self
+
+    def __exit__(self, *exception):
+        os.fsync, self.folder = self.fsync, "\0"
+
+    def _audit(self, event, arguments):
+        if event not in EVENTS or not str(arguments[0]).startswith(self.folder):
+            return
+        if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & WRITING):
+            return
+        if event == "os.remove" and self.until > self.at:
+            return  # a full disk does not keep files from being removed
+        self._next(None)
+
+    def _fsync(self, file):
+        self._next(file)
+        self.fsync(file)
+
+    def _next(self, file):
+        self.count += 1
+        if self.at <= self.count <= self.until:
+            self.act(file)
+
+
+class Scene:
+    """A command, what is there before it, and what must be there after it and its repetition."""
+
+    def __init__(self, name, root, before, args, again):
+        """before: a folder to begin with, or None; args, again: of a folder, the command and the
+        one that goes on after it."""
+        self.name, self.before, self.args, self.again = name, before, args, again
+        self.folder = root / "runs"
+        self._prepare()
+        self.before_it = measures(self.folder) if before else {}
+
+        def count():
+            with Operations(self.folder) as operations:
+                status = main(args(self.folder))
+            print(f"\n{operations.count}")
+            return status
+
+        done = forked(count)
+        assert done.status == 0, done.err
+        self.operations = int(done.out.splitlines()[-1])
+        self.expected, self.measures = results(self.folder), measures(self.folder)
+
+    def _prepare(self):
+        if self.before is None:
+            shutil.rmtree(self.folder, ignore_errors=True)
+        else:
+            fresh(self.before, self.folder)
+
+    def fault(self, rng, act, allowed, lasting=False):
+        """One fault at a random operation, then the command again. Returns what was wrong."""
+        self._prepare()
+        at = rng.randint(1, self.operations)
+
+        def run():
+            with Operations(self.folder, at, act, 10**9 if lasting else None):
+                return main(self.args(self.folder))
+
+        done = forked(run)
+        return self.after(done, allowed, f"{self.name}, operation {at} of {self.operations}")
+
+    def limited(self, rng):
+        """The command where files cannot become longer than some bytes."""
+        self._prepare()
+        limit = rng.choice([0, 100, 1000, 5000, 20_000, 50_000])
+
+        def run():
+            hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+            status = main(self.args(self.folder))
+            resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+            return status
+
+        return self.after(forked(run), (0, 2), f"{self.name}, files of at most {limit} bytes")
+
+    def after(self, done: Done, allowed, where):
+        """Go on after a command that was stopped. Returns what was wrong."""
+        if problem := done.problem(allowed):
+            return f"{where}: {problem}"
+        if done.status >= 0 and (left := leftovers(self.folder)):
+            return f"{where}: left {left}"
+        for seed, of_run in measures(self.folder).items():
+            if of_run not in (self.measures[seed], self.before_it.get(seed)):
+                return f"{where}: a report gives other numbers of seed {seed}"
+        goes_on = self.again if (self.folder / "config.json").exists() else self.args
+        again = forked(lambda: main(goes_on(self.folder)))
+        if problem := again.problem((0,)):
+            return f"{where}: again: {problem}"
+        if left := leftovers(self.folder):
+            return f"{where}: again left {left}"
+        if changed := difference(results(self.folder), self.expected):
+            return f"{where}: differs: {changed}"
+        return ""
+
+
+def measures(folder):
+    """Measures of the runs that a report takes for complete, by seed."""
+    try:
+        groups = read_groups(open_source(folder), [])
+    except UserError:
+        return {}
+    return {run.seed: run.measures for group in groups for run in group.runs}
+
+
+def scenes(root, backend="eager", names=()):
+    """Every command that writes, but for reproduce. names: some of them; by default all, with
+    compiled updates those that train."""
+    options = [*SMALL, "--backend", backend]
+    whole, stopped = root / "whole", root / "stopped"
+    sac = ["train", "--algorithm", "sac-lag", "--evaluate-every", "100", *SAC, *options]
+    cpo = ["train", "--algorithm", "cpo", "--episodes", "1", *options]
+    assert here([*sac, "--out", str(whole)]).status == 0
+    settings = {"random_steps": 50, "gradient_steps": 1, "batch_size": 32, "evaluate_every": 100}
+    settings |= {"seeds": (0, 1), "steps": 150, "checkpoint_every": 50, "backend": backend}
+    stop = {"on_epoch": lambda epoch: epoch.runs[0]["step"] < 100, "out": stopped}
+    agents.train("sac-lag", **settings, **stop)
+
+    def of(command, *more):
+        return lambda folder: [command, str(folder), *(m.format(folder) for m in more)]
+
+    resume, evaluate = of("resume"), of("evaluate", "--episodes", "5")
+    heatmap, packed = of("heatmap", "--size", "64"), of("report", "--archive", "{}/archive.zip")
+    film = of("render", "--size", "64", "--episodes", "1", "--out", "{}/film.gif")
+    found = {
+        "train": (None, lambda f: [*sac, "--out", str(f)], resume),
+        "train cpo": (None, lambda f: [*cpo, "--out", str(f)], resume),
+        "resume": (stopped, resume, resume),
+        "resume of a finished run": (whole, resume, resume),
+        "evaluate": (whole, evaluate, evaluate),
+        "heatmap": (whole, heatmap, heatmap),
+        "film": (whole, film, film),
+        "report": (whole, packed, packed),
+    }
+    names = names or (found if backend == "eager" else ("train", "train cpo", "resume"))
+    return [Scene(name, root, *found[name]) for name in names]
+
+
+def kill_of(rng):
+    """An act: the end of the process, sometimes in the midst of what it wrote last."""
+
+    def act(file):
+        if file is not None and rng.random() < 0.5:
+            size = os.fstat(file).st_size
+            os.ftruncate(file, max(least(file), size - rng.randrange(1, 200)))
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    return act
+
+
+def least(file):
+    """The least length of a file in the midst of a write: one that grows keeps its old rows."""
+    path = os.readlink(f"/proc/self/fd/{file}")
+    if not path.endswith(".npy"):
+        return 0
+    try:
+        rows = np.load(path, mmap_mode="r")
+    except ValueError:  # new, and still without its header
+        return 0
+    return rows.offset + rows.nbytes
+
+
+def no_space(file):
+    """An act: the disk is full."""
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def signal_of(rng):
+    """An act: a signal that ends commands. And the statuses that may follow."""
+    number = rng.choice([signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+    return lambda file: os.kill(os.getpid(), number), (0, 128 + number)
+
+
+WEIGHTS = {"report": 1, "film": 2, "heatmap": 3}
+"""How often commands are tried that take seconds; the others 10."""
+
+
+def try_kills(tally: Tally, found, count, rng, words=""):
+    """SIGKILL at random operations of random commands."""
+    weights = [WEIGHTS.get(scene.name, 10) for scene in found]
+    for scene in rng.choices(found, weights, k=count):
+        problem = scene.fault(rng, kill_of(rng), (-signal.SIGKILL, 0))
+        tally.note(f"SIGKILL{words}: {scene.name}", problem)
+
+
+def try_disks(tally: Tally, found, count, rng):
+    """Full disks, and files that cannot grow."""
+    weights = [WEIGHTS.get(scene.name, 10) for scene in found]
+    for k, scene in enumerate(rng.choices(found, weights, k=count)):
+        if k % 3:
+            tally.note("full disk", scene.fault(rng, no_space, (0, 2), lasting=True))
+        else:
+            tally.note("limit of file sizes", scene.limited(rng))
+
+
+def try_signals(tally: Tally, found, count, rng):
+    """SIGTERM, SIGINT and SIGHUP at random operations."""
+    weights = [WEIGHTS.get(scene.name, 10) for scene in found]
+    for scene in rng.choices(found, weights, k=count):
+        act, allowed = signal_of(rng)
+        tally.note("SIGTERM, SIGINT, SIGHUP", scene.fault(rng, act, allowed))

@@ -1,0 +1,57 @@
+"""The long fault suite: `make faults`. Prints what was tried, what was clean, and the defects."""
+
+import argparse
+import os
+import random
+import sys
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("TORCHINDUCTOR_COMPILE_THREADS", "1")  # threads do not survive a fork
+ROOT = Path(__file__).parents[2]
+sys.path[:0] = [str(Path(__file__).parent), str(ROOT)]
+
+from fault_common import Tally  # noqa: E402
+from fault_damage import try_damage  # noqa: E402
+from fault_inputs import try_arrays, try_options  # noqa: E402
+from fault_kills import scenes, try_disks, try_kills, try_signals  # noqa: E402
+from fault_programs import try_environments, try_reproduce  # noqa: E402
+
+
+def main():
+    """Run as many faults of each kind as the options say."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    counts = {"kills": 800, "compiled": 200, "reproduce": 8, "disks": 150, "signals": 100}
+    counts |= {"damage": 2000, "options": 1500, "arrays": 9000, "environments": 40}
+    for name, count in counts.items():
+        parser.add_argument(f"--{name}", type=int, default=count)
+    parser.add_argument("--seed", type=int, default=0)
+    chosen = parser.parse_args()
+    rng, tally, started = random.Random(chosen.seed), Tally(), time.monotonic()
+    warnings.simplefilter("ignore")
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        (root / "eager").mkdir()
+        (root / "compiled").mkdir()
+        found = scenes(root / "eager")
+        try_kills(tally, found, chosen.kills, rng)
+        try_disks(tally, found, chosen.disks, rng)
+        try_signals(tally, found, chosen.signals, rng)
+        try_damage(tally, root / "eager" / "whole", chosen.damage, rng, root)
+        try_options(tally, chosen.options, rng, root)
+        try_arrays(tally, chosen.arrays, rng)
+        try_environments(tally, chosen.environments, rng, root)
+        try_reproduce(tally, chosen.reproduce, rng, root)
+        if chosen.compiled:  # last: the process holds compiled code from here on
+            compiled = scenes(root / "compiled", "compiled")
+            try_kills(tally, compiled, chosen.compiled, rng, " (compiled)")
+    print(tally.table())
+    print(f"{time.monotonic() - started:.0f} s")
+    return int(bool(tally.defects))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

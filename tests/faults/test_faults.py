@@ -1,0 +1,33 @@
+"""A few faults of each kind; `make faults` tries thousands."""
+
+import random
+
+import pytest
+from fault_common import Tally
+from fault_damage import try_damage
+from fault_inputs import try_arrays, try_options
+from fault_kills import scenes, try_disks, try_kills, try_signals
+
+QUICK = ("train", "resume", "evaluate")
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_few_faults(tmp_path):
+    """A process that is killed, a full disk, a signal, a damaged file, an odd option or array."""
+    rng, tally = random.Random(1), Tally()
+    found = scenes(tmp_path, names=QUICK)
+    try_kills(tally, found, 5, rng)
+    try_disks(tally, found, 2, rng)
+    try_signals(tally, found, 2, rng)
+    try_damage(tally, tmp_path / "whole", 14, rng, tmp_path)
+    try_options(tally, 15, rng, tmp_path)
+    try_arrays(tally, 200, rng)
+    assert sum(tally.tried.values()) == 238
+    assert not tally.defects
+
+
+def test_the_table_counts_what_was_wrong():
+    tally = Tally()
+    tally.note("kill", "")
+    tally.note("kill", "a traceback")
+    assert tally.table().splitlines()[2:] == ["| kill | 2 | 1 | 1 |", "| all | 2 | 1 | 1 |"]
