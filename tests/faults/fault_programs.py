@@ -99,7 +99,9 @@ def try_reproduce(tally: Tally, count, rng, root):
     took = time.monotonic() - started
     for _ in range(count):
         shutil.rmtree(out, ignore_errors=True)
-        process = subprocess.Popen([*command, str(out)], stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            [*command, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
         time.sleep(rng.uniform(0.3, 1.0) * took)
         number = rng.choice([signal.SIGKILL, signal.SIGKILL, signal.SIGTERM])
         process.send_signal(number)
