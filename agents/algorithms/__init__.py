@@ -12,7 +12,10 @@ from agents.errors import UserError, nearest
 if TYPE_CHECKING:  # torch takes a second to import, and a list of names does not need it
     from agents.lockstep.learner import Learner
 
-BUILT_IN = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac", "ppo-lag", "ppo", "sac")
+BUILT_IN = (
+    *("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"),
+    *("sac-lb-tuned", "ppo-lag", "ppo", "sac"),
+)
 """Each a module of this package that defines `ALGORITHM`. The last two know no constraint."""
 
 

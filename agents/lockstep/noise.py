@@ -11,6 +11,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 BLOCK = 64
@@ -73,6 +74,27 @@ def normal(rng: np.random.Generator, size: tuple[int, ...]) -> NDArray[np.float3
 def uniform(rng: np.random.Generator, size: tuple[int, ...]) -> NDArray[np.float32]:
     """Uniform numbers in [-1, 1)."""
     return 2.0 * rng.random(size, dtype=np.float32) - 1.0
+
+
+def correlated_uniform(
+    rng: np.random.Generator, size: tuple[int, ...], exponent: float
+) -> NDArray[np.float32]:
+    """Numbers in [-1, 1], each uniform by itself, correlated along the first axis.
+
+    They are Gaussian noise whose power falls as `frequency ** -exponent`, through the normal
+    distribution's function: 0 is white, 1 pink, 2 brown. Source: Timmer & König 1995, "On
+    generating power law noise". size: (even length, ...).
+    """
+    frequency = np.maximum(np.arange(size[0] // 2 + 1), 1) / size[0]
+    scale = frequency.reshape(-1, *[1] * (len(size) - 1)) ** (-exponent / 2)
+    real, imaginary = scale * rng.standard_normal((2, len(scale), *size[1:]))
+    spectrum = real + 1j * imaginary
+    spectrum[[0, -1]] = 2**0.5 * spectrum[[0, -1]].real  # of a real series these two are real
+    shares = np.full(len(scale), 4.0)  # of the variance; each of the others counts for two
+    shares[[0, -1]] = 2.0
+    deviation = np.sqrt((shares * scale.ravel() ** 2).sum()) / size[0]
+    gaussian = np.fft.irfft(spectrum, size[0], axis=0) / deviation
+    return torch.erf(torch.from_numpy(gaussian / 2**0.5)).float().numpy()
 
 
 def steps_of_noise(

@@ -27,7 +27,8 @@ class Batch(NamedTuple):
     next_observation: Tensor
     """[R, B, observation size]"""
     terminal: Tensor
-    """[R, B]: 1.0 where nothing follows the transition, else 0.0"""
+    """[R, B]: 1.0 where nothing follows the transition, else 0.0; with targets of n steps the share
+    of what follows that their discount takes: see `Rollout.of_n_steps`"""
 
 
 class Replay:
@@ -45,8 +46,8 @@ class Replay:
         """Transitions held, [R]."""
         return np.minimum(self.stored, self._rows.shape[1])
 
-    def add(self, rollout: Rollout, terminal: NDArray[np.bool_]) -> None:
-        """Store the steps of a rollout; terminal: [T, R]."""
+    def add(self, rollout: Rollout, terminal: NDArray) -> None:
+        """Store the steps of a rollout; terminal: [T, R], see `Batch`."""
         columns = (rollout.observation, rollout.action, rollout.reward, rollout.cost)
         columns = (*columns, rollout.next_observation, terminal)
         steps, runs = terminal.shape

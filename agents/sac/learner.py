@@ -14,7 +14,15 @@ from agents.lockstep.backend import array, tensor
 from agents.lockstep.lagrange import PIDState, follow
 from agents.lockstep.modules import mlp
 from agents.lockstep.nets import forward_numpy
-from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams, uniform
+from agents.lockstep.noise import (
+    Epochs,
+    Purpose,
+    correlated_uniform,
+    normal,
+    steps_of_noise,
+    streams,
+    uniform,
+)
 from agents.lockstep.replay import Replay
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.sac import squashed_gaussian
@@ -73,7 +81,9 @@ class OffPolicy:
         """
         policy, shape = self.policy(), (self.action_size,)
         noise = steps_of_noise(normal, self.seeds, Purpose.EXPLORATION, epoch, shape)
-        random_actions = steps_of_noise(uniform, self.seeds, Purpose.RANDOM_ACTIONS, epoch, shape)
+        random_actions = steps_of_noise(
+            self._random, self.seeds, Purpose.RANDOM_ACTIONS, epoch, shape
+        )
         step = steps.copy()
 
         def act_by_policy(observation: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -86,6 +96,11 @@ class OffPolicy:
 
         return act if (steps < self.config.random_steps).any() else act_by_policy
 
+    def _random(self, rng: np.random.Generator, size: tuple[int, ...]) -> NDArray[np.float32]:
+        """Uniformly random actions, correlated over time with a `random_exponent`."""
+        exponent = self.config.random_exponent
+        return correlated_uniform(rng, size, exponent) if exponent else uniform(rng, size)
+
     def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray:
         """Store an epoch's episodes and take its gradient steps; active: [R], runs that take part.
 
@@ -94,7 +109,11 @@ class OffPolicy:
         """
         length = np.where(active, rollout.length, 0)
         terminal = rollout.terminal(self.config.time_limit)
-        self._replay.add(rollout.learned(self.config)._replace(length=length), terminal)
+        rollout = rollout.learned(self.config)._replace(length=length)
+        if self.config.target_steps > 1:
+            n, discount = self.config.target_steps, self.config.discount
+            rollout, terminal = rollout.of_n_steps(n, discount, terminal)
+        self._replay.add(rollout, terminal)
         learning = active & (self._replay.size >= self.config.batch_size)
         if not learning.any():
             return np.full((len(self.seeds), len(self.metrics)), np.nan)

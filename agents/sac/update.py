@@ -46,6 +46,9 @@ class SACConfig:
     random_steps: int = 5_000
     """Environment steps at the start that take uniformly random actions. Paper: 5000 on Circle2D,
     50000 on Safety-Gymnasium."""
+    random_exponent: float = 0.0
+    """Exponent β of the random actions' power spectrum 1/f^β: 0 white, 1 pink, 2 brown noise, which
+    keeps a direction for many steps. Each action is uniform by itself. Paper: white, as usual."""
     replay_size: int = 50_000
     """Transitions the replay of a run holds. Paper: 50000 on Circle2D, 500000 on
     Safety-Gymnasium."""
@@ -57,18 +60,23 @@ class SACConfig:
     target_rate: float = 0.005
     """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
     al."""
+    target_steps: int = 1
+    """Steps n whose rewards and costs a target sums before it bootstraps, without correction for
+    the policy that took them. Paper: 1, as usual."""
     time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
     """Whether to bootstrap at the time limit. Inferred for the paper's Circle2D, not printed:
     terminal."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
+        check_integers(self, "target_steps", low=1, high=1000)
         check_integers(self, "gradient_steps", low=1, high=100_000)
         check_integers(self, "replay_size", low=1)
         check_integers(self, "batch_size", low=1, high=self.replay_size)
         check_integers(self, "random_steps", low=0)
         check(self, "discount", "target_rate", low=0, high=1)
         check(self, "learning_rate", above=0, high=1)
+        check(self, "random_exponent", low=0, high=4)
         check(self, "input_scale", low=1e-6, high=1e6)
         check_lanes(self)
         check_choice(self, "time_limit", "bootstrap", "terminal")

@@ -1,11 +1,15 @@
 """Random numbers are a function of seed, purpose and epoch, and of nothing else."""
 
+import functools
 import itertools
 
 import numpy as np
+import pytest
+import torch
 
 from agents.lockstep.noise import (
     Purpose,
+    correlated_uniform,
     environment_seeds,
     normal,
     steps_of_noise,
@@ -72,3 +76,25 @@ def test_distributions():
     assert flat.max() < 1
     assert abs(flat.mean()) < 0.02
     assert abs(flat.std() - 1 / np.sqrt(3)) < 0.02
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0])
+def test_correlated_numbers_are_uniform_and_have_their_spectrum(exponent):
+    """The slope of log power over log frequency, of the Gaussian below the uniform numbers.
+
+    Each number: quantiles of the uniform distribution, over 4000 independent series.
+    """
+    found = correlated_uniform(np.random.default_rng(0), (64, 4000), exponent)
+    assert found.shape == (64, 4000)
+    assert found.dtype == np.float32
+    shares = np.arange(0.1, 1.0, 0.1)
+    for step in (0, 31, 63):
+        quantiles = np.quantile(found[step], shares)
+        np.testing.assert_allclose(quantiles, 2 * shares - 1, atol=0.05)  # 3 deviations of .5/√4000
+    inverse = torch.erfinv(torch.from_numpy(found).double().clamp(-1 + 1e-7, 1 - 1e-7)).numpy()
+    power = (np.abs(np.fft.rfft(inverse, axis=0)) ** 2).mean(axis=1)[1:-1]
+    slope = np.polyfit(np.log(np.arange(1, 32)), np.log(power), 1)[0]
+    assert slope == pytest.approx(-exponent, abs=0.05)
+    draw = functools.partial(correlated_uniform, exponent=exponent)
+    together = take(draw, [3, 1, 2], Purpose.RANDOM_ACTIONS, 7)
+    np.testing.assert_array_equal(together[:, 1:2], take(draw, [1], Purpose.RANDOM_ACTIONS, 7))
