@@ -59,8 +59,8 @@ class Rollout(NamedTuple):
 
         A step's become the discounted sums over it and the n - 1 that follow it in its episode, its
         next observation the one after them. terminal: [T, N], see `terminal`. Returns with them
-        [T, N] how much of the value there is missing in `r + γ (1 - missing) V`: 1 where the episode
-        is over, else `1 - γ^(m - 1)` for a sum over m steps.
+        [T, N] the share of the value there that is missing in `r + γ (1 - missing) V`: 1 where the
+        episode is over, else `1 - γ^(m - 1)` for a sum over m steps.
         """
         steps = np.arange(len(self.reward))[:, None]
         last = np.minimum(steps + n - 1, self.length - 1)  # of the step's sum
