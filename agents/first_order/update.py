@@ -48,7 +48,7 @@ class PPOConfig(OnPolicyConfig):
         check_integers(self, "actor_iterations", low=1, high=10_000)
         check_integers(self, "batch_size", low=1)
         check(self, "clip_range", above=0, high=1)
-        check(self, "max_gradient_norm", above=0, high=1e6)
+        check(self, "max_gradient_norm", above=0, high=1e12)
 
 
 class Objective(NamedTuple):

@@ -142,7 +142,7 @@ def test_critics_learn_mean_and_variance_of_a_known_return():
 
 
 def test_a_multiplier_that_would_overflow_is_refused():
-    with pytest.raises(UserError, match="initial_multiplier must be at most 50, got 90"):
+    with pytest.raises(UserError, match=r"initial_multiplier must be .*at most 50, got 90"):
         WCSACConfig(initial_multiplier=90)
 
 

@@ -199,7 +199,7 @@ def test_one_failure_does_not_stop_the_others(tmp_path, capsys):
     [
         (["--levels", "5"], r"levels must be some of \[0, 1, 2, 3\], got \[5\]"),
         (["--algorithms", "cop"], "unknown algorithm 'cop': did you mean 'cpo'"),
-        (["--workers", "0"], "workers must be at least 1, got 0"),
+        (["--workers", "0"], r"workers must be in \[1, 1024\], got 0"),
         (["--tasks", "Nope-v3", "--levels", "0", "1", "2", "3"], "Nope"),
         (["--tasks", "Nope-v3"], "give either tasks, or levels and mujoco"),
         (["--steps", "0"], "steps must be at least 1, got 0"),

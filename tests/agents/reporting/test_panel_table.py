@@ -52,7 +52,7 @@ def test_algorithms_are_columns_in_their_order():
     table = panel_table([a_group("wcsac", seeds=(0, 1)), a_group("cpo")])
     assert [name.split(" (")[0] for name in table.head] == [TASK, "CPO", "WCSAC", ""]
     assert table.columns == 3
-    assert cells(table)["training: cost rate (per step)"] == ["0.500", "0.500 [0.500, 0.500]"]
+    assert cells(table)["training: cost rate (per step)"] == ["0.500", "0.500 range 0.500 to 0.500"]
     assert "limit 5" in table.caption
 
 

@@ -30,7 +30,7 @@ def test_duration(seconds, words):
 def test_the_command_trains_the_same(tmp_path):
     hyperparameters = replace(preset("sac-lag", "Circle2D-3-v0"), cost_limit=3.0, hidden=(32, 64))
     parameters = {"constraint_radius": 3.0, "optima_perturbation": (1.0, 0.5)}
-    config = TrainConfig("sac-lag", "Circle2D-3-v0", (4, 7), 50, hyperparameters, parameters)
+    config = TrainConfig("sac-lag", "Circle2D-3-v0", (4, 7), 150, hyperparameters, parameters)
     config = replace(config, vectorization="sync")
     said = command(config, str(tmp_path / "with a space"))
     program, *arguments = shlex.split(said)

@@ -285,7 +285,7 @@ def check_rows(rows, numbers):
                 assert is_mean(cell, column(runs, measure), runs), (name, measure, cell)
             assert cells[8] == share_words(sum(run["J_C"] <= LIMIT for run in runs))
             places = Counter(run["ends"].partition(" (")[0] for run in runs)
-            assert cells[9] == ", ".join(f"{p} {share_words(n)}" for p, n in places.most_common())
+            assert cells[9] == "; ".join(f"{p} {share_words(n)}" for p, n in places.most_common())
         else:
             run = singles[name]
             for measure, cell in measured.items():
@@ -310,8 +310,9 @@ def test_the_tables(raw):
     for row in rows:
         cells = [re.escape(cell) for cell in row]
         cells = [re.sub(r"\\ (\\\[|range\\ )", r"(?:<br><small>| )\1", cell) for cell in cells]
-        between = r"(?:</small>)?</td><td(?: class=\"best\")?>"
-        assert re.search(f"<td>{between.join(cells)}(?:</small>)?</td>", page), row
+        start = r"<td(?: class=\"(?:best|words)\")?>"
+        between = rf"(?:</small>)?</td>{start}"
+        assert re.search(f"{start}{between.join(cells)}(?:</small>)?</td>", page), row
 
 
 def test_ties_split_instead_of_kept(raw):

@@ -45,7 +45,7 @@ def test_settings_of_another_type(folder, strict):
     path = folder / "config.json"
     (folder / "checksums.json").unlink()
     content = json.loads(path.read_text())
-    for name in content.keys() - {"versions", "machine", "spaces", "algorithm_module"}:
+    for name in content.keys() - {"versions", "machine", "spaces", "algorithm_module", "commit"}:
         for value in (None, 7.5, [], [[1]], {"a": 1}, "-x", 10**400, -1, True):
             if (name, value) in POSSIBLE:
                 continue

@@ -93,7 +93,7 @@ def test_a_task_whose_constructor_fails():
     def fail():
         raise RuntimeError("no licence")
 
-    gym.register("Failing-v0", entry_point=fail)
-    with pytest.raises(UserError, match="cannot make task 'Failing-v0': no licence"):
-        make_envs("Failing-v0", 2, {})
-    del gym.registry["Failing-v0"]
+    gym.register("Unmakeable-v0", entry_point=fail)
+    with pytest.raises(UserError, match="cannot make task 'Unmakeable-v0': no licence"):
+        make_envs("Unmakeable-v0", 2, {})
+    del gym.registry["Unmakeable-v0"]
