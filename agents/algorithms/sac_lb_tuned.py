@@ -25,22 +25,23 @@ class SACLBTunedConfig(SACLBConfig):
     """Hyper-parameters of SAC-LB tuned: SAC-LB's with other defaults, and the margin."""
 
     learning_rate: float = 1e-3
-    """Adam's step size for actor, critics and temperature. SAC-LB: 3e-4."""
+    """Adam's step size for actor, critics and temperature. The paper's SAC-LB: 3e-4."""
     batch_size: int = 128
-    """Transitions a gradient step; a multiple of 32, at most the replay's size. SAC-LB: 256."""
+    """Transitions a gradient step; a multiple of 32, at most the replay's size. The paper's
+    SAC-LB: 256."""
     gradient_steps: int = 10
-    """Gradient steps an epoch, which is one episode. SAC-LB: 5."""
+    """Gradient steps an epoch, which is one episode. The paper's SAC-LB: 5."""
     random_exponent: float = 2.0
     """Exponent β of the random actions' power spectrum 1/f^β: 2 is brown noise, which keeps a
-    direction for many steps. SAC-LB: 0."""
+    direction for many steps. The paper's SAC-LB: 0."""
     replay_size: int = 1_000_000
-    """Transitions the replay of a run holds: the whole of a training. SAC-LB: 50000."""
+    """Transitions the replay of a run holds: the whole of a training. The paper's SAC-LB: 50000."""
     input_scale: float = 15.0
     """Factor on observations before the networks; 15 turns Circle2D's back into its units of
-    length. SAC-LB: 1."""
+    length. The paper's SAC-LB: 1."""
     margin: float = 0.2
     """Share of the cost limit that the barrier keeps free, in [0, 1): it stands at
-    `(1 - margin) d`. SAC-LB: 0."""
+    `(1 - margin) d`. The paper's SAC-LB: 0."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""

@@ -87,6 +87,7 @@ def test_help_of_all_algorithms_lists_each_option_once_for_those_that_share_it()
         "Hyper-parameters of sac-lag, wcsac:",
         "Hyper-parameters of sac-lb, sac-lb-tuned:",
         "Hyper-parameters of wcsac:",
+        "Hyper-parameters of sac-lb-tuned:",
         "Hyper-parameters of ppo-lag, ppo:",
         "Hyper-parameters of ppo-lag:",
     ]
