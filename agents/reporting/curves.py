@@ -64,13 +64,17 @@ def episode_means(line: Line, column: Literal["reward", "cost"]) -> Curve:
 
 
 def running_emcc(line: Line, alpha: float) -> Curve:
-    """EMCC of the rollouts that start within half a window of each point; NaN where none does."""
-    rows, total_steps = [], line.total_steps
-    for of_run in line.records:
-        mcc, starts = of_run.mcc_per_rollout()
-        near = [np.abs(starts - s) <= WINDOW / 2 * total_steps for s in midpoints(total_steps)]
-        rows.append([emcc(mcc[chosen], alpha) if chosen.any() else np.nan for chosen in near])
+    """`emcc_along` of each run."""
+    rows = [emcc_along(of_run, line.total_steps, alpha) for of_run in line.records]
     return _over_runs(rows, line.one_place)
+
+
+def emcc_along(records: EpisodeRecords, total_steps: int, alpha: float) -> list[float]:
+    """EMCC of the rollouts of a run that start within half a window of each of `midpoints`; NaN
+    where none does."""
+    mcc, starts = records.mcc_per_rollout()
+    near = (np.abs(starts - at) <= WINDOW / 2 * total_steps for at in midpoints(total_steps))
+    return [emcc(mcc[chosen], alpha) if chosen.any() else np.nan for chosen in near]
 
 
 def thirds_emcc(line: Line, alpha: float) -> Curve:

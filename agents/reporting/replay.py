@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.paper.settings import in_order, title_of
-from agents.reporting.curves import WINDOW, midpoints
+from agents.reporting.curves import emcc_along
 from agents.reporting.scenes import STATES, Scenes, shown_states
 from agents.results.reading import Group, Run
 from agents.results.source import DamagedSource, Source
 from agents.results.steps import LAST, WINDOWS, Replay
-from emcc import emcc
 from emcc.parts import ALPHA, PARTS
 
 BITS = 10
@@ -91,15 +90,11 @@ def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
         "cost": [float(e.costs.sum()) for e in episodes] if set(costs) - {0.0, 1.0} else None,
         "points": _text(_packed(np.concatenate(points))),
         "unsafe": _text(np.packbits(costs > 0)),
-        "emcc": _running_emcc(run, steps),
+        "emcc": [
+            None if np.isnan(value) else round(value * DIGITS)
+            for value in emcc_along(run.records, steps, ALPHA)
+        ],
     }
-
-
-def _running_emcc(run: Run, steps: int) -> list[int | None]:
-    """EMCC around each of `midpoints`, as in the curves, in parts of 1; None without a rollout."""
-    mcc, starts = run.records.mcc_per_rollout()
-    near = (mcc[np.abs(starts - at) <= WINDOW / 2 * steps] for at in midpoints(steps))
-    return [round(emcc(of, ALPHA) * DIGITS) if len(of) else None for of in near]
 
 
 def _packed(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
