@@ -8,100 +8,22 @@ algorithms and applications") with the cost terms of the algorithm's paper.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from agents.errors import check, check_choice, check_integers
 from agents.lockstep import lagrange
 from agents.lockstep.adam import Moments, adam, no_moments
 from agents.lockstep.backend import tensor
 from agents.lockstep.compiling import compiled
 from agents.lockstep.lagrange import MultiplierForm, MultiplierState, PIDState
-from agents.lockstep.nets import LANES, MLP, check_lanes
+from agents.lockstep.nets import LANES, MLP
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.replay import Batch
 from agents.sac import squashed_gaussian
-
-
-@dataclass(frozen=True)
-class SACConfig:
-    """Hyper-parameters of the SAC family.
-
-    The defaults are the paper's (table HP_Circle2D) but for the time limit; presets set it for
-    Circle2D.
-    """
-
-    discount: float = 0.99
-    """Discount factor γ of rewards and costs, in [0, 1]. Paper: 0.99."""
-    learning_rate: float = 3e-4
-    """Adam's step size for actor, critics and temperature. Paper: 3e-4."""
-    batch_size: int = 256
-    """Transitions a gradient step; a multiple of 32, at most the replay's size. Paper: 256."""
-    gradient_steps: int = 5
-    """Gradient steps an epoch, which is one episode. Paper: 5."""
-    random_steps: int = 5_000
-    """Environment steps at the start that take uniformly random actions. Paper: 5000 on Circle2D,
-    50000 on Safety-Gymnasium."""
-    random_exponent: float = 0.0
-    """Exponent β of the random actions' power spectrum 1/f^β: 0 white, 1 pink, 2 brown noise, which
-    keeps a direction for many steps. Each action is uniform by itself. Paper: white, as usual."""
-    replay_size: int = 50_000
-    """Transitions the replay of a run holds. Paper: 50000 on Circle2D, 500000 on
-    Safety-Gymnasium."""
-    hidden: tuple[int, ...] = (64, 64)
-    """Sizes of the hidden layers of actor and critics (tanh); multiples of 32. Paper: 64, 64."""
-    input_scale: float = 1.0
-    """Factor on observations before the networks. Small tanh networks are smooth: observations in
-    [-1, 1] whose details matter want a larger one. Not in the paper; 1 leaves them as they are."""
-    target_rate: float = 0.005
-    """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
-    al."""
-    target_steps: int = 1
-    """Steps n whose rewards and costs a target sums before it bootstraps, without correction for
-    the policy that took them. Paper: 1, as usual."""
-    time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
-    """Whether to bootstrap at the time limit. Inferred for the paper's Circle2D, not printed:
-    terminal."""
-
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        check_integers(self, "target_steps", low=1, high=1000)
-        check_integers(self, "gradient_steps", low=1, high=100_000)
-        check_integers(self, "replay_size", low=1)
-        check_integers(self, "batch_size", low=1, high=self.replay_size)
-        check_integers(self, "random_steps", low=0)
-        check(self, "discount", "target_rate", low=0, high=1)
-        check(self, "learning_rate", above=0, high=1)
-        check(self, "random_exponent", low=0, high=4)
-        check(self, "input_scale", low=1e-6, high=1e6)
-        check_lanes(self)
-        check_choice(self, "time_limit", "bootstrap", "terminal")
-
-
-@dataclass(frozen=True)
-class ConstrainedSACConfig(SACConfig):
-    """Hyper-parameters of the SAC family's algorithms that limit a cost.
-
-    The default is that of the paper's other tasks; presets set it for Circle2D.
-    """
-
-    limited_cost = "discounted cost return Q_c"  # in words, for tables
-    cost_limit: float = 25.0
-    """Limit d of the discounted cost return Q_c that the cost critics estimate, with the discount γ
-    of the rewards; not of an episode's cost. Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
-    streak_weight: float = 0.0
-    """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
-    step costs `1 + β (k - 1)` times. Records keep the plain cost. Not in the paper; 0: none."""
-
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        super().__post_init__()
-        check(self, "cost_limit", low=0, high=1e9)
-        check(self, "streak_weight", low=0, high=1e6)
+from agents.sac.config import SACConfig
 
 
 class CostRule(NamedTuple):
