@@ -113,7 +113,11 @@ def test_playing_a_policy_in_a_failing_environment():
 
 
 PROGRAM = """
+import signal
 import sys
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a caller in the background ignores them
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 sys.path[:0] = {paths!r}
 import test_guard
 from agents.cli.main import main
