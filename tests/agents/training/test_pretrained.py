@@ -7,6 +7,7 @@ import agents
 from agents.training import pretrained as module
 from agents.training.pretrained import write_policy
 
+TASK = "Circle2D-2-v0"
 OBSERVATIONS = np.random.default_rng(0).uniform(-1, 1, (20, 2)).astype(np.float32)
 
 
@@ -44,3 +45,14 @@ def test_found_by_algorithm_and_task(folder, tmp_path, monkeypatch):
         agents.UserError, match=r"for 'Circle2D-7-v0'.*did you mean 'Circle2D-1-v0'"
     ):
         agents.pretrained("sac-lb", "Circle2D-7-v0")
+
+
+def test_those_of_the_package_do_what_the_readme_says():
+    """TRPO-Lag goes straight through, SAC-LB tuned ends in the corridor within the limit of 5."""
+    through = agents.evaluate(agents.load_policy(agents.pretrained("trpo-lag", TASK)), episodes=30)
+    kept = agents.evaluate(agents.load_policy(agents.pretrained("sac-lb-tuned", TASK)), episodes=30)
+    assert (through.costs >= 9).all()
+    assert through.mcc >= 0.18
+    assert (kept.costs <= 5).all()
+    assert kept.mcc <= 0.06
+    assert (kept.returns > -10).all()  # above the best that a cut-out allows
