@@ -54,7 +54,7 @@ class Rollout(NamedTuple):
 
     def of_n_steps(
         self, n: int, discount: float, terminal: NDArray[np.bool_]
-    ) -> tuple[Rollout, NDArray[np.float64]]:
+    ) -> tuple[Rollout, NDArray]:
         """Rewards and costs of n steps in place of each step's, for targets of n steps.
 
         A step's become the discounted sums over it and the n - 1 that follow it in its episode, its
