@@ -7,6 +7,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+
+pytest.importorskip("hypothesis")
+pytest.importorskip("scipy", minversion="1.15")
 import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
