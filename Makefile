@@ -59,8 +59,8 @@ docs: $(VENV)/develops
 	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
 	@echo "The documentation: $(abspath docs/_build/html/index.html)"
 
-# All that is pinned but pandas, of which tianshou needs version 2. Last of all in .ci/run, since it
-# puts these libraries into the same environment.
+# All that is pinned but pandas, of which tianshou needs version 2. It puts these libraries into the
+# same environment.
 integrate: $(VENV)/develops
 	grep -v '^pandas==' constraints.txt > $(VENV)/constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c $(VENV)/constraints.txt \
