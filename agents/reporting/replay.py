@@ -27,7 +27,7 @@ from emcc.parts import ALPHA, PARTS
 BITS = 10
 """Of a coordinate: the last of the grid's points along a side is 2**BITS - 1."""
 DIGITS = 1000
-"""Parts of 1 that EMCC is told in."""
+"""EMCC is stored as a multiple of 1 / DIGITS."""
 
 
 def replay_data(

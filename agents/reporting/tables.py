@@ -122,7 +122,7 @@ def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:
 
 def ends_words(run: Run) -> str:
     """Place where most evaluated episodes of a run end, with their share unless all do, and the way
-    by which they came, where that is told."""
+    by which they came, where it is known."""
     total = sum(run.ends.values())
     shares = [f"{100 * run.ends[run.end] / total:.0f} %"] if len(run.ends) > 1 else []
     ways = run.ways.get(run.end, {})

@@ -48,7 +48,7 @@ class Run:
 
     @property
     def way(self) -> str:
-        """The way by which most of them came to that place; empty where none is told."""
+        """The way by which most of them came to that place; empty where it is unknown."""
         of = self.ways.get(self.end, {})
         return max(of, key=of.__getitem__, default="")
 

@@ -38,7 +38,7 @@ class Message(NamedTuple):
     files: Sequence[tuple[int, str, bytes]]
     """Index of the folder, path in it, content: in the order in which they were written."""
     names: Sequence[tuple[int, str]] | None
-    """All files that there are; None where only the progress is told."""
+    """All files that there are; None where only the progress is reported."""
     status: int | None
     """Exit status of the process; None while it runs."""
 

@@ -131,7 +131,7 @@ class Readers:
                 action = agents.load_policy(self.folder, seed=1)(np.zeros(2)).tolist()
         except UserError:
             return ""
-        # The checkpoint before the last one holds another policy; that is told.
+        # The checkpoint before the last one holds another policy; a message says so.
         fell_back = not self._is_whole("checkpoint.npz")
         return "" if action == self.action or fell_back else "another policy"
 

@@ -147,11 +147,8 @@ def test_stopped_in_the_middle_it_goes_on(whole, tmp_path):
     assert (out / "report.csv").read_bytes() == (whole / "report.csv").read_bytes()
 
 
-@pytest.mark.slow
-def test_killed_it_leaves_no_worker_and_goes_on_at_once(tmp_path):
-    """SIGKILL reaches the parent alone; the second start waits for what is left of the first."""
-    out = tmp_path / "killed"
-    command = [sys.executable, "-m", "agents.cli", *COMMAND, str(out), "--steps", "20000"]
+def kill_while_it_trains(command, out):
+    """Start a command, and end it by SIGKILL once it trains; returns when all must be over."""
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 120
     while not list(out.rglob("status.json")):
@@ -159,6 +156,15 @@ def test_killed_it_leaves_no_worker_and_goes_on_at_once(tmp_path):
         time.sleep(0.05)
     process.kill()
     process.wait()
+    return deadline
+
+
+@pytest.mark.slow
+def test_killed_it_leaves_no_worker_and_goes_on_at_once(tmp_path):
+    """SIGKILL reaches the parent alone; the second start waits for what is left of the first."""
+    out = tmp_path / "killed"
+    command = [sys.executable, "-m", "agents.cli", *COMMAND, str(out), "--steps", "20000"]
+    kill_while_it_trains(command, out)
     again = subprocess.run(command, capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
     assert "failed" not in again.stderr
@@ -169,13 +175,7 @@ def test_killed_it_leaves_no_worker_and_goes_on_at_once(tmp_path):
 def test_the_workers_of_a_killed_command_end(tmp_path):
     out = tmp_path / "killed"
     command = [sys.executable, "-m", "agents.cli", *COMMAND, str(out), "--steps", "1000000"]
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 120
-    while not list(out.rglob("status.json")):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    process.kill()
-    process.wait()
+    deadline = kill_while_it_trains(command, out)
     while processes_of(out):
         assert time.monotonic() < deadline
         time.sleep(0.1)
