@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.reporting.style import Style, drawing, svg_of
+from agents.reporting.style import Style, drawing, legend, svg_of
 from agents.results.precision import five_digits
 from agents.results.statistics import mean_of
 from emcc import EpisodeRecords, emcc, emcc_by_part
@@ -100,8 +100,10 @@ def curves_svg(title: str, lines: Sequence[Line], cost_limit: float | None, alph
 
     cost_limit: a thin line, if the runs share one. Equal input gives equal bytes.
     """
+    shape = legend([line.name for line in lines])
     with drawing() as pyplot:
-        figure, axes = pyplot.subplots(2, 2, figsize=(9, 6), layout="constrained")
+        size = (9, 6 + shape.height)
+        figure, axes = pyplot.subplots(2, 2, figsize=size, layout="constrained")
         (returns, costs), (running, thirds) = axes
         figure.suptitle(title)
         for k, line in enumerate(lines):
@@ -112,10 +114,9 @@ def curves_svg(title: str, lines: Sequence[Line], cost_limit: float | None, alph
         if cost_limit is not None:
             costs.axhline(cost_limit, label="cost limit", color="#888888", linewidth=0.9)
         _label(axes, max(line.total_steps for line in lines))
-        columns = max(1, 100 // (8 + max(len(line.name) for line in lines)))
         handles, labels = costs.get_legend_handles_labels()
-        options: dict[str, Any] = {"ncols": min(columns, 6), "frameon": False, "handlelength": 3.2}
-        figure.legend(handles, labels, loc="outside lower center", **options)
+        below = {"loc": "outside lower center", "frameon": False, "handlelength": 3.2}
+        figure.legend(handles, labels, ncols=shape.columns, **below)
         return svg_of(figure)
 
 

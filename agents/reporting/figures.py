@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
@@ -64,7 +63,6 @@ def introduction() -> list[Figure]:
 def figures(groups: Sequence[Group]) -> list[Figure]:
     """The figures of one task, by its runs."""
     groups = [group for group in in_order(groups) if group.runs]
-    gc.collect()  # matplotlib's figures are cycles of references, of tens of megabytes
     return [curves([(title_of(group.config), group) for group in groups])] if groups else []
 
 

@@ -12,7 +12,7 @@ from agents.paper.presets import is_circle2d
 from agents.paper.printed import paper_results
 from agents.paper.settings import by_task, title_of
 from agents.reporting.figures import Figure
-from agents.reporting.style import Style, drawing, styles, svg_of
+from agents.reporting.style import Style, drawing, legend, styles, svg_of
 from agents.results import thirds
 from agents.results.measures import Measure, measures
 from agents.results.reading import Group
@@ -46,14 +46,13 @@ def intervals_figure(groups: Sequence[Group]) -> Figure:
         for row, (task, of_task) in zip(axes, tasks.items(), strict=True):
             drawn = list(zip(of_task, styles([g.config for g in of_task]), strict=True))
             for axis, measure in zip(row, columns, strict=True):
-                for place, (group, style) in enumerate(drawn):
-                    _draw_runs(axis, place, group, measure, style)
+                _draw_runs(axis, drawn, measure)
                 _frame(axis, len(of_task), measure)
             names = [title_of(group.config).replace(" (", "\n(") for group in of_task]
             row[0].set_yticks(range(len(of_task)), names)
             row[0].set_ylabel(task.removeprefix("circle2d_mj/"), fontweight="bold")
         for axis, measure in zip(axes[0], columns, strict=True):
-            axis.set_title(measure.head, fontsize=9)
+            axis.set_title(measure.head.replace(" (", "\n("), fontsize=9)
         content = svg_of(figure)
     words = (
         "A dot for each run. Black bar: the mean over seeds; grey bar: the interquartile mean; "
@@ -63,19 +62,27 @@ def intervals_figure(groups: Sequence[Group]) -> Figure:
     return Figure("intervals", "svg", content, "Every run", words)
 
 
-def _draw_runs(axis: Any, place: int, group: Group, measure: Measure, style: Style) -> None:
-    values = known(group.values(measure.name))
-    mean = group_mean(group, measure.name)
-    if values is not None and mean is not None:
-        at = place + 0.3 * np.linspace(-1, 1, len(values)) * (len(values) > 1)
-        axis.plot(values, at, marker="o", markersize=3.5, color=style.colour, **DOT)
-        if mean.kind == "t":
-            axis.plot([mean.low, mean.high], [place, place], color=style.colour, linewidth=1.6)
-        axis.plot([iqm_of(values)], [place], marker="|", markersize=11, color="#999999")
-        axis.plot([mean.value], [place], marker="|", markersize=11, color="black")
-    printed = paper_results(group.config.task, title(group.config.algorithm)).get(measure.name)
-    if printed is not None:
-        axis.plot([printed], [place], marker="x", markersize=5, color="black")
+def _draw_runs(axis: Any, drawn: Sequence[tuple[Group, Style]], measure: Measure) -> None:
+    """A row for each group. The bars and crosses of all rows are one artist each, for speed."""
+    means, middles, printed = [], [], []
+    for place, (group, style) in enumerate(drawn):
+        values = known(group.values(measure.name))
+        mean = group_mean(group, measure.name)
+        if values is not None and mean is not None:
+            at = place + 0.3 * np.linspace(-1, 1, len(values)) * (len(values) > 1)
+            axis.plot(values, at, marker="o", markersize=3.5, color=style.colour, **DOT)
+            if mean.kind == "t":
+                axis.plot([mean.low, mean.high], [place, place], color=style.colour, linewidth=1.6)
+            means.append((mean.value, place))
+            middles.append((iqm_of(values), place))
+        of_paper = paper_results(group.config.task, title(group.config.algorithm))
+        if measure.name in of_paper:
+            printed.append((of_paper[measure.name], place))
+    looks = ("|", 11, "#999999"), ("|", 11, "black"), ("x", 5, "black")
+    for points, (marker, size, colour) in zip((middles, means, printed), looks, strict=True):
+        if points:
+            look = {"marker": marker, "markersize": size, "color": colour, "linestyle": ""}
+            axis.plot(*np.array(points).T, **look)
 
 
 def _frame(axis: Any, rows: int, measure: Measure) -> None:
@@ -88,8 +95,8 @@ def _frame(axis: Any, rows: int, measure: Measure) -> None:
     axis.spines[["top", "right", "left"]].set_visible(False)
     axis.tick_params(labelsize=7, length=2)
     axis.xaxis.set_major_locator(MaxNLocator(2))
-    for line in range(1, rows):
-        axis.axhline(line - 0.5, color="#eeeeee", linewidth=0.6)
+    across = {"transform": axis.get_yaxis_transform(), "color": "#eeeeee", "linewidth": 0.6}
+    axis.hlines(np.arange(1, rows) - 0.5, 0, 1, **across)
     if measure.word == "EMCC":
         axis.set_xlim(-0.03, 1.03)
 
@@ -140,11 +147,12 @@ def _facets(
 ) -> bytes:
     """Panels by task (rows) and third (columns), with one legend. level: of a dotted line."""
     tasks = by_task(groups)
+    shape = legend({title_of(group.config) for group in groups})
     with drawing(9) as pyplot:
         figure, axes = pyplot.subplots(
             len(tasks),
             len(PARTS),
-            figsize=(9.5, 2.1 * len(tasks) + 1.0),
+            figsize=(9.5, 2.1 * len(tasks) + 1.0 + shape.height),
             layout="constrained",
             squeeze=False,
             sharex=True,
@@ -168,8 +176,6 @@ def _facets(
         for axis in axes[-1]:
             axis.set_xlabel(labels[0])
         axes[0][0].set_ylim(-0.03, 1.03)
-        longest = max(map(len, handles))
-        columns = min(max(1, 110 // (8 + longest)), 6)
-        legend = {"loc": "outside lower center", "frameon": False, "handlelength": 3}
-        figure.legend(handles.values(), handles, ncols=columns, **legend)
+        below = {"loc": "outside lower center", "frameon": False, "handlelength": 3}
+        figure.legend(handles.values(), handles, ncols=shape.columns, **below)
         return svg_of(figure)

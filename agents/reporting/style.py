@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
+import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from agents.algorithms import ALGORITHMS
@@ -45,6 +47,21 @@ def styles(configs: Sequence[TrainConfig]) -> list[Style]:
     return found
 
 
+class Legend(NamedTuple):
+    """The shape of a legend below a figure."""
+
+    columns: int
+    height: float
+    """Inches that the figure needs for its further lines."""
+
+
+def legend(names: Collection[str]) -> Legend:
+    """As wide as a figure of nine inches, at most six columns."""
+    columns = min(max(1, 110 // (8 + max(map(len, names)))), 6)
+    lines = math.ceil(len(names) / columns)
+    return Legend(columns, 0.2 * max(lines - 2, 0))
+
+
 @contextlib.contextmanager
 def drawing(font_size: int = 10) -> Iterator[Any]:
     """pyplot without a display, in a style whose files are equal for equal input."""
@@ -64,6 +81,8 @@ def svg_of(figure: Any) -> bytes:
     image = io.StringIO()
     figure.savefig(image, format="svg", metadata={"Date": None})
     pyplot.close(figure)
+    del figure
+    gc.collect()  # a figure is a cycle of references, of tens of megabytes
     # Places to a hundredth of a point: half the size, and nothing that an eye could see.
     shorter = re.sub(r' (?:d|x|y)="[^"]*"', _to_hundredths, image.getvalue())
     return shorter.encode()

@@ -14,19 +14,27 @@ from agents.training.loop import train
 
 FOLDERS = 150
 MEASURED = """
-import resource, sys, time
+import sys, time
 from pathlib import Path
+import torch  # of very different size by build
+
+def mebibytes(name):  # not of getrusage, which counts what the parent had before exec
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(name))
+
+before = mebibytes("VmHWM")
 from agents.reporting.report import report
 report(Path(sys.argv[1]))
-print(time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+print(time.process_time(), mebibytes("VmHWM") - before)
 """
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
 def test_150_folders_of_two_runs(tmp_path):
     """Five algorithms on two tasks, each fifteen times with another cost limit.
 
-    Measured beside another process: 29 s of CPU and 472 MiB; wanted are 20 s and 400 MB.
+    Measured: 20 s of CPU, and 210 MiB beyond the 218 that importing torch takes.
     """
     tasks = ["Circle2D-1-v0", "Circle2DMuJoCo-0-v0"]
     names = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
@@ -53,5 +61,5 @@ def test_150_folders_of_two_runs(tmp_path):
     seconds, mebibytes = map(float, done.stdout.split())
     page = (tmp_path / "many" / "index.html").stat().st_size / 1e6
     assert seconds < 60, done.stdout
-    assert mebibytes < 520 or sys.platform != "linux", done.stdout
+    assert mebibytes < 260, done.stdout
     assert page < 6
