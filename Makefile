@@ -59,10 +59,11 @@ docs: $(VENV)/develops
 	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
 	@echo "The documentation: $(abspath docs/_build/html/index.html)"
 
-# All that is pinned but pandas, of which tianshou needs version 2. It puts these libraries into the
-# same environment.
+# All that is pinned but pandas and filelock, of which tianshou needs versions before 3 and 4. It puts
+# these libraries into the same environment.
 integrate: $(VENV)/develops
-	grep -v '^pandas==' constraints.txt > $(VENV)/constraints.txt
+	sed -e 's/^pandas==.*/pandas<3/' -e 's/^filelock==.*/filelock<4/' constraints.txt \
+		> $(VENV)/constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c $(VENV)/constraints.txt \
 		-e '.[dev,integrations]'
 	$(BIN)/python -m pytest -n logical --durations 5 tests/emcc tests/agents/test_export.py \
