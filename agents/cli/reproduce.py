@@ -92,16 +92,10 @@ def run(args: Sequence[str]) -> int:
     configs = _configs(options)
     if options.shard is not None:
         configs = grid.shard(configs, *_shard(options.shard))
-    grid.prepare(configs)
-    for folder, config in configs.items():
-        if (note := other_session(folder)) and not grid.finished(folder, config):
-            print(f"circle2d: {folder}: {note}", file=sys.stderr)
-    modules = {task.rpartition(":")[0] for task in options.tasks} - {""}
-    # The parts of a grid train at the same time: there each folder has a lock alone.
-    lock = contextlib.nullcontext() if options.shard else locked(options.out)
     count = options.workers if options.engine == "local" else None
-    with lock, engine(options.engine, count, options.address, options.device) as ready:
-        failed = _train(configs, ready, [*options.imports, *sorted(modules)])
+    # The engine first: one that refuses leaves no folder behind.
+    with engine(options.engine, count, options.address, options.device) as ready:
+        failed = _train_in(configs, options, ready)
     for folder, message in failed.items():
         print(f"circle2d: {one_line(folder)} failed: {one_line(message)}", file=sys.stderr)
     if options.shard is not None:
@@ -115,6 +109,20 @@ def run(args: Sequence[str]) -> int:
         print(f"circle2d: no report: {one_line(error)}", file=sys.stderr)
         return 1
     return int(bool(failed) or any(grid.has_failures(f, c) for f, c in configs.items()))
+
+
+def _train_in(
+    configs: dict[Path, TrainConfig], options: ReproduceOptions, engine: Engine
+) -> dict[Path, str]:
+    """Make the folders and train in them; returns those that failed, each with its error."""
+    grid.prepare(configs)
+    for folder, config in configs.items():
+        if (note := other_session(folder)) and not grid.finished(folder, config):
+            print(f"circle2d: {folder}: {note}", file=sys.stderr)
+    modules = {task.rpartition(":")[0] for task in options.tasks} - {""}
+    # The parts of a grid train at the same time: there each folder has a lock alone.
+    with contextlib.nullcontext() if options.shard else locked(options.out):
+        return _train(configs, engine, [*options.imports, *sorted(modules)])
 
 
 def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:

@@ -5,13 +5,16 @@ import dataclasses
 import os
 import shutil
 import signal
+import sys
 import time
 from pathlib import Path
 
 import pytest
 from toys import register
 
+import agents
 from agents.cli.main import main
+from agents.errors import UserError
 from agents.paper import grid
 from agents.training.engines import engine
 from agents.training.loop import train
@@ -48,23 +51,46 @@ def ray_processes():
     return set(found)
 
 
+def reproduce(out, *options):
+    return main(["reproduce", "--quick", "--out", str(out), *options])
+
+
 def test_an_address_where_nothing_is(tmp_path, capsys):
+    """Refused in seconds, before anything is written."""
     pytest.importorskip("ray")
-    command = ["reproduce", "--quick", "--out", str(tmp_path / "x"), "--engine", "ray"]
     for address, message in (
         ("127.0.0.1:9", "no Ray cluster answers at 127.0.0.1:9: "),
         ("nowhere", "address must be HOST:PORT or auto, got 'nowhere'"),
     ):
         started = time.monotonic()
-        assert main([*command, "--address", address]) == 2
+        assert reproduce(tmp_path / "x", "--engine", "ray", "--address", address) == 2
         assert message in capsys.readouterr().err
         assert time.monotonic() - started < 60
+        with pytest.raises(UserError, match=message):
+            agents.train("cpo", steps=1000, out=tmp_path / "x", engine="ray", address=address)
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_without_ray(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    assert reproduce(tmp_path / "x", "--engine", "ray") == 2
+    assert "needs ray, which is not installed: pip install" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_address_is_rays(tmp_path, capsys):
-    command = ["reproduce", "--quick", "--out", str(tmp_path / "x"), "--address", "auto"]
-    assert main(command) == 2
+    assert reproduce(tmp_path / "x", "--address", "auto") == 2
     assert "address is of the engine ray" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("given", ["0/2", "3/2", "1", "a/b", "1/2/3"])
+def test_shards_that_there_are_not(tmp_path, capsys, given):
+    assert reproduce(tmp_path / "x", "--shard", given) == 2
+    assert f"shard must be I/N with I from 1 to N, such as 1/4, got '{given}'" in (
+        capsys.readouterr().err
+    )
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
@@ -206,6 +232,3 @@ def test_shards_train_the_whole(tmp_path, capsys):
     assert main(["report", str(parts)]) == 0
     shutil.rmtree(parts / "pictures", ignore_errors=True)
     assert results(parts) == results(tmp_path / "whole" / "grid")
-    for given in ("0/2", "3/2", "1", "a/b", "1/2/3"):
-        assert main([*options, "--out", str(tmp_path / "x"), "--shard", given]) == 2
-        assert "shard must be I/N" in capsys.readouterr().err
