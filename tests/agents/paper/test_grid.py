@@ -44,3 +44,12 @@ def test_the_time_left_is_that_of_the_mean_pace_so_far():
     assert grid.seconds_left(10.0, before=0.0, done=80.0, total=100.0) == pytest.approx(2.5)
     assert grid.seconds_left(10.0, before=50.0, done=50.0, total=100.0) is None
     assert grid.seconds_left(10.0, before=0.0, done=100.0, total=100.0) == 0.0
+
+
+def test_shards_are_a_partition(tmp_path):
+    tasks = grid.circle2d_tasks((0, 1), mujoco=False)
+    whole = grid.grid(tmp_path, tasks, ["cpo", "sac-lb", "trpo-lag"], (0,), 1000)
+    parts = [grid.shard(whole, part, 4) for part in (1, 2, 3, 4)]
+    assert sorted(folder for part in parts for folder in part) == sorted(whole)
+    assert [len(part) for part in parts] == [2, 2, 1, 1]
+    assert {next(iter(part.values())).algorithm for part in parts[:2]} == {"sac-lb"}

@@ -1,21 +1,21 @@
 """The grid on Ray, on clusters of this machine whose nodes have working folders of their own."""
 
-import contextlib
 import dataclasses
 import os
-import shutil
 import signal
+import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
+from ray_nodes import descendants, nodes, processes, runs, wait_until
 from toys import register
 
 import agents
 from agents.cli.main import main
 from agents.errors import UserError
 from agents.paper import grid
+from agents.training.config import TrainConfig
 from agents.training.engines import engine
 from agents.training.loop import train
 from agents.training.status import share_done
@@ -41,20 +41,23 @@ def results(folder):
     }
 
 
-def ray_processes():
-    found = []
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
-        with contextlib.suppress(OSError):
-            text = path.read_bytes().replace(b"\0", b" ")
-            if b"raylet" in text or b"gcs_server" in text:
-                found.append(path.parent.name)
-    return set(found)
+def train_on(address, configs, on_change=lambda: None, imports=()):
+    """Train folders, a group each."""
+    with (
+        engine("ray", address=address) as ready,
+        ready.workers(
+            [(folder,) for folder in configs], lambda f: grid.finished(f, configs[f]), imports
+        ) as workers,
+    ):  # fmt: skip
+        workers.run(on_change, 0.2)
+        assert workers.failed == {}
 
 
 def reproduce(out, *options):
     return main(["reproduce", "--quick", "--out", str(out), *options])
 
 
+@pytest.mark.slow
 def test_an_address_where_nothing_is(tmp_path, capsys):
     """Refused in seconds, before anything is written."""
     pytest.importorskip("ray")
@@ -71,53 +74,19 @@ def test_an_address_where_nothing_is(tmp_path, capsys):
         assert list(tmp_path.iterdir()) == []
 
 
-def test_without_ray(tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", None)
-    assert reproduce(tmp_path / "x", "--engine", "ray") == 2
-    assert "needs ray, which is not installed: pip install" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_the_address_is_rays(tmp_path, capsys):
-    assert reproduce(tmp_path / "x", "--address", "auto") == 2
-    assert "address is of the engine ray" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("given", ["0/2", "3/2", "1", "a/b", "1/2/3"])
-def test_shards_that_there_are_not(tmp_path, capsys, given):
-    assert reproduce(tmp_path / "x", "--shard", given) == 2
-    assert f"shard must be I/N with I from 1 to N, such as 1/4, got '{given}'" in (
-        capsys.readouterr().err
-    )
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.slow
 def test_the_same_report(tmp_path):
-    """Byte for byte that of the local engine; no process of Ray is left."""
+    """The quick grid, with fewer steps: byte for byte that of the local engine; no process of Ray
+    is left."""
     pytest.importorskip("ray")
-    before = ray_processes()
-    options = ["--quick", "--levels", "1", "--algorithms", "trpo-lag", "cpo", "--steps", "2000"]
     for name in ("local", "ray"):
-        out = tmp_path / name / "grid"
-        assert main(["reproduce", *options, "--out", str(out), "--engine", name]) == 0
-    assert results(tmp_path / "local" / "grid") == results(tmp_path / "ray" / "grid")
-    until = time.monotonic() + 30
-    while ray_processes() - before and time.monotonic() < until:
-        time.sleep(0.5)
-    assert not ray_processes() - before
-
-
-def processes_that_train():
-    """Ids of the processes that train for a node of Ray."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
-        with contextlib.suppress(OSError):
-            text = path.read_bytes()
-            if b"resume" in text and b"/circle2d-" in text:
-                found.append(int(path.parent.name))
-    return found
+        assert reproduce(tmp_path / name / "grid", "--steps", "1000", "--engine", name) == 0
+    of_both = [tmp_path / name / "grid" for name in ("local", "ray")]
+    local, ray = ((out / "report.csv").read_bytes() for out in of_both)
+    assert local == ray
+    assert results(of_both[0]) == results(of_both[1])
+    # The folder of Ray's session ends with the id of the process that started it.
+    wait_until(lambda: not processes(f"_{os.getpid()}/"))
 
 
 @pytest.mark.slow
@@ -125,48 +94,102 @@ def processes_that_train():
 def test_a_node_that_is_killed(tmp_path, monkeypatch, when):
     """The group goes on from its last checkpoint on the other node, to the same results."""
     pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
-
-    monkeypatch.setenv("RAY_worker_niceness", "0")
     configs = small_grid(tmp_path / "ray", steps=4000)
     (folder,) = configs
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
-    nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
     killed = []
 
     def kill_the_busy_node():
         if killed or not (folder / "checkpoint.npz").exists() or share_done(folder) > 0.9:
             return
-        (busy,) = (node for node in nodes if node_is_busy(node))
+        (busy,) = (at for at in lose if processes(at))
         if when == "stopped":  # wherever it is, be it in the middle of a file
-            for process in processes_that_train():
+            for process in processes(busy):
                 os.kill(process, signal.SIGSTOP)
-        cluster.remove_node(busy, allow_graceful=False)
-        for process in processes_that_train():
-            os.kill(process, signal.SIGKILL)
+        lose[busy]()
         killed.append(busy)
 
-    try:
-        with (
-            engine("ray", address=cluster.address) as ready,
-            ready.workers(
-                [(folder,)], lambda f: grid.finished(f, configs[f]), ()
-            ) as workers,
-        ):  # fmt: skip
-            workers.run(kill_the_busy_node, 0.2)
-            assert workers.failed == {}
-    finally:
-        cluster.shutdown()
+    with nodes(2, tmp_path / "nodes", monkeypatch) as (address, lose):
+        train_on(address, configs, kill_the_busy_node)
     assert killed
     assert_as_trained_alone(folder, tmp_path / "alone")
 
 
-def assert_as_trained_alone(folder, out):
-    (alone,) = small_grid(out, steps=4000)
+HALTS = """
+import os, pathlib, signal
+
+move, told = os.replace, pathlib.Path(__file__).parent
+
+def move_or_halt(source, target):
+    target = pathlib.Path(target)
+    checkpoint, previous = (target.with_name(f"checkpoint{word}.npz") for word in ("", ".previous"))
+    at = {previous: "before", checkpoint: "between"}.get(target)
+    if at == "before" or (at == "between" and previous.exists() and not checkpoint.exists()):
+        if not (told / at).exists():
+            (told / at).write_text(str(target))
+            os.kill(os.getpid(), signal.SIGSTOP)
+    move(source, target)
+
+os.replace = move_or_halt
+"""
+"""Halts the first training that has written the records of its second checkpoint, and not moved
+that into place; and the first that has moved the old one away, and not put the new one there."""
+
+
+@pytest.mark.slow
+def test_nodes_that_are_killed_in_the_middle_of_a_checkpoint(tmp_path, monkeypatch):
+    """Two of three, one after the other: the third comes to the same results."""
+    pytest.importorskip("ray")
+    (tmp_path / "halts.py").write_text(HALTS)
+    path = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
+    configs = small_grid(tmp_path / "ray", steps=3000)
+    (folder,) = configs
+    killed = {}
+
+    def kill_what_halts():
+        for when in ("before", "between"):
+            told = tmp_path / when
+            # For three seconds, so that the node may send what is there.
+            if when in killed or not told.exists() or time.time() - told.stat().st_mtime < 3:
+                continue
+            (killed[when],) = (at for at in lose if str(at) in told.read_text())
+            lose[killed[when]]()
+
+    with nodes(3, tmp_path / "nodes", monkeypatch, {"PYTHONPATH": path}) as (address, lose):
+        train_on(address, configs, kill_what_halts, ["halts"])
+    assert len(set(killed.values())) == 2
+    for at in lose:  # what was killed left its files, what ended did not
+        assert bool(list(at.glob("circle2d-*"))) == (at in killed.values())
+    assert_as_trained_alone(folder, tmp_path / "alone")
+
+
+@pytest.mark.slow
+def test_three_nodes_with_folders_of_their_own(tmp_path, monkeypatch):
+    """A group each; nothing of them is left there."""
+    pytest.importorskip("ray")
+    configs = {}
+    for seed in (3, 4, 5):
+        configs |= small_grid(tmp_path / f"ray-{seed}", seeds=(seed,))
+    seen = set()
+
+    def look():
+        seen.update(at for at in lose if list(at.glob("circle2d-*/0/trpo-lag")))
+
+    with nodes(3, tmp_path / "nodes", monkeypatch) as (address, lose):
+        train_on(address, configs, look)
+        assert seen == set(lose)
+        wait_until(lambda: not any(list(at.glob("circle2d-*")) for at in lose))
+    for folder, config in configs.items():
+        assert_as_trained_alone(folder, tmp_path / "alone", config)
+
+
+def assert_as_trained_alone(folder, out, config=None):
+    config = config or TrainConfig.read(folder)
+    (alone,) = small_grid(out / folder.parent.name, seeds=config.seeds, steps=config.steps)
     train(alone)
-    for name in ("episodes.csv", "updates.csv", "costs.npy", "visited.npy", "evaluation.json"):
-        of_both = (of / "seed-3" / name for of in (folder, alone))
-        assert next(of_both).read_bytes() == next(of_both).read_bytes(), name
+    for seed in config.seeds:
+        for name in ("episodes.csv", "updates.csv", "costs.npy", "visited.npy", "evaluation.json"):
+            of_both = [of / f"seed-{seed}" / name for of in (folder, alone)]
+            assert of_both[0].read_bytes() == of_both[1].read_bytes(), name
 
 
 @pytest.mark.slow
@@ -185,50 +208,45 @@ def test_a_driver_that_ends_between_the_files_of_a_checkpoint(tmp_path, monkeypa
         write_whole(path, content)
         written.append(path)
 
-    def run():
-        with (
-            engine("ray", 1) as ready,
-            ready.workers([(folder,)], lambda f: grid.finished(f, configs[f]), ()) as workers,
-        ):
-            workers.run(lambda: None, 0.2)
-            assert workers.failed == {}
-
     with monkeypatch.context() as patch:
         patch.setattr(ray_engine, "write_whole", write_some)
         with pytest.raises(KeyboardInterrupt):
-            run()
+            train_on(None, configs)
     assert not grid.finished(folder, configs[folder])
-    run()
+    train_on(None, configs)
     assert_as_trained_alone(folder, tmp_path / "alone")
 
 
-def node_is_busy(node):
-    """Whether a node has a task, by the cores that it has left."""
-    from ray._private.state import available_resources_per_node
+DRIVER = """
+import dataclasses, sys
+from agents.paper import grid
 
-    left = available_resources_per_node()[node.node_id]
-    return left.get("CPU", 0) == 0
+whole = grid.grid
 
+def with_more_checkpoints(*args):
+    return {f: dataclasses.replace(c, checkpoint_every=500) for f, c in whole(*args).items()}
 
-def test_shards_are_a_partition(tmp_path):
-    tasks = grid.circle2d_tasks((0, 1), mujoco=False)
-    whole = grid.grid(tmp_path, tasks, ["cpo", "sac-lb", "trpo-lag"], (0,), 1000)
-    parts = [grid.shard(whole, part, 4) for part in (1, 2, 3, 4)]
-    assert sorted(folder for part in parts for folder in part) == sorted(whole)
-    assert [len(part) for part in parts] == [2, 2, 1, 1]
-    assert {next(iter(part.values())).algorithm for part in parts[:2]} == {"sac-lb"}
+grid.grid = with_more_checkpoints
+from agents.cli.main import main
+sys.exit(main())
+"""
 
 
 @pytest.mark.slow
-def test_shards_train_the_whole(tmp_path, capsys):
-    options = ["reproduce", "--levels", "1", "--algorithms", "trpo-lag", "cpo", "--seeds", "3"]
-    options += ["--steps", "2000", "--backend", "eager", "--workers", "1"]
-    parts = tmp_path / "parts" / "grid"
-    for part in ("1/2", "2/2"):
-        assert main([*options, "--out", str(parts), "--shard", part]) == 0
-        assert f"part {part} is over" in capsys.readouterr().out
-    assert not (parts / "report.md").exists()
-    assert main([*options, "--out", str(tmp_path / "whole" / "grid")]) == 0
-    assert main(["report", str(parts)]) == 0
-    shutil.rmtree(parts / "pictures", ignore_errors=True)
-    assert results(parts) == results(tmp_path / "whole" / "grid")
+def test_a_driver_that_is_killed(tmp_path):
+    """All that it had started ends; the same command goes on to the same results."""
+    pytest.importorskip("ray")
+    folder = tmp_path / "ray" / "Circle2D-1-v0" / "trpo-lag"
+    command = [sys.executable, "-c", DRIVER, "reproduce", "--out", str(tmp_path / "ray")]
+    command += ["--levels", "1", "--algorithms", "trpo-lag", "--seeds", "3", "--steps", "10000"]
+    command += ["--backend", "eager", "--engine", "ray", "--shard", "1/1"]
+    with subprocess.Popen(command) as process:
+        wait_until((folder / "checkpoint.npz").exists)
+        started = descendants(process.pid)
+        assert started & processes("raylet")
+        assert started & processes("/circle2d-")  # what trains
+        process.kill()
+    wait_until(lambda: not any(map(runs, started)))
+    assert not grid.finished(folder, TrainConfig.read(folder))
+    assert subprocess.run(command, check=False).returncode == 0
+    assert_as_trained_alone(folder, tmp_path / "alone")

@@ -1,0 +1,85 @@
+"""Clusters of Ray on this machine that lose nodes, and the processes of this machine."""
+
+import contextlib
+import os
+import signal
+import time
+from pathlib import Path
+
+
+def processes(*words):
+    """Ids of the processes whose command line has one of some words."""
+    found = set()
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):  # it ended meanwhile
+            line = path.read_bytes()
+            if any(str(word).encode() in line for word in words):
+                found.add(int(path.parent.name))
+    return found
+
+
+def parents():
+    """The parent of each process."""
+    found = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            found[int(path.parent.name)] = int(path.read_text().rpartition(")")[2].split()[1])
+    return found
+
+
+def descendants(process):
+    """Ids of a process, of all that it has started, and that they have."""
+    of_all, found, more = parents(), set(), {process}
+    while more:
+        found |= more
+        more = {child for child, parent in of_all.items() if parent in found} - found
+    return found
+
+
+def runs(process):
+    try:
+        text = Path(f"/proc/{process}/stat").read_text()
+    except OSError:
+        return False
+    return text.rpartition(")")[2].split()[0] not in "ZX"
+
+
+def wait_until(condition, seconds=120):
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.1)
+
+
+@contextlib.contextmanager
+def nodes(count, root, monkeypatch, env=None):
+    """A cluster whose nodes have a core and a working folder of their own each.
+
+    Yields its address, and a function by folder that ends a node as a loss of power would. env: of
+    their processes.
+    """
+    from ray.cluster_utils import Cluster
+
+    monkeypatch.setenv("RAY_worker_niceness", "0")
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+
+    def add(folder):
+        folder.mkdir(parents=True)
+        node = cluster.add_node(num_cpus=1, env_vars={"TMPDIR": str(folder), **(env or {})})
+
+        def lose():
+            training = processes(folder)
+            of_ray = [parent for child, parent in parents().items() if child in training]
+            cluster.remove_node(node, allow_graceful=False)
+            # Those of Ray first, so that they tell nothing of the end of the others.
+            for process in (*of_ray, *training):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(process, signal.SIGKILL)
+
+        return lose
+
+    try:
+        lose = {folder: add(folder) for folder in (root / str(k) for k in range(count))}
+        yield cluster.address, lose
+    finally:
+        cluster.shutdown()
