@@ -20,7 +20,7 @@ from pathlib import Path
 
 ENGINES = ("local", "ray")
 TASKS = 10
-MEGABYTES = 50
+NAME, MEGABYTES = "checkpoint.npz", 50
 """Of a message: about what ten runs of a long off-policy training come to at a checkpoint."""
 
 
@@ -53,9 +53,9 @@ def grids(turns, options):
 
 def messages(content):
     """A task that does nothing but send one message."""
-    from agents.training.ray_engine import Message
+    from agents.training.transfer import HEAD, File, Message
 
-    yield Message([(0, "checkpoint.npz", content)], [(0, "checkpoint.npz")], 0)
+    yield Message([File(0, NAME, content[:HEAD], content[HEAD:])], {(0, NAME)}, 0)
 
 
 def tasks():
@@ -63,7 +63,7 @@ def tasks():
     import ray
 
     from agents.training.engines import engine
-    from agents.training.files import write_whole
+    from agents.training.transfer import take_in
 
     found, started = {}, time.perf_counter()
     with engine("ray", 1), tempfile.TemporaryDirectory() as folder:
@@ -82,8 +82,7 @@ def tasks():
             seconds, message = first_message(os.urandom(MEGABYTES * 10**6))
             there.append(seconds)
             started = time.perf_counter()
-            for _, name, content in message.files:
-                write_whole(Path(folder) / name, content)
+            take_in((Path(folder),), message)
             written.append(time.perf_counter() - started)
         found[f"a task with {MEGABYTES} MB on the way there and back"] = there
         found[f"writing {MEGABYTES} MB in the driver's folder"] = written

@@ -16,31 +16,16 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from agents.errors import UserError
-from agents.training.files import locked, write_whole
+from agents.training.files import locked
+from agents.training.transfer import Message, Sent, files_of, take_in
 from agents.training.workers import Group, Workers, cores, start
 
-STATUS = "status.json"
-"""The name that `agents.training.status` gives it, whose import would bring torch to Ray's own
-processes."""
-CHECKPOINT = "checkpoint"
-"""Beginning of the names of the files that tell a checkpoint."""
 MOST_LOSSES = 5
 """Nodes that a group may lose one after the other without a checkpoint between them."""
 SECONDS_TO_CONNECT, SECONDS_TO_END = 5.0, 20.0
-
-
-class Message(NamedTuple):
-    """Files that changed in the folders of a group, and how its process is."""
-
-    files: Sequence[tuple[int, str, bytes]]
-    """Index of the folder, path in it, content: in the order in which they were written."""
-    names: Sequence[tuple[int, str]] | None
-    """All files that there are; None where only the progress is reported."""
-    status: int | None
-    """Exit status of the process; None while it runs."""
 
 
 def _ray() -> Any:
@@ -141,7 +126,7 @@ class _Task:
 
     def _submit(self) -> None:
         task = self._ray.remote(num_cpus=1, num_gpus=self._gpus, max_retries=0)(_train)
-        files = [_read(folder, _files(folder)) for folder in self._group]
+        files = [_read(folder, files_of(folder)) for folder in self._group]
         names = [folder.name for folder in self._group]
         self._messages = task.options(num_returns="streaming").remote(names, files, self._imports)
 
@@ -165,17 +150,9 @@ class _Task:
         return self.returncode
 
     def _take_in(self, message: Message) -> None:
-        for index, name, content in message.files:
-            path = self._group[index] / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(path, content)
+        take_in(self._group, message)
         if message.names is not None:
             self._losses = 0
-            there = {(index, name) for index, name in message.names}
-            for index, folder in enumerate(self._group):
-                for name in _files(folder):
-                    if (index, name) not in there:
-                        (folder / name).unlink()
         if message.status is not None:
             self._end(message.status)
 
@@ -208,12 +185,12 @@ def _train(
             for name, content in of_folder.items():
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 (folder / name).write_bytes(content)
-        sent = _seen(group)
+        sent = Sent(group)
         process = start(group, imports)
         try:
             while True:
                 status = process.poll()
-                message = _changes(group, sent, status)
+                message = sent.changes(status)
                 if message is not None:
                     yield message
                 if status is not None:
@@ -223,49 +200,6 @@ def _train(
             if process.poll() is None:
                 process.kill()  # its folder goes
                 process.wait()
-
-
-Seen = dict[tuple[int, str], tuple[int, int]]
-"""Time of the last change and size of files, by their folder's index and their path in it."""
-
-
-def _changes(group: Group, sent: Seen, status: int | None) -> Message | None:
-    """The files that changed since `sent`, which is updated, where a checkpoint or the end is among
-    it; else the progress, if that changed; None where nothing is to be told."""
-    before = _seen(group)
-    changed = [key for key in before if sent.get(key) != before[key]]
-    whole = status is not None or any(Path(name).name.startswith(CHECKPOINT) for _, name in changed)
-    if not whole:
-        changed = [(index, name) for index, name in changed if name == STATUS]
-    changed.sort(key=lambda key: before[key])
-    try:
-        files = [(index, name, (group[index] / name).read_bytes()) for index, name in changed]
-    except FileNotFoundError:
-        return None  # replaced meanwhile: next time
-    settled = [key for key in before if key[1] != STATUS]
-    after = _seen(group)
-    if whole and status is None and any(after.get(key) != before[key] for key in settled):
-        return None  # in the middle of writing: next time
-    if not changed and status is None:
-        return None
-    sent.update((key, before[key]) for key in changed)
-    return Message(files, list(before) if whole else None, status)
-
-
-def _seen(group: Group) -> Seen:
-    found: Seen = {}
-    for index, folder in enumerate(group):
-        for name in _files(folder):
-            with contextlib.suppress(FileNotFoundError):
-                stat = (folder / name).stat()
-                found[index, name] = stat.st_mtime_ns, stat.st_size
-    return found
-
-
-def _files(folder: Path) -> list[str]:
-    """Paths of the files in a folder, but locks and those that are being written."""
-    paths = (path for path in sorted(folder.rglob("*")) if not path.name.startswith("."))
-    return [path.relative_to(folder).as_posix() for path in paths if path.is_file()]
 
 
 def _read(folder: Path, names: Sequence[str]) -> dict[str, bytes]:

@@ -80,7 +80,7 @@ def test_the_same_report(tmp_path):
     is left."""
     pytest.importorskip("ray")
     for name in ("local", "ray"):
-        assert reproduce(tmp_path / name / "grid", "--steps", "1000", "--engine", name) == 0
+        assert reproduce(tmp_path / name / "grid", "--steps", "1500", "--engine", name) == 0
     of_both = [tmp_path / name / "grid" for name in ("local", "ray")]
     local, ray = ((out / "report.csv").read_bytes() for out in of_both)
     assert local == ray
@@ -196,11 +196,11 @@ def assert_as_trained_alone(folder, out, config=None):
 def test_a_driver_that_ends_between_the_files_of_a_checkpoint(tmp_path, monkeypatch):
     """Given again, the training goes on to the same results."""
     pytest.importorskip("ray")
-    from agents.training import ray_engine
+    from agents.training import transfer
 
     configs = small_grid(tmp_path / "ray", steps=4000)
     (folder,) = configs
-    written, write_whole = [], ray_engine.write_whole
+    written, write_whole = [], transfer.write_whole
 
     def write_some(path, content):
         if any(path.name == "checkpoint.npz" for path in written):
@@ -209,7 +209,7 @@ def test_a_driver_that_ends_between_the_files_of_a_checkpoint(tmp_path, monkeypa
         written.append(path)
 
     with monkeypatch.context() as patch:
-        patch.setattr(ray_engine, "write_whole", write_some)
+        patch.setattr(transfer, "write_whole", write_some)
         with pytest.raises(KeyboardInterrupt):
             train_on(None, configs)
     assert not grid.finished(folder, configs[folder])
