@@ -76,11 +76,12 @@ def test_an_address_where_nothing_is(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_the_same_report(tmp_path):
-    """The quick grid, with fewer steps: byte for byte that of the local engine; no process of Ray
-    is left."""
+    """Two levels of the quick grid, with fewer steps: byte for byte that of the local engine; no
+    process of Ray is left."""
     pytest.importorskip("ray")
     for name in ("local", "ray"):
-        assert reproduce(tmp_path / name / "grid", "--steps", "1500", "--engine", name) == 0
+        options = ["--levels", "0", "1", "--steps", "1500", "--engine", name]
+        assert reproduce(tmp_path / name / "grid", *options) == 0
     of_both = [tmp_path / name / "grid" for name in ("local", "ray")]
     local, ray = ((out / "report.csv").read_bytes() for out in of_both)
     assert local == ray
@@ -184,7 +185,7 @@ def test_three_nodes_with_folders_of_their_own(tmp_path, monkeypatch):
 
 def assert_as_trained_alone(folder, out, config=None):
     config = config or TrainConfig.read(folder)
-    (alone,) = small_grid(out / folder.parent.name, seeds=config.seeds, steps=config.steps)
+    (alone,) = small_grid(out / str(config.seeds), seeds=config.seeds, steps=config.steps)
     train(alone)
     for seed in config.seeds:
         for name in ("episodes.csv", "updates.csv", "costs.npy", "visited.npy", "evaluation.json"):
