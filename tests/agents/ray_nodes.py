@@ -44,7 +44,7 @@ def runs(process):
     return text.rpartition(")")[2].split()[0] not in "ZX"
 
 
-def wait_until(condition, seconds=120):
+def wait_until(condition, seconds=600):
     until = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < until

@@ -242,11 +242,13 @@ def test_a_driver_that_is_killed(tmp_path):
     command += ["--levels", "1", "--algorithms", "trpo-lag", "--seeds", "3", "--steps", "10000"]
     command += ["--backend", "eager", "--engine", "ray", "--shard", "1/1"]
     with subprocess.Popen(command) as process:
-        wait_until((folder / "checkpoint.npz").exists)
-        started = descendants(process.pid)
-        assert started & processes("raylet")
-        assert started & processes("/circle2d-")  # what trains
-        process.kill()
+        try:
+            wait_until(lambda: (folder / "checkpoint.npz").exists() or process.poll() is not None)
+            started = descendants(process.pid)
+            assert started & processes("raylet")
+            assert started & processes("/circle2d-")  # what trains
+        finally:
+            process.kill()
     wait_until(lambda: not any(map(runs, started)))
     assert not grid.finished(folder, TrainConfig.read(folder))
     assert subprocess.run(command, check=False).returncode == 0
