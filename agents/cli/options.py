@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 import tyro
 
 from agents.algorithms import ALGORITHMS
+from agents.cli.explained import explained
 from agents.errors import UserError, nearest
 
 BackendChoice = Literal["auto", "compiled", "eager"]
@@ -46,6 +47,8 @@ def parse(
         import_modules(args)
     check_arguments(options, command, args, elsewhere or {})
     message = io.StringIO()
+    if {"-h", "--help"} & set(args):
+        options = explained(options)
     try:
         with contextlib.redirect_stderr(message), _REGISTRY:
             return tyro.cli(options, prog=f"circle2d {command}", args=list(args))
@@ -83,8 +86,8 @@ def import_modules(args: Sequence[str]) -> None:
 def check_arguments(
     options: type, command: str, args: Sequence[str], elsewhere: Mapping[str, str] | None = None
 ) -> None:
-    """Raise UserError for the first option that the command does not have, and for what stands
-    before all options of a command that takes nothing there.
+    """Raise UserError for the first option that the command does not have or that is given twice,
+    and for what stands before all options of a command that takes nothing there.
 
     elsewhere: options that the command has in other cases, by name, and in which.
     """
@@ -94,8 +97,13 @@ def check_arguments(
         if args[0] in ALGORITHMS and "--algorithm" in valid:
             hint = f"did you mean '--algorithm {args[0]}'?"
         raise UserError(f"{command} takes no argument {args[0]!r}: {hint}")
+    seen = set()
     for arg in args:
         name = arg.partition("=")[0].replace("_", "-")
+        if name in seen:
+            raise UserError(f"{name} is given twice")
+        if name in valid - {"--import", "--help"}:
+            seen.add(name)
         if re.match(r"--[A-Za-z]", name) and name not in valid:
             near = f"'circle2d {command} --help' lists those it has"
             hint = (elsewhere or {}).get(name) or nearest(name, sorted(valid), near)
