@@ -233,7 +233,7 @@ def _space_table(name: str, attribute: str, meanings: tuple[str, ...]) -> str:
     bounds = zip(meanings, space.low, space.high, strict=False)
     rows = [(str(k), *(m, f"{a:g}", f"{b:g}")) for k, (m, a, b) in enumerate(bounds)]
     assert len(rows) == space.shape[0]
-    return _table(("number", "meaning", "least", "greatest"), rows)
+    return _table(("number", "meaning", "min", "max"), rows)
 
 
 def _arguments(config: Circle2DConfig, env_class: type) -> list[str]:
