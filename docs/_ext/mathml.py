@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
+import re
 
 from docutils.nodes import SkipNode
 from docutils.utils.math import MathError, latex2mathml
@@ -11,29 +11,21 @@ from sphinx.util import logging
 logger = logging.getLogger(__name__)
 
 
-_SPACE = "http://www.w3.org/1998/Math/MathML"
-ET.register_namespace("", _SPACE)
+_BARRED = re.compile(
+    r'<munderover>\s*(<mi>\w</mi>)((?:(?!<munderover>).)*?)(<mo stretchy="false">ˉ</mo>)\s*'
+    r"</munderover>",
+    re.DOTALL,
+)
+"""A symbol with a bar and an index, which docutils puts below the symbol."""
 
 
 def _write(self, node, block):
     try:
-        self.body.append(_barred(latex2mathml.tex2mathml(node.astext(), as_block=block)))
+        text = latex2mathml.tex2mathml(node.astext(), as_block=block)
+        self.body.append(_BARRED.sub(r"<msub><mover>\1\3</mover>\2</msub>", text))
     except MathError as error:
         logger.warning("formula: %s", error, location=node)
     raise SkipNode
-
-
-def _barred(text):
-    """Put the index of a symbol with a bar beside it; docutils puts it below."""
-    tree = ET.fromstring(text)
-    for node in tree.iter(f"{{{_SPACE}}}munderover"):
-        symbol, index, above = node
-        if above.text == "ˉ":
-            node.tag = f"{{{_SPACE}}}msub"
-            barred = ET.Element(f"{{{_SPACE}}}mover")
-            barred.extend((symbol, above))
-            node[:] = barred, index
-    return ET.tostring(tree, encoding="unicode")
 
 
 def setup(app):
