@@ -196,7 +196,7 @@ def _page(name: str, sections: dict[str, list[str]]) -> str:
         f"# {short}",
         f"![A film of {short}]({short}.gif)",
         _table(
-            ("", ""),
+            ("property", "value"),
             [
                 ("make one", f'`gym.make("{name}")`'),
                 ("make many", f'`gym.make_vec("{name}", num_envs=1024)`'),
