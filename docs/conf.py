@@ -13,7 +13,8 @@ copyright = "the circle2d-mj maintainers, MIT licence"
 
 extensions = ["myst_parser", "accessible", "made", "mathml"]
 html_math_renderer = "mathml"
-exclude_patterns = ["_build", "_ext", "README.md"]
+# Texts that other pages include are no pages.
+exclude_patterns = ["_build", "_ext", "README.md", "made/hyperparameters", "made/metric.md"]
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "fieldlist"]
 myst_heading_anchors = 3
 default_role = "code"
