@@ -45,9 +45,11 @@ def nearest(given: str, valid: Iterable[str], otherwise: str = "") -> str:
 
     otherwise: what to return where none is similar, by default the list of the valid names.
     """
-    names = list(valid)
-    near = difflib.get_close_matches(given, names, n=1)
-    return f"did you mean {near[0]!r}?" if near else otherwise or f"valid are {', '.join(names)}"
+    names = {name.lower(): name for name in valid}  # "SAC-Lag" is near to "sac-lag"
+    near = difflib.get_close_matches(given.lower(), names, n=1)
+    if near:
+        return f"did you mean {names[near[0]]!r}?"
+    return otherwise or f"valid are {', '.join(names.values())}"
 
 
 def check_integers(config: Any, *names: str, low: int, high: int = 2**40) -> None:

@@ -11,9 +11,10 @@ project = "circle2d-mj"
 release = tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"]["version"]
 copyright = "the circle2d-mj maintainers, MIT licence"
 
-extensions = ["myst_parser", "made", "mathml"]
+extensions = ["myst_parser", "accessible", "made", "mathml"]
 html_math_renderer = "mathml"
-exclude_patterns = ["_build", "_ext", "README.md"]
+# Texts that other pages include are no pages.
+exclude_patterns = ["_build", "_ext", "README.md", "made/hyperparameters", "made/metric.md"]
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "fieldlist"]
 myst_heading_anchors = 3
 default_role = "code"

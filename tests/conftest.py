@@ -1,6 +1,7 @@
 """Settings and fixtures of all tests."""
 
 import os
+import shutil
 
 import pytest
 from hypothesis import settings
@@ -27,3 +28,16 @@ def opengl():
         if str(error).count("is missing") == len(gl.LIBRARIES):
             pytest.skip(str(error))
         raise
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Chromium, driven by Playwright; skips the test where one of them is missing."""
+    playwright = pytest.importorskip("playwright.sync_api").sync_playwright
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+    if chromium is None:
+        pytest.skip("needs Chromium on the path")
+    with playwright() as started:
+        opened = started.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        yield opened
+        opened.close()

@@ -17,6 +17,7 @@ import pytest
 
 from agents.algorithms import ALGORITHMS
 from agents.cli.main import COMMANDS
+from agents.training.pretrained import pretrained
 from circle2d_mj.registration import CIRCLE2D, SAFETY
 
 ROOT = Path(__file__).parents[1]
@@ -122,6 +123,8 @@ def test_a_command_that_is_shown_exists(name, words):
     if command in ("--version", "--help", "COMMAND"):
         return
     assert command in COMMANDS
+    for name in (word.partition(":")[2] for word in rest if word.startswith("pretrained:")):
+        pretrained(*name.split("/"))
     own = {"--price"} if "my_algorithm" in words else set()
     for option in (word for word in rest if word.startswith("--")):
         assert option in options_of(command, words) | own

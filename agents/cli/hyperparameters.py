@@ -35,11 +35,18 @@ def _entries(cls: type, names: list[str], task: str) -> Iterator[str]:
     configs = [preset(name, task) for name in names]
     for name, text in texts(cls).items():
         default = getattr(ALGORITHMS[names[0]].config(), name)
-        chosen = dict.fromkeys(getattr(config, name) for config in configs)
+        own = [config for config in configs if _declaring(type(config), name) is cls]
+        chosen = dict.fromkeys(getattr(config, name) for config in own)
         on_task = " or ".join(map(_typed, chosen))
         other = f"; {on_task} on {task}" if on_task != _typed(default) else ""
         entry = f"--{name.replace('_', '-')} ({_typed(default)}{other}): {text}"
-        yield fill(entry, 96, initial_indent="  ", subsequent_indent="      ")
+        yield fill(
+            entry,
+            96,
+            initial_indent="  ",
+            subsequent_indent="      ",
+            break_on_hyphens=False,
+        )
 
 
 def _typed(value: Any) -> str:

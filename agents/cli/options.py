@@ -16,11 +16,24 @@ from typing import Annotated, Any, Literal, get_type_hints
 import tyro
 
 from agents.algorithms import ALGORITHMS
+from agents.cli.explained import explained
 from agents.errors import UserError, nearest
 
 BackendChoice = Literal["auto", "compiled", "eager"]
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
 """A folder that stands before the options."""
+MEANT = {
+    "--lr": "--learning-rate",
+    "--gamma": "--discount",
+    "--env": "--task",
+    "--env-id": "--task",
+    "--level": "--task Circle2D-1",
+    "--timesteps": "--steps",
+    "--total-timesteps": "--steps",
+    "--output": "--out",
+    "--output-dir": "--out",
+}
+"""Other programs' names of options, and what they are here."""
 Imports = Annotated[
     tuple[str, ...],
     tyro.conf.UseAppendAction,
@@ -46,6 +59,8 @@ def parse(
         import_modules(args)
     check_arguments(options, command, args, elsewhere or {})
     message = io.StringIO()
+    if {"-h", "--help"} & set(args):
+        options = explained(options)
     try:
         with contextlib.redirect_stderr(message), _REGISTRY:
             return tyro.cli(options, prog=f"circle2d {command}", args=list(args))
@@ -90,7 +105,7 @@ def check_arguments(
     """
     valid = {f"--{name.replace('_', '-')}" for name in _names(options)} | {"--help"}
     if not _takes_folders(options) and args and not args[0].startswith("-"):
-        hint = nearest(f"--{args[0]}", sorted(valid), "options begin with --")
+        hint = _nearest(args[0], valid, "options begin with --")
         if args[0] in ALGORITHMS and "--algorithm" in valid:
             hint = f"did you mean '--algorithm {args[0]}'?"
         raise UserError(f"{command} takes no argument {args[0]!r}: {hint}")
@@ -98,11 +113,21 @@ def check_arguments(
         name = arg.partition("=")[0].replace("_", "-")
         if re.match(r"--[A-Za-z]", name) and name not in valid:
             near = f"'circle2d {command} --help' lists those it has"
-            hint = (elsewhere or {}).get(name) or nearest(name, sorted(valid), near)
+            hint = (elsewhere or {}).get(name) or _nearest(name, valid, near)
             raise UserError(f"{command} has no option {name}: {hint}")
         if re.fullmatch(r"\d+(,\d+)+,?", arg):
-            words = arg.replace(",", " ").strip()
-            raise UserError(f"numbers have spaces between them: did you mean '{words}'?")
+            one = f"'{arg.replace(',', '')}' or " if re.fullmatch(r"\d{1,3}(,\d{3})+", arg) else ""
+            several = arg.replace(",", " ").strip()
+            raise UserError(f"numbers have no commas: did you mean {one}'{several}'?")
+
+
+def _nearest(given: str, valid: set[str], otherwise: str) -> str:
+    """The hint to the option that was meant. The dashes make no two names similar."""
+    meant = MEANT.get(given, "")
+    if meant.partition(" ")[0] in valid:
+        return f"did you mean {meant!r}?"
+    names = sorted(name.removeprefix("--") for name in valid - {"--help"})
+    return nearest(given.removeprefix("--"), names, otherwise).replace("mean '", "mean '--")
 
 
 def _takes_folders(options: type) -> bool:
@@ -152,7 +177,11 @@ _OURS = (
     (r"Missing value for argument '(--[\w-]+)'.*", r"\1 needs a value"),
     (r"(--[\w-]+): could not convert string to float: (.*)", r"\1 must be a number, got \2"),
     (r"(--[\w-]+): Failed to parse key-value pairs.*", r"\1 takes pairs: NAME VALUE ..."),
-    (r"Unrecognized options: (.*)", r"{command} takes no argument '\1'"),
+    (
+        r"(--[\w-]+): Could not find valid parse for arguments: \['?(.*?)'?\]",
+        r"\1 takes numbers with spaces between them, got '\2'",
+    ),
+    (r"Unrecognized options: ([^,]*).*", r"{command} takes no argument '\1'"),
 )
 """Messages of tyro, and the same in words of our own."""
 

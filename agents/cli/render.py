@@ -74,9 +74,9 @@ def run(args: Sequence[str]) -> int:
 
 def _folder(given: Path) -> Path:
     """A folder, or that of a policy of the package for `pretrained:ALGORITHM/TASK`."""
-    kind, _, name = given.as_posix().partition(":")
+    kind, colon, name = given.as_posix().partition(":")
     algorithm, _, task = name.partition("/")
-    return pretrained(algorithm, task) if kind == "pretrained" else given
+    return pretrained(algorithm, task) if kind == "pretrained" and colon else given
 
 
 T = TypeVar("T")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agents import api
-from agents.cli.checks import check_width
+from agents.cli.checks import check_file, check_width
 from agents.cli.options import Folder, Imports, parse
 from agents.cli.terminal import show
 from agents.training.progress import working
@@ -34,6 +34,7 @@ def run(args: Sequence[str]) -> int:
     """Run `circle2d report`; returns the exit status."""
     options = parse(ReportOptions, "report", args)
     check_width(options.width)
+    check_file("archive", options.archive)
     with working("reading runs and drawing figures"):
         table = api.report(options.folder, options.archive, options.out)
     show(table, options.width)

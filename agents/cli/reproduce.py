@@ -15,7 +15,7 @@ from rich.table import Table
 
 from agents import api
 from agents.algorithms import ALGORITHMS
-from agents.cli.checks import check_enough_steps, check_width
+from agents.cli.checks import check_enough_steps, check_folder, check_width
 from agents.cli.options import BackendChoice, Imports, parse
 from agents.cli.terminal import show
 from agents.errors import UserError, one_line
@@ -85,6 +85,9 @@ def run(args: Sequence[str]) -> int:
     """Run `circle2d reproduce`; returns the exit status."""
     options = parse(ReproduceOptions, "reproduce", args)
     check_width(options.width)
+    check_folder(options.out)
+    if options.address is not None and options.engine != "ray":
+        raise UserError("--address is of a Ray cluster: it needs --engine ray")
     if not options.algorithms:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
     if not 1 <= options.workers <= MOST_WORKERS:

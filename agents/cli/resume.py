@@ -25,7 +25,7 @@ class ResumeOptions:
     runs that were never interrupted."""
 
     folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER ...")]
-    """Folder of the runs; several, which differ in task and seeds only, train together."""
+    """Folder of the runs; several train together, if they differ only in task and seeds."""
     imports: Imports = ()
 
 

@@ -15,7 +15,7 @@ from agents.cli.checks import LEAST_WIDTH
 
 Rows = list[list[str]]
 HEAD, WORDS = 12, 20
-"""Characters to which a column's head and its words are broken."""
+"""Characters to which a column's head and the intervals in it, and its words, are broken."""
 _GAP = 3
 """Characters between columns."""
 
@@ -64,7 +64,7 @@ def parts(rows: Rows, width: int) -> list[Rows]:
     A column that alone is wider than the width gets a part of its own.
     """
     columns = [list(column) for column in zip(*rows, strict=True)]
-    names = [_broken(name, max(width // 3, 16)) for name in columns[0]]
+    names = [_name(name, max(width // 3, 16)) for name in columns[0]]
     found, used = [[names]], _width(names)
     for column in columns[1:]:
         cells = [_broken(column[0], HEAD), *map(_cell, column[1:])]
@@ -77,12 +77,18 @@ def parts(rows: Rows, width: int) -> list[Rows]:
     return [[list(row) for row in zip(*part, strict=True)] for part in found]
 
 
+def _name(name: str, width: int) -> str:
+    """The name of a row; where it is too long, what follows the last comma has its own line."""
+    first, comma, last = name.rpartition(", ")
+    if len(_plain(name)) <= width or not comma:
+        return _broken(name, width)
+    return f"{_broken(first + ',', width)}\n{_broken(last, width)}"
+
+
 def _cell(cell: str) -> str:
-    """A number above what follows it, its interval; words in lines of some width."""
-    number, _, more = cell.partition(" ")
-    if more and re.fullmatch(r"[-+<\d.*]+", number):
-        return f"{number}\n{_broken(more, WORDS)}"
-    return _broken(cell, WORDS)
+    """A number or a count above what follows it, its interval; words in lines of some width."""
+    found = re.fullmatch(r"([-+<\d.*]+(?: of \d+)?) (?!of )(.+)", cell)
+    return f"{found[1]}\n{_broken(found[2], HEAD)}" if found else _broken(cell, WORDS)
 
 
 def _broken(cell: str, width: int) -> str:

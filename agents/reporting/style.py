@@ -14,7 +14,7 @@ from agents.algorithms import ALGORITHMS
 from agents.training.config import TrainConfig
 
 # Okabe and Ito's palette, which people with any colour vision can tell apart.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#000000", "#56B4E9")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)))
 DASHES = (*DASHES, (0, (9, 2)), (0, (2, 2.5)), (0, (9, 1.5, 3, 1.5)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")

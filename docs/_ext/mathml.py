@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from docutils.nodes import SkipNode
 from docutils.utils.math import MathError, latex2mathml
 from sphinx.util import logging
@@ -9,9 +11,18 @@ from sphinx.util import logging
 logger = logging.getLogger(__name__)
 
 
+_BARRED = re.compile(
+    r'<munderover>\s*(<mi>\w</mi>)((?:(?!<munderover>).)*?)(<mo stretchy="false">ˉ</mo>)\s*'
+    r"</munderover>",
+    re.DOTALL,
+)
+"""A symbol with a bar and an index, which docutils puts below the symbol."""
+
+
 def _write(self, node, block):
     try:
-        self.body.append(latex2mathml.tex2mathml(node.astext(), as_block=block))
+        text = latex2mathml.tex2mathml(node.astext(), as_block=block)
+        self.body.append(_BARRED.sub(r"<msub><mover>\1\3</mover>\2</msub>", text))
     except MathError as error:
         logger.warning("formula: %s", error, location=node)
     raise SkipNode

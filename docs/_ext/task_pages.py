@@ -196,7 +196,7 @@ def _page(name: str, sections: dict[str, list[str]]) -> str:
         f"# {short}",
         f"![A film of {short}]({short}.gif)",
         _table(
-            ("", ""),
+            ("property", "value"),
             [
                 ("make one", f'`gym.make("{name}")`'),
                 ("make many", f'`gym.make_vec("{name}", num_envs=1024)`'),
@@ -233,7 +233,7 @@ def _space_table(name: str, attribute: str, meanings: tuple[str, ...]) -> str:
     bounds = zip(meanings, space.low, space.high, strict=False)
     rows = [(str(k), *(m, f"{a:g}", f"{b:g}")) for k, (m, a, b) in enumerate(bounds)]
     assert len(rows) == space.shape[0]
-    return _table(("number", "meaning", "least", "greatest"), rows)
+    return _table(("number", "meaning", "min", "max"), rows)
 
 
 def _arguments(config: Circle2DConfig, env_class: type) -> list[str]:

@@ -49,3 +49,14 @@ def test_parts_by_hand():
 def test_into_a_pipe_it_stays_markdown(capsys):
     terminal.show(MARKDOWN)
     assert capsys.readouterr().out == MARKDOWN + "\n"
+
+
+def test_lines_of_a_cell_by_hand():
+    rows = [["name", "within"], ["SAC-LB tuned, seed 0", "1 of 3 [0.01, 0.91]"], ["b", "0 of 1"]]
+    assert terminal.parts(rows, 40) == [
+        [
+            ["name", "within"],
+            ["SAC-LB tuned,\nseed 0", "1 of 3\n[0.01, 0.91]"],
+            ["b", "0 of 1"],
+        ]
+    ]

@@ -1,7 +1,5 @@
 """The page in a browser, opened from the disk, as a reader has it."""
 
-import shutil
-
 import numpy as np
 import pytest
 from small_runs import write_evaluated
@@ -11,12 +9,7 @@ from agents.reporting.report import report
 from agents.training.loop import train
 
 WIDTHS, SCHEMES = (1280, 768, 400), ("light", "dark")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-sync_api = pytest.importorskip("playwright.sync_api")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium on the path"),
-]
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -31,14 +24,6 @@ def page_file(tmp_path_factory):
     write_evaluated(folder / "old", "wcsac", costs=(3, 4), old=True)
     report(folder)
     return folder / "index.html"
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with sync_api.sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield opened
-        opened.close()
 
 
 @pytest.fixture
