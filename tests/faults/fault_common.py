@@ -22,6 +22,10 @@ NO_RESULTS = ("status.json", "checkpoint.previous.npz", "checksums.json", ".lock
 """Timings, logs, and what depends on where a training was interrupted."""
 
 
+EVERY = 100
+"""Tries after which a line tells of them: the whole suite takes long."""
+
+
 @dataclass
 class Tally:
     """How many faults of each kind were tried, and what was wrong after them."""
@@ -32,6 +36,8 @@ class Tally:
     def note(self, kind: str, problem: str) -> None:
         """Count a try. problem: empty where all is as it should be."""
         self.tried[kind] += 1
+        if self.tried[kind] % EVERY == 0:
+            print(f"{self.tried[kind]:,} tried: {kind}", file=sys.stderr, flush=True)
         if problem:
             self.defects.append((kind, problem))
             print(f"defect: {kind}: {problem}", file=sys.stderr, flush=True)
