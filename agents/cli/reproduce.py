@@ -86,8 +86,6 @@ def run(args: Sequence[str]) -> int:
     options = parse(ReproduceOptions, "reproduce", args)
     check_width(options.width)
     check_folder(options.out)
-    if options.address is not None and options.engine != "ray":
-        raise UserError("--address is of a Ray cluster: it needs --engine ray")
     if not options.algorithms:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
     if not 1 <= options.workers <= MOST_WORKERS:

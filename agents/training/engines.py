@@ -46,6 +46,6 @@ def engine(
     if name != "local":
         raise UserError(f"engine must be local or ray, got {name!r}")
     if address is not None:
-        raise UserError("address is of the engine ray")
+        raise UserError("address is of a Ray cluster: it needs the engine ray")
     at_once = cores() if count is None else count
     yield Engine(at_once, lambda groups, *more: Workers(groups, at_once, *more))

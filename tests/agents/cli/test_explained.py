@@ -1,4 +1,4 @@
-"""What `--help` says of options: whole paragraphs, short types, no `None`."""
+"""Options as `--help` shows them: whole paragraphs, short types, no `None`."""
 
 import pytest
 

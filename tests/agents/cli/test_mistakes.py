@@ -58,7 +58,7 @@ def folder(tmp_path_factory):
         ),
         (["reproduce", "--out", "{folder}/config.json"], "but '.*config.json' is a file\n"),
         (["reproduce", "--out", "{tmp}/x", "--shard", "5/4"], "I from 1 to N.*, got '5/4'\\n"),
-        (["reproduce", "--out", "{tmp}/x", "--address", "host:1"], "needs --engine ray\\n"),
+        (["reproduce", "--out", "{tmp}/x", "--address", "host:1"], "needs the engine ray\\n"),
         (["fly"], "unknown command 'fly': valid are train, resume, evaluate, reproduce, report"),
         (["help"], "unknown command 'help': did you mean '--help'\\?\n"),
         (["-V"], "unknown option '-V': did you mean '--version'\\?\n"),

@@ -22,7 +22,7 @@ def test_without_ray(tmp_path, capsys, monkeypatch):
 
 def test_the_address_is_rays(tmp_path, capsys):
     assert reproduce(tmp_path / "x", "--address", "auto") == 2
-    assert "address is of the engine ray" in capsys.readouterr().err
+    assert "address is of a Ray cluster: it needs the engine ray" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
