@@ -64,12 +64,13 @@ def try_environments(tally: Tally, count, rng, root):
         shutil.rmtree(out, ignore_errors=True)
         command = ["train", "--algorithm", "sac-lag", "--task", "Faulty-v0", *SMALL, *SAC]
         command += ["--backend", "eager", "--task-parameters", "how", how, "at", str(at)]
-        command += ["--vectorization", "async", "--step-timeout", "0.4"] if apart else []
+        command += ["--vectorization", "async", "--step-timeout", "1.5"] if apart else []
         done = forked(lambda command=command: main([*command, "--out", str(out)]))
         problem = done.problem((1,))
         steps = at // 50 * 50  # checkpoints
         if not problem and steps and how != "nan" and at % 10 != 1:
-            found = load_training(out).steps.tolist()
+            begun = (out / "checkpoint.npz").exists()
+            found = load_training(out).steps.tolist() if begun else [0, 0]
             problem = "" if found in ([steps] * 2, [steps - 50] * 2) else f"checkpoint at {found}"
         if not problem and (left := processes_of(str(out))):
             problem = f"processes are left: {left}"
