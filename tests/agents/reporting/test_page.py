@@ -89,8 +89,9 @@ def test_the_report_of_a_small_grid(tmp_path):
     assert "<title>TRPO-Lag on Circle2D-1-v0 (" in text
     assert "2 runs, 1 task, 1 algorithm, seeds 0, 1, 2,000 steps each" in text
     assert [image["alt"] for image in shown.images] == [
-        "Every run",
-        "Cost rate against EMCC",
+        "Every run: A dot for each run",
+        "Cost rate against EMCC: A marker for each run in a third of its training: cost per step, "
+        "and EMCC, both of the rollouts that start in the third",
         "Profiles of MCC: Cost rate against EMCC",
         "Training curves: Circle2D-1-v0",
         "The four levels: Circle2D and EMCC",
