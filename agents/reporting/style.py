@@ -21,6 +21,11 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 """As many as dashes: what tells colours apart without colour."""
 
 
+CROWDED, PIXELS = 60, 120
+"""Lines and areas of a panel beyond which they are pixels, and those of an inch: a page of very many
+runs would be megabytes else."""
+
+
 class Style(NamedTuple):
     """How the runs of a group are drawn."""
 
@@ -75,11 +80,14 @@ def drawing(font_size: int = 10) -> Iterator[Any]:
 
 
 def svg_of(figure: Any) -> bytes:
-    """A figure of matplotlib as SVG, which is closed."""
+    """A figure of matplotlib as SVG, which is closed. Crowded panels hold their lines as pixels."""
     from matplotlib import pyplot
 
+    for axis in figure.axes:
+        if len(axis.lines) + len(axis.collections) > CROWDED:
+            axis.set_rasterization_zorder(2.1)  # lines and areas, but not axes and words
     image = io.StringIO()
-    figure.savefig(image, format="svg", metadata={"Date": None})
+    figure.savefig(image, format="svg", dpi=PIXELS, metadata={"Date": None})
     pyplot.close(figure)
     del figure
     gc.collect()  # a figure is a cycle of references, of tens of megabytes

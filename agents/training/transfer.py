@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from agents.training.files import write_whole
 from agents.training.workers import Group
-from emcc.files import digest
+from emcc.files import CHECKSUMS, digest
 
 STATUS = "status.json"
 """The name that `agents.training.status` gives it, whose import would bring torch to Ray's own
@@ -46,7 +46,8 @@ class Message(NamedTuple):
     """Files that changed in the folders of a group, and how its process is."""
 
     files: Sequence[File]
-    """In the order in which they were written."""
+    """In the order in which a driver that may end meanwhile has to write them: records before the
+    checkpoint that counts them, checksums last."""
     names: Collection[Key] | None
     """All files that there are; None where only the progress is reported."""
     status: int | None
@@ -70,7 +71,7 @@ class Sent:
         whole = status is not None or any(checkpoints)
         if not whole:
             changed = [key for key in changed if key[1] == STATUS]
-        changed.sort(key=lambda key: before[key])
+        changed.sort(key=lambda key: (_rank(key[1]), before[key]))
         try:
             contents = {key: self._content(key) for key in changed}
         except FileNotFoundError:
@@ -94,6 +95,8 @@ class Sent:
     def _file(self, key: Key, content: bytes) -> File:
         """The shortest that tells the driver, which knows it then."""
         index, name = key
+        if name == CHECKSUMS:  # small, and removed before the message is taken in
+            return File(index, name, content[:HEAD], content[HEAD:])
         others = [(i, n) for i, n in self._known if i == index and n.startswith(CHECKPOINT)]
         sources = [key, *(others if name.startswith(CHECKPOINT) else [])]
         file = File(index, name, content[:HEAD], content[HEAD:])
@@ -104,6 +107,10 @@ class Sent:
                 break
         self._known[key] = _known(content)
         return file
+
+
+def _rank(name: str) -> int:
+    return 2 if name == CHECKSUMS else int(name.startswith(CHECKPOINT))
 
 
 def _known(content: bytes) -> tuple[int, str]:
@@ -128,7 +135,13 @@ def files_of(folder: Path) -> list[str]:
 
 
 def take_in(group: Group, message: Message) -> None:
-    """Bring the folders of a group up to date with a message."""
+    """Bring the folders of a group up to date with a message.
+
+    Meanwhile they have no checksums: the old ones would not be those of the new files.
+    """
+    for file in message.files:
+        if file.name == CHECKSUMS:
+            (group[file.folder] / CHECKSUMS).unlink(missing_ok=True)
     for file in message.files:
         folder = group[file.folder]
         there = b"" if file.source is None else (folder / file.source).read_bytes()
