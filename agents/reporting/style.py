@@ -22,8 +22,8 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 
 
 CROWDED, PIXELS = 60, 120
-"""Lines and areas of a panel beyond which they are pixels, and those of an inch: a page of very many
-runs would be megabytes else."""
+"""Lines and areas of a panel beyond which they are pixels, and pixels of an inch. The page of very
+many runs would have many megabytes else."""
 
 
 class Style(NamedTuple):
