@@ -3,6 +3,7 @@
 # make check: run the slow tests, among them installations in environments of their own; make docs.
 # make docs: build the documentation: docs/_build/html/index.html.
 # make integrate: install [integrations] as well, and run the tests against other libraries.
+# make ray: install [ray] as well, and kill nodes and drivers of clusters, six minutes.
 # make faults: kill, damage, fill and mistype thousands of times, about 25 minutes on a core; prints what
 # was tried and what was wrong (docs/faults.md).
 # Each builds .venv first; Python 3.11 or newer is all they need.
@@ -14,7 +15,7 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check \
 	-c constraints.txt
 
-.PHONY: demo test check docs faults integrate lint clean
+.PHONY: demo test check docs faults integrate lint ray clean
 .DELETE_ON_ERROR:
 
 $(VENV)/made:
@@ -70,7 +71,13 @@ integrate: $(VENV)/develops
 		-e '.[dev,integrations]'
 	$(BIN)/python -m pytest -n logical --durations 5 tests/emcc tests/agents/test_export.py \
 		tests/circle2d_mj/core/test_other_libraries.py tests/test_examples.py
-	$(BIN)/python -m pytest -m slow tests/agents/training/test_ray.py tests/agents/test_sweeps.py
+	$(BIN)/python -m pytest -m slow tests/agents/test_sweeps.py \
+		tests/agents/training/test_ray.py::test_the_same_report
+
+ray: $(VENV)/develops
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+		-e '.[dev,ray]'
+	$(BIN)/python -m pytest -m slow tests/agents/training/test_ray.py
 
 faults: $(VENV)/develops
 	OMP_NUM_THREADS=1 $(BIN)/python tests/faults/run.py
