@@ -18,7 +18,7 @@ STATUS = "status.json"
 """The name that `agents.training.status` gives it, whose import would bring torch to Ray's own
 processes."""
 CHECKPOINT = "checkpoint"
-"""Beginning of the names of the files that tell a checkpoint."""
+"""Beginning of the names of the files of a checkpoint."""
 Key = tuple[int, str]
 """Index of a folder, path of a file in it."""
 HEAD = 128

@@ -1,4 +1,4 @@
-"""What the theme leaves out for readers with a keyboard or a screen reader."""
+"""Marks that the theme lacks for readers with a keyboard or a screen reader."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ def test_between_the_moves_of_a_checkpoint(ends):
 
 
 def test_progress_alone(ends):
-    """Nothing else is told before there is a checkpoint, or the end."""
+    """Nothing else is sent before there is a checkpoint, or the end."""
     node, driver, sent, rng = ends
     assert sent.changes(None) is None
     np.save(node / "seed-0" / "costs.npy", rng.random(5))
