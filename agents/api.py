@@ -202,7 +202,7 @@ def report(
 ) -> str:
     """Write the report of all runs at or below a folder, or in an archive: `circle2d report`.
 
-    Returns its tables and the paper's claims as Markdown. archive: a file to pack all that the
+    Returns its main tables and the paper's claims as Markdown. archive: a file to pack all that the
     report needs into. out: folder to write to; by default the runs' own, for an archive the one
     beside it that has its name without the suffix. Raises UserError where there are no complete
     runs, or the archive is damaged.

@@ -11,7 +11,7 @@ from agents.paper import ablations
 from agents.paper.claims import check_claims
 from agents.paper.presets import is_circle2d
 from agents.reporting import claims_text, together
-from agents.reporting.ablations import TITLE, ablation_table
+from agents.reporting.ablations import TIES, TITLE, ablation_table, ties_table
 from agents.reporting.csv_table import numbers_csv, report_lines
 from agents.reporting.figures import figures, introduction
 from agents.reporting.maps import maps
@@ -32,9 +32,10 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     """Write the report of every folder of runs at or below a folder, or in an archive.
 
     Writes `report.md`, `report.csv` for a program, and `index.html`, which holds everything, with
-    all figures, and returns the tables and the paper's claims as Markdown. Runs that are missing,
-    damaged or unfinished are named below the table and left out of its means; figures that cannot
-    be drawn are named too.
+    all figures. Returns the main tables and the paper's claims as Markdown; `report.md` has the
+    details too: EMCC with ties split, and each task's panel. Runs that are missing, damaged or
+    unfinished are named below the table and left out of its means; figures that cannot be drawn are
+    named too.
 
     archive: a file to pack all that the report needs into; a report from it has the same bytes.
     out: folder to write to; by default the runs' own, for an archive the one beside it that has its
@@ -59,15 +60,11 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
         for task, of_task in by_task.items()
     }
     shown, common = together.figures(groups), together.tables(groups)
-    tables = _tables(by_task, ablated, notes) | common
-    tables |= {
-        panel_title(task): panel_table(of)
-        for task, of in by_task.items()
-        if any(group.runs for group in of)
-    }
+    main = _tables(by_task, ablated, notes) | common
+    details = _details(by_task)
+    tables = main | details
     checked = check_claims(groups)
-    markdown = "\n".join(table.markdown() for table in tables.values())
-    markdown += "\n" + claims_text.markdown(checked) if checked else ""
+    markdown, verdicts = _markdown(main), claims_text.markdown(checked) if checked else ""
     if archive is not None:
         write_archive(archive, source, everything)
     sections = [Section(claims_text.TITLE, claims=checked)] if checked else []
@@ -84,9 +81,10 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     title = f"{heading(groups)} ({source.name})"
     html = page(title, sections, made(source, everything), summary(groups), scenes.all)
     write_whole(out / "index.html", html)
-    write_whole(out / "report.md", f"{markdown}\nFigures, heat maps and replay: index.html\n")
+    whole = "\n".join(filter(None, [markdown, _markdown(details), verdicts]))
+    write_whole(out / "report.md", f"{whole}\nFigures, heat maps and replay: index.html\n")
     write_whole(out / "report.csv", numbers_csv(report_lines(everything)))
-    return markdown
+    return "\n".join(filter(None, [markdown, verdicts]))
 
 
 def table(folder: Path) -> str:
@@ -99,7 +97,7 @@ def table(folder: Path) -> str:
     everything = read_groups(source, notes)
     groups, ablated = ablations.split(everything)
     found = _tables(_by_task(groups), ablated, notes)
-    markdown = "\n".join(of_task.markdown() for of_task in found.values())
+    markdown = _markdown(found)
     write_whole(folder / "report.md", markdown)
     write_whole(folder / "report.csv", numbers_csv(report_lines(everything)))
     return markdown
@@ -108,6 +106,23 @@ def table(folder: Path) -> str:
 def _by_task(groups: Sequence[Group]) -> dict[str, list[Group]]:
     tasks = dict.fromkeys(group.config.task for group in groups)
     return {task: [g for g in groups if g.config.task == task] for task in tasks}
+
+
+def _details(by_task: dict[str, list[Group]]) -> dict[str, Table]:
+    """EMCC with ties split, and the panel of each task, by title."""
+    everyone = [group for groups in by_task.values() for group in groups]
+    split = ties_table(everyone)
+    found = {} if split is None else {TIES: split}
+    panels = {
+        panel_title(task): panel_table(groups)
+        for task, groups in by_task.items()
+        if any(group.runs for group in groups)
+    }
+    return found | panels
+
+
+def _markdown(tables: dict[str, Table]) -> str:
+    return "\n".join(table.markdown() for table in tables.values())
 
 
 def _tables(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agents.reporting.ablations import TIES, ties_table
 from agents.reporting.figures import Figure
 from agents.reporting.over_tasks import over_tasks
 from agents.reporting.overview import intervals_figure, profiles_figure, rates_figure
@@ -27,7 +26,6 @@ def figures(groups: Sequence[Group]) -> dict[str, list[Figure]]:
 
 
 def tables(groups: Sequence[Group]) -> dict[str, Table]:
-    """The separated pairs, the measures over all tasks, and EMCC with ties split; those for which
-    there are enough runs."""
-    found = {RATES: separated_table(groups), TASKS: over_tasks(groups), TIES: ties_table(groups)}
+    """The separated pairs and the measures over all tasks; those for which there are enough runs."""
+    found = {RATES: separated_table(groups), TASKS: over_tasks(groups)}
     return {title: table for title, table in found.items() if table is not None}
