@@ -83,6 +83,10 @@ class MLP:
                 x = torch.baddbmm(bias, x, weight)
         return x
 
+    def inputs_of(self, observation: Tensor) -> Tensor:
+        """The first of observations [..., at least in]: behind them may stand what others see."""
+        return observation[..., : self.sizes[0]].contiguous()
+
     def layers(self, params: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Views of the weights [N, in, out] and biases [N, 1, out] in params [N, size], in turn."""
         parts = np.split(params, np.cumsum(self._splits[:-1]), axis=-1)

@@ -17,7 +17,7 @@ class Batch(NamedTuple):
     """Transitions drawn from the replay."""
 
     observation: Tensor
-    """[R, B, observation size]"""
+    """[R, B, critic inputs]: with what the critics alone see, see `critic_inputs`"""
     action: Tensor
     """[R, B, action size], in [-1, 1]"""
     reward: Tensor
@@ -25,7 +25,7 @@ class Batch(NamedTuple):
     cost: Tensor
     """[R, B]"""
     next_observation: Tensor
-    """[R, B, observation size]"""
+    """[R, B, critic inputs]"""
     terminal: Tensor
     """[R, B]: 1.0 where nothing follows the transition, else 0.0; with targets of n steps the share
     of what follows that their discount takes: see `Rollout.of_n_steps`"""

@@ -42,14 +42,22 @@ class Rollout(NamedTuple):
         return Rollout._make([*columns, length[episodes], diverged[episodes]])
 
     def learned(self, config: Any) -> Rollout:
-        """The rollout as an algorithm learns from it: observations times `config.input_scale`, and
-        costs that grow along a streak by `config.streak_weight`, where the algorithm has one."""
+        """The rollout as an algorithm learns from it: observations times `config.input_scale`; with
+        a `config.streak_weight`, costs that grow along a streak, and behind the observations the
+        streak so far, in steps, for the critics: see `critic_inputs`."""
         scale = np.float32(config.input_scale)
-        observations = self.observation * scale, self.next_observation * scale
-        weight = getattr(config, "streak_weight", 0.0)
-        cost = streak_costs(self.cost, weight) if weight else self.cost
-        return self._replace(
-            observation=observations[0], next_observation=observations[1], cost=cost
+        scaled = self._replace(
+            observation=self.observation * scale, next_observation=self.next_observation * scale
+        )
+        weight = streak_weight(config)
+        if not weight:
+            return scaled
+        after = streaks(self.cost)
+        before = np.concatenate([np.zeros_like(after[:1]), after[:-1]])
+        return scaled._replace(
+            observation=_joined(scaled.observation, before),
+            next_observation=_joined(scaled.next_observation, after),
+            cost=weighted(self.cost, after, weight),
         )
 
     def of_n_steps(
@@ -106,16 +114,29 @@ class Rollout(NamedTuple):
         return self.next_observation[self.length - 1, np.arange(len(self.length))]
 
 
-def streak_costs(costs: NDArray[np.float64], weight: float) -> NDArray[np.float64]:
-    """Costs [T, N] with the k-th of consecutive cost steps `1 + weight (k - 1)` times as large.
+def streak_weight(config: Any) -> float:
+    """Weight of streaks in the learned cost; 0 for an algorithm that limits no cost."""
+    return getattr(config, "streak_weight", 0.0)
 
-    The cost of `emcc.StreakCost`, which does the same for an environment.
-    """
-    streak, streaks = np.zeros(costs.shape[1]), np.zeros(costs.shape)
+
+def critic_inputs(config: Any, observation_size: int) -> int:
+    """Numbers that critics see of a state. Where costs grow along a streak they see its length as
+    well, without which the learned task would not be Markov; the policy never does."""
+    return observation_size + bool(streak_weight(config))
+
+
+def streaks(costs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Consecutive cost steps up to each step of costs [T, N], itself included; 0 at a safe one."""
+    found = np.zeros(costs.shape)
+    streak = np.zeros(costs.shape[1])
     for t, at_step in enumerate(costs):
         streak = np.where(at_step > 0, streak + 1, 0)
-        streaks[t] = streak
-    return weighted(costs, streaks, weight)
+        found[t] = streak
+    return found
+
+
+def _joined(observation: NDArray[np.float32], streak: NDArray[np.float64]) -> NDArray[np.float32]:
+    return np.concatenate([observation, streak[..., None].astype(np.float32)], axis=-1)
 
 
 def require_cost(source: object, info: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ from agents.on_policy.state import Epoch, Nets, OnPolicyState
 
 @compiled
 def values(nets: Nets, critics: Tensor, observation: Tensor) -> Tensor:
-    """Values of both critics of each run at observations [R, B, observation size]: [R, 2, B]."""
+    """Values of both critics of each run at observations [R, B, critic inputs]: [R, 2, B]."""
     runs, batch, width = observation.shape
     inputs = observation[:, None].expand(runs, 2, batch, width).reshape(runs * 2, batch, width)
     return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, 2, batch)

@@ -53,11 +53,11 @@ class GaussianPolicy(NamedTuple):
         return params
 
     def distribution(self, params: Tensor, observation: Tensor) -> Gaussian:
-        """At observations [R, B, observation size]."""
+        """At observations [R, B, at least observation size], of which it sees the first."""
         # The exponential is taken of whole rows of lanes: see `nets`.
         log_std, actions = params[:, self.net.size :].contiguous(), self.net.sizes[-1]
         return Gaussian(
-            self.net.forward(params[:, : self.net.size], observation),
+            self.net.forward(params[:, : self.net.size], self.net.inputs_of(observation)),
             log_std[:, None, :actions],
             log_std.exp()[:, None, :actions],
         )

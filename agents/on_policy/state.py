@@ -16,6 +16,7 @@ from agents.lockstep.backend import tensor
 from agents.lockstep.lagrange import MultiplierForm, MultiplierState, PIDState
 from agents.lockstep.nets import MLP, check_lanes
 from agents.lockstep.noise import Purpose, stream
+from agents.lockstep.rollout import critic_inputs
 from agents.on_policy.gaussian import GaussianPolicy
 
 
@@ -68,7 +69,8 @@ class EpisodeCostLimit:
     on Circle2D, 25 on Safety-Gymnasium."""
     streak_weight: float = 0.0
     """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
-    step costs `1 + β (k - 1)` times. Records keep the plain cost. Not in the paper; 0: none."""
+    step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. Not in the
+    paper; 0: none."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
@@ -96,7 +98,7 @@ class Epoch(NamedTuple):
     """The steps of an epoch, run by run: see `packing`."""
 
     observation: Tensor
-    """[R, B, observation size]"""
+    """[R, B, critic inputs]: with what the critics alone see, see `critic_inputs`"""
     action: Tensor
     """[R, B, A]"""
     weight: Tensor
@@ -124,7 +126,7 @@ def make_nets(config: OnPolicyConfig, observation_size: int, action_size: int) -
     """Nets for flat observations and actions."""
     return Nets(
         actor=GaussianPolicy(MLP((observation_size, *config.hidden, action_size))),
-        critic=MLP((observation_size, *config.hidden, 1)),
+        critic=MLP((critic_inputs(config, observation_size), *config.hidden, 1)),
     )
 
 

@@ -26,6 +26,6 @@ def figures(groups: Sequence[Group]) -> dict[str, list[Figure]]:
 
 
 def tables(groups: Sequence[Group]) -> dict[str, Table]:
-    """The separated pairs and the measures over all tasks; those for which there are enough runs."""
+    """The separated pairs and the measures over all tasks, where there are enough runs."""
     found = {RATES: separated_table(groups), TASKS: over_tasks(groups)}
     return {title: table for title, table in found.items() if table is not None}

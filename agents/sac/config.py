@@ -77,7 +77,8 @@ class ConstrainedSACConfig(SACConfig):
     of the rewards; not of an episode's cost. Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
     streak_weight: float = 0.0
     """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
-    step costs `1 + β (k - 1)` times. Records keep the plain cost. Not in the paper; 0: none."""
+    step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. Not in the
+    paper; 0: none."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""

@@ -24,7 +24,7 @@ from agents.lockstep.noise import (
     uniform,
 )
 from agents.lockstep.replay import Replay
-from agents.lockstep.rollout import Act, Policy, Rollout
+from agents.lockstep.rollout import Act, Policy, Rollout, critic_inputs
 from agents.sac import squashed_gaussian
 from agents.sac import update as sac
 
@@ -57,7 +57,8 @@ class OffPolicy:
         self.action_size = action_size
         self.nets = sac.make_nets(config, observation_size, action_size)
         self._state = sac.initial_state(self.nets, config, rule, seeds)
-        self._replay = Replay(len(seeds), config.replay_size, observation_size, action_size)
+        inputs = critic_inputs(config, observation_size)
+        self._replay = Replay(len(seeds), config.replay_size, inputs, action_size)
 
     def policy(self, runs: slice = tree.ALL) -> Policy:
         """The policy of some runs as it stands now."""

@@ -22,6 +22,7 @@ from agents.lockstep.lagrange import MultiplierForm, MultiplierState, PIDState
 from agents.lockstep.nets import LANES, MLP
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.replay import Batch
+from agents.lockstep.rollout import critic_inputs
 from agents.sac import squashed_gaussian
 from agents.sac.config import SACConfig
 
@@ -82,7 +83,7 @@ def make_nets(config: SACConfig, observation_size: int, action_size: int) -> Net
     """Nets for flat observations and actions."""
     return Nets(
         actor=MLP((observation_size, *config.hidden, 2 * action_size)),
-        critic=MLP((observation_size + action_size, *config.hidden, 1)),
+        critic=MLP((critic_inputs(config, observation_size) + action_size, *config.hidden, 1)),
     )
 
 
@@ -148,7 +149,7 @@ def actor_loss(
 
     Returns the sum over runs, and [R], risk [R, B] and log π [R, B] without gradient.
     """
-    outputs = nets.actor.forward(actor, batch.observation)
+    outputs = nets.actor.forward(actor, nets.actor.inputs_of(batch.observation))
     action, log_prob = squashed_gaussian.sample(outputs, noise)
     q = values(nets, critics, batch.observation, action)
     risk = rule.risk(config, q[:, 2:])
@@ -167,7 +168,7 @@ def targets_of(
 
     -> [R, B] and [R, 2, B].
     """
-    outputs = nets.actor.forward(state.actor, batch.next_observation)
+    outputs = nets.actor.forward(state.actor, nets.actor.inputs_of(batch.next_observation))
     action, log_prob = squashed_gaussian.sample(outputs, noise)
     q = values(nets, state.targets, batch.next_observation, action)
     soft_value = torch.minimum(q[:, 0], q[:, 1]) - state.log_temperature.exp()[:, :1] * log_prob

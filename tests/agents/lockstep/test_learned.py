@@ -11,7 +11,7 @@ from toys import Walk, register
 
 import agents
 from agents.algorithms import algorithm
-from agents.lockstep.rollout import Rollout, collect, streak_costs
+from agents.lockstep.rollout import Rollout, collect, streaks
 from agents.training.config import TrainConfig
 from agents.training.loop import Training
 from agents.training.records import COLUMNS
@@ -36,14 +36,12 @@ def trained(name, hyperparameters, **parameters):
     return training
 
 
-def test_streak_costs_by_hand():
-    costs = np.array([[1.0, 0.0], [1.0, 2.0], [0.0, 2.0], [1.0, 2.0]])
-    # 1 and 1 (1 + .5), a new streak; 2, 2 (1 + .5) and 2 (1 + 2 · .5)
-    expected = [[1.0, 0.0], [1.5, 2.0], [0.0, 3.0], [1.0, 4.0]]
-    np.testing.assert_array_equal(streak_costs(costs, 0.5), expected)
+def test_streaks_by_hand():
+    costs = np.array([[1.0, 0.0], [1.0, 2.0], [0.0, 0.1], [1.0, 2.0]])
+    np.testing.assert_array_equal(streaks(costs), [[1, 0], [2, 1], [0, 2], [1, 3]])
 
 
-def test_streak_costs_are_those_of_the_wrapper():
+def test_costs_and_observations_are_those_of_the_wrapper():
     """On episodes of different lengths, against `emcc.StreakCost` around each environment."""
 
     def episodes(wrap):
@@ -52,12 +50,22 @@ def test_streak_costs_are_those_of_the_wrapper():
         return collect(envs, range(6), lambda observation: np.full((6, 1), 0.6, np.float32))
 
     plain = episodes(lambda env: env)
-    expected = episodes(lambda env: StreakCost(env, 0.25, observe=False))
+    expected = episodes(lambda env: StreakCost(env, 0.25, scale=1.0))
     config = algorithm("sac-lb").config(streak_weight=0.25)
-    during = plain.during
+    learned, during = plain.learned(config), plain.during
     assert (plain.cost[during] != expected.cost[during]).any()
-    np.testing.assert_array_equal(plain.learned(config).cost[during], expected.cost[during])
-    np.testing.assert_array_equal(plain.learned(config).reward, plain.reward)
+    for name in ("cost", "observation", "next_observation", "reward"):
+        found, by_wrapper = (getattr(rollout, name)[during] for rollout in (learned, expected))
+        np.testing.assert_array_equal(found, by_wrapper, err_msg=name)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_the_critics_alone_see_the_streak(name):
+    """One more weight for each unit of their first layer; the policy has as many as without."""
+    plain, of_streaks = (trained(name, {"streak_weight": w}).learner for w in (0.0, 0.5))
+    assert of_streaks.nets.critic.sizes[0] == plain.nets.critic.sizes[0] + 1
+    actors = [learner.state_dict()["actor"] for learner in (plain, of_streaks)]
+    assert actors[0].shape == actors[1].shape
 
 
 @pytest.mark.parametrize("name", FAMILIES)
