@@ -31,10 +31,10 @@ $(VENV)/develops: $(VENV)/made pyproject.toml constraints.txt
 	touch $@
 
 # Folders of policies to film side by side before anything is trained, and their titles.
-DEMO_POLICIES ?= pretrained:trpo-lag/Circle2D-2-v0 pretrained:sac-lb-tuned/Circle2D-2-v0
+DEMO_POLICIES ?= pretrained:trpo-lag/Circle2D-2-v0 pretrained:sac-lb-streak/Circle2D-2-v0
 DEMO_TITLES ?= "ignores the limit" "keeps the limit"
 # Trained together, by one process each where there are two cores.
-DEMO_ALGORITHMS ?= trpo-lag sac-lb-tuned
+DEMO_ALGORITHMS ?= trpo-lag sac-lb-streak
 DEMO_TASK ?= Circle2D-2-v0
 DEMO_STEPS ?= 60000
 DEMO := runs/demo

@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # torch takes a second to import, and a list of names does no
 
 BUILT_IN = (
     *("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"),
-    *("sac-lb-tuned", "ppo-lag", "ppo", "sac"),
+    *("sac-lb-streak", "ppo-lag", "ppo", "sac"),
 )
 """Each a module of this package that defines `ALGORITHM`. The last two know no constraint."""
 

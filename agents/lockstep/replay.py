@@ -27,8 +27,7 @@ class Batch(NamedTuple):
     next_observation: Tensor
     """[R, B, critic inputs]"""
     terminal: Tensor
-    """[R, B]: 1.0 where nothing follows the transition, else 0.0; with targets of n steps the share
-    of what follows that their discount takes: see `Rollout.of_n_steps`"""
+    """[R, B]: 1.0 where nothing follows the transition, else 0.0"""
 
 
 class Replay:

@@ -60,29 +60,6 @@ class Rollout(NamedTuple):
             cost=weighted(self.cost, after, weight),
         )
 
-    def of_n_steps(
-        self, n: int, discount: float, terminal: NDArray[np.bool_]
-    ) -> tuple[Rollout, NDArray]:
-        """Rewards and costs of n steps in place of each step's, for targets of n steps.
-
-        A step's become the discounted sums over it and the n - 1 that follow it in its episode, its
-        next observation the one after them. terminal: [T, N], see `terminal`. Returns with them
-        [T, N] the share of the value there that is missing in `r + γ (1 - missing) V`: 1 where the
-        episode is over, else `1 - γ^(m - 1)` for a sum over m steps.
-        """
-        steps = np.arange(len(self.reward))[:, None]
-        last = np.minimum(steps + n - 1, self.length - 1)  # of the step's sum
-        reward, cost = np.zeros_like(self.reward), np.zeros_like(self.cost)
-        for k in range(n):
-            at = np.minimum(steps + k, len(steps) - 1)
-            within = discount**k * (steps + k <= last)
-            reward += within * np.take_along_axis(self.reward, at, axis=0)
-            cost += within * np.take_along_axis(self.cost, at, axis=0)
-        last = np.maximum(last, steps)  # beyond an episode nothing changes
-        following = np.take_along_axis(self.next_observation, last[..., None], axis=0)
-        follows = ~np.take_along_axis(terminal, last, axis=0) * discount ** (last - steps)
-        return self._replace(reward=reward, cost=cost, next_observation=following), 1.0 - follows
-
     @property
     def during(self) -> NDArray[np.bool_]:
         """Mask of the steps that belong to the episodes, [T, N]."""

@@ -22,6 +22,10 @@ PAPER_SEEDS = 3
 """Runs of an algorithm on a task. Tables Circle2DResults and SafetyGymnasiumResults, captions."""
 
 
+ARENA = 15.0
+"""Factor that turns Circle2D's observations, in [-1, 1], back into its units of length."""
+
+
 def registered_id(task: str) -> str:
     """The id of a task: "module:id" names the one that "id" does."""
     return task.rpartition(":")[2]
@@ -35,7 +39,8 @@ def is_circle2d(task: str) -> bool:
 def preset(name: str, task: str) -> Any:
     """The hyper-parameters of an algorithm for a task: on the paper's tasks the paper's.
 
-    An algorithm that the paper does not have gets those of its family. For any other task the
+    An algorithm that the paper does not have gets those of its family; SAC-LB-Streak, which is made
+    for Circle2D, sees positions there in units of length. For any other task the
     defaults of the algorithm's config. Raises UserError for an unknown algorithm.
     """
     config = algorithm(name).config()
@@ -44,7 +49,8 @@ def preset(name: str, task: str) -> Any:
         # Table Circle2DResults, caption; for the time limit see `unprinted`: on-policy bootstraps.
         limit = {"cost_limit": 5.0} if hasattr(config, "cost_limit") else {}
         time_limit = {"time_limit": "terminal"} if _is_off_policy(name) else {}
-        config = replace(config, **limit, **time_limit)
+        scale = {"input_scale": ARENA} if name == "sac-lb-streak" else {}
+        config = replace(config, **limit, **time_limit, **scale)
     elif task.startswith("circle2d_mj/Safety"):
         # Table HP_SafetyGymnasium; the cost limit, 25, is the default.
         if _is_off_policy(name):

@@ -20,7 +20,10 @@ class SACConfig:
     discount: float = 0.99
     """Discount factor γ of rewards and costs, in [0, 1]. Paper: 0.99."""
     learning_rate: float = 3e-4
-    """Adam's step size for actor, critics and temperature. Paper: 3e-4."""
+    """Adam's step size for actor and critics. Paper: 3e-4."""
+    temperature_lr: float = 3e-4
+    """Adam's step size for the temperature, which falls from 1 as the policy gets surer. Paper:
+    3e-4, as for the networks."""
     batch_size: int = 256
     """Transitions a gradient step; a multiple of 32, at most the replay's size. Paper: 256."""
     gradient_steps: int = 5
@@ -42,22 +45,18 @@ class SACConfig:
     target_rate: float = 0.005
     """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
     al."""
-    target_steps: int = 1
-    """Steps n whose rewards and costs a target sums before it bootstraps, without correction for
-    the policy that took them. Paper: 1, as usual."""
     time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
     """Whether to bootstrap at the time limit. Inferred for the paper's Circle2D, not printed:
     terminal."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
-        check_integers(self, "target_steps", low=1, high=1000)
         check_integers(self, "gradient_steps", low=1, high=100_000)
         check_integers(self, "replay_size", low=1)
         check_integers(self, "batch_size", low=1, high=self.replay_size)
         check_integers(self, "random_steps", low=0)
         check(self, "discount", "target_rate", low=0, high=1)
-        check(self, "learning_rate", above=0, high=1)
+        check(self, "learning_rate", "temperature_lr", above=0, high=1)
         check(self, "random_exponent", low=0, high=4)
         check(self, "input_scale", low=1e-6, high=1e6)
         check_lanes(self)

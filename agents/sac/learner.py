@@ -111,9 +111,6 @@ class OffPolicy:
         length = np.where(active, rollout.length, 0)
         terminal = rollout.terminal(self.config.time_limit)
         rollout = rollout.learned(self.config)._replace(length=length)
-        if self.config.target_steps > 1:
-            n, discount = self.config.target_steps, self.config.discount
-            rollout, terminal = rollout.of_n_steps(n, discount, terminal)
         self._replay.add(rollout, terminal)
         learning = active & (self._replay.size >= self.config.batch_size)
         if not learning.any():

@@ -226,6 +226,6 @@ def temperature_step(
     excess = log_prob.mean(dim=-1, keepdim=True) - action_size
     gradient = -state.log_temperature.exp() * excess
     log_temperature, moments = adam(
-        state.log_temperature, gradient, state.temperature_moments, config.learning_rate
+        state.log_temperature, gradient, state.temperature_moments, config.temperature_lr
     )
     return state._replace(log_temperature=log_temperature, temperature_moments=moments)

@@ -90,7 +90,7 @@ print(json.dumps([*names, PAPER_ALGORITHMS, "torch" in sys.modules]))
 
 def test_titles():
     expected = ["TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC"]
-    expected += ["SAC-LB tuned", "PPO-Lag", "PPO", "SAC"]
+    expected += ["SAC-LB-Streak", "PPO-Lag", "PPO", "SAC"]
     assert [title(name) for name in ALGORITHMS] == expected
 
 

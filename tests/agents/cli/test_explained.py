@@ -42,7 +42,7 @@ def test_options_within_options(capsys, monkeypatch):
 
 
 def test_a_shared_hyper_parameter_has_the_preset_of_those_that_share_it(capsys, monkeypatch):
-    """SAC-LB tuned has a learning rate, 0.001, and a text of its own."""
+    """SAC-LB-Streak's random actions have an exponent, 2, and a text of its own."""
     text = help_of("train", capsys, monkeypatch)
-    assert "  --learning-rate (0.0003): Adam's step size for actor" in text
-    assert "  --learning-rate (0.001): Adam's step size for actor" in text
+    assert "  --random-exponent (0.0): Exponent β of the random actions' power" in text
+    assert "  --random-exponent (2.0): Exponent β of the random actions' power" in text

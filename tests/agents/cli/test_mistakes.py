@@ -111,7 +111,7 @@ def folder(tmp_path_factory):
         ),
         (
             [*TRAIN, "--out", "{tmp}/x", "--log_barrier_factor=3"],
-            "no option --log-barrier-factor: an option of sac-lb, sac-lb-tuned, not of sac-lag\n",
+            "no option --log-barrier-factor: an option of sac-lb, sac-lb-streak, not of sac-lag\n",
         ),
         ([*TRAIN, "--out", "{tmp}/x", "--qqq"], "'circle2d train --help' lists those it has\n"),
         ([*TRAIN, "--out", "{tmp}/x", "--vectorization", "fast"], "invalid choice 'fast'"),

@@ -52,11 +52,11 @@ def test_into_a_pipe_it_stays_markdown(capsys):
 
 
 def test_lines_of_a_cell_by_hand():
-    rows = [["name", "within"], ["SAC-LB tuned, seed 0", "1 of 3 [0.01, 0.91]"], ["b", "0 of 1"]]
+    rows = [["name", "within"], ["SAC-LB-Streak, seed 0", "1 of 3 [0.01, 0.91]"], ["b", "0 of 1"]]
     assert terminal.parts(rows, 40) == [
         [
             ["name", "within"],
-            ["SAC-LB tuned,\nseed 0", "1 of 3\n[0.01, 0.91]"],
+            ["SAC-LB-Streak,\nseed 0", "1 of 3\n[0.01, 0.91]"],
             ["b", "0 of 1"],
         ]
     ]

@@ -11,7 +11,7 @@ from toys import Walk, register
 
 import agents
 from agents.algorithms import algorithm
-from agents.lockstep.rollout import Rollout, collect, streaks
+from agents.lockstep.rollout import collect, streaks
 from agents.training.config import TrainConfig
 from agents.training.loop import Training
 from agents.training.records import COLUMNS
@@ -112,55 +112,3 @@ def test_values_that_cannot_be(field, value):
     for name in FAMILIES:
         with pytest.raises(agents.UserError, match=field):
             algorithm(name).config(**{field: value})
-
-
-def of_lengths(lengths, rng):
-    """A rollout of random numbers whose episodes end alternately for good and by a time limit."""
-    steps, n = max(lengths), len(lengths)
-    numbers = rng.normal(size=(6, steps, n))
-    end = np.arange(steps)[:, None] == np.array(lengths) - 1
-    kind = np.arange(n) % 2 == 0
-    observation, following = (x[..., None].astype(np.float32) for x in numbers[:2])
-    return Rollout(
-        observation=observation,
-        action=numbers[2][..., None].astype(np.float32),
-        reward=numbers[3],
-        cost=np.abs(numbers[4]),
-        next_observation=following,
-        terminated=end & kind,
-        truncated=end & ~kind,
-        length=np.array(lengths),
-        diverged=np.zeros(n, bool),
-    )
-
-
-@pytest.mark.parametrize("n", [1, 2, 5, 40])
-@pytest.mark.parametrize("time_limit", ["bootstrap", "terminal"])
-def test_targets_of_n_steps_by_a_loop(n, time_limit):
-    """Against the definition, step by step: `Σ γ^k r_k + γ^m V(s_m)`, V only if it goes on."""
-    rng, discount = np.random.default_rng(n), 0.9
-    rollout = of_lengths([7, 1, 12, 3], rng)
-    terminal = rollout.terminal(time_limit)
-    found, missing = rollout.of_n_steps(n, discount, terminal)
-    for episode, length in enumerate(rollout.length):
-        for t in range(length):
-            m = min(n, length - t)
-            for name in ("reward", "cost"):
-                values = getattr(rollout, name)[t : t + m, episode]
-                expected = sum(discount**k * value for k, value in enumerate(values))
-                assert getattr(found, name)[t, episode] == pytest.approx(expected)
-            last = t + m - 1
-            assert found.next_observation[t, episode] == rollout.next_observation[last, episode]
-            over = terminal[last, episode]
-            factor = 0.0 if over else discount**m
-            assert discount * (1 - missing[t, episode]) == pytest.approx(factor)
-    np.testing.assert_array_equal(found.observation, rollout.observation)
-
-
-def test_one_step_changes_nothing():
-    rollout = of_lengths([5, 9], np.random.default_rng(0))
-    found, missing = rollout.of_n_steps(1, 0.99, rollout.terminated)
-    during = rollout.during
-    for ours, plain in zip(found[:5], rollout[:5], strict=True):
-        np.testing.assert_array_equal(ours[during], plain[during])
-    np.testing.assert_array_equal(missing, rollout.terminated)

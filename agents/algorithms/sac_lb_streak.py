@@ -1,0 +1,45 @@
+"""SAC-LB-Streak: SAC-LB whose learned cost grows along a streak of cost steps.
+
+SAC-LB as in the paper's grid stays in the local optima of levels 2 and 3, and its EMCC falls late.
+Streak cost makes EMCC an objective: a long violation costs more than many short ones, and the
+critics see how long one has lasted. The other changes are for exploration. Brown random actions
+show the critics the region's far side; the networks learn faster, and the temperature falls slower,
+so that the critics know the way before the policy gets sure. On Circle2D the preset scales
+positions back to units of length, in which a small tanh network can tell the corridor from what is
+beside it. Source of the barrier: Zhang et al. 2024 (see `sac_lb`). `results/solve/README.md` has
+the trials.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from agents.algorithms import Algorithm
+from agents.algorithms.sac_lb import RULE, SACLBConfig
+from agents.sac import OffPolicy
+
+
+@dataclass(frozen=True)
+class SACLBStreakConfig(SACLBConfig):
+    """Hyper-parameters of SAC-LB-Streak: SAC-LB's, six of them with other defaults."""
+
+    learning_rate: float = 1e-3
+    """Adam's step size for actor and critics. The paper's SAC-LB: 3e-4."""
+    temperature_lr: float = 1.5e-4
+    """Adam's step size for the temperature, which falls from 1 as the policy gets surer. The
+    paper's SAC-LB: 3e-4."""
+    batch_size: int = 128
+    """Transitions a gradient step; a multiple of 32, at most the replay's size. The paper's
+    SAC-LB: 256."""
+    gradient_steps: int = 10
+    """Gradient steps an epoch, which is one episode. The paper's SAC-LB: 5."""
+    random_exponent: float = 2.0
+    """Exponent β of the random actions' power spectrum 1/f^β: 2 is brown noise, which keeps a
+    direction for many steps. The paper's SAC-LB: 0."""
+    streak_weight: float = 0.25
+    """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
+    step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. The
+    paper's SAC-LB: 0."""
+
+
+ALGORITHM = Algorithm("SAC-LB-Streak", SACLBStreakConfig, RULE, OffPolicy)
