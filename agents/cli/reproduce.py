@@ -54,7 +54,8 @@ class ReproduceOptions:
     """Ids of other tasks to run instead, such as circle2d_mj/SafetyPointGoal1-v0."""
     ablations: bool = False
     """Run other choices of what the paper does not print as well: the multiplier's optimiser of
-    TRPO-Lag, what a time limit is to the off-policy algorithms, and WCSAC as in a later library."""
+    TRPO-Lag, what a time limit is to the off-policy algorithms, observations in units of length,
+    and WCSAC as in a later library."""
     seeds: tuple[int, ...] | None = None
     """Seeds of each algorithm and task; by default 0 1 2."""
     steps: int | None = None

@@ -113,11 +113,18 @@ LIBRARY = {"variance_target": "unsquared", "damping_gradient": "through"}
 
 
 def ablations(name: str, task: str) -> dict[str, Any]:
-    """The preset with other choices of what the paper does not print, by the choice's name."""
-    setting = unprinted(name)
+    """The preset with other choices of what the paper does not print, by the choice's name.
+
+    On Circle2D the unit of observations is one of them, for the paper's algorithms: "units" is that
+    of length instead of the half arena.
+    """
+    config, setting = preset(name, task), unprinted(name)
+    units = is_circle2d(task) and name in PAPER_ALGORITHMS
+    found = {"units": replace(config, input_scale=ARENA)} if units else {}
     if setting is None:
-        return {}
-    config = preset(name, task)
+        return found
     (other,) = set(setting.choices) - {getattr(config, setting.field)}
-    found = {other: replace(config, **{setting.field: other})}
+    found[other] = replace(config, **{setting.field: other})
+    if units and setting is TIME_LIMIT:
+        found[f"{other}-units"] = replace(found[other], input_scale=ARENA)
     return found | ({"library": replace(config, **LIBRARY)} if name == "wcsac" else {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import isclose
@@ -15,18 +16,21 @@ from agents.reporting.tables import caption, mark, mean_row, means, measures_tab
 from agents.results.measures import measure, measures
 from agents.results.reading import Group
 from agents.results.statistics import INTERVALS, group_mean, mean_of
+from agents.training.config import TrainConfig
 from emcc import emcc_by_part
 from emcc.parts import ALPHA, PARTS
 
 TITLE = "Other choices of what the paper does not print"
+NEAREST = "Which choice is the nearest to the paper"
 MEANING = (
     "TRPO-Lag's multiplier ascends by Adam or by the plain gradient (multiplier_optimizer adam or "
     "sgd); a time limit ends an episode for good or not in the off-policy methods (time_limit "
     "terminal or bootstrap); library: WCSAC as in a later library of the paper's group, the last "
     "term of its variance's target without the square and that target without the end of "
     "episodes (variance_target unsquared), and a damping that the gradient goes through "
-    "(damping_gradient through). Runs of a choice that is not the preset's are in no other table "
-    "and decide no claim"
+    "(damping_gradient through); units: observations in units of length (input_scale 15) "
+    "instead of shares of the arena. Runs of a choice that is not the preset's are in no other "
+    "table and decide no claim"
 )
 TIES = "Ties split instead of kept"
 TIES_MEANING = (
@@ -45,10 +49,8 @@ def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table:
     """
     rows: list[Row] = []
     marked = set()
-    of_presets: dict[str, list[Group]] = {}
-    for usual, other in pairs:
-        of_presets.setdefault(usual.folder, [usual]).append(other)
-    for choices in of_presets.values():
+    of_presets = _by_preset(pairs)
+    for choices in of_presets:
         complete = [group for group in choices if group.runs]
         config = choices[0].config
         name = title(config.algorithm)
@@ -58,10 +60,46 @@ def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table:
         rows += [_row(group) for group in complete]
         if printed:
             rows.append(paper_row(f"{config.task}, {name}", printed))
-    groups = [group for choices in of_presets.values() for group in choices]
+    groups = [group for choices in of_presets for group in choices]
     what = "task, algorithm and choice"
     words = f"{TITLE}: {MEANING}. {caption(groups)}"
     return measures_table(words, what, mark(rows, marked), marking=MARKING)
+
+
+def nearest_table(pairs: Sequence[tuple[Group, Group]]) -> Table | None:
+    """In how many measures, over all tasks, each choice of an algorithm is the nearest to the
+    paper; None where nothing can be compared."""
+    nearest: Counter[tuple[str, str]] = Counter()
+    compared: Counter[tuple[str, str]] = Counter()
+    for choices in _by_preset(pairs):
+        complete = [group for group in choices if group.runs]
+        name = title(choices[0].config.algorithm)
+        printed = paper_results(choices[0].config.task, name)
+        found = list(_nearer(complete, printed)) if len(complete) > 1 else []
+        for row, group in enumerate(complete):
+            key = name, _choice(group.config)
+            compared[key] += len({of for _, of in found})
+            nearest[key] += sum(place == row for place, _ in found)
+    rows = [
+        Row(f"{name}, {choice}", [Number(nearest[name, choice], of=total)])
+        for (name, choice), total in compared.items()
+        if total
+    ]
+    if not rows:
+        return None
+    words = (
+        "Measures, over all tasks, in which a choice's mean is the nearest to the paper's, each of "
+        "equal ones counted; of those in which it was compared"
+    )
+    return Table(words, ["algorithm and choice", "nearest"], rows)
+
+
+def _by_preset(pairs: Sequence[tuple[Group, Group]]) -> list[list[Group]]:
+    """The group of each preset, followed by those of the other choices."""
+    found: dict[str, list[Group]] = {}
+    for usual, other in pairs:
+        found.setdefault(usual.folder, [usual]).append(other)
+    return list(found.values())
 
 
 def _nearer(groups: Sequence[Group], printed: Mapping[str, float]) -> Iterator[tuple[int, str]]:
@@ -78,14 +116,18 @@ def _nearer(groups: Sequence[Group], printed: Mapping[str, float]) -> Iterator[t
 
 def _row(group: Group) -> Row:
     config = group.config
-    setting = unprinted(config.algorithm)
-    assert setting is not None
-    choice = f"{getattr(config.hyperparameters, setting.field)} (preset)"
+    words = [config.task, title(config.algorithm), _choice(config), *unusual_steps(config)]
+    return replace(mean_row(group), name=f"{', '.join(words)}, mean of {len(group.runs)}")
+
+
+def _choice(config: TrainConfig) -> str:
+    """The name of a choice; "preset", with its value where the choice is one of two."""
     if config.hyperparameters != preset(config.algorithm, config.task):
         others = ablations(config.algorithm, config.task).items()
         (choice,) = (name for name, other in others if other == config.hyperparameters)
-    words = [config.task, title(config.algorithm), choice, *unusual_steps(config)]
-    return replace(mean_row(group), name=f"{', '.join(words)}, mean of {len(group.runs)}")
+        return choice
+    setting = unprinted(config.algorithm)
+    return f"{getattr(config.hyperparameters, setting.field)} (preset)" if setting else "preset"
 
 
 def ties_table(groups: Sequence[Group]) -> Table:

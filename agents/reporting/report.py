@@ -11,7 +11,14 @@ from agents.paper import ablations
 from agents.paper.claims import check_claims
 from agents.paper.presets import is_circle2d
 from agents.reporting import claims_text, together
-from agents.reporting.ablations import TIES, TITLE, ablation_table, ties_table
+from agents.reporting.ablations import (
+    NEAREST,
+    TIES,
+    TITLE,
+    ablation_table,
+    nearest_table,
+    ties_table,
+)
 from agents.reporting.csv_table import numbers_csv, report_lines
 from agents.reporting.figures import figures, introduction
 from agents.reporting.maps import maps
@@ -134,4 +141,7 @@ def _tables(
     tables = {task: task_table(of_task) for task, of_task in by_task.items()}
     *_, last = by_task
     tables[last] = dataclasses.replace(tables[last], notes=[*tables[last].notes, *notes])
-    return tables | ({TITLE: ablation_table(ablated)} if ablated else {})
+    if ablated:
+        tables[TITLE] = ablation_table(ablated)
+    nearest = nearest_table(ablated)
+    return tables if nearest is None else tables | {NEAREST: nearest}

@@ -27,22 +27,30 @@ def test_the_grid_with_ablations():
     assert added.keys() == {
         *(f"x/{TASK}/{name}" for name in ("trpo-lag-sgd", "sac-lag-bootstrap")),
         *(f"x/{TASK}/{name}" for name in ("sac-lb-bootstrap", "wcsac-bootstrap")),
+        *(f"x/{TASK}/{name}-units" for name in ALGORITHMS),
+        *(f"x/{TASK}/{name}-bootstrap-units" for name in ("sac-lag", "sac-lb", "wcsac")),
         *(f"{folder}/wcsac-library" for folder in (f"x/{TASK}", safety)),
         # There the presets bootstrap.
         *(f"{safety}/{name}" for name in ("trpo-lag-sgd", "sac-lag-terminal")),
         *(f"{safety}/{name}" for name in ("sac-lb-terminal", "wcsac-terminal")),
     }
     for folder, config in added.items():
-        algorithm, _, choice = folder.rpartition("/")[2].rpartition("-")
-        field = "multiplier_optimizer" if algorithm == "trpo-lag" else "time_limit"
-        changed = {field: choice}
-        if choice == "library":
-            changed = {"variance_target": "unsquared", "damping_gradient": "through"}
+        name, _, _ = folder.rpartition("/")[2].partition("-units")
+        algorithm, _, choice = name.rpartition("-")
+        changed = {
+            "sgd": {"multiplier_optimizer": "sgd"},
+            "library": {"variance_target": "unsquared", "damping_gradient": "through"},
+            "bootstrap": {"time_limit": "bootstrap"},
+            "terminal": {"time_limit": "terminal"},
+        }.get(choice, {})
+        algorithm = algorithm if changed else name
+        if folder.endswith("-units"):
+            changed = changed | {"input_scale": 15.0}
         expected = replace(preset(algorithm, config.task), **changed)
         assert config.hyperparameters == expected
         assert (config.seeds, config.steps) == ((0, 1, 2), 1000)
     # What takes longest still goes first.
-    assert [config.algorithm for config in all_of.values()][-4:] == ["trpo-lag"] * 4
+    assert [config.algorithm for config in all_of.values()][-5:] == ["trpo-lag"] * 5
 
 
 def test_presets_take_what_gives_the_papers_results_on_circle2d():
@@ -50,7 +58,7 @@ def test_presets_take_what_gives_the_papers_results_on_circle2d():
         setting = unprinted(name)
         if name == "cpo":
             assert setting is None
-            assert ablations(name, TASK) == {}
+            assert ablations(name, SAFETY) == {}
         else:
             expected = "adam" if name == "trpo-lag" else "terminal"
             assert getattr(preset(name, TASK), setting.field) == expected
@@ -105,7 +113,8 @@ def rows(markdown):
 def test_both_choices_side_by_side(folder):
     markdown = table(folder)
     start = markdown.index("Other choices of what the paper does not print")
-    main_table, ablated = rows(markdown[:start]), rows(markdown[start:])
+    end = markdown.index("Measures, over all tasks, in which")
+    main_table, ablated = rows(markdown[:start]), rows(markdown[start:end])
     assert [row[0] for row in ablated[2:]] == [
         f"{TASK}, TRPO-Lag, adam (preset), 100 steps, mean of 3",
         f"{TASK}, TRPO-Lag, sgd, 100 steps, mean of 2",
@@ -133,6 +142,14 @@ def test_both_choices_side_by_side(folder):
     assert "TRPO-Lag (multiplier_optimizer sgd" in (folder / "report.csv").read_text()
 
 
+def test_how_often_a_choice_is_the_nearest(folder):
+    """TRPO-Lag's choices differ in J_R alone, in which the gradient is nearer; of equal measures both
+    count. CPO has no other choice here."""
+    markdown = table(folder)
+    found = rows(markdown[markdown.index("Measures, over all tasks, in which") :])
+    assert found[2:] == [["TRPO-Lag, adam (preset)", "6 of 7"], ["TRPO-Lag, sgd", "7 of 7"]]
+
+
 def test_without_the_presets_runs_it_is_a_group_like_any_other(folder):
     shutil.rmtree(folder / "trpo-lag")
     markdown = table(folder)
@@ -153,7 +170,7 @@ def test_reproduce_with_ablations(tmp_path, capsys):
     command += ["--steps", "2000", "--workers", "1", "--ablations", "--out", str(out)]
     assert main(command) == 0
     folders = {path.parent.name for path in out.glob("*/*/config.json")}
-    assert folders == {"trpo-lag", "trpo-lag-sgd", "cpo"}
+    assert folders == {"trpo-lag", "trpo-lag-sgd", "trpo-lag-units", "cpo", "cpo-units"}
     printed = capsys.readouterr().out
     assert "TRPO-Lag, sgd, 2,000 steps, mean of 1" in printed
     page = (out / "index.html").read_text()
