@@ -143,7 +143,7 @@ def test_both_choices_side_by_side(folder):
 
 
 def test_how_often_a_choice_is_the_nearest(folder):
-    """TRPO-Lag's choices differ in J_R alone, in which the gradient is nearer; of equal measures both
+    """TRPO-Lag's choices differ in J_R alone, the gradient is nearer in it; of equal measures both
     count. CPO has no other choice here."""
     markdown = table(folder)
     found = rows(markdown[markdown.index("Measures, over all tasks, in which") :])
