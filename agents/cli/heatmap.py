@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from agents.cli.checks import check_holds_runs, check_size, check_suffix
-from agents.cli.options import Folder, Imports, parse
+from agents.cli.options import Imports, parse
 from agents.errors import UserError
 from agents.reporting import image_files, pictures
 from emcc.parts import ALPHA, PARTS
@@ -16,10 +19,10 @@ from emcc.parts import ALPHA, PARTS
 @dataclass(frozen=True)
 class HeatmapOptions:
     """Draw which states the agents visited in training, in the rollouts that dominate EMCC, of the
-    runs of a folder together: a PNG."""
+    runs of a folder together: a PNG. Several folders are drawn beside each other."""
 
-    folder: Folder
-    """Folder of runs on a task that offers positions."""
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER ...")]
+    """Folders of runs on tasks that offer positions."""
     part: tuple[float, ...] = tuple(PARTS)
     """Parts of training, named as EMCC names them: 0.33, 0.66, 0.99."""
     alpha: float = ALPHA
@@ -27,7 +30,7 @@ class HeatmapOptions:
     seeds: tuple[int, ...] | None = None
     """Of the runs; by default all but those that failed."""
     out: Path | None = None
-    """File to write; by default heatmap.png in the folder."""
+    """File to write; by default heatmap.png in the first folder."""
     size: int = 640
     """Pixels along each side of a map."""
     imports: Imports = ()
@@ -36,16 +39,19 @@ class HeatmapOptions:
 def run(args: Sequence[str]) -> int:
     """Run `circle2d heatmap`; returns the exit status."""
     options = parse(HeatmapOptions, "heatmap", args)
-    check_holds_runs(options.folder)
+    if not options.folders:
+        raise UserError("heatmap needs a folder of runs")
+    for folder in options.folders:
+        check_holds_runs(folder)
     if not options.part or not set(options.part) <= set(PARTS):
         raise UserError(f"part must be some of {list(PARTS)}, got {list(options.part)}")
     check_size(options.size)
     if not 0 < options.alpha <= 1:
         raise UserError(f"alpha must be in (0, 1], got {options.alpha}")
-    out = options.out or options.folder / "heatmap.png"
+    out = options.out or options.folders[0] / "heatmap.png"
     check_suffix(out, ".png")
     of_file = (options.part, options.alpha, options.size, options.seeds)
-    picture = pictures.heatmap(options.folder, *of_file)
+    picture = pictures.heatmap(options.folders, *of_file)
     image_files.write_picture(out, picture)
     print(out)
     return 0

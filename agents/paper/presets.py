@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from agents.algorithms import algorithm
+from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.registration import CIRCLE2D, KINEMATIC
 
 PAPER_ALGORITHMS = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac")
@@ -22,8 +23,8 @@ PAPER_SEEDS = 3
 """Runs of an algorithm on a task. Tables Circle2DResults and SafetyGymnasiumResults, captions."""
 
 
-ARENA = 15.0
-"""Factor that turns Circle2D's observations, in [-1, 1], back into its units of length."""
+ARENA = Circle2DConfig().arena
+"""Factor that turns Circle2D's observations, in [-1, 1], back into its units of length: 15."""
 
 
 def registered_id(task: str) -> str:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from agents.algorithms import title
 from agents.errors import UserError
 from agents.reporting.figures import Ground, visits_words
-from agents.results.steps import Episode, count_visits, play_trained, require_view
+from agents.results.steps import Episode, Visits, count_visits, play_trained, require_view
 from agents.training.config import FAILURE, TrainConfig, run_folder
 from agents.training.loop import EVALUATION_EPISODES
 from circle2d_mj.core.view import Picture, View
@@ -22,35 +23,59 @@ SIZE = 640
 
 
 def heatmap(
-    folder: Path,
+    folders: Sequence[Path],
     parts: Sequence[float],
     alpha: float,
     size: int = SIZE,
     seeds: tuple[int, ...] | None = None,
 ) -> Picture:
-    """Heat maps of the parts of a training, side by side: [height, width, 3].
+    """Heat maps of parts of training: [height, width, 3].
 
-    folder: of runs of one algorithm, of which those of the seeds (by default all that have not
-    failed) are taken together; parts and alpha: see `steps.count_visits`; size: pixels along the
-    side of each map. The title names the seeds where they are not all.
+    folders: each of runs of one algorithm, of which those of the seeds (by default all that have
+    not failed) are taken together. The parts of a single folder stand side by side; several folders
+    are the columns, the parts the rows, with one scale for all. parts and alpha: see
+    `steps.count_visits`; size: pixels along the side of each map. Titles name the seeds where they
+    are not all. Raises UserError for a folder without positions, or of another seed.
     """
+    columns = [_maps_of(folder, parts, alpha, seeds) for folder in folders]
+    most = canvas.most_visits([part.counts for column in columns for part in column.parts])
+    grounds = [Ground(column.view, column.view.background(size)) for column in columns]
+    pictures = [
+        [ground.heatmap(part, most) for part in column.parts]
+        for column, ground in zip(columns, grounds, strict=True)
+    ]
+    captions = [[visits_words(part) for part in column.parts] for column in columns]
+    names, titles = [f"{PARTS[part]} of training" for part in parts], [of.title for of in columns]
+    if len(columns) == 1:
+        return figure(pictures, names, title=titles[0], captions=captions, most_visits=most)
+    return figure(
+        list(zip(*pictures, strict=True)),
+        titles,
+        row_titles=names,
+        captions=list(zip(*captions, strict=True)),
+        most_visits=most,
+    )
+
+
+class _MapsOf(NamedTuple):
+    """What is drawn of a folder."""
+
+    title: str
+    view: View
+    parts: list[Visits]
+
+
+def _maps_of(
+    folder: Path, parts: Sequence[float], alpha: float, seeds: tuple[int, ...] | None
+) -> _MapsOf:
     config = TrainConfig.read(folder)
     view = require_view(config)
     everyone, config = config.seeds, _of_seeds(folder, config, seeds)
     records = [_records(run_folder(folder, seed)) for seed in config.seeds]
-    of_parts = count_visits(folder, config, records, parts, alpha)
-    most = canvas.most_visits([part.counts for part in of_parts])
-    ground = Ground(view, view.background(size))
     heading = f"{title(config.algorithm)} on {config.task}"
     if set(config.seeds) != set(everyone):
         heading += f" (seeds: {', '.join(map(str, config.seeds))})"
-    return figure(
-        [[ground.heatmap(part, most) for part in of_parts]],
-        [f"{PARTS[part]} of training" for part in parts],
-        title=heading,
-        captions=[[visits_words(part) for part in of_parts]],
-        most_visits=most,
-    )
+    return _MapsOf(heading, view, count_visits(folder, config, records, parts, alpha, view))
 
 
 def _records(folder: Path) -> EpisodeRecords:

@@ -191,6 +191,27 @@ def test_a_heat_map_of_the_runs_that_did_not_fail(folder, tmp_path, capsys):
     assert f"all runs of {copy} have failed" in capsys.readouterr().err
 
 
+def test_heat_maps_of_several_folders_side_by_side(folder, tmp_path):
+    """A folder beside its copy: two equal columns, each of three thirds below each other."""
+    copy, out = tmp_path / "x", tmp_path / "both.png"
+    shutil.copytree(folder, copy)
+    size, gap = 96, 96 // 24
+
+    def columns():
+        options = ["--out", str(out), "--size", str(size)]
+        assert main(["heatmap", str(folder), str(copy), *options]) == 0
+        both = imageio.imread(out)
+        assert len(both) > 3 * size
+        end = both.shape[1] - gap
+        scale = slice(0, -5 * gap // 2)  # below the maps, of both
+        return (both[scale, end - size : end], both[scale, end - 2 * size - gap : end - size - gap])
+
+    np.testing.assert_array_equal(*columns())
+    (copy / "seed-5" / "failed.json").write_text('{"step": 500}')
+    left, right = columns()
+    assert (left != right).any()
+
+
 def test_scene_prints_a_whole_model(capsys):
     import mujoco
 
