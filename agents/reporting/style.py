@@ -75,6 +75,7 @@ def drawing(font_size: int = 10) -> Iterator[Any]:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
+    gc.collect()  # the figure before this one is a cycle of references, of tens of megabytes
     with pyplot.rc_context({"svg.hashsalt": "circle2d", "font.size": font_size}):
         yield pyplot
 
@@ -89,8 +90,6 @@ def svg_of(figure: Any) -> bytes:
     image = io.StringIO()
     figure.savefig(image, format="svg", dpi=PIXELS, metadata={"Date": None})
     pyplot.close(figure)
-    del figure
-    gc.collect()  # a figure is a cycle of references, of tens of megabytes
     # Places to a hundredth of a point: half the size, and nothing that an eye could see.
     shorter = re.sub(r' (?:d|x|y)="[^"]*"', _to_hundredths, image.getvalue())
     return shorter.encode()

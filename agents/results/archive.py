@@ -99,7 +99,8 @@ def _pack_group(source: Source, group: Group, entry: dict[str, Any]) -> dict[str
         for seed, played in trained.items():
             arrays |= {f"{seed}/trained_{k}": v for k, v in _pack_episodes(played or []).items()}
     for run in group.runs:
-        of_run: dict[str, Any] = {"evaluation": run.evaluation, "ends": run.ends, "ways": run.ways}
+        evaluation = source.run(folder, config, run.seed).evaluation
+        of_run: dict[str, Any] = {"evaluation": evaluation, "ends": run.ends, "ways": run.ways}
         packed: dict[str, NDArray] = {}
         try:
             costs = source.costs(folder, run.seed, run.records)

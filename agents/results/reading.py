@@ -37,7 +37,8 @@ class Run:
     without named places."""
     records: EpisodeRecords = field(repr=False)
     evaluation: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    """`evaluation.json`: means and values per episode of either policy."""
+    """Of `evaluation.json`: means of either policy, and arrays of values per episode, but for the
+    final observations."""
     ways: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Of the episodes that end in a place, those that came by each way; empty where none tells."""
 
@@ -134,9 +135,23 @@ def _read_run(source: Source, folder: str, config: TrainConfig, seed: int) -> Ru
         int(files.evaluation["episodes"]),
         files.ends,
         files.records,
-        files.evaluation,
+        _compact(files.evaluation),
         files.ways,
     )
+
+
+def _compact(evaluation: Mapping[str, Any]) -> dict[str, Any]:
+    """An evaluation in a fifth of the memory: values per episode as arrays, and without where the
+    episodes end, which `Run.ends` counts."""
+    found = dict(evaluation)
+    for policy in POLICIES:
+        if policy in found:
+            found[policy] = {
+                name: np.array(value) if isinstance(value, list) else value
+                for name, value in found[policy].items()
+                if name != "final_observations"
+            }
+    return found
 
 
 def _check_records(records: EpisodeRecords, steps: int) -> None:

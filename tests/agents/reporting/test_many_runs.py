@@ -34,7 +34,7 @@ print(time.process_time(), mebibytes("VmHWM") - before)
 def test_150_folders_of_two_runs(tmp_path):
     """Five algorithms on two tasks, each fifteen times with another cost limit.
 
-    Measured: 20 s of CPU, and 210 MiB beyond the 218 that importing torch takes.
+    Measured: 20 s of CPU, and 398 MB of the whole command, of which 229 are importing torch.
     """
     tasks = ["Circle2D-1-v0", "Circle2DMuJoCo-0-v0"]
     names = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
@@ -61,5 +61,5 @@ def test_150_folders_of_two_runs(tmp_path):
     seconds, mebibytes = map(float, done.stdout.split())
     page = (tmp_path / "many" / "index.html").stat().st_size / 1e6
     assert seconds < 60, done.stdout
-    assert mebibytes < 260, done.stdout
+    assert mebibytes < 180, done.stdout
     assert page < 6
