@@ -42,8 +42,10 @@ def main():
             try_disks(tally, found, chosen.disks, rng)
             try_signals(tally, found, chosen.signals, rng)
             try_damage(tally, root / "eager" / "whole", chosen.damage, rng, root)
-        try_options(tally, chosen.options, rng, root)
-        try_arrays(tally, chosen.arrays, rng)
+        if chosen.options:
+            try_options(tally, chosen.options, rng, root)
+        if chosen.arrays:
+            try_arrays(tally, chosen.arrays, rng)
         try_environments(tally, chosen.environments, rng, root)
         try_reproduce(tally, chosen.reproduce, rng, root)
         if chosen.compiled:  # last: the process holds compiled code from here on
