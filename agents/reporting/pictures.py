@@ -58,7 +58,7 @@ def heatmap(
 
 
 class _MapsOf(NamedTuple):
-    """What is drawn of a folder."""
+    """A folder's title, view, and visits in each part."""
 
     title: str
     view: View

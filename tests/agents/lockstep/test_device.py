@@ -12,6 +12,7 @@ from agents.algorithms import ALGORITHMS, BUILT_IN
 from agents.errors import UserError
 from agents.lockstep import backend, lagrange
 from agents.lockstep.replay import Batch
+from agents.lockstep.rollout import critic_inputs
 from agents.on_policy import critics
 from agents.on_policy.learner import OnPolicy
 from agents.on_policy.state import Epoch
@@ -41,7 +42,8 @@ def test_off_policy_updates(name, elsewhere):
     config, rule = ALGORITHMS[name].config(batch_size=B), ALGORITHMS[name].rule
     nets = sac.make_nets(config, 3, 2)
     state = sac.initial_state(nets, config, rule, range(R))
-    shapes = (R, B, 3), (R, B, 2), (R, B), (R, B), (R, B, 3), (R, B)
+    seen = (R, B, critic_inputs(config, 3))
+    shapes = seen, (R, B, 2), (R, B), (R, B), seen, (R, B)
     batch, noise = Batch(*map(elsewhere, shapes)), elsewhere(R, B, 2)
     after, metrics = sac.update(nets, config, rule, state, batch, sac.UpdateNoise(noise, noise))
     assert after.actor.shape == state.actor.shape
