@@ -26,6 +26,7 @@ TASK, EPISODE, QUARTERS = "FreePendulum-v0", 200, 4
 STEPS = {"sac": 12_000, "ppo": 60_000}
 HIDDEN, RATE = (64, 64), 1e-3
 SAC = {"batch_size": 256, "gradient_steps": EPISODE, "replay_size": 50_000, "random_steps": 1_000}
+SAC |= {"temperature_lr": RATE}
 PPO = {"batch_size": 64, "episodes": 10, "discount": 0.9, "critic_iterations": 10}
 
 

@@ -60,6 +60,7 @@ def test_comes_close_to_the_optimum_within_the_limit(name):
     config = replace(algorithm(name).config(), **SHARED, **changes)
     if algorithm(name).family is OffPolicy:
         config = replace(config, random_steps=100, gradient_steps=1, replay_size=1000)
+        config = replace(config, temperature_lr=SHARED["learning_rate"])
     training = Training(TrainConfig(name, "Target-v0", SEEDS[name], steps, config, parameters))
     actions, nothing = [], np.zeros((2, 1, 1), np.float32)
     untrained = training.learner.policy()(nothing, None)

@@ -80,7 +80,8 @@ def assert_agree(found, expected, gradient, their_gradient):
 
 
 def test_sac(monkeypatch):
-    config = sac.ALGORITHM.config(batch_size=ROWS, hidden=HIDDEN, learning_rate=RATE)
+    rates = {"learning_rate": RATE, "temperature_lr": RATE}
+    config = sac.ALGORITHM.config(batch_size=ROWS, hidden=HIDDEN, **rates)
     nets = update.make_nets(config, OBSERVATION, ACTION)
     state = update.initial_state(nets, config, sac.RULE, [3])
     state = state._replace(targets=state.targets + 0.01)
