@@ -55,7 +55,7 @@ class ReproduceOptions:
     ablations: bool = False
     """Run other choices of what the paper does not print as well: the multiplier's optimiser of
     TRPO-Lag, what a time limit is to the off-policy algorithms, observations in units of length,
-    and WCSAC as in a later library."""
+    and WCSAC as in a later library. Of SAC-LB-Streak: without one of its parts each."""
     seeds: tuple[int, ...] | None = None
     """Seeds of each algorithm and task; by default 0 1 2."""
     steps: int | None = None

@@ -113,12 +113,27 @@ LIBRARY = {"variance_target": "unsquared", "damping_gradient": "through"}
 """WCSAC as in a later library of the paper's group: see `WCSACConfig`."""
 
 
-def ablations(name: str, task: str) -> dict[str, Any]:
-    """The preset with other choices of what the paper does not print, by the choice's name.
+PARTS = {
+    "streak": ("streak_weight",),
+    "brown": ("random_exponent",),
+    "scale": ("input_scale",),
+    "speed": ("learning_rate", "temperature_lr", "batch_size", "gradient_steps"),
+}
+"""What SAC-LB-Streak adds to SAC-LB on Circle2D: its hyper-parameters, by the part's name."""
+MARGIN = 1.5
+"""How far the cost limit falls in the control that has a margin instead of the streak cost."""
 
-    On Circle2D the unit of observations is one of them, for the paper's algorithms: "units" is that
-    of length instead of the half arena.
+
+def ablations(name: str, task: str) -> dict[str, Any]:
+    """The preset with one thing changed, by the change's name: several for each algorithm.
+
+    For the paper's algorithms: other choices of what the paper does not print. On Circle2D the unit
+    of observations is one of them: "units" is that of length instead of the half arena. For
+    SAC-LB-Streak on Circle2D: SAC-LB's values for one of its `PARTS`, and a lower cost limit in the
+    place of the streak cost.
     """
+    if name == "sac-lb-streak":
+        return _without_parts(task) if is_circle2d(task) else {}
     config, setting = preset(name, task), unprinted(name)
     units = is_circle2d(task) and name in PAPER_ALGORITHMS
     found = {"units": replace(config, input_scale=ARENA)} if units else {}
@@ -129,3 +144,13 @@ def ablations(name: str, task: str) -> dict[str, Any]:
     if units and setting is TIME_LIMIT:
         found[f"{other}-units"] = replace(found[other], input_scale=ARENA)
     return found | ({"library": replace(config, **LIBRARY)} if name == "wcsac" else {})
+
+
+def _without_parts(task: str) -> dict[str, Any]:
+    config, plain = preset("sac-lb-streak", task), preset("sac-lb", task)
+    found = {
+        f"without-{part}": replace(config, **{field: getattr(plain, field) for field in fields})
+        for part, fields in PARTS.items()
+    }
+    lower = config.cost_limit - MARGIN
+    return found | {"margin": replace(found["without-streak"], cost_limit=lower)}

@@ -8,7 +8,7 @@ from dataclasses import replace
 from math import isclose
 
 from agents.algorithms import title
-from agents.paper.presets import ablations, preset, unprinted
+from agents.paper.presets import PAPER_ALGORITHMS, ablations, preset, unprinted
 from agents.paper.printed import paper_results
 from agents.paper.settings import by_task, title_of, unusual_steps
 from agents.reporting.table import Number, Row, Table, number_of
@@ -32,6 +32,13 @@ MEANING = (
     "instead of shares of the arena. Runs of a choice that is not the preset's are in no other "
     "table and decide no claim"
 )
+PARTS_TITLE = "SAC-LB-Streak without one of its parts"
+PARTS_MEANING = (
+    "without-streak: plain cost (streak_weight 0); without-brown: white random actions "
+    "(random_exponent 0); without-scale: observations in shares of the arena (input_scale 1); "
+    "without-speed: step sizes, batch and gradient steps of SAC-LB; margin: plain cost and a cost "
+    "limit of 3.5 instead of 5. Means of the runs that the rows tell, without a test"
+)
 TIES = "Ties split instead of kept"
 TIES_MEANING = (
     "EMCC is the mean of the highest tenth of a third's MCC. Many rollouts have equal MCC: ties "
@@ -42,14 +49,15 @@ TIES_MEANING = (
 MARKING = "of the choices the mean that is nearest to the paper's"
 
 
-def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table:
+def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table | None:
     """For each task and algorithm the preset's means, those of the other choices, and the paper's.
 
-    Marked is, of each measure, the choice whose mean is nearest to what the paper prints.
+    Marked is, of each measure, the choice whose mean is nearest to what the paper prints. None
+    where no algorithm of the paper has other choices.
     """
     rows: list[Row] = []
     marked = set()
-    of_presets = _by_preset(pairs)
+    of_presets = [of for of in _by_preset(pairs) if of[0].config.algorithm in PAPER_ALGORITHMS]
     for choices in of_presets:
         complete = [group for group in choices if group.runs]
         config = choices[0].config
@@ -60,10 +68,22 @@ def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table:
         rows += [_row(group) for group in complete]
         if printed:
             rows.append(paper_row(f"{config.task}, {name}", printed))
+    if not rows:
+        return None
     groups = [group for choices in of_presets for group in choices]
     what = "task, algorithm and choice"
     words = f"{TITLE}: {MEANING}. {caption(groups)}"
     return measures_table(words, what, mark(rows, marked), marking=MARKING)
+
+
+def parts_table(pairs: Sequence[tuple[Group, Group]]) -> Table | None:
+    """For each task SAC-LB-Streak's means, and those without one of its parts; None without any."""
+    of_presets = [of for of in _by_preset(pairs) if of[0].config.algorithm not in PAPER_ALGORITHMS]
+    groups = [group for choices in of_presets for group in choices if group.runs]
+    if not groups:
+        return None
+    words = f"{PARTS_TITLE}: {PARTS_MEANING}. {caption(groups)}"
+    return measures_table(words, "task, algorithm and part", [_row(group) for group in groups])
 
 
 def nearest_table(pairs: Sequence[tuple[Group, Group]]) -> Table | None:

@@ -13,10 +13,12 @@ from agents.paper.presets import is_circle2d
 from agents.reporting import claims_text, together
 from agents.reporting.ablations import (
     NEAREST,
+    PARTS_TITLE,
     TIES,
     TITLE,
     ablation_table,
     nearest_table,
+    parts_table,
     ties_table,
 )
 from agents.reporting.csv_table import numbers_csv, report_lines
@@ -141,7 +143,9 @@ def _tables(
     tables = {task: task_table(of_task) for task, of_task in by_task.items()}
     *_, last = by_task
     tables[last] = dataclasses.replace(tables[last], notes=[*tables[last].notes, *notes])
-    if ablated:
-        tables[TITLE] = ablation_table(ablated)
-    nearest = nearest_table(ablated)
-    return tables if nearest is None else tables | {NEAREST: nearest}
+    of_ablations = {
+        TITLE: ablation_table(ablated),
+        NEAREST: nearest_table(ablated),
+        PARTS_TITLE: parts_table(ablated),
+    }
+    return tables | {name: table for name, table in of_ablations.items() if table is not None}

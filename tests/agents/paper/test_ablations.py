@@ -157,6 +157,45 @@ def test_without_the_presets_runs_it_is_a_group_like_any_other(folder):
     assert "TRPO-Lag (multiplier_optimizer sgd, 100 steps), mean of 2" in markdown
 
 
+def test_each_part_of_sac_lb_streak_is_left_out_once():
+    usual, plain = preset("sac-lb-streak", TASK), preset("sac-lb", TASK)
+    changed = {
+        choice: {k for k, v in vars(other).items() if v != getattr(usual, k)}
+        for choice, other in ablations("sac-lb-streak", TASK).items()
+    }
+    assert changed == {
+        "without-streak": {"streak_weight"},
+        "without-brown": {"random_exponent"},
+        "without-scale": {"input_scale"},
+        "without-speed": {"learning_rate", "temperature_lr", "batch_size", "gradient_steps"},
+        "margin": {"streak_weight", "cost_limit"},
+    }
+    # Together the parts are all that it has beside SAC-LB.
+    parts = set().union(*(of for choice, of in changed.items() if choice != "margin"))
+    assert parts == {k for k, v in vars(usual).items() if v != getattr(plain, k)}
+    for choice in changed.keys() - {"margin"}:
+        other = ablations("sac-lb-streak", TASK)[choice]
+        assert all(getattr(other, k) == getattr(plain, k) for k in changed[choice])
+    assert ablations("sac-lb-streak", TASK)["margin"].cost_limit == 3.5
+    assert ablations("sac-lb-streak", SAFETY) == {}
+
+
+def test_parts_have_a_table_of_their_own(tmp_path):
+    choices = {"": None} | dict(sorted(ablations("sac-lb-streak", TASK).items()))  # as folders
+    for value, (choice, config) in enumerate(choices.items()):
+        folder, j_r = tmp_path / f"of-{choice}", [-10.0 - value, -20.0]
+        write_runs(folder, "sac-lb-streak", j_r, config, ends=ENDS)
+    markdown = table(tmp_path)
+    assert "Other choices of what the paper does not print" not in markdown
+    start = markdown.index("SAC-LB-Streak without one of its parts")
+    main_table, of_parts = rows(markdown[:start]), rows(markdown[start:])[2:]
+    assert [row[0] for row in of_parts] == [
+        f"{TASK}, SAC-LB-Streak, {choice or 'preset'}, 100 steps, mean of 2" for choice in choices
+    ]
+    assert [row[5].split()[0] for row in of_parts] == [f"{-15 - k / 2:.2f}" for k in range(6)]
+    assert len([row for row in main_table if "mean of" in row[0]]) == 1
+
+
 def test_runs_of_other_steps_are_no_pair(folder):
     other = ablations("trpo-lag", TASK)["sgd"]
     write_runs(folder / "longer", "trpo-lag", [-1.0], other, steps=200)
