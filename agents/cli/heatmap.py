@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from agents.cli.checks import check_holds_runs, check_size, check_suffix
-from agents.cli.options import Imports, parse
+from agents.cli.options import Folders, Imports, parse
 from agents.errors import UserError
 from agents.reporting import image_files, pictures
 from emcc.parts import ALPHA, PARTS
@@ -21,7 +18,7 @@ class HeatmapOptions:
     """Draw which states the agents visited in training, in the rollouts that dominate EMCC, of the
     runs of a folder together: a PNG. Several folders are drawn beside each other."""
 
-    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER ...")]
+    folders: Folders
     """Folders of runs on tasks that offer positions."""
     part: tuple[float, ...] = tuple(PARTS)
     """Parts of training, named as EMCC names them: 0.33, 0.66, 0.99."""

@@ -22,6 +22,8 @@ from agents.errors import UserError, nearest
 BackendChoice = Literal["auto", "compiled", "eager"]
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
 """A folder that stands before the options."""
+Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER ...")]
+"""Several of them."""
 MEANT = {
     "--lr": "--learning-rate",
     "--gamma": "--discount",

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
-
-import tyro
+from typing import TypeVar
 
 from agents.algorithms import title
 from agents.cli.checks import check_holds_runs, check_size, check_suffix
-from agents.cli.options import Imports, parse
+from agents.cli.options import Folders, Imports, parse
 from agents.errors import UserError
 from agents.reporting import films, image_files, pictures
 from agents.training.config import TrainConfig
@@ -25,7 +23,7 @@ class RenderOptions:
     Several folders are drawn side by side, each with its name and what it has cost so far.
     """
 
-    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER ...")]
+    folders: Folders
     """Folders of runs on tasks that offer positions; pretrained:ALGORITHM/TASK is a policy that
     comes with the package."""
     out: Path | None = None
