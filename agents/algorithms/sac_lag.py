@@ -35,7 +35,7 @@ def critic_loss(
 ) -> Tensor:
     """Half the mean squared error of each critic against `c + γ max Q_c'`, summed over both."""
     next_value = risk(config, next_cost_values)
-    target = batch.cost + config.discount * (1.0 - batch.terminal) * next_value
+    target = batch.cost + config.discount * (1.0 - batch.cost_terminal) * next_value
     error = cost_values - target[:, None]
     return 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
 

@@ -3,16 +3,19 @@
 SAC-LB as in the paper's grid stays in the local optima of levels 2 and 3, and its EMCC falls late.
 Streak cost makes EMCC an objective: a long violation costs more than many short ones, and the
 critics see how long one has lasted. The other changes are for exploration. Brown random actions
-show the critics the region's far side; the networks learn faster, and the temperature falls slower,
-so that the critics know the way before the policy gets sure. On Circle2D the preset scales
-positions back to units of length, in which a small tanh network can tell the corridor from what is
-beside it. Source of the barrier: Zhang et al. 2024 (see `sac_lb`). `results/solve/README.md` has
-the trials.
+show the critics the region's far side, and a quarter of each batch keeps showing it (as prior data
+in RLPD, Ball et al. 2023). Returns go on behind the time limit, which the observation does not
+tell: as terminal it would pay to wait where episodes end (Pardo et al. 2018); costs end there,
+since the limit is an episode's. The networks learn faster, and the temperature falls slower, so
+that the critics know the way before the policy gets sure. On Circle2D the preset scales positions
+back to units of length, in which a small tanh network can tell the corridor from what is beside it.
+Source of the barrier: Zhang et al. 2024 (see `sac_lb`). `results/solve/README.md` has the trials.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from agents.algorithms import Algorithm
 from agents.algorithms.sac_lb import RULE, SACLBConfig
@@ -21,7 +24,7 @@ from agents.sac import OffPolicy
 
 @dataclass(frozen=True)
 class SACLBStreakConfig(SACLBConfig):
-    """Hyper-parameters of SAC-LB-Streak: SAC-LB's, six of them with other defaults."""
+    """Hyper-parameters of SAC-LB-Streak: SAC-LB's, eight of them with other defaults."""
 
     learning_rate: float = 1e-3
     """Adam's step size for actor and critics. The paper's SAC-LB: 3e-4."""
@@ -36,6 +39,12 @@ class SACLBStreakConfig(SACLBConfig):
     random_exponent: float = 2.0
     """Exponent β of the random actions' power spectrum 1/f^β: 2 is brown noise, which keeps a
     direction for many steps. The paper's SAC-LB: 0."""
+    time_limit: Literal["bootstrap", "terminal", "terminal_cost"] = "terminal_cost"
+    """Whether to bootstrap at the time limit: bootstrap, terminal (not), or terminal_cost (the
+    return only: costs end there). The paper's SAC-LB: terminal on Circle2D."""
+    random_share: float = 0.25
+    """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0
+    the replay keeps these to the end. The paper's SAC-LB: 0."""
     streak_weight: float = 0.25
     """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
     step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. The

@@ -78,7 +78,7 @@ def critic_loss(
     """Half the mean squared error of the mean, plus half the 2-Wasserstein distance of the
     deviations, `V + V* - 2 √(V V*)`.
     """
-    discount = config.discount * (1.0 - batch.terminal)
+    discount = config.discount * (1.0 - batch.cost_terminal)
     mean_target, variance_target = targets(
         discount, cost_values[:, 0].detach(), next_cost_values, batch.cost
     )

@@ -27,43 +27,50 @@ class Batch(NamedTuple):
     next_observation: Tensor
     """[R, B, critic inputs]"""
     terminal: Tensor
-    """[R, B]: 1.0 where nothing follows the transition, else 0.0"""
+    """[R, B]: 1.0 where no reward follows the transition, else 0.0"""
+    cost_terminal: Tensor
+    """[R, B]: 1.0 where no cost follows it that counts, else 0.0"""
 
 
 class Replay:
-    """The last `capacity` transitions of every run, a transition in one row so that one gather
-    fetches a whole batch."""
+    """The first `kept` and the last transitions of every run, `capacity` in all; a transition in
+    one row, so that one gather fetches a whole batch."""
 
-    def __init__(self, runs: int, capacity: int, observation_size: int, action_size: int) -> None:
-        self._widths = [observation_size, action_size, 1, 1, observation_size, 1]
+    def __init__(
+        self, runs: int, capacity: int, observation_size: int, action_size: int, kept: int = 0
+    ) -> None:
+        self._widths = [observation_size, action_size, 1, 1, observation_size, 1, 1]
+        self._kept = kept
         self._rows = np.zeros((runs, capacity, sum(self._widths)), dtype=np.float32)
         self.stored = np.zeros(runs, dtype=np.int64)
-        """Transitions stored so far, [R]; those beyond the capacity have replaced the oldest."""
+        """Transitions stored so far, [R]; those beyond the capacity have replaced the oldest
+        that are not kept."""
 
     @property
     def size(self) -> NDArray[np.int64]:
         """Transitions held, [R]."""
         return np.minimum(self.stored, self._rows.shape[1])
 
-    def add(self, rollout: Rollout, terminal: NDArray) -> None:
-        """Store the steps of a rollout; terminal: [T, R], see `Batch`."""
+    def add(self, rollout: Rollout, terminal: NDArray, cost_terminal: NDArray) -> None:
+        """Store the steps of a rollout; terminal, cost_terminal: [T, R], see `Batch`."""
         columns = (rollout.observation, rollout.action, rollout.reward, rollout.cost)
-        columns = (*columns, rollout.next_observation, terminal)
+        columns = (*columns, rollout.next_observation, terminal, cost_terminal)
         steps, runs = terminal.shape
         rows = np.concatenate([c.reshape(steps, runs, -1) for c in columns], axis=-1)
         for run, length in enumerate(rollout.length):
-            slots = (self.stored[run] + np.arange(length)) % self._rows.shape[1]
-            self._rows[run, slots] = rows[:length, run]
+            place = self.stored[run] + np.arange(length)
+            ring = self._kept + (place - self._kept) % (self._rows.shape[1] - self._kept)
+            self._rows[run, np.where(place < self._kept, place, ring)] = rows[:length, run]
         self.stored += rollout.length
 
     def gather(self, index: NDArray[np.int64]) -> Batch:
-        """The transitions in slots index [R, B]."""
+        """The transitions in slots index [R, B]; those kept come first."""
         rows = tensor(self._rows[np.arange(len(index))[:, None], index])
         parts = (part.contiguous() for part in rows.split(self._widths, dim=-1))
-        observation, action, reward, cost, next_observation, terminal = parts
-        return Batch(
-            observation, action, reward[..., 0], cost[..., 0], next_observation, terminal[..., 0]
-        )
+        observation, action, reward, cost, next_observation, *ends = parts
+        terminal, cost_terminal = (end[..., 0] for end in ends)
+        reward, cost = reward[..., 0], cost[..., 0]
+        return Batch(observation, action, reward, cost, next_observation, terminal, cost_terminal)
 
     def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
         """The state of some runs for a checkpoint: the rows they hold, not the empty ones."""

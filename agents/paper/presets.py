@@ -49,9 +49,11 @@ def preset(name: str, task: str) -> Any:
     if is_circle2d(task):
         # Table Circle2DResults, caption; for the time limit see `unprinted`: on-policy bootstraps.
         limit = {"cost_limit": 5.0} if hasattr(config, "cost_limit") else {}
-        time_limit = {"time_limit": "terminal"} if _is_off_policy(name) else {}
-        scale = {"input_scale": ARENA} if name == "sac-lb-streak" else {}
-        config = replace(config, **limit, **time_limit, **scale)
+        if name == "sac-lb-streak":
+            others = {"input_scale": ARENA}
+        else:
+            others = {"time_limit": "terminal"} if _is_off_policy(name) else {}
+        config = replace(config, **limit, **others)
     elif task.startswith("circle2d_mj/Safety"):
         # Table HP_SafetyGymnasium; the cost limit, 25, is the default.
         if _is_off_policy(name):
@@ -116,6 +118,8 @@ LIBRARY = {"variance_target": "unsquared", "damping_gradient": "through"}
 PARTS = {
     "streak": ("streak_weight",),
     "brown": ("random_exponent",),
+    "share": ("random_share",),
+    "horizon": ("time_limit",),
     "scale": ("input_scale",),
     "speed": ("learning_rate", "temperature_lr", "batch_size", "gradient_steps"),
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from agents.errors import check, check_choice, check_integers
+from agents.errors import UserError, check, check_choice, check_integers
 from agents.lockstep.nets import check_lanes
 
 
@@ -45,9 +45,12 @@ class SACConfig:
     target_rate: float = 0.005
     """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
     al."""
-    time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
-    """Whether to bootstrap at the time limit. Inferred for the paper's Circle2D, not printed:
-    terminal."""
+    time_limit: Literal["bootstrap", "terminal", "terminal_cost"] = "bootstrap"
+    """Whether to bootstrap at the time limit: bootstrap, terminal (not), or terminal_cost (the
+    return only: costs end there). Inferred for the paper's Circle2D, not printed: terminal."""
+    random_share: float = 0.0
+    """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0
+    the replay keeps these to the end. Not in the paper; 0: none."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
@@ -58,9 +61,15 @@ class SACConfig:
         check(self, "discount", "target_rate", low=0, high=1)
         check(self, "learning_rate", "temperature_lr", above=0, high=1)
         check(self, "random_exponent", low=0, high=4)
+        check(self, "random_share", low=0, high=1)
         check(self, "input_scale", low=1e-6, high=1e6)
         check_lanes(self)
-        check_choice(self, "time_limit", "bootstrap", "terminal")
+        check_choice(self, "time_limit", "bootstrap", "terminal", "terminal_cost")
+        if self.random_share and not 0 < self.random_steps < self.replay_size:
+            raise UserError(
+                "random_share needs random_steps of at least 1 and below replay_size "
+                f"{self.replay_size}, got {self.random_steps}"
+            )
 
 
 @dataclass(frozen=True)

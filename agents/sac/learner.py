@@ -58,7 +58,8 @@ class OffPolicy:
         self.nets = sac.make_nets(config, observation_size, action_size)
         self._state = sac.initial_state(self.nets, config, rule, seeds)
         inputs = critic_inputs(config, observation_size)
-        self._replay = Replay(len(seeds), config.replay_size, inputs, action_size)
+        self._kept = config.random_steps if config.random_share else 0
+        self._replay = Replay(len(seeds), config.replay_size, inputs, action_size, self._kept)
 
     def policy(self, runs: slice = tree.ALL) -> Policy:
         """The policy of some runs as it stands now."""
@@ -109,9 +110,12 @@ class OffPolicy:
         none, since their replay holds less than a batch.
         """
         length = np.where(active, rollout.length, 0)
-        terminal = rollout.terminal(self.config.time_limit)
+        of_rewards = of_costs = self.config.time_limit
+        if of_rewards == "terminal_cost":
+            of_rewards, of_costs = "bootstrap", "terminal"
+        ends = rollout.terminal(of_rewards), rollout.terminal(of_costs)
         rollout = rollout.learned(self.config)._replace(length=length)
-        self._replay.add(rollout, terminal)
+        self._replay.add(rollout, *ends)
         learning = active & (self._replay.size >= self.config.batch_size)
         if not learning.any():
             return np.full((len(self.seeds), len(self.metrics)), np.nan)
@@ -149,13 +153,22 @@ class OffPolicy:
         for rng in streams(self.seeds, Purpose.UPDATE, epoch):
             share.append(rng.random((steps, batch)))
             action_noise.append(normal(rng, (steps, 2, batch, self.action_size)))
-        held = np.maximum(self._replay.size, 1)[:, None]
-        index = (np.stack(share, axis=1) * held).astype(np.int64)
+        index = self._slots(np.stack(share, axis=1))
         noise = tensor(np.stack(action_noise, axis=1))
         return [
             (index[k], sac.UpdateNoise(noise[k, :, 0].contiguous(), noise[k, :, 1].contiguous()))
             for k in range(steps)
         ]
+
+    def _slots(self, share: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Slots of the replay, [steps, R, B], for numbers in [0, 1): the first `random_share` of a
+        batch among the transitions that are kept, the others among the rest, if there is any."""
+        held = np.maximum(self._replay.size, 1)[:, None]
+        kept = np.minimum(held, self._kept)
+        of_kept = np.arange(share.shape[-1]) < round(self.config.random_share * share.shape[-1])
+        low = np.where(of_kept | (held == kept), 0, kept)
+        high = np.where(of_kept, kept, held)
+        return (low + share * (high - low)).astype(np.int64)
 
     def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
         """The whole training state of some runs as named arrays."""

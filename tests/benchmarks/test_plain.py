@@ -97,7 +97,8 @@ def test_off_policy_updates(name):
         rows = torch.rand(runs, 256, 9, generator=generator).double()
         rows[..., [5, 8]] = rows[..., [5, 8]].round()  # cost and end
         obs, action, reward, cost, obs2, end = rows.split([2, 2, 1, 1, 2, 1], dim=-1)
-        batch = Batch(obs, action, reward[..., 0], cost[..., 0], obs2, end[..., 0])
+        ends = end[..., 0], end[..., 0]
+        batch = Batch(obs, action, reward[..., 0], cost[..., 0], obs2, *ends)
         noises, losses = [], []
         for run, agent in enumerate(agents):
             torch.manual_seed(100 * k + run)

@@ -91,7 +91,8 @@ def test_sac(monkeypatch):
         return torch.randn(1, ROWS, *shape, generator=rng)
 
     terminal = (normal() > 1.5).float()
-    batch = Batch(normal(3), normal(2).tanh(), normal(), normal().abs(), normal(3), terminal)
+    ends = terminal, torch.zeros_like(terminal)  # the second counts for costs, which SAC has not
+    batch = Batch(normal(3), normal(2).tanh(), normal(), normal().abs(), normal(3), *ends)
     noise = update.UpdateNoise(normal(ACTION), normal(ACTION))
     settings = {"net_arch": list(HIDDEN), "activation_fn": nn.Tanh}
     model = silent(

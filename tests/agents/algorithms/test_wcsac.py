@@ -83,7 +83,8 @@ def test_critic_loss_by_hand():
         reward=torch.zeros(1, 1),
         cost=torch.ones(1, 1),
         next_observation=torch.zeros(1, 1, 2),
-        terminal=torch.zeros(1, 1),
+        terminal=torch.ones(1, 1),
+        cost_terminal=torch.zeros(1, 1),
     )
     loss = RULE.critic_loss(CONFIG, outputs([2.0], [4.0]), outputs([3.0], [0.5]), batch)
     assert loss.item() == pytest.approx(2.1379740, rel=1e-5)
@@ -111,7 +112,8 @@ def test_critic_loss_of_the_later_library_by_hand(terminal):
         reward=torch.zeros(1, 1),
         cost=torch.ones(1, 1),
         next_observation=torch.zeros(1, 1, 2),
-        terminal=torch.full((1, 1), terminal),
+        terminal=torch.zeros(1, 1),
+        cost_terminal=torch.full((1, 1), terminal),
     )
     loss = RULE.critic_loss(config, outputs([2.0], [4.0]), outputs([3.0], [0.5]), batch)
     distance = 4 + 5.235 - 2 * np.sqrt(20.94)
@@ -124,7 +126,8 @@ def test_critics_learn_mean_and_variance_of_a_known_return():
     rng = np.random.default_rng(0)
     cost = torch.from_numpy(rng.gamma(2.0, 1.0, (1, 100_000)).astype(np.float32))
     zeros = torch.zeros_like(cost)
-    batch = Batch(zeros[..., None], zeros[..., None], zeros, cost, zeros[..., None], zeros + 1)
+    vector, ends = zeros[..., None], (zeros, zeros + 1)
+    batch = Batch(vector, vector, zeros, cost, vector, *ends)
     parameters = torch.zeros(1, 2, 1, requires_grad=True)
     optimizer = torch.optim.Adam([parameters], lr=0.05)
     for _ in range(1500):

@@ -43,7 +43,7 @@ def test_off_policy_updates(name, elsewhere):
     nets = sac.make_nets(config, 3, 2)
     state = sac.initial_state(nets, config, rule, range(R))
     seen = (R, B, critic_inputs(config, 3))
-    shapes = seen, (R, B, 2), (R, B), (R, B), seen, (R, B)
+    shapes = seen, (R, B, 2), (R, B), (R, B), seen, (R, B), (R, B)
     batch, noise = Batch(*map(elsewhere, shapes)), elsewhere(R, B, 2)
     after, metrics = sac.update(nets, config, rule, state, batch, sac.UpdateNoise(noise, noise))
     assert after.actor.shape == state.actor.shape

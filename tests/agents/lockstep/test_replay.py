@@ -1,7 +1,5 @@
 """The replay against a plain list of transitions."""
 
-import collections
-
 import numpy as np
 import pytest
 
@@ -18,12 +16,25 @@ def random_rollout(rng, steps, lengths):
     return Rollout(*columns, np.array(lengths), np.zeros(len(lengths), dtype=bool))
 
 
-def fill(replay, capacity, epochs=9):
+class Kept(list):
+    """The first rows of a run, and behind them the last: a list that forgets in its middle."""
+
+    def __init__(self, capacity, kept):
+        super().__init__()
+        self._capacity, self._kept = capacity, kept
+
+    def append(self, row):
+        if len(self) == self._capacity:
+            del self[self._kept]
+        super().append(row)
+
+
+def fill(replay, capacity, epochs=9, kept=0):
     rng = np.random.default_rng(0)
-    held = [collections.deque(maxlen=capacity) for _ in range(2)]
+    held = [Kept(capacity, kept) for _ in range(2)]
     for _ in range(epochs):
         rollout = random_rollout(rng, 5, rng.integers(0, 6, size=2))
-        replay.add(rollout, rollout.terminated)
+        replay.add(rollout, rollout.terminated, rollout.truncated)
         for run, length in enumerate(rollout.length):
             for t in range(length):
                 held[run].append(
@@ -34,6 +45,7 @@ def fill(replay, capacity, epochs=9):
                         rollout.cost[t, run],
                         *rollout.next_observation[t, run],
                         float(rollout.terminated[t, run]),
+                        float(rollout.truncated[t, run]),
                     )
                 )
     return held
@@ -44,10 +56,10 @@ def rows(batch):
     return np.concatenate([c.numpy() for c in columns], axis=-1)
 
 
-@pytest.mark.parametrize("capacity", [12, 100])
-def test_holds_the_last_transitions(capacity):
-    replay = Replay(2, capacity, 3, 2)
-    held = fill(replay, capacity)
+@pytest.mark.parametrize(("capacity", "kept"), [(12, 0), (12, 5), (12, 11), (100, 0), (100, 7)])
+def test_holds_the_first_and_the_last_transitions(capacity, kept):
+    replay = Replay(2, capacity, 3, 2, kept)
+    held = fill(replay, capacity, kept=kept)
     assert replay.size.tolist() == [len(h) for h in held]
     smallest = min(map(len, held))
     everything = np.tile(np.arange(smallest), (2, 1))
@@ -59,6 +71,8 @@ def test_holds_the_last_transitions(capacity):
         assert found <= expected
         if smallest == len(held[run]):
             assert found == expected
+        first = rows(replay.gather(everything))[run, :kept]
+        np.testing.assert_array_equal(first, np.array(held[run][:kept], np.float32).reshape(-1, 12))
 
 
 def test_runs_taken_over_from_replays_of_their_own():

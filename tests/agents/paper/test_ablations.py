@@ -166,6 +166,8 @@ def test_each_part_of_sac_lb_streak_is_left_out_once():
     assert changed == {
         "without-streak": {"streak_weight"},
         "without-brown": {"random_exponent"},
+        "without-share": {"random_share"},
+        "without-horizon": {"time_limit"},
         "without-scale": {"input_scale"},
         "without-speed": {"learning_rate", "temperature_lr", "batch_size", "gradient_steps"},
         "margin": {"streak_weight", "cost_limit"},
@@ -192,7 +194,7 @@ def test_parts_have_a_table_of_their_own(tmp_path):
     assert [row[0] for row in of_parts] == [
         f"{TASK}, SAC-LB-Streak, {choice or 'preset'}, 100 steps, mean of 2" for choice in choices
     ]
-    assert [row[5].split()[0] for row in of_parts] == [f"{-15 - k / 2:.2f}" for k in range(6)]
+    assert [row[5].split()[0] for row in of_parts] == [f"{-15 - k / 2:.2f}" for k in range(8)]
     assert len([row for row in main_table if "mean of" in row[0]]) == 1
 
 

@@ -3,7 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.training.config import TrainConfig
 from agents.training.loop import Training
@@ -28,6 +30,48 @@ def test_every_slot_is_drawn_and_noise_is_fresh():
     for i, a in enumerate(noises):
         assert not any(np.array_equal(a, b) for b in noises[:i])
     assert not np.array_equal(noises[0][0], noises[0][1])
+
+
+def test_a_share_of_each_batch_is_of_the_random_actions():
+    """A quarter of 64: 16 rows of the first 200, which stay; the others of the last 300."""
+    it = training(batch_size=64, random_steps=200, random_share=0.25, replay_size=500)
+    for _ in range(4):
+        it.run_epoch()
+    first = it.learner._replay._rows[:, :200].copy()
+    of_random_alone = np.concatenate([index.ravel() for index, _ in it.learner._draws(4)])
+    assert of_random_alone.max() < 200  # as long as there is nothing else
+    for _ in range(36):
+        it.run_epoch()
+    np.testing.assert_array_equal(it.learner._replay._rows[:, :200], first)
+    draws = np.concatenate([index for epoch in range(40) for index, _ in it.learner._draws(epoch)])
+    kept, last = draws[:, :16].ravel(), draws[:, 16:].ravel()
+    assert (kept.min(), kept.max()) == (0, 199)
+    assert (last.min(), last.max()) == (200, 499)
+    for slots, size, low in ((kept, 200, 0), (last, 300, 200)):
+        mean = len(slots) / size
+        counts = np.bincount(slots - low, minlength=size)
+        assert counts.max() < mean + 6 * mean**0.5
+
+
+@pytest.mark.parametrize("changes", [{"random_steps": 0}, {"random_steps": 50_000}])
+def test_a_share_of_no_random_actions_is_refused(changes):
+    with pytest.raises(UserError, match="random_share needs random_steps of at least 1 and below"):
+        training(random_share=0.5, **changes)
+
+
+@pytest.mark.parametrize(
+    ("time_limit", "ends"),
+    [("bootstrap", (False, False)), ("terminal", (True, True)), ("terminal_cost", (False, True))],
+)
+def test_what_ends_at_the_time_limit(time_limit, ends):
+    """Of return and cost, at the last of 50 steps of an episode and nowhere else."""
+    it = training(time_limit=time_limit)
+    for _ in range(2):
+        it.run_epoch()
+    batch = it.learner._replay.gather(np.tile(np.arange(100), (2, 1)))
+    last = np.arange(100) % 50 == 49
+    for column, expected in zip((batch.terminal, batch.cost_terminal), ends, strict=True):
+        np.testing.assert_array_equal(column.numpy(), np.tile(last & expected, (2, 1)))
 
 
 def test_episodes_start_elsewhere_and_the_policy_explores():

@@ -25,6 +25,7 @@ def two_transitions():
         cost=torch.tensor([[0.0, 1.0]]),
         next_observation=torch.zeros(1, 2, 2),
         terminal=torch.tensor([[0.0, 1.0]]),
+        cost_terminal=torch.tensor([[0.0, 1.0]]),
     )
 
 
@@ -144,7 +145,8 @@ class Separate:
             q = [t(torch.cat([b.next_observation, action], -1))[:, 0] for t in self.targets]
             going_on = CONFIG.discount * (1 - b.terminal)
             reward_target = b.reward + going_on * (torch.minimum(q[0], q[1]) - log_prob)
-            cost_target = b.cost + going_on * torch.maximum(q[2], q[3])
+            costs_go_on = CONFIG.discount * (1 - b.cost_terminal)
+            cost_target = b.cost + costs_go_on * torch.maximum(q[2], q[3])
         for k, critic in enumerate(self.critics):
             target = reward_target if k < 2 else cost_target
             q_k = critic(torch.cat([b.observation, b.action], -1))[:, 0]
@@ -165,8 +167,8 @@ def random_batch(runs, size=64, seed=0):
     def normal(*shape):
         return torch.randn(runs, size, *shape, generator=generator)
 
-    terminal = (normal() > 1.5).float()
-    batch = Batch(normal(2), normal(2).tanh(), normal(), normal().abs(), normal(2), terminal)
+    ends = (normal() > 1.5).float(), (normal() > 1).float()
+    batch = Batch(normal(2), normal(2).tanh(), normal(), normal().abs(), normal(2), *ends)
     return batch, sac.UpdateNoise(normal(2), normal(2))
 
 
