@@ -38,7 +38,8 @@ PARTS_MEANING = (
     "(random_exponent 0); without-share: batches of the last transitions alone (random_share 0); "
     "without-horizon: returns end at the time limit (time_limit terminal); without-scale: "
     "observations in shares of the arena (input_scale 1); without-speed: step sizes, batch and "
-    "gradient steps of SAC-LB; margin: plain cost and a cost limit of 3.5 instead of 5. Means of the runs that the rows tell, without a test"
+    "gradient steps of SAC-LB; margin: plain cost and a cost limit of 3.5 instead of 5. Means of "
+    "the runs that the rows tell, without a test"
 )
 TIES = "Ties split instead of kept"
 TIES_MEANING = (
