@@ -123,7 +123,7 @@ PARTS = {
     "scale": ("input_scale",),
     "speed": ("learning_rate", "temperature_lr", "batch_size", "gradient_steps"),
 }
-"""What SAC-LB-Streak adds to SAC-LB on Circle2D: its hyper-parameters, by the part's name."""
+"""The hyper-parameters that SAC-LB-Streak has on Circle2D in the place of SAC-LB's, by part."""
 MARGIN = 1.5
 """How far the cost limit falls in the control that has a margin instead of the streak cost."""
 
