@@ -15,11 +15,11 @@ Source of the barrier: Zhang et al. 2024 (see `sac_lb`). `results/solve/README.m
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from agents.algorithms import Algorithm
 from agents.algorithms.sac_lb import RULE, SACLBConfig
 from agents.sac import OffPolicy
+from agents.sac.config import TimeLimit
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class SACLBStreakConfig(SACLBConfig):
     random_exponent: float = 2.0
     """Exponent β of the random actions' power spectrum 1/f^β: 2 is brown noise, which keeps a
     direction for many steps. The paper's SAC-LB: 0."""
-    time_limit: Literal["bootstrap", "terminal", "terminal_cost"] = "terminal_cost"
+    time_limit: TimeLimit = "terminal_cost"
     """Whether to bootstrap at the time limit: bootstrap, terminal (not), or terminal_cost (the
     return only: costs end there). The paper's SAC-LB: terminal on Circle2D."""
     random_share: float = 0.25

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from agents.errors import UserError, check, check_choice, check_integers
 from agents.lockstep.nets import check_lanes
+
+TimeLimit = Literal["bootstrap", "terminal", "terminal_cost"]
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class SACConfig:
     target_rate: float = 0.005
     """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
     al."""
-    time_limit: Literal["bootstrap", "terminal", "terminal_cost"] = "bootstrap"
+    time_limit: TimeLimit = "bootstrap"
     """Whether to bootstrap at the time limit: bootstrap, terminal (not), or terminal_cost (the
     return only: costs end there). Inferred for the paper's Circle2D, not printed: terminal."""
     random_share: float = 0.0
@@ -64,7 +66,7 @@ class SACConfig:
         check(self, "random_share", low=0, high=1)
         check(self, "input_scale", low=1e-6, high=1e6)
         check_lanes(self)
-        check_choice(self, "time_limit", "bootstrap", "terminal", "terminal_cost")
+        check_choice(self, "time_limit", *get_args(TimeLimit))
         if self.random_share and not 0 < self.random_steps < self.replay_size:
             raise UserError(
                 "random_share needs random_steps of at least 1 and below replay_size "

@@ -75,7 +75,7 @@ def test_holds_the_first_and_the_last_transitions(capacity, kept):
         np.testing.assert_array_equal(first, np.array(held[run][:kept], np.float32).reshape(-1, 12))
 
 
-def test_runs_taken_over_from_replays_of_their_own():
+def test_runs_loaded_from_replays_of_their_own():
     """Into runs 0 and 1-2 of three: of less and more rows than the replay of all holds at most."""
     parts = Replay(1, 50, 3, 2), Replay(2, 50, 3, 2)
     whole = Replay(3, 50, 3, 2)
