@@ -2,7 +2,9 @@
 
 SAC-LB as in the paper's grid stays in the local optima of levels 2 and 3, and its EMCC falls late.
 Streak cost makes EMCC an objective: a long violation costs more than many short ones, and the
-critics see how long one has lasted. The other changes are for exploration. Brown random actions
+critics see how long one has lasted. The other changes are for exploration. A bonus for states that
+a run has seldom seen (see `agents.sac.novelty`) leads it along the rim of the region, where the
+reward is flat, while the barrier keeps it from the region. Brown random actions
 show the critics the region's far side, and a quarter of each batch keeps showing it (as prior data
 in RLPD, Ball et al. 2023). Returns go on behind the time limit, which the observation does not
 tell: as terminal it would pay to wait where episodes end (Pardo et al. 2018); costs end there,
@@ -24,7 +26,7 @@ from agents.sac.config import TimeLimit
 
 @dataclass(frozen=True)
 class SACLBStreakConfig(SACLBConfig):
-    """Hyper-parameters of SAC-LB-Streak: SAC-LB's, eight of them with other defaults."""
+    """Hyper-parameters of SAC-LB-Streak: SAC-LB's, nine of them with other defaults."""
 
     learning_rate: float = 1e-3
     """Adam's step size for actor and critics. The paper's SAC-LB: 3e-4."""
@@ -45,6 +47,10 @@ class SACLBStreakConfig(SACLBConfig):
     random_share: float = 0.25
     """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0
     the replay keeps these to the end. The paper's SAC-LB: 0."""
+    novelty_bonus: float = 1.0
+    """Weight of a bonus on the learned reward for states that the run has seldom reached: about
+    `novelty_bonus / √(1 + n)` after n visits. Records keep the plain reward. The paper's SAC-LB:
+    0."""
     streak_weight: float = 0.25
     """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
     step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. The

@@ -27,6 +27,7 @@ class Purpose(enum.IntEnum):
     UPDATE = 3
     EVALUATION = 4
     RANDOM_ACTIONS = 5
+    NOVELTY = 6
 
 
 def stream_seed(seed: int, task: str) -> int:

@@ -119,6 +119,7 @@ PARTS = {
     "streak": ("streak_weight",),
     "brown": ("random_exponent",),
     "share": ("random_share",),
+    "novelty": ("novelty_bonus",),
     "horizon": ("time_limit",),
     "scale": ("input_scale",),
     "speed": ("learning_rate", "temperature_lr", "batch_size", "gradient_steps"),

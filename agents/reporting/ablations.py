@@ -36,6 +36,7 @@ PARTS_TITLE = "SAC-LB-Streak without one of its parts"
 PARTS_MEANING = (
     "without-streak: plain cost (streak_weight 0); without-brown: white random actions "
     "(random_exponent 0); without-share: batches of the last transitions alone (random_share 0); "
+    "without-novelty: no bonus for new states (novelty_bonus 0); "
     "without-horizon: returns end at the time limit (time_limit terminal); without-scale: "
     "observations in shares of the arena (input_scale 1); without-speed: step sizes, batch and "
     "gradient steps of SAC-LB; margin: plain cost and a cost limit of 3.5 instead of 5. Means of "

@@ -53,6 +53,13 @@ class SACConfig:
     random_share: float = 0.0
     """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0
     the replay keeps these to the end. Not in the paper; 0: none."""
+    novelty_bonus: float = 0.0
+    """Weight of a bonus on the learned reward for states that the run has seldom reached: about
+    `novelty_bonus / √(1 + n)` after n visits. Records keep the plain reward. Not in the paper; 0:
+    none."""
+    novelty_length: float = 2.0
+    """Distance over which states count as the same place for the bonus, in the units of the
+    networks' inputs: observations times `input_scale`."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
@@ -64,7 +71,8 @@ class SACConfig:
         check(self, "learning_rate", "temperature_lr", above=0, high=1)
         check(self, "random_exponent", low=0, high=4)
         check(self, "random_share", low=0, high=1)
-        check(self, "input_scale", low=1e-6, high=1e6)
+        check(self, "input_scale", "novelty_length", low=1e-6, high=1e6)
+        check(self, "novelty_bonus", low=0, high=1e6)
         check_lanes(self)
         check_choice(self, "time_limit", *get_args(TimeLimit))
         if self.random_share and not 0 < self.random_steps < self.replay_size:

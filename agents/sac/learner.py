@@ -23,10 +23,11 @@ from agents.lockstep.noise import (
     streams,
     uniform,
 )
-from agents.lockstep.replay import Replay
+from agents.lockstep.replay import Batch, Replay
 from agents.lockstep.rollout import Act, Policy, Rollout, critic_inputs
 from agents.sac import squashed_gaussian
 from agents.sac import update as sac
+from agents.sac.novelty import Novelty
 
 METRICS = (
     "critic_loss",
@@ -60,6 +61,11 @@ class OffPolicy:
         inputs = critic_inputs(config, observation_size)
         self._kept = config.random_steps if config.random_share else 0
         self._replay = Replay(len(seeds), config.replay_size, inputs, action_size, self._kept)
+        self._novelty = (
+            Novelty(config.novelty_length, seeds, observation_size)
+            if config.novelty_bonus
+            else None
+        )
 
     def policy(self, runs: slice = tree.ALL) -> Policy:
         """The policy of some runs as it stands now."""
@@ -116,12 +122,14 @@ class OffPolicy:
         ends = rollout.terminal(of_rewards), rollout.terminal(of_costs)
         rollout = rollout.learned(self.config)._replace(length=length)
         self._replay.add(rollout, *ends)
+        if self._novelty:
+            self._novelty.add(rollout.next_observation, rollout.length)
         learning = active & (self._replay.size >= self.config.batch_size)
         if not learning.any():
             return np.full((len(self.seeds), len(self.metrics)), np.nan)
         total = 0.0
         for index, noise in self._draws(epoch):
-            batch = self._replay.gather(index)
+            batch = self._with_bonus(self._replay.gather(index))
             state, metrics = sac.update(
                 self.nets, self.config, self.rule, self._state, batch, noise
             )
@@ -130,6 +138,13 @@ class OffPolicy:
         means = total / self.config.gradient_steps
         self._control_multiplier(means[:, self.metrics.index("risk"), None], learning)
         return np.where(learning[:, None], means, np.nan)
+
+    def _with_bonus(self, batch: Batch) -> Batch:
+        """The batch with `novelty_bonus` in its rewards, by what the runs have seen until now."""
+        if not self._novelty:
+            return batch
+        novelty = tensor(self._novelty.of(array(batch.next_observation)))
+        return batch._replace(reward=batch.reward + self.config.novelty_bonus * novelty)
 
     def _control_multiplier(self, risk: NDArray, learning: NDArray[np.bool_]) -> None:
         """One step of a PID multiplier; risk: [R, 1], mean over the epoch's gradient steps.
@@ -170,15 +185,24 @@ class OffPolicy:
         high = np.where(of_kept, kept, held)
         return (low + share * (high - low)).astype(np.int64)
 
+    @property
+    def _parts(self) -> dict[str, Replay | Novelty]:
+        parts = {"replay": self._replay, "novelty": self._novelty}
+        return {name: part for name, part in parts.items() if part is not None}
+
     def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
         """The whole training state of some runs as named arrays."""
-        replay = {f"replay.{name}": array for name, array in self._replay.state_dict(runs).items()}
-        return {**tree.flatten(self._state, runs), **replay}
+        of_parts = {
+            f"{name}.{key}": value
+            for name, part in self._parts.items()
+            for key, value in part.state_dict(runs).items()
+        }
+        return {**tree.flatten(self._state, runs), **of_parts}
 
     def load_state_dict(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
         """Load a state, bit for bit."""
         self._state = tree.unflatten(self._state, state, runs)
-        self._replay.load_state_dict(
-            {k.removeprefix("replay."): v for k, v in state.items() if k.startswith("replay.")},
-            runs,
-        )
+        for name, part in self._parts.items():
+            prefix = f"{name}."
+            arrays = {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
+            part.load_state_dict(arrays, runs)

@@ -13,6 +13,7 @@ def test_it_is_sac_lb_but_for_some_values():
     changes |= {"learning_rate": 1e-3, "temperature_lr": 1.5e-4}
     changes |= {"batch_size": 128, "gradient_steps": 10}
     changes |= {"time_limit": "terminal_cost", "random_share": 0.25}
+    changes |= {"novelty_bonus": 1.0}
     for task in tasks:
         found = dataclasses.asdict(preset("sac-lb-streak", task))
         assert found == dataclasses.asdict(preset("sac-lb", task)) | changes

@@ -167,6 +167,7 @@ def test_each_part_of_sac_lb_streak_is_left_out_once():
         "without-streak": {"streak_weight"},
         "without-brown": {"random_exponent"},
         "without-share": {"random_share"},
+        "without-novelty": {"novelty_bonus"},
         "without-horizon": {"time_limit"},
         "without-scale": {"input_scale"},
         "without-speed": {"learning_rate", "temperature_lr", "batch_size", "gradient_steps"},
@@ -194,7 +195,7 @@ def test_parts_have_a_table_of_their_own(tmp_path):
     assert [row[0] for row in of_parts] == [
         f"{TASK}, SAC-LB-Streak, {choice or 'preset'}, 100 steps, mean of 2" for choice in choices
     ]
-    assert [row[5].split()[0] for row in of_parts] == [f"{-15 - k / 2:.2f}" for k in range(8)]
+    assert [row[5].split()[0] for row in of_parts] == [f"{-15 - k / 2:.2f}" for k in range(9)]
     assert len([row for row in main_table if "mean of" in row[0]]) == 1
 
 

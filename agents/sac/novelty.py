@@ -1,0 +1,65 @@
+"""A bonus for states that a run has seldom seen: about 1/√(1 + n) after n visits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.lockstep import tree
+from agents.lockstep.noise import Purpose, stream
+
+FEATURES = 128
+"""Features of a state. More tell more places apart."""
+
+
+class Novelty:
+    """How new states are to each of R runs.
+
+    Random Fourier features φ of norm 1 (Rahimi and Recht 2007) stand for a state: the product of
+    those of two states at distance d is about exp(-d² / (2 ℓ²)). With A = I + Σ φ φᵀ over all
+    states that a run has seen, the novelty of a state is √(φᵀ A⁻¹ φ), the bonus of optimism in
+    linear MDPs (Jin et al. 2020) and of E3B (Henaff et al. 2022): about 1 where nothing within ℓ
+    was seen, and 1/√(1 + n) at the only place that was seen, n times.
+    """
+
+    def __init__(self, length: float, seeds: Sequence[int], state_size: int) -> None:
+        """length: ℓ, in the units of the states; seeds: of the runs, [R]."""
+        self._size = state_size
+        shape = (state_size, FEATURES // 2)
+        drawn = [stream(s, Purpose.NOVELTY).standard_normal(shape) for s in seeds]
+        self._frequencies = (np.stack(drawn) / length).astype(np.float32)
+        self._seen = np.tile(np.eye(FEATURES), (len(seeds), 1, 1))
+        self._inverse = self._seen.astype(np.float32)
+
+    def add(self, states: NDArray[np.float32], length: NDArray[np.int64]) -> None:
+        """Count the first length [R] of states [T, R, ...] as seen."""
+        for run, steps in enumerate(length):
+            features = self._features(states[:steps, run], run).astype(np.float64)
+            self._seen[run] += features.T @ features
+        self._inverse = np.linalg.inv(self._seen).astype(np.float32)
+
+    def of(self, states: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Novelty of states [R, B, ...], in (0, 1]: [R, B]. What lies behind a state's numbers, as
+        the streak for the critics, does not count."""
+        features = self._features(states)
+        square = ((features @ self._inverse) * features).sum(axis=-1)
+        return np.sqrt(np.maximum(square, 0.0))  # rounding may leave it below 0
+
+    def _features(
+        self, states: NDArray[np.float32], run: int | slice = tree.ALL
+    ) -> NDArray[np.float32]:
+        angle = states[..., : self._size] @ self._frequencies[run]
+        scale = np.float32(np.sqrt(2.0 / FEATURES))
+        return scale * np.concatenate([np.cos(angle), np.sin(angle)], axis=-1)
+
+    def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
+        """The state of some runs for a checkpoint."""
+        return {"seen": self._seen[runs]}
+
+    def load_state_dict(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
+        """Load a state. ValueError or KeyError for anything else."""
+        seen = self._seen[runs]
+        self._seen[runs] = tree.expect("seen", state, seen.shape, np.float64)
+        self._inverse[runs] = np.linalg.inv(self._seen[runs])

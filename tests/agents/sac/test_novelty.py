@@ -1,0 +1,112 @@
+"""The novelty of states against counts by hand and against plain linear algebra."""
+
+import numpy as np
+import pytest
+
+from agents.algorithms import algorithm
+from agents.sac.novelty import FEATURES, Novelty
+from agents.training.config import TrainConfig
+from agents.training.loop import Training
+
+
+def seen(*places):
+    """Places, each (x, y), as the states of one run: [T, 1, 2]."""
+    return np.array(places, dtype=np.float32)[:, None]
+
+
+def novelty_at(novelty, *places):
+    return novelty.of(np.array(places, dtype=np.float32)[None])[0]
+
+
+def test_nothing_seen():
+    """With A = I the novelty is the norm of the features, 1."""
+    novelty = Novelty(1.0, [0, 1], 2)
+    states = np.random.default_rng(0).normal(size=(2, 50, 2)).astype(np.float32)
+    np.testing.assert_allclose(novelty.of(states), 1.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize("visits", [1, 3, 99])
+def test_a_place_seen_some_times(visits):
+    """A = I + n φ φᵀ, so φᵀ A⁻¹ φ = 1 / (1 + n) at norm 1 (Sherman and Morrison)."""
+    novelty = Novelty(1.0, [0], 2)
+    novelty.add(seen(*[(3.0, -1.0)] * visits), np.array([visits]))
+    assert novelty_at(novelty, (3.0, -1.0)) == pytest.approx(1 / np.sqrt(1 + visits), rel=1e-4)
+
+
+def test_two_places():
+    """After one visit of s, φ(t)ᵀ A⁻¹ φ(t) = 1 - k² / 2, where k is the product of their features
+    and about exp(-d² / 2): .88 at half a length and 0 far away."""
+    novelty = Novelty(1.0, range(40), 2)
+    visited = np.zeros((1, 40, 2), np.float32)
+    novelty.add(visited, np.ones(40, dtype=int))
+    places = np.zeros((40, 2, 2), np.float32)
+    places[:, 0, 0], places[:, 1, 1] = 0.5, 20.0
+    near, far = novelty.of(places).mean(axis=0)
+    k = np.exp(-(0.5**2) / 2)
+    assert near == pytest.approx(np.sqrt(1 - k**2 / 2), abs=0.02)
+    # of 64 random angles the mean cosine has a square of 1 / 128 on average
+    assert far == pytest.approx(1.0, abs=0.01)
+
+
+def test_against_a_linear_solution():
+    """Of features made here from the drawn frequencies; in float64, by solving instead of
+    inverting."""
+    rng = np.random.default_rng(1)
+    novelty = Novelty(0.7, [5, 6], 3)
+    states = rng.normal(size=(30, 2, 3)).astype(np.float32)
+    length = np.array([30, 12])
+    novelty.add(states, length)
+    found = novelty.of(states.transpose(1, 0, 2))
+    for run in range(2):
+        angle = states[:, run].astype(float) @ novelty._frequencies[run].astype(float)
+        features = np.exp(1j * angle) / np.sqrt(FEATURES / 2)
+        features = np.concatenate([features.real, features.imag], axis=1)
+        counted = features[: length[run]]
+        solved = np.linalg.solve(np.eye(FEATURES) + counted.T @ counted, features.T)
+        expected = np.sqrt((features * solved.T).sum(axis=1))
+        np.testing.assert_allclose(found[run], expected, rtol=1e-3)
+
+
+def test_the_length_is_the_unit():
+    """States and length both doubled: the same novelty."""
+    rng = np.random.default_rng(2)
+    states = rng.normal(size=(20, 1, 2)).astype(np.float32)
+    by_length = []
+    for factor in (np.float32(1), np.float32(2)):
+        novelty = Novelty(float(factor), [3], 2)
+        novelty.add(factor * states[:10], np.array([10]))
+        by_length.append(novelty.of(factor * states.transpose(1, 0, 2)))
+    np.testing.assert_allclose(*by_length, rtol=1e-5)
+
+
+def test_what_only_critics_see_does_not_count():
+    novelty = Novelty(1.0, [0], 2)
+    states = np.random.default_rng(3).normal(size=(20, 1, 3)).astype(np.float32)
+    novelty.add(states, np.array([20]))
+    of_all = novelty.of(states.transpose(1, 0, 2))
+    np.testing.assert_array_equal(of_all, novelty.of(states.transpose(1, 0, 2)[..., :2].copy()))
+
+
+def test_runs_draw_their_own_features_and_keep_them():
+    """Of equal seeds equal ones, whatever runs are beside."""
+    alone, beside = Novelty(1.0, [4], 2), Novelty(1.0, [3, 4], 2)
+    np.testing.assert_array_equal(alone._frequencies[0], beside._frequencies[1])
+    assert (beside._frequencies[0] != beside._frequencies[1]).any()
+
+
+def test_the_bonus_joins_the_learned_reward_alone():
+    """The batch has the reward of the replay and the weighted novelty; records have the plain."""
+    config = algorithm("sac-lb").config(
+        novelty_bonus=3.0, batch_size=32, hidden=(32, 32), random_steps=100
+    )
+    training = Training(TrainConfig("sac-lb", "Circle2D-1-v0", (0, 1), 300, config, {}, 300))
+    while not training.done:
+        training.run_epoch()
+    learner = training.learner
+    index = np.tile(np.arange(32), (2, 1))
+    plain = learner._replay.gather(index)
+    with_bonus = learner._with_bonus(plain)
+    novelty = learner._novelty.of(plain.next_observation.numpy())
+    np.testing.assert_allclose(with_bonus.reward, plain.reward.numpy() + 3.0 * novelty, rtol=1e-6)
+    assert (plain.reward <= 0).all()
+    assert novelty.max() > 5 * novelty.min() / 4
