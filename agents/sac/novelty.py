@@ -19,9 +19,9 @@ class Novelty:
 
     Random Fourier features φ of norm 1 (Rahimi and Recht 2007) stand for a state: the product of
     those of two states at distance d is about exp(-d² / (2 ℓ²)). With A = I + Σ φ φᵀ over all
-    states that a run has seen, the novelty of a state is √(φᵀ A⁻¹ φ), the bonus of optimism in
-    linear MDPs (Jin et al. 2020) and of E3B (Henaff et al. 2022): about 1 where nothing within ℓ
-    was seen, and 1/√(1 + n) at the only place that was seen, n times.
+    states that a run has seen, the novelty of a state is √(φᵀ A⁻¹ φ), the bonus of LSVI-UCB (Jin et
+    al. 2020), whose square E3B takes within an episode (Henaff et al. 2022): about 1 where nothing
+    within ℓ was seen, and 1/√(1 + n) at the only place that was seen, n times.
     """
 
     def __init__(self, length: float, seeds: Sequence[int], state_size: int) -> None:
