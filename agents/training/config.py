@@ -185,7 +185,7 @@ class TrainConfig:
                     f"that registers it first, {own['algorithm_module']}"
                 )
             known = strict or name in ALGORITHMS
-            config = algorithm(name).config(**values) if known else _plain(values)
+            config = _of(algorithm(name).config, values) if known else _plain(values)
             return cls(hyperparameters=config, **content)
         except _Unregistered:
             raise
@@ -210,6 +210,20 @@ def check_together(configs: dict[Path, TrainConfig]) -> None:
 
 class _Unregistered(UserError):
     """The algorithm of a folder is not registered."""
+
+
+def _of(kind: type, values: dict[str, Any]) -> Any:
+    """Hyper-parameters of a class from those that a folder holds.
+
+    One that it lacks is newer than its runs, and gets the default of the class that introduced it,
+    which leaves training as it was; a subclass may have another default.
+    """
+    missing = {field.name for field in dataclasses.fields(kind)} - values.keys()
+    for base in filter(dataclasses.is_dataclass, kind.__mro__):  # the last is the first to have it
+        defaults = {field.name: field.default for field in dataclasses.fields(base)}
+        found = {name: defaults[name] for name in missing & defaults.keys()}
+        values |= {k: v for k, v in found.items() if v is not dataclasses.MISSING}
+    return kind(**values)
 
 
 def _plain(hyperparameters: dict[str, Any]) -> UnregisteredHyperparameters:

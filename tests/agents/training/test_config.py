@@ -39,6 +39,18 @@ def test_it_is_read_as_it_was_written(tmp_path):
     )
 
 
+def test_hyperparameters_newer_than_the_runs(tmp_path):
+    """They are as the family was before they came, not as SAC-LB-Streak has them now."""
+    TrainConfig("sac-lb-streak", TASK, (0,), 100, preset("sac-lb-streak", TASK)).write(tmp_path)
+    values = json.loads((tmp_path / "config.json").read_text())["hyperparameters"]
+    for name in ("novelty_bonus", "random_share", "streak_weight", "novelty_length"):
+        del values[name]
+    edit(tmp_path, hyperparameters=values)
+    read = TrainConfig.read(tmp_path).hyperparameters
+    off = {"novelty_bonus": 0.0, "random_share": 0.0, "streak_weight": 0.0}
+    assert read == dataclasses.replace(preset("sac-lb-streak", TASK), **off)
+
+
 def test_an_algorithm_that_is_not_registered(tmp_path):
     config().write(tmp_path)
     values = {"cost_limit": 5.0, "hidden": [8, 9], "my_factor": 0.25}
