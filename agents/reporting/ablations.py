@@ -8,7 +8,7 @@ from dataclasses import replace
 from math import isclose
 
 from agents.algorithms import title
-from agents.paper.presets import PAPER_ALGORITHMS, ablations, preset, unprinted
+from agents.paper.presets import MARGIN, PAPER_ALGORITHMS, ablations, preset, unprinted
 from agents.paper.printed import paper_results
 from agents.paper.settings import by_task, title_of, unusual_steps
 from agents.reporting.table import Number, Row, Table, number_of
@@ -39,8 +39,8 @@ PARTS_MEANING = (
     "without-novelty: no bonus for new states (novelty_bonus 0); "
     "without-horizon: returns end at the time limit (time_limit terminal); without-scale: "
     "observations in shares of the arena (input_scale 1); without-speed: step sizes, batch and "
-    "gradient steps of SAC-LB; margin: plain cost and a cost limit of 3.5 instead of 5. Means of "
-    "the runs that the rows tell, without a test"
+    f"gradient steps of SAC-LB; margin: plain cost and a cost limit that is {MARGIN:g} lower. "
+    "Means of the runs that the rows tell, without a test"
 )
 TIES = "Ties split instead of kept"
 TIES_MEANING = (
