@@ -59,7 +59,7 @@ class SACConfig:
     none."""
     novelty_length: float = 2.0
     """Distance over which states count as the same place for the bonus, in the units of the
-    networks' inputs: observations times `input_scale`."""
+    networks' inputs: observations times `input_scale`. Not in the paper."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
