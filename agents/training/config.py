@@ -140,13 +140,10 @@ class TrainConfig:
             json.dumps(content)
         except (TypeError, ValueError, RecursionError) as error:
             raise UserError(f"task_parameters must be plain values: {error}") from None
+        _require_none(folder)
         folder.mkdir(parents=True, exist_ok=True)
         with locked(folder):
-            if (folder / "config.json").exists():
-                raise UserError(
-                    f"{folder} holds runs already: go on with them by 'circle2d resume {folder}', "
-                    "or choose another folder"
-                )
+            _require_none(folder)  # now that no other process can make it
             files: dict[str, bytes | None] = {}
             for seed in self.seeds:
                 run_folder(folder, seed).mkdir(exist_ok=True)
@@ -206,6 +203,14 @@ def check_together(configs: dict[Path, TrainConfig]) -> None:
                     f"folders that train together must have equal settings: {name} is {expected} "
                     f"in {first}, {value} in {folder}"
                 )
+
+
+def _require_none(folder: Path) -> None:
+    if (folder / "config.json").exists():
+        raise UserError(
+            f"{folder} holds runs already: go on with them by 'circle2d resume {folder}', or "
+            "choose another folder"
+        )
 
 
 class _Unregistered(UserError):

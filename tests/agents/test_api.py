@@ -227,6 +227,13 @@ def test_a_folder_with_runs_is_refused(runs):
         agents.resume()
 
 
+def test_a_refusal_leaves_nothing_in_the_folder(tmp_path):
+    shutil.copy(agents.pretrained("trpo-lag", "Circle2D-2-v0") / "config.json", tmp_path)
+    with pytest.raises(agents.UserError, match="holds runs already"):
+        agents.train("cpo", out=tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["config.json"]
+
+
 def test_an_algorithm_and_a_task_from_outside(tmp_path, monkeypatch):
     """Both from modules of the user, without an edit of the package."""
     (tmp_path / "my_algorithm.py").write_text(
