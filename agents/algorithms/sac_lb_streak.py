@@ -48,9 +48,9 @@ class SACLBStreakConfig(SACLBConfig):
     """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0
     the replay keeps these to the end. The paper's SAC-LB: 0."""
     novelty_bonus: float = 1.0
-    """Weight of a bonus on the learned reward for states that the run has seldom reached: about
-    `novelty_bonus / √(1 + n)` after n visits. Records keep the plain reward. The paper's SAC-LB:
-    0."""
+    """Bonus, in units of reward, on the learned reward for reaching states that are new to the run:
+    about `novelty_bonus / √(1 + n)` after n visits. Records keep the plain reward. The paper's
+    SAC-LB: 0."""
     streak_weight: float = 0.25
     """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
     step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. The

@@ -54,9 +54,9 @@ class SACConfig:
     """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0
     the replay keeps these to the end. Not in the paper; 0: none."""
     novelty_bonus: float = 0.0
-    """Weight of a bonus on the learned reward for states that the run has seldom reached: about
-    `novelty_bonus / √(1 + n)` after n visits. Records keep the plain reward. Not in the paper; 0:
-    none."""
+    """Bonus, in units of reward, on the learned reward for reaching states that are new to the run:
+    about `novelty_bonus / √(1 + n)` after n visits. Records keep the plain reward. Not in the
+    paper; 0: none."""
     novelty_length: float = 2.0
     """Distance over which states count as the same place for the bonus, in the units of the
     networks' inputs: observations times `input_scale`. Not in the paper."""

@@ -41,7 +41,7 @@ class Novelty:
         self._inverse = np.linalg.inv(self._seen).astype(np.float32)
 
     def of(self, states: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Novelty of states [R, B, ...], in (0, 1]: [R, B]. What lies behind a state's numbers, as
+        """Novelty of states [R, B, ...], in [0, 1]: [R, B]. What lies behind a state's numbers, as
         the streak for the critics, does not count."""
         features = self._features(states)
         square = ((features @ self._inverse) * features).sum(axis=-1)
