@@ -1,43 +1,47 @@
-"""Draw the README's figure, cost rate against EMCC a dot for each run, from a report's numbers.
+"""Draw the README's figure, cost rate against EMCC a dot for each run, from reports' numbers.
 
-python docs/_ext/readme_figure.py [REPORT.csv [PICTURE.png]]
+python docs/_ext/readme_figure.py
 """
 
 from __future__ import annotations
 
 import csv
-import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 
-ROOT = Path(__file__).parents[2]
-REPORT = ROOT / "results" / "circle2d" / "report.csv"
-PICTURE = ROOT / "results" / "pictures" / "cost-rate-emcc.png"
-MARKS = "osD^v<>P*X"
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's, for readers with colour deficiencies."""
+from agents.algorithms import ALGORITHMS
+from agents.reporting.style import COLOURS, MARKERS
+
+RESULTS = Path(__file__).parents[2] / "results"
+REPORTS = tuple(RESULTS / grid / "report.csv" for grid in ("circle2d", "solve"))
+PICTURE = RESULTS / "pictures" / "cost-rate-emcc.png"
 
 
-def runs(path: Path) -> dict[str, list[tuple[float, float]]]:
+def runs(paths: Sequence[Path]) -> dict[str, list[tuple[float, float]]]:
     """Cost rate and EMCC of the last third for each run of the presets, by algorithm."""
     found: dict[str, list[tuple[float, float]]] = {}
-    with path.open(encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            if row["seed"] and "(" not in row["algorithm"]:
-                point = float(row["cost_rate"]), float(row["EMCC_0.99"])
-                found.setdefault(row["algorithm"], []).append(point)
+    for path in paths:
+        with path.open(encoding="utf-8") as file:
+            for row in csv.DictReader(file):
+                if row["seed"] and "(" not in row["algorithm"]:
+                    point = float(row["cost_rate"]), float(row["EMCC_0.99"])
+                    found.setdefault(row["algorithm"], []).append(point)
     return found
 
 
-def draw(path: Path, picture: Path) -> None:
-    """Write the figure."""
+def draw(paths: Sequence[Path], picture: Path) -> None:
+    """Write the figure, in the colours and markers of reports."""
+    order = [algorithm.title for algorithm in ALGORITHMS.values()]
     figure, axes = plt.subplots(figsize=(7, 3.6))
-    for k, (name, points) in enumerate(runs(path).items()):
+    found = runs(paths)
+    for name in sorted(found, key=order.index):
+        place = order.index(name)
         axes.plot(
-            *zip(*points, strict=True),
-            MARKS[k % len(MARKS)],
-            color=COLOURS[k % len(COLOURS)],
+            *zip(*found[name], strict=True),
+            MARKERS[place % len(MARKERS)],
+            color=COLOURS[place % len(COLOURS)],
             markersize=6,
             alpha=0.8,
             markeredgewidth=0,
@@ -51,5 +55,4 @@ def draw(path: Path, picture: Path) -> None:
 
 
 if __name__ == "__main__":
-    given = [Path(argument) for argument in sys.argv[1:]]
-    draw(*given, *(REPORT, PICTURE)[len(given) :])
+    draw(REPORTS, PICTURE)
