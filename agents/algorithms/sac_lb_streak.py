@@ -4,14 +4,14 @@ SAC-LB as in the paper's grid stays in the local optima of levels 2 and 3, and i
 Streak cost makes EMCC an objective: a long violation costs more than many short ones, and the
 critics see how long one has lasted. The other changes are for exploration. A bonus for states that
 a run has seldom seen (see `agents.sac.novelty`) leads it along the rim of the region, where the
-reward is flat, while the barrier keeps it from the region. Brown random actions
-show the critics the region's far side, and a quarter of each batch keeps showing it (as prior data
-in RLPD, Ball et al. 2023). Returns go on behind the time limit, which the observation does not
-tell: as terminal it would pay to wait where episodes end (Pardo et al. 2018); costs end there,
-since the limit is an episode's. The networks learn faster, and the temperature falls slower, so
-that the critics know the way before the policy gets sure. On Circle2D the preset scales positions
-back to units of length, in which a small tanh network can tell the corridor from what is beside it.
-Source of the barrier: Zhang et al. 2024 (see `sac_lb`). `results/solve/README.md` has the trials.
+reward is flat, while the barrier keeps it from the region. Brown random actions show the critics
+the region's far side, and a quarter of each batch keeps showing it (as prior data in RLPD, Ball et
+al. 2023). Returns go on behind the time limit, which the observation does not tell: as terminal it
+would pay to wait where episodes end (Pardo et al. 2018); costs end there, since the limit is an
+episode's. The networks learn faster, and the temperature falls slower, so that the critics know the
+way before the policy gets sure. On Circle2D the preset scales positions back to units of length, in
+which a small tanh network can tell the corridor from what is beside it. Source of the barrier:
+Zhang et al. 2024 (see `sac_lb`). `results/solve/README.md` has the trials.
 """
 
 from __future__ import annotations

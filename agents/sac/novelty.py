@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from agents.lockstep import tree
@@ -38,7 +39,7 @@ class Novelty:
         for run, steps in enumerate(length):
             features = self._features(states[:steps, run], run).astype(np.float64)
             self._seen[run] += features.T @ features
-        self._inverse = np.linalg.inv(self._seen).astype(np.float32)
+        self._inverse = _inverses(self._seen)
 
     def of(self, states: NDArray[np.float32]) -> NDArray[np.float32]:
         """Novelty of states [R, B, ...], in [0, 1]: [R, B]. What lies behind a state's numbers, as
@@ -62,4 +63,10 @@ class Novelty:
         """Load a state. ValueError or KeyError for anything else."""
         seen = self._seen[runs]
         self._seen[runs] = tree.expect("seen", state, seen.shape, np.float64)
-        self._inverse[runs] = np.linalg.inv(self._seen[runs])
+        self._inverse[runs] = _inverses(self._seen[runs])
+
+
+def _inverses(matrices: NDArray[np.float64]) -> NDArray[np.float32]:
+    """By torch, which `configure` keeps to one thread: the last bits of numpy's depend on how many
+    threads there are."""
+    return torch.linalg.inv(torch.from_numpy(matrices)).numpy().astype(np.float32)

@@ -1,5 +1,9 @@
 """The novelty of states against counts by hand and against plain linear algebra."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -92,6 +96,32 @@ def test_runs_draw_their_own_features_and_keep_them():
     alone, beside = Novelty(1.0, [4], 2), Novelty(1.0, [3, 4], 2)
     np.testing.assert_array_equal(alone._frequencies[0], beside._frequencies[1])
     assert (beside._frequencies[0] != beside._frequencies[1]).any()
+
+
+COUNTING = """
+import hashlib
+import numpy as np
+from agents.lockstep import backend
+from agents.sac.novelty import Novelty
+backend.configure()
+novelty, rng, digest = Novelty(2.0, range(10), 2), np.random.default_rng(0), hashlib.sha256()
+for _ in range(60):
+    states = 5 * rng.normal(size=(50, 10, 2)).astype(np.float32)
+    novelty.add(states, np.full(10, 50))
+    digest.update(novelty._inverse.tobytes())
+print(digest.hexdigest())
+"""
+
+
+def test_the_number_of_threads_does_not_matter():
+    """Bit for bit, as of all training; numpy's inverse of such matrices does depend on it."""
+    found = set()
+    for threads in ("1", "2"):
+        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+        environment = os.environ | dict.fromkeys(names, threads)
+        command = [sys.executable, "-c", COUNTING]
+        found.add(subprocess.run(command, env=environment, capture_output=True, check=True).stdout)
+    assert len(found) == 1
 
 
 def test_the_bonus_joins_the_learned_reward_alone():
