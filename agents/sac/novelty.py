@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from agents.lockstep import tree
-from agents.lockstep.noise import Purpose, stream
+from agents.lockstep.noise import Purpose, streams
 
 FEATURES = 128
 """Features of a state. More tell more places apart."""
@@ -27,9 +27,8 @@ class Novelty:
 
     def __init__(self, length: float, seeds: Sequence[int], state_size: int) -> None:
         """length: ℓ, in the units of the states; seeds: of the runs, [R]."""
-        self._size = state_size
         shape = (state_size, FEATURES // 2)
-        drawn = [stream(s, Purpose.NOVELTY).standard_normal(shape) for s in seeds]
+        drawn = [rng.standard_normal(shape) for rng in streams(seeds, Purpose.NOVELTY, 0)]
         self._frequencies = (np.stack(drawn) / length).astype(np.float32)
         self._seen = np.tile(np.eye(FEATURES), (len(seeds), 1, 1))
         self._inverse = self._seen.astype(np.float32)
@@ -51,7 +50,8 @@ class Novelty:
     def _features(
         self, states: NDArray[np.float32], run: int | slice = tree.ALL
     ) -> NDArray[np.float32]:
-        angle = states[..., : self._size] @ self._frequencies[run]
+        frequencies = self._frequencies[run]
+        angle = states[..., : frequencies.shape[-2]] @ frequencies
         scale = np.float32(np.sqrt(2.0 / FEATURES))
         return scale * np.concatenate([np.cos(angle), np.sin(angle)], axis=-1)
 

@@ -89,7 +89,7 @@ class Offscreen:
         self._rectangle = mujoco.MjrRect(0, 0, size, size)
         self._picture = np.empty((size, size, 3), dtype=np.uint8)
         self._free = weakref.finalize(self, _free, context, self._mjr)
-        # At exit too, but before MuJoCo lets go of EGL, as it registered just now: finalizers
+        # At exit too, but before MuJoCo releases EGL, as it registered just now: finalizers
         # all run when the first of them was made, perhaps by another package long before.
         self._free.atexit = False
         atexit.register(self._free)
