@@ -81,6 +81,17 @@ def check(
             raise UserError(f"{name} must be {rule}, got {value!r}")
 
 
+def check_scale(config: Any) -> None:
+    """Refuse an `input_scale` that is neither a number from 1e-6 to 1e6 nor a tuple of them."""
+    value = config.input_scale
+    factors = value if isinstance(value, tuple) else (value,)
+    if not all(_is_finite(factor) and 1e-6 <= factor <= 1e6 for factor in factors) or not factors:
+        raise UserError(
+            "input_scale must be a number from 1e-06 to 1e+06, or one for each number of an "
+            f"observation, got {value!r}"
+        )
+
+
 def _is_finite(value: Any) -> bool:
     """Whether a value is a real number that a float can hold."""
     try:

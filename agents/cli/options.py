@@ -183,6 +183,10 @@ _OURS = (
         r"(--[\w-]+): Could not find valid parse for arguments: \['?(.*?)'?\]",
         r"\1 takes numbers with spaces between them, got '\2'",
     ),
+    (
+        r"(--[\w-]+): no type matching [^\[]*\[.* could be instantiated from \[(.*?)\]\..*",
+        r"\1 takes numbers with spaces between them, got \2",
+    ),
     (r"Unrecognized options: ([^,]*).*", r"{command} takes no argument '\1'"),
 )
 """Messages of tyro, and the same in words of our own."""

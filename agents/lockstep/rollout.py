@@ -45,7 +45,7 @@ class Rollout(NamedTuple):
         """The rollout as an algorithm learns from it: observations times `config.input_scale`; with
         a `config.streak_weight`, costs that grow along a streak, and behind the observations the
         streak so far, in steps, for the critics: see `critic_inputs`."""
-        scale = np.float32(config.input_scale)
+        scale = input_scale(config)
         scaled = self._replace(
             observation=self.observation * scale, next_observation=self.next_observation * scale
         )
@@ -89,6 +89,11 @@ class Rollout(NamedTuple):
     def final_observation(self) -> NDArray[np.float32]:
         """Last observation of each episode, [N, observation size]."""
         return self.next_observation[self.length - 1, np.arange(len(self.length))]
+
+
+def input_scale(config: Any) -> NDArray[np.float32]:
+    """Factors on observations: [] for all of their numbers, or [observation size]."""
+    return np.asarray(config.input_scale, np.float32)
 
 
 def streak_weight(config: Any) -> float:

@@ -16,7 +16,7 @@ from agents.lockstep.backend import array, tensor
 from agents.lockstep.lagrange import MultiplierForm, follow
 from agents.lockstep.modules import mlp
 from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams
-from agents.lockstep.rollout import Act, Policy, Rollout
+from agents.lockstep.rollout import Act, Policy, Rollout, input_scale
 from agents.on_policy import critics
 from agents.on_policy.packing import Packing, blocks, minibatches
 from agents.on_policy.returns import advantages
@@ -59,7 +59,7 @@ class OnPolicy(ABC):
 
     def policy(self, runs: slice = tree.ALL) -> Policy:
         """The policy of some runs as it stands now."""
-        params, scale = array(self._state.actor[runs]), np.float32(self.config.input_scale)
+        params, scale = array(self._state.actor[runs]), input_scale(self.config)
         return lambda observation, noise: self.nets.actor.act(params, scale * observation, noise)
 
     def module(self, run: int) -> nn.Module:
@@ -67,7 +67,7 @@ class OnPolicy(ABC):
         net = self.nets.actor.net
         params = array(self._state.actor)[run : run + 1, : net.size]
         first, *others = (layer[0] for layer in net.layers(params))
-        return mlp([np.float32(self.config.input_scale) * first, *others])
+        return mlp([input_scale(self.config)[..., None] * first, *others])
 
     def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
         """Actions of the runs in an epoch: the policy's, with its noise."""

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from torch import Tensor
 
-from agents.errors import check, check_choice, check_integers
+from agents.errors import check, check_choice, check_integers, check_scale
 from agents.lockstep import lagrange
 from agents.lockstep.adam import Moments, no_moments
 from agents.lockstep.backend import tensor
@@ -39,9 +39,10 @@ class OnPolicyConfig:
     """Passes of the critics over an epoch's steps. Paper: 10."""
     hidden: tuple[int, ...] = (64, 64)
     """Sizes of the hidden layers of actor and critics (tanh); multiples of 32. Paper: 64, 64."""
-    input_scale: float = 1.0
-    """Factor on observations before the networks. Small tanh networks are smooth: observations in
-    [-1, 1] whose details matter want a larger one. Not in the paper; 1 leaves them as they are."""
+    input_scale: float | tuple[float, ...] = 1.0
+    """Factor on observations before the networks, or one for each number of an observation. Small
+    tanh networks are smooth: observations in [-1, 1] whose details matter want a larger one. Not in
+    the paper; 1 leaves them as they are."""
     initial_log_std: float = 0.0
     """Initial logarithm of the policy's standard deviation. Not printed in the paper; 0 as in
     Stable-Baselines3."""
@@ -53,7 +54,7 @@ class OnPolicyConfig:
         check_integers(self, "episodes", "critic_iterations", low=1, high=10_000)
         check(self, "discount", "gae_lambda", low=0, high=1)
         check(self, "learning_rate", above=0, high=1)
-        check(self, "input_scale", low=1e-6, high=1e6)
+        check_scale(self)
         check(self, "initial_log_std", low=-20, high=20)
         check_lanes(self)
         check_choice(self, "time_limit", "bootstrap", "terminal")

@@ -23,10 +23,6 @@ PAPER_SEEDS = 3
 """Runs of an algorithm on a task. Tables Circle2DResults and SafetyGymnasiumResults, captions."""
 
 
-ARENA = Circle2DConfig().arena
-"""Factor that turns Circle2D's observations, in [-1, 1], back into its units of length: 15."""
-
-
 def registered_id(task: str) -> str:
     """The id of a task: "module:id" names the one that "id" does."""
     return task.rpartition(":")[2]
@@ -37,11 +33,20 @@ def is_circle2d(task: str) -> bool:
     return registered_id(task) in CIRCLE2D
 
 
+def length_scale(task: str) -> float | tuple[float, ...]:
+    """`input_scale` that turns the observations of a Circle2D task back into units of length, 15;
+    with physics its velocities into such units a step, 1.1."""
+    config = Circle2DConfig()
+    if registered_id(task) in KINEMATIC.values():
+        return config.arena
+    return (config.arena, config.arena, config.full_step, config.full_step)
+
+
 def preset(name: str, task: str) -> Any:
     """The hyper-parameters of an algorithm for a task: on the paper's tasks the paper's.
 
     An algorithm that the paper does not have gets those of its family; SAC-LB-Streak, which is made
-    for Circle2D, sees positions there in units of length. For any other task the
+    for Circle2D, sees its observations there in units of length. For any other task the
     defaults of the algorithm's config. Raises UserError for an unknown algorithm.
     """
     config = algorithm(name).config()
@@ -50,7 +55,7 @@ def preset(name: str, task: str) -> Any:
         # Table Circle2DResults, caption; for the time limit see `unprinted`: on-policy bootstraps.
         limit = {"cost_limit": 5.0} if hasattr(config, "cost_limit") else {}
         if name == "sac-lb-streak":
-            others = {"input_scale": ARENA}
+            others = {"input_scale": length_scale(task)}
         else:
             others = {"time_limit": "terminal"} if _is_off_policy(name) else {}
         config = replace(config, **limit, **others)
@@ -141,13 +146,13 @@ def ablations(name: str, task: str) -> dict[str, Any]:
         return _without_parts(task) if is_circle2d(task) else {}
     config, setting = preset(name, task), unprinted(name)
     units = is_circle2d(task) and name in PAPER_ALGORITHMS
-    found = {"units": replace(config, input_scale=ARENA)} if units else {}
+    found = {"units": replace(config, input_scale=length_scale(task))} if units else {}
     if setting is None:
         return found
     (other,) = set(setting.choices) - {getattr(config, setting.field)}
     found[other] = replace(config, **{setting.field: other})
     if units and setting is TIME_LIMIT:
-        found[f"{other}-units"] = replace(found[other], input_scale=ARENA)
+        found[f"{other}-units"] = replace(found[other], input_scale=length_scale(task))
     return found | ({"library": replace(config, **LIBRARY)} if name == "wcsac" else {})
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from agents.errors import UserError, check, check_choice, check_integers
+from agents.errors import UserError, check, check_choice, check_integers, check_scale
 from agents.lockstep.nets import check_lanes
 
 TimeLimit = Literal["bootstrap", "terminal", "terminal_cost"]
@@ -41,9 +41,10 @@ class SACConfig:
     Safety-Gymnasium."""
     hidden: tuple[int, ...] = (64, 64)
     """Sizes of the hidden layers of actor and critics (tanh); multiples of 32. Paper: 64, 64."""
-    input_scale: float = 1.0
-    """Factor on observations before the networks. Small tanh networks are smooth: observations in
-    [-1, 1] whose details matter want a larger one. Not in the paper; 1 leaves them as they are."""
+    input_scale: float | tuple[float, ...] = 1.0
+    """Factor on observations before the networks, or one for each number of an observation. Small
+    tanh networks are smooth: observations in [-1, 1] whose details matter want a larger one. Not in
+    the paper; 1 leaves them as they are."""
     target_rate: float = 0.005
     """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
     al."""
@@ -71,8 +72,9 @@ class SACConfig:
         check(self, "learning_rate", "temperature_lr", above=0, high=1)
         check(self, "random_exponent", low=0, high=4)
         check(self, "random_share", low=0, high=1)
-        check(self, "input_scale", "novelty_length", low=1e-6, high=1e6)
+        check(self, "novelty_length", low=1e-6, high=1e6)
         check(self, "novelty_bonus", low=0, high=1e6)
+        check_scale(self)
         check_lanes(self)
         check_choice(self, "time_limit", *get_args(TimeLimit))
         if self.random_share and not 0 < self.random_steps < self.replay_size:

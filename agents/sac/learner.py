@@ -24,7 +24,7 @@ from agents.lockstep.noise import (
     uniform,
 )
 from agents.lockstep.replay import Batch, Replay
-from agents.lockstep.rollout import Act, Policy, Rollout, critic_inputs
+from agents.lockstep.rollout import Act, Policy, Rollout, critic_inputs, input_scale
 from agents.sac import squashed_gaussian
 from agents.sac import update as sac
 from agents.sac.novelty import Novelty
@@ -70,7 +70,7 @@ class OffPolicy:
     def policy(self, runs: slice = tree.ALL) -> Policy:
         """The policy of some runs as it stands now."""
         layers = self.nets.actor.layers(array(self._state.actor[runs]))
-        scale = np.float32(self.config.input_scale)
+        scale = input_scale(self.config)
         return lambda observation, noise: squashed_gaussian.act(
             forward_numpy(layers, scale * observation), noise
         )
@@ -79,7 +79,7 @@ class OffPolicy:
         """The deterministic policy of a run in PyTorch: observations -> actions in [-1, 1]."""
         layers = [layer[run] for layer in self.nets.actor.layers(array(self._state.actor))]
         layers[-2:] = [layer[..., : self.action_size] for layer in layers[-2:]]  # of the mean
-        layers[0] = np.float32(self.config.input_scale) * layers[0]
+        layers[0] = input_scale(self.config)[..., None] * layers[0]
         return nn.Sequential(*mlp(layers), nn.Tanh())
 
     def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:

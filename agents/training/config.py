@@ -132,6 +132,7 @@ class TrainConfig:
         content["algorithm_module"] = type(self.hyperparameters).__module__
         spaces = spaces_of(self.task, self.task_parameters)
         check_memory(self.hyperparameters, len(self.seeds), spaces.sizes)
+        self._check_scale(spaces.observation_size)
         content["spaces"] = spaces._asdict()
         for name in ("evaluate_every", "step_timeout"):
             if content[name] is None:
@@ -150,6 +151,14 @@ class TrainConfig:
                 of_run = {"seed": seed} | {k: v for k, v in content.items() if k != "seeds"}
                 files[f"{run_folder(folder, seed).name}/config.json"] = json_bytes(of_run)
             write_files(folder, files | {"config.json": json_bytes(content)})
+
+    def _check_scale(self, observation_size: int) -> None:
+        scale = getattr(self.hyperparameters, "input_scale", 1.0)
+        if isinstance(scale, tuple) and len(scale) != observation_size:
+            raise UserError(
+                f"input_scale must be one number, or {observation_size}, as an observation of "
+                f"{self.task} has, got {scale}"
+            )
 
     @classmethod
     def read(cls, folder: Path, strict: bool = True) -> TrainConfig:

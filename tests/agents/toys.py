@@ -42,7 +42,7 @@ class Walk(gym.Env):
     action_space = Box(-2.0, 2.0, (1,))
 
     def __init__(self, poison=0.0, poisons="reward", scale=1.0):
-        """scale: factor on observations."""
+        """scale: factor on observations, or one for each of their two numbers."""
         self.poison, self.poisons, self.scale = poison, poisons, scale
 
     def reset(self, *, seed=None, options=None):
@@ -51,7 +51,7 @@ class Walk(gym.Env):
         return self.observation(), {}
 
     def observation(self):
-        return self.scale * np.array([self.x, self.t / 40])
+        return np.asarray(self.scale) * np.array([self.x, self.t / 40])
 
     def step(self, action):
         assert self.action_space.contains(np.asarray(action, np.float32)), action

@@ -30,6 +30,10 @@ def folder(tmp_path_factory):
             ["train", "--algorithm", "cpo", "--out", "{tmp}/x", "--seeds", "0-9"],
             "--seeds takes numbers with spaces between them, got '0-9'\n",
         ),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--input-scale", "15", "15,1.1"],
+            "--input-scale takes numbers with spaces between them, got '15', '15,1.1'\n",
+        ),
         ([*TRAIN, "--out", "{tmp}/x", "-s", "3"], "train takes no argument '-s'\n"),
         ([*TRAIN, "--out", "{folder}/config.json"], "be a folder, but '.*config.json' is a file\n"),
         ([*TRAIN, "--out", "{folder}/config.json/x"], "but '.*config.json' is a file\n"),

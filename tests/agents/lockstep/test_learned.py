@@ -68,11 +68,13 @@ def test_the_critics_alone_see_the_streak(name):
     assert actors[0].shape == actors[1].shape
 
 
+@pytest.mark.parametrize("scale", [16.0, (16.0, 0.5)])
 @pytest.mark.parametrize("name", FAMILIES)
-def test_the_scale_is_that_of_observations(name):
-    """A scale in the networks is, bit for bit, one in the task: 16 only moves the exponent."""
-    inside = trained(name, {"input_scale": 16.0})
-    outside = trained(name, {}, scale=16.0)
+def test_the_scale_is_that_of_observations(name, scale):
+    """A scale in the networks is, bit for bit, one in the task: a power of two only moves the
+    exponent."""
+    inside = trained(name, {"input_scale": scale})
+    outside = trained(name, {}, scale=scale)
     expected = outside.learner.state_dict()
     for key, value in inside.learner.state_dict().items():
         np.testing.assert_array_equal(value, expected[key], err_msg=key)
@@ -95,7 +97,8 @@ def test_records_keep_the_plain_cost(name):
 @pytest.mark.parametrize("name", FAMILIES)
 def test_a_policy_takes_observations_as_the_task_gives_them(name, tmp_path):
     keywords = {k: v for k, v in SMALL.items() if hasattr(algorithm(name).config(), k)}
-    agents.train(name, "Walk-v0", seeds=[0], steps=300, out=tmp_path, input_scale=7.0, **keywords)
+    keywords |= {"input_scale": [7.0, 0.3]}
+    agents.train(name, "Walk-v0", seeds=[0], steps=300, out=tmp_path, **keywords)
     policy = agents.load_policy(tmp_path)
     observations = np.random.default_rng(0).normal(size=(50, 2)).astype(np.float32)
     module = policy.to_torch()
@@ -105,8 +108,22 @@ def test_a_policy_takes_observations_as_the_task_gives_them(name, tmp_path):
     assert np.ptp(found) > 0
 
 
+def test_a_scale_for_each_number_needs_as_many(tmp_path):
+    message = r"one number, or 2, as an observation of Walk-v0 has, got \(1.0, 2.0, 3.0\)"
+    with pytest.raises(agents.UserError, match=message):
+        agents.train("cpo", "Walk-v0", seeds=[0], out=tmp_path, input_scale=[1.0, 2.0, 3.0])
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
-    ("field", "value"), [("input_scale", 0.0), ("input_scale", 1e7), ("streak_weight", -0.5)]
+    ("field", "value"),
+    [
+        ("input_scale", 0.0),
+        ("input_scale", 1e7),
+        ("input_scale", (1.0, -1.0)),
+        ("input_scale", ()),
+        ("streak_weight", -0.5),
+    ],
 )
 def test_values_that_cannot_be(field, value):
     for name in FAMILIES:
