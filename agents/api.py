@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import difflib
 import functools
 import inspect
 import operator
@@ -32,7 +31,7 @@ from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar
 
 from agents.algorithms import Algorithm, register
-from agents.errors import UserError
+from agents.errors import UserError, nearest
 from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.compiling import cannot_compile, compiling_is_off
 from agents.paper.presets import preset
@@ -173,11 +172,14 @@ def sweep(
     """
     task = task_id(task)
     check_task(task, {})
+    chosen = choose_backend(backend)
+    lockstep_backend.require(chosen == "compiled", device)
     configs = {}
     for name, values in sweep_configs(grid).items():
         own = _hyperparameters(algorithm, task, hyperparameters | values)
-        config = TrainConfig(algorithm, task, _seeds(seeds), steps, own, device=device)
-        configs[Path(out) / name] = dataclasses.replace(config, backend=choose_backend(backend))
+        configs[Path(out) / name] = TrainConfig(
+            algorithm, task, _seeds(seeds), steps, own, backend=chosen, device=device
+        )
     train_groups(configs, engine, workers, address)
     return Runs(list(configs))
 
@@ -287,8 +289,7 @@ def _hyperparameters(algorithm: str, task: str, given: dict[str, Any]) -> Any:
     for name in given:
         if name not in names:
             options = inspect.signature(train).parameters
-            near = difflib.get_close_matches(name, [*names, *options], n=1)
-            hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(names)}"
+            hint = nearest(name, [*names, *options], f"it has {', '.join(names)}")
             raise UserError(f"{algorithm} has no hyper-parameter {name!r}: {hint}")
     values = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
     return dataclasses.replace(config, **values)

@@ -19,12 +19,22 @@ BUILT_IN = (
 """Each a module of this package that defines `ALGORITHM`. The last two know no constraint."""
 
 
+RESERVED = (
+    *("algorithm", "task", "seeds", "steps", "out", "task_parameters", "checkpoint_every"),
+    *("evaluate_every", "vectorization", "step_timeout", "backend", "device", "tensorboard"),
+    *("on_epoch", "progress", "engine", "address", "grid", "workers", "imports"),
+)
+"""Parameters of `agents.train` and `agents.sweep` and options of `circle2d train`, which no
+hyper-parameter can be named like."""
+
+
 class Algorithm(NamedTuple):
     """An algorithm: its title in tables, its hyper-parameters, its rule and its family."""
 
     title: str
     config: type
-    """A frozen dataclass in which every hyper-parameter has a default, and a text below it."""
+    """A frozen dataclass in which every hyper-parameter has a default, a text below it, and a name
+    that is not `RESERVED`."""
     rule: Any
     """The part that the algorithm adds to its family, which receives it."""
     family: Callable[..., Learner]
@@ -61,8 +71,9 @@ ALGORITHMS: Mapping[str, Algorithm] = _algorithms
 def register(name: str, algorithm: Algorithm) -> None:
     """Make an algorithm of one's own known under a name, for training, command line and reports.
 
-    Raises UserError where the name is taken or cannot name a folder, and TypeError where
-    `algorithm` is no `Algorithm` or its config no frozen dataclass with a default for every field.
+    Raises UserError where the name is taken or cannot name a folder, or a hyper-parameter has the
+    name of an option, and TypeError where `algorithm` is no `Algorithm` or its config no frozen
+    dataclass with a default for every field.
     """
     words = name.split("-") if isinstance(name, str) else [""]
     if not all(word.isascii() and word.isalnum() and word == word.lower() for word in words):
@@ -79,6 +90,11 @@ def register(name: str, algorithm: Algorithm) -> None:
     for field in dataclasses.fields(config):
         if field.default is missing and field.default_factory is missing:
             raise TypeError(f"{config.__name__}.{field.name} of {name!r} needs a default")
+        if field.name in RESERVED:
+            raise UserError(
+                f"{config.__name__}.{field.name} of {name!r} is named like an option of training: "
+                "choose another name"
+            )
     if not callable(algorithm.family):
         raise TypeError(f"the family of {name!r} must make a Learner, got {algorithm.family!r}")
     _algorithms.registered[name] = algorithm

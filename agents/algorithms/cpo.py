@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from agents.algorithms import Algorithm
+from agents.algorithms.ppo import advantage  # of reward alone: costs enter as a constraint
 from agents.trust_region.learner import TrustRegion
 from agents.trust_region.natural_gradient import Problem, Step, dot
 from agents.trust_region.policy_step import StepRule, TRPOConfig
@@ -25,13 +26,6 @@ reaches back; it is broken and the trust region does not."""
 @dataclass(frozen=True)
 class CPOConfig(TRPOConfig):
     """Hyper-parameters of CPO."""
-
-
-def objective(
-    config: CPOConfig, reward_advantage: Tensor, cost_advantage: Tensor, multiplier: Tensor
-) -> Tensor:
-    """`A_r`: costs enter as a constraint."""
-    return reward_advantage
 
 
 def step(config: CPOConfig, problem: Problem) -> Step:
@@ -79,5 +73,5 @@ def on_limit(problem: Problem, natural: Tensor, natural_b: Tensor, b: Tensor, s:
     return room * problem.to_boundary(across) - c / s * natural_b
 
 
-RULE = StepRule(objective, step, has_cases=True)
+RULE = StepRule(advantage, step, has_cases=True)
 ALGORITHM = Algorithm("CPO", CPOConfig, RULE, TrustRegion)

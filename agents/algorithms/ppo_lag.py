@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from agents.algorithms import Algorithm
-from agents.algorithms.trpo_lag import objective
+from agents.algorithms.trpo_lag import advantage
 from agents.errors import check
 from agents.first_order import FirstOrder, Objective, PPOConfig
 from agents.lockstep.lagrange import PROJECTED, MultiplierConfig
@@ -35,5 +35,5 @@ class PPOLagConfig(MultiplierConfig, EpisodeCostLimit, PPOConfig):
         check(self, "initial_multiplier", low=0)
 
 
-RULE = Objective(objective, PROJECTED)
+RULE = Objective(advantage, PROJECTED)
 ALGORITHM = Algorithm("PPO-Lag", PPOLagConfig, RULE, FirstOrder)

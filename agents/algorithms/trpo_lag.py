@@ -39,7 +39,7 @@ class TRPOLagConfig(MultiplierConfig, TRPOConfig):
         check(self, "initial_multiplier", low=0)
 
 
-def objective(
+def advantage(
     config: TRPOLagConfig, reward_advantage: Tensor, cost_advantage: Tensor, multiplier: Tensor
 ) -> Tensor:
     """`(A_r - λ A_c) / (1 + λ)`: the divisor keeps its scale as λ grows."""
@@ -57,5 +57,5 @@ def step(config: TRPOLagConfig, problem: Problem) -> Step:
     )
 
 
-RULE = StepRule(objective, step, PROJECTED)
+RULE = StepRule(advantage, step, PROJECTED)
 ALGORITHM = Algorithm("TRPO-Lag", TRPOLagConfig, RULE, TrustRegion)

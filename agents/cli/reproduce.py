@@ -29,7 +29,7 @@ from agents.training.files import locked
 from agents.training.machine import other_session
 from agents.training.progress import working
 from agents.training.status import duration, share_done, speed
-from agents.training.workers import MOST_WORKERS, Group, cores
+from agents.training.workers import MOST_WORKERS, Group
 from circle2d_mj.circle2d.config import LEVELS
 
 
@@ -66,8 +66,9 @@ class ReproduceOptions:
     with, and eager with quick, which is over before anything is compiled."""
     device: Device = "cpu"
     """Where updates run: cuda on a GPU."""
-    workers: int = cores()
-    """Processes, of one thread each; by default one for each core that this process may use."""
+    workers: int | None = None
+    """Processes, of one thread each, or tasks of Ray at a time; by default one for each core that
+    this process may use, or that the Ray cluster has."""
     engine: EngineName = "local"
     """local: processes of this machine. ray: tasks of a Ray cluster, of one core each (and one GPU
     with --device cuda); needs the extra [ray]."""
@@ -89,14 +90,13 @@ def run(args: Sequence[str]) -> int:
     check_folder(options.out)
     if not options.algorithms:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
-    if not 1 <= options.workers <= MOST_WORKERS:
+    if options.workers is not None and not 1 <= options.workers <= MOST_WORKERS:
         raise UserError(f"workers must be in [1, {MOST_WORKERS}], got {options.workers}")
     configs = _configs(options)
     if options.shard is not None:
         configs = grid.shard(configs, *_shard(options.shard))
-    count = options.workers if options.engine == "local" else None
     # The engine first: one that refuses leaves no folder behind.
-    with engine(options.engine, count, options.address, options.device) as ready:
+    with engine(options.engine, options.workers, options.address, options.device) as ready:
         failed = _train_in(configs, options, ready)
     for folder, message in failed.items():
         print(f"circle2d: {one_line(folder)} failed: {one_line(message)}", file=sys.stderr)
@@ -143,7 +143,7 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
         check_enough_steps(config.task, {}, config.steps, config.hyperparameters)
     usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
     backend = api.choose_backend(options.backend or usual)
-    require(False, options.device)
+    require(backend == "compiled", options.device)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}
 
 

@@ -100,7 +100,11 @@ def prepare(folders: dict[Path, TrainConfig]) -> None:
     there = [folder for folder in folders if (folder / "config.json").exists()]
     for folder in there:
         theirs, ours = TrainConfig.read(folder).settings, folders[folder].settings
-        changed = [f"{k} {theirs[k]} (now {ours[k]})" for k in ours if theirs.get(k) != ours[k]]
+        changed = [
+            f"{k} {theirs.get(k, 'absent')} (now {ours.get(k, 'absent')})"
+            for k in theirs | ours
+            if theirs.get(k) != ours.get(k)
+        ]
         if changed:
             raise UserError(
                 f"{folder} holds runs with other settings: {', '.join(changed)}; choose another "

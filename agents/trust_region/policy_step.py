@@ -58,7 +58,7 @@ class TRPOConfig(EpisodeCostLimit, OnPolicyConfig):
 class StepRule(NamedTuple):
     """How an algorithm of the family treats costs. Every function takes its config first."""
 
-    objective: Callable[[Any, Tensor, Tensor, Tensor], Tensor]
+    advantage: Callable[[Any, Tensor, Tensor, Tensor], Tensor]
     """(config, reward advantages [R, B], cost advantages [R, B], multiplier [R, 1]) -> [R, B]: the
     advantages that the policy's step raises. The multiplier is 0 where the rule has none."""
     step: Callable[[Any, Problem], Step]
@@ -106,8 +106,8 @@ def policy_step(
     """The policy after the rule's step and its line search -> [R, actor size], records [R]."""
     old = state.actor
     multiplier = lagrange.value(rule.multiplier_form, state.multiplier, len(old))
-    objective = rule.objective(config, epoch.reward_advantage, epoch.cost_advantage, multiplier)
-    steps = blocks_of(nets, old, epoch, objective)
+    advantage = rule.advantage(config, epoch.reward_advantage, epoch.cost_advantage, multiplier)
+    steps = blocks_of(nets, old, epoch, advantage)
 
     def gradient(of: int) -> Tensor:
         return sum(

@@ -14,6 +14,12 @@ from circle2d_mj.circle2d.start import Rectangle, StartArea
 
 LEVELS = (0, 1, 2, 3)
 _STEP = 0.11
+_SWITCHES = (
+    "infeasible_region_penetratable",
+    "reset_on_cost",
+    "allow_infeasible_init",
+    "sparse_reward",
+)
 
 
 @dataclass(frozen=True)
@@ -62,10 +68,10 @@ class Circle2DConfig:
         self._set_optimum()
         if self.infeasible_region_penetratable is None:
             self._set("infeasible_region_penetratable", self.level > 0)
-        for field in fields(self)[6:]:
-            value = getattr(self, field.name)
+        for name in _SWITCHES:
+            value = getattr(self, name)
             if not isinstance(value, bool):
-                raise TypeError(f"{field.name} must be True or False, got {value!r}")
+                raise TypeError(f"{name} must be True or False, got {value!r}")
         self._check_start_rectangle()
         _ = self.start_area  # refuses a task without a feasible start here, not at its reset
 

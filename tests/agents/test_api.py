@@ -196,8 +196,8 @@ def test_a_guest_in_the_process(tmp_path, raises):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"log_barier_factor": 3.0}, "no hyper-parameter 'log_barier_factor': did you mean log_ba"),
-        ({"step": 3}, "no hyper-parameter 'step': did you mean steps"),
+        ({"log_barier_factor": 3.0}, "no hyper-parameter 'log_barier_factor': did you mean 'log_ba"),
+        ({"step": 3}, "no hyper-parameter 'step': did you mean 'steps'"),
         ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
         ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),
         ({"task": "Nowhere-v0"}, "unknown task 'Nowhere-v0'"),

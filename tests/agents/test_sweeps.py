@@ -1,6 +1,7 @@
 """Sweeps over hyper-parameters, on either engine."""
 
 import pytest
+import torch
 
 import agents
 from agents.sweeps import sweep_configs
@@ -22,7 +23,7 @@ BAD = {
     "one value": ({"cost_limit": 3.0}, "grid needs several values of cost_limit, got 3.0"),
     "twice": ({"cost_limit": (1.0, 1.0)}, "grid has cost_limit=1.0 twice"),
     "nothing": ({}, "grid is empty"),
-    "unknown": ({"cost_limits": (1.0, 2.0)}, "did you mean cost_limit?"),
+    "unknown": ({"cost_limits": (1.0, 2.0)}, r"did you mean 'cost_limit'\?"),
 }
 
 
@@ -39,6 +40,24 @@ def test_an_unknown_engine(tmp_path):
     with pytest.raises(agents.UserError, match="on_epoch and progress are of the engine local"):
         agents.train("cpo", steps=1000, out=tmp_path / "x", engine="ray", on_epoch=print)
     assert not (tmp_path / "x").exists()
+
+
+def test_a_machine_that_cannot_is_found_out_first(tmp_path):
+    """The tests switch compiling off."""
+    without_gpu = () if torch.cuda.is_available() else ({"device": "cuda"},)
+    for options in ({"backend": "compiled"}, *without_gpu):
+        with pytest.raises(agents.UserError, match=r"TORCH_COMPILE_DISABLE|'cuda': .* sees no GPU"):
+            agents.sweep("cpo", grid={"cost_limit": (1.0,)}, out=tmp_path / "x", **options)
+    assert not (tmp_path / "x").exists()
+
+
+def test_another_algorithm_in_the_folder_of_a_sweep(tmp_path):
+    """Settings that only one of the two has are named."""
+    agents.sweep("cpo", grid={"cost_limit": (1.0,)}, steps=100, episodes=1, seeds=0, out=tmp_path)
+    message = r"other settings: .*algorithm cpo \(now sac-lb\).*episodes 1 \(now absent\)"
+    with pytest.raises(agents.UserError, match=message) as raised:
+        agents.sweep("sac-lb", grid={"cost_limit": (1.0,)}, steps=100, seeds=0, out=tmp_path)
+    assert "replay_size absent (now 50000)" in str(raised.value)
 
 
 @pytest.mark.slow

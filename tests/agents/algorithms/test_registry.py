@@ -1,17 +1,20 @@
 """Algorithms by name: listed without torch, registered from outside, a family of one's own."""
 
+import inspect
 import json
 import math
 import subprocess
 import sys
-from dataclasses import dataclass, make_dataclass, replace
+from dataclasses import dataclass, fields, make_dataclass, replace
 
 import numpy as np
 import pytest
 from toys import register as register_tasks
 
+import agents
 from agents import algorithms
-from agents.algorithms import ALGORITHMS, BUILT_IN, Algorithm, algorithm, register, title
+from agents.algorithms import ALGORITHMS, BUILT_IN, RESERVED, Algorithm, algorithm, register, title
+from agents.cli.train import TrainOptions
 from agents.errors import UserError
 from agents.lockstep import tree
 from agents.lockstep.learner import Learner
@@ -117,6 +120,13 @@ def test_from_a_file_of_ones_own(sac_fixed):
     assert np.abs(actor - plain.learner.state_dict()["actor"]).max() > 1e-3
 
 
+def test_reserved_are_the_names_of_options():
+    functions = [inspect.signature(f).parameters for f in (agents.train, agents.sweep)]
+    of_functions = {name for parameters in functions for name in parameters}
+    options = {field.name for field in fields(TrainOptions)}
+    assert set(RESERVED) == (of_functions | options) - {"hyperparameters"}
+
+
 def test_what_register_refuses(sac_fixed):
     own = algorithm("sac-fixed")
     for name in ("sac", "sac-fixed"):
@@ -126,14 +136,17 @@ def test_what_register_refuses(sac_fixed):
         with pytest.raises(UserError, match="lower-case words joined by '-', got"):
             register(name, own)
     loose, incomplete = (
-        make_dataclass("Config", fields, frozen=frozen)
-        for fields, frozen in (([("a", int, 1)], False), ([("a", int)], True))
+        make_dataclass("Config", of_config, frozen=frozen)
+        for of_config, frozen in (([("a", int, 1)], False), ([("a", int)], True))
     )
     for config in (loose, dict, loose(), None):
         with pytest.raises(TypeError, match="config of 'own' must be a frozen dataclass, got"):
             register("own", own._replace(config=config))
     with pytest.raises(TypeError, match=r"Config\.a of 'own' needs a default"):
         register("own", own._replace(config=incomplete))
+    named = make_dataclass("Config", [("device", str, "cpu")], frozen=True)
+    with pytest.raises(UserError, match=r"Config\.device of 'own' is named like an option"):
+        register("own", own._replace(config=named))
     with pytest.raises(TypeError, match="family of 'own' must make a Learner, got None"):
         register("own", own._replace(family=None))
     with pytest.raises(TypeError, match=r"expects an agents\.algorithms\.Algorithm, got 'sac'"):

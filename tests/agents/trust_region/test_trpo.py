@@ -149,10 +149,10 @@ def test_critics_against_separate_runs():
             torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
 
 
-def test_objective_by_hand():
+def test_advantage_by_hand():
     """(A_r - λ A_c) / (1 + λ): (2 - ½·1) / 1.5 = 1, (-1 - ½·4) / 1.5 = -2; (2 - 3) / 4 = -¼."""
     reward, cost = torch.tensor([[2.0, -1.0], [2.0, 0.0]]), torch.tensor([[1.0, 4.0], [1.0, 0.0]])
-    found = trpo_lag.objective(TRPOLagConfig(), reward, cost, torch.tensor([[0.5], [3.0]]))
+    found = trpo_lag.advantage(TRPOLagConfig(), reward, cost, torch.tensor([[0.5], [3.0]]))
     torch.testing.assert_close(found, torch.tensor([[1.0, -2.0], [-0.25, 0.0]]))
 
 
