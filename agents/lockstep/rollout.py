@@ -10,7 +10,6 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from agents.errors import TaskFailure, UserError
-from emcc.streak_cost import weighted
 
 
 class Rollout(NamedTuple):
@@ -41,25 +40,6 @@ class Rollout(NamedTuple):
         columns = [column[:, episodes] for column in columns]
         return Rollout._make([*columns, length[episodes], diverged[episodes]])
 
-    def learned(self, config: Any) -> Rollout:
-        """The rollout as an algorithm learns from it: observations times `config.input_scale`; with
-        a `config.streak_weight`, costs that grow along a streak, and behind the observations the
-        streak so far, in steps, for the critics: see `critic_inputs`."""
-        scale = input_scale(config)
-        scaled = self._replace(
-            observation=self.observation * scale, next_observation=self.next_observation * scale
-        )
-        weight = streak_weight(config)
-        if not weight:
-            return scaled
-        after = streaks(self.cost)
-        before = np.concatenate([np.zeros_like(after[:1]), after[:-1]])
-        return scaled._replace(
-            observation=_joined(scaled.observation, before),
-            next_observation=_joined(scaled.next_observation, after),
-            cost=weighted(self.cost, after, weight),
-        )
-
     @property
     def during(self) -> NDArray[np.bool_]:
         """Mask of the steps that belong to the episodes, [T, N]."""
@@ -89,36 +69,6 @@ class Rollout(NamedTuple):
     def final_observation(self) -> NDArray[np.float32]:
         """Last observation of each episode, [N, observation size]."""
         return self.next_observation[self.length - 1, np.arange(len(self.length))]
-
-
-def input_scale(config: Any) -> NDArray[np.float32]:
-    """Factors on observations: [] for all of their numbers, or [observation size]."""
-    return np.asarray(config.input_scale, np.float32)
-
-
-def streak_weight(config: Any) -> float:
-    """Weight of streaks in the learned cost; 0 for an algorithm that limits no cost."""
-    return getattr(config, "streak_weight", 0.0)
-
-
-def critic_inputs(config: Any, observation_size: int) -> int:
-    """Numbers that critics see of a state. Where costs grow along a streak they see its length as
-    well, without which the learned task would not be Markov; the policy never does."""
-    return observation_size + bool(streak_weight(config))
-
-
-def streaks(costs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Consecutive cost steps up to each step of costs [T, N], itself included; 0 at a safe one."""
-    found = np.zeros(costs.shape)
-    streak = np.zeros(costs.shape[1])
-    for t, at_step in enumerate(costs):
-        streak = np.where(at_step > 0, streak + 1, 0)
-        found[t] = streak
-    return found
-
-
-def _joined(observation: NDArray[np.float32], streak: NDArray[np.float64]) -> NDArray[np.float32]:
-    return np.concatenate([observation, streak[..., None].astype(np.float32)], axis=-1)
 
 
 def require_cost(source: object, info: dict[str, Any]) -> None:

@@ -14,9 +14,10 @@ from torch import nn
 from agents.lockstep import tree
 from agents.lockstep.backend import array, tensor
 from agents.lockstep.lagrange import MultiplierForm, follow
+from agents.lockstep.learned import input_scale, learned
 from agents.lockstep.modules import mlp
 from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams
-from agents.lockstep.rollout import Act, Policy, Rollout, input_scale
+from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.on_policy import critics
 from agents.on_policy.packing import Packing, blocks, minibatches
 from agents.on_policy.returns import advantages
@@ -86,7 +87,7 @@ class OnPolicy(ABC):
         [R, metrics]; NaN for runs that take no part.
         """
         length = np.where(np.repeat(active, self.episodes), rollout.length, 0)
-        rollout = rollout.learned(self.config)._replace(length=length)
+        rollout = learned(rollout, self.config)._replace(length=length)
         packing = Packing(rollout.during, len(self.seeds))
         data = self._epoch(rollout, packing)
         generators = streams(self.seeds, Purpose.UPDATE, epoch)

@@ -14,9 +14,9 @@ from agents.lockstep import lagrange
 from agents.lockstep.adam import Moments, no_moments
 from agents.lockstep.backend import tensor
 from agents.lockstep.lagrange import MultiplierForm, MultiplierState, PIDState
+from agents.lockstep.learned import critic_inputs
 from agents.lockstep.nets import MLP, check_lanes
 from agents.lockstep.noise import Purpose, stream
-from agents.lockstep.rollout import critic_inputs
 from agents.on_policy.gaussian import GaussianPolicy
 
 

@@ -12,6 +12,7 @@ from torch import nn
 from agents.lockstep import tree
 from agents.lockstep.backend import array, tensor
 from agents.lockstep.lagrange import PIDState, follow
+from agents.lockstep.learned import critic_inputs, input_scale, learned
 from agents.lockstep.modules import mlp
 from agents.lockstep.nets import forward_numpy
 from agents.lockstep.noise import (
@@ -24,7 +25,7 @@ from agents.lockstep.noise import (
     uniform,
 )
 from agents.lockstep.replay import Batch, Replay
-from agents.lockstep.rollout import Act, Policy, Rollout, critic_inputs, input_scale
+from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.sac import squashed_gaussian
 from agents.sac import update as sac
 from agents.sac.novelty import Novelty
@@ -120,7 +121,7 @@ class OffPolicy:
         if of_rewards == "terminal_cost":
             of_rewards, of_costs = "bootstrap", "terminal"
         ends = rollout.terminal(of_rewards), rollout.terminal(of_costs)
-        rollout = rollout.learned(self.config)._replace(length=length)
+        rollout = learned(rollout, self.config)._replace(length=length)
         self._replay.add(rollout, *ends)
         if self._novelty:
             self._novelty.add(rollout.next_observation, rollout.length)

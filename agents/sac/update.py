@@ -19,10 +19,10 @@ from agents.lockstep.adam import Moments, adam, no_moments
 from agents.lockstep.backend import tensor
 from agents.lockstep.compiling import compiled
 from agents.lockstep.lagrange import MultiplierForm, MultiplierState, PIDState
+from agents.lockstep.learned import critic_inputs
 from agents.lockstep.nets import LANES, MLP
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.replay import Batch
-from agents.lockstep.rollout import critic_inputs
 from agents.sac import squashed_gaussian
 from agents.sac.config import SACConfig
 

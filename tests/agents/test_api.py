@@ -196,7 +196,7 @@ def test_a_guest_in_the_process(tmp_path, raises):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"log_barier_factor": 3.0}, "no hyper-parameter 'log_barier_factor': did you mean 'log_ba"),
+        ({"log_barier_factor": 3.0}, "no hyper-parameter 'log_barier_factor': did you mean 'log"),
         ({"step": 3}, "no hyper-parameter 'step': did you mean 'steps'"),
         ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
         ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),

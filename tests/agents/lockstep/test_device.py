@@ -11,8 +11,8 @@ import torch
 from agents.algorithms import ALGORITHMS, BUILT_IN
 from agents.errors import UserError
 from agents.lockstep import backend, lagrange
+from agents.lockstep.learned import critic_inputs
 from agents.lockstep.replay import Batch
-from agents.lockstep.rollout import critic_inputs
 from agents.on_policy import critics
 from agents.on_policy.learner import OnPolicy
 from agents.on_policy.state import Epoch

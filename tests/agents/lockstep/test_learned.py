@@ -11,7 +11,8 @@ from toys import Walk, register
 
 import agents
 from agents.algorithms import algorithm
-from agents.lockstep.rollout import collect, streaks
+from agents.lockstep.learned import learned, streaks
+from agents.lockstep.rollout import collect
 from agents.training.config import TrainConfig
 from agents.training.loop import Training
 from agents.training.records import COLUMNS
@@ -52,10 +53,10 @@ def test_costs_and_observations_are_those_of_the_wrapper():
     plain = episodes(lambda env: env)
     expected = episodes(lambda env: StreakCost(env, 0.25, scale=1.0))
     config = algorithm("sac-lb").config(streak_weight=0.25)
-    learned, during = plain.learned(config), plain.during
+    of_rollout, during = learned(plain, config), plain.during
     assert (plain.cost[during] != expected.cost[during]).any()
     for name in ("cost", "observation", "next_observation", "reward"):
-        found, by_wrapper = (getattr(rollout, name)[during] for rollout in (learned, expected))
+        found, by_wrapper = (getattr(rollout, name)[during] for rollout in (of_rollout, expected))
         np.testing.assert_array_equal(found, by_wrapper, err_msg=name)
 
 
