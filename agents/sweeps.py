@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from agents.algorithms import BUILT_IN, module_of
 from agents.errors import UserError
 from agents.paper import grid
 from agents.training.config import TrainConfig
@@ -55,12 +56,11 @@ def train_groups(
     """
     configs = dict(configs)
     first = next(iter(configs.values()))
+    imports = _modules({config.algorithm for config in configs.values()})
     with engine(name, count, address, first.device) as ready:
         grid.prepare(configs)
         left = {f: c for f, c in configs.items() if not grid.finished(f, c)}
         groups = grid.groups(left, ready.count)
-        modules = {type(c.hyperparameters).__module__ for c in configs.values()}
-        imports = sorted(module for module in modules if not module.startswith("agents."))
 
         def finished(folder: Path) -> bool:
             return grid.finished(folder, configs[folder])
@@ -70,3 +70,15 @@ def train_groups(
         failed = {f: why for f, why in workers.failed.items() if not finished(f)}
     if failed:
         raise UserError("; ".join(f"{folder} failed: {why}" for folder, why in failed.items()))
+
+
+def _modules(algorithms: Collection[str]) -> list[str]:
+    """Modules that processes import in order to know algorithms. Raises UserError for one that the
+    running script registers, which they cannot import."""
+    modules = {module_of(name): name for name in algorithms if name not in BUILT_IN}
+    if name := modules.get("__main__"):
+        raise UserError(
+            f"{name} is registered in the running script, which the processes of a sweep cannot "
+            "import: call agents.register in a module of its own and import that"
+        )
+    return sorted(modules)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -46,11 +47,11 @@ class _Algorithms(Mapping[str, Algorithm]):
 
     def __init__(self) -> None:
         self.registered: dict[str, Algorithm] = {}
+        self.modules: dict[str, str] = {}
 
     def __getitem__(self, name: str) -> Algorithm:
         if name in BUILT_IN:
-            module = importlib.import_module(f"agents.algorithms.{name.replace('-', '_')}")
-            return module.ALGORITHM
+            return importlib.import_module(module_of(name)).ALGORITHM
         return self.registered[name]
 
     def __contains__(self, name: object) -> bool:
@@ -98,6 +99,14 @@ def register(name: str, algorithm: Algorithm) -> None:
     if not callable(algorithm.family):
         raise TypeError(f"the family of {name!r} must make a Learner, got {algorithm.family!r}")
     _algorithms.registered[name] = algorithm
+    _algorithms.modules[name] = sys._getframe(1).f_globals.get("__name__", "__main__")
+
+
+def module_of(name: str) -> str:
+    """The module whose import makes an algorithm known; "__main__" for the running script."""
+    if name in BUILT_IN:
+        return f"{__name__}.{name.replace('-', '_')}"
+    return _algorithms.modules[name]
 
 
 def algorithm(name: str) -> Algorithm:

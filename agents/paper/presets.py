@@ -45,7 +45,8 @@ def length_scale(task: str) -> float | tuple[float, ...]:
 def preset(name: str, task: str) -> Any:
     """The hyper-parameters of an algorithm for a task: on the paper's tasks the paper's.
 
-    An algorithm that the paper does not have gets those of its family; SAC-LB-Streak, which is made
+    An algorithm that the paper does not have gets those of its family or, where its family is a
+    subclass of the SAC family's, of that; SAC-LB-Streak, which is made
     for Circle2D, sees its observations there in units of length. For any other task the
     defaults of the algorithm's config. Raises UserError for an unknown algorithm.
     """
@@ -71,7 +72,8 @@ def preset(name: str, task: str) -> Any:
 def _is_off_policy(name: str) -> bool:
     from agents.sac import OffPolicy  # here, since it imports torch
 
-    return algorithm(name).family is OffPolicy
+    family = algorithm(name).family
+    return isinstance(family, type) and issubclass(family, OffPolicy)
 
 
 def usual_steps(task: str) -> int:
@@ -144,8 +146,10 @@ def ablations(name: str, task: str) -> dict[str, Any]:
     """
     if name == "sac-lb-streak":
         return _without_parts(task) if is_circle2d(task) else {}
+    if name not in PAPER_ALGORITHMS:
+        return {}
     config, setting = preset(name, task), unprinted(name)
-    units = is_circle2d(task) and name in PAPER_ALGORITHMS
+    units = is_circle2d(task)
     found = {"units": replace(config, input_scale=length_scale(task))} if units else {}
     if setting is None:
         return found

@@ -20,8 +20,10 @@ def title_of(config: TrainConfig) -> str:
 
 
 def differences(config: TrainConfig) -> list[str]:
-    """Each setting of `changes` in words, and the number of steps where it is not the usual one."""
-    return [f"{k} {v}" for k, v in changes(config).items()] + unusual_steps(config)
+    """Each setting of `changes` in words, and the number of steps where it is not the usual one. Of
+    an unregistered algorithm, whose preset nobody knows, no hyper-parameter."""
+    of = changes(config) if config.algorithm in ALGORITHMS else config.task_parameters
+    return [f"{k} {v}" for k, v in of.items()] + unusual_steps(config)
 
 
 def unusual_steps(config: TrainConfig) -> list[str]:

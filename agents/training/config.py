@@ -9,7 +9,7 @@ from dataclasses import dataclass, make_dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from agents.algorithms import ALGORITHMS, algorithm
+from agents.algorithms import ALGORITHMS, algorithm, module_of
 from agents.errors import UserError, check, check_choice, check_integers
 from agents.lockstep.noise import stream_seed
 from agents.training.environments import Spaces, Vectorization, is_native, sizes_of, spaces_of
@@ -129,7 +129,7 @@ class TrainConfig:
         """
         content = dataclasses.asdict(self) | made_with()
         content["commit"] = commit()
-        content["algorithm_module"] = type(self.hyperparameters).__module__
+        content["algorithm_module"] = module_of(self.algorithm)
         spaces = spaces_of(self.task, self.task_parameters)
         check_memory(self.hyperparameters, len(self.seeds), spaces.sizes)
         self._check_scale(spaces.observation_size)
@@ -187,8 +187,8 @@ class TrainConfig:
             content["seeds"] = tuple(content["seeds"])
             if name not in ALGORITHMS and strict and own["algorithm_module"]:
                 raise _Unregistered(
-                    f"the algorithm {name!r} of {folder} is not registered here: import the module "
-                    f"that registers it first, {own['algorithm_module']}"
+                    f"the algorithm {name!r} of {folder} is not registered here: import "
+                    f"{own['algorithm_module']} first (--import {own['algorithm_module']})"
                 )
             known = strict or name in ALGORITHMS
             config = _of(algorithm(name).config, values) if known else _plain(values)

@@ -263,7 +263,7 @@ def test_an_algorithm_and_a_task_from_outside(tmp_path, monkeypatch):
         command = [sys.executable, "-c", code, str(out)]
         said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
         assert "'sac-mine'" in said
-        assert "import the module that registers it first, my_algorithm" in said
+        assert "import my_algorithm first (--import my_algorithm)" in said
     finally:
         from agents import algorithms
 

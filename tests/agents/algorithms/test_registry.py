@@ -13,11 +13,21 @@ from toys import register as register_tasks
 
 import agents
 from agents import algorithms
-from agents.algorithms import ALGORITHMS, BUILT_IN, RESERVED, Algorithm, algorithm, register, title
+from agents.algorithms import (
+    ALGORITHMS,
+    BUILT_IN,
+    RESERVED,
+    Algorithm,
+    algorithm,
+    module_of,
+    register,
+    title,
+)
 from agents.cli.train import TrainOptions
 from agents.errors import UserError
 from agents.lockstep import tree
 from agents.lockstep.learner import Learner
+from agents.paper.presets import preset
 from agents.training.config import TrainConfig
 from agents.training.loop import Training
 
@@ -152,6 +162,46 @@ def test_what_register_refuses(sac_fixed):
     with pytest.raises(TypeError, match=r"expects an agents\.algorithms\.Algorithm, got 'sac'"):
         register("own", "sac")
     assert list(ALGORITHMS) == [*BUILT_IN, "sac-fixed"]
+
+
+def test_the_module_that_registers(sac_fixed, tmp_path):
+    """Not that of the config, which may be the package's own. Processes cannot import a script."""
+    lag = algorithm("sac-lag")
+    register("lag-again", lag)
+    exec(
+        "agents.register('of-script', lag)", {"__name__": "__main__", "agents": agents, "lag": lag}
+    )
+    names = ("sac-lag", "sac-fixed", "lag-again", "of-script")
+    expected = ["agents.algorithms.sac_lag", "my_sac", __name__, "__main__"]
+    assert [module_of(name) for name in names] == expected
+    with pytest.raises(UserError, match="of-script is registered in the running script"):
+        agents.sweep("of-script", grid={"cost_limit": (1.0, 2.0)}, steps=100, out=tmp_path / "x")
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_family_that_extends_another_has_its_presets():
+    lag = algorithm("sac-lag")
+
+    class Extended(lag.family):
+        """A family of one's own."""
+
+    register("extended", lag._replace(family=Extended))
+    for task in ("Circle2D-1-v0", "circle2d_mj/SafetyPointGoal1-v0", "Walk-v0"):
+        assert preset("extended", task) == preset("sac-lag", task)
+    assert preset("extended", "Circle2D-1-v0").time_limit == "terminal"
+
+
+def test_runs_whose_algorithm_is_not_registered(sac_fixed, tmp_path):
+    """Their numbers are reported; to go on, the module is needed."""
+    small = {"batch_size": 32, "hidden": (32, 32), "random_steps": 50}
+    agents.train("sac-fixed", "Walk-v0", seeds=(0, 1), steps=300, out=tmp_path / "runs", **small)
+    known = agents.report(tmp_path / "runs").split()
+    algorithms._algorithms.registered.clear()
+    label = "SAC-Fixed (batch_size 32, random_steps 50, hidden (32, 32), 300 steps)"
+    now = " ".join(known).replace(label, "sac-fixed (300 steps)")
+    assert now == " ".join(agents.report(tmp_path / "runs").split())
+    with pytest.raises(UserError, match=r"'sac-fixed' of .* is not registered here: import my_sac"):
+        agents.resume(tmp_path / "runs")
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,9 @@ def test_an_algorithm_that_is_not_registered(tmp_path):
     config().write(tmp_path)
     values = {"cost_limit": 5.0, "hidden": [8, 9], "my_factor": 0.25}
     edit(tmp_path, algorithm="mine", algorithm_module="my_module", hyperparameters=values)
-    with pytest.raises(UserError, match=r"'mine' of .* is not registered.*, my_module$"):
+    with pytest.raises(
+        UserError, match=r"'mine' of .* is not registered here: import my_module first"
+    ):
         TrainConfig.read(tmp_path)
     read = TrainConfig.read(tmp_path, strict=False)
     assert dataclasses.asdict(read.hyperparameters) == {**values, "hidden": (8, 9)}
