@@ -21,8 +21,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-import inspect
 import operator
+import os
 import shutil
 import tempfile
 import warnings
@@ -31,10 +31,10 @@ from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar
 
 from agents.algorithms import Algorithm, register
-from agents.errors import UserError, nearest
+from agents.errors import UserError
 from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.compiling import cannot_compile, compiling_is_off
-from agents.paper.presets import preset
+from agents.paper.presets import preset_with
 from agents.reporting.report import report as write_report
 from agents.runs import Runs
 from agents.sweeps import Values, sweep_configs, train_groups
@@ -134,7 +134,7 @@ def train(
     Raises UserError for what is unknown or not allowed, before anything is written.
     """
     task = task_id(task)
-    own = _hyperparameters(algorithm, task, hyperparameters)
+    own = preset_with(algorithm, task, hyperparameters)
     config = TrainConfig(algorithm, task, _seeds(seeds), steps, own, dict(task_parameters or {}))
     config = dataclasses.replace(
         config, checkpoint_every=checkpoint_every, evaluate_every=evaluate_every, device=device
@@ -176,7 +176,7 @@ def sweep(
     lockstep_backend.require(chosen == "compiled", device)
     configs = {}
     for name, values in sweep_configs(grid).items():
-        own = _hyperparameters(algorithm, task, hyperparameters | values)
+        own = preset_with(algorithm, task, hyperparameters | values)
         configs[Path(out) / name] = TrainConfig(
             algorithm, task, _seeds(seeds), steps, own, backend=chosen, device=device
         )
@@ -194,6 +194,9 @@ def resume(*folders: str | Path, on_epoch: OnEpoch | None = None, progress: bool
     """
     if not folders:
         raise UserError("resume needs a folder of runs")
+    for folder in folders:
+        if not isinstance(folder, (str, os.PathLike)):
+            raise UserError(f"resume takes folders one by one, as resume('a', 'b'), got {folder!r}")
     paths = list(dict.fromkeys(map(Path, folders)))
     _train(paths, on_epoch, progress)
     return Runs(paths)
@@ -280,16 +283,3 @@ def _seeds(seeds: int | Iterable[int]) -> tuple[int, ...]:
         return tuple(operator.index(s) for s in (seeds if isinstance(seeds, Iterable) else [seeds]))
     except TypeError:
         raise UserError(f"seeds must be an integer or several, got {seeds!r}") from None
-
-
-def _hyperparameters(algorithm: str, task: str, given: dict[str, Any]) -> Any:
-    """The preset of an algorithm for a task with the given values instead of its own."""
-    config = preset(algorithm, task)
-    names = [field.name for field in dataclasses.fields(config)]
-    for name in given:
-        if name not in names:
-            options = inspect.signature(train).parameters
-            hint = nearest(name, [*names, *options], f"it has {', '.join(names)}")
-            raise UserError(f"{algorithm} has no hyper-parameter {name!r}: {hint}")
-    values = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
-    return dataclasses.replace(config, **values)

@@ -40,6 +40,19 @@ def extra_hint(error: ModuleNotFoundError, user: str) -> str:
     return f"{user} needs {error.name}, which is not installed: pip install 'circle2d-mj[train]'"
 
 
+OTHER_NAMES = {
+    "lr": "learning_rate",
+    "gamma": "discount",
+    "env": "task",
+    "env_id": "task",
+    "timesteps": "steps",
+    "total_timesteps": "steps",
+    "output": "out",
+    "output_dir": "out",
+}
+"""Other libraries' names of options, and what they are here."""
+
+
 def nearest(given: str, valid: Iterable[str], otherwise: str = "") -> str:
     """Return "did you mean 'x'?" for the most similar of the valid names.
 

@@ -39,7 +39,8 @@ class Algorithm(NamedTuple):
     rule: Any
     """The part that the algorithm adds to its family, which receives it."""
     family: Callable[..., Learner]
-    """(config, rule, seeds, observation size, action size) -> the runs, ready to be trained."""
+    """(config, rule, seeds, observation size, action size) -> the runs, ready to be trained. Where
+    it has an attribute `takes`, these are the types of config and rule."""
 
 
 class _Algorithms(Mapping[str, Algorithm]):
@@ -98,6 +99,12 @@ def register(name: str, algorithm: Algorithm) -> None:
             )
     if not callable(algorithm.family):
         raise TypeError(f"the family of {name!r} must make a Learner, got {algorithm.family!r}")
+    of_config, of_rule = getattr(algorithm.family, "takes", (object, object))
+    if not issubclass(config, of_config) or not isinstance(algorithm.rule, of_rule):
+        raise TypeError(
+            f"the family of {name!r} takes a subclass of {of_config.__name__} as config and a "
+            f"{of_rule.__name__} as rule, got {config.__name__} and {algorithm.rule!r}"
+        )
     _algorithms.registered[name] = algorithm
     _algorithms.modules[name] = sys._getframe(1).f_globals.get("__name__", "__main__")
 
@@ -111,6 +118,8 @@ def module_of(name: str) -> str:
 
 def algorithm(name: str) -> Algorithm:
     """The algorithm of that name. Raises UserError, naming the valid ones, for another."""
+    if not isinstance(name, str):
+        raise UserError(f"algorithm must be a name, like 'sac-lag', got {name!r}")
     if name not in ALGORITHMS:
         raise UserError(f"unknown algorithm {name!r}: {nearest(name, ALGORITHMS)}")
     return ALGORITHMS[name]

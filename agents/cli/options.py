@@ -17,7 +17,7 @@ import tyro
 
 from agents.algorithms import ALGORITHMS
 from agents.cli.explained import explained
-from agents.errors import UserError, nearest
+from agents.errors import OTHER_NAMES, UserError, nearest
 
 BackendChoice = Literal["auto", "compiled", "eager"]
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
@@ -25,17 +25,10 @@ Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER ...")]
 """Several of them."""
 MEANT = {
-    "--lr": "--learning-rate",
-    "--gamma": "--discount",
-    "--env": "--task",
-    "--env-id": "--task",
-    "--level": "--task Circle2D-1",
-    "--timesteps": "--steps",
-    "--total-timesteps": "--steps",
-    "--output": "--out",
-    "--output-dir": "--out",
-}
-"""Other programs' names of options, and what they are here."""
+    f"--{other.replace('_', '-')}": f"--{name.replace('_', '-')}"
+    for other, name in OTHER_NAMES.items()
+} | {"--level": "--task Circle2D-1"}
+"""Other programs' options, and what they are here."""
 Imports = Annotated[
     tuple[str, ...],
     tyro.conf.UseAppendAction,

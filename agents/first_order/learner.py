@@ -21,6 +21,7 @@ from agents.on_policy.state import Epoch, OnPolicyState
 class FirstOrder(OnPolicy):
     """The runs of one algorithm of the first-order family."""
 
+    takes = (PPOConfig, Objective)
     improvement_metrics = ("kl", "clipped")
     """Mean KL divergence from the old to the new policy; mean share of clipped steps."""
 

@@ -30,8 +30,9 @@ def check_lanes(config: Any) -> None:
     Off these multiples a run would depend, in its last bits, on the runs beside it: torch computes
     the remainder of a vector otherwise than the vector.
     """
-    sizes = (config.batch_size, *config.hidden)
-    if not config.hidden or any(type(n) is not int or n < 1 or n % LANES for n in sizes):
+    hidden = config.hidden if isinstance(config.hidden, (tuple, list)) else ()
+    sizes = (config.batch_size, *hidden)
+    if not hidden or any(type(n) is not int or n < 1 or n % LANES for n in sizes):
         raise UserError(
             f"batch_size and the sizes in hidden must be multiples of {LANES}, "
             f"got {config.batch_size!r} and {config.hidden!r}"

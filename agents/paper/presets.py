@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
-from agents.algorithms import algorithm
+from agents.algorithms import RESERVED, algorithm
+from agents.errors import OTHER_NAMES, UserError, nearest
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.registration import CIRCLE2D, KINEMATIC
 
@@ -67,6 +69,19 @@ def preset(name: str, task: str) -> Any:
         elif task.startswith("circle2d_mj/SafetyPointCircle1") and hasattr(config, "episodes"):
             config = replace(config, episodes=20)
     return config
+
+
+def preset_with(name: str, task: str, given: Mapping[str, Any]) -> Any:
+    """The preset with the given values instead of its own. Raises UserError, with the name that was
+    probably meant, for a hyper-parameter that the algorithm does not have."""
+    config = preset(name, task)
+    names = [field.name for field in fields(config)]
+    for other in given:
+        if other not in names:
+            meant = OTHER_NAMES.get(other, other)
+            hint = nearest(meant, [*names, *RESERVED], f"it has {', '.join(names)}")
+            raise UserError(f"{name} has no hyper-parameter {other!r}: {hint}")
+    return replace(config, **{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
 
 
 def _is_off_policy(name: str) -> bool:

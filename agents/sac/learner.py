@@ -28,6 +28,7 @@ from agents.lockstep.replay import Batch, Replay
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.sac import squashed_gaussian
 from agents.sac import update as sac
+from agents.sac.config import SACConfig
 from agents.sac.novelty import Novelty
 
 METRICS = (
@@ -44,6 +45,8 @@ METRICS = (
 
 class OffPolicy:
     """The runs of one algorithm of the SAC family: their networks and their replay."""
+
+    takes = (SACConfig, sac.CostRule)
 
     def __init__(
         self,

@@ -217,8 +217,8 @@ def check_together(configs: dict[Path, TrainConfig]) -> None:
 def _require_none(folder: Path) -> None:
     if (folder / "config.json").exists():
         raise UserError(
-            f"{folder} holds runs already: go on with them by 'circle2d resume {folder}', or "
-            "choose another folder"
+            f"{folder} holds runs already: go on with them by 'circle2d resume {folder}' or "
+            f"agents.resume({str(folder)!r}), or choose another folder"
         )
 
 

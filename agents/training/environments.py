@@ -216,8 +216,11 @@ def task_id(task: str) -> str:
     """The id of a task that the user names, with its version, where none is given the newest:
     Circle2D-1-v0 for Circle2D-1.
 
-    "module:id" imports the module, as gymnasium does it. Raises UserError for an unknown task.
+    "module:id" imports the module, as gymnasium does it. Raises UserError for an unknown task, and
+    for what is no id.
     """
+    if not isinstance(task, str):
+        raise UserError(f"task must be the id of a gymnasium task, like 'Circle2D-1', got {task!r}")
     name = import_module_of(task)
     versions = [re.fullmatch(f"{re.escape(name)}-v([0-9]+)", other) for other in gym.registry]
     newest = max(filter(None, versions), key=lambda found: int(found[1]), default=None)

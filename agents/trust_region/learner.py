@@ -16,6 +16,7 @@ from agents.trust_region.policy_step import StepRule, TRPOConfig, policy_step
 class TrustRegion(OnPolicy):
     """The runs of one algorithm of the trust-region family."""
 
+    takes = (TRPOConfig, StepRule)
     improvement_metrics = ("kl", "step_scale")
     """A step_scale of 0: the line search found nothing, and the policy stayed as it was."""
 

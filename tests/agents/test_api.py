@@ -198,6 +198,14 @@ def test_a_guest_in_the_process(tmp_path, raises):
     [
         ({"log_barier_factor": 3.0}, "no hyper-parameter 'log_barier_factor': did you mean 'log"),
         ({"step": 3}, "no hyper-parameter 'step': did you mean 'steps'"),
+        ({"lr": 3}, "no hyper-parameter 'lr': did you mean 'learning_rate'"),
+        ({"total_timesteps": 3}, "no hyper-parameter 'total_timesteps': did you mean 'steps'"),
+        ({"hidden": 64}, "sizes in hidden must be multiples of 32, got 256 and 64"),
+        ({"task": gym.Env()}, "task must be the id of a gymnasium task, like 'Circle2D-1', got"),
+        (
+            {"algorithm": agents.Algorithm},
+            "algorithm must be a name, like 'sac-lag', got",
+        ),
         ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
         ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),
         ({"task": "Nowhere-v0"}, "unknown task 'Nowhere-v0'"),
@@ -225,6 +233,8 @@ def test_a_folder_with_runs_is_refused(runs):
     assert results(runs.folder) == before
     with pytest.raises(agents.UserError, match="needs a folder"):
         agents.resume()
+    with pytest.raises(agents.UserError, match=r"folders one by one, .* got \['a', 'b'\]"):
+        agents.resume(["a", "b"])
 
 
 def test_a_refusal_leaves_nothing_in_the_folder(tmp_path):

@@ -157,6 +157,12 @@ def test_what_register_refuses(sac_fixed):
     named = make_dataclass("Config", [("device", str, "cpu")], frozen=True)
     with pytest.raises(UserError, match=r"Config\.device of 'own' is named like an option"):
         register("own", own._replace(config=named))
+    for other in ("cpo", "ppo-lag"):
+        takes = f"takes a subclass of {algorithm(other).family.takes[0].__name__} as config and a "
+        with pytest.raises(TypeError, match=takes):
+            register("own", algorithm(other)._replace(rule=own.rule))
+        with pytest.raises(TypeError, match=takes):
+            register("own", algorithm(other)._replace(config=own.config))
     with pytest.raises(TypeError, match="family of 'own' must make a Learner, got None"):
         register("own", own._replace(family=None))
     with pytest.raises(TypeError, match=r"expects an agents\.algorithms\.Algorithm, got 'sac'"):
