@@ -27,6 +27,7 @@ from agents.paper.evidence import (
 )
 from agents.paper.presets import PAPER_STEPS, preset
 from agents.results.reading import Group, Run
+from agents.results.separation import MARGIN
 from agents.results.statistics import difference_of, equivalence_of, p_of
 from circle2d_mj.registration import KINEMATIC
 
@@ -35,7 +36,7 @@ EVERYONE = (*ON_POLICY, *OFF_POLICY)
 LEVEL_TASKS = list(KINEMATIC.values())
 LIMIT = preset("cpo", LEVEL_TASKS[0]).cost_limit
 EARLY, MIDDLE, LATE = "EMCC_0.33", "EMCC_0.66", "EMCC_0.99"
-RATE_MARGIN, EMCC_MARGIN = 0.02, 0.05
+RATE_MARGIN, EMCC_MARGIN = MARGIN, 0.05
 """Differences of means up to which two cost rates, or two EMCC, are taken as equal."""
 Count = Callable[[int, int, int], Verdict]
 """A rule of `evidence`: number of runs that do something, of all, and parts of the claim."""

@@ -11,15 +11,13 @@ from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, registered_id
 from agents.paper.printed import paper_results
 from agents.paper.settings import changes
 from agents.results.reading import Group, Run
-from agents.results.statistics import equivalence_of, known, mean_of, p_of
+from agents.results.statistics import LEVEL, equivalence_of, known, mean_of, p_of
 from emcc import Interval, Share, mean_interval, share
 
 Verdict = Literal["confirmed", "refuted", "undecided"]
 
 SEEDS = 10
 """Complete runs of the paper's length that an algorithm needs on a task to decide anything."""
-LEVEL = 0.05
-"""Of every test."""
 HALF, RARE = 0.5, 0.05
 """Shares of runs: "the runs do" is more than half; "there are runs that do" is more than one in
 twenty."""

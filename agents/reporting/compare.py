@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +18,13 @@ from agents.reporting.tables import caption, mean_row, measures_table, run_rows
 from agents.results.archive import open_source
 from agents.results.measures import measures
 from agents.results.reading import Group, read_groups
-from agents.results.statistics import corrected, group_difference, improvement_of, p_of
+from agents.results.statistics import (
+    LEVEL,
+    corrected,
+    group_difference,
+    improvement_of,
+    p_of,
+)
 from agents.training.files import write_whole
 
 METHOD = (
@@ -102,8 +109,8 @@ def _table(task: str, sides: Sides, p_values: PValues, notes: Sequence[str]) -> 
     rows += [row for pair in _pairs(sides) for row in _difference_rows(*pair, p_values)]
     for prefix, groups in named:
         rows += [row for group in in_order(groups) for row in run_rows(group, prefix)]
-    notes = [*notes, *_notes(task, sides)]
     count = sum(p is not None for p in p_values.values())
+    notes = [*notes, *_notes(task, sides, count)]
     words = f"{caption([*sides.a, *sides.b])}; {METHOD.format(count)}"
     return measures_table(words, task, rows, notes)
 
@@ -143,6 +150,12 @@ def _difference_rows(a: Group, b: Group, p_values: PValues) -> Iterator[Row]:
     yield Row(f"B better, {name}", [*map(number_of, better), empty], kind="test")
 
 
+def _lowest_p(a: int, b: int) -> float:
+    """Least p value of a two-sided permutation test of a runs against b: where all of one side lie
+    above the other's, only that division and, of equal numbers, its mirror are as extreme."""
+    return (2 if a == b else 1) / math.comb(a + b, a)
+
+
 def _difference_name(a: Group, b: Group) -> str:
     titles = [title_of(group.config) for group in (b, a)]
     return f"B - A: {titles[0] if titles[0] == titles[1] else ' - '.join(titles)}"
@@ -157,8 +170,16 @@ def _lines(sides: Sides) -> Iterator[Line]:
         yield from difference_lines(of_a, of_b, _difference_name(of_a, of_b))
 
 
-def _notes(task: str, sides: Sides) -> list[str]:
-    notes = []
+def _notes(task: str, sides: Sides, tests: int) -> list[str]:
+    """Runs too few for an interval or a test; tests: how many p values are corrected for."""
+    sizes = {(len(a.runs), len(b.runs)) for a, b in _pairs(sides)}
+    lowest = {(a, b): min(1.0, tests * _lowest_p(a, b)) for a, b in sorted(sizes) if min(a, b) > 1}
+    notes = [
+        f"{task}: of {a} runs against {b} no p here can be below {p:.3g}, however far they differ: "
+        "they decide nothing."
+        for (a, b), p in lowest.items()
+        if p > LEVEL
+    ]
     for name, group in sides.named:
         if len(group.runs) == 1:
             notes.append(f"{task}, {name} has one seed: no interval, and no test.")

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from agents.paper.settings import by_task, title_of
 from agents.reporting.table import Number, Row, Table, number_of, p_number
 from agents.results.reading import Group
-from agents.results.separation import LEVEL, MARGIN, Comparison, comparisons
-from agents.results.statistics import mean_of
+from agents.results.separation import MARGIN, Comparison, comparisons
+from agents.results.statistics import LEVEL, mean_of
 from emcc.parts import ALPHA, PARTS
 from emcc.statistics import FEWEST_RUNS
 

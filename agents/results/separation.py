@@ -8,13 +8,11 @@ from typing import NamedTuple
 
 from agents.results import thirds
 from agents.results.reading import Group
-from agents.results.statistics import corrected, difference_of, equivalence_of, p_of
+from agents.results.statistics import LEVEL, corrected, difference_of, equivalence_of, p_of
 from emcc import Interval
 from emcc.parts import PARTS
 from emcc.statistics import FEWEST_RUNS
 
-LEVEL = 0.05
-"""Of every test."""
 MARGIN = 0.02
 """Cost per step. Cost rates are printed to two digits; two of the last ones are taken as equal."""
 

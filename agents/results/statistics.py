@@ -21,6 +21,8 @@ from emcc.statistics import FEWEST_RUNS
 Key = TypeVar("Key", bound=Hashable)
 Values = Sequence[float | None]
 
+LEVEL = 0.05
+"""Of every test: p values up to it tell a difference."""
 INTERVALS = (
     "[95 % t interval over seeds], or the range of the seeds where there are fewer than "
     f"{FEWEST_RUNS} or they end in different places, since no interval of such a mean holds"
