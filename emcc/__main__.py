@@ -21,7 +21,8 @@ PATH is
       the algorithm, the seed and the steps of the whole training. A folder without one:
       every progress.csv and *monitor.csv
   a file of records, as emcc.EpisodeRecords.save writes it
-  costs of steps: .npy, .npz (costs, lengths), .csv (cost; episode and rollout, if several)
+  costs of steps: .npy, .npz (costs, lengths), .csv (cost; if several, episode and rollout,
+      or done, terminated, truncated, which mark an episode's last step)
   sums of episodes: .csv (cost, length), or a monitor file of Stable-Baselines3 with the
       column cost. They bound the longest streak, but have no EMCC
   means of epochs: progress.csv of OmniSafe or SafePO. They give the cost rate, but no EMCC

@@ -22,6 +22,7 @@ class Run:
     algorithm: str = ""
     seed: str = ""
     settings: str = ""  # the other settings that runs of one experiment have in common
+    note: str = ""  # how the file was read, where that is a guess
 
     @property
     def steps(self) -> int:

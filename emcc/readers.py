@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emcc import foreign_logs
 from emcc.csv_columns import Columns, parse, read_columns
@@ -17,6 +18,8 @@ from emcc.records import COLUMNS, EpisodeRecords
 
 RECORDS_FILE = "episodes.csv"
 CONFIG_FILE = "config.json"
+ENDS = ("done", "terminated", "truncated")
+"""Columns that mark the last step of an episode, in files of costs of steps."""
 
 
 def find_files(path: Path) -> list[Path]:
@@ -63,7 +66,7 @@ def read(path: Path, threshold: float = 0.0) -> Run | EpisodeSums | EpochMeans:
         return _read_steps(columns, threshold)
     raise ValueError(
         f"{path}: has the columns {', '.join(columns)}; needed is cost (with episode and rollout, "
-        f"if there are several), or {','.join(COLUMNS)}"
+        f"or done, if there are several), or {','.join(COLUMNS)}"
     )
 
 
@@ -131,17 +134,41 @@ def _read_numpy(path: Path, threshold: float) -> Run:
 
 
 def _read_steps(columns: Columns, threshold: float) -> Run:
-    """One row per step. A trajectory ends where the episode or the rollout changes."""
+    """One row per step. A trajectory ends where the episode or the rollout changes; without a
+    column `episode`, behind each row that one of `ENDS` marks."""
     path, costs = columns.path, parse(columns, "cost", float)
     if not costs.size:
         raise ValueError(f"{path}: no steps")
+    ends = [_flags(columns, name) for name in ENDS if name in columns]
+    if "episode" not in columns and ends:
+        last = np.any(ends, axis=0)
+        columns["episode"] = [str(number) for number in np.cumsum(last) - last]
     episode, rollout = (columns.get(name, [""] * costs.size) for name in ("episode", "rollout"))
     keys = list(zip(rollout, episode, strict=True))
     begins = [row for row, key in enumerate(keys) if row == 0 or key != keys[row - 1]]
     if len({keys[row] for row in begins}) < len(begins):
         raise ValueError(f"{path}: the steps of an episode must follow one another")
+    if len(begins) == costs.size > 1:
+        raise ValueError(
+            f"{path}: every episode has one row: these look like sums, which have no EMCC "
+            "(with a column length they give bounds)"
+        )
     lengths = np.diff([*begins, costs.size])
     names = [rollout[row] for row in begins]
     numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
     ids = np.array([numbers[name] for name in names]) if "rollout" in columns else None
-    return _run_of_costs(path, costs, lengths, ids, threshold)
+    run = _run_of_costs(path, costs, lengths, ids, threshold)
+    if {"episode", "rollout"} & columns.keys():
+        return run
+    return replace(run, note=f"{path} has no column episode or done: read as one episode.")
+
+
+def _flags(columns: Columns, name: str) -> NDArray[np.bool_]:
+    """A column of 0 and 1, or of False and True: [rows]."""
+    words = {"false": "0", "true": "1"}
+    columns[name] = [words.get(text.strip().lower(), text) for text in columns[name]]
+    flags = parse(columns, name, float)
+    if len(bad := np.flatnonzero((flags != 0) & (flags != 1))):
+        place = f"{columns.path}, line {columns.first_line + bad[0]}, column {name}"
+        raise ValueError(f"{place}: must be 0 or 1, got {flags[bad[0]]:g}")
+    return flags == 1
