@@ -20,7 +20,8 @@ PATH is
   a folder: every episodes.csv in it or below; a config.json beside one may give the task,
       the algorithm, the seed and the steps of the whole training. A folder without one:
       every progress.csv and *monitor.csv
-  a file of records, as emcc.EpisodeRecords.save writes it
+  a file of records, as emcc.EpisodeRecords.save writes it, or a .csv with a row per episode
+      (cost, length, longest_streak)
   costs of steps: .npy, .npz (costs, lengths), .csv (cost; if several, episode and rollout,
       or done, terminated, truncated, which mark an episode's last step)
   sums of episodes: .csv (cost, length), or a monitor file of Stable-Baselines3 with the

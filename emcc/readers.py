@@ -14,7 +14,7 @@ from emcc import foreign_logs
 from emcc.csv_columns import Columns, parse, read_columns
 from emcc.files import read_checked
 from emcc.inputs import EpisodeSums, EpochMeans, Run
-from emcc.records import COLUMNS, EpisodeRecords
+from emcc.records import COLUMNS, EpisodeRecords, parse_records
 
 RECORDS_FILE = "episodes.csv"
 CONFIG_FILE = "config.json"
@@ -51,7 +51,7 @@ def read(path: Path, threshold: float = 0.0) -> Run | EpisodeSums | EpochMeans:
     columns = read_columns(path)
     if "longest_streak" in columns:
         _no_threshold(path, threshold, "streaks")
-        records = EpisodeRecords.load(path)
+        records = _read_records(columns)
         return _labelled(Run(path, records, records.total_steps))
     if foreign_logs.is_progress(columns):
         _no_threshold(path, threshold, "means of epochs")
@@ -75,6 +75,19 @@ def _no_threshold(path: Path, threshold: float, contents: str) -> None:
         raise ValueError(
             f"{path}: holds {contents}, not costs of steps: leave the threshold out"
         )  # fmt: skip
+
+
+def _read_records(columns: Columns) -> EpisodeRecords:
+    """A file of `EpisodeRecords.save`; or one with cost, length and longest_streak of an episode in
+    each row, in the order of training: each is a rollout, and without returns they are 0."""
+    if not {"cost", "length"} <= columns.keys() or {"rollout", "start_step"} & columns.keys():
+        return EpisodeRecords.load(columns.path)
+    length = parse(columns, "length", int)
+    steps = np.maximum(length, 1)  # a length below 1 is refused as such, not for a start step
+    columns["rollout"] = [str(number) for number in range(len(length))]
+    columns["start_step"] = [str(start) for start in np.cumsum(steps) - steps]
+    columns.setdefault("return", ["0"] * len(length))
+    return parse_records(columns)
 
 
 def _labelled(run: Run) -> Run:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from emcc.arrays import as_array, as_integers
-from emcc.csv_columns import parse, read_columns
+from emcc.csv_columns import Columns, parse, read_columns
 from emcc.files import digest, read_checked, read_checksums, replacing, write_whole
 from emcc.parts import ALPHA, emcc_by_part, rollouts_by_part
 from emcc.streaks import count_streaks, longest_streaks
@@ -273,12 +273,19 @@ class EpisodeRecords:
             raise ValueError(f"{path}: the header must be {','.join(COLUMNS)}")
         if not data.endswith(b"\n"):  # a number may have lost its last digits
             raise ValueError(f"{path}: the last line is cut off")
-        try:
-            return cls(*(parse(columns, name, COLUMNS[name]) for name in columns))
-        except _BadRow as bad:
-            raise ValueError(
-                f"{path}, line {columns.first_line + bad.row}, {bad.problem}"
-            ) from None
+        return parse_records(columns)
+
+
+def parse_records(columns: Columns) -> EpisodeRecords:
+    """Records from the columns of a CSV file; ValueError naming the line of a bad value."""
+    arrays = [parse(columns, name, COLUMNS[name]) for name in COLUMNS if name in columns]
+    try:
+        return EpisodeRecords(*arrays)
+    except _BadRow as bad:
+        line = columns.first_line + bad.row
+        raise ValueError(f"{columns.path}, line {line}, {bad.problem}") from None
+    except ValueError as error:
+        raise ValueError(f"{columns.path}: {error}") from None
 
 
 class _BadRow(ValueError):

@@ -113,3 +113,35 @@ def test_a_flag_that_is_none(tmp_path, capsys, cell, message):
     error = error_of(path, capsys)
     assert f"{path}, line 3, column done: " in error
     assert message in error
+
+
+SUMS = [(sum(of), len(of), streak(of)) for of in episodes()]
+
+
+@pytest.mark.parametrize(
+    ("head", "columns"),
+    [
+        ("cost,length,longest_streak", (0, 1, 2)),
+        ("longest_streak,return,length,cost", (2, 0, 1, 0)),
+    ],
+)
+def test_a_row_per_episode_with_its_streak(tmp_path, capsys, head, columns):
+    rows = [[of[k] for k in columns] for of in SUMS]
+    found, _ = emcc_of(write(tmp_path / "log.csv", head, rows), capsys)
+    assert found == [f"{value:.3f}" for value in by_hand(episodes())]
+
+
+@pytest.mark.parametrize(
+    ("head", "row", "message"),
+    [
+        ("cost,length,longest_streak", (3, 2, 3), ", line 3, column longest_streak: 3 must be in"),
+        ("cost,length,longest_streak", (0, -9, 0), ", line 3, column length: -9 must be >= 1"),
+        ("cost,length,longest_streak", (0, "x", 0), ", line 3, column length: 'x' is not a whole"),
+        ("cost,length,longest_streak,streaks", (1, 2, 1, 1), ": cost_steps and streaks must be"),
+        ("rollout,cost,length,longest_streak", (0, 1, 2, 1), ": the header must be rollout,"),
+        ("length,longest_streak", (2, 1), ": the header must be rollout,"),
+    ],
+)
+def test_a_row_per_episode_that_is_wrong(tmp_path, capsys, head, row, message):
+    path = write(tmp_path / "log.csv", head, [[1] * len(row), row, [1] * len(row)])
+    assert f"{path}{message}" in error_of(path, capsys)
