@@ -10,7 +10,7 @@ from typing import NoReturn
 from emcc.inputs import EpisodeSums, EpochMeans, Run
 from emcc.panels import WINDOW
 from emcc.parts import ALPHA
-from emcc.readers import find_files, read
+from emcc.readers import find_files, read_file
 from emcc.run_tables import bounds_table, emcc_table, epochs_table, panel_tables
 from emcc.table import FORMATS
 from emcc.tail import TIES
@@ -99,7 +99,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     try:
         files = dict.fromkeys(file for path in options.paths for file in find_files(path))
-        contents = [read(file, options.threshold) for file in files]
+        contents = [read_file(file, options.threshold) for file in files]
         runs = [content for content in contents if isinstance(content, Run)]
         sums = [content for content in contents if isinstance(content, EpisodeSums)]
         means = [content for content in contents if isinstance(content, EpochMeans)]
@@ -123,10 +123,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("\n".join(table.render(options.format) for table in tables), end="")
     except (ValueError, OSError) as error:
         parser.error(str(error))
-    for entry in sums:
-        print(f"{parser.prog}: {entry.path}: sums of episodes cannot give EMCC", file=sys.stderr)
-    for entry in means:
-        print(f"{parser.prog}: {entry.path}: means of epochs cannot give EMCC", file=sys.stderr)
+    for entry in (*sums, *means):
+        print(f"{parser.prog}: {entry.path}: {entry.contents} cannot give EMCC", file=sys.stderr)
     return 0 if not sums and not means and all(table.complete for table in tables) else 1
 
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -39,7 +40,28 @@ def find_files(path: Path) -> list[Path]:
     return [path]
 
 
-def read(path: Path, threshold: float = 0.0) -> Run | EpisodeSums | EpochMeans:
+def read(path: str | os.PathLike[str], threshold: float = 0.0) -> EpisodeRecords:
+    """Records of one training run, from a file as `python -m emcc` reads it.
+
+    path: what `EpisodeRecords.save` wrote; costs of steps in a .npy, .npz or .csv file; a .csv file
+    with the cost, length and longest_streak of each episode; or a folder with one such file in it
+    or below. `python -m emcc --help` names their columns.
+    threshold: a step that costs more is a cost step; for costs of steps alone.
+    Of a run that has not ended, give `emcc_by_part` the total_steps: records do not know them.
+    ValueError: several files, one that cannot be understood, or one of sums of episodes or means
+    of epochs, which have no EMCC.
+    """
+    files = find_files(Path(path))
+    if len(files) > 1:
+        shown = ", ".join(map(str, files[:3])) + (", ..." if len(files) > 3 else "")
+        raise ValueError(f"{path}: one run is needed, but there are {len(files)}: {shown}")
+    content = read_file(files[0], threshold)
+    if not isinstance(content, Run):
+        raise ValueError(f"{content.path}: {content.contents} cannot give EMCC")
+    return content.records
+
+
+def read_file(path: Path, threshold: float = 0.0) -> Run | EpisodeSums | EpochMeans:
     """One file of records, of costs of steps (.npy, .npz, .csv), of sums of episodes, or a log of
     another library.
 

@@ -5,6 +5,7 @@ import csv
 import numpy as np
 import pytest
 
+import emcc
 from emcc.__main__ import main
 
 PARTS = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")
@@ -145,3 +146,37 @@ def test_a_row_per_episode_with_its_streak(tmp_path, capsys, head, columns):
 def test_a_row_per_episode_that_is_wrong(tmp_path, capsys, head, row, message):
     path = write(tmp_path / "log.csv", head, [[1] * len(row), row, [1] * len(row)])
     assert f"{path}{message}" in error_of(path, capsys)
+
+
+def test_records_from_python(tmp_path):
+    head, rows = LAYOUTS["done"]
+    for path in (write(tmp_path / "log.csv", head, rows), str(tmp_path / "log.csv")):
+        records = emcc.read(path)
+        assert list(records.emcc_by_part().values()) == pytest.approx(
+            by_hand(episodes()), rel=1e-12
+        )
+    (tmp_path / "run").mkdir()
+    records.save(tmp_path / "run" / "episodes.csv")
+    assert emcc.read(tmp_path / "run").to_csv() == records.to_csv()
+    np.save(tmp_path / "costs.npy", [0.5, 1.0, 1.0, 0.0])
+    streaks = [
+        emcc.read(tmp_path / "costs.npy", threshold).longest_streak for threshold in (0, 0.5)
+    ]
+    assert streaks == [[3], [2]]
+
+
+def test_files_that_are_no_records(tmp_path):
+    sums = write(tmp_path / "sums.csv", "cost,length", [(2, 3)])
+    with pytest.raises(ValueError, match=r"sums\.csv: sums of episodes cannot give EMCC"):
+        emcc.read(sums)
+    head = "Metrics/EpCost,Metrics/EpLen,TotalEnvSteps"
+    write(tmp_path / "progress.csv", head, [(2, 3, 30)])
+    with pytest.raises(ValueError, match=r"progress\.csv: means of epochs cannot give EMCC"):
+        emcc.read(tmp_path)
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "episodes.csv").touch()
+    with pytest.raises(ValueError, match="one run is needed, but there are 2: "):
+        emcc.read(tmp_path)
+    with pytest.raises(ValueError, match="nowhere: no such file or folder"):
+        emcc.read(tmp_path / "nowhere")
