@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_integers
+from emcc.arrays import as_array, as_integers, as_steps
 from emcc.csv_columns import Columns, parse, read_columns
 from emcc.files import digest, read_checked, read_checksums, replacing, write_whole
 from emcc.parts import ALPHA, emcc_by_part, rollouts_by_part
@@ -174,27 +174,30 @@ class EpisodeRecords:
     def from_costs(
         cls,
         costs: ArrayLike,
-        lengths: ArrayLike,
+        lengths: ArrayLike | None = None,
         rewards: ArrayLike | None = None,
         rollouts: ArrayLike | None = None,
         threshold: float = 0.0,
     ) -> "EpisodeRecords":
         """Records from the cost of every step.
 
-        costs: [sum of lengths] the trajectories one after another, in the order of training;
-        lengths: [E] steps; rewards: as costs, without them returns are 0; rollouts: [E] id of each
-        trajectory's rollout, by default each is a rollout; threshold: as in `longest_streak`.
+        costs: the trajectories in the order of training, an array [T] each; or one after another in
+        an array [sum of lengths]. lengths: [E] steps, needed for the latter. rewards: as costs,
+        without them returns are 0; rollouts: [E] id of each trajectory's rollout, by default each
+        is a rollout; threshold: as in `longest_streak`.
         ValueError: as in `longest_streaks`, or arrays of other lengths.
         """
+        costs, lengths = as_steps(costs, lengths, "costs")
         longest = longest_streaks(costs, lengths, threshold)
         cost_steps, streaks = count_streaks(costs, lengths, threshold)
         lengths = as_integers(lengths, "lengths")
         starts = np.cumsum(lengths) - lengths
-        of_steps = as_array(costs, "costs")
-        gains = np.zeros(of_steps.size) if rewards is None else as_array(rewards, "rewards")
-        if gains.shape != of_steps.shape:
-            raise ValueError(f"{of_steps.size} costs, but rewards have shape {gains.shape}")
-        reward, cost = (np.add.reduceat(x.astype(np.float64), starts) for x in (gains, of_steps))
+        gains = np.zeros(costs.size)
+        if rewards is not None:
+            gains, _ = as_steps(rewards, lengths, "rewards")
+        if gains.shape != costs.shape:
+            raise ValueError(f"{costs.size} costs, but rewards have shape {gains.shape}")
+        reward, cost = (np.add.reduceat(x.astype(np.float64), starts) for x in (gains, costs))
         ids = np.arange(len(lengths)) if rollouts is None else as_array(rollouts, "rollouts")
         return cls(ids, starts, lengths, reward, cost, longest, cost_steps, streaks)
 
