@@ -188,3 +188,11 @@ def as_count(value: int, name: str) -> int:
     if count < 1:
         raise ValueError(f"{name} must be >= 1, got {count}")
     return count
+
+
+def check_records(records: Any, name: str = "records") -> None:
+    """TypeError where these are no EpisodeRecords, ValueError where they have no trajectory."""
+    if not hasattr(records, "mcc_per_rollout"):  # its file imports this one
+        raise TypeError(f"{name} must be EpisodeRecords, got {type(records).__name__}")
+    if not len(records):
+        raise ValueError(f"{name} are empty: no finished trajectory; call end_rollout() first")

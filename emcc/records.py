@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_integers, as_steps
+from emcc.arrays import as_array, as_integers, as_steps, check_records
 from emcc.csv_columns import Columns, parse, read_columns
 from emcc.files import digest, read_checked, read_checksums, replacing, write_whole
 from emcc.parts import ALPHA, emcc_by_part, rollouts_by_part
@@ -135,6 +135,7 @@ class EpisodeRecords:
 
         ValueError: no trajectory, or alpha or ties as in `emcc.emcc`.
         """
+        check_records(self)
         return emcc(self.mcc_per_rollout()[0], alpha, ties)
 
     def emcc_by_part(
@@ -146,6 +147,7 @@ class EpisodeRecords:
         ValueError: as in `emcc.emcc_by_part`; a trajectory that starts after the recorded steps,
         where total_steps is not given and trajectories are missing.
         """
+        check_records(self)
         mcc_values, start_steps = self.mcc_per_rollout()
         return emcc_by_part(mcc_values, start_steps, self._total(total_steps), alpha, ties)
 
