@@ -5,7 +5,8 @@
 Arrays in, numbers or frozen dataclasses out. numpy is all it imports. Other libraries are met
 where costs arise: `RecordCosts` wraps an environment of gymnasium, `sb3.EMCCCallback` follows a
 training of Stable-Baselines3, `from_tensordict` reads TorchRL's batches, `from_minari` a data set.
-`panel` puts EMCC beside the measures that other papers report.
+`read` takes what `python -m emcc` takes. `panel` puts EMCC beside the measures that
+other papers report.
 """
 
 from importlib import import_module
@@ -17,6 +18,7 @@ from emcc.measures import regret_curve
 from emcc.panels import Panel, panel
 from emcc.parts import cost_rate, emcc_by_part
 from emcc.permutation import equivalence_test, holm, permutation_test
+from emcc.readers import read
 from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords
 from emcc.statistics import (
@@ -70,6 +72,7 @@ __all__ = [
     "permutation_test",
     "probability_of_improvement",
     "profile",
+    "read",
     "regret_curve",
     "sb3",
     "share",

@@ -10,7 +10,7 @@ from typing import NoReturn
 from emcc.inputs import EpisodeSums, EpochMeans, Run
 from emcc.panels import WINDOW
 from emcc.parts import ALPHA
-from emcc.readers import find_files, read
+from emcc.readers import find_files, read_file
 from emcc.run_tables import bounds_table, emcc_table, epochs_table, panel_tables
 from emcc.table import FORMATS
 from emcc.tail import TIES
@@ -20,8 +20,10 @@ PATH is
   a folder: every episodes.csv in it or below; a config.json beside one may give the task,
       the algorithm, the seed and the steps of the whole training. A folder without one:
       every progress.csv and *monitor.csv
-  a file of records, as emcc.EpisodeRecords.save writes it
-  costs of steps: .npy, .npz (costs, lengths), .csv (cost; episode and rollout, if several)
+  a file of records, as emcc.EpisodeRecords.save writes it, or a .csv with a row per episode
+      (cost, length, longest_streak)
+  costs of steps: .npy, .npz (costs, lengths), .csv (cost; if several, episode and rollout,
+      or done, terminated, truncated, which mark an episode's last step)
   sums of episodes: .csv (cost, length), or a monitor file of Stable-Baselines3 with the
       column cost. They bound the longest streak, but have no EMCC
   means of epochs: progress.csv of OmniSafe or SafePO. They give the cost rate, but no EMCC
@@ -97,7 +99,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     try:
         files = dict.fromkeys(file for path in options.paths for file in find_files(path))
-        contents = [read(file, options.threshold) for file in files]
+        contents = [read_file(file, options.threshold) for file in files]
         runs = [content for content in contents if isinstance(content, Run)]
         sums = [content for content in contents if isinstance(content, EpisodeSums)]
         means = [content for content in contents if isinstance(content, EpochMeans)]
@@ -121,10 +123,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("\n".join(table.render(options.format) for table in tables), end="")
     except (ValueError, OSError) as error:
         parser.error(str(error))
-    for entry in sums:
-        print(f"{parser.prog}: {entry.path}: sums of episodes cannot give EMCC", file=sys.stderr)
-    for entry in means:
-        print(f"{parser.prog}: {entry.path}: means of epochs cannot give EMCC", file=sys.stderr)
+    for entry in (*sums, *means):
+        print(f"{parser.prog}: {entry.path}: {entry.contents} cannot give EMCC", file=sys.stderr)
     return 0 if not sums and not means and all(table.complete for table in tables) else 1
 
 

@@ -43,6 +43,26 @@ def as_vector(
     return array
 
 
+def as_steps(values: Any, lengths: ArrayLike | None, name: str) -> tuple[NDArray[Any], ArrayLike]:
+    """Numbers of all steps, one trajectory after another, and the trajectories' lengths [E].
+
+    values: just these; or an array [T] of each trajectory, where lengths may be None.
+    TypeError: not numbers. ValueError: lengths that are missing, or others than the arrays have.
+    """
+    listed = isinstance(values, (list, tuple))  # of arrays of any lengths, whose ndim numpy refuses
+    if (1 + max(map(np.ndim, values[:1]), default=0) if listed else np.ndim(values)) < 2:
+        if lengths is None:
+            raise ValueError(f"lengths are needed, or {name} as an array of each trajectory")
+        return as_array(values, name), lengths
+    pieces = [as_vector(of, f"{name} of trajectory {index}") for index, of in enumerate(values)]
+    if not pieces:
+        raise ValueError(f"{name} are empty; at least one trajectory is needed")
+    sizes = np.array([piece.size for piece in pieces])
+    if lengths is not None and not np.array_equal(as_array(lengths, "lengths"), sizes):
+        raise ValueError(f"lengths must be those of the trajectories of {name}, or left out")
+    return np.concatenate(pieces), sizes
+
+
 def as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """A new float64 array of the values of runs: [runs], or [runs, tasks] where tasks are strata.
 
@@ -168,3 +188,11 @@ def as_count(value: int, name: str) -> int:
     if count < 1:
         raise ValueError(f"{name} must be >= 1, got {count}")
     return count
+
+
+def check_records(records: Any, name: str = "records") -> None:
+    """TypeError where these are no EpisodeRecords, ValueError where they have no trajectory."""
+    if not hasattr(records, "mcc_per_rollout"):  # its file imports this one
+        raise TypeError(f"{name} must be EpisodeRecords, got {type(records).__name__}")
+    if not len(records):
+        raise ValueError(f"{name} are empty: no finished trajectory; call end_rollout() first")

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ class Run:
     algorithm: str = ""
     seed: str = ""
     settings: str = ""  # the other settings that runs of one experiment have in common
+    note: str = ""  # how the file was read, where that is a guess
 
     @property
     def steps(self) -> int:
@@ -38,6 +40,7 @@ class Run:
 class EpisodeSums:
     """Episodes known by their sums only: [E] costs and lengths. They have no EMCC."""
 
+    contents: ClassVar[str] = "sums of episodes"
     path: Path
     cost: NDArray[np.float64]
     """Each the number of cost steps, since costs are 0 or 1."""
@@ -48,6 +51,7 @@ class EpisodeSums:
 class EpochMeans:
     """Epochs known by the means of their episodes only: arrays [K]. They have no EMCC."""
 
+    contents: ClassVar[str] = "means of epochs"
     path: Path
     cost: NDArray[np.float64]
     """Mean cost of an episode."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from emcc.arrays import as_number
+from emcc.arrays import as_number, check_records
 from emcc.parts import cost_rate
 from emcc.records import EpisodeRecords
 from emcc.tail import cvar, emcc
@@ -142,11 +142,10 @@ def regret_curve(
     """Cost regret over training: steps [E] at which episodes start, and the regret so far [E].
 
     limit: d, as in `panel`; the regret so far is the sum of max(C - d, 0) of the episodes that
-    started up to then. ValueError: no records, or a limit that is not allowed.
+    started up to then. Errors as in `panel`.
     """
     if (limit := as_number(limit, "limit")) < 0:
         raise ValueError(f"limit must be >= 0, got {limit}")
-    if not len(records):
-        raise ValueError("records are empty; at least one trajectory is needed")
+    check_records(records)
     order = np.argsort(records.start_step, kind="stable")
     return records.start_step[order], np.maximum(records.cost[order] - limit, 0).cumsum()

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from emcc.arrays import as_count, as_number
+from emcc.arrays import as_count, as_number, check_records
 from emcc.interval import estimate
 from emcc.measures import LEVELS, Measures, feasible, measures_of
 from emcc.parts import ALPHA, PARTS
@@ -65,7 +65,7 @@ class Panel(Measures):
 
 def panel(
     records: EpisodeRecords,
-    limit: float | None,
+    limit: float | None = None,
     alpha: float = ALPHA,
     *,
     ties: str = "all",
@@ -82,7 +82,8 @@ def panel(
     recorded. episodes: records whose rows are whole episodes, for the measures of episode costs,
     where rollouts cut those of `records`. source: one of `SOURCES`; only training has thirds and a
     time to feasible. Episodes are taken by rising start step.
-    ValueError: no records, or an argument that is not allowed.
+    TypeError: something else than records. ValueError: no trajectory, or an argument that is not
+    allowed.
     """
     if limit is not None and (limit := as_number(limit, "limit")) < 0:
         raise ValueError(f"limit must be >= 0, got {limit}")
@@ -90,8 +91,7 @@ def panel(
         raise ValueError(f"source must be one of {', '.join(SOURCES)}, got {source!r}")
     episodes = records if episodes is None else episodes
     for name, given in (("records", records), ("episodes", episodes)):
-        if not len(given):
-            raise ValueError(f"{name} are empty; at least one trajectory is needed")
+        check_records(given, name)
     window = min(as_count(window, "window"), len(episodes))
     whole = measures_of(records, episodes, limit, alpha, window, ties)
     parts: dict[float, Measures | None] = {}

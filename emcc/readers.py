@@ -2,21 +2,25 @@
 
 import json
 import math
+import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emcc import foreign_logs
 from emcc.csv_columns import Columns, parse, read_columns
 from emcc.files import read_checked
 from emcc.inputs import EpisodeSums, EpochMeans, Run
-from emcc.records import COLUMNS, EpisodeRecords
+from emcc.records import COLUMNS, EpisodeRecords, parse_records
 
 RECORDS_FILE = "episodes.csv"
 CONFIG_FILE = "config.json"
+ENDS = ("done", "terminated", "truncated")
+"""Columns that mark the last step of an episode, in files of costs of steps."""
 
 
 def find_files(path: Path) -> list[Path]:
@@ -36,7 +40,28 @@ def find_files(path: Path) -> list[Path]:
     return [path]
 
 
-def read(path: Path, threshold: float = 0.0) -> Run | EpisodeSums | EpochMeans:
+def read(path: str | os.PathLike[str], threshold: float = 0.0) -> EpisodeRecords:
+    """Records of one training run, from a file as `python -m emcc` reads it.
+
+    path: what `EpisodeRecords.save` wrote; costs of steps in a .npy, .npz or .csv file; a .csv file
+    with the cost, length and longest_streak of each episode; or a folder with one such file in it
+    or below. `python -m emcc --help` names their columns.
+    threshold: a step that costs more is a cost step; for costs of steps alone.
+    Of a run that has not ended, give `emcc_by_part` the total_steps: records do not know them.
+    ValueError: several files, one that cannot be understood, or one of sums of episodes or means
+    of epochs, which have no EMCC.
+    """
+    files = find_files(Path(path))
+    if len(files) > 1:
+        shown = ", ".join(map(str, files[:3])) + (", ..." if len(files) > 3 else "")
+        raise ValueError(f"{path}: one run is needed, but there are {len(files)}: {shown}")
+    content = read_file(files[0], threshold)
+    if not isinstance(content, Run):
+        raise ValueError(f"{content.path}: {content.contents} cannot give EMCC")
+    return content.records
+
+
+def read_file(path: Path, threshold: float = 0.0) -> Run | EpisodeSums | EpochMeans:
     """One file of records, of costs of steps (.npy, .npz, .csv), of sums of episodes, or a log of
     another library.
 
@@ -48,7 +73,7 @@ def read(path: Path, threshold: float = 0.0) -> Run | EpisodeSums | EpochMeans:
     columns = read_columns(path)
     if "longest_streak" in columns:
         _no_threshold(path, threshold, "streaks")
-        records = EpisodeRecords.load(path)
+        records = _read_records(columns)
         return _labelled(Run(path, records, records.total_steps))
     if foreign_logs.is_progress(columns):
         _no_threshold(path, threshold, "means of epochs")
@@ -63,7 +88,7 @@ def read(path: Path, threshold: float = 0.0) -> Run | EpisodeSums | EpochMeans:
         return _read_steps(columns, threshold)
     raise ValueError(
         f"{path}: has the columns {', '.join(columns)}; needed is cost (with episode and rollout, "
-        f"if there are several), or {','.join(COLUMNS)}"
+        f"or done, if there are several), or {','.join(COLUMNS)}"
     )
 
 
@@ -72,6 +97,19 @@ def _no_threshold(path: Path, threshold: float, contents: str) -> None:
         raise ValueError(
             f"{path}: holds {contents}, not costs of steps: leave the threshold out"
         )  # fmt: skip
+
+
+def _read_records(columns: Columns) -> EpisodeRecords:
+    """A file of `EpisodeRecords.save`; or one with cost, length and longest_streak of an episode in
+    each row, in the order of training: each is a rollout, and without returns they are 0."""
+    if not {"cost", "length"} <= columns.keys() or {"rollout", "start_step"} & columns.keys():
+        return EpisodeRecords.load(columns.path)
+    length = parse(columns, "length", int)
+    steps = np.maximum(length, 1)  # a length below 1 is refused as such, not for a start step
+    columns["rollout"] = [str(number) for number in range(len(length))]
+    columns["start_step"] = [str(start) for start in np.cumsum(steps) - steps]
+    columns.setdefault("return", ["0"] * len(length))
+    return parse_records(columns)
 
 
 def _labelled(run: Run) -> Run:
@@ -131,17 +169,41 @@ def _read_numpy(path: Path, threshold: float) -> Run:
 
 
 def _read_steps(columns: Columns, threshold: float) -> Run:
-    """One row per step. A trajectory ends where the episode or the rollout changes."""
+    """One row per step. A trajectory ends where the episode or the rollout changes; without a
+    column `episode`, behind each row that one of `ENDS` marks."""
     path, costs = columns.path, parse(columns, "cost", float)
     if not costs.size:
         raise ValueError(f"{path}: no steps")
+    ends = [_flags(columns, name) for name in ENDS if name in columns]
+    if "episode" not in columns and ends:
+        last = np.any(ends, axis=0)
+        columns["episode"] = [str(number) for number in np.cumsum(last) - last]
     episode, rollout = (columns.get(name, [""] * costs.size) for name in ("episode", "rollout"))
     keys = list(zip(rollout, episode, strict=True))
     begins = [row for row, key in enumerate(keys) if row == 0 or key != keys[row - 1]]
     if len({keys[row] for row in begins}) < len(begins):
         raise ValueError(f"{path}: the steps of an episode must follow one another")
+    if len(begins) == costs.size > 1:
+        raise ValueError(
+            f"{path}: every episode has one row: these look like sums, which have no EMCC "
+            "(with a column length they give bounds)"
+        )
     lengths = np.diff([*begins, costs.size])
     names = [rollout[row] for row in begins]
     numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
     ids = np.array([numbers[name] for name in names]) if "rollout" in columns else None
-    return _run_of_costs(path, costs, lengths, ids, threshold)
+    run = _run_of_costs(path, costs, lengths, ids, threshold)
+    if {"episode", "rollout"} & columns.keys():
+        return run
+    return replace(run, note=f"{path} has no column episode or done: read as one episode.")
+
+
+def _flags(columns: Columns, name: str) -> NDArray[np.bool_]:
+    """A column of 0 and 1, or of False and True: [rows]."""
+    words = {"false": "0", "true": "1"}
+    columns[name] = [words.get(text.strip().lower(), text) for text in columns[name]]
+    flags = parse(columns, name, float)
+    if len(bad := np.flatnonzero((flags != 0) & (flags != 1))):
+        place = f"{columns.path}, line {columns.first_line + bad[0]}, column {name}"
+        raise ValueError(f"{place}: must be 0 or 1, got {flags[bad[0]]:g}")
+    return flags == 1

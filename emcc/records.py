@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_integers
-from emcc.csv_columns import parse, read_columns
+from emcc.arrays import as_array, as_integers, as_steps, check_records
+from emcc.csv_columns import Columns, parse, read_columns
 from emcc.files import digest, read_checked, read_checksums, replacing, write_whole
 from emcc.parts import ALPHA, emcc_by_part, rollouts_by_part
 from emcc.streaks import count_streaks, longest_streaks
@@ -135,6 +135,7 @@ class EpisodeRecords:
 
         ValueError: no trajectory, or alpha or ties as in `emcc.emcc`.
         """
+        check_records(self)
         return emcc(self.mcc_per_rollout()[0], alpha, ties)
 
     def emcc_by_part(
@@ -146,6 +147,7 @@ class EpisodeRecords:
         ValueError: as in `emcc.emcc_by_part`; a trajectory that starts after the recorded steps,
         where total_steps is not given and trajectories are missing.
         """
+        check_records(self)
         mcc_values, start_steps = self.mcc_per_rollout()
         return emcc_by_part(mcc_values, start_steps, self._total(total_steps), alpha, ties)
 
@@ -174,27 +176,30 @@ class EpisodeRecords:
     def from_costs(
         cls,
         costs: ArrayLike,
-        lengths: ArrayLike,
+        lengths: ArrayLike | None = None,
         rewards: ArrayLike | None = None,
         rollouts: ArrayLike | None = None,
         threshold: float = 0.0,
     ) -> "EpisodeRecords":
         """Records from the cost of every step.
 
-        costs: [sum of lengths] the trajectories one after another, in the order of training;
-        lengths: [E] steps; rewards: as costs, without them returns are 0; rollouts: [E] id of each
-        trajectory's rollout, by default each is a rollout; threshold: as in `longest_streak`.
+        costs: the trajectories in the order of training, an array [T] each; or one after another in
+        an array [sum of lengths]. lengths: [E] steps, needed for the latter. rewards: as costs,
+        without them returns are 0; rollouts: [E] id of each trajectory's rollout, by default each
+        is a rollout; threshold: as in `longest_streak`.
         ValueError: as in `longest_streaks`, or arrays of other lengths.
         """
+        costs, lengths = as_steps(costs, lengths, "costs")
         longest = longest_streaks(costs, lengths, threshold)
         cost_steps, streaks = count_streaks(costs, lengths, threshold)
         lengths = as_integers(lengths, "lengths")
         starts = np.cumsum(lengths) - lengths
-        of_steps = as_array(costs, "costs")
-        gains = np.zeros(of_steps.size) if rewards is None else as_array(rewards, "rewards")
-        if gains.shape != of_steps.shape:
-            raise ValueError(f"{of_steps.size} costs, but rewards have shape {gains.shape}")
-        reward, cost = (np.add.reduceat(x.astype(np.float64), starts) for x in (gains, of_steps))
+        gains = np.zeros(costs.size)
+        if rewards is not None:
+            gains, _ = as_steps(rewards, lengths, "rewards")
+        if gains.shape != costs.shape:
+            raise ValueError(f"{costs.size} costs, but rewards have shape {gains.shape}")
+        reward, cost = (np.add.reduceat(x.astype(np.float64), starts) for x in (gains, costs))
         ids = np.arange(len(lengths)) if rollouts is None else as_array(rollouts, "rollouts")
         return cls(ids, starts, lengths, reward, cost, longest, cost_steps, streaks)
 
@@ -273,12 +278,19 @@ class EpisodeRecords:
             raise ValueError(f"{path}: the header must be {','.join(COLUMNS)}")
         if not data.endswith(b"\n"):  # a number may have lost its last digits
             raise ValueError(f"{path}: the last line is cut off")
-        try:
-            return cls(*(parse(columns, name, COLUMNS[name]) for name in columns))
-        except _BadRow as bad:
-            raise ValueError(
-                f"{path}, line {columns.first_line + bad.row}, {bad.problem}"
-            ) from None
+        return parse_records(columns)
+
+
+def parse_records(columns: Columns) -> EpisodeRecords:
+    """Records from the columns of a CSV file; ValueError naming the line of a bad value."""
+    arrays = [parse(columns, name, COLUMNS[name]) for name in COLUMNS if name in columns]
+    try:
+        return EpisodeRecords(*arrays)
+    except _BadRow as bad:
+        line = columns.first_line + bad.row
+        raise ValueError(f"{columns.path}, line {line}, {bad.problem}") from None
+    except ValueError as error:
+        raise ValueError(f"{columns.path}: {error}") from None
 
 
 class _BadRow(ValueError):

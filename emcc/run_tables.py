@@ -133,7 +133,7 @@ def _missing(measures: dict[str, float | None]) -> list[str]:
 
 
 def _notes(run: Run, missing: list[str]) -> list[str]:
-    notes = []
+    notes = [run.note] if run.note else []
     if run.steps < run.total_steps:
         notes.append(f"{run.path} is unfinished: {run.steps} of {run.total_steps} steps.")
     if missing:

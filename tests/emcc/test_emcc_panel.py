@@ -168,7 +168,8 @@ def test_order_is_that_of_training():
 
 
 def test_without_a_limit():
-    found = panel(records_of([[1, 0], [1, 1]]), None)
+    found = panel(records_of([[1, 0], [1, 1]]))
+    assert found == panel(records_of([[1, 0], [1, 1]]), None)
     for name in ("violation_rate", "severity", "severity_of_violations", "regret"):
         assert getattr(found, name) is None
     assert (found.steps_to_feasible, found.feasible_share) == (None, None)
@@ -234,6 +235,33 @@ def test_mistakes_are_named(changes, message):
     arguments = {"records": records_of([[1, 0], [1, 1]]), "limit": 1.0, **changes}
     with pytest.raises(ValueError, match=message):
         panel(**arguments)
+
+
+def test_something_else_than_records():
+    for call in (
+        panel,
+        regret_curve,
+        lambda given, limit: panel(records_of([[1]]), episodes=given),
+    ):
+        with pytest.raises(TypeError, match=r"(records|episodes) must be EpisodeRecords, got list"):
+            call([1, 2], limit=5)
+
+
+def test_before_the_first_trajectory_has_ended():
+    recorder = emcc.CostRecorder(1)
+    for cost in (0, 1, 1, 0):
+        recorder.step([cost], [0], [False])
+    calls = (
+        EpisodeRecords.emcc,
+        EpisodeRecords.emcc_by_part,
+        panel,
+        lambda of: regret_curve(of, 1),
+    )
+    for call in calls:
+        with pytest.raises(ValueError, match=r"no finished trajectory; call end_rollout\(\) first"):
+            call(recorder.records)
+    recorder.end_rollout()
+    assert recorder.records.emcc() == panel(recorder.records).emcc == 0.5
 
 
 def test_records_give_their_emcc():

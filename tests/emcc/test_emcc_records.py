@@ -141,6 +141,47 @@ def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [path]
 
 
+@given(st.lists(st.lists(st.booleans(), min_size=1, max_size=9), min_size=1, max_size=9))
+def test_costs_of_each_trajectory_or_joined_are_the_same(costs):
+    lengths, joined = [len(of) for of in costs], [cost for of in costs for cost in of]
+    rewards = np.arange(len(joined)) / 8
+    expected = EpisodeRecords.from_costs(joined, lengths, rewards).to_csv()
+    split = np.split(rewards, np.cumsum(lengths)[:-1])
+    arrays = tuple(np.array(of) for of in costs)
+    for given_costs, given_lengths, given_rewards in [
+        (costs, None, split),
+        (arrays, None, rewards),
+        (arrays, lengths, split),
+        (joined, lengths, split),
+    ]:
+        found = EpisodeRecords.from_costs(given_costs, given_lengths, given_rewards)
+        assert found.to_csv() == expected
+
+
+def test_costs_of_episodes_of_one_length():
+    found = EpisodeRecords.from_costs(np.array([[0, 1, 1, 0], [1, 0, 0, 0.5]]))
+    assert found.longest_streak.tolist() == [2, 1]
+    assert found.cost.tolist() == [2.0, 1.5]
+    assert found.start_step.tolist() == [0, 4]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([0, 1, 1],), "lengths are needed, or costs as an array of each trajectory"),
+        ((np.zeros((0, 3)),), "costs are empty; at least one trajectory is needed"),
+        (([[0, 1], []],), "costs of trajectory 1 is empty"),
+        (([[0, 1], [[1]]],), r"costs of trajectory 1 must be 1-D, got shape \(1, 1\)"),
+        (([[0, 1], [1, 0]], [2, 1]), "lengths must be those of the trajectories of costs"),
+        (([[0, 1], [1]], None, [[1], [2, 3]]), "lengths must be .* of the trajectories of rewards"),
+        (([[0, 1], [1]], None, [1, 2]), r"3 costs, but rewards have shape \(2,\)"),
+    ],
+)
+def test_costs_that_do_not_fit(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        EpisodeRecords.from_costs(*arguments)
+
+
 BAD_ROWS = {
     "length 0": ({"length": [10, 40, 0]}, "row 2, column length: 0 must be >= 1"),
     "streak": ({"longest_streak": [4, 41, 0]}, r"row 1, column longest_streak: 41 .*\[0, length\]"),
