@@ -1,6 +1,7 @@
 """Means over seeds with percentile bootstrap intervals, by numpy alone.
 
-Of few runs these intervals are too short: `emcc.statistics` says what to use instead.
+Of few runs these intervals are too short. New programs take `emcc.statistics`: `mean_interval`,
+`mean_difference`, or `bootstrap` for any statistic.
 """
 
 from collections.abc import Mapping
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from emcc.arrays import as_count, as_level, as_runs, check_generator
+from emcc.statistics import Interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,16 +28,9 @@ class Estimate:
     per_run: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Difference:
-    """A difference of two means over runs with its interval; the unit is that of the values.
-
-    low and high are None where either side has only one seed.
-    """
-
-    value: float
-    low: float | None
-    high: float | None
+Difference = Interval
+"""The name that the result of `difference` had; its `low` and `high` are None where either side has
+only one seed."""
 
 
 def estimate(
@@ -71,7 +66,7 @@ def difference(
     rng: np.random.Generator,
     level: float = 0.95,
     resamples: int = 10_000,
-) -> Difference:
+) -> Interval:
     """The mean of `second` minus the mean of `first`, with a percentile bootstrap interval.
 
     For ten runs a side and more. Of three against three, 19 % of equal pairs have an interval
@@ -85,10 +80,11 @@ def difference(
     _check(rng, level, resamples)
     sides = [as_runs(v, f"values of {n!r}") for v, n in ((first, "first"), (second, "second"))]
     value = float(sides[1].mean() - sides[0].mean())
-    if min(map(len, sides)) == 1:
-        return Difference(value, None, None)
+    fewest = min(map(len, sides))
+    if fewest == 1:
+        return Interval(value, None, None, "bootstrap", fewest)
     before, after = (_resampled_means(side, rng, resamples) for side in sides)
-    return Difference(value, *_interval(after - before, level))
+    return Interval(value, *_interval(after - before, level), "bootstrap", fewest)
 
 
 def _check(rng: np.random.Generator, level: float, resamples: int) -> None:

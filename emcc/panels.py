@@ -4,14 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from emcc.arrays import as_count, as_number, check_records
-from emcc.interval import estimate
 from emcc.measures import LEVELS, Measures, feasible, measures_of
 from emcc.parts import ALPHA, PARTS
 from emcc.records import EpisodeRecords
-from emcc.table import MISSING, Table
+from emcc.table import INTERVALS, Table, mean_cell
 
 WINDOW = 100
 """Episodes of a moving window."""
@@ -154,7 +151,7 @@ def _of_whole(name: str) -> Callable[[Measures], float | None]:
 def panel_table(
     panels: Sequence[Panel], name: str = "", notes: Sequence[str] = (), seed: int = 0
 ) -> Table:
-    """The table of the means over runs of one kind, with 95 % bootstrap intervals.
+    """The table of the means over runs of one kind, with their intervals.
 
     name: of the runs, for the caption; seed: of the bootstrap. A cell is empty where any run has no
     such value.
@@ -165,13 +162,13 @@ def panel_table(
     cells = []
     for row in rows(first):
         values = [[None if m is None else row.value(m) for m in stretch] for stretch in of_runs]
-        cells.append([row.title, *(_mean(of_row, row.digits, seed) for of_row in values)])
+        cells.append([row.title, *(mean_cell(of_row, row.digits, seed) for of_row in values)])
     limit = "no limit" if first.limit is None else f"limit {first.limit:g}"
     sizes = " and ".join(
         dict.fromkeys(f"{of.episodes} episodes, {of.steps} steps" for of in panels)
     )
     if len(panels) > 1:
-        sizes = f"means over {len(panels)} runs [95 % bootstrap interval]"
+        sizes = f"means over {len(panels)} runs {INTERVALS}"
     head = ["all" if first.parts else "value", *(PARTS[part] for part in first.parts)]
     return Table(
         f"{name + ': ' if name else ''}{SOURCES[first.source]}, {limit}; {sizes}",
@@ -180,13 +177,3 @@ def panel_table(
         list(notes),
         complete=all(m is not None for stretch in of_runs for m in stretch),
     )
-
-
-def _mean(values: list[float | None], digits: int, seed: int) -> str:
-    known = [value for value in values if value is not None]
-    if len(known) < len(values):
-        return MISSING
-    result = estimate({"": known}, rng=np.random.default_rng(seed))[""]
-    if result.low is None or result.high is None:
-        return f"{result.value:.{digits}f}"
-    return f"{result.value:.{digits}f} [{result.low:.{digits}f}, {result.high:.{digits}f}]"

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emcc.inputs import EpisodeSums, EpochMeans, Run
-from emcc.interval import estimate
 from emcc.measures import cost_measures
 from emcc.panels import WINDOW, panel, panel_table
 from emcc.parts import cost_rate, rollouts_by_part
 from emcc.streaks import streak_bounds
-from emcc.table import MISSING, Table
+from emcc.table import INTERVALS, MISSING, Table, mean_cell
 from emcc.tail import emcc
 
 
@@ -37,7 +36,7 @@ def emcc_table(
                 rows.append([*label, f"seed {run.seed or '?'}", *_cells([run], measures, seed)])
     caption = (
         f"EMCC with alpha = {alpha:g}, ties = {ties}: {_READINGS[ties]} in each third of training; "
-        "means over runs [95 % bootstrap interval]"
+        f"means over runs {INTERVALS}"
     )
     names = list(measures[runs[0]])
     return Table(
@@ -114,18 +113,10 @@ def _parts(run: Run) -> dict[float, NDArray[np.bool_]]:
 def _cells(runs: list[Run], measures: dict[Run, dict[str, float | None]], seed: int) -> list[str]:
     steps = ", ".join(dict.fromkeys(str(run.total_steps) for run in runs))
     source = ", ".join(dict.fromkeys(run.total_from for run in runs))
-    names = measures[runs[0]]
-    return [steps, source, *(_mean([measures[run][name] for run in runs], seed) for name in names)]
-
-
-def _mean(values: list[float | None], seed: int) -> str:
-    known = [value for value in values if value is not None]
-    if len(known) < len(values):
-        return MISSING
-    # A generator of its own: no cell depends on which others the table has.
-    result = estimate({"": known}, rng=np.random.default_rng(seed))[""]
-    interval = "" if result.low is None else f" [{result.low:.3f}, {result.high:.3f}]"
-    return f"{result.value:.3f}{interval}"
+    means = [
+        mean_cell([measures[run][name] for run in runs], 3, seed) for name in measures[runs[0]]
+    ]
+    return [steps, source, *means]
 
 
 def _missing(measures: dict[str, float | None]) -> list[str]:

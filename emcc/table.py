@@ -3,11 +3,19 @@
 import csv
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
+
+from emcc.interval import estimate
+from emcc.statistics import FEWEST_RUNS
 
 MISSING = "\N{EN DASH}"
 FORMATS = ("text", "md", "csv", "latex")
 Rows = list[list[str]]
+INTERVALS = f"[95 % bootstrap interval], or the range of fewer than {FEWEST_RUNS} runs"
+"""Meaning of the brackets in the cell of a mean."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +83,25 @@ class Table:
         first = rf"\begin{{tabular}}{{l{'r' * (len(self.head) - 1)}}}"
         top, end = (first, r"\toprule", head, r"\midrule"), (r"\bottomrule", r"\end{tabular}")
         return "\n".join([*comments, *top, *rows, *end, ""])
+
+
+def mean_cell(values: Sequence[float | None], digits: int, seed: int) -> str:
+    """Mean over runs with its interval or range; a dash where a run has no value.
+
+    seed: of the bootstrap.
+    """
+    known = [value for value in values if value is not None]
+    if len(known) < len(values):
+        return MISSING
+    # A generator of its own: no cell depends on which others the table has.
+    mean = estimate({"": known}, rng=np.random.default_rng(seed))[""]
+    if mean.low is None or mean.high is None:
+        return f"{mean.value:.{digits}f}"
+    if len(known) < FEWEST_RUNS:
+        ends = f"range {min(known):.{digits}f} to {max(known):.{digits}f}"
+    else:
+        ends = f"[{mean.low:.{digits}f}, {mean.high:.{digits}f}]"
+    return f"{mean.value:.{digits}f} {ends}"
 
 
 def _escape(text: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from agents.paper.settings import cost_limit, in_order, title_of
 from agents.reporting.table import Row, Table, number_of
 from agents.results.reading import Group, Run
-from agents.results.statistics import mean_of
+from agents.results.statistics import INTERVALS, Values, mean_of
 from emcc import panel
 from emcc.measures import CostMeasures, cost_measures
 from emcc.panels import WINDOW, Panel
@@ -55,7 +55,7 @@ def panel_table(groups: Sequence[Group]) -> Table:
         ]
         for group, limit in zip(groups, limits, strict=True)
     ]
-    listed = list(_training_rows(panels))
+    listed = list(_training_rows(groups, panels))
     for policy, words in POLICIES.items():
         listed += _policy_rows(policy, words, groups, limits)
     head = [groups[0].config.task, *(title_of(group.config) for group in groups)]
@@ -70,21 +70,18 @@ def _caption(groups: Sequence[Group], limits: Sequence[float | None]) -> str:
     else:
         words = ", ".join(f"limit of {name} {d:g}" for name, d in known.items()) or "no limit"
     return (
-        f"Undiscounted costs of episodes, {words}; means over runs [95 % bootstrap interval]. "
+        f"Undiscounted costs of episodes, {words}; mean {INTERVALS}. "
         "Definitions and sources: `emcc.panel`; thirds of training: `python -m emcc --limit`"
     )
 
 
-def _training_rows(panels: Sequence[Sequence[Panel]]) -> Iterator[Row]:
+def _training_rows(groups: Sequence[Group], panels: Sequence[Sequence[Panel]]) -> Iterator[Row]:
     """Rows of the costs during training. panels: of each run of each group."""
     all_panels = [of_run for of_group in panels for of_run in of_group]
     limited = [of_run for of_run in all_panels if of_run.limit is not None]
     for row in panel_rows((limited or all_panels)[0]):
-        cells = [
-            number_of(mean_of([row.value(of_run) for of_run in of_group]), row.digits)
-            for of_group in panels
-        ]
-        yield Row(f"training: {row.title}", cells, kind="mean")
+        values = [[row.value(of_run) for of_run in of_group] for of_group in panels]
+        yield _mean_row(f"training: {row.title}", groups, values, row.digits)
 
 
 def _policy_rows(
@@ -98,11 +95,14 @@ def _policy_rows(
     if not any(of_run for of_group in measured for of_run in of_group):
         return
     for title, name, digits in OF_POLICIES:
-        cells = [
-            number_of(mean_of([of_run and getattr(of_run, name) for of_run in of_group]), digits)
-            for of_group in measured
-        ]
-        yield Row(f"{words}: {title}", cells, kind="mean")
+        values = [[of_run and getattr(of_run, name) for of_run in runs] for runs in measured]
+        yield _mean_row(f"{words}: {title}", groups, values, digits)
+
+
+def _mean_row(name: str, groups: Sequence[Group], values: Sequence[Values], digits: int) -> Row:
+    """The row of the means over each group's runs, with their intervals."""
+    means = [mean_of(v, group.one_place) for group, v in zip(groups, values, strict=True)]
+    return Row(name, [number_of(mean, digits) for mean in means], kind="mean")
 
 
 def _of_policy(run: Run, policy: str, limit: float | None) -> CostMeasures | None:

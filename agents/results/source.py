@@ -89,7 +89,9 @@ class FolderSource:
     def __init__(self, root: Path) -> None:
         if not root.is_dir():
             raise UserError(f"{root} is no folder")
-        self.root, self.name = root, root.resolve().name
+        # Resolved: errors are told relative to it, and "." is in every sentence.
+        self.root = root = root.resolve()
+        self.name = root.name
         self._trained: dict[tuple[str, int], list[Episode] | None] = {}
         self._views: dict[str, View | None] = {}
         configs: dict[str, dict[str, Any]] = {}

@@ -128,7 +128,7 @@ def test_the_panel_of_several_runs(tmp_path, capsys):
     rows, lines, _ = table(capsys, tmp_path, "--limit", 2, "--per-run", status=0)
     assert lines[0].startswith("# cpo on t: costs during training, limit 2; means over 2 runs")
     measures = [row for row in rows if row["measure"] == "violation rate V"]
-    assert [row["all"] for row in measures] == ["0.500 [0.000, 1.000]", "0.000", "1.000"]
+    assert [row["all"] for row in measures] == ["0.500 range 0.000 to 1.000", "0.000", "1.000"]
     assert any(line.startswith("# cpo on t, seed 1:") for line in lines)
     (row, *_), lines, _ = table(capsys, tmp_path, "--limit", 2, "--total-steps", 200, status=1)
     assert row["66 to 99 %"] == "–"
