@@ -236,6 +236,9 @@ def _start(
     """Make the folder of some runs and train them."""
     if engine != "local" and (on_epoch or progress):
         raise UserError("on_epoch and progress are of the engine local")
+    if config.step_timeout is not None and config.vectorization != "async":
+        given = config.vectorization  # not in TrainConfig, since earlier folders may hold it
+        raise UserError(f"step_timeout is for processes: vectorization must be async, got {given}")
     check_task(config.task, config.task_parameters)
     if config.tensorboard:
         require_tensorboard()
