@@ -1,9 +1,10 @@
 """The entrance from Python: the functions that `agents` exports.
 
 They sit on top of everything but the command line, which is a thin skin over them. Each is a guest
-in the caller's process: torch's threads, default device and matrix products are as before when it
-returns or raises, and no signal handler is touched. One thing cannot be undone: on Linux, freed
-memory stays with the process from the first training on, for the next tensor (`mallopt`).
+in the caller's process: torch's threads, default device, matrix products and limit of compilations
+are as before when it returns or raises, and no signal handler is touched. Three things stay: on
+Linux, freed memory is kept for the next tensor (`mallopt`); TORCHINDUCTOR_CACHE_DIR is set where it
+was not; two callbacks measure the time of PyTorch's compiler.
 
 >>> import agents, numpy as np
 >>> runs = agents.train("trpo-lag", "Circle2D-1-v0", seeds=0, steps=200, episodes=2)
@@ -241,6 +242,9 @@ def _start(
     """Make the folder of some runs and train them."""
     if engine != "local" and (on_epoch or progress):
         raise UserError("on_epoch and progress are of the engine local")
+    if config.step_timeout is not None and config.vectorization != "async":
+        given = config.vectorization  # not in TrainConfig, since earlier folders may hold it
+        raise UserError(f"step_timeout is for processes: vectorization must be async, got {given}")
     check_task(config.task, config.task_parameters)
     if config.tensorboard:
         require_tensorboard()

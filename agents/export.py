@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -20,7 +20,7 @@ from agents.results.archive import open_source
 from agents.results.reading import read_groups
 from agents.training.config import TrainConfig, read_spaces
 from agents.training.environments import Spaces
-from agents.training.files import read_arrays, read_json, write_whole
+from agents.training.files import read_json, write_whole
 from agents.training.policy import Policy, load_policy
 
 Format = Literal["safetensors", "onnx"]
@@ -57,20 +57,19 @@ def export(
     config = TrainConfig.read(folder)
     policies = {seed: load_policy(folder, seed, step) for seed in seeds or config.seeds}
     networks = {seed: _network(policy, seed) for seed, policy in policies.items()}
-    steps = _steps(folder, config, step)
     about = {"task": config.task, "algorithm": config.algorithm, "commit": _commit(folder)}
     out = folder / "exported" if out is None else out
     files = {seed: out / f"seed-{seed}.{format}" for seed in networks}
     contents = {
-        files[seed]: write(network, about | {"seed": str(seed), "step": str(steps[seed])})
-        for seed, network in networks.items()
+        files[seed]: write(networks[seed], about | {"seed": str(seed), "step": _steps([policy])})
+        for seed, policy in policies.items()
     }
     out.mkdir(parents=True, exist_ok=True)
     for path, content in contents.items():
         write_whole(path, content)
     network = next(iter(networks.values()))
     loading = _loading(format, next(iter(files.values())).name, network)
-    card = _card(folder, config, {seed: steps[seed] for seed in networks}, loading)
+    card = _card(folder, config, policies, loading)
     write_whole(out / "README.md", card)
     return [*files.values(), out / "README.md"]
 
@@ -147,12 +146,10 @@ def _write_onnx(network: Exported, about: Mapping[str, str]) -> bytes:
     return model.SerializeToString()
 
 
-def _steps(folder: Path, config: TrainConfig, step: int | None) -> dict[int, int]:
-    """Environment steps that each run had taken when the policy was kept."""
-    if step is not None:
-        return dict.fromkeys(config.seeds, step)
-    taken = read_arrays(folder / "checkpoint.npz", lambda name: name == "steps")["steps"]
-    return dict(zip(config.seeds, taken.tolist(), strict=True))
+def _steps(policies: Iterable[Policy], format: str = "d") -> str:
+    """Environment steps of the policies' runs, or that they are not known."""
+    taken = {policy.step for policy in policies if policy.step is not None}
+    return " or ".join(f"{step:{format}}" for step in sorted(taken)) or "not recorded"
 
 
 def _commit(folder: Path) -> str:
@@ -162,17 +159,16 @@ def _commit(folder: Path) -> str:
     return content.get("commit") or f"not recorded (version {version})"
 
 
-def _card(folder: Path, config: TrainConfig, steps: Mapping[int, int], loading: str) -> str:
-    """The model card. steps: of each seed. loading: code that reads a file."""
+def _card(folder: Path, config: TrainConfig, policies: Mapping[int, Policy], loading: str) -> str:
+    """The model card. policies: by seed. loading: code that reads a file."""
     content = read_json(folder / "config.json")
     versions = content.get("versions") or {}
-    taken = sorted(set(steps.values()))
     parameters = f" with {config.task_parameters}" if config.task_parameters else ""
     facts = {
         "algorithm": f"{title(config.algorithm)} (`{config.algorithm}`)",
         "task": f"`{config.task}`{parameters}",
-        "seeds": ", ".join(map(str, steps)),
-        "environment steps": f"{' or '.join(f'{n:,}' for n in taken)}; planned {config.steps:,}",
+        "seeds": ", ".join(map(str, policies)),
+        "environment steps": f"{_steps(policies.values(), ',')}; planned {config.steps:,}",
         "commit": _commit(folder),
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
         "trained by": f"`{command(config, 'runs')}`",

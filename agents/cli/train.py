@@ -92,8 +92,6 @@ def run(args: Sequence[str]) -> int:
     values["task_parameters"] = {k: _literal(v) for k, v in options.task_parameters.items()}
     own = options.hyperparameters
     check_folder(options.out)
-    if (options.step_timeout or 0) > 0 and options.vectorization != "async":
-        raise UserError("--step-timeout is for processes: it needs --vectorization async")
     check_task(task, values["task_parameters"])
     check_enough_steps(task, values["task_parameters"], options.steps, own)
     values |= {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}

@@ -44,7 +44,8 @@ def require(compiles: bool, device: str) -> None:
 def restored() -> Iterator[None]:
     """Restore at the end what `configure` changes: threads, default device, products, compilation.
 
-    That freed memory is kept cannot be undone, nor where PyTorch keeps compiled code.
+    Three things stay: freed memory is kept, PyTorch keeps compiled code in a folder of ours unless
+    TORCHINDUCTOR_CACHE_DIR names another, and two callbacks measure its compiler's time.
     """
     threads, device, compiles = torch.get_num_threads(), torch.get_default_device(), is_compiling()
     matmul = getattr(torch.backends.mkldnn, "matmul", None)

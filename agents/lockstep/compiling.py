@@ -17,11 +17,17 @@ T = TypeVar("T")
 
 _compiles = False
 """Whether functions marked `compiled` run as compiled code in this process."""
+_other_limit = 1024
+"""Sets of shapes that a function is compiled for at most; the caller's limit while ours is set."""
 
 
 def set_compiling(compiles: bool) -> None:
     """Run functions marked `compiled` as compiled code from now on, or operation by operation."""
-    global _compiles
+    global _compiles, _other_limit
+    if compiles != _compiles:
+        from torch._dynamo import config  # here, since it takes a second
+
+        config.recompile_limit, _other_limit = _other_limit, config.recompile_limit
     _compiles = compiles
 
 
@@ -120,13 +126,10 @@ def cannot_compile() -> str:
 
 @functools.cache
 def _keep_compiled_code() -> None:
-    """Keep compiled code between processes, where it outlasts a restart of the machine, and for as
-    many sets of shapes as a process meets."""
+    """Keep compiled code between processes, where it outlasts a restart of the machine."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache / "circle2d-mj"))
-    import torch._dynamo  # here, since it takes a second
-    from torch._dynamo.callback import callback_handler
+    from torch._dynamo.callback import callback_handler  # here, since it takes a second
 
-    torch._dynamo.config.recompile_limit = 1024
     callback_handler.register_start_callback(CLOCK.start)
     callback_handler.register_end_callback(CLOCK.stop)

@@ -210,7 +210,7 @@ def play_trained(
     UserError for a task without positions, or without a checkpoint.
     """
     view, spaces = view or require_view(config), read_spaces(folder, config)
-    policies = [load_learner(folder, config, spaces, seed).policy() for seed in seeds]
+    policies = [load_learner(folder, config, spaces, seed)[0].policy() for seed in seeds]
     chosen, active = replace(config, seeds=tuple(seeds)), np.ones(len(seeds), dtype=bool)
 
     def act(observation: NDArray, noise: NDArray | None) -> NDArray:

@@ -71,8 +71,9 @@ def play_policies(
         raise UserError(f"episodes must be {rule}, got {episodes}")
     results = {name: [{} for _ in config.seeds] for name in POLICIES}
     if active.any():
-        # A native vector environment plays all at once; others are a model or a process each.
-        at_once = episodes if config.is_native else min(episodes, 10)
+        # As many as memory holds; others than native ones are a model or a process each. Noise is
+        # drawn for all episodes in every part, so there are about 100 parts at the most.
+        at_once = min(episodes, max(100, episodes // 100) if config.is_native else 10)
         arguments = (config.task, len(config.seeds) * at_once, config.task_parameters)
         how = (config.vectorization, config.step_timeout)
         with contextlib.closing(make_envs(*arguments, *how)) as envs:

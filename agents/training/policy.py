@@ -31,12 +31,18 @@ class Policy:
     task_parameters: dict[str, Any]
     seed: int
     """Of its run."""
+    step: int | None
+    """Environment steps of its run by then, of a snapshot those it is named by; None where that was
+    not recorded."""
     spaces: Spaces
     """Sizes, and bounds of actions."""
 
-    def __init__(self, config: TrainConfig, seed: int, spaces: Spaces, learner: Learner) -> None:
+    def __init__(
+        self, config: TrainConfig, seed: int, step: int | None, spaces: Spaces, learner: Learner
+    ) -> None:
         """learner: holds the one run."""
-        self.task, self.task_parameters, self.seed = config.task, config.task_parameters, seed
+        self.task, self.task_parameters = config.task, config.task_parameters
+        self.seed, self.step = seed, step
         self.spaces, self._learner, self._act = spaces, learner, learner.policy()
         self._rng = np.random.default_rng()
         low, high = (np.array(bound, dtype=spaces.dtype) for bound in (spaces.low, spaces.high))
@@ -134,14 +140,18 @@ def load_policy(folder: str | Path, seed: int | None = None, step: int | None = 
     if seed not in config.seeds:
         raise UserError(f"{folder} has no run of seed {seed}: there are {config.seeds}")
     spaces = read_spaces(folder, config)
-    return Policy(config, seed, spaces, load_learner(folder, config, spaces, seed, step))
+    learner, step = load_learner(folder, config, spaces, seed, step)
+    return Policy(config, seed, step, spaces, learner)
 
 
 def load_learner(
     folder: Path, config: TrainConfig, spaces: Spaces, seed: int, step: int | None = None
-) -> Learner:
-    """Load what one run of a folder learned, without its replay. Raises as `load_policy`."""
-    arrays = read_policy_arrays(folder, config, seed, step)
+) -> tuple[Learner, int | None]:
+    """Load what one run of a folder learned, without its replay, and the steps it had taken.
+
+    Raises as `load_policy`.
+    """
+    arrays, step = read_policy_arrays(folder, config, seed, step)
     stream_seed = config.stream_seeds[config.seeds.index(seed)]
     learner = make_learner(config.algorithm, config.hyperparameters, [stream_seed], *spaces.sizes)
     fresh = learner.state_dict()
@@ -154,4 +164,4 @@ def load_learner(
         learner.load_state_dict(fresh)
     except (KeyError, ValueError) as error:
         raise UserError(f"{folder}: the policy is damaged or of another version: {error}") from None
-    return learner
+    return learner, step

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from agents.errors import UserError, nearest
 from agents.training.config import TrainConfig
 from agents.training.files import read_json, write_arrays, write_json
@@ -43,7 +45,9 @@ def write_policy(folder: Path, seed: int, out: Path) -> None:
         raise UserError(f"{folder} has no run of seed {seed}: its seeds are {list(config.seeds)}")
     if out.exists():
         raise UserError(f"{out} exists already: choose another folder")
-    arrays = read_policy_arrays(folder, config, seed, None)
+    arrays, step = read_policy_arrays(folder, config, seed, None)
+    if step is not None:
+        arrays["steps"] = np.array([step])
     content = read_json(folder / "config.json") | {"seeds": [seed]}
     out.mkdir(parents=True)
     write_arrays(out / "checkpoint.npz", arrays)

@@ -26,10 +26,10 @@ class SideBySide(VectorEnv):
     def __repr__(self) -> str:
         return " beside ".join(map(str, self._parts))
 
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
+    def reset(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, *, seed: Sequence[int] = (), options: dict | None = None
     ) -> tuple[NDArray, dict[str, Any]]:
-        """Reset all, seed: one for each environment; or those in `options["reset_mask"]`."""
+        """Reset all, with a seed for each environment; or those in `options["reset_mask"]`."""
         if options is None:
             pairs = zip(self._parts, self._split(seed), strict=True)
             found = [part.reset(seed=seeds.tolist())[0] for part, seeds in pairs]

@@ -81,10 +81,12 @@ def is_of_policy(name: str) -> bool:
 
 def read_policy_arrays(
     folder: Path, config: TrainConfig, seed: int, step: int | None
-) -> dict[str, NDArray]:
-    """The arrays of the policy of one run, each [1, ...]; step: None for the last checkpoint.
+) -> tuple[dict[str, NDArray], int | None]:
+    """The arrays of the policy of one run, each [1, ...], and the steps that the run had taken.
 
-    Reads nothing else of the checkpoint. Raises UserError where there is no such policy.
+    step: of a snapshot; None for the last checkpoint. The steps are None where the folder has a
+    policy alone, as versions before wrote it. Reads nothing else of a checkpoint. Raises UserError
+    where there is no such policy.
     """
     if step is not None:
         path = snapshot_path(folder, seed, step)
@@ -95,7 +97,7 @@ def read_policy_arrays(
                 f"{folder} has no policy of seed {seed} at step {step}: {there}; training leaves "
                 "one every evaluate_every steps"
             )
-        return read_arrays(path)
+        return read_arrays(path), step
     run = config.seeds.index(seed)
     try:
         arrays = _policies_in(folder / CHECKPOINT, config)
@@ -107,14 +109,19 @@ def read_policy_arrays(
         except UserError:
             raise error from None
         warnings.warn(f"{error}: this is the policy of the checkpoint before it", stacklevel=4)
-    return {name: array[run : run + 1] for name, array in arrays.items()}
+    steps = arrays.pop("steps", None)
+    policy = {name: array[run : run + 1] for name, array in arrays.items()}
+    return policy, None if steps is None else int(steps[run])
 
 
 def _policies_in(path: Path, config: TrainConfig) -> dict[str, NDArray]:
-    """The arrays of the policies in a checkpoint. Raises UserError where they are not there."""
-    arrays = read_arrays(path, is_of_policy)
-    if not arrays:  # a family without the convention
-        own = ("epoch", "seeds", "steps", "failed")
+    """The arrays of the policies in a checkpoint, and its steps where it has them.
+
+    Raises UserError where they are not there.
+    """
+    arrays = read_arrays(path, lambda name: name == "steps" or is_of_policy(name))
+    if not arrays.keys() - {"steps"}:  # a family without the convention
+        own = ("epoch", "seeds", "failed")
         arrays = read_arrays(path, lambda name: name not in own and not name.startswith("log."))
     for name, array in arrays.items():
         if array.ndim == 0 or len(array) != len(config.seeds):

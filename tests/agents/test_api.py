@@ -218,11 +218,13 @@ def test_a_guest_in_the_process(tmp_path, raises):
         ({"task_parameters": {"level": 3}}, "level is part of the task's id"),
         ({"vectorization": "threads"}, "vectorization must be auto or sync or async"),
         ({"backend": "fast"}, "backend must be compiled or eager"),
+        ({"step_timeout": 1e-9}, "step_timeout is for processes: .* async, got auto"),
+        ({"step_timeout": 1.0, "vectorization": "sync"}, "must be async, got sync"),
     ],
 )
 def test_mistakes(arguments, message, tmp_path):
     with pytest.raises(agents.UserError, match=message):
-        agents.train(**{"algorithm": "sac-lb", "out": tmp_path / "x", **arguments})
+        agents.train(**{"algorithm": "sac-lb", "steps": 50, "out": tmp_path / "x", **arguments})
     assert not (tmp_path / "x").exists()
 
 

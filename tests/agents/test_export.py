@@ -2,6 +2,7 @@
 
 import json
 import re
+import zipfile
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from toys import register
 import agents
 from agents.cli.main import main
 from agents.export import export
+from agents.training.pretrained import write_policy
 
 pytest.importorskip("onnx")
 pytest.importorskip("safetensors")
@@ -109,6 +111,41 @@ def test_an_earlier_policy(tmp_path):
     path, card = export(runs.folder, "safetensors", step=400)
     assert "| environment steps | 400; planned 800 |" in card.read_text()
     assert path.read_bytes() != export(runs.folder, "safetensors")[0].read_bytes()
+
+
+def test_policies_of_the_package(tmp_path):
+    """They hold no steps, as version 0.1 wrote them, and their card says so."""
+    folder = agents.pretrained("trpo-lag", "Circle2D-2-v0")
+    _, card = export(folder, "safetensors", tmp_path)
+    assert agents.load_policy(folder).step is None
+    assert "| environment steps | not recorded; planned 1,000,000 |" in card.read_text()
+
+
+def test_a_policy_alone_keeps_its_step(folder, tmp_path):
+    taken = agents.resume(folder).records[folder, 4].total_steps
+    write_policy(folder, 4, tmp_path / "alone")
+    assert agents.load_policy(tmp_path / "alone").step == taken
+    _, card = export(tmp_path / "alone", "safetensors")
+    assert f"| environment steps | {taken:,}; planned 1,500 |" in card.read_text()
+
+
+def test_the_step_is_that_of_the_checkpoint_with_the_policy(tmp_path):
+    """The last checkpoint's policy is damaged, its steps are not."""
+    folder = agents.train(
+        "trpo-lag", "Walk-v0", seeds=0, steps=800, out=tmp_path, checkpoint_every=400, **SMALL
+    ).folder
+    last, before = (folder / f"checkpoint{word}.npz" for word in ("", ".previous"))
+    data = bytearray(last.read_bytes())
+    with zipfile.ZipFile(last) as file:
+        data[file.getinfo("actor.npy").header_offset + 500] ^= 1
+    last.write_bytes(data)
+    expected, wrong = (np.load(path)["steps"].item() for path in (before, last))
+    assert expected != wrong
+    with pytest.warns(UserWarning, match="this is the policy of the checkpoint before it"):
+        assert agents.load_policy(folder).step == expected
+    with pytest.warns(UserWarning, match="this is the policy of the checkpoint before it"):
+        _, card = export(folder, "safetensors", tmp_path / "exported")
+    assert f"| environment steps | {expected}; planned 800 |" in card.read_text()
 
 
 def test_a_missing_library_is_named(folder, tmp_path, monkeypatch):

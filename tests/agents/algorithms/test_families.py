@@ -10,6 +10,7 @@ from toys import register
 
 from agents.algorithms import BUILT_IN, algorithm
 from agents.lockstep import tree
+from agents.training import evaluation
 from agents.training import loop as train_module
 from agents.training.config import TrainConfig
 from agents.training.environments import make_envs
@@ -174,18 +175,32 @@ def test_the_deterministic_policy_gets_no_noise(tmp_path):
         assert (np.array(results["stochastic"][run]["final_observations"]) == -1).all()
 
 
+@pytest.mark.parametrize(
+    ("episodes", "native"), [(23, 23), (120, 100), (10_000, 100), (1_000_000, 10_000)]
+)
+def test_episodes_of_a_run_at_once(episodes, native, monkeypatch):
+    """At most a hundred, or a hundredth; ten where the environments are not native."""
+    made = []
+    monkeypatch.setattr(evaluation, "make_envs", lambda task, num_envs, *_: made.append(num_envs))
+    it = TrainConfig("cpo", "Circle2D-2-v0", (0, 1), 100, algorithm("cpo").config())
+    for one in (it, replace(it, vectorization="sync")):
+        with pytest.raises(AttributeError):  # there are no environments
+            evaluation.play_policies(one, None, episodes, np.ones(2, bool))
+    assert made == [2 * native, 2 * 10]
+
+
 def test_evaluation_in_parts_is_that_at_once(tmp_path):
-    """A task without a vector environment of its own plays ten episodes of a run at once."""
+    """A hundred episodes of a run with the task's own vector environment, else ten."""
     it = TrainConfig("cpo", "Circle2D-2-v0", (0, 1), 100, algorithm("cpo").config())
     it.write(tmp_path)
     policy = Training(it).learner.policy()
-    whole = evaluate(tmp_path, it, policy, 23)
-    parts = evaluate(tmp_path, replace(it, vectorization="sync"), policy, 23)
+    whole = evaluate(tmp_path, it, policy, 120)  # in two parts
+    parts = evaluate(tmp_path, replace(it, vectorization="sync"), policy, 120)
     for name in ("deterministic", "stochastic"):
         for run in (0, 1):
             returns = whole[name][run]["returns"]
             assert parts[name][run]["returns"] == pytest.approx(returns, rel=1e-6)
-            assert len(set(returns)) == 23
+            assert len(set(returns)) == 120
 
 
 def test_saves_go_on_when_the_run_ahead_has_ended(tmp_path):

@@ -37,7 +37,10 @@ def folder(tmp_path_factory):
         ([*TRAIN, "--out", "{tmp}/x", "-s", "3"], "train takes no argument '-s'\n"),
         ([*TRAIN, "--out", "{folder}/config.json"], "be a folder, but '.*config.json' is a file\n"),
         ([*TRAIN, "--out", "{folder}/config.json/x"], "but '.*config.json' is a file\n"),
-        ([*TRAIN, "--out", "{tmp}/x", "--step-timeout", "5"], "needs --vectorization async\n"),
+        (
+            [*TRAIN, "--out", "{tmp}/x", "--step-timeout", "5"],
+            "vectorization must be async, got auto\n",
+        ),
         (
             [*TRAIN, "--out", "{tmp}/x", "--task-parameters", "optima_perturbation", "1", "0"],
             "takes pairs: NAME VALUE",

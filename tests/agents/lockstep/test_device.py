@@ -10,7 +10,7 @@ import torch
 
 from agents.algorithms import ALGORITHMS, BUILT_IN
 from agents.errors import UserError
-from agents.lockstep import backend, lagrange
+from agents.lockstep import backend, compiling, lagrange
 from agents.lockstep.learned import critic_inputs
 from agents.lockstep.replay import Batch
 from agents.on_policy import critics
@@ -82,3 +82,25 @@ def test_multipliers(optimizer, elsewhere):
 def test_no_gpu_is_a_mistake():
     with pytest.raises(UserError, match=r"device 'cuda': torch .* sees no GPU"):
         backend.configure(device="cuda")
+
+
+def test_the_callers_limit_of_compilations_comes_back(monkeypatch, tmp_path):
+    """After a second training and one inside another too; while one compiles, it is ours."""
+    from torch._dynamo import config
+
+    def cannot_compile():
+        compiling._keep_compiled_code()
+        return ""
+
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(backend, "cannot_compile", cannot_compile)
+    monkeypatch.setattr(config, "recompile_limit", 5)
+    for _ in range(2):
+        with backend.restored():
+            for compiles, limit in ((True, 1024), (False, 5), (True, 1024)):
+                with backend.restored():
+                    backend.configure(compiles)
+                    assert config.recompile_limit == limit
+                backend.configure(True)
+                assert config.recompile_limit == 1024
+        assert config.recompile_limit == 5
