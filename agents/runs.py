@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import shutil
 import weakref
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import numpy as np
+
+from agents.errors import UserError
 from agents.reporting.report import table
 from agents.results.archive import open_source
 from agents.results.reading import Group, read_groups
@@ -17,6 +21,8 @@ from emcc import EpisodeRecords
 
 if TYPE_CHECKING:
     import pandas
+
+Rows = Literal["episodes", "runs"]
 
 
 class Runs:
@@ -51,9 +57,15 @@ class Runs:
     def results(self) -> list[Group]:
         """Measures and records of the complete runs, for each folder.
 
-        Raises UserError where no run is complete: a run that was stopped has `records` only.
+        Folders are named from the parent that they have in common. Raises UserError where no run is
+        complete: a run that was stopped has `records` only.
         """
-        return [group for folder in self.folders for group in read_groups(open_source(folder), [])]
+        return [
+            dataclasses.replace(group, folder=name)
+            for folder, name in self._names.items()
+            for group in read_groups(open_source(folder), [])
+            if group.folder == "."  # not one whose folder lies within this one
+        ]
 
     @property
     def records(self) -> dict[tuple[Path, int], EpisodeRecords]:
@@ -68,23 +80,57 @@ class Runs:
         """The table that the command prints, as Markdown; written into the folder too."""
         return "\n".join(table(folder) for folder in self.folders)
 
-    def to_pandas(self) -> pandas.DataFrame:
-        """A row for each episode of each run: algorithm, task, seed, then `episodes.csv`.
+    def to_pandas(self, rows: Rows = "episodes") -> pandas.DataFrame:
+        """A row for each episode, as in `episodes.csv`, or for each complete run, of its measures.
 
-        Raises ImportError, saying how to install it, where pandas is missing.
+        Its first columns are folder (as in `results`), algorithm, task, the hyper-parameters and
+        task parameters in which the folders differ, and seed. Raises ImportError, saying how to
+        install it, where pandas is missing.
         """
+        if rows not in get_args(Rows):
+            raise UserError(f"rows must be {' or '.join(get_args(Rows))}, got {rows!r}")
         try:
             import pandas as pd
         except ImportError:
             raise ImportError("to_pandas needs pandas: pip install pandas") from None
-        configs = dict(zip(self.folders, self.configs, strict=True))
-        frames = []
-        for (folder, seed), records in self.records.items():
-            config = configs[folder]
-            names = {"reward": "return"}  # as in the file
-            columns = {names.get(f.name, f.name): f.name for f in dataclasses.fields(records)}
-            values = {name: getattr(records, of) for name, of in columns.items()}
-            about = {"algorithm": config.algorithm, "task": config.task, "seed": seed}
-            frame = pd.DataFrame({name: v for name, v in values.items() if v is not None})
-            frames.append(frame.assign(**about)[[*about, *frame.columns]])
+        if rows == "runs":
+            found = [
+                (group.folder, run.seed, {k: np.array([v], float) for k, v in run.measures.items()})
+                for group in self.results
+                for run in group.runs
+            ]
+        else:
+            names = self._names
+            found = [(names[of], seed, _columns(r)) for (of, seed), r in self.records.items()]
+        about, frames = self._about(), []
+        for folder, seed, columns in found:
+            count = len(next(iter(columns.values())))
+            first = {"folder": folder} | about[folder] | {"seed": seed}
+            # Lists, since a hyper-parameter may be a tuple.
+            frames.append(pd.DataFrame({k: [v] * count for k, v in first.items()} | columns))
         return pd.concat(frames, ignore_index=True)
+
+    @property
+    def _names(self) -> dict[Path, str]:
+        """Each folder as seen from the parent that all have in common."""
+        absolute = {folder: Path(os.path.abspath(folder)) for folder in self.folders}
+        common = os.path.commonpath([folder.parent for folder in absolute.values()])
+        return {folder: of.relative_to(common).as_posix() for folder, of in absolute.items()}
+
+    def _about(self) -> dict[str, dict[str, Any]]:
+        """Of each folder by its name: algorithm, task, and settings in which the folders differ."""
+        settings = [dataclasses.asdict(c.hyperparameters) | c.task_parameters for c in self.configs]
+        every = dict.fromkeys(setting for of in settings for setting in of)
+        varied = [k for k in every if len({repr(of.get(k)) for of in settings}) > 1]
+        return {
+            name: {"algorithm": config.algorithm, "task": config.task}
+            | {setting: of.get(setting) for setting in varied}
+            for name, config, of in zip(self._names.values(), self.configs, settings, strict=True)
+        }
+
+
+def _columns(records: EpisodeRecords) -> dict[str, Any]:
+    """The columns of `episodes.csv` that there are."""
+    values = {field.name: getattr(records, field.name) for field in dataclasses.fields(records)}
+    names = {"reward": "return"}  # as in the file
+    return {names.get(name, name): of for name, of in values.items() if of is not None}

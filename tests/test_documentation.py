@@ -143,19 +143,50 @@ def test_commands_are_found():
 
 @pytest.mark.parametrize("name", TEXTS)
 def test_links_lead_somewhere(name):
-    """Files are there, or are made with the site; addresses are well formed."""
-    plain = re.sub(r"```.*?```", "", TEXTS[name], flags=re.DOTALL)
-    for target in re.findall(r"\]\(<?([^)<>\s]+)>?\)", plain):
+    """In a clone, where nothing is made yet, to files; addresses are well formed."""
+    for target in links(TEXTS[name]):
         if re.match(r"[a-z]+:", target):
             address = urlparse(target)
             assert address.scheme == "https"
             assert "." in address.netloc
-        elif not target.startswith("#"):
-            path = (ROOT / name).parent / target.partition("#")[0]
-            made = path.resolve().is_relative_to(DOCS / "made")
-            assert path.exists() or (
-                made and path.resolve().relative_to(DOCS / "made") in produced()
-            )
+        else:
+            assert DOCS / "made" not in ((ROOT / name).parent / target).resolve().parents
+            assert ((ROOT / name).parent / target).exists()
+
+
+def links(text):
+    """The targets of links, without those within a page."""
+    plain = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    found = [of.partition("#")[0] for of in re.findall(r"\]\(<?([^)<>\s]+)>?\)", plain)]
+    return [target for target in found if target]
+
+
+@pytest.mark.parametrize("name", [name for name in TEXTS if name.startswith("docs/")])
+def test_links_of_the_site_lead_to_its_pages(name):
+    """Not to a text that lies outside the site, nor to the source of one of its pages."""
+    import made
+
+    text = made.on_site(str(Path(name).relative_to("docs").with_suffix("")), TEXTS[name])
+    for target in (of for of in links(text) if not re.match(r"[a-z]+:", of)):
+        path = ((ROOT / name).parent / target).resolve()
+        if path.suffix in (".md", ".ipynb"):
+            assert path in PAGES or path.relative_to(DOCS / "made") in produced()
+        else:
+            assert path.exists()
+
+
+def test_pages_of_the_site_hold_what_is_made():
+    import made
+
+    assert "```{include} made/metric.md" in made.on_site("metric", TEXTS["docs/metric.md"])
+    for source, target in {
+        "[R](../results/README.md#a)": "[R](made/results.md#a)",
+        "[M](../emcc/README.md) and": "[M](metric.md) and",
+        "[N](emcc_of_your_logs.ipynb)": "[N](made/emcc_of_your_logs/index.md)",
+        "[L](../LICENSE), `x[i](j)`": "[L](../LICENSE), `x[i](j)`",
+    }.items():
+        assert made.on_site("speed", source) == target
+    assert made.copies.relinked(ROOT, "[A](docs/api.md)", ROOT, DOCS / "made") == "[A](../api.md)"
 
 
 def produced():
@@ -193,13 +224,16 @@ def test_one_version_everywhere():
 
 def test_every_algorithm_has_a_page_and_every_hyper_parameter_a_row():
     import hyperparameters
+    import made
 
     tables = hyperparameters.tables()
     for name, algorithm in ALGORITHMS.items():
         page = TEXTS[f"docs/algorithms/{name}.md"]
         assert f"# {algorithm.title}\n" in page
         assert "**Source**" in page
-        assert f"made/hyperparameters/{name}.md" in page
+        assert f"`circle2d train --algorithm {name} --help`" in page
+        on_site = made.on_site(f"algorithms/{name}", page)
+        assert on_site.rstrip().endswith(f"```{{include}} ../made/hyperparameters/{name}.md\n```")
         assert f"algorithms/{name}.md" in TEXTS["docs/algorithms.md"]
         rows = [line for line in tables[name].splitlines() if line.startswith("| `--")]
         assert len(rows) == len(dataclasses.fields(algorithm.config))

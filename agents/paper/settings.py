@@ -3,19 +3,36 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from agents.algorithms import ALGORITHMS, title
 from agents.paper.presets import preset, usual_steps
 from agents.results.reading import Group
+from agents.results.source import Source
 from agents.training.config import TrainConfig
 
 
-def title_of(config: TrainConfig) -> str:
+def told_apart(groups: Sequence[Group], source: Source) -> list[Group]:
+    """All groups of a source; those of one title on one task get their folders into their names."""
+    keys = [(group.config.task, title_of(group.config)) for group in groups]
+    count = Counter(key for key, group in zip(keys, groups, strict=True) if group.runs)
+    return [
+        dataclasses.replace(group, apart=f"in {source.title(group.folder)}" if count[k] > 1 else "")
+        for k, group in zip(keys, groups, strict=True)
+    ]
+
+
+def name_of(group: Group) -> str:
+    """The title of a group, with what tells it apart from another of that title."""
+    return title_of(group.config, group.apart)
+
+
+def title_of(config: TrainConfig, more: str = "") -> str:
     """The algorithm, with what differs from the preset, from the task as it is registered, and from
     the usual number of steps."""
-    settings = differences(config)
+    settings = [*differences(config), *filter(None, [more])]
     return title(config.algorithm) + (f" ({', '.join(settings)})" if settings else "")
 
 

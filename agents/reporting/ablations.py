@@ -10,7 +10,7 @@ from math import isclose
 from agents.algorithms import title
 from agents.paper.presets import MARGIN, PAPER_ALGORITHMS, ablations, preset, unprinted
 from agents.paper.printed import paper_results
-from agents.paper.settings import by_task, title_of, unusual_steps
+from agents.paper.settings import by_task, name_of, unusual_steps
 from agents.reporting.table import Number, Row, Table, number_of
 from agents.reporting.tables import caption, mark, mean_row, means, measures_table, paper_row
 from agents.results.measures import measure, measures
@@ -161,7 +161,7 @@ def ties_table(groups: Sequence[Group]) -> Table:
     columns = [measure(f"EMCC_{part}") for part in PARTS]
     rows: list[Row] = []
     for group in (group for of_task in by_task(groups).values() for group in of_task):
-        name = f"{group.config.task}, {title_of(group.config)}"
+        name = f"{group.config.task}, {name_of(group)}"
         printed = paper_results(group.config.task, title(group.config.algorithm))
         kept = [group_mean(group, column.name) for column in columns]
         split = [mean_of(values, group.one_place) for values in _split(group)]

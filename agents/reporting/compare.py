@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from agents.errors import UserError
-from agents.paper.settings import changes, in_order, title_of
+from agents.paper.settings import changes, in_order, name_of, told_apart
 from agents.reporting.csv_table import Line, difference_lines, group_lines, numbers_csv
 from agents.reporting.figures import curves
 from agents.reporting.page import Section, page
@@ -47,7 +47,7 @@ class Sides(NamedTuple):
     def named(self) -> list[tuple[str, Group]]:
         """Every group with its name."""
         of_sides = zip(("A", "B"), self, strict=True)
-        return [(f"{k}: {title_of(g.config)}", g) for k, groups in of_sides for g in groups]
+        return [(f"{k}: {name_of(g)}", g) for k, groups in of_sides for g in groups]
 
 
 def compare(a: Path, b: Path, out: Path | None = None) -> str:
@@ -61,7 +61,9 @@ def compare(a: Path, b: Path, out: Path | None = None) -> str:
     """
     notes: list[str] = []
     sources = [open_source(side) for side in (a, b)]
-    found = [[g for g in read_groups(source, notes) if g.runs] for source in sources]
+    found = [
+        [g for g in told_apart(read_groups(source, notes), source) if g.runs] for source in sources
+    ]
     tasks = [list(dict.fromkeys(group.config.task for group in groups)) for groups in found]
     common = [task for task in tasks[0] if task in tasks[1]]
     if not common:
@@ -157,7 +159,7 @@ def _lowest_p(a: int, b: int) -> float:
 
 
 def _difference_name(a: Group, b: Group) -> str:
-    titles = [title_of(group.config) for group in (b, a)]
+    titles = [name_of(group) for group in (b, a)]
     return f"B - A: {titles[0] if titles[0] == titles[1] else ' - '.join(titles)}"
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from agents.algorithms import title
 from agents.paper.printed import paper_results
-from agents.paper.settings import cost_limit, title_of
+from agents.paper.settings import cost_limit, name_of
 from agents.reporting.tables import ends_words
 from agents.results.measures import measures
 from agents.results.reading import Group
@@ -58,7 +58,7 @@ def report_lines(groups: Sequence[Group]) -> Iterator[Line]:
 
 def group_lines(group: Group, prefix: str = "") -> Iterator[Line]:
     """The means of a group with their intervals and its shares, then its runs."""
-    task, name, folder = group.config.task, prefix + title_of(group.config), group.folder
+    task, name, folder = group.config.task, prefix + name_of(group), group.folder
     if group.runs:
         found = {measure.name: group_mean(group, measure.name) for measure in measures()}
         yield from _interval_lines(task, name, "mean", found, folder)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 from agents.paper import introduction as example
-from agents.paper.settings import cost_limit, in_order, title_of
+from agents.paper.settings import cost_limit, in_order, name_of
 from agents.reporting.curves import Line, curves_svg
 from agents.reporting.image_files import png
 from agents.reporting.style import styles
@@ -63,7 +63,7 @@ def introduction() -> list[Figure]:
 def figures(groups: Sequence[Group]) -> list[Figure]:
     """The figures of one task, by its runs."""
     groups = [group for group in in_order(groups) if group.runs]
-    return [curves([(title_of(group.config), group) for group in groups])] if groups else []
+    return [curves([(name_of(group), group) for group in groups])] if groups else []
 
 
 def _file(kind: str, group: Group) -> str:

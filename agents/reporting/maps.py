@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import UserError
-from agents.paper.settings import in_order, title_of
+from agents.paper.settings import in_order, name_of
 from agents.reporting.figures import visits_words
 from agents.reporting.scenes import STATES, Scene, Scenes, heat_png, paths
 from agents.results.measures import measure
@@ -78,7 +78,7 @@ def _visited(source: Source, seen: Sequence[tuple[Group, Scene]], notes: list[st
         except UserError as error:
             notes.append(f"no heat map of {source.title(group.folder)}: {error}")
             continue
-        names.append(title_of(group.config))
+        names.append(name_of(group))
         columns.append([(scene, visits_words(of), _coarser(of.counts)) for of in parts])
     if not columns:
         return None
@@ -116,7 +116,7 @@ def _trained(source: Source, seen: Sequence[tuple[Group, Scene]], notes: list[st
         except UserError as error:
             notes.append(f"no trajectories of {source.title(group.folder)}: {error}")
             continue
-        names.append(title_of(group.config))
+        names.append(name_of(group))
         columns.append([_map(run, played[run.seed], scene) for run in runs])
     if not any(isinstance(cell, Map) for column in columns for cell in column):
         return None

@@ -10,7 +10,7 @@ import numpy as np
 from agents.algorithms import title
 from agents.paper.presets import is_circle2d
 from agents.paper.printed import paper_results
-from agents.paper.settings import by_task, title_of
+from agents.paper.settings import by_task, name_of
 from agents.reporting.figures import Figure
 from agents.reporting.style import Style, drawing, legend, styles, svg_of
 from agents.results import thirds
@@ -48,7 +48,7 @@ def intervals_figure(groups: Sequence[Group]) -> Figure:
             for axis, measure in zip(row, columns, strict=True):
                 _draw_runs(axis, drawn, measure)
                 _frame(axis, len(of_task), measure)
-            names = [title_of(group.config).replace(" (", "\n(") for group in of_task]
+            names = [name_of(group).replace(" (", "\n(") for group in of_task]
             row[0].set_yticks(range(len(of_task)), names)
             row[0].set_ylabel(task.removeprefix("circle2d_mj/"), fontweight="bold")
         for axis, measure in zip(axes[0], columns, strict=True):
@@ -147,7 +147,7 @@ def _facets(
 ) -> bytes:
     """Panels by task (rows) and third (columns), with one legend. level: of a dotted line."""
     tasks = by_task(groups)
-    shape = legend({title_of(group.config) for group in groups})
+    shape = legend({name_of(group) for group in groups})
     with drawing(9) as pyplot:
         figure, axes = pyplot.subplots(
             len(tasks),
@@ -161,7 +161,7 @@ def _facets(
         handles: dict[str, Any] = {}
         for row, (task, of_task) in zip(axes, tasks.items(), strict=True):
             for group, style in zip(of_task, styles([g.config for g in of_task]), strict=True):
-                name = title_of(group.config)
+                name = name_of(group)
                 for axis, of_third in zip(row, thirds.of_group(group).values(), strict=True):
                     draw(axis, of_third, style, name)
                     handles.setdefault(name, axis.lines[-1])

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from agents.paper.settings import cost_limit, in_order, title_of
+from agents.paper.settings import cost_limit, in_order, name_of
 from agents.reporting.table import Row, Table, number_of
 from agents.results.reading import Group, Run
 from agents.results.statistics import INTERVALS, Values, mean_of
@@ -58,13 +58,13 @@ def panel_table(groups: Sequence[Group]) -> Table:
     listed = list(_training_rows(groups, panels))
     for policy, words in POLICIES.items():
         listed += _policy_rows(policy, words, groups, limits)
-    head = [groups[0].config.task, *(title_of(group.config) for group in groups)]
+    head = [groups[0].config.task, *(name_of(group) for group in groups)]
     return Table(_caption(groups, limits), [*head, ""], listed)  # the last is for places
 
 
 def _caption(groups: Sequence[Group], limits: Sequence[float | None]) -> str:
     """The limits, and how cells are to be read."""
-    known = {title_of(g.config): d for g, d in zip(groups, limits, strict=True) if d is not None}
+    known = {name_of(g): d for g, d in zip(groups, limits, strict=True) if d is not None}
     if len(set(known.values())) == 1:
         words = f"limit {next(iter(known.values())):g}"
     else:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import UserError
-from agents.paper.settings import in_order, title_of
+from agents.paper.settings import in_order, name_of
 from agents.reporting.curves import emcc_along
 from agents.reporting.scenes import STATES, Scenes, shown_states
 from agents.results.reading import Group, Run
@@ -42,7 +42,7 @@ def replay_data(
         scene = scenes.of(group.config) if group.runs else None
         if scene is None:
             continue
-        named = {"task": group.config.task, "algorithm": title_of(group.config)}
+        named = {"task": group.config.task, "algorithm": name_of(group)}
         for run in group.runs:
             try:
                 replay = source.replay(group.folder, group.config, run.seed, run.records)

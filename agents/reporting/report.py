@@ -10,6 +10,7 @@ from agents.errors import UserError
 from agents.paper import ablations
 from agents.paper.claims import check_claims
 from agents.paper.presets import is_circle2d
+from agents.paper.settings import told_apart
 from agents.reporting import claims_text, together
 from agents.reporting.ablations import (
     NEAREST,
@@ -56,7 +57,7 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     if out.is_file():
         raise UserError(f"{out} is a file; the report needs a folder: give another for out")
     notes: list[str] = []
-    everything = read_groups(source, notes)
+    everything = told_apart(read_groups(source, notes), source)
     groups, ablated = ablations.split(everything)
     by_task = _by_task(groups)
     # Early, since later it would add to the memory that all else holds.
@@ -103,7 +104,7 @@ def table(folder: Path) -> str:
     """
     source: Source = open_source(folder)
     notes: list[str] = []
-    everything = read_groups(source, notes)
+    everything = told_apart(read_groups(source, notes), source)
     groups, ablated = ablations.split(everything)
     found = _tables(_by_task(groups), ablated, notes)
     markdown = _markdown(found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agents.paper.settings import by_task, title_of
+from agents.paper.settings import by_task, name_of
 from agents.reporting.table import Number, Row, Table, number_of, p_number
 from agents.results.reading import Group
 from agents.results.separation import MARGIN, Comparison, comparisons
@@ -46,7 +46,7 @@ def separated_table(groups: Sequence[Group]) -> Table | None:
 
 
 def _row(of: Comparison) -> Row:
-    names = " and ".join(title_of(group.config) for group in (of.a, of.b))
+    names = " and ".join(name_of(group) for group in (of.a, of.b))
     cells = [
         *_means(of.rates),
         number_of(of.rate_difference, 3, signed=True),

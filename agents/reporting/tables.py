@@ -8,7 +8,7 @@ from dataclasses import replace
 from agents.algorithms import title
 from agents.paper.presets import PAPER_SEEDS, is_circle2d, preset, unprinted
 from agents.paper.printed import paper_results
-from agents.paper.settings import cost_limit, hyperparameter_changes, in_order, title_of
+from agents.paper.settings import cost_limit, hyperparameter_changes, in_order, name_of
 from agents.reporting.marks import best, marking
 from agents.reporting.table import Number, Row, Table, count_of, number_of
 from agents.results.measures import measures
@@ -100,7 +100,7 @@ def mean_row(group: Group, prefix: str = "") -> Row:
     cells = [number_of(group_mean(group, m.name), m.digits) for m in measures()]
     cells.append(count_of(within_limit(group, cost_limit(group.config))))
     ends = "; ".join(f"{place} {count_of(of)}" for place, of in places(group).items())
-    name = f"{prefix}{title_of(group.config)}, mean of {len(group.runs)}"
+    name = f"{prefix}{name_of(group)}, mean of {len(group.runs)}"
     return Row(name, cells, ends, kind="mean")
 
 
@@ -117,7 +117,7 @@ def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:
         cells = [Number(run.measures.get(m.name), m.digits) for m in measures()]
         share = within_limit(replace(group, runs=[run]), limit)
         cells.append(Number(share and share.count, of=1))
-        yield Row(f"{prefix}{title_of(group.config)}, seed {run.seed}", cells, ends_words(run))
+        yield Row(f"{prefix}{name_of(group)}, seed {run.seed}", cells, ends_words(run))
 
 
 def ends_words(run: Run) -> str:

@@ -70,6 +70,8 @@ class Group:
     """Those that are complete."""
     missing: Mapping[int, str] = field(default_factory=dict)
     """Why the others are left out, by seed."""
+    apart: str = ""
+    """Words that tell it from a group of equal settings in another folder, if there is one."""
 
     @property
     def seeds(self) -> list[int]:

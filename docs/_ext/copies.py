@@ -14,33 +14,40 @@ TEXTS = {
     "changelog.md": "CHANGELOG.md",
 }
 """Page in `docs/made` -> its home."""
+SHOWN = {home: f"docs/made/{name}" for name, home in TEXTS.items()} | {
+    "emcc/README.md": "docs/metric.md",  # which includes it
+    "docs/emcc_of_your_logs.ipynb": "docs/made/emcc_of_your_logs/index.md",
+}
+"""Home of a text -> the page that shows it."""
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(<?([^)<>\s]+)>?\)")
 
 
 def pages(root: Path) -> dict[str, str]:
     """Name -> text of the copies."""
-    return {name: _copy(root, home) for name, home in TEXTS.items()}
+    made = root / "docs" / "made"
+    return {
+        name: relinked(root, (root / home).read_text(encoding="utf-8"), (root / home).parent, made)
+        for name, home in TEXTS.items()
+    }
 
 
-def _copy(root: Path, home: str) -> str:
-    """A text with its links changed so that they hold in `docs/made`."""
-    text, folder = (root / home).read_text(encoding="utf-8"), (root / home).parent
+def relinked(root: Path, text: str, folder: Path, shown: Path) -> str:
+    """A text with its links changed so that they hold on the site.
+
+    folder: of the text, in which its links hold. shown: the folder of its page.
+    """
 
     def moved(found: re.Match[str]) -> str:
         picture, words, target = found.groups()
         path, mark, anchor = target.partition("#")
-        if re.match(r"[a-z]+:", target) or not path:
+        if not path or not (folder / path).exists():  # an address, or no link at all
             return found[0]
-        whole = (folder / path).resolve()
-        for page, text_home in TEXTS.items():
-            if whole == root / text_home:
-                return f"[{words}]({page}{mark}{anchor})"
-        near = os.path.relpath(whole, root / "docs" / "made")
+        place = (folder / path).resolve().relative_to(root.resolve()).as_posix()
+        page = SHOWN.get(place, place)
+        near = os.path.relpath(root / page, shown)
         # A text without a page here is a file to be downloaded.
-        return (
-            f"{{download}}`{words} <{near}>`"
-            if whole.suffix == ".md"
-            else (f"{picture}[{words}]({near}{mark}{anchor})")
-        )
+        if page.endswith(".md") and not page.startswith("docs/"):
+            return f"{{download}}`{words} <{near}>`"
+        return f"{picture}[{words}]({near}{mark}{anchor})"
 
     return _LINK.sub(moved, text)

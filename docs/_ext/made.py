@@ -6,6 +6,7 @@ that live elsewhere in the repository.
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -37,7 +38,27 @@ def pages() -> dict[str, str]:
     return found | copies.pages(ROOT)
 
 
+def on_site(name: str, text: str) -> str:
+    """The text of a page of `docs` as the site has it, which a clone holds without what is made.
+
+    Links to texts of the repository lead to their pages, a link that is a paragraph to the metric's
+    text becomes that text, and an algorithm's page ends with its hyper-parameters.
+    """
+    folder = (ROOT / "docs" / name).parent
+    metric = "```{include} made/metric.md\n:heading-offset: 1\n```"
+    text = re.sub(r"(?m)^\[[^\]]*\]\(\.\./emcc/README\.md\)$", metric, text)
+    if name.startswith("algorithms/"):
+        text += f"\n```{{include}} ../made/hyperparameters/{Path(name).name}.md\n```\n"
+    return copies.relinked(ROOT, text, folder, folder)
+
+
+def _read(app, name, source):
+    if not name.startswith("made/"):
+        source[0] = on_site(name, source[0])
+
+
 def setup(app):
-    """Make the pages before Sphinx looks for pages."""
+    """Make the pages before Sphinx looks for pages, and complete the others as they are read."""
     app.connect("builder-inited", lambda app: make(Path(app.srcdir) / "made"))
+    app.connect("source-read", _read)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,5 +1,6 @@
 """The entrance from Python: the same runs as the command's, and nothing left changed."""
 
+import dataclasses
 import doctest
 import gc
 import shutil
@@ -11,12 +12,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from small_runs import results
+from small_runs import results, write_evaluated
 from toys import register as register_toys
 
 import agents
 from agents import api
 from agents.cli.main import main
+from agents.paper.presets import preset
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
 
@@ -77,14 +79,41 @@ def test_report(runs, tmp_path):
 def test_to_pandas(runs, monkeypatch):
     pytest.importorskip("pandas")
     frame = runs.to_pandas()
-    assert list(frame.columns[:7]) == [
-        *("algorithm", "task", "seed", "rollout", "start_step", "length", "return"),
+    assert list(frame.columns[:8]) == [
+        *("folder", "algorithm", "task", "seed", "rollout", "start_step", "length", "return"),
     ]
+    assert set(frame.folder) == {runs.folder.name}
     of_seed = frame[frame.seed == 4]
     np.testing.assert_array_equal(of_seed["cost"], runs.records[runs.folder, 4].cost)
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ImportError, match="pip install pandas"):
         runs.to_pandas()
+
+
+def test_folders_that_differ_in_a_setting_are_told_apart(tmp_path):
+    """Of each folder as many cost steps in every episode, of ten, as written here."""
+    pytest.importorskip("pandas")
+    costs = {(32, 32): (1, 2), (64,): (3, 4)}
+    for hidden, of_seeds in costs.items():
+        changed = dataclasses.replace(preset("sac-lag", "Circle2D-1-v0"), hidden=hidden)
+        write_evaluated(tmp_path / "nets" / str(len(hidden)), "sac-lag", of_seeds, changed)
+    write_evaluated(tmp_path / "nets" / "1" / "inner", "sac-lag", (9,))
+    runs = agents.Runs([tmp_path / "nets" / "2", tmp_path / "nets" / "1"])
+    assert [group.folder for group in runs.results] == ["2", "1"]
+    frame = runs.to_pandas()
+    assert list(frame.columns[:5]) == ["folder", "algorithm", "task", "hidden", "seed"]
+    of_groups = frame.groupby(["hidden", "seed"]).cost.mean().to_dict()
+    expected = {(k, seed): of[seed] for k, of in costs.items() for seed in (0, 1)}
+    assert of_groups == expected
+    frame = runs.to_pandas("runs")
+    assert list(frame.columns[:6]) == [
+        *("folder", "algorithm", "task", "hidden", "seed", "EMCC_0.33"),
+    ]
+    assert frame.folder.tolist() == ["2", "2", "1", "1"]
+    assert frame.cost_rate.tolist() == [0.1, 0.2, 0.3, 0.4]
+    assert frame["EMCC_0.99"].tolist() == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    with pytest.raises(agents.UserError, match="rows must be episodes or runs, got 'measures'"):
+        runs.to_pandas("measures")
 
 
 def test_a_temporary_folder_lives_as_long_as_the_runs():

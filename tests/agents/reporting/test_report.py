@@ -7,7 +7,7 @@ from small_runs import write_evaluated
 
 from agents.paper.presets import preset
 from agents.paper.printed import paper_results
-from agents.reporting.report import table
+from agents.reporting.report import report, table
 from agents.training.config import TrainConfig
 from circle2d_mj import Circle2DConfig
 
@@ -135,3 +135,19 @@ def test_names_of_other_people_are_neither_html_nor_control_sequences(tmp_path):
     assert "&lt;script>alert" in text
     assert "<script" not in text
     assert "\x1b" not in text
+
+
+def test_equal_runs_of_several_folders_have_names_of_their_own(tmp_path):
+    """In every table and legend; what is alone on its task keeps the short name."""
+    for folder, name in {"first": "cpo", "second": "cpo", "alone": "trpo-lag"}.items():
+        write_evaluated(tmp_path / "runs" / folder, name, costs=(1, 2))
+    (markdown, *_) = report(tmp_path / "runs").partition("\nFigures")
+    names = [line.split("|")[1].strip() for line in markdown.splitlines() if line.startswith("| ")]
+    ours = [name for name in names if "100 steps" in name]
+    for folder in ("first", "second"):
+        label = f"CPO (100 steps, in runs/{folder})"
+        assert {f"{label}, mean of 2", f"{label}, seed 0", f"{label}, seed 1"} <= set(ours)
+        assert label in (tmp_path / "runs" / "index.html").read_text()
+    assert "TRPO-Lag (100 steps), seed 0" in ours
+    assert len(set(ours)) == len(ours) == 9
+    assert "CPO (100 steps), mean of 2" in table(tmp_path / "runs" / "first")
