@@ -174,9 +174,9 @@ def _read_steps(columns: Columns, threshold: float) -> Run:
     path, costs = columns.path, parse(columns, "cost", float)
     if not costs.size:
         raise ValueError(f"{path}: no steps")
-    ends = [_flags(columns, name) for name in ENDS if name in columns]
+    ends = [name for name in ENDS if name in columns]
     if "episode" not in columns and ends:
-        last = np.any(ends, axis=0)
+        last = np.any([_flags(columns, name) for name in ends], axis=0)
         columns["episode"] = [str(number) for number in np.cumsum(last) - last]
     episode, rollout = (columns.get(name, [""] * costs.size) for name in ("episode", "rollout"))
     keys = list(zip(rollout, episode, strict=True))

@@ -72,7 +72,7 @@ LAYOUTS = {
         "cost,done",
         [(cost, int(end and k < STEPS[-1][2])) for cost, end, k in STEPS],
     ),
-    "both": ("episode,cost,done", [(k, cost, 0) for cost, _, k in STEPS]),
+    "both": ("episode,cost,done", [(k, cost, "?") for cost, _, k in STEPS]),
 }  # fmt: skip
 
 
