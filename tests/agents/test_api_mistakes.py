@@ -1,0 +1,41 @@
+"""Mistakes in the arguments of `agents.train`: one line each, and nothing is written."""
+
+import gymnasium as gym
+import pytest
+
+import agents
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"log_barier_factor": 3.0}, "no hyper-parameter 'log_barier_factor': did you mean 'log"),
+        ({"step": 3}, "no hyper-parameter 'step': did you mean 'steps'"),
+        ({"lr": 3}, "no hyper-parameter 'lr': did you mean 'learning_rate'"),
+        ({"total_timesteps": 3}, "no hyper-parameter 'total_timesteps': did you mean 'steps'"),
+        ({"hidden": 64}, "sizes in hidden must be multiples of 32, got 256 and 64"),
+        ({"task": gym.Env()}, "task must be the id of a gymnasium task, like 'Circle2D-1', got"),
+        (
+            {"algorithm": agents.Algorithm},
+            "algorithm must be a name, like 'sac-lag', got",
+        ),
+        ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
+        ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),
+        ({"task": "Nowhere-v0"}, "unknown task 'Nowhere-v0'"),
+        ({"seeds": "ab"}, "seeds must be an integer or several, got 'ab'"),
+        ({"seeds": []}, "at least one"),
+        ({"seeds": 1.5}, "seeds must be an integer or several, got 1.5"),
+        ({"steps": 0}, "steps must be at least 1"),
+        ({"evaluate_every": 0}, "evaluate_every must be at least 1"),
+        ({"evaluate_every": 2.5}, "evaluate_every must be an integer"),
+        ({"task_parameters": {"level": 3}}, "level is part of the task's id"),
+        ({"vectorization": "threads"}, "vectorization must be auto or sync or async"),
+        ({"backend": "fast"}, "backend must be compiled or eager"),
+        ({"step_timeout": 1e-9}, "step_timeout is for processes: .* async, got auto"),
+        ({"step_timeout": 1.0, "vectorization": "sync"}, "must be async, got sync"),
+    ],
+)
+def test_mistakes(arguments, message, tmp_path):
+    with pytest.raises(agents.UserError, match=message):
+        agents.train(**{"algorithm": "sac-lb", "steps": 50, "out": tmp_path / "x", **arguments})
+    assert not (tmp_path / "x").exists()
