@@ -65,18 +65,20 @@ def read_checksums(folder: Path) -> dict[str, list[str]]:
     return content
 
 
-def check_digest(path: Path, found: str) -> None:
-    """ValueError where a checksum of the file is known and another than that of its content.
+def check_digest(path: Path, found: str) -> bool:
+    """Whether a checksum of the file is known; files of earlier versions have none.
 
-    Files of earlier versions have none.
+    ValueError where it is known and another than that of its content.
     """
-    above = path.parent.absolute()
+    above, known = path.parent.absolute(), False
     for folder, name in ((above, path.name), (above.parent, f"{above.name}/{path.name}")):
         sums = read_checksums(folder).get(name)
         if sums is not None and found not in sums:
             raise ValueError(
                 f"{path} is damaged: it does not match its checksum in {folder / CHECKSUMS}"
             )
+        known |= sums is not None
+    return known
 
 
 def read_checked(path: Path) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import glob
+import hashlib
 import io
 import json
 import os
@@ -126,7 +127,8 @@ def read_arrays(
     """Read those named arrays whose name is `wanted`, all by default; nothing is unpickled.
 
     Each array's own checksum (CRC-32) is looked at. Raises UserError where the file is missing or
-    damaged.
+    damaged. MemoryError and OSError are let out where the file's checksum shows that it is whole:
+    a smaller load on the machine may read it.
     """
     try:
         with path.open("rb") as file:  # numpy leaves a damaged file open
@@ -134,7 +136,18 @@ def read_arrays(
     except FileNotFoundError:
         raise UserError(f"{path} is missing: nothing has been trained there yet") from None
     except Exception as error:  # a damaged file has numpy and zipfile raise errors of any kind
+        if isinstance(error, (MemoryError, OSError)) and _is_whole(path):
+            raise
         raise UserError(f"{path} is damaged: {error or type(error).__name__}") from None
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a file's checksum is known and matches. It need not fit into memory."""
+    try:
+        with path.open("rb") as file:
+            return check_digest(path, hashlib.file_digest(file, "sha256").hexdigest())
+    except (OSError, ValueError):
+        return False
 
 
 def _arrays_in(file: Any, wanted: Callable[[str], bool]) -> dict[str, NDArray]:

@@ -124,11 +124,11 @@ def _play(
     except Exception as error:  # of the task's own code
         raise UserError(f"cannot make task {task!r}: {error or type(error).__name__}") from None
     act: Callable[[NDArray], Any] = policy
-    if isinstance(policy, Policy):
-        _check_fit(policy, env, task)
-        act = functools.partial(policy, deterministic=deterministic, rng=rng)
     rows = []
     with contextlib.closing(env):
+        if isinstance(policy, Policy):
+            _check_fit(policy, env, task)
+            act = functools.partial(policy, deterministic=deterministic, rng=rng)
         for start in np.random.default_rng(seed).integers(2**31, size=episodes).tolist():
             rewards, costs = _episode(env, act, start, task)
             rows.append((sum(rewards), sum(costs), len(costs), longest_streak(np.array(costs))))

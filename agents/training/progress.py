@@ -10,14 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
 from agents.lockstep.compiling import CLOCK
@@ -51,7 +44,7 @@ class _Display:
     def __init__(self, configs: Sequence[TrainConfig], console: Console, bar: Progress) -> None:
         self.title, self.total_steps = _title(configs), configs[0].steps
         self.console, self.bar = console, bar
-        self.task = bar.add_task(self.title, total=self.total_steps, speed="", recent="")
+        self.task = bar.add_task(self.title, total=self.total_steps, speed="", recent="", left="")
         self.meter, self.shown = Meter(self.total_steps), time.monotonic()
         self.compiled = self.compiled_before = CLOCK.seconds
         self.tenth = -1
@@ -73,7 +66,7 @@ class _Display:
         recent = f"return {returns:.2f}, cost {cost:.2f}"
         if done:  # an evaluation follows
             recent, left = f"{recent}, evaluating", ""
-        self.bar.update(self.task, completed=now.steps, speed=speed, recent=recent)
+        self.bar.update(self.task, completed=now.steps, speed=speed, recent=recent, left=left)
         if is_tenth or done:
             self.tenth = int(10 * now.share)
             after = f"{int(100 * now.share)} % after {now.seconds:.0f} s"
@@ -106,8 +99,7 @@ def _bar(console: Console) -> Progress:
         _Compiling(),
         TextColumn("{task.fields[speed]}"),
         TextColumn("{task.fields[recent]}"),
-        TimeRemainingColumn(),
-        TextColumn("left"),
+        TextColumn("{task.fields[left]}"),
         console=console,
         disable=not console.is_terminal,
     )

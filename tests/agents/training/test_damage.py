@@ -13,6 +13,7 @@ from agents.cli.main import main
 from agents.errors import UserError
 from agents.results.archive import open_source
 from agents.results.reading import read_groups
+from agents.training import files
 from agents.training.files import read_json, unfinished, write_whole
 from agents.training.loop import load_training
 from agents.training.step_files import read_steps
@@ -150,6 +151,34 @@ def test_the_checkpoint_before_takes_the_place_of_a_damaged_one(folder, whole, h
     assert results(folder) == results(whole)
     assert read_json(folder / "checksums.json").keys() == read_json(whole / "checksums.json").keys()
     assert load_training(folder).steps.tolist() == [300, 300]
+
+
+@pytest.mark.parametrize("error", [MemoryError, OSError])
+def test_a_whole_checkpoint_that_cannot_be_read_now_is_kept(folder, whole, monkeypatch, error):
+    """As where other programs take the memory meanwhile: what is damaged is another matter."""
+    before, read = results(folder), files._arrays_in
+
+    def short(file, wanted):
+        if file.name.endswith("checkpoint.npz"):
+            raise error
+        return read(file, wanted)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "_arrays_in", short)
+        for load in (load_training, agents.resume, lambda of: agents.load_policy(of, seed=0)):
+            with pytest.raises(error):
+                load(folder)
+        assert results(folder) == before
+        damaged = shutil.copytree(folder, folder.parent / "damaged")
+        flip(damaged / "checkpoint.npz", 1000)
+        with pytest.warns(UserWarning, match="going on from the checkpoint before it"):
+            assert load_training(damaged).steps.tolist() == [200, 200]
+        (folder / "checksums.json").unlink()  # as earlier versions left it: nobody knows
+        with pytest.warns(UserWarning, match="going on from the checkpoint before it"):
+            load_training(folder)
+    assert load_training(folder).steps.tolist() == [300, 300]
+    agents.resume(folder)
+    assert results(folder) == results(whole)
 
 
 def test_two_damaged_checkpoints_are_an_error(folder):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from small_runs import results
-from toys import register
+from toys import Target, register
 
 import agents
 from agents.training.environments import make_envs
@@ -214,6 +214,14 @@ def test_evaluation_of_policies_and_folders(folder):
     np.testing.assert_array_equal(drawn[0].returns, drawn[1].returns)
     assert not np.array_equal(drawn[0].returns, one.returns)
     assert results(folder) == before
+
+
+def test_an_evaluation_that_is_refused_closes_the_environment(folder, monkeypatch):
+    closed = []
+    monkeypatch.setattr(Target, "close", lambda env: closed.append(env))
+    with pytest.raises(agents.UserError, match="task 'Target-v0' has"):
+        agents.evaluate(folder, "Target-v0")
+    assert len(closed) == 1
 
 
 def test_evaluations_that_cannot_be(folder):

@@ -1,9 +1,11 @@
 """Progress as it is shown, by a clock and trainings made by hand."""
 
+from io import StringIO
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from agents.paper.presets import preset
 from agents.training import progress
@@ -70,3 +72,17 @@ def test_a_training_that_goes_on(tmp_path, capsys, clock):
         on_epoch(trainings(800))
     *_, last = capsys.readouterr().err.splitlines()
     assert last.endswith("80 % after 30 s, 10 steps/s, return -4.00, cost 2.50, 20 s left")
+
+
+def test_a_terminal_shows_the_same_time_left(tmp_path, monkeypatch, clock):
+    """As `test_speed_and_time_left` has it, by hand."""
+    shown = StringIO()
+    console = Console(file=shown, force_terminal=True, width=150)
+    monkeypatch.setattr(progress, "Console", lambda stderr: console)
+    config = TrainConfig("cpo", TASK, (0, 1), STEPS, preset("cpo", TASK))
+    with show_progress({tmp_path: config}) as on_epoch:
+        clock.now = 110.0
+        on_epoch(trainings(100, 100))
+        clock.now, progress.CLOCK.seconds = 120.0, 5.0
+        on_epoch(trainings(300, 300))
+    assert "80 steps/s return -4.00, cost 2.50 18 s left" in shown.getvalue()
