@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import imageio.v3 as imageio
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -75,6 +76,14 @@ def test_a_task_and_a_measure_of_the_users_own(folder):
     (line,) = re.findall(r"circle2d (train --import my_tasks .*)", PAGE)
     train = line.replace("runs/stay", "runs").replace("2e4", "1e3").split()
     assert "PPO-Lag" in circle2d(folder, *train, "--seeds", "0", "--backend", "eager").stdout
-    done = circle2d(folder, "report", "runs", "--import", "my_measures")
+    shown = re.findall(r"circle2d ((?:heatmap|render) .*)", PAGE)
+    for line in shown:
+        circle2d(folder, *line.replace("runs/stay", "runs").split())
+    heat = imageio.imread(folder / "runs/heatmap.png")[..., :3]
+    assert {(220, 220, 220), (255, 255, 255)} < set(map(tuple, heat.reshape(-1, 3)))
+    assert len(imageio.imread(folder / "stay.gif")) == 3 * (20 + 1)  # states
+    known = ("--import", "my_measures", "--import", "my_tasks")
+    done = circle2d(folder, "report", "runs", *known)
+    assert "middle" in done.stdout
     assert "clean episodes (share)" in done.stdout
     assert "clean" in (folder / "runs/report.csv").read_text().splitlines()[0]
