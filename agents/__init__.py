@@ -6,6 +6,7 @@ The whole entrance from Python:
 | --- | --- |
 | `train(algorithm, task, seeds=..., steps=..., out=...)` | train runs and evaluate them -> `Runs` |
 | `resume(*folders)` | go on with interrupted runs -> `Runs` |
+| `load_runs(*folders)` | open the runs at or below folders -> `Runs` |
 | `load_policy(folder, seed, step=None)` | a trained policy -> `Policy` |
 | `pretrained(algorithm, task)` | the folder of a policy that comes with the package |
 | `evaluate(policy_or_folder, task)` | play episodes -> `Evaluation` |
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
         UserError,
         evaluate,
         load_policy,
+        load_runs,
         pretrained,
         register,
         report,
@@ -63,6 +65,7 @@ __all__ = (
     "UserError",
     "evaluate",
     "load_policy",
+    "load_runs",
     "pretrained",
     "register",
     "report",

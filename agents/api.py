@@ -37,7 +37,7 @@ from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.compiling import cannot_compile, compiling_is_off
 from agents.paper.presets import preset_with
 from agents.reporting.report import report as write_report
-from agents.runs import Runs
+from agents.runs import Runs, load_runs
 from agents.sweeps import Values, sweep_configs, train_groups
 from agents.training import loop
 from agents.training.config import Backend, Device, TrainConfig
@@ -59,6 +59,7 @@ __all__ = (
     "UserError",
     "evaluate",
     "load_policy",
+    "load_runs",
     "pretrained",
     "register",
     "report",

@@ -16,6 +16,7 @@ from agents.errors import UserError
 from agents.reporting.report import table
 from agents.results.archive import open_source
 from agents.results.reading import Group, read_groups
+from agents.results.source import FolderSource
 from agents.training.config import TrainConfig, run_folder
 from emcc import EpisodeRecords
 
@@ -26,12 +27,12 @@ Rows = Literal["episodes", "runs"]
 
 
 class Runs:
-    """The runs of one folder, or of several that trained jointly, and all that they left."""
+    """The runs of one folder or of several, and all that they left: see `load_runs`."""
 
     def __init__(self, folders: Sequence[Path], temporary: bool = False) -> None:
         """temporary: remove the folders with this object."""
         self.folders = tuple(folders)
-        self.configs = tuple(TrainConfig.read(folder) for folder in folders)
+        self.configs = tuple(TrainConfig.read(folder, strict=False) for folder in folders)
         """Of each folder."""
         if temporary:
             for folder in self.folders:
@@ -127,6 +128,24 @@ class Runs:
             | {setting: of.get(setting) for setting in varied}
             for name, config, of in zip(self._names.values(), self.configs, settings, strict=True)
         }
+
+
+def load_runs(*folders: str | Path) -> Runs:
+    """Open the runs at or below folders, such as that of a sweep, finished or not. Changes nothing.
+
+    An algorithm of one's own need not be registered. Raises UserError where there are no runs, and
+    for a folder that is damaged.
+    """
+    found: dict[Path, None] = {}
+    for root in map(Path, folders):
+        source = FolderSource(root)
+        if source.problems or not source.configs:
+            none = f"{root} holds no runs: no config.json that circle2d train wrote"
+            raise UserError("; ".join(source.problems) or none)
+        found |= dict.fromkeys(root / name for name in source.configs)
+    if not found:
+        raise UserError("load_runs needs a folder of runs")
+    return Runs(list(found))
 
 
 def _columns(records: EpisodeRecords) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import imageio.v3 as imageio
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -27,23 +28,32 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_an_algorithm_of_the_users_own(folder):
+ALGORITHMS = {
+    "my_algorithm": ("sac-fixed", "SAC-Fixed", "Price of a unit of discounted cost"),
+    "my_trpo": ("trpo-price", "TRPO-Price", "Price of cost beside the multiplier"),
+}
+"""Module -> name, title and the text of `--price`."""
+
+
+@pytest.mark.parametrize("module", ALGORITHMS)
+def test_an_algorithm_of_the_users_own(folder, module):
     """Trains by the page's command, resumes, is evaluated, reported and explained."""
-    (line,) = re.findall(r"```sh\ncircle2d (train --import my_algorithm.*)\n```", PAGE)
-    train = line.replace("runs/fixed", "runs").split()
-    done = circle2d(folder, *train, "--seeds", "0", "--steps", "1e3")
-    assert "SAC-Fixed (price 0.5, 1,000 steps), mean of 1" in done.stdout
-    assert json.loads((folder / "runs/config.json").read_text())["algorithm"] == "sac-fixed"
+    name, title, price = ALGORITHMS[module]
+    (line,) = re.findall(rf"```sh\ncircle2d (train --import {module}.*)\n```", PAGE)
+    train = re.sub(r"runs/\w+", "runs", line).split()
+    done = circle2d(folder, *train, "--seeds", "0", "--steps", "1100")
+    assert f"{title} (price 0.5, 1,100 steps), mean of 1" in done.stdout
+    assert json.loads((folder / "runs/config.json").read_text())["algorithm"] == name
     done = circle2d(folder, "resume", "runs", status=2)
     assert done.stderr.count("\n") == 1
-    assert "my_algorithm" in done.stderr
-    known = ("--import", "my_algorithm")
+    assert module in done.stderr
+    known = ("--import", module)
     circle2d(folder, "resume", "runs", *known)
     assert "J_R" in circle2d(folder, "evaluate", "runs", "--episodes", "2", *known).stdout
-    assert "SAC-Fixed (price 0.5" in circle2d(folder, "report", "runs", *known).stdout
-    text = circle2d(folder, "train", *known, "--algorithm", "sac-fixed", "--help").stdout
+    assert f"{title} (price 0.5" in circle2d(folder, "report", "runs", *known).stdout
+    text = circle2d(folder, "train", *known, "--algorithm", name, "--help").stdout
     assert "--price" in text
-    assert "Price of a unit of discounted cost" in re.sub(r"[│\s]+", " ", text)
+    assert price in re.sub(r"[│\s]+", " ", text)
     assert "--price" in circle2d(folder, "train", *known, "--help").stdout
 
 
@@ -66,6 +76,14 @@ def test_a_task_and_a_measure_of_the_users_own(folder):
     (line,) = re.findall(r"circle2d (train --import my_tasks .*)", PAGE)
     train = line.replace("runs/stay", "runs").replace("2e4", "1e3").split()
     assert "PPO-Lag" in circle2d(folder, *train, "--seeds", "0", "--backend", "eager").stdout
-    done = circle2d(folder, "report", "runs", "--import", "my_measures")
+    shown = re.findall(r"circle2d ((?:heatmap|render) .*)", PAGE)
+    for line in shown:
+        circle2d(folder, *line.replace("runs/stay", "runs").split())
+    heat = imageio.imread(folder / "runs/heatmap.png")[..., :3]
+    assert {(220, 220, 220), (255, 255, 255)} < set(map(tuple, heat.reshape(-1, 3)))
+    assert len(imageio.imread(folder / "stay.gif")) == 3 * (20 + 1)  # states
+    known = ("--import", "my_measures", "--import", "my_tasks")
+    done = circle2d(folder, "report", "runs", *known)
+    assert "middle" in done.stdout
     assert "clean episodes (share)" in done.stdout
     assert "clean" in (folder / "runs/report.csv").read_text().splitlines()[0]

@@ -24,8 +24,8 @@ class RenderOptions:
     """
 
     folders: Folders
-    """Folders of runs on tasks that offer positions; pretrained:ALGORITHM/TASK is a policy that
-    comes with the package."""
+    """Folders of runs on tasks that offer a view or, for films, frames of their own;
+    pretrained:ALGORITHM/TASK is a policy that comes with the package."""
     out: Path | None = None
     """File to write, its suffix the format; by default trajectories.png in the first folder, or
     here for a policy of the package."""

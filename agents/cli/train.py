@@ -45,7 +45,7 @@ class TrainOptions:
     seeds: tuple[int, ...] = (0, 1, 2)
     """One run for each seed."""
     steps: int = 1_000_000
-    """Environment steps of each run."""
+    """Environment steps of each run, rounded up to whole epochs."""
     checkpoint_every: int = 50_000
     """Environment steps of a run between checkpoints, from which a killed run goes on."""
     evaluate_every: int | None = None

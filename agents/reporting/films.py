@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageOps
 
+from agents.errors import UserError
 from agents.reporting.figures import Ground
+from agents.results.frames import Filmed
 from agents.results.steps import Episode
 from circle2d_mj.core.view import Picture, View
 from circle2d_mj.render import canvas
@@ -26,16 +29,26 @@ class Panel:
     """Episodes of one policy, in the order in which a film shows them."""
 
     title: str
-    view: View
-    episodes: Sequence[Episode]
+    view: View | None
+    """None for episodes that the task itself draws."""
+    episodes: Sequence[Episode | Filmed]
 
 
 def picture(panels: Sequence[Panel], size: int) -> Picture:
     """All episodes of each panel in one picture, chains of cost steps boxed: [height, width, 3].
 
-    size: pixels along each side of a panel.
+    size: pixels along each side of a panel. Raises UserError for a panel without a view.
     """
-    drawn = [Ground(p.view, p.view.background(size)).trajectories(p.episodes, True) for p in panels]
+    drawn = []
+    for panel in panels:
+        if panel.view is None:
+            raise UserError(
+                f"the task of {panel.title!r} offers no view to draw whole episodes on: give --out "
+                "a film, .gif or .mp4"
+            )
+        episodes = [episode for episode in panel.episodes if isinstance(episode, Episode)]
+        ground = Ground(panel.view, panel.view.background(size))
+        drawn.append(ground.trajectories(episodes, True))
     captions = [[f"mean cost {np.mean([e.costs.sum() for e in p.episodes]):.1f}" for p in panels]]
     return figure([drawn], [panel.title for panel in panels], captions=captions)
 
@@ -46,13 +59,13 @@ def film(panels: Sequence[Panel], size: int) -> Iterator[Picture]:
 
     size: pixels along each side of a panel; height and width are even, as video needs them.
     """
-    grounds = [panel.view.background(size) for panel in panels]
+    grounds = [Ground(p.view, p.view.background(size)) if p.view else None for p in panels]
     for number, episodes in enumerate(zip(*(p.episodes for p in panels), strict=True), 1):
         for step in range(_length(episodes)):
             shown = [min(step, len(episode.costs)) for episode in episodes]
             drawn = [
-                _state(panel.view, ground, episode, k)
-                for panel, ground, episode, k in zip(panels, grounds, episodes, shown, strict=True)
+                _state(ground, episode, k, size)
+                for ground, episode, k in zip(grounds, episodes, shown, strict=True)
             ]
             words = [_words(number, e, k) for e, k in zip(episodes, shown, strict=True)]
             yield _even(figure([drawn], [panel.title for panel in panels], captions=[words]))
@@ -70,23 +83,28 @@ def pictures_of(panels: Sequence[Panel]) -> int:
     return sum(map(_length, zip(*(panel.episodes for panel in panels), strict=True)))
 
 
-def _length(episodes: Sequence[Episode]) -> int:
+def _length(episodes: Sequence[Episode | Filmed]) -> int:
     """Pictures of episodes that are shown at once."""
     return max(len(episode.costs) for episode in episodes) + 1 + HELD
 
 
-def _words(number: int, episode: Episode, steps: int) -> str:
+def _words(number: int, episode: Episode | Filmed, steps: int) -> str:
     """Number, step, cost and longest streak of an episode after some steps."""
     costs = episode.costs[:steps]
     streak = longest_streak(costs) if steps else 0
     return f"episode {number}, step {steps}: cost {costs.sum():g}, longest streak {streak}"
 
 
-def _state(view: View, ground: Picture, episode: Episode, steps: int) -> Picture:
-    """The task after some steps of an episode: the way there, and a disc where the agent is."""
-    path = episode.positions
+def _state(ground: Ground | None, episode: Episode | Filmed, steps: int, size: int) -> Picture:
+    """The task after some steps of an episode: the way there, and a disc where the agent is; or the
+    task's own frame in the middle of the panel."""
+    if isinstance(episode, Filmed):
+        with Image.open(io.BytesIO(episode.frames[steps])) as frame:
+            return np.asarray(ImageOps.pad(frame, (size, size), color=(255, 255, 255)))
+    assert ground is not None
+    view, path = ground.view, episode.positions
     way, costs = path[: steps + 1], episode.costs[:steps]
-    painted = canvas.with_trajectories(ground, view.extent, [way], [costs])
+    painted = canvas.with_trajectories(ground.background, view.extent, [way], [costs])
     return _with_agent(view.overlay(painted), view, path[steps])
 
 

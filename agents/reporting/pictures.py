@@ -10,8 +10,10 @@ from typing import NamedTuple
 from agents.algorithms import title
 from agents.errors import UserError
 from agents.reporting.figures import Ground, visits_words
+from agents.results.frames import Filmed, film_trained
 from agents.results.steps import Episode, Visits, count_visits, play_trained, require_view
 from agents.training.config import FAILURE, TrainConfig, run_folder
+from agents.training.environments import view_of
 from agents.training.loop import EVALUATION_EPISODES
 from circle2d_mj.core.view import Picture, View
 from circle2d_mj.render import canvas
@@ -100,11 +102,12 @@ def _of_seeds(folder: Path, config: TrainConfig, seeds: tuple[int, ...] | None) 
 
 def evaluation_episodes(
     folder: Path, seed: int | None, episodes: int, noisy: bool
-) -> tuple[list[Episode], View]:
+) -> tuple[list[Episode] | list[Filmed], View | None]:
     """The first episodes of the evaluation of one run, and the view of their task.
 
-    seed: of the run, the folder's first by default; noisy: of the stochastic policy. Raises
-    UserError for a seed that the folder has not, or a task without positions.
+    Without a view the episodes are the task's own frames. seed: of the run, the folder's first by
+    default; noisy: of the stochastic policy. Raises UserError for a seed that the folder has not,
+    or a task without view and frames.
     """
     config = TrainConfig.read(folder)
     seed = config.seeds[0] if seed is None else seed
@@ -112,7 +115,11 @@ def evaluation_episodes(
         raise UserError(f"{folder} has no run of seed {seed}: its seeds are {list(config.seeds)}")
     if not 1 <= episodes <= EVALUATION_EPISODES:
         raise UserError(f"episodes must be in [1, {EVALUATION_EPISODES}], got {episodes}")
-    found = play_trained(folder, config, [seed], episodes, noisy)[seed]
+    view = view_of(config.task, config.task_parameters)
+    if view is None:
+        found = film_trained(folder, config, seed, episodes, noisy)
+    else:
+        found = play_trained(folder, config, [seed], episodes, noisy, view)[seed]
     if found is None:
         raise UserError(f"the policy of seed {seed} gives numbers that are not finite")
-    return found, require_view(config)
+    return found, view

@@ -14,6 +14,7 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from agents.errors import UserError
+from agents.lockstep.rollout import Rollout
 from agents.training.config import TrainConfig, read_spaces, run_folder
 from agents.training.environments import make_envs, view_of
 from agents.training.evaluation import play
@@ -209,18 +210,10 @@ def play_trained(
     episodes: in [1, 100]; noisy: of the stochastic policy; view: as in `count_visits`. Raises
     UserError for a task without positions, or without a checkpoint.
     """
-    view, spaces = view or require_view(config), read_spaces(folder, config)
-    policies = [load_learner(folder, config, spaces, seed)[0].policy() for seed in seeds]
-    chosen, active = replace(config, seeds=tuple(seeds)), np.ones(len(seeds), dtype=bool)
-
-    def act(observation: NDArray, noise: NDArray | None) -> NDArray:
-        of_runs = range(len(policies))  # each alone, as it was evaluated
-        at = [None if noise is None else noise[k : k + 1] for k in of_runs]
-        return np.concatenate([policies[k](observation[k : k + 1], at[k]) for k in of_runs])
-
+    view = view or require_view(config)
     made = make_envs(config.task, len(seeds) * episodes, config.task_parameters)
     with contextlib.closing(_FromStart(made, view)) as envs:
-        rollout = play(envs, chosen, act, EVALUATION_EPISODES, 0, episodes, active, noisy)
+        rollout = play_first(envs, folder, config, seeds, episodes, noisy)
         start, then = envs.start, envs.positions
     played: list[Episode] = [
         Episode(
@@ -234,6 +227,27 @@ def play_trained(
         seed: None if diverged[k] else played[k * episodes : (k + 1) * episodes]
         for k, seed in enumerate(seeds)
     }
+
+
+def play_first(
+    envs: VectorEnv,
+    folder: Path,
+    config: TrainConfig,
+    seeds: Sequence[int],
+    episodes: int,
+    noisy: bool,
+) -> Rollout:
+    """The rollout of `play_trained`, run after run, in environments of the caller."""
+    spaces = read_spaces(folder, config)
+    policies = [load_learner(folder, config, spaces, seed)[0].policy() for seed in seeds]
+    chosen, active = replace(config, seeds=tuple(seeds)), np.ones(len(seeds), dtype=bool)
+
+    def act(observation: NDArray, noise: NDArray | None) -> NDArray:
+        of_runs = range(len(policies))  # each alone, as it was evaluated
+        at = [None if noise is None else noise[k : k + 1] for k in of_runs]
+        return np.concatenate([policies[k](observation[k : k + 1], at[k]) for k in of_runs])
+
+    return play(envs, chosen, act, EVALUATION_EPISODES, 0, episodes, active, noisy)
 
 
 class _FromStart(RecordPositions):

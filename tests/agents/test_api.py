@@ -116,6 +116,38 @@ def test_folders_that_differ_in_a_setting_are_told_apart(tmp_path):
         runs.to_pandas("measures")
 
 
+def test_finished_runs_are_opened_again(runs, tmp_path):
+    """By a string, or from a folder above; without the module of an algorithm of one's own."""
+    shutil.copytree(runs.folder, tmp_path / "a" / "x")
+    shutil.copytree(runs.folder, tmp_path / "a" / "y")
+    before = results(tmp_path)
+    again = agents.load_runs(str(tmp_path / "a"))
+    assert again.folders == (tmp_path / "a" / "x", tmp_path / "a" / "y")
+    one = agents.load_runs(str(again.folders[0]), again.folders[0])
+    assert (one.config, one.folder) == (runs.config, again.folders[0])
+    assert one.results[0].runs[0].measures == runs.results[0].runs[0].measures
+    path = again.folders[1] / "config.json"
+    path.write_text(path.read_text().replace('"sac-lag"', '"sac-own"'))
+    (path.parent / "checksums.json").unlink(missing_ok=True)
+    own = agents.load_runs(path.parent)
+    assert own.config.algorithm == "sac-own"
+    assert own.config.hyperparameters.random_steps == 100
+    assert len(own.records) == 2
+    path.write_text("{")
+    for folders, message in {
+        (): "needs a folder",
+        (tmp_path / "no",): "no is no folder",
+        (tmp_path / "a" / "x" / "seed-3",): "seed-3 holds no runs",
+        (tmp_path,): "config.json",
+    }.items():
+        with pytest.raises(agents.UserError, match=message):
+            agents.load_runs(*folders)
+    path.unlink()
+    assert results(tmp_path / "a" / "x") == {
+        name.removeprefix("a/x/"): of for name, of in before.items() if name.startswith("a/x/")
+    }
+
+
 def test_a_temporary_folder_lives_as_long_as_the_runs():
     runs = agents.train("trpo-lag", seeds=5, steps=50)
     folder = runs.folder
