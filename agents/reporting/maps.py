@@ -54,7 +54,9 @@ def maps(source: Source, groups: Sequence[Group], scenes: Scenes, notes: list[st
 
     groups: its runs. What cannot be drawn goes into the notes.
     """
-    seen = [(g, scene) for g in in_order(groups) if g.runs and (scene := scenes.of(g.config))]
+    seen = [
+        (g, scene) for g in in_order(groups) if g.runs and (scene := scenes.of(g.config, notes))
+    ]
     found = [_visited(source, seen, notes), _trained(source, seen, notes)]
     return [_turned(shown) if len(shown.columns) == 1 else shown for shown in found if shown]
 

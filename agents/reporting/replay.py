@@ -39,7 +39,7 @@ def replay_data(
     """
     runs = []
     for group in in_order(groups):
-        scene = scenes.of(group.config) if group.runs else None
+        scene = scenes.of(group.config, notes) if group.runs else None
         if scene is None:
             continue
         named = {"task": group.config.task, "algorithm": name_of(group)}

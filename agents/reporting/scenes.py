@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
+from agents.errors import UserError
 from agents.reporting.image_files import png
 from agents.results.steps import Episode
 from agents.training.config import TrainConfig
@@ -50,12 +51,18 @@ class Scenes:
     def __init__(self) -> None:
         self._found: dict[str, Scene | None] = {}
 
-    def of(self, config: TrainConfig) -> Scene | None:
-        """The scene of the task of some runs; None of a task without a view."""
+    def of(self, config: TrainConfig, notes: list[str]) -> Scene | None:
+        """The scene of the task of some runs; None of a task without a view, and of one that cannot
+        be made, which goes into the notes."""
         key = repr((config.task, config.task_parameters))
         if key not in self._found:
-            view = view_of(config.task, config.task_parameters)
-            self._found[key] = None if view is None else _scene(len(self.all), view)
+            self._found[key] = None
+            try:
+                view = view_of(config.task, config.task_parameters)
+            except UserError as error:
+                notes.append(f"no pictures of {config.task}: {error}")
+            else:
+                self._found[key] = None if view is None else _scene(len(self.all), view)
         return self._found[key]
 
     @property

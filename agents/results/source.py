@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -133,10 +134,16 @@ class FolderSource:
         return RunFiles(records, evaluation, *count_ends(self._view(config), evaluation))
 
     def _view(self, config: TrainConfig) -> View | None:
-        """The view of the task of some runs, made once for each task."""
+        """The view of the task of some runs, made once for each task.
+
+        None of a task that cannot be made, too: it is needed for places and pictures alone, and
+        `Scenes` tells why they lack.
+        """
         key = repr((config.task, config.task_parameters))
         if key not in self._views:
-            self._views[key] = view_of(config.task, config.task_parameters)
+            self._views[key] = None
+            with contextlib.suppress(UserError):
+                self._views[key] = view_of(config.task, config.task_parameters)
         return self._views[key]
 
     def visits(

@@ -255,7 +255,6 @@ class _FromStart(RecordPositions):
 
     def __init__(self, env: VectorEnv, view: View) -> None:
         super().__init__(env, view)
-        self._seen = view
         self._start: NDArray[np.float32] | None = None
 
     @property
@@ -268,7 +267,8 @@ class _FromStart(RecordPositions):
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         observation, info = super().reset(seed=seed, options=options)
-        with contextlib.suppress(KeyError):
-            found = self._seen.positions(np.asarray(observation, dtype=np.float32), info)
-            self._start = np.asarray(found, dtype=np.float32)
+        if not self._positions:  # all were reset, not only those whose episode ended
+            with contextlib.suppress(KeyError):
+                found = self._view.positions(np.asarray(observation, dtype=np.float32), info)
+                self._start = np.asarray(found, dtype=np.float32)
         return observation, info

@@ -39,13 +39,13 @@ def results(folder):
     return {str(path.relative_to(folder)): path.read_bytes() for path in kept}
 
 
-def write_evaluated(folder, name, costs, hyperparameters=None, old=False):
-    """Evaluated runs on Circle2D-1 of ten episodes of ten steps, with as many steps at a cost in
+def write_evaluated(folder, name, costs, hyperparameters=None, old=False, task="Circle2D-1-v0"):
+    """Evaluated runs of ten episodes of ten steps, with as many steps at a cost in
     each episode, in one chain: one run for each number in `costs`.
 
     old: as before cost steps and streaks were recorded.
     """
-    task, seeds = "Circle2D-1-v0", tuple(range(len(costs)))
+    seeds = tuple(range(len(costs)))
     TrainConfig(name, task, seeds, 100, hyperparameters or preset(name, task)).write(folder)
     head = "rollout,start_step,length,return,cost,longest_streak"
     for seed, cost in zip(seeds, costs, strict=True):

@@ -52,8 +52,8 @@ def test_the_layers_are_those_of_the_view():
     """Put together in another way, they give the view's picture."""
     scenes = Scenes()
     config = of_task("Circle2D-3-v0")
-    scene = scenes.of(config)
-    assert scenes.of(config) is scene
+    scene = scenes.of(config, [])
+    assert scenes.of(config, []) is scene
     assert scenes.all == [scene]
     view = Circle2DView(Circle2DConfig(level=3))
     below, above = image_of(scene.below)[..., :3], image_of(scene.above)
@@ -147,7 +147,7 @@ def test_states_of_long_episodes(steps):
 
 def test_a_cost_between_two_drawn_states_is_shown():
     """Of 1000 steps every eighth is drawn; the one that cost is the 500th."""
-    scene = Scenes().of(of_task("Circle2D-1-v0"))
+    scene = Scenes().of(of_task("Circle2D-1-v0"), [])
     costs = np.zeros(1000)
     costs[499] = 1.0
     positions = np.linspace((0, 0), (10, 0), 1001)

@@ -10,6 +10,7 @@ from toys import Target
 
 from agents.errors import UserError
 from agents.paper.presets import preset
+from agents.results.steps import play_trained
 from agents.training.config import TrainConfig
 from agents.training.environments import view_of
 from agents.training.loop import Training, load_training, train
@@ -76,6 +77,17 @@ def test_positions_come_from_observation_and_info(tmp_path, vectorization):
         jumps = np.abs(np.diff(visited, axis=0)).max(axis=1)
         within = np.setdiff1d(np.arange(len(jumps)), records.start_step[1:] - 1)
         assert jumps[within].max() < 0.1001 * 1.01  # a step goes that far
+
+
+def test_drawn_episodes_begin_where_they_started(tmp_path):
+    """Though some end and are reset while others go on."""
+    folder = trained(tmp_path / "x", "Drift-v0")
+    played = play_trained(folder, TrainConfig.read(folder), (3, 4), episodes=5)
+    episodes = [episode for of_run in played.values() for episode in of_run]
+    assert len({len(episode.costs) for episode in episodes}) > 1
+    for positions, costs in episodes:
+        assert len(positions) == len(costs) + 1
+        assert np.abs(np.diff(positions, axis=0)).max() < 0.1001 * 1.01  # a step goes that far
 
 
 @pytest.mark.parametrize("task", ["Circle2D-1-v0", "Circle2DMuJoCo-1-v0"])
