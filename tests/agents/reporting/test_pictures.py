@@ -4,14 +4,11 @@ import json
 import re
 import shutil
 
-import gymnasium as gym
 import imageio.v3 as imageio
 import numpy as np
 import pytest
 from small_runs import TASK, write_runs
-from toys import Walk
 
-import agents
 from agents.cli.main import main
 from agents.errors import UserError
 from agents.paper.presets import preset
@@ -113,72 +110,6 @@ def test_policies_of_the_package_side_by_side(folder, tmp_path, monkeypatch, cap
     assert abs(int((left < 200).sum()) - int((right < 200).sum())) < 0.02 * (left < 200).sum()
     assert main(["render", "pretrained:cpo/x"]) == 2
     assert "no policy of 'cpo' comes with the package" in capsys.readouterr().err
-
-
-class Drawn(Walk):
-    """A walk that draws its own frames: pixels of six times the steps so far."""
-
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
-
-    def __init__(self, render_mode=None):
-        super().__init__()
-        self.render_mode = render_mode
-
-    def render(self):
-        return np.full((6, 12, 3), 6 * self.t, np.uint8)
-
-
-class Undrawn(Drawn):
-    """A walk that promises frames and has none."""
-
-    def render(self):
-        return None
-
-
-@pytest.fixture(scope="module")
-def walks(tmp_path_factory):
-    """Folders of runs on tasks without a view."""
-    folder = tmp_path_factory.mktemp("walks")
-    for cls in (Walk, Drawn, Undrawn):
-        gym.register(f"{cls.__name__}Film-v0", cls)
-        task = f"{cls.__name__}Film-v0"
-        agents.train("trpo-lag", task, seeds=4, steps=100, episodes=2, out=folder / cls.__name__)
-    yield folder
-    for cls in (Walk, Drawn, Undrawn):
-        del gym.registry[f"{cls.__name__}Film-v0"]
-
-
-def test_a_task_without_a_view_is_filmed_by_its_frames(walks, tmp_path):
-    """Of the evaluated episodes, each state once: their lengths and costs are in the records."""
-    folder, out = walks / "Drawn", tmp_path / "film.gif"
-    measured = json.loads((folder / "seed-4" / "evaluation.json").read_text())["deterministic"]
-    episodes, view = pictures.evaluation_episodes(folder, 4, 3, noisy=False)
-    assert view is None
-    assert [episode.costs.sum() for episode in episodes] == measured["cost_returns"][:3]
-    for episode, (_, time) in zip(episodes, measured["final_observations"][:3], strict=False):
-        assert len(episode.frames) == len(episode.costs) + 1 == round(40 * time) + 1
-    assert main(["render", str(folder), "--out", str(out), "--size", "64"]) == 0
-    frames = imageio.imread(out)  # a picture that is held is one
-    # In the middle of the panel is the frame, which is twice as wide as it is high.
-    levels = [frame[frame.shape[0] // 2, frame.shape[1] // 2].astype(int) for frame in frames]
-    times = [k for episode in episodes for k in range(len(episode.costs) + 1)]
-    assert len(frames) == len(times)
-    np.testing.assert_allclose(levels, 6 * np.array(times)[:, None].repeat(3, 1), atol=8)
-
-
-@pytest.mark.filterwarnings("ignore")  # of gymnasium, on the same mistakes
-@pytest.mark.parametrize(
-    ("folder", "out", "message"),
-    [
-        ("Drawn", "x.png", "offers no view to draw whole episodes on: give --out a film"),
-        ("Undrawn", "x.gif", r"render\(\) must give \[height, width, 3\], got \[\]"),
-        ("Walk", "x.gif", "'WalkFilm-v0' offers no view to draw, and no frames .*'render_mode'"),
-    ],
-)
-def test_a_task_that_cannot_be_filmed(walks, tmp_path, capsys, folder, out, message):
-    assert main(["render", str(walks / folder), "--out", str(tmp_path / out)]) == 2
-    assert re.search(message, capsys.readouterr().err.replace("\n", " "))
-    assert not (tmp_path / out).exists()
 
 
 def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
