@@ -11,8 +11,14 @@ from pathlib import Path
 from agents.errors import UserError
 from agents.paper.presets import PAPER_SEEDS, preset, usual_steps
 from agents.paper.presets import ablations as ablations_of
-from agents.training.config import FAILURE, Backend, Device, TrainConfig, run_folder
-from agents.training.environments import sizes_of
+from agents.training.config import (
+    FAILURE,
+    Backend,
+    Device,
+    TrainConfig,
+    read_spaces,
+    run_folder,
+)
 from agents.training.files import read_json
 from agents.training.status import share_done
 from agents.training.workers import Group
@@ -118,8 +124,9 @@ def prepare(folders: dict[Path, TrainConfig]) -> None:
 def groups(configs: dict[Path, TrainConfig], workers: int) -> list[Group]:
     """Groups of folders that train together, a process each, the longest first.
 
-    Those of equal settings and sizes that have come equally far are dealt evenly into groups of 12
-    runs at most: as large as may be while that keeps all workers busy to the end.
+    The folders are there: see `prepare`. Those of equal settings and sizes that have come equally
+    far are dealt evenly into groups of 12 runs at most: as large as may be while that keeps all
+    workers busy to the end.
     """
     kinds = _kinds(configs)
     largest = range(max(map(len, kinds), default=0), 0, -1)
@@ -143,11 +150,10 @@ def groups(configs: dict[Path, TrainConfig], workers: int) -> list[Group]:
 
 def _kinds(configs: dict[Path, TrainConfig]) -> list[list[Path]]:
     """Folders that could train together."""
-    of_tasks = {config.task: config.task_parameters for config in configs.values()}
-    sizes = {task: sizes_of(task, parameters) for task, parameters in of_tasks.items()}
     kinds: dict[str, list[Path]] = {}
     for folder, config in configs.items():
-        kind = repr((config.shared, sizes[config.task], round(share_done(folder), 2)))
+        sizes = read_spaces(folder, config).sizes
+        kind = repr((config.shared, sizes, round(share_done(folder), 2)))
         kinds.setdefault(kind, []).append(folder)
     return list(kinds.values())
 

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 from agents.algorithms import ALGORITHMS, algorithm, module_of
 from agents.errors import UserError, check, check_choice, check_integers
 from agents.lockstep.noise import stream_seed
-from agents.training.environments import Spaces, Vectorization, is_native, sizes_of, spaces_of
+from agents.training.environments import Spaces, Vectorization, is_native, spaces_of
 from agents.training.files import compare, json_bytes, locked, read_json
 from agents.training.machine import commit, made_with
 from agents.training.memory import check_memory
@@ -203,7 +203,7 @@ def check_together(configs: dict[Path, TrainConfig]) -> None:
     """Raise UserError where folders cannot train together."""
     found: dict[str, tuple[Path, Any]] = {}
     for folder, config in configs.items():
-        sizes = sizes_of(config.task, config.task_parameters)
+        sizes = read_spaces(folder, config).sizes
         of_task = dict(zip(("observation size", "action size"), sizes, strict=True))
         for name, value in (config.shared | of_task).items():
             first, expected = found.setdefault(name, (folder, value))

@@ -137,16 +137,23 @@ def sizes(envs: VectorEnv) -> tuple[int, int]:
     return observation[0], action[0]
 
 
-def view_of(task: str, parameters: dict[str, Any]) -> View | None:
+def view_of(
+    task: str, parameters: dict[str, Any], expected: tuple[int, int] | None = None
+) -> View | None:
     """The view of a registered task: the attribute `view` of its environment.
 
-    None where the task has no view or is not registered; no module is imported for it. Raises
-    UserError where the task cannot be made.
+    None where the task has no view or is not registered; no module is imported for it. expected:
+    see `sizes`. Raises UserError where the task cannot be made, or is of other sizes.
     """
     name = task.rpartition(":")[2]
     if name not in gym.registry:
         return None
     with contextlib.closing(_unscaled(name, 1, parameters)) as envs:
+        if expected not in (None, sizes(envs)):
+            raise UserError(
+                f"task {task!r} has {sizes(envs)} numbers in an observation and an action, and had "
+                f"{expected} where its runs began"
+            )
         env: Any = envs.unwrapped
         if isinstance(env, SyncVectorEnv):  # its wrappers may hold the attribute
             [env] = env.envs
@@ -182,11 +189,6 @@ def spaces_of(task: str, parameters: dict[str, Any]) -> Spaces:
         assert isinstance(actions, Box)
         low, high = (tuple(map(float, bound)) for bound in (actions.low, actions.high))
         return Spaces(observation_size, low, high, str(actions.dtype))
-
-
-def sizes_of(task: str, parameters: dict[str, Any]) -> tuple[int, int]:
-    """Numbers an observation and an action of a task hold."""
-    return spaces_of(task, parameters).sizes
 
 
 def registered(task: str) -> str:

@@ -24,7 +24,7 @@ from agents.training.tensorboard import Events
 
 def load_training(folder: Path) -> Training:
     """The training of a folder as its last checkpoint left it."""
-    training = Training(TrainConfig.read(folder))
+    [training] = joint_trainings({folder: TrainConfig.read(folder)})
     training.load(folder)
     return training
 
@@ -53,7 +53,7 @@ def train(*folders: Path, on_epoch: OnEpoch = lambda trainings: None) -> list[Tr
         for folder in configs:
             stack.enter_context(locked(folder))
             remove_leftovers(folder)
-        trainings = joint_trainings(list(configs.values()))
+        trainings = joint_trainings(configs)
         _train(dict(zip(configs, trainings, strict=True)), on_epoch)
     return trainings
 

@@ -24,10 +24,11 @@ from agents.training.config import (
     FAILURE,
     PREVIOUS,
     TrainConfig,
+    read_spaces,
     run_folder,
     run_folders,
 )
-from agents.training.environments import make_envs, sizes_of, view_of
+from agents.training.environments import make_envs, spaces_of, view_of
 from agents.training.files import compare, json_bytes, npz_bytes, read_arrays
 from agents.training.positions import RecordPositions
 from agents.training.records import Log
@@ -40,17 +41,22 @@ class Training:
     """The runs of one folder, between two epochs."""
 
     def __init__(
-        self, config: TrainConfig, learner: Learner | None = None, first_run: int = 0
+        self,
+        config: TrainConfig,
+        sizes: tuple[int, int] | None = None,
+        learner: Learner | None = None,
+        first_run: int = 0,
     ) -> None:
-        """learner: one that holds runs of other folders too, and these from `first_run` on; by
-        default one is made for these alone."""
+        """sizes: of observations and actions, by default the task is asked. learner: one that holds
+        runs of other folders too, and these from `first_run` on; by default one for these alone."""
         self.config = config
         runs = len(config.seeds)
-        self.learner = _learner_of([config]) if learner is None else learner
+        sizes = sizes or spaces_of(config.task, config.task_parameters).sizes
+        self.learner = _learner_of([config], sizes) if learner is None else learner
         self.runs = slice(first_run, first_run + runs)
         """Which runs of the learner these are."""
         self.log = Log(runs, self.learner.episodes, self.learner.metrics)
-        self._view = view_of(config.task, config.task_parameters)
+        self._view = view_of(config.task, config.task_parameters, sizes)
         self.step_files = StepFiles(self._view is not None, runs)
         self.epoch = self.epochs_here = 0
         """Epochs in all, and those of this process."""
@@ -244,16 +250,18 @@ def run_epoch(trainings: Sequence[Training]) -> None:
             training.record_epoch(own, learning[runs], metrics[runs], finite[runs])
 
 
-def joint_trainings(configs: Sequence[TrainConfig]) -> list[Training]:
-    """Trainings of several folders with one learner; their `TrainConfig.shared` are equal."""
-    learner = _learner_of(configs)
-    first_runs = np.cumsum([0] + [len(config.seeds) for config in configs]).tolist()
-    return [Training(c, learner, first) for c, first in zip(configs, first_runs, strict=False)]
+def joint_trainings(configs: Mapping[Path, TrainConfig]) -> list[Training]:
+    """Trainings of several folders with one learner: see `check_together`."""
+    several = list(configs.values())
+    sizes = read_spaces(next(iter(configs)), several[0]).sizes
+    learner = _learner_of(several, sizes)
+    first_runs = np.cumsum([0] + [len(config.seeds) for config in several]).tolist()
+    pairs = zip(several, first_runs, strict=False)
+    return [Training(config, sizes, learner, first) for config, first in pairs]
 
 
-def _learner_of(configs: Sequence[TrainConfig]) -> Learner:
+def _learner_of(configs: Sequence[TrainConfig], sizes: tuple[int, int]) -> Learner:
     """A learner for the runs of some folders, one folder after the other."""
     one = configs[0]
     seeds = [seed for config in configs for seed in config.stream_seeds]
-    sizes = sizes_of(one.task, one.task_parameters)
     return make_learner(one.algorithm, one.hyperparameters, seeds, *sizes)

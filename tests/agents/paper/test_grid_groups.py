@@ -2,8 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+import gymnasium as gym
+import numpy as np
+from gymnasium.spaces import Box
 from small_runs import write_status
+from toys import Walk
 
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
@@ -11,8 +16,10 @@ from agents.paper.presets import PAPER_ALGORITHMS
 
 def groups(workers, algorithms=("sac-lag", "trpo-lag"), levels=(0, 1, 2, 3), seeds=grid.SEEDS):
     tasks = grid.circle2d_tasks(levels, mujoco=False)
-    configs = grid.grid(Path("x"), tasks, algorithms, seeds)
-    found = grid.groups(configs, workers)
+    with TemporaryDirectory() as out:
+        configs = grid.grid(Path(out), tasks, algorithms, seeds)
+        grid.prepare(configs)
+        found = grid.groups(configs, workers)
     assert sorted(folder for group in found for folder in group) == sorted(configs)
     assert all(len({folder.name for folder in group}) == 1 for group in found)
     return [(group[0].name, len(group)) for group in found]
@@ -48,10 +55,32 @@ def test_groups_are_of_equal_settings_sizes_and_progress(tmp_path):
     tasks = ["Circle2D-0-v0", "Circle2D-1-v0", "Circle2DMuJoCo-1-v0"]
     configs = grid.grid(tmp_path, tasks, ["cpo"], (0,), 100)
     (flat, second, physics) = configs
+    grid.prepare(configs)
     assert grid.groups(configs, 1) == [(flat, second), (physics,)]  # observations of 2 and of 4
-    flat.mkdir(parents=True)
     write_status(flat, 0.4)
     assert len(grid.groups(configs, 1)) == 3
     (flat / "status.json").unlink()
     configs[second] = replace(configs[second], checkpoint_every=7)
     assert len(grid.groups(configs, 1)) == 3
+
+
+def test_a_task_of_two_sizes_makes_two_groups(tmp_path):
+    """By its parameters; nobody asks the task again once the folders are there."""
+
+    class Sized(Walk):
+        def __init__(self, size):
+            super().__init__()
+            self.observation_space = Box(-np.inf, np.inf, (size,))
+
+    gym.register("Sized-v0", Sized, disable_env_checker=True)
+    try:
+        [one] = grid.grid(tmp_path, ["Sized-v0"], ["cpo"], (0,), 100).values()
+        configs = {
+            tmp_path / name: replace(one, task_parameters={"size": size})
+            for name, size in (("a", 2), ("b", 3), ("c", 2))
+        }
+        grid.prepare(configs)
+    finally:
+        del gym.registry["Sized-v0"]
+    a, b, c = configs
+    assert sorted(grid.groups(configs, 1)) == [(a, c), (b,)]

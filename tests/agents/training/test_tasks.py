@@ -4,9 +4,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
+from small_runs import results
 
+import agents
 from agents.errors import UserError
-from agents.training.environments import check_task, make_envs, sizes, task_id
+from agents.training.environments import check_task, make_envs, sizes, task_id, view_of
+from agents.training.files import read_json, write_json
+from agents.training.loop import load_training
 
 
 class Other(gym.Env):
@@ -97,3 +101,45 @@ def test_a_task_whose_constructor_fails():
     with pytest.raises(UserError, match="cannot make task 'Unmakeable-v0': no licence"):
         make_envs("Unmakeable-v0", 2, {})
     del gym.registry["Unmakeable-v0"]
+
+
+def test_what_a_folder_knows_the_task_is_not_asked_again(tmp_path, monkeypatch):
+    """Its view alone, which may take seconds to make."""
+    made, make = [], Other.__init__
+    monkeypatch.setattr(Other, "__init__", lambda *a, **k: (made.append(1), make(*a, **k))[0])
+    options = {"seeds": 0, "steps": 10, "episodes": 2, "out": tmp_path / "x"}
+    agents.train("cpo", "Other-v0", **options, on_epoch=lambda epoch: False)
+    del made[:]
+    assert view_of("Other-v0", {}) is None
+    of_view = len(made)
+    load_training(tmp_path / "x")
+    assert len(made) == 2 * of_view > 0
+
+
+def test_a_task_whose_sizes_changed_is_refused(tmp_path, monkeypatch):
+    options = {"seeds": 0, "steps": 10, "episodes": 2, "out": tmp_path / "x"}
+    agents.train("cpo", "Other-v0", **options)
+    monkeypatch.setattr(Other, "observation_space", Box(-1.0, 1.0, (4,)))
+    words = r"'Other-v0' has \(4, 1\) numbers in an observation and an action, and had \(3, 1\)"
+    with pytest.raises(UserError, match=words):
+        agents.resume(tmp_path / "x")
+
+
+def test_folders_that_do_not_hold_their_spaces_go_on(tmp_path):
+    """As earlier versions left them."""
+    options = {"seeds": 0, "steps": 40, "episodes": 2, "checkpoint_every": 20}
+    folders = [tmp_path / name for name in ("whole", "old", "joint")]
+    agents.train("cpo", "Other-v0", out=folders[0], **options)
+    for folder in folders[1:]:
+        agents.train("cpo", "Other-v0", out=folder, **options, on_epoch=lambda epoch: False)
+        content = read_json(folder / "config.json")
+        del content["spaces"]
+        (folder / "checksums.json").unlink()
+        write_json(folder / "config.json", content)
+    agents.resume(folders[1])
+    agents.resume(*folders[1:])
+    expected = results(folders[0])
+    for folder in folders[1:]:
+        found = results(folder)
+        assert found.keys() == expected.keys()
+        assert all(found[name] == expected[name] for name in expected if name != "config.json")
