@@ -2,7 +2,6 @@
 
 import csv
 import io
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,17 +25,8 @@ class Table:
     head: list[str]
     rows: Rows
     notes: list[str]
-    marked: frozenset[tuple[int, int]] = frozenset()
-    """Row and column of the cells whose value stands out: bold in Markdown, as ever elsewhere."""
-    marking: str = ""
-    """Meaning of a mark."""
     complete: bool = True
     """Whether no number is missing."""
-
-    @property
-    def legend(self) -> str:
-        """The caption, and the meaning of marks where there are any."""
-        return self.caption + (f"; bold: {self.marking}" if self.marked else "")
 
     def render(self, form: str) -> str:
         """Lines of aligned text, Markdown, CSV whose comment lines begin with '#', or LaTeX's
@@ -48,10 +38,10 @@ class Table:
             comments = [f"# {line}" for line in (self.caption, *notes)]
             return "\n".join([*comments, body.getvalue()])
         if form == "latex":
-            return self._latex([f"% {line}" for line in (self.legend, *notes)])
+            return self._latex([f"% {line}" for line in (self.caption, *notes)])
         lines = [self.head, *self.rows]
         if form == "md":
-            lines = [self.head, ["---"] * len(self.head), *self._bold_rows()]
+            lines = [self.head, ["---"] * len(self.head), *self.rows]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         padded = [
             [cell.ljust(width) for cell, width in zip(line, widths, strict=True)] for line in lines
@@ -62,24 +52,10 @@ class Table:
         else:
             body = ["  ".join(line).rstrip() for line in padded]
             notes = ["", *notes] if notes else []
-        return "\n".join([self.legend if form == "md" else self.caption, "", *body, *notes, ""])
-
-    def _bold_rows(self, bold: str = r"**\1**", rows: Rows | None = None) -> Rows:
-        """The rows with marked values in bold; the interval behind a value is not."""
-        return [
-            [
-                re.sub(r"^(\S+)", bold, cell) if (row, column) in self.marked else cell
-                for column, cell in enumerate(cells)
-            ]
-            for row, cells in enumerate(self.rows if rows is None else rows)
-        ]
+        return "\n".join([self.caption, "", *body, *notes, ""])
 
     def _latex(self, comments: list[str]) -> str:
-        escaped = [[_escape(cell) for cell in row] for row in self.rows]
-        head, *rows = (
-            " & ".join(row) + r" \\"
-            for row in [list(map(_escape, self.head)), *self._bold_rows(r"\\textbf{\1}", escaped)]
-        )
+        head, *rows = (" & ".join(map(_escape, row)) + r" \\" for row in (self.head, *self.rows))
         first = rf"\begin{{tabular}}{{l{'r' * (len(self.head) - 1)}}}"
         top, end = (first, r"\toprule", head, r"\midrule"), (r"\bottomrule", r"\end{tabular}")
         return "\n".join([*comments, *top, *rows, *end, ""])

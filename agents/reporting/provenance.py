@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import shlex
-import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 from agents.algorithms import title
@@ -14,7 +12,7 @@ from agents.paper.settings import hyperparameter_changes, in_order, title_of
 from agents.results.reading import Group
 from agents.results.source import Source
 from agents.training.config import TrainConfig
-from agents.training.machine import sessions_of
+from agents.training.machine import commit, sessions_of
 from agents.training.status import duration
 
 
@@ -47,17 +45,9 @@ def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
 
 
 def program() -> str:
-    """Name, version and, where it runs from a git repository of its own, commit."""
-    root = Path(__file__).parents[2]
+    """Name, version and, where it is known, commit."""
     words = f"circle2d-mj {version('circle2d-mj')}"
-    if not (root / ".git").exists():
-        return words
-    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
-    try:
-        commit = subprocess.run([*command, "--exclude=*"], capture_output=True, text=True)
-    except OSError:  # no git
-        return words
-    return f"{words}, commit {commit.stdout.strip()}" if commit.returncode == 0 else words
+    return f"{words}, commit {found}" if (found := commit()) else words
 
 
 def heading(groups: Sequence[Group]) -> str:

@@ -121,14 +121,11 @@ def _by_task(groups: Sequence[Group]) -> dict[str, list[Group]]:
 def _details(by_task: dict[str, list[Group]]) -> dict[str, Table]:
     """EMCC with ties split, and the panel of each task, by title."""
     everyone = [group for groups in by_task.values() for group in groups]
-    split = ties_table(everyone)
-    found = {} if split is None else {TIES: split}
-    panels = {
+    return {TIES: ties_table(everyone)} | {
         panel_title(task): panel_table(groups)
         for task, groups in by_task.items()
         if any(group.runs for group in groups)
     }
-    return found | panels
 
 
 def _markdown(tables: dict[str, Table]) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -126,20 +126,12 @@ def speed(folder: Path) -> float | None:
 
 
 def sessions(folder: Path) -> dict[str, float]:
-    """Seconds that each process trained a folder, by its random id; empty where nothing says."""
+    """Seconds that each process trained a folder, by its random id; empty where nothing says.
+
+    What a killed process did after its last write is not counted.
+    """
     status = _read(folder)
     return status.sessions if status else {}
-
-
-def seconds_trained(folders: Iterable[Path]) -> float | None:
-    """Wall time of all the processes that trained some folders, added up, in seconds.
-
-    A process that trained several of the folders counts once. What a killed process did after its
-    last write is not counted. None where nothing says of any folder.
-    """
-    found = [status for status in map(_read, folders) if status]
-    sessions = {name: took for status in found for name, took in status.sessions.items()}
-    return sum(sessions.values()) if found else None
 
 
 def duration(seconds: float) -> str:

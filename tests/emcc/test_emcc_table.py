@@ -243,17 +243,3 @@ def test_as_a_command(tmp_path):
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert "EMCC_0.33" in done.stdout
-
-
-def test_marks_are_bold_in_markdown_alone():
-    from emcc.table import Table
-
-    rows = [["a", "0.10 [0.05, 0.20]"], ["b", "0.30"]]
-    marked = Table("caption", ["x", "v"], rows, [], frozenset({(0, 1)}), "the lowest")
-    markdown, text = marked.render("md"), marked.render("text")
-    assert "**0.10** [0.05, 0.20]" in markdown
-    assert markdown.startswith("caption; bold: the lowest\n")
-    assert markdown.count("**") == 2
-    for form in (text, marked.render("csv")):
-        assert "**" not in form
-        assert "bold" not in form

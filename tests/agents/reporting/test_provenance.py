@@ -3,6 +3,7 @@
 import shlex
 import subprocess
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from small_runs import write_status
@@ -136,10 +137,14 @@ def test_a_title_and_a_line_that_name_the_runs():
     assert heading(many) == "WCSAC on 6 tasks"
 
 
-def test_the_commit_is_told_in_a_repository_of_our_own(tmp_path, monkeypatch):
-    module = tmp_path / "agents" / "reporting" / "provenance.py"
-    monkeypatch.setattr(provenance, "__file__", str(module))
+def test_the_commit_is_told_where_it_is_known(tmp_path, monkeypatch):
+    module = tmp_path / "agents" / "training" / "machine.py"
+    monkeypatch.setattr(machine, "__file__", str(module))
+    origin = SimpleNamespace(read_text=lambda name: None)
+    monkeypatch.setattr(machine, "distribution", lambda name: origin)
     assert "commit" not in provenance.program()
+    origin.read_text = lambda name: '{"url": "", "vcs_info": {"vcs": "git", "commit_id": "b1c2"}}'
+    assert provenance.program().endswith(", commit b1c2")  # as pip notes it
     (tmp_path / "a").write_text("")
     for words in ("init -q", "add a", "-c user.name=a -c user.email=b commit -qm x"):
         subprocess.run(["git", "-C", str(tmp_path), *words.split()], check=True)

@@ -17,7 +17,7 @@ from agents.paper.presets import preset
 from agents.training.config import TrainConfig
 from agents.training.files import read_arrays
 from agents.training.loop import load_training, train
-from agents.training.status import seconds_trained
+from agents.training.status import sessions
 
 register()
 SEEDS = {0: (3, 4), 1: (4,), 3: (5, 3)}
@@ -137,7 +137,9 @@ def test_the_command_resumes_several(alone, tmp_path, capsys):
     assert "Circle2D-1" in out
     line = f"{name} Circle2D-0-v0 Circle2D-1-v0 x 3: 100 % after"
     assert line in err
-    assert seconds_trained(folders) == seconds_trained(folders[:1]) > 0  # one process
+    first, second = map(sessions, folders)
+    assert first == second  # of one process
+    assert sum(first.values()) > 0
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Status files of trainings: numbers by a clock, sessions, and files of other hands."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +8,7 @@ from small_runs import write_status
 
 from agents.training import status
 from agents.training.files import read_json
-from agents.training.status import StatusFiles, seconds_trained, share_done, speed
+from agents.training.status import StatusFiles, sessions, share_done, speed
 
 
 @pytest.fixture
@@ -44,11 +43,10 @@ def test_numbers(tmp_path, clock):
     clock.now = 130.0
     files.update([training(600, 410, failed=[1])])
     assert share_done(tmp_path) == 0.6
-    assert seconds_trained([tmp_path]) == 30.0
-    assert len(read_json(tmp_path / "status.json")["sessions"]) == 1
+    assert list(sessions(tmp_path).values()) == [30.0]
 
 
-def test_a_process_that_trained_several_folders_counts_once(tmp_path, clock):
+def test_a_process_has_one_id_in_all_folders_that_it_trained(tmp_path, clock):
     a, b, alone = (tmp_path / name for name in ("a", "b", "alone"))
     for folder in (a, b, alone):
         folder.mkdir()
@@ -58,10 +56,9 @@ def test_a_process_that_trained_several_folders_counts_once(tmp_path, clock):
     later = StatusFiles([a], 100)
     clock.now = 118.0
     later.update([training(100)], last=True)
-    assert seconds_trained([a]) == 7 + 11
-    assert seconds_trained([b]) == 7
-    assert seconds_trained([a, b, alone]) == 7 + 11
-    assert seconds_trained([alone]) is None
+    assert list(sessions(a).values()) == [7, 11]
+    assert list(sessions(b).items()) == list(sessions(a).items())[:1]
+    assert sessions(alone) == {}
     assert (share_done(a), share_done(b), share_done(alone)) == (1.0, 0.5, 0.0)
 
 
@@ -83,7 +80,7 @@ def test_a_process_that_trained_several_folders_counts_once(tmp_path, clock):
 def test_a_file_of_another_form_says_nothing(tmp_path, content, clock):
     (tmp_path / "status.json").write_text(content)
     assert (share_done(tmp_path), speed(tmp_path)) == (0.0, None)
-    assert seconds_trained([tmp_path]) is None
+    assert sessions(tmp_path) == {}
     StatusFiles([tmp_path], 10).update([training(5)])
     assert share_done(tmp_path) == 0.5
 
@@ -91,11 +88,10 @@ def test_a_file_of_another_form_says_nothing(tmp_path, content, clock):
 def test_a_folder_of_an_earlier_version(tmp_path):
     """Its times are prose, which nothing reads."""
     (tmp_path / "timing.log").write_text("cpo x 1: 40 % after 3 s, 9 steps/s\n")
-    assert (share_done(tmp_path), speed(tmp_path), seconds_trained([tmp_path])) == (0, None, None)
+    assert (share_done(tmp_path), speed(tmp_path), sessions(tmp_path)) == (0, None, {})
 
 
 def test_by_hand(tmp_path):
     write_status(tmp_path, 0.25, 34, one=3, other=4.5)
     assert (share_done(tmp_path), speed(tmp_path)) == (0.25, 34)
-    assert seconds_trained([tmp_path]) == 7.5
-    assert json.loads((tmp_path / "status.json").read_text())["sessions"]["one"] == 3
+    assert sessions(tmp_path) == {"one": 3, "other": 4.5}
