@@ -30,6 +30,8 @@ def figure(
     """
     size = next(len(picture) for row in rows for picture in row if picture is not None)
     text, small = _font(size, 17), _font(size, 20)
+    # Titles of columns are no wider than their pictures; small type is wider than it scales.
+    too_wide = max(1.0, max((_width(text, t) / (0.95 * size) for t in columns), default=1.0))
     gap = size // 24
     left = gap + (max((_width(text, t) for t in row_titles), default=-gap) + gap)
     above, below = 2 * gap if any(columns) else gap, gap + (gap * 5 // 4 if captions else 0)
@@ -41,7 +43,7 @@ def figure(
     draw.text((width // 2, head // 2), title, INK, _font(size, 15), anchor="mm")
     for column, words in enumerate(columns):
         middle = left + column * (size + gap) + size // 2
-        draw.text((middle, head + above // 2), words, INK, text, anchor="mm")
+        draw.text((middle, head + above // 2), words, INK, _font(size, 17 * too_wide), anchor="mm")
     for row, pictures in enumerate(rows):
         top = head + above + row * (size + below)
         if row_titles:
@@ -91,7 +93,7 @@ def labelled(picture: Picture, labels: Sequence[tuple[str, float, float]]) -> Pi
     return np.asarray(image)
 
 
-def _font(size: int, lines: int) -> ImageFont.FreeTypeFont:
+def _font(size: int, lines: float) -> ImageFont.FreeTypeFont:
     font = ImageFont.load_default(size / lines)
     assert isinstance(font, ImageFont.FreeTypeFont)
     return font

@@ -239,3 +239,13 @@ def test_a_figure_puts_pictures_where_they_belong():
                 places[row, column] = found.min(axis=0)
     assert places[0, 0][0] == places[0, 1][0] < places[1, 0][0]
     assert places[0, 0][1] == places[1, 0][1] < places[0, 1][1]
+
+
+def test_titles_of_columns_stay_above_their_pictures():
+    """Above the gap between two pictures, a 24th of their side, nothing is written."""
+    rows = [[np.full((240, 240, 3), 200, np.uint8)] * 2]
+    for words in ("a", "SAC-LB-Streak on Circle2DMuJoCo-0-v0", "W" * 60):
+        image = figure(rows, [words] * 2)
+        gap = slice(10 + 240, 10 + 240 + 10)
+        assert (image[:25, gap] == 255).all()
+        assert (image[:25] != 255).any()
