@@ -37,9 +37,9 @@ def name_failures(runs: Runs) -> int:
             of_run = run_folder(folder, seed)
             if (of_run / FAILURE).exists():
                 step = read_json(of_run / FAILURE).get("step")
-                failure = f"seed {seed} failed at step {step}: it met a number that is not finite"
+                failure = f"seed {seed} failed at step {step}: it met a NaN or an infinite number"
             elif not (of_run / "evaluation.json").exists():
-                failure = f"the evaluation of seed {seed} met a number that is not finite"
+                failure = f"the evaluation of seed {seed} met a NaN or an infinite number"
             else:
                 continue
             print(f"circle2d: {one_line(folder)}: {one_line(failure)}", file=sys.stderr)

@@ -188,7 +188,7 @@ def finished(folder: Path, config: TrainConfig) -> bool:
 
 
 def has_failures(folder: Path, config: TrainConfig) -> bool:
-    """Whether a run of a folder stopped at a number which is not finite."""
+    """Whether a run of a folder stopped at a NaN or an infinite number."""
     return any((run_folder(folder, seed) / FAILURE).exists() for seed in config.seeds)
 
 

@@ -21,7 +21,7 @@ from emcc import profile
 from emcc.parts import ALPHA, PARTS
 
 THRESHOLDS = np.linspace(0, 1, 51)
-"""Of the profiles."""
+"""Thresholds of MCC, of the profiles."""
 DOT: dict[str, Any] = {"linestyle": "", "alpha": 0.55, "markeredgewidth": 0}
 
 

@@ -34,7 +34,7 @@ class Style(NamedTuple):
     dash: Any
     """Of the algorithm; another one for each further group of it in the same figure."""
     marker: str
-    """Likewise."""
+    """Of the algorithm, likewise."""
 
 
 def styles(configs: Sequence[TrainConfig]) -> list[Style]:

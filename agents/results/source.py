@@ -122,7 +122,7 @@ class FolderSource:
         try:
             if (path / FAILURE).exists():
                 step = read_json(path / FAILURE)["step"]
-                raise UserError(f"failed at step {step}: it met a number that is not finite")
+                raise UserError(f"failed at step {step}: it met a NaN or an infinite number")
             if not (path / "episodes.csv").exists():
                 raise UserError("has no checkpoint yet")
             records = EpisodeRecords.load(path / "episodes.csv")

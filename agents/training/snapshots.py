@@ -1,4 +1,4 @@
-"""Policies on the way: files `policies/STEP.npz` and `policies/STEP.json` in the folder of a run.
+"""Policies kept during training: `policies/STEP.npz` and `policies/STEP.json` of a run.
 
 STEP is a multiple of `evaluate_every`; the policy is that at the end of the epoch which reached it.
 Each file depends on the state of the training alone: after a kill the same ones are written again.

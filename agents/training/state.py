@@ -63,7 +63,7 @@ class Training:
         self.steps = np.zeros(runs, dtype=np.int64)
         """Environment steps each run has taken, [R]."""
         self.failed = np.zeros(runs, dtype=bool)
-        """Runs that met a number which is not finite, [R]. They stop; the others go on."""
+        """Runs that met a NaN or an infinite number, [R]. They stop; the others go on."""
         self._fell_back = False
         self._checkpoint_digest: str | None = None
 

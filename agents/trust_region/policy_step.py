@@ -131,7 +131,7 @@ def policy_step(
         growth, cost_growth = (after - before).unbind(dim=-1)
         allowed = (kl <= config.target_kl) & ((growth > 0) | ~step.must_improve)
         allowed &= cost_growth * epoch.length <= step.cost_bound
-        return allowed | (epoch.length == 0), kl  # nobody waits for a run that takes no part
+        return allowed | (epoch.length == 0), kl  # a run that takes no part accepts at once
 
     tries, decay = config.line_search_steps, config.line_search_decay
     found = line_search(old, step.displacement, judge, tries, decay)

@@ -120,7 +120,7 @@ def test_a_failed_run_is_named_and_the_status_is_1(tmp_path, capsys, monkeypatch
     table, err = capsys.readouterr()
     # NaN actions void the sixth episode at its first step.
     assert err.splitlines()[-1] == (
-        f"circle2d: {out}: seed 4 failed at step 250: it met a number that is not finite"
+        f"circle2d: {out}: seed 4 failed at step 250: it met a NaN or an infinite number"
     )
     assert "seed-4: failed at step 250" in table
     assert "mean of 2" in table
