@@ -58,7 +58,7 @@ class Measures(CostMeasures):
     longest_streak: int
     """Of all trajectories, in steps."""
     mean_streak: float | None
-    """All cost steps / all streaks, in steps; 0 without a streak, None where not recorded."""
+    """`EpisodeRecords.mean_streak`."""
 
 
 def measures_of(
@@ -77,16 +77,13 @@ def measures_of(
     )  # fmt: skip
     # Rollouts may also hold pieces of episodes that have not ended.
     rate = cost_rate(records.cost, records.length)
-    mean_streak = None
-    if records.cost_steps is not None and records.streaks is not None:
-        mean_streak = float(records.cost_steps.sum() / max(int(records.streaks.sum()), 1))
     return Measures(
         **{**vars(costs), "cost_rate": rate, "steps": records.total_steps},
         emcc=emcc(mcc, alpha, ties),
         mcc=emcc(mcc),
         mcc_above={level: float((mcc > level).mean()) for level in LEVELS},
         longest_streak=int(records.longest_streak.max()),
-        mean_streak=mean_streak,
+        mean_streak=records.mean_streak,
     )
 
 

@@ -118,6 +118,13 @@ class EpisodeRecords:
         """Environment steps of all trajectories together."""
         return int(self.length.sum())
 
+    @property
+    def mean_streak(self) -> float | None:
+        """All cost steps / all streaks, in steps; 0 without a streak, None where not recorded."""
+        if self.cost_steps is None or self.streaks is None:
+            return None
+        return float(self.cost_steps.sum() / max(int(self.streaks.sum()), 1))
+
     def mcc_per_rollout(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """MCC in [0, 1] and start step of each rollout, by rising id -> two arrays [D].
 

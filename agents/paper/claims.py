@@ -26,7 +26,7 @@ from agents.paper.evidence import (
     some,
 )
 from agents.paper.presets import PAPER_STEPS, preset
-from agents.results.reading import Group, Run
+from agents.results.reading import Group, Run, one_place
 from agents.results.separation import MARGIN
 from agents.results.statistics import difference_of, equivalence_of, p_of
 from circle2d_mj.registration import KINEMATIC
@@ -250,7 +250,7 @@ def _told_apart(evidence: Evidence) -> list[Finding]:
             (f"p of equivalence within {margin:g}", equivalence_of(a, b, margin)),
             ("p of the difference", p_of(a, b)),
         )
-        gap = difference_of(a, b, cpo.one_place and wcsac.one_place)
+        gap = difference_of(a, b, one_place(cpo.runs) and one_place(wcsac.runs))
         fact = Fact("WCSAC - CPO", gap, printed, signed=True, tests=tests)
         verdict = rule(a, b, margin, len(measured)) if decided else "undecided"
         facts = [fact] if cpo.runs and wcsac.runs else []

@@ -10,7 +10,7 @@ from agents.algorithms import algorithm
 from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, registered_id
 from agents.paper.printed import paper_results
 from agents.paper.settings import changes
-from agents.results.reading import Group, Run
+from agents.results.reading import Group, Run, one_place
 from agents.results.statistics import LEVEL, equivalence_of, known, mean_of, p_of
 from emcc import Interval, Share, mean_interval, share
 
@@ -44,11 +44,6 @@ class Cell(NamedTuple):
         """The paper's numbers."""
         return paper_results(self.task, self.title)
 
-    @property
-    def one_place(self) -> bool:
-        """Whether all runs end in the same place, by the same way there."""
-        return len({run.place for run in self.runs}) < 2
-
     def share(self, does: Callable[[Run], bool], name: str, words: str) -> list[Fact]:
         """Share of runs that do something; nothing where there are no runs."""
         counted = sum(map(does, self.runs))
@@ -56,7 +51,7 @@ class Cell(NamedTuple):
 
     def mean(self, name: str, values: Sequence[float | None], printed: float | None) -> list[Fact]:
         """Mean over the runs beside the paper's number; nothing where there are no runs."""
-        return [Fact(name, mean_of(values, self.one_place), printed)] if self.runs else []
+        return [Fact(name, mean_of(values, one_place(self.runs)), printed)] if self.runs else []
 
     def means(self, *measures: str) -> list[Fact]:
         """Means of measures."""

@@ -15,12 +15,9 @@ from agents.reporting.scenes import STATES, Scene, Scenes, heat_png, paths
 from agents.results.measures import measure
 from agents.results.reading import Group, Run
 from agents.results.source import DamagedSource, Source
-from agents.results.steps import DRAWN, Episode
+from agents.results.steps import DRAWN, DRAWN_POLICIES, Episode
 from circle2d_mj.render import canvas
 from emcc.parts import ALPHA, PARTS
-
-RUNS = 5
-"""Of an algorithm whose episodes are drawn, at most."""
 
 
 class Map(NamedTuple):
@@ -110,7 +107,7 @@ def _trained(source: Source, seen: Sequence[tuple[Group, Scene]], notes: list[st
     names: list[str] = []
     columns: list[list[Map | str]] = []
     for group, scene in seen:
-        runs = group.runs[:RUNS]
+        runs = group.runs[:DRAWN_POLICIES]
         try:
             played = source.trained(group.folder, group.config, [run.seed for run in runs])
         except DamagedSource:

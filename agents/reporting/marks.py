@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable, Mapping
 from typing import TypeVar
 
-from agents.results.measures import Measure, measures
+from agents.results.measures import Measure, measure, measures
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -23,16 +23,16 @@ def best(
     """
     marked: set[tuple[Key, str]] = set()
     safest = _best_policies(candidates)
-    for measure in measures():
-        values = _printed(candidates, measure)
-        if len(values) < 2 or measure.better == "neither":
+    for column in measures():
+        values = _printed(candidates, column)
+        if len(values) < 2 or column.better == "neither":
             continue
-        if measure.of == "policy":
+        if column.of == "policy":
             chosen = safest & values.keys()
         else:
-            wanted = (min if measure.better == "lower" else max)(values.values())
+            wanted = (min if column.better == "lower" else max)(values.values())
             chosen = {key for key, value in values.items() if value == wanted}
-        marked |= {(key, measure.name) for key in chosen}
+        marked |= {(key, column.name) for key in chosen}
     return marked
 
 
@@ -40,10 +40,8 @@ def _best_policies(
     candidates: Mapping[Key, tuple[Mapping[str, float | None], bool | None]],
 ) -> set[Key]:
     """The candidates of the highest J_R among those within their cost limits."""
-    returns = {
-        key: values.get("J_R") for key, (values, is_within) in candidates.items() if is_within
-    }
-    known = {key: round(value, 2) for key, value in returns.items() if value is not None}
+    within = {key: candidate for key, candidate in candidates.items() if candidate[1]}
+    known = _printed(within, measure("J_R"))
     return {key for key, value in known.items() if value == max(known.values())}
 
 

@@ -24,7 +24,7 @@ from agents.errors import UserError
 from agents.results import columns
 from agents.results.reading import Group
 from agents.results.source import DamagedSource, FolderSource, RunFiles, Source, title
-from agents.results.steps import Episode, Replay, ReplayEpisode, Visits, replay_rows
+from agents.results.steps import DRAWN_POLICIES, Episode, Replay, ReplayEpisode, Visits, replay_rows
 from agents.training.config import TrainConfig
 from agents.training.files import write_whole
 from emcc import EpisodeRecords
@@ -92,7 +92,7 @@ def _pack_group(source: Source, group: Group, entry: dict[str, Any]) -> dict[str
         except UserError as error:
             entry["lacking"]["visits"] = str(error)
         try:
-            trained = source.trained(folder, config, group.seeds)
+            trained = source.trained(folder, config, group.seeds[:DRAWN_POLICIES])
         except UserError as error:
             trained, entry["lacking"]["trained"] = {}, str(error)
         entry["diverged"] = [seed for seed, played in trained.items() if played is None]

@@ -117,14 +117,6 @@ def _cost_rate(run: RunData) -> float:
     return cost_rate(run.records.cost, run.records.length)
 
 
-def _mean_streak(run: RunData) -> float | None:
-    """Mean length of all streaks of cost steps in training; 0 without a streak."""
-    cost_steps, streaks = run.records.cost_steps, run.records.streaks
-    if cost_steps is None or streaks is None:
-        return None
-    return float(cost_steps.sum() / max(streaks.sum(), 1))
-
-
 for _part in PARTS:
     register(Measure(f"EMCC_{_part}", f"EMCC_{_part}", "", 2, "lower", _emcc(_part), word="EMCC"))
 register(Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate))
@@ -138,7 +130,7 @@ register(
         "steps",
         2,
         "neither",  # fewer and longer, or more and shorter: neither is better by itself
-        _mean_streak,
+        lambda run: run.records.mean_streak,
         note="mean streak: the mean length of training's streaks of cost steps",
     )
 )

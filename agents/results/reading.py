@@ -59,6 +59,11 @@ class Run:
         return ", ".join(filter(None, (self.end, self.way)))
 
 
+def one_place(runs: Sequence[Run]) -> bool:
+    """Whether all runs end in the same place by the same way, or the task has no places."""
+    return len({run.place for run in runs}) < 2
+
+
 @dataclass(frozen=True)
 class Group:
     """The runs of one folder, which differ in their seed only."""
@@ -80,9 +85,8 @@ class Group:
 
     @property
     def one_place(self) -> bool:
-        """Whether all its complete runs end in the same place by the same way, or the task has
-        no places."""
-        return len({run.place for run in self.runs}) < 2
+        """See the function, of its complete runs."""
+        return one_place(self.runs)
 
     def values(self, measure: str) -> list[float | None]:
         """A measure of each complete run."""

@@ -70,7 +70,10 @@ class Source(Protocol):
     def trained(
         self, folder: str, config: TrainConfig, seeds: Sequence[int]
     ) -> dict[int, list[Episode] | None]:
-        """Episodes of the trained policies, by seed; None of one that diverged. UserError."""
+        """Episodes of the trained policies, by seed; None of one that diverged. UserError.
+
+        seeds: an archive has the first `DRAWN_POLICIES` complete ones.
+        """
         ...
 
     def costs(self, folder: str, seed: int, records: EpisodeRecords) -> NDArray[np.float64]:

@@ -31,6 +31,8 @@ CELLS = 160
 """Along each side of a heat map."""
 DRAWN = 5
 """Episodes of each trained policy that a report draws."""
+DRAWN_POLICIES = 5
+"""Runs of a folder, the first ones, whose trained policies a report draws."""
 WINDOWS = 60
 """Of the replay, in equal parts of training."""
 LAST = 65_535

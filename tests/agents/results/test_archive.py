@@ -12,6 +12,8 @@ from agents.cli.main import main
 from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.reporting.compare import compare
+from agents.reporting.maps import maps
+from agents.reporting.scenes import Scenes
 from agents.results import steps
 from agents.results.archive import ArchiveSource, open_source, write_archive
 from agents.results.columns import Arrays, pack_costs, pack_records, unpack_costs, unpack_records
@@ -155,6 +157,22 @@ def test_files_that_are_no_archives(packed, tmp_path, capsys):
         assert said in err
         assert not path.with_suffix("").exists()
     assert "0/0/length.npy" in names
+
+
+def test_policies_that_no_page_draws_are_not_played(tmp_path):
+    write_evaluated(tmp_path / "runs", "sac-lag", [1, 2, 3, 4, 5, 6])
+    asked = []
+
+    class Asked(FolderSource):
+        def trained(self, folder, config, seeds):
+            asked.append(list(seeds))
+            return super().trained(folder, config, seeds)
+
+    source = Asked(tmp_path / "runs")
+    groups = read_groups(source, [])
+    maps(source, groups, Scenes(), [])
+    write_archive(tmp_path / "runs.zip", source, groups)
+    assert asked == [[0, 1, 2, 3, 4]] * 2
 
 
 def without(archive, path, left_out):
