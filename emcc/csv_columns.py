@@ -67,3 +67,11 @@ def parse(columns: Columns, name: str, number: type[int] | type[float]) -> NDArr
 
 
 _WORDS = {int: "a whole number", float: "a number"}
+
+
+class BadRow(ValueError):
+    """A row, from 0 on, whose values cannot be."""
+
+    def __init__(self, row: int, problem: str) -> None:
+        super().__init__(f"row {row}, {problem}")
+        self.row, self.problem = row, problem

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from emcc.arrays import as_array, as_integers, as_steps, check_records
-from emcc.csv_columns import Columns, parse, read_columns
+from emcc.csv_columns import BadRow, Columns, parse, read_columns
 from emcc.files import digest, read_checked, read_checksums, replacing, write_whole
 from emcc.parts import ALPHA, emcc_by_part, rollouts_by_part
 from emcc.streaks import count_streaks, longest_streaks
@@ -103,7 +103,7 @@ class EpisodeRecords:
         for column, values, allowed, rule in rules:
             if not allowed.all():
                 row = int(np.argmin(allowed))
-                raise _BadRow(row, f"column {column}: {values[row]} must be {rule}")
+                raise BadRow(row, f"column {column}: {values[row]} must be {rule}")
 
     def __len__(self) -> int:
         return len(self.rollout)
@@ -293,14 +293,8 @@ def parse_records(columns: Columns) -> EpisodeRecords:
     arrays = [parse(columns, name, COLUMNS[name]) for name in COLUMNS if name in columns]
     try:
         return EpisodeRecords(*arrays)
-    except _BadRow as bad:
+    except BadRow as bad:
         line = columns.first_line + bad.row
         raise ValueError(f"{columns.path}, line {line}, {bad.problem}") from None
     except ValueError as error:
         raise ValueError(f"{columns.path}: {error}") from None
-
-
-class _BadRow(ValueError):
-    def __init__(self, row: int, problem: str) -> None:
-        super().__init__(f"row {row}, {problem}")
-        self.row, self.problem = row, problem
