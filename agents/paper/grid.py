@@ -11,14 +11,7 @@ from pathlib import Path
 from agents.errors import UserError
 from agents.paper.presets import PAPER_SEEDS, preset, usual_steps
 from agents.paper.presets import ablations as ablations_of
-from agents.training.config import (
-    FAILURE,
-    Backend,
-    Device,
-    TrainConfig,
-    read_spaces,
-    run_folder,
-)
+from agents.training.config import FAILURE, Backend, Device, TrainConfig, read_spaces, run_folder
 from agents.training.files import read_json
 from agents.training.status import share_done
 from agents.training.workers import Group

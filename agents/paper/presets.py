@@ -47,10 +47,10 @@ def length_scale(task: str) -> float | tuple[float, ...]:
 def preset(name: str, task: str) -> Any:
     """The hyper-parameters of an algorithm for a task: on the paper's tasks the paper's.
 
-    An algorithm that the paper does not have gets those of its family or, where its family is a
-    subclass of the SAC family's, of that; SAC-LB-Streak, which is made
-    for Circle2D, sees its observations there in units of length. For any other task the
-    defaults of the algorithm's config. Raises UserError for an unknown algorithm.
+    An algorithm that the paper does not have gets those of its family, a subclass of the SAC
+    family's those of that; SAC-LB-Streak, which is made for Circle2D, sees its observations there
+    in units of length. For any other task the defaults of the algorithm's config. Raises UserError
+    for an unknown algorithm.
     """
     config = algorithm(name).config()
     task = registered_id(task)

@@ -18,13 +18,7 @@ from agents.reporting.tables import caption, mean_row, measures_table, run_rows
 from agents.results.archive import open_source
 from agents.results.measures import measures
 from agents.results.reading import Group, read_groups
-from agents.results.statistics import (
-    LEVEL,
-    corrected,
-    group_difference,
-    improvement_of,
-    p_of,
-)
+from agents.results.statistics import LEVEL, corrected, group_difference, improvement_of, p_of
 from agents.training.files import write_whole
 
 METHOD = (
