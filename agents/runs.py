@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from agents.reporting.report import table
+from agents.reporting.table import markdown
 from agents.results.archive import open_source
 from agents.results.reading import Group, read_groups
 from agents.training.config import TrainConfig, run_folder
@@ -66,7 +67,7 @@ class Runs:
 
     def table(self) -> str:
         """The table that the command prints, as Markdown; written into the folder too."""
-        return "\n".join(table(folder) for folder in self.folders)
+        return "\n".join(markdown(table(folder)) for folder in self.folders)
 
     def to_pandas(self) -> pandas.DataFrame:
         """A row for each episode of each run: algorithm, task, seed, then `episodes.csv`.
