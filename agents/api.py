@@ -37,6 +37,7 @@ from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.compiling import cannot_compile, compiling_is_off
 from agents.paper.presets import preset_with
 from agents.reporting.report import report as write_report
+from agents.reporting.table import markdown
 from agents.runs import Runs, load_runs
 from agents.sweeps import Values, sweep_configs, train_groups
 from agents.training import loop
@@ -215,7 +216,7 @@ def report(
     runs, or the archive is damaged.
     """
     paths = (None if of is None else Path(of) for of in (archive, out))
-    return write_report(Path(path), *paths)
+    return markdown(write_report(Path(path), *paths))
 
 
 def choose_backend(choice: Backend | Literal["auto"]) -> Backend:

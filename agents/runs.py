@@ -14,6 +14,7 @@ import numpy as np
 
 from agents.errors import UserError
 from agents.reporting.report import table
+from agents.reporting.table import markdown
 from agents.results.archive import open_source
 from agents.results.reading import Group, read_groups
 from agents.results.source import FolderSource
@@ -79,7 +80,7 @@ class Runs:
 
     def table(self) -> str:
         """The table that the command prints, as Markdown; written into the folder too."""
-        return "\n".join(table(folder) for folder in self.folders)
+        return "\n".join(markdown(table(folder)) for folder in self.folders)
 
     def to_pandas(self, rows: Rows = "episodes") -> pandas.DataFrame:
         """A row for each episode, as in `episodes.csv`, or for each complete run, of its measures.

@@ -36,6 +36,6 @@ def run(args: Sequence[str]) -> int:
     options = parse(CompareOptions, "compare", args)
     check_width(options.width)
     with working("reading runs and drawing figures"):
-        table = compare(options.a, options.b, options.out)
-    show(table, options.width)
+        tables = compare(options.a, options.b, options.out)
+    show(tables, options.width)
     return 0

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents import api
 from agents.cli.checks import check_file, check_width
 from agents.cli.options import Folder, Imports, parse
 from agents.cli.terminal import show
+from agents.reporting.report import report
 from agents.training.progress import working
 
 
@@ -36,6 +36,6 @@ def run(args: Sequence[str]) -> int:
     check_width(options.width)
     check_file("archive", options.archive)
     with working("reading runs and drawing figures"):
-        table = api.report(options.folder, options.archive, options.out)
-    show(table, options.width)
+        blocks = report(options.folder, options.archive, options.out)
+    show(blocks, options.width)
     return 0

@@ -22,6 +22,7 @@ from agents.errors import UserError, one_line
 from agents.lockstep.backend import require
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
+from agents.reporting.report import report
 from agents.training.config import Device, TrainConfig
 from agents.training.engines import Engine, EngineName, engine
 from agents.training.environments import check_task, task_id
@@ -105,8 +106,8 @@ def run(args: Sequence[str]) -> int:
         return int(bool(failed))
     try:
         with working("drawing the report"):
-            table = api.report(options.out)
-        show(table, options.width)
+            blocks = report(options.out)
+        show(blocks, options.width)
     except UserError as error:
         print(f"circle2d: no report: {one_line(error)}", file=sys.stderr)
         return 1

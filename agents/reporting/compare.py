@@ -13,7 +13,7 @@ from agents.reporting.csv_table import Line, difference_lines, group_lines, numb
 from agents.reporting.figures import curves
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import made
-from agents.reporting.table import Number, Row, Table, number_of, p_number
+from agents.reporting.table import Number, Row, Table, markdown, number_of, p_number
 from agents.reporting.tables import caption, mean_row, measures_table, run_rows
 from agents.results.archive import open_source
 from agents.results.measures import measures
@@ -44,14 +44,14 @@ class Sides(NamedTuple):
         return [(f"{k}: {name_of(g)}", g) for k, groups in of_sides for g in groups]
 
 
-def compare(a: Path, b: Path, out: Path | None = None) -> str:
-    """The tables of two folders of runs with the differences B - A, task by task, as Markdown.
+def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
+    """The tables of two folders of runs with the differences B - A, task by task.
 
     a, b: folders or archives, as `report` takes them. A group of B stands against the one of A with
     the same algorithm and settings, or where there is none against every group of A on the task.
-    With out,
-    writes `compare.md`, `compare.csv`, and `compare.html` with training curves, both sides in one
-    figure. Raises UserError where a side has no complete run, or the two have no task in common.
+    With out, writes `compare.md`, `compare.csv`, and `compare.html` with training curves, both
+    sides in one figure. Raises UserError where a side has no complete run, or the two have no
+    task in common.
     """
     notes: list[str] = []
     sources = [open_source(side) for side in (a, b)]
@@ -78,7 +78,6 @@ def compare(a: Path, b: Path, out: Path | None = None) -> str:
         _table(task, sides, p_values, notes if task == common[-1] else [])
         for task, sides in by_task.items()
     ]
-    markdown = "\n".join(table.markdown() for table in tables)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         sections = [
@@ -92,10 +91,10 @@ def compare(a: Path, b: Path, out: Path | None = None) -> str:
         }
         title = f"{sources[0].name} (A) and {sources[1].name} (B)"
         write_whole(out / "compare.html", page(title, sections, how))
-        write_whole(out / "compare.md", markdown)
+        write_whole(out / "compare.md", markdown(tables))
         lines = (line for sides in by_task.values() for line in _lines(sides))
         write_whole(out / "compare.csv", numbers_csv(lines))
-    return markdown
+    return tables
 
 
 def _table(task: str, sides: Sides, p_values: PValues, notes: Sequence[str]) -> Table:

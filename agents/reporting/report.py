@@ -30,7 +30,7 @@ from agents.reporting.panel_table import panel_table, panel_title
 from agents.reporting.provenance import heading, made, summary
 from agents.reporting.replay import replay_data
 from agents.reporting.scenes import Scenes
-from agents.reporting.table import Table
+from agents.reporting.table import Block, Table, markdown
 from agents.reporting.tables import task_table
 from agents.results.archive import open_source, write_archive
 from agents.results.reading import Group, read_groups
@@ -38,12 +38,12 @@ from agents.results.source import Source
 from agents.training.files import write_whole
 
 
-def report(path: Path, archive: Path | None = None, out: Path | None = None) -> str:
+def report(path: Path, archive: Path | None = None, out: Path | None = None) -> list[Block]:
     """Write the report of every folder of runs at or below a folder, or in an archive.
 
     Writes `report.md`, `report.csv` for a program, and `index.html`, which holds everything, with
-    all figures. Returns the main tables and the paper's claims as Markdown; `report.md` has the
-    details too: EMCC with ties split, and each task's panel. Runs that are missing, damaged or
+    all figures. Returns the main tables and the paper's claims; `report.md` has the details
+    too: EMCC with ties split, and each task's panel. Runs that are missing, damaged or
     unfinished are named below the table and left out of its means; figures that cannot be drawn are
     named too.
 
@@ -74,7 +74,7 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     details = _details(by_task)
     tables = main | details
     checked = check_claims(groups)
-    markdown, verdicts = _markdown(main), claims_text.markdown(checked) if checked else ""
+    verdicts = [claims_text.markdown(checked)] if checked else []
     if archive is not None:
         write_archive(archive, source, everything)
     sections = [Section(claims_text.TITLE, claims=checked)] if checked else []
@@ -91,26 +91,25 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     title = f"{heading(groups)} ({source.name})"
     html = page(title, sections, made(source, everything), summary(groups), scenes.all)
     write_whole(out / "index.html", html)
-    whole = "\n".join(filter(None, [markdown, _markdown(details), verdicts]))
-    write_whole(out / "report.md", f"{whole}\nFigures, heat maps and replay: index.html\n")
+    ending = "Figures, heat maps and replay: index.html\n"
+    write_whole(out / "report.md", markdown([*tables.values(), *verdicts, ending]))
     write_whole(out / "report.csv", numbers_csv(report_lines(everything)))
-    return "\n".join(filter(None, [markdown, verdicts]))
+    return [*main.values(), *verdicts]
 
 
-def table(folder: Path) -> str:
+def table(folder: Path) -> list[Table]:
     """Write the tables of every folder of runs at or below a folder, without figures.
 
-    Writes `report.md` and `report.csv`, and returns the tables as Markdown. Otherwise as `report`.
+    Writes `report.md` and `report.csv`. Otherwise as `report`.
     """
     source: Source = open_source(folder)
     notes: list[str] = []
     everything = told_apart(read_groups(source, notes), source)
     groups, ablated = ablations.split(everything)
-    found = _tables(_by_task(groups), ablated, notes)
-    markdown = _markdown(found)
-    write_whole(folder / "report.md", markdown)
+    found = list(_tables(_by_task(groups), ablated, notes).values())
+    write_whole(folder / "report.md", markdown(found))
     write_whole(folder / "report.csv", numbers_csv(report_lines(everything)))
-    return markdown
+    return found
 
 
 def _by_task(groups: Sequence[Group]) -> dict[str, list[Group]]:
@@ -126,10 +125,6 @@ def _details(by_task: dict[str, list[Group]]) -> dict[str, Table]:
         for task, groups in by_task.items()
         if any(group.runs for group in groups)
     }
-
-
-def _markdown(tables: dict[str, Table]) -> str:
-    return "\n".join(table.markdown() for table in tables.values())
 
 
 def _tables(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -135,6 +135,15 @@ class Table:
         )
         notes = [part for note in self.notes for part in ("", f"Note: {plain(note)}")]
         return "\n".join([plain(self.legend), "", *(f"| {line} |" for line in padded), *notes, ""])
+
+
+Block = Table | str
+"""A part of a report: a table, or paragraphs of Markdown."""
+
+
+def markdown(blocks: Iterable[Block]) -> str:
+    """The parts of a report as Markdown."""
+    return "\n".join(block if isinstance(block, str) else block.markdown() for block in blocks)
 
 
 def _markdown(cell: Cell) -> str:

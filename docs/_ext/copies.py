@@ -42,7 +42,7 @@ def relinked(root: Path, text: str, folder: Path, shown: Path) -> str:
         path, mark, anchor = target.partition("#")
         if not path or not (folder / path).exists():  # an address, or no link at all
             return found[0]
-        place = (folder / path).resolve().relative_to(root.resolve()).as_posix()
+        place = Path(os.path.relpath(folder / path, root)).as_posix()
         page = SHOWN.get(place, place)
         near = os.path.relpath(root / page, shown)
         # A text without a page here is a file to be downloaded.

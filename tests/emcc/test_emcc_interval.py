@@ -1,11 +1,13 @@
 """Bootstrap intervals: what they contain, and what decides them."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
 
 from emcc import difference, estimate
+from emcc.table import mean_cell
 
 
 def one(values, **options):
@@ -118,3 +120,16 @@ def test_difference_names_bad_input():
         difference([0.1], [0.1], rng=0)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="level must be"):
         difference([0.1], [0.1], rng=np.random.default_rng(0), level=0)
+
+
+def test_the_cell_of_five_runs_has_an_interval_and_of_four_their_range():
+    """Against all 5 ** 5 resamples. The bootstrap of four would be too narrow."""
+    values = [0.2, 0.4, 0.6, 0.7, 0.9]
+    means = [np.mean(drawn) for drawn in itertools.product(values, repeat=5)]
+    mean, low, high = re.findall(r"[\d.]+", mean_cell(values, 3, seed=0))
+    assert mean == "0.560"
+    ends = np.quantile(means, [0.025, 0.975])
+    assert np.allclose([float(low), float(high)], ends, atol=0.021)  # means are 0.02 apart
+    assert mean_cell(values[:4], 3, seed=0) == "0.475 range 0.200 to 0.700"
+    assert mean_cell(values[:1], 2, seed=0) == "0.20"
+    assert mean_cell([*values, None], 2, seed=0) == "\N{EN DASH}"

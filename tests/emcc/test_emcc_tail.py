@@ -1,8 +1,6 @@
 """EMCC and CVaR, against the definitions in exact fractions; and EMCC by parts of training."""
 
-import re
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -57,21 +55,6 @@ def test_ties_at_the_quantile():
     assert emcc(values, 0.2, "all") == pytest.approx((0.9 + 5 * 0.5) / 6)
     assert emcc(values, 0.2, "split") == pytest.approx((0.9 + 0.5) / 2)
     assert emcc(values, 0.15, "split") == pytest.approx((0.9 + 0.5 * 0.5) / 1.5)
-
-
-def test_the_pages_example_of_ties():
-    page = (Path(__file__).parents[2] / "docs" / "metric.md").read_text()
-    rows = re.findall(r"^\| (\d+) \| (\.\d+) \| (\.\d+) \|$", page, re.MULTILINE)
-    assert [int(safe) for safe, *_ in rows] == [89, 90, 91]
-    for safe, *numbers in rows:
-        values = [Fraction(0)] * int(safe) + [Fraction(1, 2)] * (100 - int(safe))
-        for number, ties in zip(numbers, ("all", "split"), strict=True):
-            assert tail_by_definition(values, Fraction(1, 10), ties) == Fraction(number)
-            assert emcc([float(value) for value in values], 0.1, ties) == float(number)
-    costs = [Fraction(cost) for cost in (4, 38, 54, 0, 0, 25, 39, 13, 20, 0)]
-    found = [tail_by_definition(costs, Fraction(1, 2), ties) for ties in ("all", "split")]
-    assert found == [Fraction("31.5"), Fraction("35.2")]
-    assert "is 31.5 with `all` and 35.2 with `split`" in page
 
 
 @pytest.mark.parametrize("ties", ["all", "split"])

@@ -12,6 +12,7 @@ from agents.cli.main import main
 from agents.paper.grid import grid
 from agents.paper.presets import ablations, preset, unprinted
 from agents.reporting.report import table
+from agents.reporting.table import markdown
 from agents.training.config import TrainConfig
 
 ALGORITHMS = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
@@ -68,7 +69,7 @@ def test_a_table_says_what_of_its_presets_is_not_printed(tmp_path):
     for task in (TASK, SAFETY):
         for name in ("trpo-lag", "cpo", "sac-lb"):
             write_runs(tmp_path / task / name, name, [-10.0], task=task)
-    by_circle2d, by_safety = table(tmp_path).split(f"| {SAFETY}")
+    by_circle2d, by_safety = markdown(table(tmp_path)).split(f"| {SAFETY}")
     inferred = "That the paper did so is inferred from its results, not printed.\n"
     assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {inferred}" in by_circle2d
     assert f"SAC-LB: the last step of an episode counts as terminal. {inferred}" in by_circle2d
@@ -111,10 +112,10 @@ def rows(markdown):
 
 
 def test_both_choices_side_by_side(folder):
-    markdown = table(folder)
-    start = markdown.index("Other choices of what the paper does not print")
-    end = markdown.index("Measures, over all tasks, in which")
-    main_table, ablated = rows(markdown[:start]), rows(markdown[start:end])
+    words = markdown(table(folder))
+    start = words.index("Other choices of what the paper does not print")
+    end = words.index("Measures, over all tasks, in which")
+    main_table, ablated = rows(words[:start]), rows(words[start:end])
     assert [row[0] for row in ablated[2:]] == [
         f"{TASK}, TRPO-Lag, adam (preset), 100 steps, mean of 3",
         f"{TASK}, TRPO-Lag, sgd, 100 steps, mean of 2",
@@ -145,16 +146,16 @@ def test_both_choices_side_by_side(folder):
 def test_how_often_a_choice_is_the_nearest(folder):
     """TRPO-Lag's choices differ in J_R alone, the gradient is nearer in it; of equal measures both
     count. CPO has no other choice here."""
-    markdown = table(folder)
-    found = rows(markdown[markdown.index("Measures, over all tasks, in which") :])
+    words = markdown(table(folder))
+    found = rows(words[words.index("Measures, over all tasks, in which") :])
     assert found[2:] == [["TRPO-Lag, adam (preset)", "6 of 7"], ["TRPO-Lag, sgd", "7 of 7"]]
 
 
 def test_without_the_presets_runs_it_is_a_group_like_any_other(folder):
     shutil.rmtree(folder / "trpo-lag")
-    markdown = table(folder)
-    assert "Other choices" not in markdown
-    assert "TRPO-Lag (multiplier_optimizer sgd, 100 steps), mean of 2" in markdown
+    words = markdown(table(folder))
+    assert "Other choices" not in words
+    assert "TRPO-Lag (multiplier_optimizer sgd, 100 steps), mean of 2" in words
 
 
 def test_each_part_of_sac_lb_streak_is_left_out_once():
@@ -188,10 +189,10 @@ def test_parts_have_a_table_of_their_own(tmp_path):
     for value, (choice, config) in enumerate(choices.items()):
         folder, j_r = tmp_path / f"of-{choice}", [-10.0 - value, -20.0]
         write_runs(folder, "sac-lb-streak", j_r, config, ends=ENDS)
-    markdown = table(tmp_path)
-    assert "Other choices of what the paper does not print" not in markdown
-    start = markdown.index("SAC-LB-Streak without one of its parts")
-    main_table, of_parts = rows(markdown[:start]), rows(markdown[start:])[2:]
+    words = markdown(table(tmp_path))
+    assert "Other choices of what the paper does not print" not in words
+    start = words.index("SAC-LB-Streak without one of its parts")
+    main_table, of_parts = rows(words[:start]), rows(words[start:])[2:]
     assert [row[0] for row in of_parts] == [
         f"{TASK}, SAC-LB-Streak, {choice or 'preset'}, 100 steps, mean of 2" for choice in choices
     ]
@@ -202,7 +203,7 @@ def test_parts_have_a_table_of_their_own(tmp_path):
 def test_runs_of_other_steps_are_no_pair(folder):
     other = ablations("trpo-lag", TASK)["sgd"]
     write_runs(folder / "longer", "trpo-lag", [-1.0], other, steps=200)
-    assert "TRPO-Lag (multiplier_optimizer sgd, 200 steps), mean of 1" in table(folder)
+    assert "TRPO-Lag (multiplier_optimizer sgd, 200 steps), mean of 1" in markdown(table(folder))
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ import scipy.stats
 from agents.cli.main import main
 from agents.paper.presets import preset
 from agents.reporting.compare import compare
+from agents.reporting.table import markdown
 from agents.training.config import TrainConfig
 
 
@@ -30,18 +31,18 @@ def write_runs(folder, name, j_r, task="Circle2D-1-v0", steps=100, streak=4):
     return folder
 
 
-def rows(markdown):
+def rows(words):
     """Cells by the row's name, which here says of most runs that they took 100 steps."""
-    markdown = markdown.replace(" (100 steps)", "")
-    cells = [[c.strip() for c in line.split("|")[1:-1]] for line in markdown.splitlines()]
+    words = words.replace(" (100 steps)", "")
+    cells = [[c.strip() for c in line.split("|")[1:-1]] for line in words.splitlines()]
     return {row[0]: row[1:] for row in cells if row}
 
 
 def test_by_hand(tmp_path):
     a = write_runs(tmp_path / "a", "trpo-lag", [-10.0, -20.0])
     b = write_runs(tmp_path / "b", "cpo", [-5.0, -9.0], streak=3)
-    markdown = compare(a, b)
-    found = rows(markdown)
+    words = markdown(compare(a, b))
+    found = rows(words)
     assert found["A: TRPO-Lag, mean of 2"][4] == "-15.00 range -20.00 to -10.00"
     assert found["B: CPO, mean of 2"][4] == "-7.00 range -9.00 to -5.00"
     assert found["A: TRPO-Lag, mean of 2"][8] == "2 of 2 [0.16, 1.00]"  # 4.25 is within 5
@@ -53,8 +54,8 @@ def test_by_hand(tmp_path):
     assert found["A: TRPO-Lag, seed 1"] == [
         *("0.40", "0.40", "0.40", "0.40", "-20.00", "4.25", "6.50", "–", "1 of 1", "right rim")
     ]
-    assert "corrected for the 7 comparisons made here (Holm)" in markdown  # no mean streak
-    assert rows(compare(b, a))["B - A: TRPO-Lag - CPO"][4] == "-8.00"
+    assert "corrected for the 7 comparisons made here (Holm)" in words  # no mean streak
+    assert rows(markdown(compare(b, a)))["B - A: TRPO-Lag - CPO"][4] == "-8.00"
 
 
 def test_five_seeds_have_intervals_and_tests(tmp_path):
@@ -67,7 +68,7 @@ def test_five_seeds_have_intervals_and_tests(tmp_path):
     a = write_runs(tmp_path / "a", "cpo", first)
     b = write_runs(tmp_path / "b", "trpo-lag", second)
     out = tmp_path / "out"
-    found = rows(compare(a, b, out))
+    found = rows(markdown(compare(a, b, out)))
     name = "B - A: TRPO-Lag - CPO"
     half = scipy.stats.t.ppf(0.975, 2.5**2 / (0.5**2 / 4 + 2**2 / 4)) * math.sqrt(2.5)
     assert found[name][4] == f"+3.00 [{3 - half:+.2f}, {3 + half:+.2f}]"
@@ -100,7 +101,7 @@ def test_which_stands_against_which(tmp_path):
         write_runs(tmp_path / "a" / name, name, [-10.0, -12.0])
         write_runs(tmp_path / "b" / name, name, [-11.0, -12.0])
     write_runs(tmp_path / "b" / "wcsac", "wcsac", [-11.0, -12.0])
-    found = rows(compare(tmp_path / "a", tmp_path / "b"))
+    found = rows(markdown(compare(tmp_path / "a", tmp_path / "b")))
     assert [name for name in found if name.startswith("B - A")] == [
         *("B - A: CPO", "B - A: TRPO-Lag", "B - A: WCSAC - CPO", "B - A: WCSAC - TRPO-Lag")
     ]
@@ -128,11 +129,11 @@ def test_one_seed_other_tasks_and_other_steps_are_named(tmp_path):
     write_runs(tmp_path / "a" / "1", "cpo", [-10.0])
     write_runs(tmp_path / "a" / "2", "cpo", [-10.0, -11.0], task="Circle2D-2-v0")
     b = write_runs(tmp_path / "b", "cpo", [-5.0, -9.0], steps=200)
-    markdown = compare(tmp_path / "a", b)
-    assert rows(markdown)["B - A: CPO (200 steps) - CPO"][4] == "+3.00"
-    assert "Circle2D-1-v0, A: CPO (100 steps) has one seed: no interval, and no test." in markdown
-    assert "only A has runs on Circle2D-2-v0." in markdown
-    assert "Circle2D-2-v0 |" not in markdown
+    words = markdown(compare(tmp_path / "a", b))
+    assert rows(words)["B - A: CPO (200 steps) - CPO"][4] == "+3.00"
+    assert "Circle2D-1-v0, A: CPO (100 steps) has one seed: no interval, and no test." in words
+    assert "only A has runs on Circle2D-2-v0." in words
+    assert "Circle2D-2-v0 |" not in words
 
 
 def test_what_is_written(tmp_path, capsys):

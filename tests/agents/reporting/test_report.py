@@ -8,6 +8,7 @@ from small_runs import write_evaluated
 from agents.paper.presets import preset
 from agents.paper.printed import paper_results
 from agents.reporting.report import report, table
+from agents.reporting.table import markdown
 from agents.training.config import TrainConfig
 from circle2d_mj import Circle2DConfig
 
@@ -34,7 +35,9 @@ def test_a_table_by_hand(tmp_path):
     config.write(tmp_path)
     write_run(tmp_path / "seed-0", -10.0)
     write_run(tmp_path / "seed-1", -20.0)
-    rows = [line.split("|")[1:-1] for line in table(tmp_path).splitlines() if "| SAC" in line]
+    rows = [
+        line.split("|")[1:-1] for line in markdown(table(tmp_path)).splitlines() if "| SAC" in line
+    ]
     rows = [[cell.strip() for cell in row] for row in rows]
     # Starts 0 10 20 30 | 40 50 60 | 70 80 90 of 100 steps. The highest tenth of three or four
     # values is the highest alone: .8, .4, 1. Costs: 46 of 100 steps.
@@ -76,12 +79,12 @@ def test_ways_in_words(tmp_path):
         content = json.loads(path.read_text())
         content["deterministic"]["cost_returns"] = costs
         path.write_text(json.dumps(content))
-    markdown = table(tmp_path)
-    rows = [line.split("|")[-2].strip() for line in markdown.splitlines() if "| SAC" in line]
+    words = markdown(table(tmp_path))
+    rows = [line.split("|")[-2].strip() for line in words.splitlines() if "| SAC" in line]
     one = "1 of 2 [0.01, 0.99]"
     assert rows[0] == f"corridor, through {one}; corridor, round {one}"
     assert rows[2:] == ["corridor (75 %, 25 % round, 50 % through)", "corridor, round (75 %)"]
-    assert '"through": it came to where it ends' in markdown
+    assert '"through": it came to where it ends' in words
     written = (tmp_path / "report.csv").read_text()
     assert '"corridor (75 %, 25 % round, 50 % through)"' in written
 
@@ -112,10 +115,10 @@ def test_an_unfinished_run_is_in_no_mean(tmp_path):
         write_run(tmp_path / f"seed-{seed}", -10.0)
     episodes = tmp_path / "seed-1" / "episodes.csv"
     episodes.write_text("".join(episodes.read_text().splitlines(keepends=True)[:-2]))
-    markdown = table(tmp_path)
-    assert "seed-1: is unfinished: 80 of 100 steps" in markdown
-    assert "mean of 1" in markdown
-    assert "seed 1 |" not in markdown
+    words = markdown(table(tmp_path))
+    assert "seed-1: is unfinished: 80 of 100 steps" in words
+    assert "mean of 1" in words
+    assert "seed 1 |" not in words
 
 
 def test_the_papers_misprint():
@@ -130,7 +133,7 @@ def test_names_of_other_people_are_neither_html_nor_control_sequences(tmp_path):
     folder = tmp_path / "<script>alert(1)<" / "\x1b[31mred"
     write_evaluated(folder, "cpo", costs=(4, 4))
     (folder / "seed-1" / "evaluation.json").unlink()
-    text = table(tmp_path)
+    text = markdown(table(tmp_path))
     assert text == (tmp_path / "report.md").read_text()
     assert "&lt;script>alert" in text
     assert "<script" not in text
@@ -141,8 +144,8 @@ def test_equal_runs_of_several_folders_have_names_of_their_own(tmp_path):
     """In every table and legend; what is alone on its task keeps the short name."""
     for folder, name in {"first": "cpo", "second": "cpo", "alone": "trpo-lag"}.items():
         write_evaluated(tmp_path / "runs" / folder, name, costs=(1, 2))
-    (markdown, *_) = report(tmp_path / "runs").partition("\nFigures")
-    names = [line.split("|")[1].strip() for line in markdown.splitlines() if line.startswith("| ")]
+    text = markdown(report(tmp_path / "runs"))
+    names = [line.split("|")[1].strip() for line in text.splitlines() if line.startswith("| ")]
     ours = [name for name in names if "100 steps" in name]
     for folder in ("first", "second"):
         label = f"CPO (100 steps, in runs/{folder})"
@@ -150,4 +153,4 @@ def test_equal_runs_of_several_folders_have_names_of_their_own(tmp_path):
         assert label in (tmp_path / "runs" / "index.html").read_text()
     assert "TRPO-Lag (100 steps), seed 0" in ours
     assert len(set(ours)) == len(ours) == 9
-    assert "CPO (100 steps), mean of 2" in table(tmp_path / "runs" / "first")
+    assert "CPO (100 steps), mean of 2" in markdown(table(tmp_path / "runs" / "first"))

@@ -11,6 +11,7 @@ from small_runs import write_evaluated
 from agents.paper.presets import ablations
 from agents.reporting.compare import compare
 from agents.reporting.report import report
+from agents.reporting.table import markdown
 from agents.results.measures import Measure, RunData, measure, measures, register, unregister
 from agents.results.statistics import difference_of, mean_of
 from emcc import EpisodeRecords
@@ -90,14 +91,14 @@ def test_an_evaluation_without_a_measure(tmp_path):
     content = json.loads(path.read_text())
     del content["deterministic"]["CVaR_0.5"]
     path.write_text(json.dumps(content))
-    of = rows(report(tmp_path))
+    of = rows(markdown(report(tmp_path)))
     assert of["CPO (100 steps), mean of 2"]["CVaR_0.5"] == "–"
     assert of["CPO (100 steps), seed 0"]["CVaR_0.5"] == "6.50"
     assert of["CPO (100 steps), seed 1"]["CVaR_0.5"] == "–"
     assert ">–</td>" in html.unescape((tmp_path / "index.html").read_text())
     content["deterministic"]["J_R"] = float("nan")
     path.write_text(json.dumps(content))
-    assert "cpo/seed-1: J_R is not finite: nan" in report(tmp_path)
+    assert "cpo/seed-1: J_R is not finite: nan" in markdown(report(tmp_path))
 
 
 def test_the_mean_streak_by_hand():
