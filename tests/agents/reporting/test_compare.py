@@ -113,16 +113,16 @@ def test_runs_too_few_for_a_test_are_named(tmp_path):
     a = write_runs(tmp_path / "a", "cpo", [-10.0, -11.0, -12.0])
     for runs, ways in ((3, 10), (4, 35)):
         b = write_runs(tmp_path / f"b{runs}", "cpo", [-1.0 - k / 10 for k in range(runs)])
-        markdown = compare(a, b)
-        tests = sum(cell not in ("", "–") for cell in rows(markdown)["p, B - A: CPO"])
-        p = float(rows(markdown)["p, B - A: CPO"][4])
+        words = markdown(compare(a, b))
+        tests = sum(cell not in ("", "–") for cell in rows(words)["p, B - A: CPO"])
+        p = float(rows(words)["p, B - A: CPO"][4])
         assert p == pytest.approx(min(1, tests / ways), abs=0.001)
-        assert f"of 3 runs against {runs} no p here can be below {tests / ways:.3g}, " in markdown
+        assert f"of 3 runs against {runs} no p here can be below {tests / ways:.3g}, " in words
     sides = [
         write_runs(tmp_path / k, "cpo", [j - x / 10 for x in range(6)])
         for k, j in (("c", -1.0), ("d", -9.0))
     ]
-    assert "they decide nothing" not in compare(*sides)
+    assert "they decide nothing" not in markdown(compare(*sides))
 
 
 def test_one_seed_other_tasks_and_other_steps_are_named(tmp_path):
