@@ -12,7 +12,7 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from agents.cli.checks import LEAST_WIDTH
-from agents.reporting.table import Block, Cell, Table, markdown, plain
+from agents.reporting.table import Block, Cell, Table, markdown, plain, without_repeats
 
 Column = list[Text]
 HEAD, WORDS = 12, 20
@@ -31,7 +31,7 @@ def show(blocks: Sequence[Block], width: int | None = None) -> None:
     if width is None and not console.is_terminal:
         print(markdown(blocks))
         return
-    for block in blocks:
+    for block in without_repeats(blocks):
         for shown in _laid_out(block, max(console.width, LEAST_WIDTH)):
             console.print(shown)
             console.print()
@@ -42,7 +42,8 @@ def _laid_out(block: Block, width: int) -> Iterator[Markdown | Grid]:
     if isinstance(block, str):
         yield from map(Markdown, re.split(r"\n\s*\n", block.strip()))
         return
-    yield Markdown(plain(block.legend))
+    if block.legend:
+        yield Markdown(plain(block.legend))
     yield from map(_grid, parts(block, width))
     yield from (Markdown(f"Note: {plain(note)}") for note in block.notes)
 

@@ -30,7 +30,7 @@ from agents.reporting.panel_table import panel_table, panel_title
 from agents.reporting.provenance import heading, made, summary
 from agents.reporting.replay import replay_data
 from agents.reporting.scenes import Scenes
-from agents.reporting.table import Block, Table, markdown
+from agents.reporting.table import Block, Table, markdown, plain
 from agents.reporting.tables import task_table
 from agents.results.archive import open_source, write_archive
 from agents.results.reading import Group, read_groups
@@ -92,7 +92,8 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     html = page(title, sections, made(source, everything), summary(groups), scenes.all)
     write_whole(out / "index.html", html)
     ending = "Figures, heat maps and replay: index.html\n"
-    write_whole(out / "report.md", markdown([*tables.values(), *verdicts, ending]))
+    titled = [block for name, of in tables.items() for block in (f"## {plain(name)}\n", of)]
+    write_whole(out / "report.md", markdown([*verdicts, *titled, ending]))
     write_whole(out / "report.csv", numbers_csv(report_lines(everything)))
     return [*main.values(), *verdicts]
 

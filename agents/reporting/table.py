@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from agents.errors import one_line
@@ -121,7 +121,7 @@ class Table:
     def legend(self) -> str:
         """The caption, and the meaning of a mark where there are marks."""
         marked = any(cell.marked for row in self.rows for cell in row.numbers)
-        return self.caption + (f"; bold: {self.marking}" if marked else "")
+        return self.caption + (f"; bold: {self.marking}" if marked and self.marking else "")
 
     def markdown(self) -> str:
         """The legend, the rows, and a paragraph for each note."""
@@ -134,7 +134,8 @@ class Table:
             for line in lines
         )
         notes = [part for note in self.notes for part in ("", f"Note: {plain(note)}")]
-        return "\n".join([plain(self.legend), "", *(f"| {line} |" for line in padded), *notes, ""])
+        legend = [plain(self.legend), ""] if self.legend else []
+        return "\n".join([*legend, *(f"| {line} |" for line in padded), *notes, ""])
 
 
 Block = Table | str
@@ -142,8 +143,21 @@ Block = Table | str
 
 
 def markdown(blocks: Iterable[Block]) -> str:
-    """The parts of a report as Markdown."""
-    return "\n".join(block if isinstance(block, str) else block.markdown() for block in blocks)
+    """The parts of a report as Markdown; a legend that the table before has too stands once."""
+    shown = without_repeats(blocks)
+    return "\n".join(block if isinstance(block, str) else block.markdown() for block in shown)
+
+
+def without_repeats(blocks: Iterable[Block]) -> Iterator[Block]:
+    """The blocks, of a table whose legend is that of the table before without it."""
+    before = None
+    for block in blocks:
+        if isinstance(block, str):
+            yield block
+            continue
+        repeated = block.legend == before
+        before = block.legend
+        yield replace(block, caption="", marking="") if repeated else block
 
 
 def _markdown(cell: Cell) -> str:

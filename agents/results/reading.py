@@ -109,13 +109,25 @@ def read_groups(source: Source, notes: list[str]) -> list[Group]:
             continue
         group = _read_group(source, folder, config)
         groups.append(group)
-        where = source.title(folder)
-        notes += [f"left out: {where}/seed-{k}: {why}" for k, why in group.missing.items()]
+        notes += _left_out(source.title(folder), group.missing)
     if not groups and not notes:
         raise UserError(f"{source.name} holds no runs: no config.json that circle2d train wrote")
     if not any(group.runs for group in groups):
         raise UserError(f"{source.name} holds no complete runs" + "".join(f"; {n}" for n in notes))
     return groups
+
+
+def _left_out(folder: str, missing: Mapping[int, str]) -> list[str]:
+    """A note for each reason, with the seeds that have it."""
+    seeds: dict[str, list[int]] = {}
+    for seed, why in missing.items():
+        seeds.setdefault(why, []).append(seed)
+    return [
+        f"left out: {folder}/seed-{of[0]}: {why}"
+        if len(of) == 1
+        else f"left out: {folder}, seeds {', '.join(map(str, of))}: {why}"
+        for why, of in seeds.items()
+    ]
 
 
 def _read_group(source: Source, folder: str, config: TrainConfig) -> Group:

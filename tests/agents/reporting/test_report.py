@@ -121,6 +121,34 @@ def test_an_unfinished_run_is_in_no_mean(tmp_path):
     assert "seed 1 |" not in words
 
 
+def test_runs_left_out_for_one_reason_are_one_note(tmp_path):
+    task = "Circle2D-1-v0"
+    TrainConfig("cpo", task, tuple(range(5)), 100, preset("cpo", task)).write(tmp_path)
+    for seed in range(4):
+        write_run(tmp_path / f"seed-{seed}", -10.0)
+    for seed, kept in {0: 10, 2: 8, 3: 8}.items():
+        episodes = tmp_path / f"seed-{seed}" / "episodes.csv"
+        episodes.write_text("".join(episodes.read_text().splitlines(keepends=True)[: 1 + kept]))
+    (tmp_path / "seed-1" / "episodes.csv").unlink()
+    lines = markdown(table(tmp_path)).splitlines()
+    assert [line for line in lines if "left out" in line] == [
+        f"Note: left out: {tmp_path.name}, seeds 1, 4: has no checkpoint yet",
+        f"Note: left out: {tmp_path.name}, seeds 2, 3: is unfinished: 80 of 100 steps",
+    ]
+
+
+def test_a_title_for_each_table_and_one_legend(tmp_path):
+    for level in (1, 2):
+        write_evaluated(tmp_path / f"{level}", "cpo", (1, 2), task=f"Circle2D-{level}-v0")
+    words = markdown(report(tmp_path))
+    written = (tmp_path / "report.md").read_text()
+    titles = [line[3:] for line in written.splitlines() if line.startswith("## ")]
+    assert titles[:2] == ["Circle2D-1-v0", "Circle2D-2-v0"]
+    # The tables of the two tasks have one legend.
+    for text in (words, written):
+        assert text.count("J_R, J_C and CVaR: undiscounted") == 1
+
+
 def test_the_papers_misprint():
     """It prints 4.68 for a sum of numbers below 0."""
     for task in ("Circle2D-1-v0", "circle2d_mj:Circle2D-1-v0"):

@@ -456,7 +456,8 @@ def test_of_both_choices_the_nearer_to_the_paper_is_marked(raw):
 
 def test_the_numbers_of_the_claims(raw):
     out, numbers = raw
-    _, _, claims = (out / "report.md").read_text().partition("## The paper's claims")
+    before, _, claims = (out / "report.md").read_text().partition("## The paper's claims")
+    assert before == ""
     level = TASK.removesuffix("-v0")
     for name, runs in ((name, numbers[name]) for name in EPISODES):
         change = [run["EMCC_0.99"] - run["EMCC_0.33"] for run in runs]
