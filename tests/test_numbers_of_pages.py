@@ -1,0 +1,58 @@
+"""Numbers in README and documentation are those of the reports and of `emcc`."""
+
+import csv
+import re
+from pathlib import Path
+
+import emcc
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+RESULTS = (ROOT / "results" / "README.md").read_text()
+METRIC = (ROOT / "docs" / "metric.md").read_text()
+
+
+def test_the_readmes_table():
+    rows = []
+    for grid in ("circle2d", "solve"):
+        with (ROOT / "results" / grid / "report.csv").open() as file:
+            rows += [row for row in csv.DictReader(file) if row["task"] == "Circle2D-1-v0"]
+    for name in ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC", "SAC-LB-Streak"):
+        own = [row for row in rows if row["algorithm"] == name]
+        (mean,) = (row for row in own if row["kind"] == "mean")
+        columns = ("EMCC_0.33", "EMCC_0.99", "cost_rate", "J_R", "J_C")
+        numbers = " | ".join(f"{float(mean[column]):.2f}" for column in columns)
+        runs = [row for row in own if row["seed"]]
+        good = [r for r in runs if r["ends_in"].startswith("corridor") and float(r["J_C"]) <= 5]
+        assert f"| {name} | {numbers} | {len(good)} of {len(runs)} |" in README
+
+
+def test_the_table_of_the_results():
+    import results_table
+
+    rows = results_table.rows(results_table.REPORT)
+    assert len(rows) == 20
+    assert all(row in RESULTS for row in rows)
+
+
+def test_the_verdicts():
+    report = (ROOT / "results" / "circle2d" / "report.md").read_text()
+    verdicts = re.findall(r"^### (\d)\. .* \*\*(\w+)\*\*$", report, re.MULTILINE)
+    assert [number for number, _ in verdicts] == list("123456")
+    told = re.findall(r"^\| (\d)\. [^|]* \| (\w+) \|", RESULTS, re.MULTILINE)
+    assert told == [(number, verdict.lower()) for number, verdict in verdicts]
+    counts = [sum(of == verdict for _, of in told) for verdict in ("confirmed", "refuted")]
+    assert counts == [1, 3]
+    assert "Of the paper's six claims one is confirmed, three are refuted, two stay" in README
+
+
+def test_the_example_of_ties():
+    """`emcc` itself is held to the definition in tests/emcc."""
+    rows = re.findall(r"^\| (\d+) \| (\.\d+) \| (\.\d+) \|$", METRIC, re.MULTILINE)
+    assert [int(safe) for safe, *_ in rows] == [89, 90, 91]
+    for safe, *printed in rows:
+        values = [0.0] * int(safe) + [0.5] * (100 - int(safe))
+        assert [emcc.emcc(values, 0.1, ties) for ties in ("all", "split")] == [*map(float, printed)]
+    costs = [4, 38, 54, 0, 0, 25, 39, 13, 20, 0]
+    assert [emcc.cvar(costs, 0.5, ties) for ties in ("all", "split")] == [31.5, 35.2]
+    assert "is 31.5 with `all` and 35.2 with `split`" in METRIC
