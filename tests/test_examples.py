@@ -56,7 +56,9 @@ def test_it_runs(name, tmp_path):
             ),
             "MINARI_DATASETS_PATH": str(tmp_path),
             "OMP_NUM_THREADS": "1",
+            "RAY_ADDRESS": "local",  # not a cluster that another program left behind
         },
+        timeout=600,
         capture_output=True,
         encoding="utf-8",
     )
