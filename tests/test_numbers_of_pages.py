@@ -4,6 +4,8 @@ import csv
 import re
 from pathlib import Path
 
+import numpy as np
+
 import emcc
 
 ROOT = Path(__file__).parents[1]
@@ -12,11 +14,17 @@ RESULTS = (ROOT / "results" / "README.md").read_text()
 METRIC = (ROOT / "docs" / "metric.md").read_text()
 
 
-def test_the_readmes_table():
+def of_level(level):
+    """The rows of the reports on the paper's five and on SAC-LB-Streak."""
     rows = []
     for grid in ("circle2d", "solve"):
         with (ROOT / "results" / grid / "report.csv").open() as file:
-            rows += [row for row in csv.DictReader(file) if row["task"] == "Circle2D-1-v0"]
+            rows += [row for row in csv.DictReader(file) if row["task"] == f"Circle2D-{level}-v0"]
+    return rows
+
+
+def test_the_readmes_table():
+    rows = of_level(1)
     for name in ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC", "SAC-LB-Streak"):
         own = [row for row in rows if row["algorithm"] == name]
         (mean,) = (row for row in own if row["kind"] == "mean")
@@ -33,6 +41,25 @@ def test_the_table_of_the_results():
     rows = results_table.rows(results_table.REPORT)
     assert len(rows) == 20
     assert all(row in RESULTS for row in rows)
+
+
+def test_two_algorithms_of_one_cost_rate():
+    rng = np.random.default_rng(0)
+    for level in (1, 2):
+        runs = [row for row in of_level(level) if row["seed"]]
+
+        def pair(measure, runs=runs):
+            names = ("SAC-LB", "SAC-LB-Streak")
+            return [[float(r[measure]) for r in runs if r["algorithm"] == of] for of in names]
+
+        rates, *of_emcc = map(pair, ("cost_rate", "EMCC_0.33", "EMCC_0.66", "EMCC_0.99"))
+        assert emcc.equivalence_test(*rates, 0.02, rng=rng) < 0.001
+        # Sixteen comparisons: Holm's correction multiplies by no more.
+        assert all(16 * emcc.permutation_test(*of, rng=rng) < 0.001 for of in of_emcc)
+        means = [
+            " and ".join(f"{np.mean(side):.3f}"[1:] for side in of) for of in (rates, *of_emcc)
+        ]
+        assert f"| {level} | {means[0]} | < .001 | {' | '.join(means[1:])} |" in RESULTS
 
 
 def test_the_verdicts():
