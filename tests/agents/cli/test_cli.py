@@ -27,7 +27,8 @@ def test_train_prints_and_writes_the_table(folder, capsys):
     assert main(["report", str(folder)]) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    assert out.strip() in (folder / "report.md").read_text()
+    written = (folder / "report.md").read_text()
+    assert written.startswith(f"## Circle2D-1-v0\n\n{out.rstrip()}\n")
     rows = [line for line in out.splitlines() if line.startswith("| SAC-Lag")]
     names = [row.split("|")[1].strip() for row in rows]
     assert names == [
