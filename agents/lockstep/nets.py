@@ -67,7 +67,7 @@ class MLP:
     def forward(self, params: Tensor, x: Tensor) -> Tensor:
         """The outputs of networks params [N, size] for inputs x [N, B, in]: [N, B, out]."""
         parts = params.split(self._splits, dim=-1)
-        layers = [p.unflatten(-1, shape) for p, shape in zip(parts, self._shapes, strict=False)]
+        layers = [p.view(len(p), *shape) for p, shape in zip(parts, self._shapes, strict=False)]
         # tanh(z) = 2σ(2z) - 1, with the factors folded into the weights: torch's tanh kernel on
         # CPU is six times slower than its sigmoid, and weights are smaller than activations.
         for i, (weight, bias) in enumerate(zip(layers[::2], layers[1::2], strict=True)):

@@ -205,27 +205,31 @@ def update(
         "risk": risk.mean(dim=-1),
         "entropy": -log_prob.mean(dim=-1),
     }
-    state = state._replace(
+    log_temperature, temperature_moments = temperature_step(
+        config, state, log_prob, batch.action.shape[-1]
+    )
+    multiplier = state.multiplier
+    if isinstance(multiplier, MultiplierState):  # a PID controller's follows once an epoch
+        cost = risk.mean(dim=-1, keepdim=True)
+        multiplier = lagrange.follow(rule.multiplier_form, config, multiplier, cost)
+    # Not by _replace: from twice that, torch 2.11 on Python 3.12 compiles an empty tuple.
+    after = SACState(
         actor=actor,
         critics=critics,
         targets=state.targets.lerp(critics, config.target_rate),
+        log_temperature=log_temperature,
+        multiplier=multiplier,
         actor_moments=actor_moments,
         critic_moments=critic_moments,
+        temperature_moments=temperature_moments,
     )
-    state = temperature_step(config, state, log_prob, batch.action.shape[-1])
-    if isinstance(state.multiplier, MultiplierState):  # a PID controller's follows once an epoch
-        cost, form = risk.mean(dim=-1, keepdim=True), rule.multiplier_form
-        state = state._replace(multiplier=lagrange.follow(form, config, state.multiplier, cost))
-    return state, metrics
+    return after, metrics
 
 
 def temperature_step(
     config: SACConfig, state: SACState, log_prob: Tensor, action_size: int
-) -> SACState:
+) -> tuple[Tensor, Moments]:
     """Descend `-α E[log π + target entropy]`, target entropy -A, along log α; log_prob: [R, B]."""
     excess = log_prob.mean(dim=-1, keepdim=True) - action_size
     gradient = -state.log_temperature.exp() * excess
-    log_temperature, moments = adam(
-        state.log_temperature, gradient, state.temperature_moments, config.temperature_lr
-    )
-    return state._replace(log_temperature=log_temperature, temperature_moments=moments)
+    return adam(state.log_temperature, gradient, state.temperature_moments, config.temperature_lr)
