@@ -7,6 +7,7 @@ every tensor that an update makes must be made where the others are.
 import numpy as np
 import pytest
 import torch
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from agents.algorithms import ALGORITHMS, BUILT_IN
 from agents.errors import UserError
@@ -82,6 +83,19 @@ def test_multipliers(optimizer, elsewhere):
 def test_no_gpu_is_a_mistake():
     with pytest.raises(UserError, match=r"device 'cuda': torch .* sees no GPU"):
         backend.configure(device="cuda")
+
+
+def test_training_has_one_thread_and_the_caller_gets_its_own_back():
+    """NumPy's threads too: two trainings side by side were nine times slower with two each."""
+
+    def of_numpy():
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    with threadpool_limits(3, user_api="blas"):
+        with backend.restored():
+            backend.configure()
+            assert (torch.get_num_threads(), of_numpy()) == (1, {1})
+        assert of_numpy() == {3}
 
 
 def test_the_callers_limit_of_compilations_comes_back(monkeypatch, tmp_path):
