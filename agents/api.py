@@ -206,17 +206,17 @@ def resume(*folders: str | Path, on_epoch: OnEpoch | None = None, progress: bool
 
 
 def report(
-    path: str | Path, archive: str | Path | None = None, out: str | Path | None = None
+    *paths: str | Path, archive: str | Path | None = None, out: str | Path | None = None
 ) -> str:
-    """Write the report of all runs at or below a folder, or in an archive: `circle2d report`.
+    """Write the report of all runs at or below some folders, or in archives: `circle2d report`.
 
     Returns its main tables and the paper's claims as Markdown. archive: a file to pack all that the
-    report needs into. out: folder to write to; by default the runs' own, for an archive the one
-    beside it that has its name without the suffix. Raises UserError where there are no complete
-    runs, or the archive is damaged.
+    report needs into. out: folder to write to; by default that of the runs, for an archive the one
+    beside it that has its name without the suffix; several paths need one. Raises UserError where
+    there are no complete runs, or an archive is damaged.
     """
-    paths = (None if of is None else Path(of) for of in (archive, out))
-    return markdown(write_report(Path(path), *paths))
+    archive, out = (None if of is None else Path(of) for of in (archive, out))
+    return markdown(write_report(*map(Path, paths), archive=archive, out=out))
 
 
 def choose_backend(choice: Backend | Literal["auto"]) -> Backend:

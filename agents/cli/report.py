@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agents.cli.checks import check_file, check_width
-from agents.cli.options import Folder, Imports, parse
+from agents.cli.options import Folders, Imports, parse
 from agents.cli.terminal import show
 from agents.reporting.report import report
 from agents.training.progress import working
@@ -18,12 +18,14 @@ class ReportOptions:
     """Print the table of trained runs beside the paper's; write report.md, report.csv,
     and index.html with training curves and heat maps as well."""
 
-    folder: Folder
-    """Folder of runs, or one with several such folders below it, or an archive."""
+    folders: Folders
+    """Folders of runs, or with such folders below them, or archives: all in one report, such as
+    your runs beside results/circle2d/runs.zip."""
     archive: Path | None = None
     """File to pack all that the report needs into; `circle2d report FILE` writes it again."""
     out: Path | None = None
-    """Folder for the report; by default that of the runs, or one beside an archive, of its name."""
+    """Folder for the report; by default that of the runs, or one beside an archive, of its name.
+    Several FOLDERs need it."""
     width: int | None = None
     """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
     are printed as Markdown."""
@@ -36,6 +38,6 @@ def run(args: Sequence[str]) -> int:
     check_width(options.width)
     check_file("archive", options.archive)
     with working("reading runs and drawing figures"):
-        blocks = report(options.folder, options.archive, options.out)
+        blocks = report(*options.folders, archive=options.archive, out=options.out)
     show(blocks, options.width)
     return 0

@@ -33,13 +33,14 @@ from agents.reporting.scenes import Scenes
 from agents.reporting.table import Block, Table, markdown, plain
 from agents.reporting.tables import task_table
 from agents.results.archive import open_source, write_archive
+from agents.results.joined import open_sources
 from agents.results.reading import Group, read_groups
 from agents.results.source import Source
 from agents.training.files import write_whole
 
 
-def report(path: Path, archive: Path | None = None, out: Path | None = None) -> list[Block]:
-    """Write the report of every folder of runs at or below a folder, or in an archive.
+def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -> list[Block]:
+    """Write the report of every folder of runs at or below some folders, or in archives.
 
     Writes `report.md`, `report.csv` for a program, and `index.html`, which holds everything, with
     all figures. Returns the main tables and the paper's claims; `report.md` has the details
@@ -47,15 +48,13 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     unfinished are named below the table and left out of its means; figures that cannot be drawn are
     named too.
 
-    archive: a file to pack all that the report needs into; a report from it has the same bytes.
-    out: folder to write to; by default the runs' own, for an archive the one beside it that has its
-    name without the suffix. Raises UserError where no run is left, or the archive is damaged.
+    archive: a file to pack all that the report needs into; a report on it has the same bytes.
+    out: folder to write to; by default that of the runs, for an archive the one beside it that has
+    its name without the suffix; several paths need one. Raises UserError where no run is left, or
+    an archive is damaged.
     """
-    source = open_source(path)
-    if out is None:
-        out = path.with_suffix("") if path.is_file() else path
-    if out.is_file():
-        raise UserError(f"{out} is a file; the report needs a folder: give another for out")
+    source = open_sources(paths)
+    out = _folder(paths, out)
     notes: list[str] = []
     everything = told_apart(read_groups(source, notes), source)
     groups, ablated = ablations.split(everything)
@@ -96,6 +95,16 @@ def report(path: Path, archive: Path | None = None, out: Path | None = None) -> 
     write_whole(out / "report.md", markdown([*verdicts, *titled, ending]))
     write_whole(out / "report.csv", numbers_csv(report_lines(everything)))
     return [*main.values(), *verdicts]
+
+
+def _folder(paths: Sequence[Path], out: Path | None) -> Path:
+    """The folder to write to: see `report`."""
+    if out is None and len(paths) > 1:
+        raise UserError("a report on several folders or archives needs out, a folder to write to")
+    chosen = out or (paths[0].with_suffix("") if paths[0].is_file() else paths[0])
+    if chosen.is_file():
+        raise UserError(f"{chosen} is a file; the report needs a folder: give another for out")
+    return chosen
 
 
 def table(folder: Path) -> list[Table]:

@@ -1,0 +1,61 @@
+"""Folders and archives side by side give the report of one folder that holds all of them."""
+
+import shutil
+
+import pytest
+from small_runs import write_evaluated
+
+import agents
+from agents.cli.main import main
+from agents.errors import UserError
+from agents.results.joined import open_sources
+
+TASK = "Circle2D-1-v0"
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory):
+    """A grid of two algorithms, and its parts: an archive of one, a folder of the other."""
+    root = tmp_path_factory.mktemp("joined")
+    for name, costs in (("cpo", (2, 4, 3)), ("wcsac", (7, 9))):
+        write_evaluated(root / "whole" / TASK / name, name, costs=costs)
+        shutil.copytree(root / "whole" / TASK / name, root / name / "grid" / TASK / name)
+    archive = root / "cpo.zip"
+    assert main(["report", str(root / "cpo" / "grid"), "--archive", str(archive)]) == 0
+    return root, archive, root / "wcsac" / "grid"
+
+
+def csv(folder):
+    return (folder / "report.csv").read_text().splitlines()
+
+
+def test_an_archive_and_a_folder_are_reported_as_one(parts, tmp_path, capsys):
+    root, archive, folder = parts
+    agents.report(root / "whole")
+    packed, out = tmp_path / "both.zip", tmp_path / "out"
+    sources = [str(archive), str(folder)]
+    assert main(["report", *sources, "--out", str(out), "--archive", str(packed)]) == 0
+    assert csv(out) == csv(root / "whole")
+    agents.report(packed)  # what was joined is an archive like any other
+    for name in ("report.csv", "report.md", "index.html"):
+        assert (tmp_path / "both" / name).read_bytes() == (out / name).read_bytes()
+
+
+def test_folders_of_one_name_have_their_sources_before_it(parts):
+    root, archive, folder = parts
+    joined = open_sources([root / "whole", folder])
+    assert set(joined.configs) == {f"{TASK}/cpo", f"whole/{TASK}/wcsac", f"grid/{TASK}/wcsac"}
+    alone = open_sources([folder / TASK / "wcsac", archive])
+    assert set(alone.configs) == {"wcsac", f"{TASK}/cpo"}
+    assert alone.title("wcsac") == "wcsac"
+    assert alone.name == "wcsac and grid"
+
+
+def test_mistakes(parts):
+    root, archive, folder = parts
+    with pytest.raises(UserError, match=f"two of the sources hold runs named grid/{TASK}/cpo"):
+        open_sources([archive, root / "cpo" / "grid"])
+    with pytest.raises(UserError, match="several folders or archives needs out"):
+        agents.report(archive, folder)
+    with pytest.raises(UserError, match="give a folder of runs"):
+        agents.report()
