@@ -1,4 +1,4 @@
-"""Evidence for a claim: the runs that count, findings as numbers, verdicts and how they combine."""
+"""Claims and their evidence: the runs that count, findings as numbers, rules and verdicts."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from agents.paper.printed import paper_results
 from agents.paper.settings import changes
 from agents.results.reading import Group, Run, one_place
 from agents.results.statistics import LEVEL, equivalence_of, known, mean_of, p_of
+from circle2d_mj.registration import KINEMATIC
 from emcc import Interval, Share, mean_interval, share
 
 Verdict = Literal["confirmed", "refuted", "undecided"]
 
 SEEDS = 10
 """Complete runs of the paper's length that an algorithm needs on a task to decide anything."""
+LEVEL_TASKS = list(KINEMATIC.values())
+EARLY, MIDDLE, LATE = "EMCC_0.33", "EMCC_0.66", "EMCC_0.99"
 HALF, RARE = 0.5, 0.05
 """Shares of runs: "the runs do" is more than half; "there are runs that do" is more than one in
 twenty."""
@@ -96,6 +99,23 @@ class Finding(NamedTuple):
 
 Evidence = Mapping[tuple[str, str], Cell]
 """By task and algorithm, for all of the paper's."""
+
+
+class Claim(NamedTuple):
+    """A statement of the paper, and the rule that decides it."""
+
+    text: str
+    rule: str
+    """In words, as it is printed beside the verdict."""
+    check: Callable[[Evidence], list[Finding]]
+
+
+class Checked(NamedTuple):
+    """A claim with what was found; confirmed where all parts are, refuted where one is."""
+
+    claim: Claim
+    findings: list[Finding]
+    verdict: Verdict
 
 
 def gather(groups: Sequence[Group]) -> Evidence:
@@ -228,6 +248,17 @@ def apart(
     if equivalence <= LEVEL / parts:
         return "refuted"
     return "confirmed" if p <= LEVEL else "undecided"
+
+
+def lower(a: Sequence[float | None], b: Sequence[float | None], parts: int) -> Verdict:
+    """Of "the mean of a is below that of b": it is, and the permutation test tells them apart;
+    refuted where it tells them apart the other way round."""
+    first, second, p = known(a), known(b), p_of(a, b)
+    if first is None or second is None or p is None:
+        return "undecided"
+    if sum(first) / len(first) < sum(second) / len(second):
+        return "confirmed" if p <= LEVEL else "undecided"
+    return "refuted" if p <= LEVEL / parts else "undecided"
 
 
 def finding(

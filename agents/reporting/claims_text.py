@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agents.paper.claims import LIMIT, Checked
-from agents.paper.evidence import SEEDS, Fact, Finding
+from agents.paper.claims import LIMIT
+from agents.paper.evidence import SEEDS, Checked, Fact, Finding
 from agents.reporting.table import Number, number_of, p_number
 from agents.results.statistics import LEVEL
 from emcc import Share

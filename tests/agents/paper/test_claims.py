@@ -39,7 +39,7 @@ def as_the_paper_says(task, name):
     """Ten runs for which every claim holds; seeds differ a little."""
     parts, rate, j_c, ends, later = (0.5, 0.4, 0.45), 0.1, 1.0, "right rim", 1.0
     if name in ("trpo-lag", "cpo"):
-        parts = (0.5, 0.3, 0.2)
+        parts = (0.5, 0.3, 0.2) if name == "trpo-lag" else (0.5, 0.35, 0.3)
         if name == "trpo-lag" and task in LEVEL[1:]:
             j_c, ends = 9.4, "corridor"
     elif name in ("sac-lag", "sac-lb"):
@@ -75,8 +75,8 @@ def verdicts(world, **options):
 
 
 def test_all_confirmed(world):
-    assert len(CLAIMS) == 6
-    assert verdicts(world) == ["confirmed"] * 6
+    assert len(CLAIMS) == 7
+    assert verdicts(world) == ["confirmed"] * 7
 
 
 def changed(runs, seeds, ends=None, records=None, **measures):
@@ -127,8 +127,14 @@ SCENARIOS = {
     "not safely": (LEVEL[3], "sac-lb", ALL, {"ends": "corridor", "J_C": 6.0}, 5, "confirmed"),
     "other cost rates": (LEVEL[3], "cpo", ALL, {"cost_rate": 0.2}, 6, "refuted"),
     "cost rates of .1 to .2": (LEVEL[3], "cpo", (0, 1), {"cost_rate": 0.2}, 6, "undecided"),
-    "equal EMCC": (LEVEL[3], "wcsac", ALL, {"EMCC_0__66": 0.31}, 6, "refuted"),
-    "EMCC of .3 to .9": (LEVEL[3], "wcsac", ALL[1:], {"EMCC_0__66": 0.31}, 6, "undecided"),
+    "equal EMCC": (LEVEL[3], "wcsac", ALL, {"EMCC_0__66": 0.36}, 6, "refuted"),
+    "EMCC of .3 to .9": (LEVEL[3], "wcsac", ALL[1:], {"EMCC_0__66": 0.36}, 6, "undecided"),
+    # TRPO-Lag's late EMCC is .2 to .227, of which one seed with 1 makes the mean .29.
+    "CPO lower": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.19}, 7, "refuted"),
+    "CPO equal": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.2135}, 7, "undecided"),
+    "CPO higher but for a seed": (LEVEL[1], "cpo", (0,), {"EMCC_0__99": 0.2}, 7, "confirmed"),
+    "TRPO-Lag of .2 to 1": (LEVEL[3], "trpo-lag", (0,), {"EMCC_0__99": 1.0}, 7, "undecided"),
+    "early EMCC is not claimed": (LEVEL[2], "trpo-lag", ALL, {"EMCC_0__33": 0.9}, 7, "confirmed"),
 }
 
 
@@ -157,7 +163,7 @@ def test_cost_late_in_training(world):
 def test_what_decides_nothing(world):
     assert verdicts(world, steps=10_000) == []  # not even a claim: nothing is of the grid
     nine = {key: runs[:9] for key, runs in world.items()}
-    assert verdicts(nine) == ["undecided"] * 6
+    assert verdicts(nine) == ["undecided"] * 7
     others = [
         group(task, "trpo-lag", world[task, "trpo-lag"], multiplier_optimizer="sgd")
         for task in LEVEL
@@ -167,7 +173,7 @@ def test_what_decides_nothing(world):
     ablated = [group(of.config.task, "trpo-lag", changed(of.runs, ALL, J_C=0.0)) for of in others]
     ablated = [replace(of, config=other.config) for of, other in zip(ablated, others, strict=True)]
     presets = [group(task, name, runs) for (task, name), runs in world.items()]
-    assert [c.verdict for c in check_claims([*ablated, *presets])] == ["confirmed"] * 6
+    assert [c.verdict for c in check_claims([*ablated, *presets])] == ["confirmed"] * 7
 
 
 def test_two_folders_of_other_seeds_count_together(world):
@@ -176,7 +182,7 @@ def test_two_folders_of_other_seeds_count_together(world):
         for (task, name), runs in world.items()
         for of in (runs[:1], runs[1:], runs[:1])
     ]
-    assert [checked.verdict for checked in check_claims(parts)] == ["confirmed"] * 6
+    assert [checked.verdict for checked in check_claims(parts)] == ["confirmed"] * 7
 
 
 def test_what_is_missing_is_named(world):
@@ -192,7 +198,7 @@ def test_the_page_says_the_same(world):
     checked = check_claims([group(task, name, runs) for (task, name), runs in world.items()])
     text = claims_text.markdown(checked)
     html = unescape(page("x", [Section("The paper's claims", claims=checked)], {}))
-    assert text.count("**Confirmed**") == html.count("Confirmed</span>") == 6
+    assert text.count("**Confirmed**") == html.count("Confirmed</span>") == 7
     for claim, findings, _ in checked:
         for part in (claim.text, claim.rule, *map(claims_text.finding_words, findings)):
             assert part in text
@@ -211,7 +217,7 @@ def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
     demo = changed(world[LEVEL[1], "trpo-lag"], ALL, J_C=1.0, ends="right rim")
     others = [group(LEVEL[1], "trpo-lag", demo, steps=steps) for steps in (250_000, 2_000_000)]
     groups = [group(task, name, runs) for (task, name), runs in world.items()]
-    assert [c.verdict for c in check_claims([others[0], *groups, others[1]])] == ["confirmed"] * 6
+    assert [c.verdict for c in check_claims([others[0], *groups, others[1]])] == ["confirmed"] * 7
     del world[LEVEL[1], "trpo-lag"]
     groups = [group(task, name, runs) for (task, name), runs in world.items()]
     checked = check_claims([*others, *groups])[0]
