@@ -32,8 +32,10 @@ class Runs:
 
     def __init__(self, folders: Sequence[Path], temporary: bool = False) -> None:
         """temporary: remove the folders with this object."""
-        self.folders = tuple(folders)
-        self.configs = tuple(TrainConfig.read(folder, strict=False) for folder in folders)
+        if isinstance(folders, (str, os.PathLike)):
+            raise UserError(f"Runs takes a list of folders, got {folders!r}: see load_runs")
+        self.folders = tuple(map(Path, folders))
+        self.configs = tuple(TrainConfig.read(folder, strict=False) for folder in self.folders)
         """Of each folder."""
         if temporary:
             for folder in self.folders:

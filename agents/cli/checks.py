@@ -46,8 +46,8 @@ def check_enough_steps(
     """Raise UserError for a training after which there is no table, since EMCC needs a rollout in
     each third of it.
 
-    A rollout is an epoch: its length is that of its episodes where they come to their limit. For a
-    task without a limit nothing is checked.
+    A rollout is an epoch: its length is that of its episodes where those reach their time limit.
+    For a task without a limit nothing is checked.
     """
     limit = parameters.get("max_episode_steps") or gym.spec(registered(task)).max_episode_steps
     episodes = getattr(hyperparameters, "episodes", 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from agents.paper.claims_emcc import LOWEST_LATE, TOLD_APART, TREND
+from agents.paper.claims_emcc import EQUAL_RATES, LOWEST_LATE, TREND
 from agents.paper.evidence import (
     LATE,
     LEVEL_TASKS,
@@ -167,7 +167,7 @@ LOW_COST = Claim(
 )
 
 
-CLAIMS = (STRAIGHT_THROUGH, TREND, CORRIDOR, LOW_COST, NOBODY, TOLD_APART, LOWEST_LATE)
+CLAIMS = (STRAIGHT_THROUGH, TREND, CORRIDOR, LOW_COST, NOBODY, EQUAL_RATES, LOWEST_LATE)
 """In the order of the paper's sections Results and Analysis."""
 
 

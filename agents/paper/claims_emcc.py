@@ -78,7 +78,7 @@ TREND = Claim(
 )
 
 
-def _told_apart(evidence: Evidence) -> list[Finding]:
+def _equal_rates(evidence: Evidence) -> list[Finding]:
     cpo, wcsac = cells = [evidence[LEVEL_TASKS[3], name] for name in ("cpo", "wcsac")]
     decided = not cpo.lacking and not wcsac.lacking
     findings = []
@@ -99,13 +99,13 @@ def _told_apart(evidence: Evidence) -> list[Finding]:
     return findings
 
 
-TOLD_APART = Claim(
+EQUAL_RATES = Claim(
     "CPO and WCSAC have equal cost rates on level 3 and different EMCC: EMCC tells apart what "
     "the cost rate cannot.",
     f"The mean cost rates are equivalent within {RATE_MARGIN:g} (refuted where they are not and a "
     "permutation test tells them apart); permutation tests tell the means of EMCC_0.66 and "
     f"EMCC_0.99 apart (refuted where they are equivalent within {EMCC_MARGIN:g}).",
-    _told_apart,
+    _equal_rates,
 )
 
 

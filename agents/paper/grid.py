@@ -176,7 +176,7 @@ def _end(times: Sequence[float], workers: int) -> float:
 
 
 def finished(folder: Path, config: TrainConfig) -> bool:
-    """Whether all runs of a folder have come to their end, be it a failure."""
+    """Whether all runs of a folder have ended, also by a failure."""
     return all(_finished(run_folder(folder, seed), config.steps) for seed in config.seeds)
 
 

@@ -14,7 +14,7 @@ from agents.results.source import Source
 from agents.training.config import TrainConfig
 
 
-def told_apart(groups: Sequence[Group], source: Source) -> list[Group]:
+def with_distinct_titles(groups: Sequence[Group], source: Source) -> list[Group]:
     """All groups of a source; those of one title on one task get their folders into their names."""
     keys = [(group.config.task, title_of(group.config)) for group in groups]
     count = Counter(key for key, group in zip(keys, groups, strict=True) if group.runs)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from agents.errors import UserError
-from agents.paper.settings import changes, in_order, name_of, told_apart
+from agents.paper.settings import changes, in_order, name_of, with_distinct_titles
 from agents.reporting.csv_table import Line, difference_lines, group_lines, numbers_csv
 from agents.reporting.figures import curves
 from agents.reporting.page import Section, page
@@ -56,7 +56,8 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     notes: list[str] = []
     sources = [open_source(side) for side in (a, b)]
     found = [
-        [g for g in told_apart(read_groups(source, notes), source) if g.runs] for source in sources
+        [g for g in with_distinct_titles(read_groups(source, notes), source) if g.runs]
+        for source in sources
     ]
     tasks = [list(dict.fromkeys(group.config.task for group in groups)) for groups in found]
     common = [task for task in tasks[0] if task in tasks[1]]

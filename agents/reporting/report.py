@@ -10,7 +10,7 @@ from agents.errors import UserError
 from agents.paper import ablations
 from agents.paper.claims import check_claims
 from agents.paper.presets import is_circle2d
-from agents.paper.settings import told_apart
+from agents.paper.settings import with_distinct_titles
 from agents.reporting import claims_text, together
 from agents.reporting.ablations import (
     NEAREST,
@@ -56,7 +56,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     source = open_sources(paths)
     out = _folder(paths, out)
     notes: list[str] = []
-    everything = told_apart(read_groups(source, notes), source)
+    everything = with_distinct_titles(read_groups(source, notes), source)
     groups, ablated = ablations.split(everything)
     by_task = _by_task(groups)
     # Early, since later it would add to the memory that all else holds.
@@ -114,7 +114,7 @@ def table(folder: Path) -> list[Table]:
     """
     source: Source = open_source(folder)
     notes: list[str] = []
-    everything = told_apart(read_groups(source, notes), source)
+    everything = with_distinct_titles(read_groups(source, notes), source)
     groups, ablated = ablations.split(everything)
     found = list(_tables(_by_task(groups), ablated, notes).values())
     write_whole(folder / "report.md", markdown(found))

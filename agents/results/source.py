@@ -93,7 +93,7 @@ class FolderSource:
     def __init__(self, root: Path) -> None:
         if not root.is_dir():
             raise UserError(f"{root} is no folder")
-        # Resolved: errors are told relative to it, and "." is in every sentence.
+        # Resolved: errors name files relative to it, and "." is in every sentence.
         self.root = root = root.resolve()
         self.name = root.name
         self._trained: dict[tuple[str, int], list[Episode] | None] = {}

@@ -21,7 +21,7 @@ from emcc.files import write_files
 Backend = Literal["compiled", "eager"]
 Device = Literal["cpu", "cuda"]
 FAILURE = "failed.json"
-"""In the folder of a run that stopped at a NaN or an infinite number: the step it had come to."""
+"""In the folder of a run that stopped at a NaN or an infinite number: its last step."""
 TASK = re.compile(r"([\w.]+:)?([\w-]+/)?[\w:.-]+")
 """Ids of tasks, as gymnasium has them, with the module that registers them before."""
 ALGORITHM = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")

@@ -1,4 +1,4 @@
-"""The table of results/README.md, from the report's numbers.
+"""The tables of results/README.md, from the report's numbers.
 
 python docs/_ext/results_table.py
 """
@@ -34,6 +34,38 @@ def _row(level: str, name: str, lines: list[dict[str, str]]) -> str:
     return f"| {' | '.join([level[9], name, *means, within, '; '.join(ends)])} |"
 
 
+def choices(report: Path) -> list[str]:
+    """Rows of Markdown for each algorithm that was trained with other choices of what the paper
+    does not print: those of the preset, of each choice, and of the paper. Means of J_C and
+    EMCC_0.99 on levels 0 to 3, and seeds within the limit there."""
+    with report.open(encoding="utf-8") as file:
+        lines = [line for line in csv.DictReader(file) if line["task"] in LEVELS]
+    found = []
+    for name in ALGORITHMS:
+        own = [line for line in lines if line["algorithm"].partition(" (")[0] == name]
+        by_folder: dict[str, list[dict[str, str]]] = {}
+        for line in own:
+            by_folder.setdefault(line["folder"].partition("/")[2], []).append(line)
+        printed = [line for line in own if line["kind"] == "paper"]
+        preset = by_folder.pop(name.lower())
+        others = {k.removeprefix(f"{name.lower()}-"): of for k, of in by_folder.items() if k}
+        if others:
+            titled = {"preset": preset} | others | {"paper": printed}
+            found += [_choice(f"{name}, {title}", of) for title, of in titled.items()]
+    return found
+
+
+def _choice(title: str, lines: list[dict[str, str]]) -> str:
+    means = {line["task"]: line for line in lines if line["kind"] in ("mean", "paper")}
+    counts = {line["task"]: _count(line) for line in lines if line["kind"] == "within limit"}
+    cells = [
+        ", ".join(f"{float(means[of][measure]):{digits}}" if of in means else "–" for of in LEVELS)
+        for measure, digits in (("J_C", ".1f"), ("EMCC_0.99", ".2f"))
+    ]
+    cells.append(", ".join(counts.get(of, "–") for of in LEVELS) if counts else "")
+    return f"| {title} | {' | '.join(cells)} |"
+
+
 def _mean(measure: str, kinds: dict[str, dict[str, str]]) -> str:
     """Mean, interval or range, and the paper's mean."""
 
@@ -53,4 +85,4 @@ def _count(line: dict[str, str]) -> str:
 
 
 if __name__ == "__main__":
-    print("\n".join(rows(REPORT)))
+    print("\n".join([*rows(REPORT), "", *choices(REPORT)]))

@@ -141,6 +141,10 @@ def test_finished_runs_are_opened_again(runs, tmp_path):
     }.items():
         with pytest.raises(agents.UserError, match=message):
             agents.load_runs(*folders)
+    with pytest.raises(
+        agents.UserError, match="takes a list of folders, got 'runs': see load_runs"
+    ):
+        agents.Runs("runs")
     path.unlink()
     assert results(tmp_path / "a" / "x") == {
         name.removeprefix("a/x/"): of for name, of in before.items() if name.startswith("a/x/")
