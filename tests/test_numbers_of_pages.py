@@ -43,6 +43,23 @@ def test_the_table_of_the_results():
     assert all(row in RESULTS for row in rows)
 
 
+def test_the_choices_of_the_results():
+    import results_table
+
+    rows = results_table.choices(results_table.REPORT)
+    assert len(rows) > 10
+    assert all(row in RESULTS for row in rows)
+
+
+def test_the_intervals_of_shares():
+    (row,) = re.findall(r"^\| share, 95 % interval \| (.*) \|$", RESULTS, re.MULTILINE)
+    for count, printed in enumerate(row.split(" | ")):
+        share = emcc.share(count, 10)
+        assert [f"{end:.2f}" for end in (share.low, share.high)] == [
+            f"{float(end):.2f}" for end in printed.strip("[]").split(", ")
+        ]
+
+
 def test_two_algorithms_of_one_cost_rate():
     rng = np.random.default_rng(0)
     for level in (1, 2):
@@ -65,12 +82,12 @@ def test_two_algorithms_of_one_cost_rate():
 def test_the_verdicts():
     report = (ROOT / "results" / "circle2d" / "report.md").read_text()
     verdicts = re.findall(r"^### (\d)\. .* \*\*(\w+)\*\*$", report, re.MULTILINE)
-    assert [number for number, _ in verdicts] == list("123456")
+    assert [number for number, _ in verdicts] == list("1234567")
     told = re.findall(r"^\| (\d)\. [^|]* \| (\w+) \|", RESULTS, re.MULTILINE)
     assert told == [(number, verdict.lower()) for number, verdict in verdicts]
     counts = [sum(of == verdict for _, of in told) for verdict in ("confirmed", "refuted")]
-    assert counts == [1, 3]
-    assert "Of the paper's six claims one is confirmed, three are refuted, two stay" in README
+    assert counts == [1, 4]
+    assert "Of the paper's seven claims one is confirmed, four are refuted, two stay" in README
 
 
 def test_the_example_of_ties():

@@ -33,7 +33,7 @@ from agents.reporting.scenes import Scenes
 from agents.reporting.table import Block, Table, markdown, plain
 from agents.reporting.tables import task_table
 from agents.results.archive import open_source, write_archive
-from agents.results.joined import open_sources
+from agents.results.joined import JoinedSource
 from agents.results.reading import Group, read_groups
 from agents.results.source import Source
 from agents.training.files import write_whole
@@ -53,8 +53,8 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     its name without the suffix; several paths need one. Raises UserError where no run is left, or
     an archive is damaged.
     """
-    source = open_sources(paths)
     out = _folder(paths, out)
+    source = open_source(*paths) if len(paths) == 1 else JoinedSource(paths, out.resolve().name)
     notes: list[str] = []
     everything = with_distinct_titles(read_groups(source, notes), source)
     groups, ablated = ablations.split(everything)
@@ -99,6 +99,8 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
 
 def _folder(paths: Sequence[Path], out: Path | None) -> Path:
     """The folder to write to: see `report`."""
+    if not paths:
+        raise UserError("give a folder of runs, or an archive")
     if out is None and len(paths) > 1:
         raise UserError("a report on several folders or archives needs out, a folder to write to")
     chosen = out or (paths[0].with_suffix("") if paths[0].is_file() else paths[0])

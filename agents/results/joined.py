@@ -18,43 +18,35 @@ from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
 
 
-def open_sources(paths: Sequence[Path]) -> Source:
-    """The runs in some folders and archives. Raises UserError as `open_source` and `JoinedSource`
-    do."""
-    if not paths:
-        raise UserError("give a folder of runs, or an archive")
-    sources = [open_source(path) for path in paths]
-    return sources[0] if len(sources) == 1 else JoinedSource(sources)
-
-
 class JoinedSource:
-    """Sources side by side.
+    """The runs in some folders and archives, under a name of their own.
 
-    A folder keeps its name where no other source has one of that name; otherwise, and where it is a
-    source's own (`.`), the source's name stands before it. Raises UserError where that leaves two
-    folders of one name.
+    A folder keeps its name where no other source has one of that name; otherwise, and where it is
+    all of its source (`.`), the name of the path that was given stands before it. Raises UserError
+    where that leaves two folders of one name, and as `open_source` does.
     """
 
-    def __init__(self, sources: Sequence[Source]) -> None:
-        self.name = " and ".join(dict.fromkeys(source.name for source in sources))
-        self.problems: Sequence[str] = [words for source in sources for words in source.problems]
+    def __init__(self, paths: Sequence[Path], name: str) -> None:
+        self.name = name
+        sources = {path: open_source(path) for path in paths}
+        self.problems: Sequence[str] = [p for source in sources.values() for p in source.problems]
         self._of: dict[str, tuple[Source, str]] = {}
-        count = Counter(folder for source in sources for folder in source.configs)
-        for source in sources:
+        count = Counter(folder for source in sources.values() for folder in source.configs)
+        for path, source in sources.items():
+            before = path.stem if path.is_file() else path.resolve().name
             for folder in source.configs:
                 alone = count[folder] == 1 and folder != "."
-                name = folder if alone else title(source.name, folder)
-                if name in self._of:
-                    raise UserError(f"two of the sources hold runs named {name}: rename a folder")
-                self._of[name] = source, folder
+                joined = folder if alone else title(before, folder)
+                if joined in self._of:
+                    raise UserError(f"two of the sources hold runs named {joined}: rename one")
+                self._of[joined] = source, folder
         self.configs: Mapping[str, dict[str, Any]] = {
-            name: source.configs[folder] for name, (source, folder) in self._of.items()
+            joined: source.configs[folder] for joined, (source, folder) in self._of.items()
         }
 
     def title(self, folder: str) -> str:
-        """A folder as seen from beside its source's."""
-        source, own = self._of[folder]
-        return source.title(own)
+        """A folder as seen from beside one that would hold all."""
+        return title(self.name, folder)
 
     def sessions(self, folder: str) -> Mapping[str, float]:
         """Seconds that each process trained a folder; empty where nothing says."""

@@ -8,7 +8,7 @@ from small_runs import write_evaluated
 import agents
 from agents.cli.main import main
 from agents.errors import UserError
-from agents.results.joined import open_sources
+from agents.results.joined import JoinedSource
 
 TASK = "Circle2D-1-v0"
 
@@ -43,18 +43,28 @@ def test_an_archive_and_a_folder_are_reported_as_one(parts, tmp_path, capsys):
 
 def test_folders_of_one_name_have_their_sources_before_it(parts):
     root, archive, folder = parts
-    joined = open_sources([root / "whole", folder])
+    joined = JoinedSource([root / "whole", folder], "all")
     assert set(joined.configs) == {f"{TASK}/cpo", f"whole/{TASK}/wcsac", f"grid/{TASK}/wcsac"}
-    alone = open_sources([folder / TASK / "wcsac", archive])
+    alone = JoinedSource([folder / TASK / "wcsac", archive], "all")
     assert set(alone.configs) == {"wcsac", f"{TASK}/cpo"}
-    assert alone.title("wcsac") == "wcsac"
-    assert alone.name == "wcsac and grid"
+    assert alone.title("wcsac") == "all/wcsac"
+
+
+def test_archives_of_single_folders_have_the_names_of_their_files(parts, tmp_path):
+    root, *_ = parts
+    for name in ("cpo", "wcsac"):
+        single = tmp_path / name / "runs"
+        shutil.copytree(root / "whole" / TASK / name, single)
+        agents.report(single, archive=tmp_path / f"{name}-runs.zip")
+    joined = JoinedSource(sorted(tmp_path.glob("*.zip")), "all")
+    assert list(joined.configs) == ["cpo-runs", "wcsac-runs"]
 
 
 def test_mistakes(parts):
     root, archive, folder = parts
+    shutil.copytree(root / "cpo" / "grid", root / "other" / "grid", dirs_exist_ok=True)
     with pytest.raises(UserError, match=f"two of the sources hold runs named grid/{TASK}/cpo"):
-        open_sources([archive, root / "cpo" / "grid"])
+        JoinedSource([root / "other" / "grid", root / "cpo" / "grid"], "all")
     with pytest.raises(UserError, match="several folders or archives needs out"):
         agents.report(archive, folder)
     with pytest.raises(UserError, match="give a folder of runs"):
