@@ -75,6 +75,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     checked = check_claims(groups)
     verdicts = [claims_text.markdown(checked)] if checked else []
     if archive is not None:
+        archive.parent.mkdir(parents=True, exist_ok=True)
         write_archive(archive, source, everything)
     sections = [Section(claims_text.TITLE, claims=checked)] if checked else []
     sections += [Section(name, common.get(name), of) for name, of in shown.items()]

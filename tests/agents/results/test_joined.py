@@ -32,13 +32,13 @@ def csv(folder):
 def test_an_archive_and_a_folder_are_reported_as_one(parts, tmp_path, capsys):
     root, archive, folder = parts
     agents.report(root / "whole")
-    packed, out = tmp_path / "both.zip", tmp_path / "out"
+    packed, out = tmp_path / "new" / "both.zip", tmp_path / "out"
     sources = [str(archive), str(folder)]
     assert main(["report", *sources, "--out", str(out), "--archive", str(packed)]) == 0
     assert csv(out) == csv(root / "whole")
     agents.report(packed)  # what was joined is an archive like any other
     for name in ("report.csv", "report.md", "index.html"):
-        assert (tmp_path / "both" / name).read_bytes() == (out / name).read_bytes()
+        assert (tmp_path / "new" / "both" / name).read_bytes() == (out / name).read_bytes()
 
 
 def test_folders_of_one_name_have_their_sources_before_it(parts):
