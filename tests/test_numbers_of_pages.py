@@ -79,6 +79,38 @@ def test_two_algorithms_of_one_cost_rate():
         assert f"| {level} | {means[0]} | < .001 | {' | '.join(means[1:])} |" in RESULTS
 
 
+def test_streak_cost_against_a_margin():
+    page = (ROOT / "results" / "solve" / "README.md").read_text()
+    measures = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "mean_streak", "cost_rate", "J_R", "J_C")
+    digits = (3, 3, 3, 2, 3, 1, 1)
+    p_values = {}
+    for level in (1, 3):
+        sides = []
+        for title, options in (
+            ("streak cost", ""),
+            ("margin", " (cost_limit 3.5, streak_weight 0.0)"),
+        ):
+            name = f"SAC-LB-Streak{options}"
+            runs = [r for r in of_level(level) if r["seed"] and r["algorithm"] == name]
+            sides.append({m: np.array([float(r[m]) for r in runs]) for m in measures})
+            numbers = [
+                f"{sides[-1][m].mean():.{k}f}" for m, k in zip(measures, digits, strict=True)
+            ]
+            printed = " | ".join(re.sub(r"^0\.", ".", number) for number in numbers)
+            good = sum(r["ends_in"].startswith("corridor") and float(r["J_C"]) <= 5 for r in runs)
+            assert f"| {level} | {title} | {printed} | {good} of 10 |" in page
+        for m in measures:
+            p_values[level, m] = emcc.permutation_test(*(of[m] for of in sides))
+        lower = [sides[0][m].mean() < sides[1][m].mean() for m in measures[:5]]
+        assert lower == [True] * 4 + [False]
+    safety = {key: p for key, p in p_values.items() if not key[1].startswith("J")}
+    corrected = dict(zip(safety, emcc.holm(list(safety.values())), strict=True))
+    assert max(corrected.values()) <= 0.026
+    clear = [(1, "EMCC_0.99"), (3, "EMCC_0.33"), *((k, m) for k in (1, 3) for m in measures[3:5])]
+    assert all(corrected[key] < 0.001 for key in clear)
+    assert min(p for key, p in p_values.items() if key not in safety) >= 0.055
+
+
 def test_the_verdicts():
     report = (ROOT / "results" / "circle2d" / "report.md").read_text()
     verdicts = re.findall(r"^### (\d)\. .* \*\*(\w+)\*\*$", report, re.MULTILINE)
