@@ -34,12 +34,6 @@ def check_folder(path: Path) -> None:
             raise UserError(f"out must be a folder, but {str(part)!r} is a file")
 
 
-def check_file(name: str, path: Path | None) -> None:
-    """Raise UserError for a file to be written that is a folder. name: of the option."""
-    if path is not None and path.is_dir():
-        raise UserError(f"{name} must be a file, but {str(path)!r} is a folder")
-
-
 def check_enough_steps(
     task: str, parameters: Mapping[str, Any], steps: int, hyperparameters: Any
 ) -> None:

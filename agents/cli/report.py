@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.cli.checks import check_file, check_width
+from agents.cli.checks import check_width
 from agents.cli.options import Folders, Imports, parse
 from agents.cli.terminal import show
 from agents.reporting.report import report
@@ -36,7 +36,6 @@ def run(args: Sequence[str]) -> int:
     """Run `circle2d report`; returns the exit status."""
     options = parse(ReportOptions, "report", args)
     check_width(options.width)
-    check_file("archive", options.archive)
     with working("reading runs and drawing figures"):
         blocks = report(*options.folders, archive=options.archive, out=options.out)
     show(blocks, options.width)

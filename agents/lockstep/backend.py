@@ -9,7 +9,6 @@ from collections.abc import Iterator
 
 import torch
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from agents.errors import UserError
@@ -23,12 +22,10 @@ def configure(compiles: bool = False, device: str = "cpu") -> None:
 
     compiles: run functions marked `compiled` as compiled code from now on; device: "cpu" or "cuda",
     where new tensors go. One thread a process, since lockstep runs fill a core and processes fill
-    the others: NumPy's threads wait busily, and would slow two trainings beside each other nine
-    times. Raises UserError where torch sees no such device or cannot compile.
+    the others. Raises UserError where torch sees no such device or cannot compile.
     """
     require(compiles, device)
     torch.set_num_threads(1)
-    threadpool_limits(1, user_api="blas")
     torch.set_default_device(device if device != "cpu" else None)
     _keep_freed_memory()
     _use_onednn_products()
@@ -45,8 +42,7 @@ def require(compiles: bool, device: str) -> None:
 
 @contextlib.contextmanager
 def restored() -> Iterator[None]:
-    """Restore at the end what `configure` changes: threads, torch's and NumPy's, default device,
-    products, compilation.
+    """Restore at the end what `configure` changes: threads, default device, products, compilation.
 
     Three things stay: freed memory is kept, PyTorch keeps compiled code in a folder of ours unless
     TORCHINDUCTOR_CACHE_DIR names another, and two callbacks measure its compiler's time.
@@ -55,8 +51,7 @@ def restored() -> Iterator[None]:
     matmul = getattr(torch.backends.mkldnn, "matmul", None)
     precision = getattr(matmul, "fp32_precision", None)
     try:
-        with threadpool_limits(None):  # sets none, but restores them
-            yield
+        yield
     finally:
         torch.set_num_threads(threads)
         torch.set_default_device(None if device == torch.device("cpu") else device)

@@ -67,6 +67,7 @@ class MLP:
     def forward(self, params: Tensor, x: Tensor) -> Tensor:
         """The outputs of networks params [N, size] for inputs x [N, B, in]: [N, B, out]."""
         parts = params.split(self._splits, dim=-1)
+        # view: torch 2.11 cannot compile unflatten for a GPU.
         layers = [p.view(len(p), *shape) for p, shape in zip(parts, self._shapes, strict=False)]
         # tanh(z) = 2σ(2z) - 1, with the factors folded into the weights: torch's tanh kernel on
         # CPU is six times slower than its sigmoid, and weights are smaller than activations.

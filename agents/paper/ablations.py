@@ -22,7 +22,8 @@ def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group
         if group.config.hyperparameters not in others.values():
             continue
         beside = [of for of in groups if _is_preset(of.config, group.config)]
-        pairs += [(beside[0], group)] if beside else []
+        if beside:  # of several, such as published runs and a trial, that of most runs
+            pairs.append((max(beside, key=lambda of: len(of.runs)), group))
     ablated = {group.folder for _, group in pairs}
     return [group for group in groups if group.folder not in ablated], pairs
 

@@ -20,8 +20,9 @@ METHOD = (
     "where it holds for the whole interval: 9 of 10 runs, from 0.55 on, are more than half, 8 of "
     "10 are not. Means have 95 % t intervals; where runs end in different places, or are fewer "
     "than five, their range. Differences are decided by permutation tests of Welch's t, "
-    f"equivalence by two one-sided ones, at {LEVEL:g}. To refute, one-sided bounds and tests at "
-    f"{LEVEL:g} divided by the number of parts of the claim are taken, since one part is enough."
+    f"equivalence by two one-sided ones, at {LEVEL:g}. To refute, one-sided bounds, and two-sided "
+    f"tests, at {LEVEL:g} divided by the number of parts of the claim are taken, since one part is "
+    "enough. Runs of equal settings in several folders count together; of one seed, the first."
 )
 
 

@@ -53,7 +53,9 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     its name without the suffix; several paths need one. Raises UserError where no run is left, or
     an archive is damaged.
     """
-    out = _folder(paths, out)
+    out = _output_folder(paths, out)
+    if archive is not None:
+        _check_archive(archive)
     source = open_source(*paths) if len(paths) == 1 else JoinedSource(paths, out.resolve().name)
     notes: list[str] = []
     everything = with_distinct_titles(read_groups(source, notes), source)
@@ -75,7 +77,6 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     checked = check_claims(groups)
     verdicts = [claims_text.markdown(checked)] if checked else []
     if archive is not None:
-        archive.parent.mkdir(parents=True, exist_ok=True)
         write_archive(archive, source, everything)
     sections = [Section(claims_text.TITLE, claims=checked)] if checked else []
     sections += [Section(name, common.get(name), of) for name, of in shown.items()]
@@ -98,7 +99,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     return [*main.values(), *verdicts]
 
 
-def _folder(paths: Sequence[Path], out: Path | None) -> Path:
+def _output_folder(paths: Sequence[Path], out: Path | None) -> Path:
     """The folder to write to: see `report`."""
     if not paths:
         raise UserError("give a folder of runs, or an archive")
@@ -108,6 +109,16 @@ def _folder(paths: Sequence[Path], out: Path | None) -> Path:
     if chosen.is_file():
         raise UserError(f"{chosen} is a file; the report needs a folder: give another for out")
     return chosen
+
+
+def _check_archive(path: Path) -> None:
+    """Make the folder of a file to be written. Raises UserError where there can be none."""
+    if path.is_dir():
+        raise UserError(f"archive must be a file, but {str(path)!r} is a folder")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"archive cannot be written: {error}") from None
 
 
 def table(folder: Path) -> list[Table]:

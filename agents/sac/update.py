@@ -212,7 +212,8 @@ def update(
     if isinstance(multiplier, MultiplierState):  # a PID controller's follows once an epoch
         cost = risk.mean(dim=-1, keepdim=True)
         multiplier = lagrange.follow(rule.multiplier_form, config, multiplier, cost)
-    # Not by _replace: from twice that, torch 2.11 on Python 3.12 compiles an empty tuple.
+    # One constructor call: of two chained _replace calls torch 2.11 on Python 3.12 returns an empty
+    # tuple where it compiles.
     after = SACState(
         actor=actor,
         critics=critics,
@@ -229,7 +230,10 @@ def update(
 def temperature_step(
     config: SACConfig, state: SACState, log_prob: Tensor, action_size: int
 ) -> tuple[Tensor, Moments]:
-    """Descend `-α E[log π + target entropy]`, target entropy -A, along log α; log_prob: [R, B]."""
+    """Descend `-α E[log π + target entropy]`, target entropy -A, along log α; log_prob: [R, B].
+
+    Returns log α and its moments.
+    """
     excess = log_prob.mean(dim=-1, keepdim=True) - action_size
     gradient = -state.log_temperature.exp() * excess
     return adam(state.log_temperature, gradient, state.temperature_moments, config.temperature_lr)

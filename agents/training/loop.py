@@ -10,6 +10,8 @@ import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
+
 from agents.errors import UserError
 from agents.lockstep import backend
 from agents.training.config import CHECKPOINT, PREVIOUS, TrainConfig, check_together, run_folders
@@ -38,7 +40,9 @@ def train(*folders: Path, on_epoch: OnEpoch = lambda trainings: None) -> list[Tr
 
     The folders are ones that `TrainConfig.write` made. Several train jointly: they differ in tasks
     and seeds only, and each is left as if it had trained alone. Changes torch's threads and matrix
-    products for the process (`backend.configure`); the last bits of results depend on them.
+    products for the process (`backend.configure`); the last bits of results depend on them. NumPy
+    has one thread meanwhile: its idle threads spin, which made two trainings side by side on two
+    cores nine times slower.
 
     Ends with an evaluation over 100 episodes. Where `on_epoch` returns False, the training stops
     after a checkpoint instead, from which it can be resumed. Raises UserError where folders cannot
@@ -50,6 +54,7 @@ def train(*folders: Path, on_epoch: OnEpoch = lambda trainings: None) -> list[Tr
     one = next(iter(configs.values()))
     backend.configure(one.backend == "compiled", one.device)
     with contextlib.ExitStack() as stack:
+        stack.enter_context(threadpool_limits(1, user_api="blas"))
         for folder in configs:
             stack.enter_context(locked(folder))
             remove_leftovers(folder)

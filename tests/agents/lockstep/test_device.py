@@ -9,6 +9,7 @@ import pytest
 import torch
 from threadpoolctl import threadpool_info, threadpool_limits
 
+import agents
 from agents.algorithms import ALGORITHMS, BUILT_IN
 from agents.errors import UserError
 from agents.lockstep import backend, compiling, lagrange
@@ -85,17 +86,20 @@ def test_no_gpu_is_a_mistake():
         backend.configure(device="cuda")
 
 
-def test_training_has_one_thread_and_the_caller_gets_its_own_back():
-    """NumPy's threads too: two trainings side by side were nine times slower with two each."""
+def test_numpy_has_one_thread_in_training_and_the_callers_afterwards():
+    """Its idle threads spin: two trainings side by side were nine times slower with two each."""
 
     def of_numpy():
         return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
+    seen = []
     with threadpool_limits(3, user_api="blas"):
-        with backend.restored():
-            backend.configure()
-            assert (torch.get_num_threads(), of_numpy()) == (1, {1})
+        arguments = {"seeds": 0, "steps": 200, "episodes": 2, "backend": "eager"}
+        agents.train(
+            *("trpo-lag", "Circle2D-1-v0"), **arguments, on_epoch=lambda _: seen.append(of_numpy())
+        )
         assert of_numpy() == {3}
+    assert seen == [{1}, {1}]
 
 
 def test_the_callers_limit_of_compilations_comes_back(monkeypatch, tmp_path):

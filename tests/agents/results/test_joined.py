@@ -1,6 +1,7 @@
 """Folders and archives side by side give the report of one folder that holds all of them."""
 
 import shutil
+from dataclasses import replace
 
 import pytest
 from small_runs import write_evaluated
@@ -8,7 +9,10 @@ from small_runs import write_evaluated
 import agents
 from agents.cli.main import main
 from agents.errors import UserError
+from agents.paper import ablations
+from agents.paper.presets import preset
 from agents.results.joined import JoinedSource
+from agents.results.reading import read_groups
 
 TASK = "Circle2D-1-v0"
 
@@ -50,21 +54,48 @@ def test_folders_of_one_name_have_their_sources_before_it(parts):
     assert alone.title("wcsac") == "all/wcsac"
 
 
-def test_archives_of_single_folders_have_the_names_of_their_files(parts, tmp_path):
+def test_sources_have_as_much_of_their_paths_as_tells_them_apart(parts, tmp_path):
+    """Archives of single folders; `runs` beside `published/runs.zip`; `runs` beside `runs.zip`."""
     root, *_ = parts
-    for name in ("cpo", "wcsac"):
-        single = tmp_path / name / "runs"
-        shutil.copytree(root / "whole" / TASK / name, single)
-        agents.report(single, archive=tmp_path / f"{name}-runs.zip")
-    joined = JoinedSource(sorted(tmp_path.glob("*.zip")), "all")
-    assert list(joined.configs) == ["cpo-runs", "wcsac-runs"]
+    single = tmp_path / "mine" / "runs"
+    shutil.copytree(root / "whole" / TASK / "cpo", single)
+    for name in ("cpo", "published/runs", "mine/runs"):
+        agents.report(single, archive=tmp_path / f"{name}.zip")
+    cpo, published, beside = (
+        tmp_path / f"{of}.zip" for of in ("cpo", "published/runs", "mine/runs")
+    )
+    assert list(JoinedSource([cpo, published], "all").configs) == ["cpo", "runs"]
+    assert list(JoinedSource([single, published], "all").configs) == ["mine/runs", "published/runs"]
+    assert list(JoinedSource([single, beside], "all").configs) == ["runs", "runs.zip"]
 
 
-def test_mistakes(parts):
+def test_the_ablation_of_one_source_stands_beside_the_preset_of_most_runs(tmp_path):
+    preset_of = preset("trpo-lag", TASK)
+    for folder, costs, changes in (
+        ("mine/trial", (2,), {}),
+        ("grid/trpo-lag", (2, 4, 3), {}),
+        ("grid/trpo-lag-sgd", (5, 6), {"multiplier_optimizer": "sgd"}),
+    ):
+        hyperparameters = replace(preset_of, **changes)
+        write_evaluated(tmp_path / folder, "trpo-lag", costs, hyperparameters, task=TASK)
+    source = JoinedSource([tmp_path / "mine", tmp_path / "grid"], "all")
+    _, pairs = ablations.split(read_groups(source, []))
+    assert [(a.folder, b.folder) for a, b in pairs] == [("trpo-lag", "trpo-lag-sgd")]
+
+
+def test_mistakes(parts, tmp_path):
     root, archive, folder = parts
-    shutil.copytree(root / "cpo" / "grid", root / "other" / "grid", dirs_exist_ok=True)
-    with pytest.raises(UserError, match=f"two of the sources hold runs named grid/{TASK}/cpo"):
-        JoinedSource([root / "other" / "grid", root / "cpo" / "grid"], "all")
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for inner in (root / "whole", root / "whole" / TASK, root / "whole" / ".." / "whole"):
+        with pytest.raises(UserError, match="is in .*whole: its runs would count twice"):
+            JoinedSource([inner, root / "whole"], "all")
+    with pytest.raises(UserError, match="empty holds no runs"):
+        JoinedSource([empty, archive], "all")
+    with pytest.raises(UserError, match="archive must be a file, but .* is a folder"):
+        agents.report(archive, archive=empty)
+    with pytest.raises(UserError, match="archive cannot be written: .*Not a directory|File exists"):
+        agents.report(archive, archive=archive / "x.zip")
     with pytest.raises(UserError, match="several folders or archives needs out"):
         agents.report(archive, folder)
     with pytest.raises(UserError, match="give a folder of runs"):
