@@ -134,6 +134,8 @@ SCENARIOS = {
     "CPO equal": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.2135}, 7, "undecided"),
     "CPO higher but for a seed": (LEVEL[1], "cpo", (0,), {"EMCC_0__99": 0.2}, 7, "confirmed"),
     "TRPO-Lag of .2 to 1": (LEVEL[3], "trpo-lag", (0,), {"EMCC_0__99": 1.0}, 7, "undecided"),
+    # p = .03: below .05, but not below .05 / 24.
+    "CPO hardly lower": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.206}, 7, "undecided"),
     "SAC-LB lower in the middle": (LEVEL[2], "sac-lb", ALL, {"EMCC_0__66": 0.29}, 7, "refuted"),
     "early EMCC is not claimed": (LEVEL[2], "trpo-lag", ALL, {"EMCC_0__33": 0.9}, 7, "confirmed"),
 }

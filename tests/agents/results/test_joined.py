@@ -88,13 +88,13 @@ def test_mistakes(parts, tmp_path):
     empty = tmp_path / "empty"
     empty.mkdir()
     for inner in (root / "whole", root / "whole" / TASK, root / "whole" / ".." / "whole"):
-        with pytest.raises(UserError, match="is in .*whole: its runs would count twice"):
+        with pytest.raises(UserError, match=r"is in .*whole: its runs would count twice"):
             JoinedSource([inner, root / "whole"], "all")
     with pytest.raises(UserError, match="empty holds no runs"):
         JoinedSource([empty, archive], "all")
-    with pytest.raises(UserError, match="archive must be a file, but .* is a folder"):
+    with pytest.raises(UserError, match=r"archive must be a file, but .* is a folder"):
         agents.report(archive, archive=empty)
-    with pytest.raises(UserError, match="archive cannot be written: .*Not a directory|File exists"):
+    with pytest.raises(UserError, match="archive cannot be written"):
         agents.report(archive, archive=archive / "x.zip")
     with pytest.raises(UserError, match="several folders or archives needs out"):
         agents.report(archive, folder)
