@@ -24,8 +24,8 @@ class JoinedSource:
 
     A folder keeps its name where no other source has one of that name; otherwise, and where it is
     all of its source (`.`), its source's path stands before it: as many of its last parts as tell
-    the sources apart. Raises UserError as `open_source` does, for a source without runs, and for
-    one that lies in another.
+    the sources apart. Raises UserError as `open_source` does, for a source without runs, for one
+    that lies in another, and where two folders get one name.
     """
 
     def __init__(self, paths: Sequence[Path], name: str) -> None:
@@ -41,6 +41,8 @@ class JoinedSource:
             for folder in source.configs:
                 is_unique = count[folder] == 1 and folder != "."
                 joined = folder if is_unique else title(prefix, folder)
+                if joined in self._origins:
+                    raise UserError(f"two of the sources hold runs named {joined}: rename one")
                 self._origins[joined] = source, folder
         self.configs: Mapping[str, dict[str, Any]] = {
             joined: source.configs[folder] for joined, (source, folder) in self._origins.items()

@@ -67,6 +67,8 @@ def test_sources_have_as_much_of_their_paths_as_tells_them_apart(parts, tmp_path
     assert list(JoinedSource([cpo, published], "all").configs) == ["cpo", "runs"]
     assert list(JoinedSource([single, published], "all").configs) == ["mine/runs", "published/runs"]
     assert list(JoinedSource([single, beside], "all").configs) == ["runs", "runs.zip"]
+    with pytest.raises(UserError, match="two of the sources hold runs named cpo: rename one"):
+        JoinedSource([root / "whole" / TASK, cpo], "all")
 
 
 def test_the_ablation_of_one_source_stands_beside_the_preset_of_most_runs(tmp_path):
