@@ -17,7 +17,7 @@ from agents.reporting.report import table
 from agents.reporting.table import markdown
 from agents.results.archive import open_source
 from agents.results.reading import Group, read_groups
-from agents.results.source import FolderSource
+from agents.results.source import NO_RUNS, FolderSource
 from agents.training.config import TrainConfig, run_folder
 from emcc import EpisodeRecords
 
@@ -143,8 +143,7 @@ def load_runs(*folders: str | Path) -> Runs:
     for root in map(Path, folders):
         source = FolderSource(root)
         if source.problems or not source.configs:
-            none = f"{root} holds no runs: no config.json that circle2d train wrote"
-            raise UserError("; ".join(source.problems) or none)
+            raise UserError("; ".join(source.problems) or f"{root} {NO_RUNS}")
         found |= dict.fromkeys(root / name for name in source.configs)
     if not found:
         raise UserError("load_runs needs a folder of runs")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.results.archive import open_source
-from agents.results.source import RunFiles, Source, title
+from agents.results.source import NO_RUNS, RunFiles, Source, title
 from agents.results.steps import Episode, Replay, Visits
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
@@ -37,7 +37,7 @@ class JoinedSource:
         count = Counter(folder for source in sources for folder in source.configs)
         for path, source, prefix in zip(paths, sources, _prefixes(paths), strict=True):
             if not source.configs and not source.problems:
-                raise UserError(f"{path} holds no runs: no config.json that circle2d train wrote")
+                raise UserError(f"{path} {NO_RUNS}")
             for folder in source.configs:
                 is_unique = count[folder] == 1 and folder != "."
                 joined = folder if is_unique else title(prefix, folder)

@@ -11,7 +11,7 @@ import numpy as np
 
 from agents.errors import UserError
 from agents.results.measures import RunData, measures
-from agents.results.source import DamagedSource, Source
+from agents.results.source import NO_RUNS, DamagedSource, Source
 from agents.training.config import TrainConfig
 from agents.training.evaluation import CVAR_ALPHA, POLICIES
 from emcc import EpisodeRecords, cvar
@@ -111,7 +111,7 @@ def read_groups(source: Source, notes: list[str]) -> list[Group]:
         groups.append(group)
         notes += _left_out(source.title(folder), group.missing)
     if not groups and not notes:
-        raise UserError(f"{source.name} holds no runs: no config.json that circle2d train wrote")
+        raise UserError(f"{source.name} {NO_RUNS}")
     if not any(group.runs for group in groups):
         raise UserError(f"{source.name} holds no complete runs" + "".join(f"; {n}" for n in notes))
     return groups
