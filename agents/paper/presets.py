@@ -123,10 +123,10 @@ TIME_LIMIT = Unprinted(
 def unprinted(name: str) -> Unprinted | None:
     """The hyper-parameter that decides and that the paper does not print; None where there is none.
 
-    On Circle2D the presets have the choice that gives the paper's results: the printed step size of
-    TRPO-Lag's multiplier fits one optimiser or the other; whether step 50 ends an episode for good
-    decides where the off-policy methods end up. (The multipliers of SAC-Lag and WCSAC ascend by
-    Adam, as everything else of theirs does.)
+    The printed step size of TRPO-Lag's multiplier fits one optimiser or the other; whether step 50
+    ends an episode of Circle2D for good decides where the off-policy methods end up. What either
+    choice gives beside the paper's results: results/README.md. (The multipliers of SAC-Lag and
+    WCSAC ascend by Adam, as everything else of theirs does.)
     """
     if name == "trpo-lag":
         return MULTIPLIER

@@ -144,9 +144,9 @@ def _paper_notes(groups: Sequence[Group]) -> list[str]:
         ):
             choice = getattr(config.hyperparameters, setting.field)
             titles.setdefault(setting.choices[choice], {})[name] = None
-    source = "Whether the paper did so is not printed."
+    source = "The paper does not print this choice."
     if is_circle2d(groups[0].config.task):
-        source = "That the paper did so is inferred from its results, not printed."
+        source = "The paper does not print this choice, which decides where runs end."
     notes = [f"{', '.join(of)}: {meaning}. {source}" for meaning, of in titles.items()]
     limited: dict[str, dict[str, None]] = {}
     for config in (group.config for group in groups):

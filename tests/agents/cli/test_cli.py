@@ -39,7 +39,7 @@ def test_train_prints_and_writes_the_table(folder, capsys):
     ]
     paper = [cell.strip() for cell in rows[1].split("|")[2:9]]
     assert paper == ["0.62", "0.63", "0.43", "0.20", "-13.70", "3.32", "3.64"]
-    assert "inferred from its results, not printed" in out
+    assert "The paper does not print this choice" in out
     assert (folder / "report.csv").read_text().count("SAC-Lag") >= 4
     assert share_done(folder) == 1.0
     assert not (folder / "timing.log").exists()

@@ -70,10 +70,10 @@ def test_a_table_says_what_of_its_presets_is_not_printed(tmp_path):
         for name in ("trpo-lag", "cpo", "sac-lb"):
             write_runs(tmp_path / task / name, name, [-10.0], task=task)
     by_circle2d, by_safety = markdown(table(tmp_path)).split(f"| {SAFETY}")
-    inferred = "That the paper did so is inferred from its results, not printed.\n"
-    assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {inferred}" in by_circle2d
-    assert f"SAC-LB: the last step of an episode counts as terminal. {inferred}" in by_circle2d
-    told = "Whether the paper did so is not printed.\n"
+    decides = "The paper does not print this choice, which decides where runs end.\n"
+    assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {decides}" in by_circle2d
+    assert f"SAC-LB: the last step of an episode counts as terminal. {decides}" in by_circle2d
+    told = "The paper does not print this choice.\n"
     assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {told}" in by_safety
     assert f"SAC-LB: values bootstrap at the time limit of an episode. {told}" in by_safety
 

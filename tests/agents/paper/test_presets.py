@@ -23,7 +23,7 @@ OFF_POLICY = {
     "gradient_steps": 5,
     "random_steps": 5000,
     "replay_size": 50000,
-    "time_limit": "terminal",  # inferred, not printed
+    "time_limit": "terminal",  # not printed
 }
 PRINTED = {
     "trpo-lag": ON_POLICY | {"initial_multiplier": 0.001, "multiplier_lr": 0.005},
