@@ -50,7 +50,8 @@ class SACConfig:
     al."""
     time_limit: TimeLimit = "bootstrap"
     """Whether to bootstrap at the time limit: bootstrap, terminal (not), or terminal_cost (the
-    return only: costs end there). Not printed; the presets of Circle2D have terminal."""
+    return only: costs end there). Not printed in the paper; the presets of Circle2D have
+    terminal."""
     random_share: float = 0.0
     """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0
     the replay keeps these to the end. Not in the paper; 0: none."""
