@@ -9,6 +9,16 @@ from agents.results.reading import Group
 from agents.training.config import TrainConfig
 
 
+def choice_of(config: TrainConfig) -> str | None:
+    """The choice of what the paper does not print that runs have: empty for the preset's, a name of
+    `presets.ablations`, or None where another setting differs too."""
+    if config.task_parameters:
+        return None
+    name, task = config.algorithm, config.task
+    choices = {"": preset(name, task)} | ablations(name, task)
+    return next((of for of, chosen in choices.items() if chosen == config.hyperparameters), None)
+
+
 def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group]]]:
     """The groups to report as usual, and the pairs of a preset's group and an ablated one.
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
+from agents.paper.ablations import choice_of
 from agents.paper.claims_emcc import EQUAL_RATES, LOWEST_LATE, TREND
 from agents.paper.evidence import (
     LATE,
     LEVEL_TASKS,
-    Checked,
     Claim,
     Evidence,
     Finding,
@@ -171,17 +172,55 @@ CLAIMS = (STRAIGHT_THROUGH, TREND, CORRIDOR, LOW_COST, NOBODY, EQUAL_RATES, LOWE
 """In the order of the paper's sections Results and Analysis."""
 
 
+class Otherwise(NamedTuple):
+    """The verdict on a claim with another choice of what the paper does not print."""
+
+    choice: str
+    verdict: Verdict
+    findings: list[Finding]
+    """Those that it changes."""
+
+
+class Checked(NamedTuple):
+    """A claim with what was found; confirmed where all parts are, refuted where one is."""
+
+    claim: Claim
+    findings: list[Finding]
+    verdict: Verdict
+    otherwise: Sequence[Otherwise] = ()
+    """The other choices that change the verdict."""
+
+
 def check_claims(groups: Sequence[Group]) -> list[Checked]:
     """Every claim against the runs of the paper's grid; nothing where no algorithm has any.
 
     Runs with other settings or task parameters decide nothing, and neither do runs of other length
-    than the paper's, or fewer than are needed.
+    than the paper's, or fewer than are needed. Runs with another choice of what the paper does not
+    print tell where the verdict hangs on it.
     """
     evidence = gather(groups)
     if not any(cell.full for cell in evidence.values()):
         return []
-    checked = []
-    for claim in CLAIMS:
-        findings = claim.check(evidence)
-        checked.append(Checked(claim, findings, all_of(part.verdict for part in findings)))
-    return checked
+    others = _other_choices(groups)
+    return [_checked(claim, evidence, others) for claim in CLAIMS]
+
+
+def _other_choices(groups: Sequence[Group]) -> dict[str, Evidence]:
+    """Evidence with each other choice of which there are enough runs on a task."""
+    of_paper = (g.config for g in groups if g.config.algorithm in PAPER_ALGORITHMS)
+    choices = dict.fromkeys(filter(None, map(choice_of, of_paper)))
+    others = {choice: gather(groups, choice) for choice in choices}
+    return {k: of for k, of in others.items() if any(cell.choice for cell in of.values())}
+
+
+def _checked(claim: Claim, evidence: Evidence, others: Mapping[str, Evidence]) -> Checked:
+    findings = claim.check(evidence)
+    verdict = all_of(part.verdict for part in findings)
+    otherwise = []
+    for choice, evidence_of_it in others.items():
+        parts = claim.check(evidence_of_it)
+        other = all_of(part.verdict for part in parts)
+        if other != verdict:
+            changed = [part for part in parts if part not in findings]
+            otherwise.append(Otherwise(choice, other, changed))
+    return Checked(claim, findings, verdict, otherwise)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 
+from agents.algorithms import title
 from agents.paper.evidence import (
     EARLY,
     LATE,
@@ -47,7 +48,7 @@ def _trend(evidence: Evidence) -> list[Finding]:
         ]
         verdict = all_of(falls) if name in ON_POLICY else any_of(map(opposite, falls))
         facts = [fact for cell in cells for fact in _change(cell)]
-        findings.append(finding(cells[0].title, verdict, cells, facts))
+        findings.append(finding(title(name), verdict, cells, facts))
     return findings
 
 
@@ -64,7 +65,8 @@ def _change_of(run: Run) -> float | None:
 def _change(cell: Cell) -> list[Fact]:
     printed = cell.printed[LATE] - cell.printed[EARLY]
     mean = cell.mean("by", list(map(_change_of, cell.runs)), printed)
-    falls = cell.share(_falls, short(cell.task), "fall")
+    where = f"{short(cell.task)}{f' with {cell.choice}' if cell.choice else ''}"
+    falls = cell.share(_falls, where, "fall")
     return [*falls, *(fact._replace(signed=True) for fact in mean)]
 
 

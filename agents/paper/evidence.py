@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from agents.algorithms import algorithm
+from agents.paper.ablations import choice_of
 from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, registered_id
 from agents.paper.printed import paper_results
-from agents.paper.settings import changes
 from agents.results.reading import Group, Run, one_place
 from agents.results.statistics import LEVEL, equivalence_of, known, mean_of, p_of
 from circle2d_mj.registration import KINEMATIC
@@ -27,7 +27,8 @@ twenty."""
 
 
 class Cell(NamedTuple):
-    """The runs of an algorithm on a task with the paper's settings."""
+    """The runs of an algorithm on a task with the preset, or with another choice of what the paper
+    does not print."""
 
     task: str
     algorithm: str
@@ -36,16 +37,19 @@ class Cell(NamedTuple):
     """Why they decide nothing: fewer than `SEEDS`, or of other length; empty where they decide."""
     full: bool = False
     """Whether they have the paper's length."""
+    choice: str = ""
+    """The other choice, a name of `presets.ablations`; empty for the preset."""
 
     @property
     def title(self) -> str:
-        """Of the algorithm."""
-        return algorithm(self.algorithm).title
+        """Of the algorithm, with the other choice."""
+        title = algorithm(self.algorithm).title
+        return f"{title} with {self.choice}" if self.choice else title
 
     @property
     def printed(self) -> dict[str, float]:
         """The paper's numbers."""
-        return paper_results(self.task, self.title)
+        return paper_results(self.task, algorithm(self.algorithm).title)
 
     def share(self, does: Callable[[Run], bool], name: str, words: str) -> list[Fact]:
         """Share of runs that do something; nothing where there are no runs."""
@@ -110,34 +114,34 @@ class Claim(NamedTuple):
     check: Callable[[Evidence], list[Finding]]
 
 
-class Checked(NamedTuple):
-    """A claim with what was found; confirmed where all parts are, refuted where one is."""
+def gather(groups: Sequence[Group], choice: str = "") -> Evidence:
+    """The runs of presets on the paper's tasks, those with another setting left out.
 
-    claim: Claim
-    findings: list[Finding]
-    verdict: Verdict
+    choice: another choice of what the paper does not print. Where its runs suffice to decide, they
+    stand in the place of the preset's.
+    """
+    pairs = list(itertools.product(PAPER_STEPS, PAPER_ALGORITHMS))
+    evidence = {(task, name): _cell(groups, task, name, "") for task, name in pairs}
+    if choice:
+        others = {(task, name): _cell(groups, task, name, choice) for task, name in pairs}
+        evidence |= {key: cell for key, cell in others.items() if not cell.lacking}
+    return evidence
 
 
-def gather(groups: Sequence[Group]) -> Evidence:
-    """The runs of presets on the paper's tasks, those with another setting left out."""
-    pairs = itertools.product(PAPER_STEPS, PAPER_ALGORITHMS)
-    return {(task, name): _cell(groups, task, name) for task, name in pairs}
-
-
-def _cell(groups: Sequence[Group], task: str, name: str) -> Cell:
+def _cell(groups: Sequence[Group], task: str, name: str, choice: str) -> Cell:
     """Runs of the paper's length, one for each seed; where there are none, the longest of the
     others, which decide nothing."""
     found: dict[int, dict[int, Run]] = {}  # by steps and seed
     for group in groups:
         config = group.config
         same = registered_id(config.task) == task and config.algorithm == name
-        if same and group.runs and not changes(config):
+        if same and group.runs and choice_of(config) == choice:
             of_length = found.setdefault(config.steps, {})
             measured = {run.seed: run for run in group.runs if _has(run, task, name)}
             found[config.steps] = measured | of_length
     found = {steps: runs for steps, runs in found.items() if runs}
     if not found:
-        return Cell(task, name, (), "no runs")
+        return Cell(task, name, (), "no runs", choice=choice)
     full = PAPER_STEPS[task]
     steps = full if full in found else max(found)
     lacking = ""
@@ -145,7 +149,7 @@ def _cell(groups: Sequence[Group], task: str, name: str) -> Cell:
         lacking = f"{steps:,} of {full:,} steps"
     elif len(found[steps]) < SEEDS:
         lacking = f"{len(found[steps])} of {SEEDS} runs"
-    return Cell(task, name, tuple(found[steps].values()), lacking, steps == full)
+    return Cell(task, name, tuple(found[steps].values()), lacking, steps == full, choice)
 
 
 def _has(run: Run, task: str, name: str) -> bool:

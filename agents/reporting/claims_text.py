@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agents.paper.claims import LIMIT
-from agents.paper.evidence import SEEDS, Checked, Fact, Finding
+from agents.paper.claims import LIMIT, Checked
+from agents.paper.evidence import SEEDS, Fact, Finding
 from agents.reporting.table import Number, number_of, p_number
 from agents.results.statistics import LEVEL
 from emcc import Share
@@ -22,7 +22,10 @@ METHOD = (
     "than five, their range. Differences are decided by permutation tests of Welch's t, "
     f"equivalence by two one-sided ones, at {LEVEL:g}. To refute, one-sided bounds, and two-sided "
     f"tests, at {LEVEL:g} divided by the number of parts of the claim are taken, since one part is "
-    "enough. Runs of equal settings in several folders count together; of one seed, the first."
+    "enough. Runs of equal settings in several folders count together; of one seed, the first. "
+    'Some settings the paper does not print. "With bootstrap: refuted" says that the verdict is '
+    "another when runs with that choice take the place of the preset's on all tasks on which "
+    f"{SEEDS} of them are there."
 )
 
 
@@ -52,9 +55,13 @@ def _fact(fact: Fact) -> str:
 def markdown(checked: Sequence[Checked]) -> str:
     """A section with a heading for each claim."""
     lines = [f"## {TITLE}", "", METHOD, ""]
-    for number, (claim, findings, verdict) in enumerate(checked, 1):
+    for number, (claim, findings, verdict, otherwise) in enumerate(checked, 1):
         lines += [f"### {number}. {claim.text} **{verdict.capitalize()}**", ""]
-        lines += [f"Rule: {claim.rule}", ""]
-        lines += [f"- {finding_words(finding)}: {finding.verdict}" for finding in findings]
-        lines.append("")
+        lines += [f"Rule: {claim.rule}", "", *_listed(findings)]
+        for other in otherwise:
+            lines += [f"With {other.choice}: {other.verdict}", "", *_listed(other.findings)]
     return "\n".join(lines)
+
+
+def _listed(findings: Sequence[Finding]) -> list[str]:
+    return [*(f"- {finding_words(finding)}: {finding.verdict}" for finding in findings), ""]

@@ -13,7 +13,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from agents.paper.evidence import Checked
+from agents.paper.claims import Checked
 from agents.reporting import claims_text
 from agents.reporting.figures import Figure
 from agents.reporting.maps import Map, Maps

@@ -74,7 +74,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     main = _tables(by_task, ablated, notes) | common
     details = _details(by_task)
     tables = main | details
-    checked = check_claims(groups)
+    checked = check_claims(everything)
     verdicts = [claims_text.markdown(checked)] if checked else []
     if archive is not None:
         write_archive(archive, source, everything)

@@ -179,6 +179,30 @@ def test_what_decides_nothing(world):
     assert [c.verdict for c in check_claims([*ablated, *presets])] == ["confirmed"] * 7
 
 
+def test_another_choice_that_changes_a_verdict(world):
+    """SAC-Lag that waits with bootstrap on level 0 refutes the third claim, and no other."""
+    groups = [group(task, name, runs) for (task, name), runs in world.items()]
+    waiting = changed(world[LEVEL[0], "sac-lag"], ALL, ends="right rim")
+    nine, ten = (
+        group(LEVEL[0], "sac-lag", runs, time_limit="bootstrap") for runs in (waiting[:9], waiting)
+    )
+    assert not any(checked.otherwise for checked in check_claims([*groups, nine]))
+    assert verdicts(world) == [checked.verdict for checked in check_claims([*groups, ten])]
+    checked = check_claims([ten, *groups])
+    assert [len(of.otherwise) for of in checked] == [0, 0, 1, 0, 0, 0, 0]
+    (other,) = checked[2].otherwise
+    assert (other.choice, other.verdict, len(other.findings)) == ("bootstrap", "refuted", 1)
+    words = (
+        "in the corridor: SAC-Lag with bootstrap 0 of 10 runs [0.00, 0.31], SAC-LB 10 of 10 runs "
+        "[0.69, 1.00] (claimed: each has some)"
+    )
+    text = claims_text.markdown(checked)
+    assert f"With bootstrap: refuted\n\n- Circle2D-0: {words}: refuted\n" in text
+    html = unescape(page("x", [Section("The paper's claims", claims=checked)], {}))
+    assert html.count("With bootstrap:") == 2  # beside the claim, and where it is opened
+    assert html.count(words) == 1
+
+
 def test_two_folders_of_other_seeds_count_together(world):
     parts = [
         group(task, name, of)
@@ -202,7 +226,7 @@ def test_the_page_says_the_same(world):
     text = claims_text.markdown(checked)
     html = unescape(page("x", [Section("The paper's claims", claims=checked)], {}))
     assert text.count("**Confirmed**") == html.count("Confirmed</span>") == 7
-    for claim, findings, _ in checked:
+    for claim, findings, *_ in checked:
         for part in (claim.text, claim.rule, *map(claims_text.finding_words, findings)):
             assert part in text
             assert part in html
