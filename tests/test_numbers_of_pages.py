@@ -132,6 +132,13 @@ def test_the_verdicts():
     assert [number for number, _ in verdicts] == list("1234567")
     told = re.findall(r"^\| (\d)\. [^|]* \| (\w+) \|", RESULTS, re.MULTILINE)
     assert told == [(number, verdict.lower()) for number, verdict in verdicts]
+    sections = dict(
+        zip("1234567", re.split(r"^### \d", report, flags=re.MULTILINE)[1:], strict=True)
+    )
+    for number, row in re.findall(r"^\| (\d)\. (.*)$", RESULTS, re.MULTILINE):
+        other = re.search(r"^With bootstrap: (\w+)$", sections[number], re.MULTILINE)
+        assert ("`bootstrap`" in row) == (other is not None)
+        assert other is None or other[1] in row.partition("`bootstrap`")[2]
     counts = [sum(of == verdict for _, of in told) for verdict in ("confirmed", "refuted")]
     assert counts == [1, 4]
     told = "Of the paper's seven claims one is confirmed, four are refuted, two stay undecided"
