@@ -23,9 +23,9 @@ METHOD = (
     f"equivalence by two one-sided ones, at {LEVEL:g}. To refute, one-sided bounds, and two-sided "
     f"tests, at {LEVEL:g} divided by the number of parts of the claim are taken, since one part is "
     "enough. Runs of equal settings in several folders count together; of one seed, the first. "
-    'Some settings the paper does not print. "With bootstrap: refuted" says that the verdict is '
-    "another when runs with that choice take the place of the preset's on all tasks on which "
-    f"{SEEDS} of them are there."
+    "The paper does not print some settings, such as whether values bootstrap at the time limit. "
+    '"With bootstrap: refuted": the verdict is another where runs with that choice take the place '
+    f"of the preset's, on all tasks that have {SEEDS} of them."
 )
 
 
