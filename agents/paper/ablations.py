@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agents.paper.presets import ablations, preset
+from agents.paper.presets import ablations
+from agents.paper.settings import hyperparameter_changes
 from agents.results.reading import Group
 from agents.training.config import TrainConfig
 
 
 def choice_of(config: TrainConfig) -> str | None:
-    """The choice of what the paper does not print that runs have: empty for the preset's, a name of
-    `presets.ablations`, or None where another setting differs too."""
-    if config.task_parameters:
-        return None
-    name, task = config.algorithm, config.task
-    choices = {"": preset(name, task)} | ablations(name, task)
-    return next((of for of, chosen in choices.items() if chosen == config.hyperparameters), None)
+    """The name in `presets.ablations` of a configuration's hyper-parameters; empty where they are
+    the preset's, None where they are others."""
+    others = ablations(config.algorithm, config.task).items()
+    found = (name for name, other in others if other == config.hyperparameters)
+    return next(found, None if hyperparameter_changes(config) else "")
 
 
 def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group]]]:
@@ -28,8 +27,7 @@ def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group
     """
     pairs = []
     for group in groups:
-        others = ablations(group.config.algorithm, group.config.task)
-        if group.config.hyperparameters not in others.values():
+        if not choice_of(group.config):
             continue
         beside = [of for of in groups if _is_preset(of.config, group.config)]
         if beside:  # of several, such as published runs and a trial, that of most runs
@@ -41,5 +39,4 @@ def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group
 def _is_preset(config: TrainConfig, ablated: TrainConfig) -> bool:
     """Whether it is that of the preset, on equal terms with an ablated one."""
     terms = [(c.algorithm, c.task, c.task_parameters, c.steps) for c in (config, ablated)]
-    usual = preset(ablated.algorithm, ablated.task)
-    return terms[0] == terms[1] and config.hyperparameters == usual
+    return terms[0] == terms[1] and choice_of(config) == ""

@@ -201,16 +201,20 @@ def check_claims(groups: Sequence[Group]) -> list[Checked]:
     evidence = gather(groups)
     if not any(cell.full for cell in evidence.values()):
         return []
-    others = _other_choices(groups)
+    others = _other_choices(groups, evidence)
     return [_checked(claim, evidence, others) for claim in CLAIMS]
 
 
-def _other_choices(groups: Sequence[Group]) -> dict[str, Evidence]:
-    """Evidence with each other choice of which there are enough runs on a task."""
-    of_paper = (g.config for g in groups if g.config.algorithm in PAPER_ALGORITHMS)
-    choices = dict.fromkeys(filter(None, map(choice_of, of_paper)))
-    others = {choice: gather(groups, choice) for choice in choices}
-    return {k: of for k, of in others.items() if any(cell.choice for cell in of.values())}
+def _other_choices(groups: Sequence[Group], evidence: Evidence) -> dict[str, Evidence]:
+    """For each other choice the evidence with its runs in the place of the preset's, on all tasks
+    on which they suffice to decide; nothing for a choice without any."""
+    others = {}
+    for choice in filter(None, dict.fromkeys(choice_of(group.config) for group in groups)):
+        found = gather(groups, choice)
+        decisive = {key: cell for key, cell in found.items() if not cell.lacking}
+        if decisive:
+            others[choice] = {**evidence, **decisive}
+    return others
 
 
 def _checked(claim: Claim, evidence: Evidence, others: Mapping[str, Evidence]) -> Checked:

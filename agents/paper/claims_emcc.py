@@ -65,8 +65,7 @@ def _change_of(run: Run) -> float | None:
 def _change(cell: Cell) -> list[Fact]:
     printed = cell.printed[LATE] - cell.printed[EARLY]
     mean = cell.mean("by", list(map(_change_of, cell.runs)), printed)
-    where = f"{short(cell.task)}{f' with {cell.choice}' if cell.choice else ''}"
-    falls = cell.share(_falls, where, "fall")
+    falls = cell.share(_falls, cell.named(short(cell.task)), "fall")
     return [*falls, *(fact._replace(signed=True) for fact in mean)]
 
 

@@ -43,8 +43,11 @@ class Cell(NamedTuple):
     @property
     def title(self) -> str:
         """Of the algorithm, with the other choice."""
-        title = algorithm(self.algorithm).title
-        return f"{title} with {self.choice}" if self.choice else title
+        return self.named(algorithm(self.algorithm).title)
+
+    def named(self, name: str) -> str:
+        """A name, with the other choice."""
+        return f"{name} with {self.choice}" if self.choice else name
 
     @property
     def printed(self) -> dict[str, float]:
@@ -115,17 +118,10 @@ class Claim(NamedTuple):
 
 
 def gather(groups: Sequence[Group], choice: str = "") -> Evidence:
-    """The runs of presets on the paper's tasks, those with another setting left out.
-
-    choice: another choice of what the paper does not print. Where its runs suffice to decide, they
-    stand in the place of the preset's.
-    """
-    pairs = list(itertools.product(PAPER_STEPS, PAPER_ALGORITHMS))
-    evidence = {(task, name): _cell(groups, task, name, "") for task, name in pairs}
-    if choice:
-        others = {(task, name): _cell(groups, task, name, choice) for task, name in pairs}
-        evidence |= {key: cell for key, cell in others.items() if not cell.lacking}
-    return evidence
+    """The runs of presets on the paper's tasks, or those with another choice of what the paper does
+    not print; those with another setting are left out."""
+    pairs = itertools.product(PAPER_STEPS, PAPER_ALGORITHMS)
+    return {(task, name): _cell(groups, task, name, choice) for task, name in pairs}
 
 
 def _cell(groups: Sequence[Group], task: str, name: str, choice: str) -> Cell:
@@ -135,7 +131,8 @@ def _cell(groups: Sequence[Group], task: str, name: str, choice: str) -> Cell:
     for group in groups:
         config = group.config
         same = registered_id(config.task) == task and config.algorithm == name
-        if same and group.runs and choice_of(config) == choice:
+        usual = not config.task_parameters
+        if same and usual and group.runs and choice_of(config) == choice:
             of_length = found.setdefault(config.steps, {})
             measured = {run.seed: run for run in group.runs if _has(run, task, name)}
             found[config.steps] = measured | of_length

@@ -8,7 +8,8 @@ from dataclasses import replace
 from math import isclose
 
 from agents.algorithms import title
-from agents.paper.presets import MARGIN, PAPER_ALGORITHMS, ablations, preset, unprinted
+from agents.paper.ablations import choice_of
+from agents.paper.presets import MARGIN, PAPER_ALGORITHMS, unprinted
 from agents.paper.printed import paper_results
 from agents.paper.settings import by_task, name_of, unusual_steps
 from agents.reporting.table import Number, Row, Table, number_of
@@ -38,7 +39,8 @@ PARTS_MEANING = (
     "(random_exponent 0); without-share: batches of the last transitions alone (random_share 0); "
     "without-novelty: no bonus for new states (novelty_bonus 0); "
     "without-horizon: returns end at the time limit (time_limit terminal); without-scale: "
-    "observations in shares of the arena (input_scale 1); without-speed: step sizes, batch and "
+    "observations in shares of the arena (input_scale 1), where the bonus counts the same places "
+    "(novelty_length 2 / 15); without-speed: step sizes, batch and "
     f"gradient steps of SAC-LB; margin: plain cost and a cost limit that is {MARGIN:g} lower. "
     "Means of the runs that the rows tell, without a test"
 )
@@ -145,9 +147,7 @@ def _row(group: Group) -> Row:
 
 def _choice(config: TrainConfig) -> str:
     """The name of a choice; "preset", with its value where the choice is one of two."""
-    if config.hyperparameters != preset(config.algorithm, config.task):
-        others = ablations(config.algorithm, config.task).items()
-        (choice,) = (name for name, other in others if other == config.hyperparameters)
+    if choice := choice_of(config):
         return choice
     setting = unprinted(config.algorithm)
     return f"{getattr(config.hyperparameters, setting.field)} (preset)" if setting else "preset"

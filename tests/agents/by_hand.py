@@ -11,7 +11,7 @@ from itertools import combinations
 from statistics import fmean, stdev, variance
 
 TIME_LIMIT = 50  # kept by gymnasium's wrapper, above what is written down
-RUNS, T_OF_4 = 5, 2.7764451  # of a mean; Student's t of 4 degrees of freedom, 97.5 %
+T_OF_4 = 2.7764451  # Student's t of 4 degrees of freedom, of five runs, 97.5 %
 
 
 class Episode:
@@ -117,7 +117,7 @@ def interval(values, runs):
     """Student's t interval where all runs end in one place; otherwise the lowest and highest."""
     if len({run["ends"].partition(" (")[0] for run in runs}) > 1:
         return "range {} to {}", min(values), max(values)
-    half = T_OF_4 * stdev(values) / math.sqrt(RUNS)
+    half = T_OF_4 * stdev(values) / math.sqrt(len(values))
     return "[{}, {}]", fmean(values) - half, fmean(values) + half
 
 
@@ -154,7 +154,7 @@ def clopper_pearson(count, n):
     return low, high
 
 
-def share_words(count, n=RUNS):
+def share_words(count, n):
     low, high = clopper_pearson(count, n)
     return f"{count} of {n} [{low:.2f}, {high:.2f}]"
 

@@ -126,9 +126,11 @@ def check_rows(rows, numbers):
             runs = means[name]
             for measure, cell in measured.items():
                 assert is_mean(cell, column(runs, measure), runs), (name, measure, cell)
-            assert cells[8] == share_words(sum(run["J_C"] <= LIMIT for run in runs))
+            assert cells[8] == share_words(sum(run["J_C"] <= LIMIT for run in runs), N)
             places = Counter(run["ends"].partition(" (")[0] for run in runs)
-            assert cells[9] == "; ".join(f"{p} {share_words(n)}" for p, n in places.most_common())
+            assert cells[9] == "; ".join(
+                f"{p} {share_words(n, N)}" for p, n in places.most_common()
+            )
         else:
             run = singles[name]
             for measure, cell in measured.items():
@@ -310,14 +312,14 @@ def test_the_numbers_of_the_claims(raw):
             rf"{pattern}\(n = {N}; paper {re.escape(f'{printed:+.2f}')}\)", claims
         )
         assert int(falls) == sum(value < 0 for value in change)
-        assert share_words(int(falls)).endswith(share)
+        assert share_words(int(falls), N).endswith(share)
         assert is_mean(told, change, runs)
     inside = {
         name: sum(run["ends"].startswith("corridor") and run["J_C"] <= LIMIT for run in runs)
         for name, runs in numbers.items()
     }
     (told,) = re.findall(rf"- {level}: in the corridor within the limit: (.*?) \(claimed", claims)
-    words = [share_words(inside[name]).replace(" [", " runs [") for name in ("cpo", "wcsac")]
+    words = [share_words(inside[name], N).replace(" [", " runs [") for name in ("cpo", "wcsac")]
     assert told == f"CPO {words[0]}, WCSAC {words[1]}"
     pattern = rf"- {level}: (\d) of {N} runs \[.*?\] do so, J_C (.*?) \(n = {N}; paper 0\.01\), "
     pattern += rf"episode cost after the first third (.*?) \(n = {N}\)"
