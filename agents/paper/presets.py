@@ -157,7 +157,8 @@ def ablations(name: str, task: str) -> dict[str, Any]:
     For the paper's algorithms: other choices of what the paper does not print. On Circle2D the unit
     of observations is one of them: "units" is that of length instead of the half arena. For
     SAC-LB-Streak on Circle2D: SAC-LB's values for one of its `PARTS`, and a lower cost limit in the
-    place of the streak cost.
+    place of the streak cost. Without the unit of length the bonus for new states keeps its length
+    between positions; with physics it counts a place anew at every speed.
     """
     if name == "sac-lb-streak":
         return _without_parts(task) if is_circle2d(task) else {}
@@ -181,5 +182,8 @@ def _without_parts(task: str) -> dict[str, Any]:
         f"without-{part}": replace(config, **{field: getattr(plain, field) for field in fields})
         for part, fields in PARTS.items()
     }
+    # In the unit of the networks' inputs the same distance between positions.
+    length = config.novelty_length / Circle2DConfig().arena
+    found["without-scale"] = replace(found["without-scale"], novelty_length=length)
     lower = config.cost_limit - MARGIN
     return found | {"margin": replace(found["without-streak"], cost_limit=lower)}

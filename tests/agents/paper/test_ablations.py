@@ -170,10 +170,13 @@ def test_each_part_of_sac_lb_streak_is_left_out_once():
         "without-share": {"random_share"},
         "without-novelty": {"novelty_bonus"},
         "without-horizon": {"time_limit"},
-        "without-scale": {"input_scale"},
+        "without-scale": {"input_scale", "novelty_length"},
         "without-speed": {"learning_rate", "temperature_lr", "batch_size", "gradient_steps"},
         "margin": {"streak_weight", "cost_limit"},
     }
+    unscaled = ablations("sac-lb-streak", TASK)["without-scale"]  # the bonus's distance: 2 of 15
+    assert unscaled.novelty_length == pytest.approx(2.0 / 15)
+    changed["without-scale"].remove("novelty_length")
     # Together the parts are all that it has beside SAC-LB.
     parts = set().union(*(of for choice, of in changed.items() if choice != "margin"))
     assert parts == {k for k, v in vars(usual).items() if v != getattr(plain, k)}
