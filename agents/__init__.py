@@ -11,7 +11,8 @@ The whole entrance from Python:
 | `pretrained(algorithm, task)` | the folder of a policy that comes with the package |
 | `evaluate(policy_or_folder, task)` | play episodes -> `Evaluation` |
 | `sweep(algorithm, task, grid={...}, out=...)` | every combination of hyper-parameters -> `Runs` |
-| `report(folder)` | tables, figures and a page of all runs below a folder |
+| `report(*folders)` | tables, figures and a page of all runs below some folders |
+| `compare(a, b)` | two sets of runs side by side, with their differences |
 | `register(name, Algorithm(...))` | make an algorithm of your own known |
 
 `on_epoch` of `train` receives an `Epoch`; a mistake of the caller raises `UserError`. `import
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
         Policy,
         Runs,
         UserError,
+        compare,
         evaluate,
         load_policy,
         load_runs,
@@ -63,6 +65,7 @@ __all__ = (
     "Policy",
     "Runs",
     "UserError",
+    "compare",
     "evaluate",
     "load_policy",
     "load_runs",

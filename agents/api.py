@@ -26,7 +26,6 @@ import operator
 import os
 import shutil
 import tempfile
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar
@@ -34,8 +33,8 @@ from typing import Any, Literal, ParamSpec, TypeVar
 from agents.algorithms import Algorithm, register
 from agents.errors import UserError
 from agents.lockstep import backend as lockstep_backend
-from agents.lockstep.compiling import cannot_compile, compiling_is_off
 from agents.paper.presets import preset_with
+from agents.reporting.compare import compare as compare_runs
 from agents.reporting.report import report as write_report
 from agents.reporting.table import markdown
 from agents.runs import Runs, load_runs
@@ -58,6 +57,7 @@ __all__ = (
     "Policy",
     "Runs",
     "UserError",
+    "compare",
     "evaluate",
     "load_policy",
     "load_runs",
@@ -175,7 +175,7 @@ def sweep(
     """
     task = task_id(task)
     check_task(task, {})
-    chosen = choose_backend(backend)
+    chosen = lockstep_backend.choose(backend)
     lockstep_backend.require(chosen == "compiled", device)
     configs = {}
     for name, values in sweep_configs(grid).items():
@@ -210,26 +210,24 @@ def report(
 ) -> str:
     """Write the report of all runs at or below some folders, or in archives: `circle2d report`.
 
-    Returns its main tables and the paper's claims as Markdown. archive: a file to pack all that the
-    report needs into. out: folder to write to; by default that of the runs, for an archive the one
-    beside it that has its name without the suffix; several paths need one. Raises UserError where
-    there are no complete runs, or an archive is damaged.
+    Returns its main tables and the paper's claims as Markdown. Folders that differ in their seeds
+    alone count as one. archive: a file to pack all that the report needs into. out: folder to write
+    to; by default that of the runs, for an archive the one beside it that has its name without the
+    suffix; several paths need one. Raises UserError where there are no complete runs, or an archive
+    is damaged.
     """
     archive, out = (None if of is None else Path(of) for of in (archive, out))
     return markdown(write_report(*map(Path, paths), archive=archive, out=out))
 
 
-def choose_backend(choice: Backend | Literal["auto"]) -> Backend:
-    """The backend that "auto" stands for on this machine.
+def compare(a: str | Path, b: str | Path, out: str | Path | None = None) -> str:
+    """The tables of two sets of runs with the differences B - A, as Markdown: `circle2d compare`.
 
-    Warns where that is eager PyTorch, half as fast, unless TORCH_COMPILE_DISABLE asks for it.
+    a, b: folders or archives, such as a baseline's and those of an idea. With out, writes
+    `compare.md`, `compare.csv`, and `compare.html` with the training curves of both, to that
+    folder. Raises UserError where a side has no complete run, or the two have no task in common.
     """
-    if choice != "auto":
-        return choice
-    why = cannot_compile()
-    if why and not compiling_is_off():
-        warnings.warn(f"updates run in eager PyTorch, half as fast: {why}", stacklevel=5)
-    return "eager" if why else "compiled"
+    return markdown(compare_runs(Path(a), Path(b), None if out is None else Path(out)))
 
 
 def _start(
@@ -250,7 +248,7 @@ def _start(
     check_task(config.task, config.task_parameters)
     if config.tensorboard:
         require_tensorboard()
-    config = dataclasses.replace(config, backend=choose_backend(backend))
+    config = dataclasses.replace(config, backend=lockstep_backend.choose(backend))
     lockstep_backend.require(config.backend == "compiled", config.device)
     folder = Path(tempfile.mkdtemp(prefix="agents-") if out is None else out)
     try:

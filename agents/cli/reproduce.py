@@ -13,13 +13,12 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from agents import api
 from agents.algorithms import ALGORITHMS
 from agents.cli.checks import check_enough_steps, check_folder, check_width
 from agents.cli.options import BackendChoice, Imports, parse
 from agents.cli.terminal import show
 from agents.errors import UserError, one_line
-from agents.lockstep.backend import require
+from agents.lockstep import backend as lockstep_backend
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
 from agents.reporting.report import report
@@ -143,8 +142,8 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     for config in configs.values():
         check_enough_steps(config.task, {}, config.steps, config.hyperparameters)
     usual = "eager" if options.quick else grid.backend_of(configs) or "auto"
-    backend = api.choose_backend(options.backend or usual)
-    require(backend == "compiled", options.device)
+    backend = lockstep_backend.choose(options.backend or usual)
+    lockstep_backend.require(backend == "compiled", options.device)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}
 
 

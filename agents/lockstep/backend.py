@@ -5,14 +5,21 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import sys
+import warnings
 from collections.abc import Iterator
+from typing import Literal
 
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from agents.errors import UserError
-from agents.lockstep.compiling import cannot_compile, is_compiling, set_compiling
+from agents.lockstep.compiling import (
+    cannot_compile,
+    compiling_is_off,
+    is_compiling,
+    set_compiling,
+)
 
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 
@@ -38,6 +45,19 @@ def require(compiles: bool, device: str) -> None:
         raise UserError(f"device {device!r}: torch {torch.__version__} sees no GPU; 'cpu' is there")
     if compiles and (why := cannot_compile()):
         raise UserError(f"backend 'compiled' does not work here ({why}); 'eager' does")
+
+
+def choose(choice: Literal["auto", "compiled", "eager"]) -> Literal["compiled", "eager"]:
+    """The backend that "auto" stands for on this machine.
+
+    Warns where that is eager PyTorch, half as fast, unless TORCH_COMPILE_DISABLE asks for it.
+    """
+    if choice != "auto":
+        return choice
+    why = cannot_compile()
+    if why and not compiling_is_off():
+        warnings.warn(f"updates run in eager PyTorch, half as fast: {why}", stacklevel=5)
+    return "eager" if why else "compiled"
 
 
 @contextlib.contextmanager

@@ -17,7 +17,8 @@ from agents.reporting.table import Number, Row, Table, markdown, number_of, p_nu
 from agents.reporting.tables import caption, mean_row, measures_table, run_rows
 from agents.results.archive import open_source
 from agents.results.measures import measures
-from agents.results.reading import Group, read_groups
+from agents.results.pooled import PooledSource
+from agents.results.reading import Group
 from agents.results.statistics import LEVEL, corrected, group_difference, improvement_of, p_of
 from agents.training.files import write_whole
 
@@ -55,10 +56,8 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     """
     notes: list[str] = []
     sources = [open_source(side) for side in (a, b)]
-    found = [
-        [g for g in with_distinct_titles(read_groups(source, notes), source) if g.runs]
-        for source in sources
-    ]
+    pooled = [PooledSource(source, notes) for source in sources]
+    found = [[g for g in with_distinct_titles(side.groups, side) if g.runs] for side in pooled]
     tasks = [list(dict.fromkeys(group.config.task for group in groups)) for groups in found]
     common = [task for task in tasks[0] if task in tasks[1]]
     if not common:
@@ -87,8 +86,8 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
         ]
         how = {
             f"{name}, {k}": text
-            for name, source, groups in zip("AB", sources, found, strict=True)
-            for k, text in made(source, groups).items()
+            for name, source, side in zip("AB", sources, pooled, strict=True)
+            for k, text in made(source, side.by_folder).items()
         }
         title = f"{sources[0].name} (A) and {sources[1].name} (B)"
         write_whole(out / "compare.html", page(title, sections, how))

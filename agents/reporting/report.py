@@ -34,8 +34,8 @@ from agents.reporting.table import Block, Table, markdown, plain
 from agents.reporting.tables import task_table
 from agents.results.archive import open_source, write_archive
 from agents.results.joined import JoinedSource
-from agents.results.reading import Group, read_groups
-from agents.results.source import Source
+from agents.results.pooled import PooledSource
+from agents.results.reading import Group
 from agents.training.files import write_whole
 
 
@@ -46,7 +46,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     all figures. Returns the main tables and the paper's claims; `report.md` has the details
     too: EMCC with ties split, and each task's panel. Runs that are missing, damaged or
     unfinished are named below the table and left out of its means; figures that cannot be drawn are
-    named too.
+    named too. Folders that differ in their seeds alone count as one, which is named as well.
 
     archive: a file to pack all that the report needs into; a report on it has the same bytes.
     out: folder to write to; by default that of the runs, for an archive the one beside it that has
@@ -58,16 +58,17 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
         _check_archive(archive)
     source = open_source(*paths) if len(paths) == 1 else JoinedSource(paths, out.resolve().name)
     notes: list[str] = []
-    everything = with_distinct_titles(read_groups(source, notes), source)
+    pooled = PooledSource(source, notes)
+    everything = with_distinct_titles(pooled.groups, pooled)
     groups, ablated = ablations.split(everything)
     by_task = _by_task(groups)
     # Early, since later it would add to the memory that all else holds.
     on_circle2d = any(is_circle2d(group.config.task) and group.runs for group in groups)
     about = introduction() if on_circle2d else []
     scenes = Scenes()
-    replay = replay_data(source, groups, scenes, notes)
+    replay = replay_data(pooled, groups, scenes, notes)
     drawn = {
-        task: Section(task, figures=figures(of_task), maps=maps(source, of_task, scenes, notes))
+        task: Section(task, figures=figures(of_task), maps=maps(pooled, of_task, scenes, notes))
         for task, of_task in by_task.items()
     }
     shown, common = together.figures(groups), together.tables(groups)
@@ -77,7 +78,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     checked = check_claims(everything)
     verdicts = [claims_text.markdown(checked)] if checked else []
     if archive is not None:
-        write_archive(archive, source, everything)
+        write_archive(archive, source, pooled.by_folder)
     sections = [Section(claims_text.TITLE, claims=checked)] if checked else []
     sections += [Section(name, common.get(name), of) for name, of in shown.items()]
     sections += [Section("Replay of training", replay=replay)] if replay["runs"] else []
@@ -90,7 +91,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
         sections.append(Section("Circle2D and EMCC", figures=about))
     out.mkdir(parents=True, exist_ok=True)
     title = f"{heading(groups)} ({source.name})"
-    html = page(title, sections, made(source, everything), summary(groups), scenes.all)
+    html = page(title, sections, made(source, pooled.by_folder), summary(groups), scenes.all)
     write_whole(out / "index.html", html)
     ending = "Figures, heat maps and replay: index.html\n"
     titled = [block for name, of in tables.items() for block in (f"## {plain(name)}\n", of)]
@@ -126,9 +127,9 @@ def table(folder: Path) -> list[Table]:
 
     Writes `report.md` and `report.csv`. Otherwise as `report`.
     """
-    source: Source = open_source(folder)
     notes: list[str] = []
-    everything = with_distinct_titles(read_groups(source, notes), source)
+    pooled = PooledSource(open_source(folder), notes)
+    everything = with_distinct_titles(pooled.groups, pooled)
     groups, ablated = ablations.split(everything)
     found = list(_tables(_by_task(groups), ablated, notes).values())
     write_whole(folder / "report.md", markdown(found))

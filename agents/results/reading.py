@@ -66,10 +66,10 @@ def one_place(runs: Sequence[Run]) -> bool:
 
 @dataclass(frozen=True)
 class Group:
-    """The runs of one folder, which differ in their seed only."""
+    """The runs of one folder, or of several pooled ones, which differ in their seed only."""
 
     folder: str
-    """Below the source's own: "." or like "Circle2D-1-v0/cpo"."""
+    """Below the source's own: "." or like "Circle2D-1-v0/cpo"; of several with " + " between."""
     config: TrainConfig
     runs: Sequence[Run]
     """Those that are complete."""

@@ -39,13 +39,16 @@ def results(folder):
     return {str(path.relative_to(folder)): path.read_bytes() for path in kept}
 
 
-def write_evaluated(folder, name, costs, hyperparameters=None, old=False, task="Circle2D-1-v0"):
+def write_evaluated(
+    folder, name, costs, hyperparameters=None, old=False, task="Circle2D-1-v0", seeds=None
+):
     """Evaluated runs of ten episodes of ten steps, with as many steps at a cost in
-    each episode, in one chain: one run for each number in `costs`.
+    each episode, in one chain: one run for each number in `costs`, of the seeds 0, 1, ... where
+    none are given.
 
     old: as before cost steps and streaks were recorded.
     """
-    seeds = tuple(range(len(costs)))
+    seeds = tuple(seeds or range(len(costs)))
     TrainConfig(name, task, seeds, 100, hyperparameters or preset(name, task)).write(folder)
     head = "rollout,start_step,length,return,cost,longest_streak"
     for seed, cost in zip(seeds, costs, strict=True):

@@ -3,6 +3,7 @@
 import dataclasses
 import doctest
 import gc
+import re
 import shutil
 import signal
 import subprocess
@@ -73,6 +74,12 @@ def test_report(runs, tmp_path):
     shutil.copytree(runs.folder, tmp_path / "x")
     assert agents.report(tmp_path).startswith(runs.table()[:80])
     assert (tmp_path / "index.html").exists()
+
+
+def test_compare(runs, tmp_path):
+    tables = agents.compare(runs.folder, str(runs.folder), out=tmp_path)
+    assert re.search(r"^\| B - A: .*? \| \+?0\.00 ", tables, re.MULTILINE)
+    assert (tmp_path / "compare.md").read_text() == tables
 
 
 def test_to_pandas(runs, monkeypatch):
