@@ -51,6 +51,50 @@ def test_the_choices_of_the_results():
     assert all(row in RESULTS for row in rows)
 
 
+def test_the_sentences_on_the_five():
+    """Counts over several levels, which no report has."""
+
+    def runs_of(name, levels=range(4)):
+        return [r for k in levels for r in of_level(k) if r["seed"] and r["algorithm"] == name]
+
+    def count(runs, end="", limit=np.inf):
+        good = [r for r in runs if r["ends_in"].startswith(end) and float(r["J_C"]) <= limit]
+        share = emcc.share(len(good), len(runs))
+        low, high = (f"{end:.2f}".removeprefix("0") for end in (share.low, share.high))
+        low, high = ("0" if low == ".00" else low, "1" if high == "1.00" else high)
+        return f"{len(good)} of {len(runs)}", f" [{low}, {high}]", f" runs [{low}, {high}]"
+
+    def of_paper(name, level, measure):
+        rows = [r for r in of_level(level) if r["kind"] == "paper" and r["algorithm"] == name]
+        return float(rows[0][measure])
+
+    behind = (1, 2, 3)
+    page = " ".join(RESULTS.split())
+    for words, (told, plain, named) in {
+        "{} go straight through": count(runs_of("TRPO-Lag", behind), "corridor, through"),
+        "{} end in the corridor": count(runs_of("CPO"), "corridor"),
+        "{} keep the limit. Of 12 means": count(runs_of("CPO"), limit=5),
+        "through on levels 1 to 3, {}, at": count(runs_of("SAC-Lag", behind), "corridor, through"),
+        "on levels 1 to 3 ({})": count(runs_of("SAC-LB", behind), "corridor", 5),
+        "so in {} on level 0": count(runs_of("SAC-LB", [0]), "corridor", 5),
+        "of levels 1 to 3 in {}": count(runs_of("WCSAC", behind), "corridor, through"),
+        "{} keep the limit. The paper's": count(runs_of("WCSAC"), limit=5),
+        "With them {} end in the corridor": count(runs_of("CPO (input_scale 15.0)"), "corridor"),
+    }.items():
+        assert any(words.format(told + more) in page for more in (plain, named)), words
+    thirds = [(k, m) for k in range(4) for m in ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")]
+    for name, told in (("CPO", 10), ("SAC-LB", 11)):
+        highest = {(k, m): max(float(r[m]) for r in runs_of(name, [k])) for k, m in thirds}
+        assert sum(of_paper(name, *key) > most for key, most in highest.items()) == told
+    grid = [r for name in ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC") for r in runs_of(name)]
+    equal = [r for r in grid if 0.09 <= float(r["cost_rate"]) <= 0.11]
+    of_emcc = sorted(float(r["EMCC_0.99"]) for r in equal)
+    assert (len(grid), len(equal)) == (200, 37)
+    assert [f"{of_emcc[k]:.2f}" for k in (0, -1)] == ["0.06", "0.92"]
+    assert "37 have a cost rate between .09 and .11 over all of training" in page
+    assert "goes from .06 (SAC-LB, level 3) to .92 (TRPO-Lag, level 0)" in page
+
+
 def test_the_corridor_with_bootstrap():
     """Claims 3 and 5: who of the SAC family ends there."""
     ends = {}

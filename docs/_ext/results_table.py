@@ -1,4 +1,4 @@
-"""The tables of results/README.md, from the report's numbers.
+"""The tables of results/README.md and results/solve/README.md, from the reports' numbers.
 
 python docs/_ext/results_table.py
 """
@@ -7,11 +7,25 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from statistics import fmean
 
-REPORT = Path(__file__).parents[2] / "results" / "circle2d" / "report.csv"
+RESULTS = Path(__file__).parents[2] / "results"
+REPORT = RESULTS / "circle2d" / "report.csv"
+SOLVED = RESULTS / "solve" / "report.csv"
 MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C")
 LEVELS = ("Circle2D-0-v0", "Circle2D-1-v0", "Circle2D-2-v0", "Circle2D-3-v0")
 ALGORITHMS = ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC")
+LIMIT = 5.0
+PARTS = {
+    "scale": "the unit of length",
+    "novelty": "the bonus for new states",
+    "share": "the share of random actions",
+    "horizon": "returns behind the time limit",
+    "streak": "streak cost",
+    "brown": "brown random actions",
+    "speed": "its own step sizes and batches",
+}
+"""The parts of SAC-LB-Streak by the names of their ablations."""
 
 
 def rows(report: Path) -> list[str]:
@@ -55,6 +69,37 @@ def choices(report: Path) -> list[str]:
     return found
 
 
+def parts(report: Path) -> list[str]:
+    """Rows of Markdown for each level on which SAC-LB-Streak was trained without its parts: of the
+    preset, then without each. Runs in the corridor within the limit, and means."""
+    with report.open(encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    found = []
+    for level in LEVELS:
+        folder = f"{level}-sac-lb-streak"
+        preset = _part(lines, folder, "all parts")
+        without = [_part(lines, f"{folder}-without-{k}", f"without {v}") for k, v in PARTS.items()]
+        rows = list(filter(None, without))
+        found += [f"| {level[9]} | {row} |" for row in (preset, *rows) if rows]
+    return found
+
+
+def _part(lines: list[dict[str, str]], folder: str, title: str) -> str:
+    """The cells of a row; empty without runs."""
+    runs = [line for line in lines if line["folder"] == folder and line["kind"] == "run"]
+    if not runs:
+        return ""
+    good = [x for x in runs if x["ends_in"].startswith("corridor") and float(x["J_C"]) <= LIMIT]
+
+    def mean(measure: str, digits: int) -> str:
+        words = f"{fmean(float(line[measure]) for line in runs):.{digits}f}"
+        return words.removeprefix("0")
+
+    emcc = " ".join(mean(measure, 2) for measure in MEASURES[:3])
+    others = [mean(of, digits) for of, digits in (("cost_rate", 2), ("J_R", 1), ("J_C", 1))]
+    return " | ".join([title, f"{len(good)} of {len(runs)}", emcc, *others])
+
+
 def _choice(title: str, lines: list[dict[str, str]]) -> str:
     means = {line["task"]: line for line in lines if line["kind"] in ("mean", "paper")}
     counts = {line["task"]: _count(line) for line in lines if line["kind"] == "within limit"}
@@ -85,4 +130,4 @@ def _count(line: dict[str, str]) -> str:
 
 
 if __name__ == "__main__":
-    print("\n".join([*rows(REPORT), "", *choices(REPORT)]))
+    print("\n".join([*rows(REPORT), "", *choices(REPORT), "", *parts(SOLVED)]))
