@@ -37,7 +37,7 @@ from agents.paper.presets import preset_with
 from agents.reporting.compare import compare as compare_runs
 from agents.reporting.report import report as write_report
 from agents.reporting.table import markdown
-from agents.runs import Runs, load_runs
+from agents.runs import Runs, folders_of, load_runs
 from agents.sweeps import Values, sweep_configs, train_groups
 from agents.training import loop
 from agents.training.config import Backend, Device, TrainConfig
@@ -71,6 +71,7 @@ __all__ = (
 
 OnEpoch = Callable[[Epoch], object]
 """Called after every epoch of each folder; returning False stops the training."""
+Folder = str | os.PathLike[str]
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -93,7 +94,7 @@ def train(
     *,
     seeds: int | Iterable[int] = (0, 1, 2),
     steps: int = 1_000_000,
-    out: str | Path | None = None,
+    out: Folder | None = None,
     task_parameters: dict[str, Any] | None = None,
     checkpoint_every: int = 50_000,
     evaluate_every: int | None = None,
@@ -155,7 +156,7 @@ def sweep(
     grid: Mapping[str, Values],
     seeds: int | Iterable[int] = (0, 1, 2),
     steps: int = 1_000_000,
-    out: str | Path,
+    out: Folder,
     backend: Backend | Literal["auto"] = "auto",
     device: Device = "cpu",
     engine: EngineName = "local",
@@ -188,7 +189,9 @@ def sweep(
 
 
 @_as_guest
-def resume(*folders: str | Path, on_epoch: OnEpoch | None = None, progress: bool = False) -> Runs:
+def resume(
+    *folders: Runs | Folder, on_epoch: OnEpoch | None = None, progress: bool = False
+) -> Runs:
     """Go on with the runs of folders, from their last checkpoints, as if never interrupted.
 
     Several folders, which differ in task and seeds only, train jointly, faster than one after the
@@ -197,33 +200,28 @@ def resume(*folders: str | Path, on_epoch: OnEpoch | None = None, progress: bool
     """
     if not folders:
         raise UserError("resume needs a folder of runs")
-    for folder in folders:
-        if not isinstance(folder, (str, os.PathLike)):
-            raise UserError(f"resume takes folders one by one, as resume('a', 'b'), got {folder!r}")
-    paths = list(dict.fromkeys(map(Path, folders)))
+    paths = folders_of(*folders)
     _train(paths, on_epoch, progress)
     return Runs(paths)
 
 
-def report(
-    *paths: str | Path, archive: str | Path | None = None, out: str | Path | None = None
-) -> str:
+def report(*paths: Runs | Folder, archive: Folder | None = None, out: Folder | None = None) -> str:
     """Write the report of all runs at or below some folders, or in archives: `circle2d report`.
 
-    Returns its main tables and the paper's claims as Markdown. Folders that differ in their seeds
-    alone count as one. archive: a file to pack all that the report needs into. out: folder to write
-    to; by default that of the runs, for an archive the one beside it that has its name without the
-    suffix; several paths need one. Raises UserError where there are no complete runs, or an archive
-    is damaged.
+    paths: folders, archives, or runs, such as `train` returns. Folders that differ in their seeds
+    alone count as one. Returns the main tables and the paper's claims as Markdown. archive: a file
+    to pack all that the report needs into. out: folder to write to; by default that of the runs,
+    for an archive the one beside it that has its name without the suffix; several paths need one.
+    Raises UserError where there are no complete runs, or an archive is damaged.
     """
     archive, out = (None if of is None else Path(of) for of in (archive, out))
-    return markdown(write_report(*map(Path, paths), archive=archive, out=out))
+    return markdown(write_report(*folders_of(*paths), archive=archive, out=out))
 
 
-def compare(a: str | Path, b: str | Path, out: str | Path | None = None) -> str:
+def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:
     """The tables of two sets of runs with the differences B - A, as Markdown: `circle2d compare`.
 
-    a, b: folders or archives, such as a baseline's and those of an idea. With out, writes
+    a, b: folders, archives or runs, such as a baseline's and those of an idea. With out, writes
     `compare.md`, `compare.csv`, and `compare.html` with the training curves of both, to that
     folder. Raises UserError where a side has no complete run, or the two have no task in common.
     """
@@ -233,7 +231,7 @@ def compare(a: str | Path, b: str | Path, out: str | Path | None = None) -> str:
 def _start(
     config: TrainConfig,
     backend: Backend | Literal["auto"],
-    out: str | Path | None,
+    out: Folder | None,
     on_epoch: OnEpoch | None,
     progress: bool,
     engine: EngineName,

@@ -45,6 +45,10 @@ class Runs:
         names = ", ".join(repr(str(folder)) for folder in self.folders)
         return f"Runs({names})"
 
+    def __fspath__(self) -> str:
+        """The folder, so that runs may stand where a folder does."""
+        return str(self.folder)
+
     @property
     def folder(self) -> Path:
         """The folder. Raises ValueError where there are several: see `folders`."""
@@ -133,14 +137,24 @@ class Runs:
         }
 
 
-def load_runs(*folders: str | Path) -> Runs:
+def folders_of(*given: Runs | str | os.PathLike[str]) -> list[Path]:
+    """Folders one by one; of runs all of theirs. Raises UserError for anything else."""
+    found: dict[Path, None] = {}
+    for of in given:
+        if not isinstance(of, (Runs, str, os.PathLike)):
+            raise UserError(f"give folders one by one, as in resume('a', 'b'), got {of!r}")
+        found |= dict.fromkeys(of.folders if isinstance(of, Runs) else [Path(of)])
+    return list(found)
+
+
+def load_runs(*folders: Runs | str | os.PathLike[str]) -> Runs:
     """Open the runs at or below folders, such as that of a sweep, finished or not. Changes nothing.
 
     An algorithm of one's own need not be registered. Raises UserError where there are no runs, and
     for a folder that is damaged.
     """
     found: dict[Path, None] = {}
-    for root in map(Path, folders):
+    for root in folders_of(*folders):
         source = FolderSource(root)
         if source.problems or not source.configs:
             raise UserError("; ".join(source.problems) or f"{root} {NO_RUNS}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,7 +67,7 @@ class Evaluation:
 
 
 def evaluate(
-    policy: Policy | Callable[[NDArray], Any] | str | Path,
+    policy: Policy | Callable[[NDArray], Any] | str | os.PathLike[str],
     task: str | None = None,
     episodes: int = 100,
     deterministic: bool = True,
@@ -75,17 +76,17 @@ def evaluate(
 ) -> Evaluation:
     """Play whole episodes with a policy, or with those of a folder of runs. Writes nothing.
 
-    policy: what `load_policy` returned, a folder, or any function of one observation to an action
-    of the task. task: a gymnasium id with `info["cost"]`, by default the policy's own, with its
-    `task_parameters`; required for a function. deterministic: for policies and folders; otherwise
-    actions are drawn. seed: of the start states and draws, the same for all runs of a folder.
-    Raises UserError where the task does not fit the policy.
+    policy: what `load_policy` returned, a folder, runs, or any function of one observation to an
+    action of the task. task: a gymnasium id with `info["cost"]`, by default the policy's own, with
+    its `task_parameters`; required for a function. deterministic: for policies and folders;
+    otherwise actions are drawn. seed: of the start states and draws, the same for all runs of a
+    folder. Raises UserError where the task does not fit the policy.
     """
     if episodes < 1:
         raise UserError(f"episodes must be at least 1, got {episodes}")
     if task is not None:
         import_module_of(task)
-    if isinstance(policy, (str, Path)):
+    if isinstance(policy, (str, os.PathLike)):
         folder = Path(policy)
         seeds = TrainConfig.read(folder).seeds
         policies = [load_policy(folder, of_run) for of_run in seeds]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,9 @@ class _Bounded(nn.Module):
         return self.low + (self.high - self.low) * share
 
 
-def load_policy(folder: str | Path, seed: int | None = None, step: int | None = None) -> Policy:
+def load_policy(
+    folder: str | os.PathLike[str], seed: int | None = None, step: int | None = None
+) -> Policy:
     """Load a trained policy from a folder of runs.
 
     seed: of the run; it may be left out where there is only one. step: a multiple of the training's

@@ -82,6 +82,20 @@ def test_compare(runs, tmp_path):
     assert (tmp_path / "compare.md").read_text() == tables
 
 
+def test_runs_stand_for_their_folder(runs, tmp_path):
+    assert agents.load_policy(runs, seed=3).seed == 3
+    assert agents.evaluate(runs, episodes=1).costs.shape == (2, 1)
+    assert agents.load_runs(runs).folders == runs.folders
+    assert agents.report(runs, out=tmp_path) == agents.report(runs.folder, out=tmp_path)
+    assert agents.compare(runs, runs) == agents.compare(runs.folder, runs.folder)
+    assert agents.resume(runs).folder == runs.folder
+    copy = shutil.copytree(runs.folder, tmp_path / "copy")
+    both = agents.load_runs(runs, copy)
+    assert agents.report(both, out=tmp_path) == agents.report(runs.folder, copy, out=tmp_path)
+    with pytest.raises(ValueError, match="there are several folders"):
+        agents.load_policy(both)
+
+
 def test_to_pandas(runs, monkeypatch):
     pytest.importorskip("pandas")
     frame = runs.to_pandas()
