@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import isclose
 
-from agents.algorithms import title
+from agents.algorithms import ALGORITHMS, title
 from agents.paper.ablations import choice_of
-from agents.paper.presets import MARGIN, PAPER_ALGORITHMS, unprinted
+from agents.paper.presets import MARGIN, PAPER_ALGORITHMS, ablations, unprinted
 from agents.paper.printed import paper_results
 from agents.paper.settings import by_task, name_of, unusual_steps
 from agents.reporting.table import Number, Row, Table, number_of
@@ -31,7 +31,7 @@ MEANING = (
     "episodes (variance_target unsquared), and a damping that the gradient goes through "
     "(damping_gradient through); units: observations in units of length (input_scale 15) "
     "instead of shares of the arena. Runs of a choice that is not the preset's are in no other "
-    "table and decide no claim"
+    "table and decide no claim; where a verdict would be another with them, the claim says so"
 )
 PARTS_TITLE = "SAC-LB-Streak without one of its parts"
 PARTS_MEANING = (
@@ -120,11 +120,19 @@ def nearest_table(pairs: Sequence[tuple[Group, Group]]) -> Table | None:
 
 
 def _by_preset(pairs: Sequence[tuple[Group, Group]]) -> list[list[Group]]:
-    """The group of each preset, followed by those of the other choices."""
+    """The group of each preset, followed by those of the other choices: by algorithm, then by task,
+    choices in the order of `presets.ablations`."""
     found: dict[str, list[Group]] = {}
-    for usual, other in pairs:
+    for usual, other in sorted(pairs, key=_place):
         found.setdefault(usual.folder, [usual]).append(other)
     return list(found.values())
+
+
+def _place(pair: tuple[Group, Group]) -> tuple[int, str, int]:
+    config = pair[1].config
+    choices = list(ablations(config.algorithm, config.task))
+    where = choices.index(choice_of(config) or "")
+    return list(ALGORITHMS).index(config.algorithm), config.task, where
 
 
 def _nearer(groups: Sequence[Group], printed: Mapping[str, float]) -> Iterator[tuple[int, str]]:
