@@ -24,23 +24,18 @@ def pool(groups: Sequence[Group]) -> list[list[Group]]:
     """
     alike: list[list[Group]] = []
     for group in groups:
-        equal = (of for of in alike if _settings(of[0].config) == _settings(group.config))
-        found = next(equal, None)
-        if found is None:
-            alike.append([group])
+        for of in alike:
+            if _equal(of[0].config, group.config):
+                of.append(group)
+                break
         else:
-            found.append(group)
+            alike.append([group])
     return [part for of in alike for part in ([of] if _share_no_seed(of) else [[g] for g in of])]
 
 
-def _settings(config: TrainConfig) -> tuple[Any, ...]:
-    return (
-        config.algorithm,
-        config.task,
-        config.task_parameters,
-        config.steps,
-        config.hyperparameters,
-    )
+def _equal(a: TrainConfig, b: TrainConfig) -> bool:
+    names = ("algorithm", "task", "task_parameters", "steps", "hyperparameters")
+    return all(getattr(a, name) == getattr(b, name) for name in names)
 
 
 def _share_no_seed(groups: Sequence[Group]) -> bool:
