@@ -181,6 +181,49 @@ def test_streak_cost_against_a_margin():
     assert min(p for key, p in p_values.items() if key not in safety) >= 0.056
 
 
+def test_the_parts_of_sac_lb_streak():
+    import results_table
+
+    page = (ROOT / "results" / "solve" / "README.md").read_text()
+    table = results_table.parts(results_table.SOLVED)
+    assert len(table) == 15
+    assert all(row in page for row in table)
+    measures = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate")
+    runs, good = {}, {}
+    for level in (0, 1, 3):
+        for part in ("", "-without-scale", "-without-share", "-without-novelty", "-without-streak"):
+            folder = f"Circle2D-{level}-v0-sac-lb-streak{part}"
+            own = [r for r in of_level(level) if r["seed"] and r["folder"] == folder]
+            runs[level, part] = {m: np.array([float(r[m]) for r in own]) for m in measures}
+            assert len(own) == (3 if part else 10)
+            good[level, part] = sum(
+                r["ends_in"].startswith("corridor") and float(r["J_C"]) <= 5 for r in own
+            )
+
+    def total(part):
+        return sum(good[level, part] for level in (0, 1, 3))
+
+    assert (good[0, ""], good[0, "-without-novelty"]) == (9, 0)
+    assert total("-without-novelty") == 6
+    assert (total("-without-scale"), total("-without-share")) == (9, 8)
+    # Without streak cost all three runs lie above all ten, in nine of twelve comparisons.
+    rng, p_values = np.random.default_rng(0), {}
+    for level in (0, 1, 3):
+        for m in measures:
+            with_all, without = runs[level, ""][m], runs[level, "-without-streak"][m]
+            assert (without.min() > with_all.max()) == (level != 0 or m == "EMCC_0.33")
+            p_values[level, m] = emcc.permutation_test(with_all, without, rng=rng)
+    corrected = dict(zip(p_values, emcc.holm(list(p_values.values())), strict=True))
+    clear = {key for key, p in corrected.items() if round(p, 3) == 0.042}
+    assert clear == {(0, "EMCC_0.33")} | {(level, m) for level in (1, 3) for m in measures}
+    moved = [
+        abs(runs[level, ""][m].mean() - runs[level, "-without-scale"][m].mean())
+        for level in (0, 1, 3)
+        for m in measures[:3]
+    ]
+    assert max(moved) < 0.03
+
+
 def test_the_verdicts():
     report = (ROOT / "results" / "circle2d" / "report.md").read_text()
     verdicts = re.findall(r"^### (\d)\. .* \*\*(\w+)\*\*$", report, re.MULTILINE)

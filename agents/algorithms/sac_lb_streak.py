@@ -9,9 +9,9 @@ the region's far side, and a quarter of each batch keeps showing it (as prior da
 al. 2023). Returns go on behind the time limit, which the observation does not tell: as terminal it
 would pay to wait where episodes end (Pardo et al. 2018); costs end there, since the limit is an
 episode's. The networks learn faster, and the temperature falls slower, so that the critics know the
-way before the policy gets sure. On Circle2D the preset scales positions back to units of length, in
-which a small tanh network can tell the corridor from what is beside it. Source of the barrier:
-Zhang et al. 2024 (see `sac_lb`). `results/solve/README.md` has the trials.
+way before the policy gets sure. On Circle2D the preset scales positions back to units of length.
+Source of the barrier: Zhang et al. 2024 (see `sac_lb`). `results/solve/README.md` has the trials,
+and runs without one part each: not every part proves to be needed.
 """
 
 from __future__ import annotations
