@@ -51,6 +51,21 @@ def test_the_choices_of_the_results():
     assert all(row in RESULTS for row in rows)
 
 
+def test_which_choice_is_the_nearest():
+    report = (ROOT / "results" / "circle2d" / "report.md").read_text()
+    section = report.partition("## Which choice is the nearest to the paper")[2].partition("\n## ")[
+        0
+    ]
+    rows = re.findall(r"^\| ([\w-]+), (\w+).*? \| (\d+ of \d+) *\|$", section, re.MULTILINE)
+    assert len(rows) == 12
+    table = RESULTS.partition("In how many measures each choice is the nearest")[2]
+    for name, choice, count in rows:
+        (row,) = re.findall(rf"^\| {name} \| (.*) \|$", table.partition("\n## ")[0], re.MULTILINE)
+        preset, units, other, library = (cell.strip() for cell in row.split("|"))
+        own = {"units": units, "library": library, "sgd": other, "bootstrap": other}
+        assert own.get(choice, preset).removeprefix(f"`{choice}` ") == count
+
+
 def test_the_sentences_on_the_five():
     """Counts over several levels, which no report has."""
 
