@@ -200,7 +200,7 @@ def resume(
     """
     if not folders:
         raise UserError("resume needs a folder of runs")
-    paths = folders_of(*folders)
+    paths = list(dict.fromkeys(folders_of(*folders)))
     _train(paths, on_epoch, progress)
     return Runs(paths)
 

@@ -139,12 +139,12 @@ class Runs:
 
 def folders_of(*given: Runs | str | os.PathLike[str]) -> list[Path]:
     """Folders one by one; of runs all of theirs. Raises UserError for anything else."""
-    found: dict[Path, None] = {}
+    found: list[Path] = []
     for of in given:
         if not isinstance(of, (Runs, str, os.PathLike)):
             raise UserError(f"give folders one by one, as in resume('a', 'b'), got {of!r}")
-        found |= dict.fromkeys(of.folders if isinstance(of, Runs) else [Path(of)])
-    return list(found)
+        found += of.folders if isinstance(of, Runs) else [Path(of)]
+    return found
 
 
 def load_runs(*folders: Runs | str | os.PathLike[str]) -> Runs:

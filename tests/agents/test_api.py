@@ -94,6 +94,8 @@ def test_runs_stand_for_their_folder(runs, tmp_path):
     assert agents.report(both, out=tmp_path) == agents.report(runs.folder, copy, out=tmp_path)
     with pytest.raises(ValueError, match="there are several folders"):
         agents.load_policy(both)
+    with pytest.raises(agents.UserError, match="would count twice"):
+        agents.report(runs, runs.folder, out=tmp_path)
 
 
 def test_to_pandas(runs, monkeypatch):
