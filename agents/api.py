@@ -72,6 +72,7 @@ __all__ = (
 OnEpoch = Callable[[Epoch], object]
 """Called after every epoch of each folder; returning False stops the training."""
 Folder = str | os.PathLike[str]
+"""A path, or `Runs` of one folder, which stand for it."""
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -189,9 +190,7 @@ def sweep(
 
 
 @_as_guest
-def resume(
-    *folders: Runs | Folder, on_epoch: OnEpoch | None = None, progress: bool = False
-) -> Runs:
+def resume(*folders: Folder, on_epoch: OnEpoch | None = None, progress: bool = False) -> Runs:
     """Go on with the runs of folders, from their last checkpoints, as if never interrupted.
 
     Several folders, which differ in task and seeds only, train jointly, faster than one after the
@@ -205,7 +204,7 @@ def resume(
     return Runs(paths)
 
 
-def report(*paths: Runs | Folder, archive: Folder | None = None, out: Folder | None = None) -> str:
+def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = None) -> str:
     """Write the report of all runs at or below some folders, or in archives: `circle2d report`.
 
     paths: folders, archives, or runs, such as `train` returns. Folders that differ in their seeds

@@ -137,17 +137,17 @@ class Runs:
         }
 
 
-def folders_of(*given: Runs | str | os.PathLike[str]) -> list[Path]:
+def folders_of(*given: str | os.PathLike[str]) -> list[Path]:
     """Folders one by one; of runs all of theirs. Raises UserError for anything else."""
     found: list[Path] = []
     for of in given:
-        if not isinstance(of, (Runs, str, os.PathLike)):
+        if not isinstance(of, (str, os.PathLike)):
             raise UserError(f"give folders one by one, as in resume('a', 'b'), got {of!r}")
         found += of.folders if isinstance(of, Runs) else [Path(of)]
     return found
 
 
-def load_runs(*folders: Runs | str | os.PathLike[str]) -> Runs:
+def load_runs(*folders: str | os.PathLike[str]) -> Runs:
     """Open the runs at or below folders, such as that of a sweep, finished or not. Changes nothing.
 
     An algorithm of one's own need not be registered. Raises UserError where there are no runs, and

@@ -1,6 +1,7 @@
 """Numbers in README and documentation are those of the reports and of `emcc`."""
 
 import csv
+import functools
 import re
 from pathlib import Path
 
@@ -14,6 +15,7 @@ RESULTS = (ROOT / "results" / "README.md").read_text()
 METRIC = (ROOT / "docs" / "metric.md").read_text()
 
 
+@functools.cache
 def of_level(level):
     """The rows of the reports on the paper's five and on SAC-LB-Streak."""
     rows = []
@@ -53,9 +55,8 @@ def test_the_choices_of_the_results():
 
 def test_which_choice_is_the_nearest():
     report = (ROOT / "results" / "circle2d" / "report.md").read_text()
-    section = report.partition("## Which choice is the nearest to the paper")[2].partition("\n## ")[
-        0
-    ]
+    section = report.partition("## Which choice is the nearest to the paper")[2]
+    section = section.partition("\n## ")[0]
     rows = re.findall(r"^\| ([\w-]+), (\w+).*? \| (\d+ of \d+) *\|$", section, re.MULTILINE)
     assert len(rows) == 12
     table = RESULTS.partition("In how many measures each choice is the nearest")[2]

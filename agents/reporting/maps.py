@@ -14,7 +14,7 @@ from agents.reporting.figures import visits_words
 from agents.reporting.scenes import STATES, Scene, Scenes, heat_png, paths
 from agents.results.measures import measure
 from agents.results.reading import Group, Run
-from agents.results.source import DamagedSource, Source
+from agents.results.source import DamagedSource, StepSource
 from agents.results.steps import DRAWN, DRAWN_POLICIES, Episode
 from circle2d_mj.render import canvas
 from emcc.parts import ALPHA, PARTS
@@ -46,7 +46,9 @@ class Maps(NamedTuple):
     """Visits that the last colour of heat stands for."""
 
 
-def maps(source: Source, groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> list[Maps]:
+def maps(
+    source: StepSource, groups: Sequence[Group], scenes: Scenes, notes: list[str]
+) -> list[Maps]:
     """The maps of one task; none of a task without a view.
 
     groups: its runs. What cannot be drawn goes into the notes.
@@ -64,7 +66,9 @@ def _turned(shown: Maps) -> Maps:
     return shown._replace(columns=shown.rows, rows=shown.columns, cells=cells)
 
 
-def _visited(source: Source, seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | None:
+def _visited(
+    source: StepSource, seen: Sequence[tuple[Group, Scene]], notes: list[str]
+) -> Maps | None:
     """A row for each third of training; one scale for all."""
     names: list[str] = []
     columns: list[list[tuple[Scene, str, NDArray[np.int64]]]] = []
@@ -102,7 +106,9 @@ def _coarser(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     return counts.reshape(half, 2, half, 2).sum(axis=(1, 3))
 
 
-def _trained(source: Source, seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | None:
+def _trained(
+    source: StepSource, seen: Sequence[tuple[Group, Scene]], notes: list[str]
+) -> Maps | None:
     """A row for each run."""
     names: list[str] = []
     columns: list[list[Map | str]] = []

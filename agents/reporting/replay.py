@@ -20,7 +20,7 @@ from agents.paper.settings import in_order, name_of
 from agents.reporting.curves import emcc_along
 from agents.reporting.scenes import STATES, Scenes, shown_states
 from agents.results.reading import Group, Run
-from agents.results.source import DamagedSource, Source
+from agents.results.source import DamagedSource, StepSource
 from agents.results.steps import LAST, WINDOWS, Replay
 from emcc.parts import ALPHA, PARTS
 
@@ -31,7 +31,7 @@ DIGITS = 1000
 
 
 def replay_data(
-    source: Source, groups: Sequence[Group], scenes: Scenes, notes: list[str]
+    source: StepSource, groups: Sequence[Group], scenes: Scenes, notes: list[str]
 ) -> dict[str, Any]:
     """The data of the player; no runs where none has recorded positions and costs.
 

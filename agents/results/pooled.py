@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.results.reading import Group, read_groups
-from agents.results.source import RunFiles, Source
+from agents.results.source import Source
 from agents.results.steps import Episode, Replay, Visits
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
@@ -44,7 +42,8 @@ def _share_no_seed(groups: Sequence[Group]) -> bool:
 
 
 class PooledSource:
-    """A source in which folders that differ in their seeds alone are one, named after all of them.
+    """Groups and steps of a source in which folders that differ in their seeds alone are one, named
+    after all of them.
 
     groups: its groups; by_folder: those of the folders one by one.
     """
@@ -54,13 +53,8 @@ class PooledSource:
         UserError where no run is left."""
         self._source = source
         self.by_folder = read_groups(source, notes)
-        self.name = source.name
-        self.problems: Sequence[str] = source.problems
         self._parts = {" + ".join(g.folder for g in of): of for of in pool(self.by_folder)}
         self.groups = [_as_one(folder, of) for folder, of in self._parts.items()]
-        self.configs: Mapping[str, dict[str, Any]] = {
-            folder: source.configs[of[0].folder] for folder, of in self._parts.items()
-        }
         notes += [self._note(of) for of in self._parts.values() if len(of) > 1]
 
     def _note(self, groups: Sequence[Group]) -> str:
@@ -73,18 +67,6 @@ class PooledSource:
     def title(self, folder: str) -> str:
         """All folders, as seen from beside the source's."""
         return " + ".join(self._source.title(of.folder) for of in self._parts[folder])
-
-    def sessions(self, folder: str) -> Mapping[str, float]:
-        """Seconds that each process trained the folders; empty where nothing says."""
-        found: dict[str, float] = {}
-        for of in self._parts[folder]:
-            found |= self._source.sessions(of.folder)
-        return found
-
-    def run(self, folder: str, config: TrainConfig, seed: int) -> RunFiles:
-        """Read a run. Raises UserError where it failed, is unfinished, missing or damaged."""
-        of = self._part(folder, seed)
-        return self._source.run(of.folder, of.config, seed)
 
     def visits(
         self, folder: str, config: TrainConfig, records: Mapping[int, EpisodeRecords]
@@ -109,19 +91,12 @@ class PooledSource:
                 played |= self._source.trained(of.folder, of.config, own)
         return played
 
-    def costs(self, folder: str, seed: int, records: EpisodeRecords) -> NDArray[np.float64]:
-        """Costs of all steps of a run, [steps]. Raises UserError."""
-        return self._source.costs(self._part(folder, seed).folder, seed, records)
-
     def replay(
         self, folder: str, config: TrainConfig, seed: int, records: EpisodeRecords
     ) -> Replay:
         """The episode of highest MCC in each window of training. Raises UserError."""
-        of = self._part(folder, seed)
+        of = next(of for of in self._parts[folder] if seed in of.config.seeds)
         return self._source.replay(of.folder, of.config, seed, records)
-
-    def _part(self, folder: str, seed: int) -> Group:
-        return next(of for of in self._parts[folder] if seed in of.config.seeds)
 
 
 def _as_one(folder: str, groups: Sequence[Group]) -> Group:

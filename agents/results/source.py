@@ -41,26 +41,11 @@ class RunFiles(NamedTuple):
     """Of each place, by the way to it, where the task tells ways: see `view.TellsWays`."""
 
 
-class Source(Protocol):
-    """All that a report reads. Folders are named from the source's own: "." or "a/b"."""
-
-    name: str
-    """Of the folder that holds all of them."""
-    configs: Mapping[str, dict[str, Any]]
-    """`config.json` of each folder of runs, in the order of the report."""
-    problems: Sequence[str]
-    """Folders that cannot be read, and why."""
+class StepSource(Protocol):
+    """The steps of runs, from which pictures are drawn."""
 
     def title(self, folder: str) -> str:
         """A folder as seen from beside the source's."""
-        ...
-
-    def sessions(self, folder: str) -> Mapping[str, float]:
-        """Seconds that each process trained a folder; empty where nothing says."""
-        ...
-
-    def run(self, folder: str, config: TrainConfig, seed: int) -> RunFiles:
-        """Read a run. Raises UserError where it failed, is unfinished, missing or damaged."""
         ...
 
     def visits(
@@ -78,14 +63,33 @@ class Source(Protocol):
         """
         ...
 
-    def costs(self, folder: str, seed: int, records: EpisodeRecords) -> NDArray[np.float64]:
-        """Costs of all steps of a run, [steps]. Raises UserError."""
-        ...
-
     def replay(
         self, folder: str, config: TrainConfig, seed: int, records: EpisodeRecords
     ) -> Replay:
         """The episode of highest MCC in each window of training. Raises UserError."""
+        ...
+
+
+class Source(StepSource, Protocol):
+    """All that a report reads. Folders are named from the source's own: "." or "a/b"."""
+
+    name: str
+    """Of the folder that holds all of them."""
+    configs: Mapping[str, dict[str, Any]]
+    """`config.json` of each folder of runs, in the order of the report."""
+    problems: Sequence[str]
+    """Folders that cannot be read, and why."""
+
+    def sessions(self, folder: str) -> Mapping[str, float]:
+        """Seconds that each process trained a folder; empty where nothing says."""
+        ...
+
+    def run(self, folder: str, config: TrainConfig, seed: int) -> RunFiles:
+        """Read a run. Raises UserError where it failed, is unfinished, missing or damaged."""
+        ...
+
+    def costs(self, folder: str, seed: int, records: EpisodeRecords) -> NDArray[np.float64]:
+        """Costs of all steps of a run, [steps]. Raises UserError."""
         ...
 
 

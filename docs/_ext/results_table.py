@@ -28,11 +28,15 @@ PARTS = {
 """The parts of SAC-LB-Streak by the names of their ablations."""
 
 
+def _lines(report: Path) -> list[dict[str, str]]:
+    with report.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
 def rows(report: Path) -> list[str]:
     """A row of Markdown for each level and algorithm, with the presets: means with their t interval
     or range, the paper's mean in brackets, seeds within the limit, and where seeds end."""
-    with report.open(encoding="utf-8") as file:
-        lines = list(csv.DictReader(file))
+    lines = _lines(report)
     return [
         _row(level, name, [x for x in lines if (x["task"], x["algorithm"]) == (level, name)])
         for level in LEVELS
@@ -52,8 +56,7 @@ def choices(report: Path) -> list[str]:
     """Rows of Markdown for each algorithm that was trained with other choices of what the paper
     does not print: those of the preset, of each choice, and of the paper. Means of J_C and
     EMCC_0.99 on levels 0 to 3, and seeds within the limit there."""
-    with report.open(encoding="utf-8") as file:
-        lines = [line for line in csv.DictReader(file) if line["task"] in LEVELS]
+    lines = [line for line in _lines(report) if line["task"] in LEVELS]
     found = []
     for name in ALGORITHMS:
         own = [line for line in lines if line["algorithm"].partition(" (")[0] == name]
@@ -72,8 +75,7 @@ def choices(report: Path) -> list[str]:
 def parts(report: Path) -> list[str]:
     """Rows of Markdown for each level on which SAC-LB-Streak was trained without its parts: of the
     preset, then without each. Runs in the corridor within the limit, and means."""
-    with report.open(encoding="utf-8") as file:
-        lines = list(csv.DictReader(file))
+    lines = _lines(report)
     found = []
     for level in LEVELS:
         folder = f"{level}-sac-lb-streak"
