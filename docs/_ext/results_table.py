@@ -28,6 +28,11 @@ PARTS = {
 """The parts of SAC-LB-Streak by the names of their ablations."""
 
 
+def solves(run: dict[str, str]) -> bool:
+    """Whether the trained policy of a report's row ends in the corridor within the limit."""
+    return run["ends_in"].startswith("corridor") and float(run["J_C"]) <= LIMIT
+
+
 def _lines(report: Path) -> list[dict[str, str]]:
     with report.open(encoding="utf-8") as file:
         return list(csv.DictReader(file))
@@ -91,7 +96,6 @@ def _part(lines: list[dict[str, str]], folder: str, title: str) -> str:
     runs = [line for line in lines if line["folder"] == folder and line["kind"] == "run"]
     if not runs:
         return ""
-    good = [x for x in runs if x["ends_in"].startswith("corridor") and float(x["J_C"]) <= LIMIT]
 
     def mean(measure: str, digits: int) -> str:
         words = f"{fmean(float(line[measure]) for line in runs):.{digits}f}"
@@ -99,7 +103,7 @@ def _part(lines: list[dict[str, str]], folder: str, title: str) -> str:
 
     emcc = " ".join(mean(measure, 2) for measure in MEASURES[:3])
     others = [mean(of, digits) for of, digits in (("cost_rate", 2), ("J_R", 1), ("J_C", 1))]
-    return " | ".join([title, f"{len(good)} of {len(runs)}", emcc, *others])
+    return " | ".join([title, f"{sum(map(solves, runs))} of {len(runs)}", emcc, *others])
 
 
 def _choice(title: str, lines: list[dict[str, str]]) -> str:
