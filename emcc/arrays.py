@@ -77,16 +77,26 @@ def as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
     return array.astype(np.float64)
 
 
-def as_two_vectors(
+def as_runs_by_task(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """`as_runs` as [runs, tasks]: values of one task are a column."""
+    runs = as_runs(values, name)
+    return runs.reshape(len(runs), -1)
+
+
+def as_two_sets(
     first: ArrayLike, second: ArrayLike, fewest: int = 1
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The values of two sets of runs, [runs] each, with `fewest` runs at least.
+    """Two sets of runs as [runs, tasks] each.
 
-    TypeError: not numbers. ValueError: fewer, NaN or infinite ones, another shape.
+    first, second: [runs] or [runs, tasks] with the same tasks. TypeError: not numbers. ValueError:
+    fewer than `fewest` runs, NaN or infinite values, other shapes.
     """
-    a, b = (as_vector(v, n).astype(np.float64) for v, n in ((first, "first"), (second, "second")))
+    a, b = as_runs_by_task(first, "first"), as_runs_by_task(second, "second")
     if min(len(a), len(b)) < fewest:
         raise ValueError(f"first and second need {fewest} runs each, got {len(a)} and {len(b)}")
+    if a.shape[1] != b.shape[1]:
+        tasks = f"{a.shape[1]} and {b.shape[1]}"
+        raise ValueError(f"first and second must have the same tasks, got {tasks} of them")
     return a, b
 
 

@@ -7,7 +7,7 @@ from math import comb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_count, as_number, as_two_vectors, as_vector, check_generator
+from emcc.arrays import as_count, as_number, as_two_sets, as_vector, check_generator
 
 MOST_EXACT = 200_000
 """Ways to divide the runs among two sets up to which a permutation test goes through all of them:
@@ -21,14 +21,23 @@ def permutation_test(
 ) -> float:
     """Two-sided p value that two sets of runs have the same mean: of Welch's t, by permutation.
 
-    first, second: [runs], two at least each. Exact, over all ways to divide the runs among the two
-    sets, where there are 200 000 at most; otherwise over `resamples` random ones. Welch's t keeps
-    the test near its level where the spreads differ too. Of 3 runs against 3 no p value is below
-    0.1. Source: Janssen 1997, "Studentized permutation tests for non-i.i.d. hypotheses and the
-    generalized Behrens-Fisher problem".
-    TypeError: rng is no numpy Generator. ValueError: fewer than two runs, NaN or infinite values.
+    first, second: [runs], two at least each, or [runs, tasks] with the same tasks. Exact, over all
+    ways to divide the runs among the two sets, where there are 200 000 at most; otherwise over
+    `resamples` random ones. Welch's t keeps the test near its level where the spreads differ too.
+    Of 3 runs against 3 no p value is below 0.1.
+
+    With tasks it is one test of the means over the tasks. Runs are divided within each task (a
+    stratum) alone, and t is the sum of the tasks' differences over its standard error. So few runs
+    on several tasks can decide: of 3 against 3 on each of four tasks, p can be 2 / 160 000. The
+    values need one unit, as EMCC has and returns have not.
+
+    Source: Janssen 1997, "Studentized permutation tests for non-i.i.d. hypotheses and the
+    generalized Behrens-Fisher problem"; by strata, Good 2005, "Permutation, Parametric and
+    Bootstrap Tests of Hypotheses".
+    TypeError: rng is no numpy Generator. ValueError: fewer than two runs, NaN or infinite values,
+    other shapes.
     """
-    angles = np.abs(_permuted(*as_two_vectors(first, second, fewest=2), rng, resamples))
+    angles = np.abs(_permuted(*as_two_sets(first, second, fewest=2), rng, resamples))
     return float((angles >= angles[0] - _TIE).mean())
 
 
@@ -44,13 +53,14 @@ def equivalence_test(
 
     Where it is small, the means are equal but for less than the margin: what a large p value of
     `permutation_test` does not say. The larger of two one-sided permutation tests of Welch's t,
-    with one set shifted by the margin. margin: > 0, in the values' unit; others as there. Source:
-    Schuirmann 1987 (two one-sided tests), Janssen 1997.
+    with one set shifted by the margin. margin: > 0, in the values' unit; others as there; with
+    tasks it is one of the means over them. Source: Schuirmann 1987 (two one-sided tests), Janssen
+    1997.
     TypeError: rng is no numpy Generator. ValueError: margin <= 0, and as there.
     """
     if as_number(margin, "margin") <= 0:
         raise ValueError(f"margin must be above 0, got {margin}")
-    a, b = as_two_vectors(first, second, fewest=2)
+    a, b = as_two_sets(first, second, fewest=2)
     found = []
     for raised, other in ((b + margin, a), (a + margin, b)):  # raised still, it is not the higher
         angles = _permuted(raised, other, rng, resamples)
@@ -76,41 +86,60 @@ def holm(p_values: ArrayLike) -> NDArray[np.float64]:
 def _permuted(
     a: NDArray[np.float64], b: NDArray[np.float64], rng: np.random.Generator, resamples: int
 ) -> NDArray[np.float64]:
-    """Welch's t of divisions of the runs, of the observed one first, as angles.
+    """Welch's t of divisions of the runs [runs, tasks], of the observed one first, as angles.
 
     The angle, whose tangent is t |t|, rises with t and is finite where there is no spread.
     """
     check_generator(rng)
     pooled, n, m = np.concatenate((a, b)), len(a), len(b)
-    if np.ptp(pooled) == 0:
+    scale = np.ptp(pooled, axis=0).max()
+    if scale == 0:
         return np.zeros(1)
-    pooled = (pooled - pooled.mean()) / np.ptp(pooled)  # t does not change, sums lose no digits
-    exact = comb(n + m, n) <= MOST_EXACT
-    if exact:
-        chosen = _divisions(n + m, n)
-    else:
-        order = np.tile(np.arange(n + m), (1 + as_count(resamples, "resamples"), 1))
-        rng.permuted(order[1:], axis=1, out=order[1:])
-        chosen = (order < n).astype(np.float64)
-    powers = np.stack((pooled, pooled**2), axis=1)
-    (sums, squares), (all_sum, all_squares) = (chosen @ powers).T, powers.sum(axis=0)
-    others, others_squares = all_sum - sums, all_squares - squares
-    spread = np.maximum(squares - sums**2 / n, 0) / (n * (n - 1))
-    spread += np.maximum(others_squares - others**2 / m, 0) / (m * (m - 1))
-    gap = sums / n - others / m
+    pooled = (pooled - pooled.mean(axis=0)) / scale  # t does not change, sums lose no digits
+    exact = comb(n + m, n) ** pooled.shape[1] <= MOST_EXACT
+    gap = spread = np.zeros(1)
+    for task, values in enumerate(pooled.T):
+        if exact:
+            chosen = _divisions(n + m, n, half=n == m and task == 0)
+        else:
+            chosen = _random_divisions(n + m, n, as_count(resamples, "resamples"), rng)
+        gaps, spreads = _moments(values, chosen, n, m)
+        combine = np.add.outer if exact else np.add  # exact: every division with every other task's
+        gap, spread = combine(gap, gaps).ravel(), combine(spread, spreads).ravel()
     angles = np.arctan2(gap * np.abs(gap), spread)
     return np.concatenate((angles, -angles)) if exact and n == m else angles
 
 
+def _moments(
+    values: NDArray[np.float64], chosen: NDArray[np.float64], n: int, m: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Difference of the means of the two sets, and its squared standard error, by division."""
+    powers = np.stack((values, values**2), axis=1)
+    (sums, squares), (all_sum, all_squares) = (chosen @ powers).T, powers.sum(axis=0)
+    others, others_squares = all_sum - sums, all_squares - squares
+    spread = np.maximum(squares - sums**2 / n, 0) / (n * (n - 1))
+    spread += np.maximum(others_squares - others**2 / m, 0) / (m * (m - 1))
+    return sums / n - others / m, spread
+
+
+def _random_divisions(
+    runs: int, of_first: int, resamples: int, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """As `_divisions`: the observed one, then random ones."""
+    order = np.tile(np.arange(runs), (1 + resamples, 1))
+    rng.permuted(order[1:], axis=1, out=order[1:])
+    return (order < of_first).astype(np.float64)
+
+
 @lru_cache(maxsize=2)
-def _divisions(runs: int, of_first: int) -> NDArray[np.float64]:
+def _divisions(runs: int, of_first: int, half: bool) -> NDArray[np.float64]:
     """All ways to choose the first set's runs, a row of ones and zeros each, the first runs first.
 
-    Where both sets have as many runs, those with the very first run alone: exchanging the sets
-    gives the others, and the opposite t.
+    half, where both sets have as many runs: those with the very first run alone. Exchanging the
+    sets gives the others, and the opposite t.
     """
     rows = np.array(list(combinations(range(runs), of_first)))
-    if runs == 2 * of_first:
+    if half:
         rows = rows[rows[:, 0] == 0]
     chosen = np.zeros((len(rows), runs))
     np.put_along_axis(chosen, rows, 1.0, axis=1)

@@ -4,7 +4,7 @@ Arrays in, numbers or frozen dataclasses out; `[runs]`, or `[runs, tasks]` where
 scipy is imported when one of these is first called.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -15,7 +15,8 @@ from emcc.arrays import (
     as_integers,
     as_level,
     as_runs,
-    as_two_vectors,
+    as_runs_by_task,
+    as_two_sets,
     as_vector,
     check_generator,
 )
@@ -78,7 +79,7 @@ def mean_difference(first: ArrayLike, second: ArrayLike, level: float = 0.95) ->
     sets differ. Source: Welch 1947, "The generalization of Student's problem when several different
     population variances are involved". ValueError: as in `mean_interval`.
     """
-    a, b = as_two_vectors(first, second)
+    a, b = (as_vector(v, n).astype(float) for v, n in ((first, "first"), (second, "second")))
     level, n = as_level(level), min(len(a), len(b))
     value = float(b.mean() - a.mean())
     if n < FEWEST_RUNS:
@@ -127,7 +128,7 @@ def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> float:
     measures that are better when they are higher, exchange the two. Source: Agarwal et al. 2021.
     ValueError: no values, NaN or infinite ones, other shapes.
     """
-    a, b = _two_sets(first, second)
+    a, b = as_two_sets(first, second)
     below = b[None] < a[:, None]
     equal = b[None] == a[:, None]
     return float((below + 0.5 * equal).mean())
@@ -160,7 +161,7 @@ def bootstrap(
     TypeError: rng is no numpy Generator. ValueError: as in `iqm`, level outside (0, 1).
     """
     check_generator(rng)
-    runs, level = [_by_task(values, "values") for values in sets], as_level(level)
+    runs, level = [as_runs_by_task(values, "values") for values in sets], as_level(level)
     value, fewest = float(statistic(*runs)), min(map(len, runs))
     if fewest < FEWEST_RUNS:
         return Interval(value, None, None, "range", fewest)
@@ -171,20 +172,6 @@ def bootstrap(
 
 def _resampled(runs: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
     return np.take_along_axis(runs, rng.integers(len(runs), size=runs.shape), axis=0)
-
-
-def _by_task(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    """[runs, tasks]"""
-    runs = as_runs(values, name)
-    return runs.reshape(len(runs), -1)
-
-
-def _two_sets(first: ArrayLike, second: ArrayLike) -> Sequence[NDArray[np.float64]]:
-    sets = [_by_task(first, "first"), _by_task(second, "second")]
-    if sets[0].shape[1] != sets[1].shape[1]:
-        tasks = " and ".join(str(of.shape[1]) for of in sets)
-        raise ValueError(f"first and second must have the same tasks, got {tasks} of them")
-    return sets
 
 
 def _special() -> Any:
