@@ -16,7 +16,8 @@ from agents.training.progress import working
 @dataclass(frozen=True)
 class CompareOptions:
     """Print the tables of two sets of runs, such as your algorithm's and a baseline's, with the
-    differences B - A, their 95 % intervals over seeds, and permutation tests."""
+    differences B - A, their 95 % intervals over seeds, and permutation tests, on each task and over
+    all tasks together."""
 
     a: Folder
     """Folder of runs, or one with several such folders below it."""

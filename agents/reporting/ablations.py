@@ -12,9 +12,11 @@ from agents.paper.ablations import choice_of
 from agents.paper.presets import MARGIN, PAPER_ALGORITHMS, ablations, unprinted
 from agents.paper.printed import paper_results
 from agents.paper.settings import by_task, name_of, unusual_steps
+from agents.reporting.over_tasks import differences_over_tasks
 from agents.reporting.table import Number, Row, Table, number_of
 from agents.reporting.tables import caption, mark, mean_row, means, measures_table, paper_row
 from agents.results.measures import measure, measures
+from agents.results.over_tasks import two_sets
 from agents.results.reading import Group
 from agents.results.statistics import INTERVALS, group_mean, mean_of
 from agents.training.config import TrainConfig
@@ -34,6 +36,7 @@ MEANING = (
     "table and decide no claim; where a verdict would be another with them, the claim says so"
 )
 PARTS_TITLE = "SAC-LB-Streak without one of its parts"
+PARTS_TOGETHER = f"{PARTS_TITLE}, all tasks together"
 PARTS_MEANING = (
     "without-streak: plain cost (streak_weight 0); without-brown: white random actions "
     "(random_exponent 0); without-share: batches of the last transitions alone (random_share 0); "
@@ -42,7 +45,7 @@ PARTS_MEANING = (
     "observations in shares of the arena (input_scale 1), where the bonus counts the same places "
     "(novelty_length 2 / 15); without-speed: step sizes, batch and "
     f"gradient steps of SAC-LB; margin: plain cost and a cost limit that is {MARGIN:g} lower. "
-    "Means of the runs that the rows tell, without a test"
+    "Means of the runs that the rows tell; the table of all tasks together has the tests"
 )
 TIES = "Ties split instead of kept"
 TIES_MEANING = (
@@ -81,10 +84,20 @@ def ablation_table(pairs: Sequence[tuple[Group, Group]]) -> Table | None:
     return measures_table(words, what, mark(rows, marked), marking=MARKING)
 
 
+def parts_over_tasks(pairs: Sequence[tuple[Group, Group]]) -> Table | None:
+    """Differences, over all tasks, of SAC-LB-Streak's runs without each part; None of one task."""
+    by_choice: dict[str, list[tuple[Group, Group]]] = {}
+    for usual, *others in _of_parts(pairs):
+        for other in others:
+            name = f"B - A: {_choice(other.config)} - preset"
+            by_choice.setdefault(name, []).append((usual, other))
+    found = {name: two_sets(of) for name, of in by_choice.items()}
+    return differences_over_tasks({name: sets for name, sets in found.items() if sets})
+
+
 def parts_table(pairs: Sequence[tuple[Group, Group]]) -> Table | None:
     """For each task SAC-LB-Streak's means, and those without one of its parts; None without any."""
-    of_presets = [of for of in _by_preset(pairs) if of[0].config.algorithm not in PAPER_ALGORITHMS]
-    groups = [group for choices in of_presets for group in choices if group.runs]
+    groups = [group for choices in _of_parts(pairs) for group in choices if group.runs]
     if not groups:
         return None
     words = f"{PARTS_TITLE}: {PARTS_MEANING}. {caption(groups)}"
@@ -117,6 +130,10 @@ def nearest_table(pairs: Sequence[tuple[Group, Group]]) -> Table | None:
         "equal ones counted; of those in which it was compared"
     )
     return Table(words, ["algorithm and choice", "nearest"], rows)
+
+
+def _of_parts(pairs: Sequence[tuple[Group, Group]]) -> list[list[Group]]:
+    return [of for of in _by_preset(pairs) if of[0].config.algorithm not in PAPER_ALGORITHMS]
 
 
 def _by_preset(pairs: Sequence[tuple[Group, Group]]) -> list[list[Group]]:

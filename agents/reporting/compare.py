@@ -9,14 +9,23 @@ from typing import Any, NamedTuple
 
 from agents.errors import UserError
 from agents.paper.settings import changes, in_order, name_of, with_distinct_titles
-from agents.reporting.csv_table import Line, difference_lines, group_lines, numbers_csv
+from agents.reporting.csv_table import (
+    Line,
+    difference_lines,
+    group_lines,
+    numbers_csv,
+    two_sets_lines,
+)
 from agents.reporting.figures import curves
+from agents.reporting.over_tasks import differences_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import made
 from agents.reporting.table import Number, Row, Table, markdown, number_of, p_number
 from agents.reporting.tables import caption, mean_row, measures_table, run_rows
+from agents.reporting.together import TASKS
 from agents.results.archive import open_source
 from agents.results.measures import measures
+from agents.results.over_tasks import TwoSets, two_sets
 from agents.results.pooled import PooledSource
 from agents.results.reading import Group
 from agents.results.statistics import LEVEL, corrected, group_difference, improvement_of, p_of
@@ -46,10 +55,11 @@ class Sides(NamedTuple):
 
 
 def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
-    """The tables of two folders of runs with the differences B - A, task by task.
+    """The tables of two folders of runs with the differences B - A, task by task, and over tasks.
 
     a, b: folders or archives, as `report` takes them. A group of B stands against the one of A with
     the same algorithm and settings, or where there is none against every group of A on the task.
+    The last table has one test over all tasks of each pair that is there on two tasks or more.
     With out, writes `compare.md`, `compare.csv`, and `compare.html` with training curves, both
     sides in one figure. Raises UserError where a side has no complete run, or the two have no
     task in common.
@@ -73,17 +83,17 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
         for task in common
     }
     notes.insert(0, f"A is {a}, B is {b}.")
-    p_values = _p_values(by_task.values())
-    tables = [
-        _table(task, sides, p_values, notes if task == common[-1] else [])
+    p_values, sets = _p_values(by_task.values()), _over_tasks(by_task.values())
+    tables = {
+        task: _table(task, sides, p_values, notes if task == common[-1] else [])
         for task, sides in by_task.items()
-    ]
+    }
+    if (together := differences_over_tasks(sets)) is not None:
+        tables[TASKS] = together
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        sections = [
-            Section(task, table, [curves(sides.named)])
-            for (task, sides), table in zip(by_task.items(), tables, strict=True)
-        ]
+        drawn = {task: [curves(sides.named)] for task, sides in by_task.items()}
+        sections = [Section(of, table, drawn.get(of, [])) for of, table in tables.items()]
         how = {
             f"{name}, {k}": text
             for name, source, side in zip("AB", sources, pooled, strict=True)
@@ -91,10 +101,11 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
         }
         title = f"{sources[0].name} (A) and {sources[1].name} (B)"
         write_whole(out / "compare.html", page(title, sections, how))
-        write_whole(out / "compare.md", markdown(tables))
-        lines = (line for sides in by_task.values() for line in _lines(sides))
+        write_whole(out / "compare.md", markdown(list(tables.values())))
+        lines = [line for sides in by_task.values() for line in _lines(sides)]
+        lines += [line for name, of in sets.items() for line in two_sets_lines(of, name)]
         write_whole(out / "compare.csv", numbers_csv(lines))
-    return tables
+    return list(tables.values())
 
 
 def _table(task: str, sides: Sides, p_values: PValues, notes: Sequence[str]) -> Table:
@@ -120,6 +131,15 @@ def _pairs(sides: Sides) -> list[Pair]:
 
 def _settings(group: Group) -> tuple[str, dict[str, Any]]:
     return group.config.algorithm, changes(group.config)
+
+
+def _over_tasks(of_tasks: Iterable[Sides]) -> dict[str, TwoSets]:
+    """Pairs that stand against each other on two tasks or more, by their name."""
+    by_name: dict[str, list[Pair]] = {}
+    for a, b in (pair for sides in of_tasks for pair in _pairs(sides)):
+        by_name.setdefault(_difference_name(a, b), []).append((a, b))
+    found = {name: two_sets(pairs) for name, pairs in by_name.items()}
+    return {name: sets for name, sets in found.items() if sets}
 
 
 def _p_values(of_tasks: Iterable[Sides]) -> PValues:

@@ -11,6 +11,7 @@ from agents.paper.printed import paper_results
 from agents.paper.settings import cost_limit, name_of
 from agents.reporting.tables import ends_words
 from agents.results.measures import measures
+from agents.results.over_tasks import TwoSets, common_measures
 from agents.results.reading import Group
 from agents.results.statistics import (
     group_difference,
@@ -80,6 +81,16 @@ def difference_lines(a: Group, b: Group, name: str) -> Iterator[Line]:
     p_values = {measure: p_of(a.values(measure), b.values(measure)) for measure in names}
     yield from _line(task, name, "p", p_values)
     better = {m.name: improvement_of(a.values(m.name), b.values(m.name), m) for m in measures()}
+    yield from _interval_lines(task, name, "improvement", better)
+
+
+def two_sets_lines(sets: TwoSets, name: str) -> Iterator[Line]:
+    """B - A over all tasks, of the measures that tasks share."""
+    task, columns = f"{sets.tasks} tasks", common_measures()
+    gaps = {m.name: sets.difference(m) for m in columns}
+    yield from _interval_lines(task, name, "difference", gaps)
+    yield from _line(task, name, "p", {m.name: sets.p(m) for m in columns})
+    better = {m.name: sets.improvement(m) for m in columns}
     yield from _interval_lines(task, name, "improvement", better)
 
 

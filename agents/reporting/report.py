@@ -15,10 +15,12 @@ from agents.reporting import claims_text, together
 from agents.reporting.ablations import (
     NEAREST,
     PARTS_TITLE,
+    PARTS_TOGETHER,
     TIES,
     TITLE,
     ablation_table,
     nearest_table,
+    parts_over_tasks,
     parts_table,
     ties_table,
 )
@@ -165,5 +167,6 @@ def _tables(
         TITLE: ablation_table(ablated),
         NEAREST: nearest_table(ablated),
         PARTS_TITLE: parts_table(ablated),
+        PARTS_TOGETHER: parts_over_tasks(ablated),
     }
     return tables | {name: table for name, table in of_ablations.items() if table is not None}

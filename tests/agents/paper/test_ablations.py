@@ -203,6 +203,29 @@ def test_parts_have_a_table_of_their_own(tmp_path):
     assert len([row for row in main_table if "mean of" in row[0]]) == 1
 
 
+def test_parts_over_all_tasks(tmp_path):
+    """Two runs of the preset against two without streak cost on either level, with equal records:
+    every division is as extreme. A part that one level alone has is not there."""
+    for task in (TASK, "Circle2D-2-v0"):
+        choices = ablations("sac-lb-streak", task)
+        shown = ["without-streak", "without-share"] if task == TASK else ["without-streak"]
+        write_runs(
+            tmp_path / task / "preset", "sac-lb-streak", [-10.0, -20.0], task=task, ends=ENDS
+        )
+        for choice in shown:
+            folder, config = tmp_path / task / choice, choices[choice]
+            write_runs(folder, "sac-lb-streak", [0.0, 0.0], config, task=task, ends=ENDS)
+    words = markdown(table(tmp_path))
+    found = rows(words[words.index("| over all tasks") :])
+    name = "B - A: without-streak - preset"
+    assert found[2:5] == [
+        [f"{name}, 2 tasks, 2 seeds against 2", *["+0.000"] * 4],
+        [f"p, {name}", *["1.000"] * 4],
+        [f"B better, {name}", *["0.50"] * 4],
+    ]
+    assert "without-share - preset" not in words
+
+
 def test_runs_of_other_steps_are_no_pair(folder):
     other = ablations("trpo-lag", TASK)["sgd"]
     write_runs(folder / "longer", "trpo-lag", [-1.0], other, steps=200)

@@ -125,6 +125,51 @@ def test_runs_too_few_for_a_test_are_named(tmp_path):
     assert "they decide nothing" not in markdown(compare(*sides))
 
 
+def test_over_tasks_few_runs_decide(tmp_path):
+    """Three runs a side with returns of a side, and streaks of 3 and 4 of 10 steps, on two tasks.
+
+    B is lower in every EMCC by .1, in every run: of 20 divisions of each task one is the observed
+    one, and one of all 400 its opposite. Cost rates are equal. Holm multiplies by 4 measures, then
+    by 1."""
+    for side, name, streak in (("a", "trpo-lag", 4), ("b", "cpo", 3)):
+        for level in (1, 2):
+            folder = tmp_path / side / str(level)
+            write_runs(folder, name, [-1.0, -2.0, -3.0], f"Circle2D-{level}-v0", streak=streak)
+    out = tmp_path / "out"
+    tables = compare(tmp_path / "a", tmp_path / "b", out)
+    assert len(tables) == 3
+    name = "B - A: CPO (100 steps) - TRPO-Lag (100 steps)"
+    difference, p, better = tables[-1].rows
+    assert tables[-1].head[1:] == ["EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost rate"]
+    assert [row.name for row in tables[-1].rows] == [
+        *(f"{name}, 2 tasks, 3 seeds against 3", f"p, {name}", f"B better, {name}")
+    ]
+    assert [n.value for n in difference.numbers] == pytest.approx([-0.1, -0.1, -0.1, 0])
+    assert all(n.low is None for n in difference.numbers)  # fewer than five seeds
+    assert [n.value for n in p.numbers] == pytest.approx([*[4 * 2 / 400] * 3, 1])
+    assert [n.value for n in better.numbers] == [1, 1, 1, 0.5]
+    assert "corrected for the 4 comparisons of this table (Holm)" in tables[-1].caption
+    found = {(x["kind"], x["EMCC_0.33"]) for x in lines(out) if x["task"] == "2 tasks"}
+    assert {kind for kind, _ in found} == {"difference", "p", "improvement"}
+    assert 2 / 400 in [pytest.approx(float(value)) for kind, value in found if kind == "p"]
+    assert "All tasks together" in (out / "compare.html").read_text()
+    assert markdown(tables) == (out / "compare.md").read_text()
+
+
+def test_over_tasks_seeds_that_all_have(tmp_path):
+    """Task 1 has seeds 0 to 2, task 2 seeds 0 and 1: the last run of task 1 is not used."""
+    for side, name, streak in (("a", "trpo-lag", 4), ("b", "cpo", 3)):
+        write_runs(tmp_path / side / "1", name, [0.0, 0.0, 0.0], streak=streak)
+        write_runs(tmp_path / side / "2", name, [0.0, 0.0], "Circle2D-2-v0", streak=streak)
+    difference, p, _ = compare(tmp_path / "a", tmp_path / "b")[-1].rows
+    assert difference.name.endswith("2 tasks, 2 seeds against 2")
+    assert p.numbers[0].value == pytest.approx(4 * 2 / 6**2)
+    # One seed on a task allows no test.
+    write_runs(tmp_path / "a" / "3", "trpo-lag", [0.0], "Circle2D-3-v0")
+    write_runs(tmp_path / "b" / "3", "cpo", [0.0], "Circle2D-3-v0")
+    assert len(compare(tmp_path / "a", tmp_path / "b")) == 3
+
+
 def test_one_seed_other_tasks_and_other_steps_are_named(tmp_path):
     write_runs(tmp_path / "a" / "1", "cpo", [-10.0])
     write_runs(tmp_path / "a" / "2", "cpo", [-10.0, -11.0], task="Circle2D-2-v0")
