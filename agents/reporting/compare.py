@@ -160,9 +160,9 @@ def _difference_rows(a: Group, b: Group, p_values: PValues) -> Iterator[Row]:
     cells = [number_of(*of_measure, signed=True) for of_measure in gaps]
     yield Row(name, [*cells, empty], kind="difference")
     cells = [p_number(p_values[a.folder, b.folder, m.name]) for m in measures()]
-    yield Row(f"p, {name}", [*cells, empty], kind="test")
+    yield Row("p", [*cells, empty], kind="test")
     better = [improvement_of(a.values(m.name), b.values(m.name), m) for m in measures()]
-    yield Row(f"B better, {name}", [*map(number_of, better), empty], kind="test")
+    yield Row("B better", [*map(number_of, better), empty], kind="test")
 
 
 def _lowest_p(a: int, b: int) -> float:

@@ -64,8 +64,8 @@ def differences_over_tasks(sets: Mapping[str, TwoSets]) -> Table | None:
         better = [number_of(of.improvement(m)) for m in columns]
         rows += [
             Row(f"{name}, {of.size}", differences, kind="difference"),
-            Row(f"p, {name}", [p_number(p_values[name, m.name]) for m in columns], kind="test"),
-            Row(f"B better, {name}", better, kind="test"),
+            Row("p", [p_number(p_values[name, m.name]) for m in columns], kind="test"),
+            Row("B better", better, kind="test"),
         ]
     tests = sum(p is not None for p in p_values.values())
     caption = (
