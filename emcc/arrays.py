@@ -38,7 +38,7 @@ def as_vector(
     if array.ndim != 1:
         raise ValueError(f"{name} must be 1-D, got shape {array.shape}")
     if array.size == 0:
-        raise ValueError(f"{name} is empty; at least one value is needed")
+        raise ValueError(f"{name} must have at least one value, got none")
     check_range(array, name, low, high)
     return array
 

@@ -117,6 +117,11 @@ def mcc(trajectories: Iterable[ArrayLike], threshold: float = 0.0) -> float:
     """
     shares = []
     for index, costs in enumerate(trajectories):
+        if np.ndim(costs) == 0:
+            raise ValueError(
+                f"trajectories must be a list of arrays of costs, got a number at index {index}; "
+                "one trajectory is [costs]"
+            )
         costs = as_vector(costs, f"costs of trajectory {index}", low=0)
         shares.append(longest_streak(costs, threshold) / costs.size)
     if not shares:

@@ -13,7 +13,7 @@ from agents.cli.options import Folders, Imports, parse
 from agents.errors import UserError
 from agents.reporting import films, image_files, pictures
 from agents.training.config import TrainConfig
-from agents.training.pretrained import pretrained
+from agents.training.pretrained import folder_of
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class RenderOptions:
 def run(args: Sequence[str]) -> int:
     """Run `circle2d render`; returns the exit status."""
     options = parse(RenderOptions, "render", args)
-    folders, count = [_folder(given) for given in options.folders], len(options.folders)
+    folders, count = [folder_of(given) for given in options.folders], len(options.folders)
     if not count:
         raise UserError("render needs a folder of runs")
     names = _of_each("names", options.names, options)
@@ -68,13 +68,6 @@ def run(args: Sequence[str]) -> int:
         image_files.write_film(out, pictured, total)
     print(out)
     return 0
-
-
-def _folder(given: Path) -> Path:
-    """A folder, or that of a policy of the package for `pretrained:ALGORITHM/TASK`."""
-    kind, colon, name = given.as_posix().partition(":")
-    algorithm, _, task = name.partition("/")
-    return pretrained(algorithm, task) if kind == "pretrained" and colon else given
 
 
 T = TypeVar("T")

@@ -7,7 +7,6 @@ import functools
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -19,10 +18,11 @@ from agents.lockstep.rollout import MAX_STEPS
 from agents.training.config import TrainConfig
 from agents.training.environments import FloatCost, import_module_of, registered
 from agents.training.policy import Policy, load_policy
+from agents.training.pretrained import folder_of
 from emcc import cvar, longest_streak
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Evaluation:
     """Results of the episodes of an evaluation.
 
@@ -40,6 +40,14 @@ class Evaluation:
     """Steps."""
     longest_streaks: NDArray[np.int64]
     """Longest streak of consecutive steps with a cost, in steps."""
+
+    def __repr__(self) -> str:
+        runs = f"runs={len(self.returns)}, " if self.returns.ndim > 1 else ""
+        return (
+            f"Evaluation(task={self.task!r}, {runs}episodes={self.returns.shape[-1]}, "
+            f"mean_return={self.mean_return:.2f}, mean_cost={self.mean_cost:.2f}, "
+            f"mcc={self.mcc:.2f})"
+        )
 
     @property
     def mean_return(self) -> float:
@@ -87,7 +95,7 @@ def evaluate(
     if task is not None:
         import_module_of(task)
     if isinstance(policy, (str, os.PathLike)):
-        folder = Path(policy)
+        folder = folder_of(policy)
         seeds = TrainConfig.read(folder).seeds
         policies = [load_policy(folder, of_run) for of_run in seeds]
         task = task or policies[0].task
@@ -172,13 +180,15 @@ def _check_fit(policy: Policy, env: gym.Env, task: str) -> None:
     """Raise UserError where a policy's observations or actions are not those of a task."""
     spaces, observation, action = policy.spaces, env.observation_space, env.action_space
     same = observation.shape == (spaces.observation_size,) and action.shape == (len(spaces.low),)
-    if same and isinstance(action, gym.spaces.Box):
-        same = np.array_equal(action.low, np.array(spaces.low, action.dtype)) and np.array_equal(
-            action.high, np.array(spaces.high, action.dtype)
-        )
+    of_task = f"actions {action}"
+    if isinstance(action, gym.spaces.Box):
+        of_task = f"actions from {action.low.tolist()} to {action.high.tolist()}"
+        same = same and np.array_equal(action.low, np.array(spaces.low, action.dtype))
+        same = same and np.array_equal(action.high, np.array(spaces.high, action.dtype))
     if not same:
+        shape = list(observation.shape) if observation.shape is not None else observation
         raise UserError(
             f"the policy of {policy.task} takes observations [{spaces.observation_size}] and gives "
             f"actions from {list(spaces.low)} to {list(spaces.high)}; task {task!r} has "
-            f"{observation} and {action}"
+            f"observations {shape} and {of_task}"
         )

@@ -17,6 +17,7 @@ from agents.lockstep import tree
 from agents.lockstep.learner import Learner
 from agents.training.config import TrainConfig, read_spaces
 from agents.training.environments import Spaces
+from agents.training.pretrained import folder_of
 from agents.training.snapshots import read_policy_arrays
 
 
@@ -128,13 +129,17 @@ class _Bounded(nn.Module):
 def load_policy(
     folder: str | os.PathLike[str], seed: int | None = None, step: int | None = None
 ) -> Policy:
-    """Load a trained policy from a folder of runs.
+    """Load a trained policy from a folder of runs, or one that comes with the package.
 
-    seed: of the run; it may be left out where there is only one. step: a multiple of the training's
-    `evaluate_every`, for the policy of that time; by default that of the last checkpoint. Needs
-    neither the task's environment nor the replay. Raises UserError for what is not there.
+    folder: that of the runs, or "pretrained:ALGORITHM/TASK", such as
+        "pretrained:sac-lb-streak/Circle2D-2-v0".
+    seed: of the run; it may be left out where there is only one.
+    step: a multiple of the training's `evaluate_every`, for the policy of that time; by default
+        that of the last checkpoint.
+
+    Needs neither the task's environment nor the replay. Raises UserError for what is not there.
     """
-    folder = Path(folder)
+    folder = folder_of(folder)
     config = TrainConfig.read(folder)
     if seed is None:
         if len(config.seeds) != 1:

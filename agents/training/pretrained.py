@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,9 @@ FOLDER = Path(__file__).parent.parent / "policies"
 def pretrained(algorithm: str, task: str) -> Path:
     """Return the folder of a trained policy that comes with the package.
 
-    It is for `load_policy`, `evaluate` and `circle2d render`; `config.json` in it tells how it was
-    trained. Raises UserError, naming what there is, for an algorithm or task without one.
+    `load_policy` and `circle2d render` take its name, "pretrained:ALGORITHM/TASK", as well.
+    `config.json` in it tells how it was trained. Raises UserError, naming what there is, for an
+    algorithm or task without one.
     """
     there = sorted(path.parent for path in FOLDER.glob("*/*/config.json"))
     algorithms = sorted({path.parent.name for path in there})
@@ -32,6 +34,13 @@ def pretrained(algorithm: str, task: str) -> Path:
         hint = nearest(name, tasks)
         raise UserError(f"no policy of {algorithm} for {task!r} comes with the package: {hint}")
     return FOLDER / algorithm / name
+
+
+def folder_of(given: str | os.PathLike[str]) -> Path:
+    """Return the folder given, for `pretrained:ALGORITHM/TASK` that of the package's policy."""
+    kind, colon, name = Path(given).as_posix().partition(":")
+    algorithm, _, task = name.partition("/")
+    return pretrained(algorithm, task) if kind == "pretrained" and colon else Path(given)
 
 
 def write_policy(folder: Path, seed: int, out: Path) -> None:

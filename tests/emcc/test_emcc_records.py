@@ -170,7 +170,7 @@ def test_costs_of_episodes_of_one_length():
     [
         (([0, 1, 1],), "lengths are needed, or costs as an array of each trajectory"),
         ((np.zeros((0, 3)),), "costs are empty; at least one trajectory is needed"),
-        (([[0, 1], []],), "costs of trajectory 1 is empty"),
+        (([[0, 1], []],), "costs of trajectory 1 must have at least one"),
         (([[0, 1], [[1]]],), r"costs of trajectory 1 must be 1-D, got shape \(1, 1\)"),
         (([[0, 1], [1, 0]], [2, 1]), "lengths must be those of the trajectories of costs"),
         (([[0, 1], [1]], None, [[1], [2, 3]]), "lengths must be .* of the trajectories of rewards"),

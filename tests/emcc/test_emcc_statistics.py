@@ -160,7 +160,7 @@ def test_the_bootstrap_draws_each_task_on_its_own():
 
 
 BAD = {
-    "empty": (lambda: statistics.mean_interval([]), "values is empty"),
+    "empty": (lambda: statistics.mean_interval([]), "values must have at least one value"),
     "NaN": (lambda: statistics.iqm([1.0, math.nan]), "values must be finite, got nan"),
     "level": (lambda: statistics.mean_interval([1, 2], level=95), r"level must be in \(0, 1\)"),
     "count": (lambda: statistics.share(11, 10), "count must be at most runs, got 11 of 10"),

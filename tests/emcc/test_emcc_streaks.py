@@ -117,7 +117,7 @@ def test_bounds_work_elementwise():
 
 
 BAD = {
-    "no step": (lambda: longest_streak([]), "costs is empty"),
+    "no step": (lambda: longest_streak([]), "costs must have at least one value"),
     "two axes": (lambda: longest_streak([[0, 1]]), r"costs must be 1-D, got shape \(1, 2\)"),
     "NaN": (lambda: longest_streak([0, np.nan]), "costs .* got nan at index 1"),
     "infinite": (lambda: longest_streak([np.inf, 0]), "costs .* got inf at index 0"),
@@ -128,8 +128,8 @@ BAD = {
     "fraction": (lambda: longest_streaks([1, 1], [1.5, 0.5]), "lengths must be"),
     "sum": (lambda: longest_streaks([1, 1], [1, 2]), "add up to 3 steps, but there are 2 costs"),
     "empty rollout": (lambda: mcc([]), "the rollout has no trajectory"),
-    "empty episode": (lambda: mcc([[1], []]), "costs of trajectory 1 is empty"),
-    "costs alone": (lambda: mcc([0, 1]), "costs of trajectory 0 must be 1-D"),
+    "empty episode": (lambda: mcc([[1], []]), "costs of trajectory 1 must have at least one value"),
+    "costs alone": (lambda: mcc([0, 1]), r"a number at index 0; one trajectory is \[costs\]"),
     "S > T": (lambda: streak_bounds(4, 3), "unsafe_steps must not exceed length"),
     "S < 0": (lambda: streak_bounds(-1, 3), "unsafe_steps .* got -1"),
     "T = 0": (lambda: streak_bounds(0, 0), "length .* got 0"),

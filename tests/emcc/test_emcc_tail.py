@@ -107,7 +107,7 @@ def test_cost_rate():
 
 VALUES, STARTS = [0.1, 0.2, 0.3], [0, 40, 70]
 BAD = {
-    "no values": (lambda: emcc([]), "mcc_values is empty"),
+    "no values": (lambda: emcc([]), "mcc_values must have at least one value"),
     "a sum": (lambda: emcc([0.5, 8.0]), r"mcc_values .* in \[0, 1\], got 8.0 at index 1"),
     "NaN": (lambda: emcc([np.nan]), "mcc_values .* got nan"),
     "NaN return": (lambda: cvar([1, np.nan]), "values .* got nan at index 1"),

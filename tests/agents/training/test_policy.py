@@ -196,6 +196,8 @@ def test_evaluation_by_hand():
     assert (found.mean_cost, found.mcc, found.mean_length) == (0.75, 1.0, 1.0)
     assert found.mean_return == pytest.approx(-0.09)
     assert found.cvar() == 0.75
+    told = "mean_return=-0.09, mean_cost=0.75, mcc=1.00)"
+    assert repr(found) == f"Evaluation(task='Target-v0', episodes=3, {told}"
     assert seen == [(1,)] * 3
 
 
@@ -206,6 +208,7 @@ def test_evaluation_of_policies_and_folders(folder):
     both = agents.evaluate(folder, episodes=4, seed=7)
     assert both.returns.shape == (2, 4)
     assert both.seeds == (0, 1)
+    assert "runs=2, episodes=4, " in repr(both)
     np.testing.assert_array_equal(both.returns[1], one.returns)
     np.testing.assert_array_equal(agents.evaluate(policy, episodes=4, seed=7).costs, one.costs)
     other = agents.evaluate(policy, episodes=4, seed=8)
@@ -227,9 +230,15 @@ def test_an_evaluation_that_is_refused_closes_the_environment(folder, monkeypatc
 def test_evaluations_that_cannot_be(folder):
     policy = agents.load_policy(folder, seed=0)
     with pytest.raises(
-        agents.UserError, match=r"from \[-2.0\] to \[2.0\]; task 'Circle2D-1-v0' has"
+        agents.UserError,
+        match=r"from \[-2.0\] to \[2.0\]; task 'Circle2D-1-v0' has observations \[2\] and actions "
+        r"from \[-1.0, -1.0\] to \[1.0, 1.0\]$",
     ):
         agents.evaluate(policy, "Circle2D-1-v0")
+    with pytest.raises(
+        agents.UserError, match=r"has observations \[4\] and actions Discrete\(2\)$"
+    ):
+        agents.evaluate(policy, "CartPole-v1")
     with pytest.raises(agents.UserError, match="needs the task"):
         agents.evaluate(lambda observation: observation)
     with pytest.raises(agents.UserError, match="episodes must be at least 1, got 0"):

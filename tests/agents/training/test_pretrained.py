@@ -45,12 +45,14 @@ def test_found_by_algorithm_and_task(folder, tmp_path, monkeypatch):
         agents.UserError, match=r"for 'Circle2D-7-v0'.*did you mean 'Circle2D-1-v0'"
     ):
         agents.pretrained("sac-lb", "Circle2D-7-v0")
+    with pytest.raises(agents.UserError, match="for 'Circle2D-7-v0'"):
+        agents.load_policy("pretrained:sac-lb/Circle2D-7-v0")
 
 
 def test_those_of_the_package_do_what_the_readme_says():
     """TRPO-Lag goes straight through, SAC-LB-Streak ends in the corridor within the limit of 5."""
-    through = agents.evaluate(agents.load_policy(agents.pretrained("trpo-lag", TASK)), episodes=30)
-    kept = agents.load_policy(agents.pretrained("sac-lb-streak", TASK))
+    through = agents.evaluate(f"pretrained:trpo-lag/{TASK}", episodes=30)
+    kept = agents.load_policy(f"pretrained:sac-lb-streak/{TASK}")
     kept = agents.evaluate(kept, episodes=30)
     assert (through.costs >= 9).all()
     assert through.mcc >= 0.18
