@@ -71,7 +71,7 @@ integrate: $(VENV)/develops
 		-e '.[dev,integrations]'
 	$(BIN)/python -m pytest -n logical --durations 5 tests/emcc tests/agents/test_export.py \
 		tests/circle2d_mj/core/test_other_libraries.py tests/test_examples.py
-	$(BIN)/python -m pytest -m slow tests/agents/test_sweeps.py \
+	$(BIN)/python -m pytest -m slow tests/agents/test_sweeps.py::test_training_on_ray \
 		tests/agents/training/test_ray.py::test_the_same_report
 
 ray: $(VENV)/develops

@@ -8,6 +8,12 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 from statistics import fmean
+from typing import Any
+
+import numpy as np
+import scipy.stats
+
+import emcc
 
 RESULTS = Path(__file__).parents[2] / "results"
 REPORT = RESULTS / "circle2d" / "report.csv"
@@ -26,6 +32,9 @@ PARTS = {
     "speed": "its own step sizes and batches",
 }
 """The parts of SAC-LB-Streak by the names of their ablations."""
+ROWS = {f"without-{k}": f"without {v}" for k, v in PARTS.items()} | {
+    "margin": "a margin instead of streak cost"
+}
 
 
 def solves(run: dict[str, str]) -> bool:
@@ -83,17 +92,69 @@ def parts(report: Path) -> list[str]:
     lines = _lines(report)
     found = []
     for level in LEVELS:
-        folder = f"{level}-sac-lb-streak"
-        preset = _part(lines, folder, "all parts")
-        without = [_part(lines, f"{folder}-without-{k}", f"without {v}") for k, v in PARTS.items()]
-        rows = list(filter(None, without))
+        rows = [_part(_runs(lines, level, choice), ROWS[choice]) for choice in list(ROWS)[:-1]]
+        rows = [row for row in rows if row]
+        preset = _part(_runs(lines, level, ""), "all parts")
         found += [f"| {level[9]} | {row} |" for row in (preset, *rows) if rows]
     return found
 
 
-def _part(lines: list[dict[str, str]], folder: str, title: str) -> str:
+def parts_over_levels(report: Path) -> list[str]:
+    """Rows of Markdown for each part of SAC-LB-Streak: on the levels where it was left out, runs in
+    the corridor within the limit without and with it, and by how much means are higher without it.
+
+    Behind each a p value: of counts Fisher's exact test, of means the permutation test over levels,
+    either corrected for all of the table (Holm).
+    """
+    lines = _lines(report)
+    counts, gaps, of_counts, of_gaps = {}, {}, {}, {}
+    for choice in ROWS:
+        levels = [level for level in LEVELS if _runs(lines, level, choice)]
+        sides = [[_runs(lines, level, of) for level in levels] for of in (choice, "")]
+        if len(levels) < 2:
+            continue
+        solved = [sum(solves(run) for runs in side for run in runs) for side in sides]
+        total = [sum(map(len, side)) for side in sides]
+        counts[choice] = [f"{k} of {n}" for k, n in zip(solved, total, strict=True)], len(levels)
+        table = [[k, n - k] for k, n in zip(solved, total, strict=True)]
+        of_counts[choice] = float(scipy.stats.fisher_exact(table).pvalue)
+        for measure in MEASURES[:4]:
+            without, usual = (
+                np.transpose([[float(run[measure]) for run in runs] for runs in side])
+                for side in sides
+            )
+            gaps[choice, measure] = without.mean() - usual.mean()
+            rng = np.random.default_rng(0)
+            of_gaps[choice, measure] = emcc.permutation_test(usual, without, rng=rng)
+    of_counts, of_gaps = _holm(of_counts), _holm(of_gaps)
+    found = []
+    for choice, ((without, usual), levels) in counts.items():
+        cells = [f"{without}, {usual} ({_p(of_counts[choice])})"]
+        for measure in MEASURES[:4]:
+            gap = round(gaps[choice, measure], 3) or 0.0  # no -0
+            cells.append(f"{gap:+.3f} ({_p(of_gaps[choice, measure])})".replace("0.", ".", 1))
+        found.append(f"| {ROWS[choice]} | {levels} | {' | '.join(cells)} |")
+    return found
+
+
+def _holm(p_values: dict[Any, float]) -> dict[Any, float]:
+    return dict(zip(p_values, emcc.holm(list(p_values.values())).tolist(), strict=True))
+
+
+def _p(value: float) -> str:
+    if value < 0.001:
+        return "p < .001"
+    return "p = 1" if value > 0.9995 else f"p = {value:.3f}".replace("0.", ".", 1)
+
+
+def _runs(lines: list[dict[str, str]], level: str, choice: str) -> list[dict[str, str]]:
+    """Runs of SAC-LB-Streak on a level, of a choice or, for none, of the preset."""
+    folder = f"{level}-sac-lb-streak{'-' if choice else ''}{choice}"
+    return [line for line in lines if line["folder"] == folder and line["kind"] == "run"]
+
+
+def _part(runs: list[dict[str, str]], title: str) -> str:
     """The cells of a row; empty without runs."""
-    runs = [line for line in lines if line["folder"] == folder and line["kind"] == "run"]
     if not runs:
         return ""
 
@@ -101,9 +162,9 @@ def _part(lines: list[dict[str, str]], folder: str, title: str) -> str:
         words = f"{fmean(float(line[measure]) for line in runs):.{digits}f}"
         return words.removeprefix("0")
 
-    emcc = " ".join(mean(measure, 2) for measure in MEASURES[:3])
+    emcc_of = " ".join(mean(measure, 2) for measure in MEASURES[:3])
     others = [mean(of, digits) for of, digits in (("cost_rate", 2), ("J_R", 1), ("J_C", 1))]
-    return " | ".join([title, f"{sum(map(solves, runs))} of {len(runs)}", emcc, *others])
+    return " | ".join([title, f"{sum(map(solves, runs))} of {len(runs)}", emcc_of, *others])
 
 
 def _choice(title: str, lines: list[dict[str, str]]) -> str:
@@ -136,4 +197,5 @@ def _count(line: dict[str, str]) -> str:
 
 
 if __name__ == "__main__":
-    print("\n".join([*rows(REPORT), "", *choices(REPORT), "", *parts(SOLVED)]))
+    tables = (rows(REPORT), choices(REPORT), parts(SOLVED), parts_over_levels(SOLVED))
+    print("\n\n".join(map("\n".join, tables)))
