@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium as gym
 
 from agents.errors import UserError
 from agents.training.environments import registered
 
+T = TypeVar("T")
 LEAST_WIDTH = 40
 """Characters of the narrowest terminal that tables are laid out for."""
 
@@ -66,3 +67,11 @@ def check_size(size: int) -> None:
     """Raise UserError for a picture's size that is not even and in [64, 4096] pixels."""
     if not 64 <= size <= 4096 or size % 2:
         raise UserError(f"size must be an even number in [64, 4096], got {size}")
+
+
+def one_for_each(name: str, given: Sequence[T], folders: int) -> Sequence[T | None]:
+    """An option's value for each folder, None where it is not given. Raises UserError for a number
+    of values that is not theirs."""
+    if given and len(given) != folders:
+        raise UserError(f"{name} must be one for each of the {folders} folders, got {len(given)}")
+    return given or [None] * folders

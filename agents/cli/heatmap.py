@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.cli.checks import check_holds_runs, check_size, check_suffix
+from agents.cli.checks import check_holds_runs, check_size, check_suffix, one_for_each
 from agents.cli.options import Folders, Imports, parse
 from agents.errors import UserError
 from agents.reporting import image_files, pictures
@@ -26,6 +26,8 @@ class HeatmapOptions:
     """Share of a part's rollouts, those of the highest MCC; 1 draws all."""
     seeds: tuple[int, ...] | None = None
     """Of the runs; by default all but those that failed."""
+    names: tuple[str, ...] = ()
+    """Titles, one for each folder; by default the algorithm with its settings, and the task."""
     out: Path | None = None
     """File to write; by default heatmap.png in the first folder."""
     size: int = 640
@@ -47,7 +49,8 @@ def run(args: Sequence[str]) -> int:
         raise UserError(f"alpha must be in (0, 1], got {options.alpha}")
     out = options.out or options.folders[0] / "heatmap.png"
     check_suffix(out, ".png")
-    of_file = (options.part, options.alpha, options.size, options.seeds)
+    names = one_for_each("names", options.names, len(options.folders))
+    of_file = (options.part, options.alpha, options.size, options.seeds, names)
     picture = pictures.heatmap(options.folders, *of_file)
     image_files.write_picture(out, picture)
     print(out)

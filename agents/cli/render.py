@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 from agents.algorithms import title
-from agents.cli.checks import check_holds_runs, check_size, check_suffix
+from agents.cli.checks import check_holds_runs, check_size, check_suffix, one_for_each
 from agents.cli.options import Folders, Imports, parse
 from agents.errors import UserError
 from agents.reporting import films, image_files, pictures
@@ -48,8 +47,8 @@ def run(args: Sequence[str]) -> int:
     folders, count = [folder_of(given) for given in options.folders], len(options.folders)
     if not count:
         raise UserError("render needs a folder of runs")
-    names = _of_each("names", options.names, options)
-    seeds = _of_each("seed", options.seed * (1 if options.seed[1:] else count), options)
+    names = one_for_each("names", options.names, count)
+    seeds = one_for_each("seed", options.seed * (1 if options.seed[1:] else count), count)
     for folder in folders:
         check_holds_runs(folder)
     check_size(options.size)
@@ -68,17 +67,6 @@ def run(args: Sequence[str]) -> int:
         image_files.write_film(out, pictured, total)
     print(out)
     return 0
-
-
-T = TypeVar("T")
-
-
-def _of_each(name: str, given: Sequence[T], options: RenderOptions) -> Sequence[T | None]:
-    """An option's value for each folder, None where it is not given."""
-    folders = len(options.folders)
-    if given and len(given) != folders:
-        raise UserError(f"{name} must be one for each of the {folders} folders, got {len(given)}")
-    return given or [None] * folders
 
 
 def _panel(options: RenderOptions, folder: Path, name: str | None, seed: int | None) -> films.Panel:

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from agents.algorithms import title
 from agents.errors import UserError
+from agents.paper.settings import title_of
 from agents.reporting.figures import Ground, visits_words
 from agents.results.frames import Filmed, film_trained
 from agents.results.steps import Episode, Visits, count_visits, play_trained, require_view
@@ -30,16 +30,22 @@ def heatmap(
     alpha: float,
     size: int = SIZE,
     seeds: tuple[int, ...] | None = None,
+    names: Sequence[str | None] | None = None,
 ) -> Picture:
     """Heat maps of parts of training: [height, width, 3].
 
     folders: each of runs of one algorithm, of which those of the seeds (by default all that have
     not failed) are taken together. The parts of a single folder stand side by side; several folders
     are the columns, the parts the rows, with one scale for all. parts and alpha: see
-    `steps.count_visits`; size: pixels along the side of each map. Titles name the seeds where they
-    are not all. Raises UserError for a folder without positions, or of another seed.
+    `steps.count_visits`; size: pixels along the side of each map. names: titles of the folders; by
+    default the algorithm, its settings and the task, and the seeds where they are not all. Raises
+    UserError for a folder without positions, or of another seed.
     """
-    columns = [_maps_of(folder, parts, alpha, seeds) for folder in folders]
+    names = names or [None] * len(folders)
+    columns = [
+        _maps_of(folder, parts, alpha, seeds, name)
+        for folder, name in zip(folders, names, strict=True)
+    ]
     most = canvas.most_visits([part.counts for column in columns for part in column.parts])
     grounds = [Ground(column.view, column.view.background(size)) for column in columns]
     pictures = [
@@ -47,13 +53,13 @@ def heatmap(
         for column, ground in zip(columns, grounds, strict=True)
     ]
     captions = [[visits_words(part) for part in column.parts] for column in columns]
-    names, titles = [f"{PARTS[part]} of training" for part in parts], [of.title for of in columns]
+    thirds, titles = [f"{PARTS[part]} of training" for part in parts], [of.title for of in columns]
     if len(columns) == 1:
-        return figure(pictures, names, title=titles[0], captions=captions, most_visits=most)
+        return figure(pictures, thirds, title=titles[0], captions=captions, most_visits=most)
     return figure(
         list(zip(*pictures, strict=True)),
         titles,
-        row_titles=names,
+        row_titles=thirds,
         captions=list(zip(*captions, strict=True)),
         most_visits=most,
     )
@@ -68,14 +74,18 @@ class _MapsOf(NamedTuple):
 
 
 def _maps_of(
-    folder: Path, parts: Sequence[float], alpha: float, seeds: tuple[int, ...] | None
+    folder: Path,
+    parts: Sequence[float],
+    alpha: float,
+    seeds: tuple[int, ...] | None,
+    name: str | None,
 ) -> _MapsOf:
     config = TrainConfig.read(folder)
     view = require_view(config)
     everyone, config = config.seeds, _of_seeds(folder, config, seeds)
     records = [_records(run_folder(folder, seed)) for seed in config.seeds]
-    heading = f"{title(config.algorithm)} on {config.task}"
-    if set(config.seeds) != set(everyone):
+    heading = name or f"{title_of(config)} on {config.task}"
+    if name is None and set(config.seeds) != set(everyone):
         heading += f" (seeds: {', '.join(map(str, config.seeds))})"
     return _MapsOf(heading, view, count_visits(folder, config, records, parts, alpha, view))
 

@@ -55,6 +55,7 @@ def folder(tmp_path_factory):
         ),
         (["compare", "{folder}", "{tmp}/nothing"], "nothing is no folder\n"),
         (["heatmap", "{folder}", "--part", "1"], "part must be some of \\[0.33, 0.66, 0.99\\]"),
+        (["heatmap", "{folder}", "--names", "a", "b"], "one for each of the 1 folders, got 2"),
         (["heatmap", "{folder}", "--out", "a.jpg"], "out must end in .png, got 'a.jpg'\n"),
         (["render", "{folder}", "--seed", "77"], "no run of seed 77: its seeds are \\[0, 1\\]\n"),
         (["render", "pretrained:cpo/Circle2D-2-v0"], "no policy of 'cpo' comes with the package"),

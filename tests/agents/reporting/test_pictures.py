@@ -212,6 +212,31 @@ def test_heat_maps_of_several_folders_side_by_side(folder, tmp_path):
     assert (left != right).any()
 
 
+def test_columns_of_heat_maps_say_what_tells_them_apart(folder, tmp_path, monkeypatch):
+    """The titles are those of the settings, or those given."""
+    copy, out, titles = tmp_path / "x", str(tmp_path / "both.png"), []
+    shutil.copytree(folder, copy)
+    content = json.loads((copy / "config.json").read_text())
+    content["hyperparameters"]["cost_limit"] = 6.0
+    (copy / "config.json").write_text(json.dumps(content))
+    (copy / "checksums.json").unlink()
+    monkeypatch.setattr(
+        pictures,
+        "figure",
+        lambda rows, columns, **of: titles.append(columns) or figure(rows, columns),
+    )
+    command = ["heatmap", str(folder), str(copy), "--size", "96", "--out", out]
+    for names in ([], ["--names", "left", "right"]):
+        assert main([*command, *names]) == 0
+    assert titles == [
+        [
+            f"TRPO-Lag (2,000 steps) on {TASK}",
+            f"TRPO-Lag (cost_limit 6.0, 2,000 steps) on {TASK}",
+        ],
+        ["left", "right"],
+    ]
+
+
 def test_scene_prints_a_whole_model(capsys):
     import mujoco
 
