@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from inspect import get_annotations
 from typing import Any, NamedTuple
 
 from agents.algorithms import RESERVED, algorithm
@@ -47,28 +48,42 @@ def length_scale(task: str) -> float | tuple[float, ...]:
 def preset(name: str, task: str) -> Any:
     """The hyper-parameters of an algorithm for a task: on the paper's tasks the paper's.
 
-    An algorithm that the paper does not have gets those of its family, a subclass of the SAC
-    family's those of that; SAC-LB-Streak, which is made for Circle2D, sees its observations there
-    in units of length. For any other task the defaults of the algorithm's config. Raises UserError
-    for an unknown algorithm.
+    An algorithm that the paper does not have gets those of its family, one whose config is a
+    subclass of SAC-LB-Streak's those of SAC-LB-Streak, which sees Circle2D in units of length. A
+    default that a subclass changes comes before them. For any other task the defaults of the
+    algorithm's config. Raises UserError for an unknown algorithm.
     """
     config = algorithm(name).config()
-    task = registered_id(task)
+    kind = type(config)
+    of_task = _of_task(config, _is_off_policy(name), registered_id(task))
+    return replace(config, **{of: v for of, v in of_task.items() if not _redefines(kind, of)})
+
+
+def _of_task(config: Any, off_policy: bool, task: str) -> dict[str, Any]:
+    """Hyper-parameters that the paper prints for a task and that are not the defaults."""
     if is_circle2d(task):
         # Table Circle2DResults, caption; for the time limit see `unprinted`: on-policy bootstraps.
-        limit = {"cost_limit": 5.0} if hasattr(config, "cost_limit") else {}
-        if name == "sac-lb-streak":
-            others = {"input_scale": length_scale(task)}
-        else:
-            others = {"time_limit": "terminal"} if _is_off_policy(name) else {}
-        config = replace(config, **limit, **others)
-    elif task.startswith("circle2d_mj/Safety"):
+        found = {"cost_limit": 5.0} if hasattr(config, "cost_limit") else {}
+        found |= {"time_limit": "terminal"} if off_policy else {}
+        return found | ({"input_scale": length_scale(task)} if _is_streak(config) else {})
+    if task.startswith("circle2d_mj/Safety"):
         # Table HP_SafetyGymnasium; the cost limit, 25, is the default.
-        if _is_off_policy(name):
-            config = replace(config, random_steps=50_000, replay_size=500_000)
-        elif task.startswith("circle2d_mj/SafetyPointCircle1") and hasattr(config, "episodes"):
-            config = replace(config, episodes=20)
-    return config
+        if off_policy:
+            return {"random_steps": 50_000, "replay_size": 500_000}
+        if task.startswith("circle2d_mj/SafetyPointCircle1") and hasattr(config, "episodes"):
+            return {"episodes": 20}
+    return {}
+
+
+def _redefines(kind: type, name: str) -> bool:
+    """Whether a class has a default of its own for a hyper-parameter that it inherits."""
+    return sum(name in get_annotations(base) for base in kind.__mro__) > 1
+
+
+def _is_streak(config: Any) -> bool:
+    from agents.algorithms.sac_lb_streak import SACLBStreakConfig  # here, since it imports torch
+
+    return isinstance(config, SACLBStreakConfig)
 
 
 def preset_with(name: str, task: str, given: Mapping[str, Any]) -> Any:

@@ -6,6 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from agents.errors import UserError
 from agents.training.loop import OnEpoch, Training
 
 
@@ -29,7 +32,7 @@ def follower(on_epoch: Callable[[Epoch], object], folders: Sequence[Path]) -> On
     """The training loop's own callback for a function of an `Epoch`, called once a folder.
 
     folders: in the order of the trainings. The result is False, which stops them all, where the
-    function returned False for any.
+    function returned False for any, be it numpy's; what else it returns does not matter.
     """
     seen: dict[Path, int] = {}
 
@@ -39,10 +42,16 @@ def follower(on_epoch: Callable[[Epoch], object], folders: Sequence[Path]) -> On
             took_part = seen.get(folder, 0) < training.epochs_here
             seen[folder] = training.epochs_here
             if took_part:
-                answers.append(on_epoch(_epoch(folder, training)) is not False)
-        return all(answers)
+                answers.append(on_epoch(_epoch(folder, training)))
+        return not any(isinstance(of, (bool, np.bool_)) and not of for of in answers)
 
     return call
+
+
+def check_callback(on_epoch: object) -> None:
+    """Raise UserError for an `on_epoch` that cannot be called."""
+    if on_epoch is not None and not callable(on_epoch):
+        raise UserError(f"on_epoch must be a function of an Epoch, got {on_epoch!r}")
 
 
 def _epoch(folder: Path, training: Training) -> Epoch:

@@ -1,9 +1,11 @@
 """Presets against the paper's table HP_Circle2D, typed off, and the words of `train --help`."""
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
 
 import pytest
 
+import agents
+from agents import algorithms
 from agents.algorithms import ALGORITHMS, BUILT_IN
 from agents.cli.hyperparameters import explain_all, texts
 from agents.paper.presets import PAPER_ALGORITHMS, preset, unprinted
@@ -118,3 +120,37 @@ def test_presets_of_algorithms_that_the_paper_does_not_have():
     assert preset("sac", "Circle2D-1-v0").time_limit == "terminal"
     assert preset("sac", "circle2d_mj/SafetyPointGoal1-v0").replay_size == 500_000
     assert unprinted("sac") is unprinted("ppo-lag") is None
+
+
+@pytest.fixture
+def subclass():
+    """Register an algorithm with a config class as "mine", like the built-in one given."""
+
+    def register(name, config):
+        agents.register("mine", ALGORITHMS[name]._replace(config=config))
+
+    yield register
+    algorithms._algorithms.registered.pop("mine", None)
+
+
+def test_a_default_of_ones_own_comes_before_the_preset(subclass):
+    @dataclass(frozen=True)
+    class Mine(ALGORITHMS["sac-lb"].config):
+        cost_limit: float = 3.0
+        replay_size: int = 1000
+
+    subclass("sac-lb", Mine)
+    assert preset("mine", "Circle2D-1-v0") == Mine(time_limit="terminal")
+    assert preset("mine", "circle2d_mj/SafetyPointGoal1-v0") == Mine(random_steps=50_000)
+
+
+def test_a_subclass_of_sac_lb_streak_has_its_preset(subclass):
+    @dataclass(frozen=True)
+    class Mine(ALGORITHMS["sac-lb-streak"].config):
+        streak_weight: float = 2.0
+
+    subclass("sac-lb-streak", Mine)
+    for task in ("Circle2D-1-v0", "Circle2DMuJoCo-1-v0", "circle2d_mj/SafetyPointGoal1-v0"):
+        found = {of.name: getattr(preset("mine", task), of.name) for of in fields(Mine)}
+        usual = preset("sac-lb-streak", task)
+        assert found == {of: getattr(usual, of) for of in found} | {"streak_weight": 2.0}
