@@ -72,6 +72,9 @@ class MultiplierForm(NamedTuple):
     """parameter -> derivative of the multiplier"""
     lowest: float = -math.inf
     """Lower bound of the parameter."""
+    law: Callable[[Any, Tensor, Tensor], Tensor] | None = None
+    """(config, parameter [R, LANES], cost [R, 1]) -> the parameter after an update. An algorithm's
+    own law, instead of a `multiplier_optimizer`; its config has `initial_multiplier` alone."""
 
 
 SOFTPLUS = MultiplierForm(softplus, torch.sigmoid)
@@ -104,11 +107,16 @@ def initial(
 ) -> MultiplierState | PIDState | None:
     """The state before the first update; None for an algorithm without a multiplier.
 
-    A PID controller starts from the same multiplier as the others, as its integral term.
+    A PID controller starts from the same multiplier as the others, as its integral term. Raises
+    TypeError for a form with a law where the config has an optimiser, too.
     """
     if form is None:
         return None
     parameter = torch.full((runs, LANES), float(config.initial_multiplier))
+    if form.law:
+        if hasattr(config, "multiplier_optimizer"):
+            raise TypeError(f"the multiplier has a law: {config!r} must not have an optimizer")
+        return MultiplierState(parameter, no_moments(parameter))
     if config.multiplier_optimizer == "pid":
         value = form.value(parameter)
         return PIDState(value, value.clone(), torch.zeros_like(value))
@@ -132,12 +140,15 @@ def follow(
     state: MultiplierState | PIDState | None,
     cost: Tensor,
 ) -> MultiplierState | PIDState | None:
-    """The state after an update by the config's optimiser; cost: [R, 1], to be compared with
+    """The state after an update by the form's law or the config's optimiser; cost: [R, 1], to be compared with
     `config.cost_limit`."""
     if form is None or state is None:
         return None
     if isinstance(state, PIDState):
         return control(config, state, cost)
+    if form.law:
+        parameter = form.law(config, state.parameter, cost).clamp(min=form.lowest)
+        return MultiplierState(parameter, state.moments)
     return ascend(form, config, state, cost)
 
 

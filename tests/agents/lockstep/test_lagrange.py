@@ -100,6 +100,26 @@ def test_every_optimizer_starts_from_the_same_multiplier(name):
     assert len(values) == 1
 
 
+def test_a_law_by_hand():
+    """λ ← λ·(1 + 0.1 (c - 4)) from 0.5: 0.5·1.2 = 0.6, 0.5·0.7 = 0.35; a cost of -8 gives
+    0.5·(1 - 1.2) < 0, which is projected to 0."""
+
+    @dataclass(frozen=True)
+    class Limited:
+        initial_multiplier: float = 0.5
+        cost_limit: float = 4.0
+
+    def law(config, parameter, cost):
+        return parameter * (1.0 + 0.1 * (cost - config.cost_limit))
+
+    form, cost = PROJECTED._replace(law=law), torch.tensor([[6.0], [1.0], [-8.0]])
+    state = lagrange.follow(form, Limited(), lagrange.initial(form, Limited(), 3), cost)
+    assert lagrange.value(form, state, 3).flatten().tolist() == pytest.approx([0.6, 0.35, 0.0])
+    assert state.parameter.shape == (3, LANES)
+    with pytest.raises(TypeError, match="the multiplier has a law: .* must not have an optimizer"):
+        lagrange.initial(form, Config(), 3)
+
+
 def test_an_algorithm_without_one():
     assert lagrange.initial(None, None, 3) is None
     assert lagrange.value(None, None, 3).tolist() == [[0.0]] * 3
