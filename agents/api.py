@@ -20,9 +20,7 @@ was not; two callbacks measure the time of PyTorch's compiler.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import functools
-import operator
 import os
 import shutil
 import tempfile
@@ -31,9 +29,9 @@ from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar
 
 from agents.algorithms import Algorithm, register
+from agents.arguments import configs_of, folder_to_write
 from agents.errors import UserError
 from agents.lockstep import backend as lockstep_backend
-from agents.paper.presets import preset_with
 from agents.reporting.compare import compare as compare_runs
 from agents.reporting.report import report as write_report
 from agents.reporting.table import markdown
@@ -42,13 +40,12 @@ from agents.sweeps import Values, sweep_configs, train_groups
 from agents.training import loop
 from agents.training.config import Backend, Device, TrainConfig
 from agents.training.engines import EngineName
-from agents.training.environments import Vectorization, check_task, task_id
-from agents.training.epochs import Epoch, follower
+from agents.training.environments import Vectorization
+from agents.training.epochs import Epoch, check_callback, follower
 from agents.training.playing import Evaluation, evaluate
 from agents.training.policy import Policy, load_policy
 from agents.training.pretrained import pretrained
 from agents.training.progress import show_progress
-from agents.training.tensorboard import require_tensorboard
 
 __all__ = (
     "Algorithm",
@@ -96,7 +93,7 @@ def train(
     seeds: int | Iterable[int] = (0, 1, 2),
     steps: int = 1_000_000,
     out: Folder | None = None,
-    task_parameters: dict[str, Any] | None = None,
+    task_parameters: Mapping[str, Any] | None = None,
     checkpoint_every: int = 50_000,
     evaluate_every: int | None = None,
     vectorization: Vectorization = "auto",
@@ -138,16 +135,12 @@ def train(
 
     Raises UserError for what is unknown or not allowed, before anything is written.
     """
-    task = task_id(task)
-    own = preset_with(algorithm, task, hyperparameters)
-    config = TrainConfig(algorithm, task, _seeds(seeds), steps, own, dict(task_parameters or {}))
-    config = dataclasses.replace(
-        config, checkpoint_every=checkpoint_every, evaluate_every=evaluate_every, device=device
-    )
-    config = dataclasses.replace(
-        config, vectorization=vectorization, step_timeout=step_timeout, tensorboard=tensorboard
-    )
-    return _start(config, backend, out, on_epoch, progress, engine, address)
+    settings = {"checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every}
+    settings |= {"vectorization": vectorization, "step_timeout": step_timeout}
+    settings |= {"device": device, "tensorboard": tensorboard}
+    runs = (seeds, steps, task_parameters)
+    (config,) = configs_of(algorithm, task, *runs, [hyperparameters], backend, settings)
+    return _start(config, out, on_epoch, progress, engine, address)
 
 
 def sweep(
@@ -158,8 +151,14 @@ def sweep(
     seeds: int | Iterable[int] = (0, 1, 2),
     steps: int = 1_000_000,
     out: Folder,
+    task_parameters: Mapping[str, Any] | None = None,
+    checkpoint_every: int = 50_000,
+    evaluate_every: int | None = None,
+    vectorization: Vectorization = "auto",
+    step_timeout: float | None = None,
     backend: Backend | Literal["auto"] = "auto",
     device: Device = "cpu",
+    tensorboard: bool = False,
     engine: EngineName = "local",
     workers: int | None = None,
     address: str | None = None,
@@ -175,16 +174,16 @@ def sweep(
     Raises UserError for what is unknown or not allowed, before anything is written, and where a
     training fails; the others are done by then.
     """
-    task = task_id(task)
-    check_task(task, {})
-    chosen = lockstep_backend.choose(backend)
-    lockstep_backend.require(chosen == "compiled", device)
-    configs = {}
-    for name, values in sweep_configs(grid).items():
-        own = preset_with(algorithm, task, hyperparameters | values)
-        configs[Path(out) / name] = TrainConfig(
-            algorithm, task, _seeds(seeds), steps, own, backend=chosen, device=device
-        )
+    combinations, folder = sweep_configs(grid), folder_to_write(out)
+    for name in grid.keys() & hyperparameters.keys():
+        raise UserError(f"{name} is given twice: in the grid, and as {hyperparameters[name]!r}")
+    settings = {"checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every}
+    settings |= {"vectorization": vectorization, "step_timeout": step_timeout}
+    settings |= {"device": device, "tensorboard": tensorboard}
+    runs = (seeds, steps, task_parameters)
+    chosen = [hyperparameters | values for values in combinations.values()]
+    found = configs_of(algorithm, task, *runs, chosen, backend, settings)
+    configs = {folder / name: of for name, of in zip(combinations, found, strict=True)}
     train_groups(configs, engine, workers, address)
     return Runs(list(configs))
 
@@ -199,6 +198,7 @@ def resume(*folders: Folder, on_epoch: OnEpoch | None = None, progress: bool = F
     """
     if not folders:
         raise UserError("resume needs a folder of runs")
+    check_callback(on_epoch)
     paths = list(dict.fromkeys(folders_of(*folders)))
     _train(paths, on_epoch, progress)
     return Runs(paths)
@@ -213,8 +213,9 @@ def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = N
     for an archive the one beside it that has its name without the suffix; several paths need one.
     Raises UserError where there are no complete runs, or an archive is damaged.
     """
-    archive, out = (None if of is None else Path(of) for of in (archive, out))
-    return markdown(write_report(*folders_of(*paths), archive=archive, out=out))
+    file = None if archive is None else Path(archive)
+    folder = None if out is None else folder_to_write(out)
+    return markdown(write_report(*folders_of(*paths), archive=file, out=folder))
 
 
 def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:
@@ -224,12 +225,11 @@ def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:
     `compare.md`, `compare.csv`, and `compare.html` with the training curves of both, to that
     folder. Raises UserError where a side has no complete run, or the two have no task in common.
     """
-    return markdown(compare_runs(Path(a), Path(b), None if out is None else Path(out)))
+    return markdown(compare_runs(Path(a), Path(b), None if out is None else folder_to_write(out)))
 
 
 def _start(
     config: TrainConfig,
-    backend: Backend | Literal["auto"],
     out: Folder | None,
     on_epoch: OnEpoch | None,
     progress: bool,
@@ -237,17 +237,10 @@ def _start(
     address: str | None,
 ) -> Runs:
     """Make the folder of some runs and train them."""
+    check_callback(on_epoch)
     if engine != "local" and (on_epoch or progress):
         raise UserError("on_epoch and progress are of the engine local")
-    if config.step_timeout is not None and config.vectorization != "async":
-        given = config.vectorization  # not in TrainConfig, since earlier folders may hold it
-        raise UserError(f"step_timeout is for processes: vectorization must be async, got {given}")
-    check_task(config.task, config.task_parameters)
-    if config.tensorboard:
-        require_tensorboard()
-    config = dataclasses.replace(config, backend=lockstep_backend.choose(backend))
-    lockstep_backend.require(config.backend == "compiled", config.device)
-    folder = Path(tempfile.mkdtemp(prefix="agents-") if out is None else out)
+    folder = Path(tempfile.mkdtemp(prefix="agents-")) if out is None else folder_to_write(out)
     try:
         if engine == "local" and address is None:
             config.write(folder)
@@ -264,23 +257,16 @@ def _start(
 
 
 def _train(folders: Sequence[Path], on_epoch: OnEpoch | None, progress: bool) -> None:
-    follow = follower(on_epoch, folders) if on_epoch else None
+    follow = follower(on_epoch, folders) if on_epoch else lambda trainings: True
     with contextlib.ExitStack() as stack:
         show = None
         if progress:
             configs = {folder: TrainConfig.read(folder) for folder in folders}
             show = stack.enter_context(show_progress(configs))
 
-        def after_epoch(trainings: Sequence[loop.Training]) -> bool:
+        def after_epoch(trainings: Sequence[loop.Training]) -> object:
             if show:
                 show(trainings)
-            return follow is None or follow(trainings) is not False
+            return follow(trainings)
 
         loop.train(*folders, on_epoch=after_epoch)
-
-
-def _seeds(seeds: int | Iterable[int]) -> tuple[int, ...]:
-    try:
-        return tuple(operator.index(s) for s in (seeds if isinstance(seeds, Iterable) else [seeds]))
-    except TypeError:
-        raise UserError(f"seeds must be an integer or several, got {seeds!r}") from None

@@ -17,8 +17,8 @@ from agents.reporting.report import table
 from agents.reporting.table import markdown
 from agents.results.archive import open_source
 from agents.results.reading import Group, read_groups
-from agents.results.source import NO_RUNS, FolderSource
-from agents.training.config import TrainConfig, run_folder
+from agents.results.source import FolderSource
+from agents.training.config import NO_RUNS, TrainConfig, run_folder
 from emcc import EpisodeRecords
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ from agents.errors import UserError
 from agents.paper import grid
 from agents.training.config import TrainConfig
 from agents.training.engines import EngineName, engine
+from agents.training.environments import module_of_task
 
 Values = Collection[Any]
 """Values of a hyper-parameter."""
@@ -23,6 +24,8 @@ def sweep_configs(values: Mapping[str, Values]) -> dict[str, dict[str, Any]]:
 
     Raises UserError for an empty grid, values that are none, and equal names.
     """
+    if not isinstance(values, Mapping):
+        raise UserError(f"grid must be values by the names of hyper-parameters, got {values!r}")
     for name, of_name in values.items():
         if isinstance(of_name, str) or not isinstance(of_name, Collection) or not of_name:
             raise UserError(f"grid needs several values of {name}, got {of_name!r}")
@@ -56,7 +59,7 @@ def train_groups(
     """
     configs = dict(configs)
     first = next(iter(configs.values()))
-    imports = _modules({config.algorithm for config in configs.values()})
+    imports = modules_of(configs.values())
     with engine(name, count, address, first.device) as ready:
         grid.prepare(configs)
         left = {f: c for f, c in configs.items() if not grid.finished(f, c)}
@@ -72,13 +75,19 @@ def train_groups(
         raise UserError("; ".join(f"{folder} failed: {why}" for folder, why in failed.items()))
 
 
-def _modules(algorithms: Collection[str]) -> list[str]:
-    """Modules that processes import in order to know algorithms. Raises UserError for one that the
-    running script registers, which they cannot import."""
-    modules = {module_of(name): name for name in algorithms if name not in BUILT_IN}
-    if name := modules.get("__main__"):
+def modules_of(configs: Collection[TrainConfig]) -> list[str]:
+    """Modules that other processes import in order to know algorithms and tasks. Raises UserError
+    for one that the running script registers, which they cannot import."""
+    found = {}
+    for config in configs:
+        if config.algorithm not in BUILT_IN:
+            found[module_of(config.algorithm)] = config.algorithm, "agents.register"
+        if module := module_of_task(config.task):
+            found[module] = config.task, "gymnasium.register"
+    if "__main__" in found:
+        name, register = found["__main__"]
         raise UserError(
-            f"{name} is registered in the running script, which the processes of a sweep cannot "
-            "import: call agents.register in a module of its own and import that"
+            f"{name} is registered in the running script, which the processes that train cannot "
+            f"import: call {register} in a module of its own and import that"
         )
-    return sorted(modules)
+    return sorted(found)

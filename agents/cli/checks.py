@@ -28,13 +28,6 @@ def check_suffix(path: Path, *allowed: str) -> None:
         raise UserError(f"out must end in {' or '.join(allowed)}, got {str(path)!r}")
 
 
-def check_folder(path: Path) -> None:
-    """Raise UserError for a folder that cannot be made, since a file is in its way."""
-    for part in (path, *path.parents):
-        if part.is_file():
-            raise UserError(f"out must be a folder, but {str(part)!r} is a file")
-
-
 def check_enough_steps(
     task: str, parameters: Mapping[str, Any], steps: int, hyperparameters: Any
 ) -> None:
@@ -52,15 +45,6 @@ def check_enough_steps(
             f"steps must be at least {2 * episodes * limit + 1} for a table, got {steps}: each "
             f"third of training needs a rollout, which is {of} of up to {limit} steps"
         )
-
-
-def check_holds_runs(folder: Path) -> None:
-    """Raise UserError, naming the nearest, for a folder that has folders of runs below it."""
-    if folder.is_dir() and not (folder / "config.json").exists():
-        below = sorted(path.parent for path in folder.glob("*/config.json"))
-        below += sorted(path.parent for path in folder.glob("*/*/config.json"))
-        if below:
-            raise UserError(f"{folder} holds folders of runs: did you mean '{below[0]}'?")
 
 
 def check_size(size: int) -> None:

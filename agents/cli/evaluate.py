@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from agents.cli.checks import check_holds_runs
 from agents.cli.options import Folder, Imports, parse
 from agents.cli.outcome import name_failures
 from agents.runs import Runs
@@ -28,7 +27,6 @@ class EvaluateOptions:
 def run(args: Sequence[str]) -> int:
     """Run `circle2d evaluate`; returns the exit status."""
     options = parse(EvaluateOptions, "evaluate", args)
-    check_holds_runs(options.folder)
     with working(f"playing {options.episodes} episodes of each run, by either policy"):
         training, results = evaluate_checkpoint(options.folder, options.episodes)
     active = ~training.failed

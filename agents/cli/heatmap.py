@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.cli.checks import check_holds_runs, check_size, check_suffix, one_for_each
+from agents.cli.checks import check_size, check_suffix, one_for_each
 from agents.cli.options import Folders, Imports, parse
 from agents.errors import UserError
 from agents.reporting import image_files, pictures
@@ -40,8 +40,6 @@ def run(args: Sequence[str]) -> int:
     options = parse(HeatmapOptions, "heatmap", args)
     if not options.folders:
         raise UserError("heatmap needs a folder of runs")
-    for folder in options.folders:
-        check_holds_runs(folder)
     if not options.part or not set(options.part) <= set(PARTS):
         raise UserError(f"part must be some of {list(PARTS)}, got {list(options.part)}")
     check_size(options.size)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agents.algorithms import title
-from agents.cli.checks import check_holds_runs, check_size, check_suffix, one_for_each
+from agents.cli.checks import check_size, check_suffix, one_for_each
 from agents.cli.options import Folders, Imports, parse
 from agents.errors import UserError
 from agents.reporting import films, image_files, pictures
@@ -49,8 +49,6 @@ def run(args: Sequence[str]) -> int:
         raise UserError("render needs a folder of runs")
     names = one_for_each("names", options.names, count)
     seeds = one_for_each("seed", options.seed * (1 if options.seed[1:] else count), count)
-    for folder in folders:
-        check_holds_runs(folder)
     check_size(options.size)
     beside = folders[0] if folders[0] == options.folders[0] else Path()
     out = options.out or beside / "trajectories.png"

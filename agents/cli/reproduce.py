@@ -14,7 +14,7 @@ from rich.live import Live
 from rich.table import Table
 
 from agents.algorithms import ALGORITHMS
-from agents.cli.checks import check_enough_steps, check_folder, check_width
+from agents.cli.checks import check_enough_steps, check_width
 from agents.cli.options import BackendChoice, Imports, parse
 from agents.cli.terminal import show
 from agents.errors import UserError, one_line
@@ -22,10 +22,11 @@ from agents.lockstep import backend as lockstep_backend
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
 from agents.reporting.report import report
+from agents.sweeps import modules_of
 from agents.training.config import Device, TrainConfig
 from agents.training.engines import Engine, EngineName, engine
 from agents.training.environments import check_task, task_id
-from agents.training.files import locked
+from agents.training.files import check_folder, locked
 from agents.training.machine import other_session
 from agents.training.progress import working
 from agents.training.status import duration, share_done, speed
@@ -121,10 +122,10 @@ def _train_in(
     for folder, config in configs.items():
         if (note := other_session(folder)) and not grid.finished(folder, config):
             print(f"circle2d: {folder}: {note}", file=sys.stderr)
-    modules = {task.rpartition(":")[0] for task in options.tasks} - {""}
+    modules = dict.fromkeys([*options.imports, *modules_of(configs.values())])
     # The parts of a grid train at the same time: there each folder has a lock alone.
     with contextlib.nullcontext() if options.shard else locked(options.out):
-        return _train(configs, engine, [*options.imports, *sorted(modules)])
+        return _train(configs, engine, [*modules])
 
 
 def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:

@@ -12,7 +12,6 @@ import tyro
 
 from agents import api
 from agents.cli import signals
-from agents.cli.checks import check_holds_runs
 from agents.cli.options import Imports, parse
 from agents.cli.outcome import finish
 from agents.training.config import TrainConfig
@@ -33,7 +32,6 @@ def run(args: Sequence[str]) -> int:
     """Run `circle2d resume`; returns the exit status."""
     folders = parse(ResumeOptions, "resume", args).folders
     for folder in folders:
-        check_holds_runs(folder)
         TrainConfig.read(folder)
     for folder in folders:
         if note := other_session(folder):

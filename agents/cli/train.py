@@ -15,7 +15,7 @@ import tyro
 from agents import api
 from agents.algorithms import ALGORITHMS
 from agents.cli import signals
-from agents.cli.checks import check_enough_steps, check_folder
+from agents.cli.checks import check_enough_steps
 from agents.cli.hyperparameters import explain_all
 from agents.cli.options import (
     BackendChoice,
@@ -91,7 +91,6 @@ def run(args: Sequence[str]) -> int:
     values["task"] = task
     values["task_parameters"] = {k: _literal(v) for k, v in options.task_parameters.items()}
     own = options.hyperparameters
-    check_folder(options.out)
     check_task(task, values["task_parameters"])
     check_enough_steps(task, values["task_parameters"], options.steps, own)
     values |= {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}

@@ -140,8 +140,10 @@ def follow(
     state: MultiplierState | PIDState | None,
     cost: Tensor,
 ) -> MultiplierState | PIDState | None:
-    """The state after an update by the form's law or the config's optimiser; cost: [R, 1], to be compared with
-    `config.cost_limit`."""
+    """The state after an update by the form's law or the config's optimiser.
+
+    cost: [R, 1], to be compared with `config.cost_limit`.
+    """
     if form is None or state is None:
         return None
     if isinstance(state, PIDState):

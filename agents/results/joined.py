@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.results.archive import open_source
-from agents.results.source import NO_RUNS, RunFiles, Source, title
+from agents.results.source import RunFiles, Source, title
 from agents.results.steps import Episode, Replay, Visits
-from agents.training.config import TrainConfig
+from agents.training.config import NO_RUNS, TrainConfig
 from emcc import EpisodeRecords
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from agents.errors import UserError
 from agents.results.measures import RunData, measures
-from agents.results.source import NO_RUNS, DamagedSource, Source
-from agents.training.config import TrainConfig
+from agents.results.source import DamagedSource, Source
+from agents.training.config import NO_RUNS, TrainConfig
 from agents.training.evaluation import CVAR_ALPHA, POLICIES
 from emcc import EpisodeRecords, cvar
 

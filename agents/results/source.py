@@ -22,8 +22,6 @@ from agents.training.status import sessions
 from circle2d_mj.core.view import TellsWays, View
 from emcc import EpisodeRecords
 
-NO_RUNS = "holds no runs: no config.json that circle2d train wrote"
-
 
 class DamagedSource(UserError):
     """A source that cannot be read as a whole, whatever single runs lack."""

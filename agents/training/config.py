@@ -28,6 +28,7 @@ ALGORITHM = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of algorithms: see `agents.algorithms.register`."""
 CHECKPOINT, PREVIOUS = "checkpoint.npz", "checkpoint.previous.npz"
 """In the folder of the runs: the last checkpoint, and the one before it."""
+NO_RUNS = "holds no runs: no config.json that circle2d train wrote"
 NOT_SETTINGS = ("versions", "machine", "resumed", "spaces", "algorithm_module", "commit")
 """Entries of config.json that are no fields of `TrainConfig`."""
 
@@ -162,9 +163,11 @@ class TrainConfig:
 
     @classmethod
     def read(cls, folder: Path, strict: bool = True) -> TrainConfig:
-        """The configuration of a run folder: see `parse`. UserError where the file is missing, or
-        does not match its checksum."""
+        """The configuration of a run folder: see `parse`. UserError where the file is missing, with
+        folders of runs below, or does not match its checksum."""
         path = folder / "config.json"
+        if not path.exists():
+            raise UserError(_no_runs(folder))
         content, data = read_json(path), path.read_bytes()
         config = cls.parse(content, folder, strict)
         compare(path, data)
@@ -178,6 +181,11 @@ class TrainConfig:
         the hyper-parameters of one that is not are a plain frozen dataclass of the file's values,
         so that a report imports nothing. Raises UserError where the content is damaged.
         """
+        if "seed" in content and "seeds" not in content:
+            raise UserError(
+                f"{folder} is the folder of one run: give the folder above it, and seed "
+                f"{content['seed']} where one is asked for"
+            )
         own = {name: content.get(name) for name in NOT_SETTINGS}
         content = {name: value for name, value in content.items() if name not in NOT_SETTINGS}
         try:
@@ -199,19 +207,18 @@ class TrainConfig:
             raise UserError(f"{folder}/config.json is damaged: {error}") from None
 
 
-def check_together(configs: dict[Path, TrainConfig]) -> None:
-    """Raise UserError where folders cannot train together."""
-    found: dict[str, tuple[Path, Any]] = {}
-    for folder, config in configs.items():
-        sizes = read_spaces(folder, config).sizes
-        of_task = dict(zip(("observation size", "action size"), sizes, strict=True))
-        for name, value in (config.shared | of_task).items():
-            first, expected = found.setdefault(name, (folder, value))
-            if value != expected:
-                raise UserError(
-                    f"folders that train together must have equal settings: {name} is {expected} "
-                    f"in {first}, {value} in {folder}"
-                )
+def _no_runs(folder: Path) -> str:
+    """Words for a folder that holds no runs."""
+    if not folder.exists():
+        return f"{folder} is no folder"
+    below = [*folder.glob("*/config.json")] or [*folder.glob("*/*/config.json")]  # as of a grid
+    if below:
+        names = ", ".join(f"'{path.parent}'" for path in sorted(below)[:3]) + ", ..." * (
+            len(below) > 3
+        )
+        one_of = "one of " * (len(below) > 1)
+        return f"{folder} holds folders of runs: did you mean {one_of}{names}?"
+    return f"{folder} {NO_RUNS}"
 
 
 def _require_none(folder: Path) -> None:

@@ -208,9 +208,11 @@ def registered(task: str) -> str:
     except gym.error.Error as error:
         if isinstance(error, gym.error.VersionNotFound):  # which names the versions there are
             raise UserError(f"cannot make task {task!r}: {error}") from None
-        names = "a task is an id of gymnasium, or module:id"
-        hint = nearest(name, gym.registry, otherwise=names)
-        raise UserError(f"unknown task {task!r}: {hint}") from None
+        hint = nearest(name, gym.registry, otherwise="gymnasium does not have it")
+        raise UserError(
+            f"unknown task {task!r}: {hint} (a task of your own: 'MODULE:{name}', or import its "
+            "module first, on the command line by --import MODULE)"
+        ) from None
     return name
 
 
@@ -244,6 +246,19 @@ def import_module_of(task: str) -> str:
             )
             raise UserError(f"cannot make task {task!r}: {why}") from None
     return name
+
+
+def module_of_task(task: str) -> str:
+    """The module whose import makes a task known: that of "module:id", else of its entry point; ""
+    for tasks that gymnasium and this package register."""
+    module = task.rpartition(":")[0]
+    entry_point = gym.spec(registered(task)).entry_point
+    if isinstance(entry_point, str):
+        of_entry_point = entry_point.partition(":")[0]
+    else:
+        of_entry_point = getattr(entry_point, "__module__", "")
+    known = of_entry_point.partition(".")[0] in ("gymnasium", "circle2d_mj")
+    return module or ("" if known else of_entry_point)
 
 
 def is_native(task: str) -> bool:

@@ -22,6 +22,7 @@ from agents.errors import UserError
 from emcc.files import check_digest, digest, write_whole
 
 __all__ = (
+    "check_folder",
     "compare",
     "json_bytes",
     "locked",
@@ -97,6 +98,13 @@ def read_json(path: Path, checked: bool = False) -> dict[str, Any]:
     if checked:
         compare(path, data)
     return content
+
+
+def check_folder(path: Path) -> None:
+    """Raise UserError for a folder that cannot be made, since a file is in its way."""
+    for part in (path, *path.parents):
+        if part.is_file():
+            raise UserError(f"out must be a folder, but {str(part)!r} is a file")
 
 
 def compare(path: Path, data: bytes) -> str:

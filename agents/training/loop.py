@@ -9,12 +9,19 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from agents.errors import UserError
 from agents.lockstep import backend
-from agents.training.config import CHECKPOINT, PREVIOUS, TrainConfig, check_together, run_folders
+from agents.training.config import (
+    CHECKPOINT,
+    PREVIOUS,
+    TrainConfig,
+    read_spaces,
+    run_folders,
+)
 from agents.training.evaluation import EVALUATION_EPISODES, Results, evaluate
 from agents.training.files import locked, remove_leftovers
 from agents.training.machine import note_session
@@ -50,7 +57,7 @@ def train(*folders: Path, on_epoch: OnEpoch = lambda trainings: None) -> list[Tr
     """
     configs = {folder: TrainConfig.read(folder) for folder in folders}
     if len(configs) > 1:
-        check_together(configs)
+        _check_together(configs)
     one = next(iter(configs.values()))
     backend.configure(one.backend == "compiled", one.device)
     with contextlib.ExitStack() as stack:
@@ -121,14 +128,28 @@ def _run_epochs(
         unfinished = {folder: t for folder, t in unfinished.items() if not t.done}
 
 
+def _check_together(configs: dict[Path, TrainConfig]) -> None:
+    """Raise UserError where folders cannot train together."""
+    found: dict[str, tuple[Path, Any]] = {}
+    for folder, config in configs.items():
+        sizes = read_spaces(folder, config).sizes
+        of_task = dict(zip(("observation size", "action size"), sizes, strict=True))
+        for name, value in (config.shared | of_task).items():
+            first, expected = found.setdefault(name, (folder, value))
+            if value != expected:
+                raise UserError(
+                    f"folders that train together must have equal settings: {name} is {expected} "
+                    f"in {first}, {value} in {folder}"
+                )
+
+
 def evaluate_checkpoint(folder: Path, episodes: int) -> tuple[Training, Results]:
     """Evaluate the policies of a folder's last checkpoint; write and return the results.
 
     Nothing trains in the folder meanwhile, so an evaluation never replaces that of a newer policy.
     Raises UserError where another process trains there.
     """
-    if not folder.is_dir():
-        raise UserError(f"{folder} is no folder")
+    TrainConfig.read(folder)  # before the lock makes a file in any folder
     with locked(folder):
         training = load_training(folder)
         active = ~training.failed

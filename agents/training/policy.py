@@ -146,7 +146,7 @@ def load_policy(
             raise UserError(f"{folder} has several runs: give the seed, one of {config.seeds}")
         seed = config.seeds[0]
     if seed not in config.seeds:
-        raise UserError(f"{folder} has no run of seed {seed}: there are {config.seeds}")
+        raise UserError(f"{folder} has no run of seed {seed!r}: there are {config.seeds}")
     spaces = read_spaces(folder, config)
     learner, step = load_learner(folder, config, spaces, seed, step)
     return Policy(config, seed, step, spaces, learner)

@@ -251,7 +251,7 @@ def run_epoch(trainings: Sequence[Training]) -> None:
 
 
 def joint_trainings(configs: Mapping[Path, TrainConfig]) -> list[Training]:
-    """Trainings of several folders with one learner: see `check_together`."""
+    """Trainings of several folders with one learner. They differ in task and seeds alone."""
     several = list(configs.values())
     sizes = read_spaces(next(iter(configs)), several[0]).sizes
     learner = _learner_of(several, sizes)

@@ -1,6 +1,7 @@
 """Mistakes in the arguments of `agents.train`: one line each, and nothing is written."""
 
 import shutil
+from pathlib import Path
 
 import gymnasium as gym
 import pytest
@@ -35,6 +36,10 @@ import agents
         ({"backend": "fast"}, "backend must be compiled or eager"),
         ({"step_timeout": 1e-9}, "step_timeout is for processes: .* async, got auto"),
         ({"step_timeout": 1.0, "vectorization": "sync"}, "must be async, got sync"),
+        ({"task_parameters": [1]}, r"task_parameters must be values by name, got \[1\]"),
+        ({"on_epoch": 3}, "on_epoch must be a function of an Epoch, got 3"),
+        ({"out": 3}, "out must be a folder, got 3"),
+        ({"out": Path(__file__) / "x"}, "out must be a folder, but '.*py' is a file"),
     ],
 )
 def test_mistakes(arguments, message, tmp_path):

@@ -1,7 +1,14 @@
 """Sweeps over hyper-parameters, on either engine."""
 
+import importlib
+import os
+import sys
+from pathlib import Path
+
+import gymnasium as gym
 import pytest
 import torch
+import toys
 
 import agents
 from agents.sweeps import sweep_configs
@@ -23,6 +30,7 @@ BAD = {
     "one value": ({"cost_limit": 3.0}, "grid needs several values of cost_limit, got 3.0"),
     "twice": ({"cost_limit": (1.0, 1.0)}, "grid has cost_limit=1.0 twice"),
     "nothing": ({}, "grid is empty"),
+    "no names": ([1.0, 2.0], r"grid must be values by the names .*, got \[1.0, 2.0\]"),
     "unknown": ({"cost_limits": (1.0, 2.0)}, r"did you mean 'cost_limit'\?"),
 }
 
@@ -31,6 +39,70 @@ BAD = {
 def test_mistakes_are_named(tmp_path, grid, message):
     with pytest.raises(agents.UserError, match=message):
         agents.sweep("cpo", grid=grid, steps=1000, out=tmp_path / "x")
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_hyperparameter_in_the_grid_and_beside_it(tmp_path):
+    with pytest.raises(agents.UserError, match="cost_limit is given twice: in the grid, and as 3"):
+        agents.sweep("cpo", grid={"cost_limit": (1.0, 2.0)}, cost_limit=3.0, out=tmp_path / "x")
+    assert not (tmp_path / "x").exists()
+
+
+def test_settings_of_a_sweep(tmp_path):
+    """All but seeds and hyper-parameters as in `train`, to every combination."""
+    settings = {"checkpoint_every": 50, "evaluate_every": 100}
+    settings |= {"task_parameters": {"init_radius_multiplier": 2.0}}
+    more = {"steps": 100, "episodes": 1, "seeds": 0, "out": tmp_path / "x"}
+    runs = agents.sweep("cpo", grid={"cost_limit": (1.0, 2.0)}, **settings, **more)
+    assert [config.hyperparameters.cost_limit for config in runs.configs] == [1.0, 2.0]
+    for config in runs.configs:
+        assert {name: getattr(config, name) for name in settings} == settings
+        assert agents.load_policy(runs.folders[0], step=100).step == 100
+
+
+MODULE = """
+import gymnasium
+from toys import Walk
+class Mine(Walk):
+    pass
+gymnasium.register("OfAModule-v0", Mine, max_episode_steps=40)
+"""
+
+
+@pytest.mark.parametrize("task", ["my_walk:OfAModule-v0", "OfAModule-v0"])
+def test_a_sweep_on_a_task_from_a_module_of_the_users(tmp_path, monkeypatch, task):
+    """Its processes import the module, be it named or not."""
+    (tmp_path / "my_walk.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(tmp_path)
+    path = os.pathsep.join([str(tmp_path), str(Path(toys.__file__).parent)])
+    monkeypatch.setenv("PYTHONPATH", path, prepend=os.pathsep)
+    importlib.import_module("my_walk")
+    try:
+        runs = agents.sweep(
+            *("cpo", task),
+            grid={"cost_limit": (1.0,)},
+            steps=50,
+            episodes=1,
+            seeds=0,
+            out=tmp_path / "x",
+        )
+        assert runs.records[runs.folder, 0].total_steps >= 50
+    finally:
+        gym.registry.pop("OfAModule-v0", None)
+        sys.modules.pop("my_walk", None)
+
+
+def test_a_sweep_on_a_task_of_the_running_script(tmp_path, monkeypatch):
+    class Script(toys.Walk):
+        pass
+
+    monkeypatch.setattr(Script, "__module__", "__main__")
+    gym.register("OfAScript-v0", Script)
+    try:
+        with pytest.raises(agents.UserError, match="OfAScript-v0 is registered in the running"):
+            agents.sweep("cpo", "OfAScript-v0", grid={"cost_limit": (1.0,)}, out=tmp_path / "x")
+    finally:
+        gym.registry.pop("OfAScript-v0", None)
     assert not (tmp_path / "x").exists()
 
 

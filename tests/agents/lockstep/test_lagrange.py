@@ -116,7 +116,7 @@ def test_a_law_by_hand():
     state = lagrange.follow(form, Limited(), lagrange.initial(form, Limited(), 3), cost)
     assert lagrange.value(form, state, 3).flatten().tolist() == pytest.approx([0.6, 0.35, 0.0])
     assert state.parameter.shape == (3, LANES)
-    with pytest.raises(TypeError, match="the multiplier has a law: .* must not have an optimizer"):
+    with pytest.raises(TypeError, match=r"the multiplier has a law: .* must not have an optimizer"):
         lagrange.initial(form, Config(), 3)
 
 

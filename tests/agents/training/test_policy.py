@@ -110,8 +110,16 @@ def test_which_run_and_which_step(folder, tmp_path):
         agents.load_policy(folder, seed=7)
     with pytest.raises(agents.UserError, match=r"no policy of seed 0 at step 50: there is none"):
         agents.load_policy(folder, seed=0, step=50)
-    with pytest.raises(agents.UserError, match=r"config\.json is missing"):
+    with pytest.raises(agents.UserError, match="holds no runs: no config"):
         agents.load_policy(tmp_path)
+    with pytest.raises(agents.UserError, match="no run of seed '0': there are"):
+        agents.load_policy(folder, seed="0")
+    with pytest.raises(agents.UserError, match=r"is the folder of one run: .* and seed 1"):
+        agents.load_policy(folder / "seed-1")
+    with pytest.raises(agents.UserError, match=r"holds folders of runs: did you mean '.*x'\?"):
+        agents.load_policy(folder.parent)
+    with pytest.raises(agents.UserError, match="nothing is no folder"):
+        agents.load_policy(tmp_path / "nothing")
 
 
 def test_a_policy_of_other_nets_is_refused(folder, tmp_path):
