@@ -121,7 +121,7 @@ def test_a_command_that_is_shown_exists(name, words):
     assert command in COMMANDS
     for name in (word.partition(":")[2] for word in rest if word.startswith("pretrained:")):
         pretrained(*name.split("/"))
-    own = {"--price"} if {"my_algorithm", "my_trpo"} & set(words) else set()
+    own = {"--price", "--gain"} if {"my_algorithm", "my_trpo", "my_law"} & set(words) else set()
     for option in (word for word in rest if word.startswith("--")):
         assert option in options_of(command, words) | own
 

@@ -53,6 +53,11 @@ def test_an_algorithm_of_the_users_own(folder, module):
     circle2d(folder, "resume", "runs", *known)
     assert "J_R" in circle2d(folder, "evaluate", "runs", "--episodes", "2", *known).stdout
     assert f"{title} ({option} 0." in circle2d(folder, "report", "runs", *known).stdout
+    circle2d(folder, "report", "runs")
+    assert (
+        f"circle2d train --import {module} --algorithm {name} "
+        in (folder / "runs/index.html").read_text()
+    )
     text = circle2d(folder, "train", *known, "--algorithm", name, "--help").stdout
     assert f"--{option}" in text
     assert said in re.sub(r"[│\s]+", " ", text)

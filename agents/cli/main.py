@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -98,8 +99,8 @@ def _run(command: str, args: Sequence[str]) -> int:
 
 
 def _print_warning(message: object, *_: object) -> None:
-    """Print a warning as a line of the command's own."""
-    _say(message)
+    """Print a warning as a line of the command's own, without the colours of gymnasium's."""
+    _say(re.sub(r"\x1b\[[0-9;]*m", "", str(message)))
 
 
 @contextlib.contextmanager

@@ -30,12 +30,13 @@ class ResumeOptions:
 
 def run(args: Sequence[str]) -> int:
     """Run `circle2d resume`; returns the exit status."""
-    folders = parse(ResumeOptions, "resume", args).folders
+    options = parse(ResumeOptions, "resume", args)
+    folders = options.folders
     for folder in folders:
         TrainConfig.read(folder)
     for folder in folders:
         if note := other_session(folder):
             print(f"circle2d: {folder}: {note}", file=sys.stderr)
-    with signals.AfterEpoch() as after_epoch:
+    with signals.AfterEpoch(options.imports) as after_epoch:
         runs = api.resume(*folders, progress=True, on_epoch=after_epoch)
     return finish(runs, after_epoch)

@@ -6,7 +6,7 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -83,7 +83,9 @@ class AfterEpoch:
     """Follows a training. The first signal stops it after the epoch, with a checkpoint; the second
     ends it at once, as one does where no epoch follows."""
 
-    def __init__(self) -> None:
+    def __init__(self, imports: Sequence[str]) -> None:
+        """imports: modules that `--import` named."""
+        self._imports = imports
         self.number: int | None = None
         """Of the signal that came."""
         self.steps: dict[Path, tuple[int, int]] = {}
@@ -114,7 +116,7 @@ class AfterEpoch:
         assert self.number is not None
         name = signal.Signals(self.number).name
         taken, steps = min(self.steps.values())
-        folders = " ".join(map(str, self.steps))
+        folders = " ".join([*map(str, self.steps), *(f"--import {of}" for of in self._imports)])
         return (
             f"interrupted by {name} after {taken} of {steps} steps, with a checkpoint; "
             f"'circle2d resume {folders}' goes on"

@@ -94,7 +94,7 @@ def run(args: Sequence[str]) -> int:
     check_task(task, values["task_parameters"])
     check_enough_steps(task, values["task_parameters"], options.steps, own)
     values |= {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
-    with signals.AfterEpoch() as after_epoch:
+    with signals.AfterEpoch(options.imports) as after_epoch:
         runs = api.train(**values, progress=True, on_epoch=after_epoch)
     return finish(runs, after_epoch)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -19,9 +20,20 @@ from agents.lockstep.modules import mlp
 from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.on_policy import critics
+from agents.on_policy.gaussian import GaussianPolicy
 from agents.on_policy.packing import Packing, blocks, minibatches
 from agents.on_policy.returns import advantages
 from agents.on_policy.state import Epoch, OnPolicyState, initial_state, make_nets
+
+
+def _act(
+    policy: GaussianPolicy,
+    params: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    observation: NDArray[np.float32],
+    noise: NDArray[np.float32] | None,
+) -> NDArray[np.float32]:
+    return policy.act(params, scale * observation, noise)
 
 
 class OnPolicy(ABC):
@@ -61,7 +73,7 @@ class OnPolicy(ABC):
     def policy(self, runs: slice = tree.ALL) -> Policy:
         """The policy of some runs as it stands now."""
         params, scale = array(self._state.actor[runs]), input_scale(self.config)
-        return lambda observation, noise: self.nets.actor.act(params, scale * observation, noise)
+        return functools.partial(_act, self.nets.actor, params, scale)
 
     def module(self, run: int) -> nn.Module:
         """The deterministic policy of a run in PyTorch: observations -> actions."""

@@ -34,7 +34,7 @@ from agents.training.files import write_whole
 METHOD = (
     "B - A: difference of the means [Welch's 95 % t interval, where both sides have five seeds or "
     "more that end in one place]; p: two-sided permutation test of Welch's t, corrected for the "
-    "{} comparisons made here (Holm); B better: probability that a run of B is better than one "
+    "{} comparisons made here (Holm); P(B better): probability that a run of B is better than one "
     "of A, equal ones half [95 % bootstrap interval]"
 )
 Pair = tuple[Group, Group]
@@ -162,7 +162,7 @@ def _difference_rows(a: Group, b: Group, p_values: PValues) -> Iterator[Row]:
     cells = [p_number(p_values[a.folder, b.folder, m.name]) for m in measures()]
     yield Row("p", [*cells, empty], kind="test")
     better = [improvement_of(a.values(m.name), b.values(m.name), m) for m in measures()]
-    yield Row("B better", [*map(number_of, better), empty], kind="test")
+    yield Row("P(B better)", [*map(number_of, better), empty], kind="test")
 
 
 def _lowest_p(a: int, b: int) -> float:

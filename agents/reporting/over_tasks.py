@@ -65,7 +65,7 @@ def differences_over_tasks(sets: Mapping[str, TwoSets]) -> Table | None:
         rows += [
             Row(f"{name}, {of.size}", differences, kind="difference"),
             Row("p", [p_number(p_values[name, m.name]) for m in columns], kind="test"),
-            Row("B better", better, kind="test"),
+            Row("P(B better)", better, kind="test"),
         ]
     tests = sum(p is not None for p in p_values.values())
     caption = (
@@ -73,7 +73,7 @@ def differences_over_tasks(sets: Mapping[str, TwoSets]) -> Table | None:
         "bootstrap interval, seeds drawn in each task anew, where both have "
         f"{FEWEST_RUNS} or more]; p: permutation test of Welch's t of these means, with runs "
         "exchanged within each task alone, corrected for the "
-        f"{tests} comparisons of this table (Holm); B better: probability that a run of B is "
+        f"{tests} comparisons of this table (Holm); P(B better): probability that a run of B is "
         "better than one of A on a task, equal ones half, mean over the tasks. The seeds that all "
         "tasks have"
     )

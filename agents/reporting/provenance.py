@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
-from agents.algorithms import title
+from agents.algorithms import BUILT_IN, title
 from agents.paper.settings import hyperparameter_changes, in_order, title_of
 from agents.results.reading import Group
 from agents.results.source import Source
@@ -33,7 +33,14 @@ def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
     }
     found = {
         "program": program(),
-        "command": "\n".join(command(group.config, source.title(group.folder)) for group in groups),
+        "command": "\n".join(
+            command(
+                group.config,
+                source.title(group.folder),
+                source.configs[group.folder].get("algorithm_module"),
+            )
+            for group in groups
+        ),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
         "training time": _training_time([source.sessions(group.folder) for group in groups]),
@@ -91,9 +98,14 @@ def _count(number: int, name: str) -> str:
     return f"{number:,} {name}{'s' * (number != 1)}"
 
 
-def command(config: TrainConfig, out: str) -> str:
-    """The command that trains some runs, with everything that decides their numbers."""
-    options = {"algorithm": config.algorithm, "task": config.task, "seeds": config.seeds}
+def command(config: TrainConfig, out: str, module: str | None = None) -> str:
+    """The command that trains some runs, with everything that decides their numbers.
+
+    module: that registers the algorithm, where the runs recorded it.
+    """
+    own = module and config.algorithm not in BUILT_IN and module != "__main__"
+    options: dict[str, Any] = {"import": module} if own else {}
+    options |= {"algorithm": config.algorithm, "task": config.task, "seeds": config.seeds}
     options |= {"steps": config.steps} | hyperparameter_changes(config)
     if config.task_parameters:
         pairs = (part for pair in config.task_parameters.items() for part in pair)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -43,6 +44,15 @@ METRICS = (
 """Records of `sac.update`; the multiplier of the algorithms that have one."""
 
 
+def _act(
+    layers: Sequence[NDArray[np.float32]],
+    scale: NDArray[np.float32],
+    observation: NDArray[np.float32],
+    noise: NDArray[np.float32] | None,
+) -> NDArray[np.float32]:
+    return squashed_gaussian.act(forward_numpy(layers, scale * observation), noise)
+
+
 class OffPolicy:
     """The runs of one algorithm of the SAC family: their networks and their replay."""
 
@@ -75,9 +85,7 @@ class OffPolicy:
         """The policy of some runs as it stands now."""
         layers = self.nets.actor.layers(array(self._state.actor[runs]))
         scale = input_scale(self.config)
-        return lambda observation, noise: squashed_gaussian.act(
-            forward_numpy(layers, scale * observation), noise
-        )
+        return functools.partial(_act, layers, scale)
 
     def module(self, run: int) -> nn.Module:
         """The deterministic policy of a run in PyTorch: observations -> actions in [-1, 1]."""

@@ -14,7 +14,13 @@ from agents.training.loop import OnEpoch, Training
 
 @dataclass(frozen=True)
 class Epoch:
-    """An epoch of the runs of one folder."""
+    """An epoch of the runs of one folder.
+
+    `runs[seed]` has, for each run that took part, "step": environment steps taken; "return" and
+    "cost" (undiscounted) and "length": means over the epoch's episodes; "mcc": the greatest share
+    of an episode in one streak of cost; then the mean of each number that the algorithm's updates
+    give, such as "critic_loss", where the run learned.
+    """
 
     folder: Path
     algorithm: str
@@ -22,10 +28,7 @@ class Epoch:
     steps: int
     """Environment steps that each run takes in all."""
     runs: Mapping[int, Mapping[str, float]]
-    """By seed, for the runs that took part. "step": environment steps taken; means over the epoch's
-    episodes: "return", "cost" (undiscounted), "length"; "mcc": the greatest share of an episode in
-    one streak of cost; then the mean of each number that the algorithm's updates give, such as
-    "critic_loss", where the run learned."""
+    """Numbers by seed and name: see above."""
 
 
 def follower(on_epoch: Callable[[Epoch], object], folders: Sequence[Path]) -> OnEpoch:

@@ -11,6 +11,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from agents.errors import TaskFailure, UserError
@@ -90,8 +91,8 @@ def evaluate(
     otherwise actions are drawn. seed: of the start states and draws, the same for all runs of a
     folder. Raises UserError where the task does not fit the policy.
     """
-    if episodes < 1:
-        raise UserError(f"episodes must be at least 1, got {episodes}")
+    if not isinstance(episodes, (int, np.integer)) or episodes < 1:
+        raise UserError(f"episodes must be an integer of at least 1, got {episodes!r}")
     if task is not None:
         import_module_of(task)
     if isinstance(policy, (str, os.PathLike)):
@@ -156,14 +157,25 @@ def _episode(
         if len(costs) == MAX_STEPS:
             raise UserError(f"an episode of task {task!r} has not ended after {MAX_STEPS} steps")
         action = act(observation)
-        if not np.isfinite(action).all():
-            raise UserError(f"the policy gives an action that is not finite: {action}")
+        _check_action(action, env.action_space)
         with _failing(task, f"in step {len(costs) + 1} of an episode"):
             observation, reward, terminated, truncated, info = env.step(action)
         rewards.append(float(reward))
         costs.append(info["cost"])
         over = terminated or truncated
     return rewards, costs
+
+
+def _check_action(action: Any, space: gym.Space) -> None:
+    """Raise UserError for an action that a policy must not give; bounds are the task's affair."""
+    found = np.asarray(action)
+    if not np.issubdtype(found.dtype, np.number) or not np.isfinite(found).all():
+        raise UserError(f"the policy gives an action that is not finite: {action!r}")
+    if isinstance(space, Box) and found.shape != space.shape:
+        raise UserError(
+            f"the policy gives an action of shape {list(found.shape)}, the task takes one of "
+            f"{list(space.shape)}"
+        )
 
 
 @contextlib.contextmanager

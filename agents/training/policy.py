@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,8 @@ class Policy:
     """A trained policy, which acts in its task's own action space.
 
     Call it with one observation [observation size] or a batch [N, observation size]; the action is
-    [action size] or [N, action size], of the task's type and within its bounds.
+    [action size] or [N, action size], of the task's type and within its bounds. It can be pickled,
+    for other processes.
     """
 
     task: str
@@ -45,7 +47,9 @@ class Policy:
         """learner: holds the one run."""
         self.task, self.task_parameters = config.task, config.task_parameters
         self.seed, self.step = seed, step
-        self.spaces, self._learner, self._act = spaces, learner, learner.policy()
+        self.spaces, self._act = spaces, learner.policy()
+        module = getattr(learner, "module", None)
+        self._module = module(0) if module else None
         self._rng = np.random.default_rng()
         low, high = (np.array(bound, dtype=spaces.dtype) for bound in (spaces.low, spaces.high))
         self._low, self._high = low, high
@@ -90,10 +94,9 @@ class Policy:
         Equal to the policy itself up to rounding in float32, rescaling and bounds included. Raises
         UserError for a family of algorithms that does not offer one.
         """
-        module = getattr(self._learner, "module", None)
-        if module is None:
-            raise UserError(f"{type(self._learner).__name__} has no method `module`, an nn.Module")
-        return _Bounded(module(0), self._low, self._high)
+        if self._module is None:
+            raise UserError(f"{self!r} has no module: its Learner has no method `module`")
+        return _Bounded(copy.deepcopy(self._module), self._low, self._high)
 
     def _batch(self, observation: ArrayLike) -> tuple[NDArray[np.float32], bool]:
         """Observations as [N, size], and whether one was given alone."""

@@ -206,7 +206,7 @@ def test_stopped_and_resumed_is_as_never_stopped(runs, tmp_path):
 
     def stop(epoch):
         seen.append(epoch)
-        return len(seen) < 3
+        return np.bool_(len(seen) < 3)
 
     stopped = agents.train(
         "sac-lag", seeds=[3, 4], steps=400, out=tmp_path / "x", on_epoch=stop, **SMALL

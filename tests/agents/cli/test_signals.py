@@ -5,11 +5,13 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from agents.cli import signals
 from agents.cli.main import main
+from agents.training.epochs import Epoch
 
 
 def test_ctrl_c_while_modules_are_imported():
@@ -39,6 +41,16 @@ def test_ignored_signals_stay_ignored_and_handlers_come_back():
         assert signal.getsignal(signal.SIGTERM) is own
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+def test_the_command_that_goes_on_names_the_users_modules():
+    follow = signals.AfterEpoch(["my_algorithm"])
+    follow(Epoch(Path("runs/a"), "mine", "Circle2D-1-v0", 100, {0: {"step": 50.0}}))
+    follow.number = signal.SIGINT
+    assert follow.words() == (
+        "interrupted by SIGINT after 50 of 100 steps, with a checkpoint; "
+        "'circle2d resume runs/a --import my_algorithm' goes on"
+    )
 
 
 def test_a_command_that_is_no_training_ends_at_once(monkeypatch, capsys):

@@ -221,7 +221,7 @@ def test_parts_over_all_tasks(tmp_path):
     assert found[2:5] == [
         [f"{name}, 2 tasks, 2 seeds against 2", *["+0.000"] * 4],
         ["p", *["1.000"] * 4],
-        ["B better", *["0.50"] * 4],
+        ["P(B better)", *["0.50"] * 4],
     ]
     assert "without-share - preset" not in words
 

@@ -50,7 +50,7 @@ def test_by_hand(tmp_path):
     assert found["B - A: CPO - TRPO-Lag"][0] == "-0.10"
     # Of the six divisions of two against two, two are as extreme; where all are equal, all.
     assert found["p"][:6] == ["1.000"] * 6
-    assert found["B better"][:6] == [*["1.00"] * 3, "0.50", "1.00", "0.50"]
+    assert found["P(B better)"][:6] == [*["1.00"] * 3, "0.50", "1.00", "0.50"]
     assert found["A: TRPO-Lag, seed 1"] == [
         *("0.40", "0.40", "0.40", "0.40", "-20.00", "4.25", "6.50", "–", "1 of 1", "right rim")
     ]
@@ -87,7 +87,7 @@ def test_five_seeds_have_intervals_and_tests(tmp_path):
     assert found["A: CPO, mean of 5"][4] == f"-97.00 [{-97 - half:.2f}, {-97 + half:.2f}]"
     higher = [y > x for x in first for y in second]
     equal = [y == x for x in first for y in second]
-    assert found["B better"][4].startswith(f"{(sum(higher) + sum(equal) / 2) / 25:.2f} [")
+    assert found["P(B better)"][4].startswith(f"{(sum(higher) + sum(equal) / 2) / 25:.2f} [")
     middle = next(x for x in lines(out) if (x["algorithm"][:1], x["kind"]) == ("B", "iqm"))
     assert float(middle["J_R"]) == -94  # the mean of the middle three of five
 
@@ -142,7 +142,7 @@ def test_over_tasks_few_runs_decide(tmp_path):
     difference, p, better = tables[-1].rows
     assert tables[-1].head[1:] == ["EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost rate"]
     assert [row.name for row in tables[-1].rows] == [
-        *(f"{name}, 2 tasks, 3 seeds against 3", "p", "B better")
+        *(f"{name}, 2 tasks, 3 seeds against 3", "p", "P(B better)")
     ]
     assert [n.value for n in difference.numbers] == pytest.approx([-0.1, -0.1, -0.1, 0])
     assert all(n.low is None for n in difference.numbers)  # fewer than five seeds

@@ -1,5 +1,6 @@
 """Trained policies outside of training: actions, modules, snapshots, evaluations."""
 
+import pickle
 import shutil
 from pathlib import Path
 
@@ -120,6 +121,18 @@ def test_which_run_and_which_step(folder, tmp_path):
         agents.load_policy(folder.parent)
     with pytest.raises(agents.UserError, match="nothing is no folder"):
         agents.load_policy(tmp_path / "nothing")
+
+
+def test_pickled_and_back(folder):
+    policy = agents.load_policy(folder, seed=1)
+    copy = pickle.loads(pickle.dumps(policy))
+    for deterministic in (True, False):
+        actions = (
+            of(OBSERVATIONS, deterministic, np.random.default_rng(3)) for of in (policy, copy)
+        )
+        np.testing.assert_array_equal(*actions)
+    inputs = torch.from_numpy(OBSERVATIONS.astype(np.float32))
+    assert torch.equal(policy.to_torch()(inputs), copy.to_torch()(inputs))
 
 
 def test_a_policy_of_other_nets_is_refused(folder, tmp_path):
@@ -249,11 +262,18 @@ def test_evaluations_that_cannot_be(folder):
         agents.evaluate(policy, "CartPole-v1")
     with pytest.raises(agents.UserError, match="needs the task"):
         agents.evaluate(lambda observation: observation)
-    with pytest.raises(agents.UserError, match="episodes must be at least 1, got 0"):
+    with pytest.raises(agents.UserError, match="episodes must be an integer of at least 1, got 0"):
         agents.evaluate(policy, episodes=0)
+    for wrong in (2.5, "10", None):
+        with pytest.raises(agents.UserError, match=f"of at least 1, got {wrong!r}"):
+            agents.evaluate(policy, episodes=wrong)
     with pytest.raises(TypeError, match="a policy, a function or a folder, got 3"):
         agents.evaluate(3)
     with pytest.raises(agents.UserError, match="unknown task"):
         agents.evaluate(policy, "Nowhere-v0")
     with pytest.raises(agents.UserError, match="not finite"):
         agents.evaluate(lambda observation: np.array([np.nan]), "Walk-v0")
+    with pytest.raises(agents.UserError, match="not finite: 'left'"):
+        agents.evaluate(lambda observation: "left", "Walk-v0")
+    with pytest.raises(agents.UserError, match=r"of shape \[3\], the task takes one of \[1\]"):
+        agents.evaluate(lambda observation: [0, 0, 0], "Walk-v0")
