@@ -18,6 +18,7 @@ import emcc
 RESULTS = Path(__file__).parents[2] / "results"
 REPORT = RESULTS / "circle2d" / "report.csv"
 SOLVED = RESULTS / "solve" / "report.csv"
+SAFETY = RESULTS / "solve" / "safety" / "report.csv"
 MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C")
 LEVELS = ("Circle2D-0-v0", "Circle2D-1-v0", "Circle2D-2-v0", "Circle2D-3-v0")
 ALGORITHMS = ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC")
@@ -137,6 +138,28 @@ def parts_over_levels(report: Path) -> list[str]:
     return found
 
 
+def safety(report: Path) -> list[str]:
+    """Rows of Markdown for each Safety task and algorithm: mean EMCC and cost rate; means of J_R
+    and J_C with the range of the seeds; seeds within the limit."""
+    lines = _lines(report)
+    found = []
+    for folder in dict.fromkeys(line["folder"] for line in lines if line["seed"]):
+        own = [line for line in lines if line["folder"] == folder]
+        kinds = {line["kind"]: line for line in own if not line["seed"]}
+        task, title = kinds["mean"]["task"], kinds["mean"]["algorithm"]
+        means = {of: f"{float(kinds['mean'][of]):.2f}".removeprefix("0") for of in MEASURES[:4]}
+        ranges = [
+            "{:.1f}, from {:.1f} to {:.1f}".format(
+                *(float(kinds[kind][of]) for kind in ("mean", "mean lowest", "mean highest"))
+            )
+            for of in MEASURES[4:]
+        ]
+        cells = [task.partition("/Safety")[2].rpartition("-")[0], title.partition(" (")[0]]
+        cells += [" ".join(means[of] for of in MEASURES[:3]), means["cost_rate"], *ranges]
+        found.append(f"| {' | '.join([*cells, _count(kinds['within limit'])])} |")
+    return found
+
+
 def _holm(p_values: dict[Any, float]) -> dict[Any, float]:
     return dict(zip(p_values, emcc.holm(list(p_values.values())).tolist(), strict=True))
 
@@ -197,5 +220,6 @@ def _count(line: dict[str, str]) -> str:
 
 
 if __name__ == "__main__":
-    tables = (rows(REPORT), choices(REPORT), parts(SOLVED), parts_over_levels(SOLVED))
+    tables = [rows(REPORT), choices(REPORT), parts(SOLVED), parts_over_levels(SOLVED)]
+    tables.append(safety(SAFETY))
     print("\n\n".join(map("\n".join, tables)))
