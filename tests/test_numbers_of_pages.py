@@ -13,7 +13,6 @@ import emcc
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 RESULTS = (ROOT / "results" / "README.md").read_text()
-SOLVE = (ROOT / "results" / "solve" / "README.md").read_text()
 METRIC = (ROOT / "docs" / "metric.md").read_text()
 
 
@@ -193,70 +192,6 @@ def test_streak_cost_against_a_margin():
     clear = [(1, "EMCC_0.99"), (3, "EMCC_0.33"), *((k, m) for k in (1, 3) for m in measures[3:5])]
     assert all(corrected[key] < 0.001 for key in clear)
     assert min(p for key, p in p_values.items() if key not in safety) >= 0.056
-
-
-def test_the_parts_of_sac_lb_streak():
-    table = results_table.parts(results_table.SOLVED)
-    assert len(table) == 4 * (1 + len(results_table.PARTS))
-    tests = results_table.parts_over_levels(results_table.SOLVED)
-    assert len(tests) == 8  # and the margin
-    assert all(row in SOLVE for row in [*table, *tests])
-    solved, others = {}, {}
-    for level in range(4):
-        for part in results_table.PARTS:
-            folder = f"Circle2D-{level}-v0-sac-lb-streak-without-{part}"
-            own = [r for r in of_level(level) if r["seed"] and r["folder"] == folder]
-            assert len(own) == 3
-            solved[level, part] = sum(map(results_table.solves, own))
-            left = [r for r in own if not results_table.solves(r)]
-            others |= {(level, part, r["seed"]): (r["ends_in"], float(r["J_C"])) for r in left}
-    total = {part: sum(solved[level, part] for level in range(4)) for part in results_table.PARTS}
-    assert (total["horizon"], total["novelty"], total["streak"]) == (7, 8, 11)
-    assert [total[part] for part in ("scale", "share", "brown", "speed")] == [10] * 4
-
-    def places(part):
-        """Level and kind of place of the runs that do not solve it."""
-        return [(key[0], of[0].partition(" (")[0].split()[-1]) for key, of in found(part)]
-
-    def found(part):
-        return [(key, of) for key, of in others.items() if key[1] == part]
-
-    assert places("horizon") == [(0, "rim")] * 2 + [(1, "rim")] * 2 + [(3, "cut-out")]
-    assert places("novelty") == [(0, "rim")] * 3 + [(2, "through")]
-    assert round(found("novelty")[-1][1][1], 1) == 5.2
-    assert places("scale") == [(2, "cut-out")] * 2
-    assert places("speed") == [(0, "rim")] * 2
-    assert places("brown") == [(2, "cut-out"), (3, "cut-out")]
-    assert places("share") == [(0, "rim"), (2, "cut-out")]
-    assert round(found("share")[0][1][1]) == 22
-
-
-def test_the_safety_tasks_of_sac_lb_streak():
-    """Ranges overlap SAC-LB's or are on the better side of them."""
-    rows = results_table.safety(results_table.SAFETY)
-    assert len(rows) == 6
-    assert all(row in SOLVE for row in rows)
-    with results_table.SAFETY.open() as file:
-        runs = [row for row in csv.DictReader(file) if row["seed"]]
-    assert len(runs) == 18
-    for task in {row["task"] for row in runs}:
-        of = {
-            (name, m): [
-                float(row[m])
-                for row in runs
-                if row["task"] == task and row["folder"].endswith(f"-{name}")
-            ]
-            for name in ("sac-lb", "sac-lb-streak")
-            for m in ("J_R", "J_C", "EMCC_0.33", "EMCC_0.66")
-        }
-        assert max(of["sac-lb-streak", "J_R"]) > min(of["sac-lb", "J_R"])
-        assert min(of["sac-lb-streak", "J_C"]) < max(of["sac-lb", "J_C"])
-        if "PointGoal1" in task:
-            assert max(of["sac-lb", "J_R"] + of["sac-lb-streak", "J_R"]) < 0
-        if "PointCircle1" in task:
-            for m, gap in (("EMCC_0.33", 0.30), ("EMCC_0.66", 0.23)):
-                found = np.mean(of["sac-lb-streak", m]) - np.mean(of["sac-lb", m])
-                assert round(float(found), 2) == gap
 
 
 def test_the_verdicts():

@@ -18,6 +18,7 @@ import emcc
 RESULTS = Path(__file__).parents[2] / "results"
 REPORT = RESULTS / "circle2d" / "report.csv"
 SOLVED = RESULTS / "solve" / "report.csv"
+UNITS = RESULTS / "circle2d-units" / "report.csv"
 SAFETY = RESULTS / "solve" / "safety" / "report.csv"
 MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C")
 LEVELS = ("Circle2D-0-v0", "Circle2D-1-v0", "Circle2D-2-v0", "Circle2D-3-v0")
@@ -160,6 +161,24 @@ def safety(report: Path) -> list[str]:
     return found
 
 
+def units(report: Path) -> list[str]:
+    """Rows of `choices` for the algorithms that were trained with positions in units of length in a
+    folder of their own, and the runs in the corridor within the limit."""
+    lines = _lines(report)
+    found = []
+    for name in ("SAC-Lag", "SAC-LB", "WCSAC"):
+        own = [line for line in lines if line["algorithm"].partition(" (")[0] == name]
+        own = [line for line in own if line["folder"].endswith("-units")]
+        solved = [
+            sum(solves(line) for line in own if line["seed"] and line["task"] == level)
+            for level in LEVELS
+        ]
+        runs = [line for line in own if line["seed"]]
+        words = ", ".join(f"{count} of {len(runs) // len(LEVELS)}" for count in solved)
+        found.append(f"{_choice(f'{name}, units', own)} {words} |")
+    return found
+
+
 def _holm(p_values: dict[Any, float]) -> dict[Any, float]:
     return dict(zip(p_values, emcc.holm(list(p_values.values())).tolist(), strict=True))
 
@@ -221,5 +240,5 @@ def _count(line: dict[str, str]) -> str:
 
 if __name__ == "__main__":
     tables = [rows(REPORT), choices(REPORT), parts(SOLVED), parts_over_levels(SOLVED)]
-    tables.append(safety(SAFETY))
+    tables += [safety(SAFETY), units(UNITS)]
     print("\n\n".join(map("\n".join, tables)))
