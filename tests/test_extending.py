@@ -53,7 +53,6 @@ def test_an_algorithm_of_the_users_own(folder, module):
     circle2d(folder, "resume", "runs", *known)
     assert "J_R" in circle2d(folder, "evaluate", "runs", "--episodes", "2", *known).stdout
     assert f"{title} ({option} 0." in circle2d(folder, "report", "runs", *known).stdout
-    circle2d(folder, "report", "runs")
     assert (
         f"circle2d train --import {module} --algorithm {name} "
         in (folder / "runs/index.html").read_text()

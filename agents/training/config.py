@@ -211,6 +211,8 @@ def _no_runs(folder: Path) -> str:
     """Words for a folder that holds no runs."""
     if not folder.exists():
         return f"{folder} is no folder"
+    if any(folder.glob("seed-*/config.json")):
+        return f"{folder / 'config.json'} is missing: the folder of runs is damaged"
     below = [*folder.glob("*/config.json")] or [*folder.glob("*/*/config.json")]  # as of a grid
     if below:
         names = ", ".join(f"'{path.parent}'" for path in sorted(below)[:3]) + ", ..." * (

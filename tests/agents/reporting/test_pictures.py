@@ -140,7 +140,7 @@ def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
             ["heatmap", "{folder}", "--seeds", "5", "7"],
             r"seeds must be some of \[5, 6\], got \[5, 7",
         ),
-        (["heatmap", "nothing"], r"nothing/config\.json is missing"),
+        (["heatmap", "nothing"], r"nothing is no folder"),
         (["render", "{folder}", "--out", "film.avi"], "out must end in .png or .gif or .mp4"),
         (["render", "{folder}", "--seed", "7"], r"no run of seed 7: its seeds are \[5, 6\]"),
         (["render", "{folder}", "--episodes", "0"], r"episodes must be in \[1, 100\], got 0"),
