@@ -29,22 +29,22 @@ def folder(tmp_path):
 
 
 ALGORITHMS = {
-    "my_algorithm": ("sac-fixed", "SAC-Fixed", "price", "Price of a unit of discounted cost"),
-    "my_trpo": ("trpo-price", "TRPO-Price", "price", "Price of cost beside the multiplier"),
-    "my_law": ("sac-mw", "SAC-MW", "gain", "Growth of the multiplier's logarithm"),
+    "my_algorithm": ("sac-fixed", "SAC-Fixed", "price 0.5", "Price of a unit of discounted cost"),
+    "my_trpo": ("trpo-price", "TRPO-Price", "price 0.5", "Price of cost beside the multiplier"),
+    "my_law": ("sac-mw", "SAC-MW", "gain 0.002", "Growth of the multiplier's logarithm"),
 }
-"""Module -> name, title, its hyper-parameter and the text of that."""
+"""Module -> name, title, its hyper-parameter as the command sets it, and the text of that."""
 
 
 @pytest.mark.parametrize("module", ALGORITHMS)
 def test_an_algorithm_of_the_users_own(folder, module):
     """Trains by the page's command, resumes, is evaluated, reported and explained."""
-    name, title, option, said = ALGORITHMS[module]
+    name, title, changed, said = ALGORITHMS[module]
+    option = f"--{changed.partition(' ')[0]}"
     (line,) = re.findall(rf"```sh\ncircle2d (train --import {module}.*)\n```", PAGE)
     train = re.sub(r"runs/\w+", "runs", line).split()
     done = circle2d(folder, *train, "--seeds", "0", "--steps", "1100")
-    assert f"{title} ({option} 0." in done.stdout
-    assert "1,100 steps), mean of 1" in done.stdout
+    assert f"{title} ({changed}, 1,100 steps), mean of 1" in done.stdout
     assert json.loads((folder / "runs/config.json").read_text())["algorithm"] == name
     done = circle2d(folder, "resume", "runs", status=2)
     assert done.stderr.count("\n") == 1
@@ -52,15 +52,15 @@ def test_an_algorithm_of_the_users_own(folder, module):
     known = ("--import", module)
     circle2d(folder, "resume", "runs", *known)
     assert "J_R" in circle2d(folder, "evaluate", "runs", "--episodes", "2", *known).stdout
-    assert f"{title} ({option} 0." in circle2d(folder, "report", "runs", *known).stdout
+    assert f"{title} ({changed}" in circle2d(folder, "report", "runs", *known).stdout
     assert (
         f"circle2d train --import {module} --algorithm {name} "
         in (folder / "runs/index.html").read_text()
     )
     text = circle2d(folder, "train", *known, "--algorithm", name, "--help").stdout
-    assert f"--{option}" in text
+    assert option in text
     assert said in re.sub(r"[│\s]+", " ", text)
-    assert f"--{option}" in circle2d(folder, "train", *known, "--help").stdout
+    assert option in circle2d(folder, "train", *known, "--help").stdout
 
 
 def test_an_algorithm_of_the_users_own_in_worker_processes(folder):

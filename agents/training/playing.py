@@ -169,7 +169,7 @@ def _episode(
 def _check_action(action: Any, space: gym.Space) -> None:
     """Raise UserError for an action that a policy must not give; bounds are the task's affair."""
     found = np.asarray(action)
-    if not np.issubdtype(found.dtype, np.number) or not np.isfinite(found).all():
+    if found.dtype.kind not in "biuf" or not np.isfinite(found).all():
         raise UserError(f"the policy gives an action that is not finite: {action!r}")
     if isinstance(space, Box) and found.shape != space.shape:
         raise UserError(

@@ -102,7 +102,10 @@ def folder(tmp_path_factory):
         (["report", "{folder}", "--width", "9"], "width must be at least 40, got 9\n"),
         (["evaluate"], "evaluate needs FOLDER: Folder of the runs"),
         (["render", "{tmp}/nothing", "{folder}", "--names", "a"], "one for each of the 2 folders"),
-        (["heatmap", "{folder}/.."], "holds folders of runs: did you mean .*'[^']*first'"),
+        (
+            ["heatmap", "{folder}/.."],
+            r"holds folders of runs: did you mean (one of )?.*'[^']*first'(, '[^']*')*\?\n",
+        ),
         (["scene", "2"], "scene takes no argument '2': options begin with --\n"),
         (["scene", "--level", "9"], "circle2d: level must be one of \\(0, 1, 2, 3\\), got 9\n"),
         ([*TRAIN, "--out", "{tmp}/x", "--task", "Nope-v1"], "unknown task 'Nope-v1': "),

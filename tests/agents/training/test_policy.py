@@ -273,6 +273,8 @@ def test_evaluations_that_cannot_be(folder):
         agents.evaluate(policy, "Nowhere-v0")
     with pytest.raises(agents.UserError, match="not finite"):
         agents.evaluate(lambda observation: np.array([np.nan]), "Walk-v0")
+    of_truth = agents.evaluate(lambda observation: observation[:1] > 0, "Walk-v0", 1)
+    assert of_truth.lengths.shape == (1,)
     with pytest.raises(agents.UserError, match="not finite: 'left'"):
         agents.evaluate(lambda observation: "left", "Walk-v0")
     with pytest.raises(agents.UserError, match=r"of shape \[3\], the task takes one of \[1\]"):
