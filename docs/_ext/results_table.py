@@ -148,7 +148,7 @@ def safety(report: Path) -> list[str]:
         own = [line for line in lines if line["folder"] == folder]
         kinds = {line["kind"]: line for line in own if not line["seed"]}
         task, title = kinds["mean"]["task"], kinds["mean"]["algorithm"]
-        means = {of: f"{float(kinds['mean'][of]):.2f}".removeprefix("0") for of in MEASURES[:4]}
+        means = {of: _short(float(kinds["mean"][of]), 2) for of in MEASURES[:4]}
         ranges = [
             "{:.1f}, from {:.1f} to {:.1f}".format(
                 *(float(kinds[kind][of]) for kind in ("mean", "mean lowest", "mean highest"))
@@ -167,16 +167,16 @@ def units(report: Path) -> list[str]:
     lines = _lines(report)
     found = []
     for name in ("SAC-Lag", "SAC-LB", "WCSAC"):
-        own = [line for line in lines if line["algorithm"].partition(" (")[0] == name]
-        own = [line for line in own if line["folder"].endswith("-units")]
-        solved = [
-            sum(solves(line) for line in own if line["seed"] and line["task"] == level)
-            for level in LEVELS
-        ]
-        runs = [line for line in own if line["seed"]]
-        words = ", ".join(f"{count} of {len(runs) // len(LEVELS)}" for count in solved)
+        own = [line for line in lines if line["folder"].endswith(f"-{name.lower()}-units")]
+        runs = [[of for of in own if of["seed"] and of["task"] == level] for level in LEVELS]
+        words = ", ".join(f"{sum(map(solves, of))} of {len(of)}" for of in runs)
         found.append(f"{_choice(f'{name}, units', own)} {words} |")
     return found
+
+
+def _short(value: float, digits: int) -> str:
+    """A number without the 0 before its point."""
+    return f"{value:.{digits}f}".removeprefix("0")
 
 
 def _holm(p_values: dict[Any, float]) -> dict[Any, float]:
@@ -201,8 +201,7 @@ def _part(runs: list[dict[str, str]], title: str) -> str:
         return ""
 
     def mean(measure: str, digits: int) -> str:
-        words = f"{fmean(float(line[measure]) for line in runs):.{digits}f}"
-        return words.removeprefix("0")
+        return _short(fmean(float(line[measure]) for line in runs), digits)
 
     emcc_of = " ".join(mean(measure, 2) for measure in MEASURES[:3])
     others = [mean(of, digits) for of, digits in (("cost_rate", 2), ("J_R", 1), ("J_C", 1))]
