@@ -36,31 +36,37 @@ ALGORITHMS = {
 """Module -> name, title, its hyper-parameter as the command sets it, and the text of that."""
 
 
-@pytest.mark.parametrize("module", ALGORITHMS)
-def test_an_algorithm_of_the_users_own(folder, module):
-    """Trains by the page's command, resumes, is evaluated, reported and explained."""
+def trained(folder, module):
+    """Train by the page's command for a module; its help and the table name what it adds."""
     name, title, changed, said = ALGORITHMS[module]
-    option = f"--{changed.partition(' ')[0]}"
     (line,) = re.findall(rf"```sh\ncircle2d (train --import {module}.*)\n```", PAGE)
     train = re.sub(r"runs/\w+", "runs", line).split()
     done = circle2d(folder, *train, "--seeds", "0", "--steps", "1100")
     assert f"{title} ({changed}, 1,100 steps), mean of 1" in done.stdout
     assert json.loads((folder / "runs/config.json").read_text())["algorithm"] == name
+    text = circle2d(folder, "train", "--import", module, "--algorithm", name, "--help").stdout
+    assert f"--{changed.partition(' ')[0]}" in text
+    assert said in re.sub(r"[│\s]+", " ", text)
+
+
+@pytest.mark.parametrize("module", ["my_trpo", "my_law"])
+def test_another_family_and_another_law(folder, module):
+    trained(folder, module)
+
+
+def test_an_algorithm_of_the_users_own(folder):
+    """Trains by the page's command, resumes, is evaluated, reported and explained."""
+    trained(folder, "my_algorithm")
     done = circle2d(folder, "resume", "runs", status=2)
     assert done.stderr.count("\n") == 1
-    assert module in done.stderr
-    known = ("--import", module)
+    assert "my_algorithm" in done.stderr
+    known = ("--import", "my_algorithm")
     circle2d(folder, "resume", "runs", *known)
     assert "J_R" in circle2d(folder, "evaluate", "runs", "--episodes", "2", *known).stdout
-    assert f"{title} ({changed}" in circle2d(folder, "report", "runs", *known).stdout
-    assert (
-        f"circle2d train --import {module} --algorithm {name} "
-        in (folder / "runs/index.html").read_text()
-    )
-    text = circle2d(folder, "train", *known, "--algorithm", name, "--help").stdout
-    assert option in text
-    assert said in re.sub(r"[│\s]+", " ", text)
-    assert option in circle2d(folder, "train", *known, "--help").stdout
+    assert "SAC-Fixed (price 0.5" in circle2d(folder, "report", "runs", *known).stdout
+    page = (folder / "runs/index.html").read_text()
+    assert "circle2d train --import my_algorithm --algorithm sac-fixed " in page
+    assert "--price" in circle2d(folder, "train", *known, "--help").stdout
 
 
 def test_an_algorithm_of_the_users_own_in_worker_processes(folder):
