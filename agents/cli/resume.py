@@ -14,6 +14,8 @@ from agents import api
 from agents.cli import signals
 from agents.cli.options import Imports, parse
 from agents.cli.outcome import finish
+from agents.errors import one_line
+from agents.paper import grid
 from agents.training.config import TrainConfig
 from agents.training.machine import other_session
 
@@ -32,11 +34,11 @@ def run(args: Sequence[str]) -> int:
     """Run `circle2d resume`; returns the exit status."""
     options = parse(ResumeOptions, "resume", args)
     folders = options.folders
-    for folder in folders:
-        TrainConfig.read(folder)
-    for folder in folders:
-        if note := other_session(folder):
-            print(f"circle2d: {folder}: {note}", file=sys.stderr)
+    configs = {folder: TrainConfig.read(folder) for folder in folders}
+    for folder, config in configs.items():
+        is_done = grid.finished(folder, config)
+        if note := "it is done: evaluated again" if is_done else other_session(folder):
+            print(f"circle2d: {one_line(folder)}: {note}", file=sys.stderr)
     with signals.AfterEpoch(options.imports) as after_epoch:
         runs = api.resume(*folders, progress=True, on_epoch=after_epoch)
     return finish(runs, after_epoch)
