@@ -207,11 +207,12 @@ def resume(*folders: Folder, on_epoch: OnEpoch | None = None, progress: bool = F
 def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = None) -> str:
     """Write the report of all runs at or below some folders, or in archives: `circle2d report`.
 
-    paths: folders, archives, or runs, such as `train` returns. Folders that differ in their seeds
-    alone count as one. Returns the main tables and the paper's claims as Markdown. archive: a file
-    to pack all that the report needs into. out: folder to write to; by default that of the runs,
-    for an archive the one beside it that has its name without the suffix; several paths need one.
-    Raises UserError where there are no complete runs, or an archive is damaged.
+    paths: folders, archives, folders of archives (`runs.zip/Circle2D-1-v0`), or runs, such as
+    `train` returns. Folders that differ in their seeds alone count as one. Returns the main
+    tables and the paper's claims as Markdown. archive: a file to pack all that the report needs
+    into. out: folder to write to; by default that of the runs, for an archive the one beside it
+    that has its name without the suffix; several paths need one. Raises UserError where there are
+    no complete runs, or an archive is damaged.
     """
     file = None if archive is None else Path(archive)
     folder = None if out is None else folder_to_write(out)
@@ -221,7 +222,7 @@ def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = N
 def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:
     """The tables of two sets of runs with the differences B - A, as Markdown: `circle2d compare`.
 
-    a, b: folders, archives or runs, such as a baseline's and those of an idea. With out, writes
+    a, b: as the paths of `report`, such as a baseline's runs and those of an idea. With out, writes
     `compare.md`, `compare.csv`, and `compare.html` with the training curves of both, to that
     folder. Raises UserError where a side has no complete run, or the two have no task in common.
     """

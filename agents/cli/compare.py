@@ -20,7 +20,8 @@ class CompareOptions:
     all tasks together."""
 
     a: Folder
-    """Folder of runs, or one with several such folders below it."""
+    """Folder of runs, or one with several such folders below it, an archive, or a folder of an
+    archive, such as results/circle2d/runs.zip/Circle2D-1-v0/sac-lb."""
     b: Folder
     """Folder of the runs to compare with them."""
     out: Path | None = None

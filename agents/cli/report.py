@@ -19,8 +19,8 @@ class ReportOptions:
     and index.html with training curves and heat maps as well."""
 
     folders: Folders
-    """Folders of runs, or with such folders below them, or archives: all in one report, such as
-    your runs beside results/circle2d/runs.zip."""
+    """Folders of runs, or with such folders below them, or archives, or folders of archives: all in
+    one report, such as your runs beside results/circle2d/runs.zip/Circle2D-1-v0."""
     archive: Path | None = None
     """File to pack all that the report needs into; `circle2d report FILE` writes it again."""
     out: Path | None = None

@@ -34,7 +34,7 @@ from agents.reporting.replay import replay_data
 from agents.reporting.scenes import Scenes
 from agents.reporting.table import Block, Table, markdown, plain
 from agents.reporting.tables import task_table
-from agents.results.archive import open_source, write_archive
+from agents.results.archive import archive_of, open_source, write_archive
 from agents.results.joined import JoinedSource
 from agents.results.pooled import PooledSource
 from agents.results.reading import Group
@@ -51,6 +51,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     named too. Folders that differ in their seeds alone count as one, which is named as well.
 
     archive: a file to pack all that the report needs into; a report on it has the same bytes.
+    A path may lead into an archive, such as `runs.zip/Circle2D-1-v0`: to the runs of that folder.
     out: folder to write to; by default that of the runs, for an archive the one beside it that has
     its name without the suffix; several paths need one. Raises UserError where no run is left, or
     an archive is damaged.
@@ -108,7 +109,10 @@ def _output_folder(paths: Sequence[Path], out: Path | None) -> Path:
         raise UserError("give a folder of runs, or an archive")
     if out is None and len(paths) > 1:
         raise UserError("a report on several folders or archives needs out, a folder to write to")
-    chosen = out or (paths[0].with_suffix("") if paths[0].is_file() else paths[0])
+    archive = archive_of(paths[0])
+    chosen = out or paths[0]
+    if out is None and archive is not None:
+        chosen = archive.with_suffix("") / paths[0].relative_to(archive)
     if chosen.is_file():
         raise UserError(f"{chosen} is a file; the report needs a folder: give another for out")
     return chosen

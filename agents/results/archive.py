@@ -13,8 +13,8 @@ import json
 import lzma
 import struct
 import zipfile
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -41,8 +41,17 @@ FIRST = (1980, 1, 1, 0, 0, 0)
 
 
 def open_source(path: Path) -> Source:
-    """The runs in a folder or in an archive. Raises UserError for anything else."""
-    return ArchiveSource(path) if path.is_file() else FolderSource(path)
+    """The runs in a folder, in an archive, or in a folder of an archive, such as
+    `runs.zip/Circle2D-1-v0`. Raises UserError for anything else."""
+    archive = archive_of(path)
+    if archive is None:
+        return FolderSource(path)
+    return ArchiveSource(archive, path.relative_to(archive).as_posix())
+
+
+def archive_of(path: Path) -> Path | None:
+    """The file that a path is or leads into; None for a path of folders alone."""
+    return next((of for of in (path, *path.parents) if of.is_file()), None)
 
 
 def write_archive(path: Path, source: Source, groups: Sequence[Group]) -> None:
@@ -116,6 +125,15 @@ def _pack_group(source: Source, group: Group, entry: dict[str, Any]) -> dict[str
     return arrays
 
 
+def _beside(part: PurePosixPath, folders: Collection[PurePosixPath]) -> str:
+    """The folders of an archive where a part of it was looked for, in words."""
+    inside = [of for of in part.parents if any(folder.is_relative_to(of) for folder in folders)]
+    parent = inside[0] if inside else PurePosixPath()
+    below = [of.relative_to(parent).parts for of in folders if of.is_relative_to(parent)]
+    name = "it" if parent == PurePosixPath() else parent
+    return f"{name} has {', '.join(sorted({of[0] for of in below if of})) or 'none'}"
+
+
 def _pack_episodes(episodes: Sequence[Episode]) -> dict[str, NDArray]:
     return {
         "length": np.array([len(episode.costs) for episode in episodes], dtype=np.int64),
@@ -127,8 +145,9 @@ def _pack_episodes(episodes: Sequence[Episode]) -> dict[str, NDArray]:
 class ArchiveSource:
     """Runs in an archive. Raises UserError for a file that is none, or a damaged one."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, part: str = ".") -> None:
+        """part: folder of the archive with the runs at or below it; by default all."""
+        self.path, within = path, PurePosixPath(part)
         self.name: str
         self.problems: Sequence[str]
         self.configs: Mapping[str, dict[str, Any]]
@@ -146,14 +165,21 @@ class ArchiveSource:
                 f"{FORMAT!r}, version {VERSION}"
             )
         try:
-            self.name = content["name"]
+            self.name = within.name or content["name"]
             self.problems = content["problems"]
-            entries = {entry["folder"]: entry for entry in content["folders"]}
-            self.configs = {k: entry["config"] for k, entry in entries.items()}
+            every = {PurePosixPath(of["folder"]): of for of in content["folders"]}
+            found = {
+                folder.relative_to(within).as_posix(): (number, entry)
+                for number, (folder, entry) in enumerate(every.items())
+                if folder.is_relative_to(within)
+            }
+            self._numbers = {folder: number for folder, (number, _) in found.items()}
+            self._entries = {folder: entry for folder, (_, entry) in found.items()}
+            self.configs = {folder: entry["config"] for folder, entry in self._entries.items()}
         except (KeyError, TypeError) as error:
             raise self._damaged(error) from None
-        self._entries = entries
-        self._numbers = {folder: number for number, folder in enumerate(entries)}
+        if within.name and not found:
+            raise UserError(f"{path} has no folder {part}; {_beside(within, every)}")
 
     def title(self, folder: str) -> str:
         """A folder as seen from beside the one that was archived."""

@@ -89,6 +89,28 @@ def test_an_archive_of_an_archive_and_a_comparison(packed, runs, tmp_path):
     assert compared.rows == expected.rows
 
 
+def test_a_folder_of_an_archive_is_as_the_folder_that_was_packed(packed, runs, capsys):
+    archive, _ = packed
+    for part in ("Circle2D-1-v0", "Circle2D-1-v0/cpo", "old"):
+        of_folder, of_archive = FolderSource(runs / part), open_source(archive / part)
+        assert (of_archive.name, of_archive.configs) == (of_folder.name, of_folder.configs)
+        expected, found = read_groups(of_folder, []), read_groups(of_archive, [])
+        assert [g.folder for g in found] == [g.folder for g in expected]
+        assert [r.measures for g in found for r in g.runs] == [
+            r.measures for g in expected for r in g.runs
+        ]
+    assert main(["report", str(archive / "old")]) == 0
+    assert (archive.with_suffix("") / "old" / "index.html").exists()
+    for part, said in (
+        ("nothing", "no folder nothing; it has Circle2D-1-v0, circle2d_mj-Safety"),
+        ("Circle2D-1-v0/sac", "no folder Circle2D-1-v0/sac; Circle2D-1-v0 has cpo\n"),
+        ("old/seed-0", "no folder old/seed-0; old has none\n"),
+    ):
+        capsys.readouterr()
+        assert main(["report", str(archive / part)]) == 2
+        assert said in capsys.readouterr().err
+
+
 def test_every_step_and_the_replay(packed, runs):
     """Against the files of the folder."""
     archive, _ = packed
