@@ -171,7 +171,7 @@ def _card(folder: Path, config: TrainConfig, policies: Mapping[int, Policy], loa
         "environment steps": f"{_steps(policies.values(), ',')}; planned {config.steps:,}",
         "commit": _commit(folder),
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
-        "trained by": f"`{command(config, 'runs', content.get('algorithm_module'))}`",
+        "trained by": f"`{command(config, 'runs', content)}`",
         **_spaces(read_spaces(folder, config)),
     }
     return "\n".join(

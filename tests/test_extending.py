@@ -98,4 +98,5 @@ def test_a_task_and_a_measure_of_the_users_own(folder):
     done = circle2d(folder, "report", "runs", *known)
     assert "middle" in done.stdout
     assert "clean episodes (share)" in done.stdout
+    assert "circle2d train --import my_tasks " in (folder / "runs/index.html").read_text()
     assert "clean" in (folder / "runs/report.csv").read_text().splitlines()[0]

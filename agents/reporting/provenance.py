@@ -34,12 +34,8 @@ def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
     found = {
         "program": program(),
         "command": "\n".join(
-            command(
-                group.config,
-                source.title(group.folder),
-                source.configs[group.folder].get("algorithm_module"),
-            )
-            for group in groups
+            command(group.config, source.title(of), source.configs[of])
+            for of, group in ((group.folder, group) for group in groups)
         ),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
@@ -98,14 +94,15 @@ def _count(number: int, name: str) -> str:
     return f"{number:,} {name}{'s' * (number != 1)}"
 
 
-def command(config: TrainConfig, out: str, module: str | None = None) -> str:
+def command(config: TrainConfig, out: str, recorded: Mapping[str, Any]) -> str:
     """The command that trains some runs, with everything that decides their numbers.
 
-    module: that registers the algorithm, where the runs recorded it.
+    recorded: their `config.json`, which has the modules that register algorithm and task.
     """
-    own = module and config.algorithm not in BUILT_IN and module != "__main__"
-    options: dict[str, Any] = {"import": module} if own else {}
-    options |= {"algorithm": config.algorithm, "task": config.task, "seeds": config.seeds}
+    modules = [] if config.algorithm in BUILT_IN else [recorded.get("algorithm_module")]
+    modules += [] if ":" in config.task else [recorded.get("task_module")]
+    imports = [f"--import {of}" for of in dict.fromkeys(modules) if of and of != "__main__"]
+    options = {"algorithm": config.algorithm, "task": config.task, "seeds": config.seeds}
     options |= {"steps": config.steps} | hyperparameter_changes(config)
     if config.task_parameters:
         pairs = (part for pair in config.task_parameters.items() for part in pair)
@@ -115,7 +112,7 @@ def command(config: TrainConfig, out: str, module: str | None = None) -> str:
         if getattr(config, name) != usual:
             options[name] = getattr(config, name)
     typed = (f"--{k.replace('_', '-')} {_typed(v)}" for k, v in (options | {"out": out}).items())
-    return " ".join(["circle2d train", *typed])
+    return " ".join(["circle2d train", *imports, *typed])
 
 
 def _training_time(sessions: Sequence[Mapping[str, float]]) -> str:

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 from agents.algorithms import ALGORITHMS, algorithm, module_of
 from agents.errors import UserError, check, check_choice, check_integers
 from agents.lockstep.noise import stream_seed
-from agents.training.environments import Spaces, Vectorization, is_native, spaces_of
+from agents.training.environments import Spaces, Vectorization, is_native, module_of_task, spaces_of
 from agents.training.files import compare, json_bytes, locked, read_json
 from agents.training.machine import commit, made_with
 from agents.training.memory import check_memory
@@ -29,7 +29,10 @@ ALGORITHM = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 CHECKPOINT, PREVIOUS = "checkpoint.npz", "checkpoint.previous.npz"
 """In the folder of the runs: the last checkpoint, and the one before it."""
 NO_RUNS = "holds no runs: no config.json that circle2d train wrote"
-NOT_SETTINGS = ("versions", "machine", "resumed", "spaces", "algorithm_module", "commit")
+NOT_SETTINGS = (
+    *("versions", "machine", "resumed", "spaces", "commit"),
+    *("algorithm_module", "task_module"),
+)
 """Entries of config.json that are no fields of `TrainConfig`."""
 
 
@@ -131,6 +134,7 @@ class TrainConfig:
         content = dataclasses.asdict(self) | made_with()
         content["commit"] = commit()
         content["algorithm_module"] = module_of(self.algorithm)
+        content["task_module"] = module_of_task(self.task)  # "" of a built-in one
         spaces = spaces_of(self.task, self.task_parameters)
         check_memory(self.hyperparameters, len(self.seeds), spaces.sizes)
         self._check_scale(spaces.observation_size)

@@ -2,7 +2,7 @@
 
 import shlex
 import subprocess
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import pytest
@@ -33,7 +33,7 @@ def test_the_command_trains_the_same(tmp_path):
     parameters = {"constraint_radius": 3.0, "optima_perturbation": (1.0, 0.5)}
     config = TrainConfig("sac-lag", "Circle2D-3-v0", (4, 7), 150, hyperparameters, parameters)
     config = replace(config, vectorization="sync")
-    said = command(config, str(tmp_path / "with a space"))
+    said = command(config, str(tmp_path / "with a space"), {})
     program, *arguments = shlex.split(said)
     assert program == "circle2d"
     assert main(arguments) == 0
@@ -44,7 +44,25 @@ def test_the_command_trains_the_same(tmp_path):
     assert "--discount" not in said  # as the preset has it
     assert "--device" not in said
     on_gpu = replace(config, device="cuda", backend="compiled")
-    assert "--backend compiled --vectorization sync --device cuda" in command(on_gpu, "x")
+    assert "--backend compiled --vectorization sync --device cuda" in command(on_gpu, "x", {})
+
+
+def test_the_command_imports_what_registers_algorithm_and_task():
+    config = TrainConfig("sac-lag", "Circle2D-3-v0", (4,), 150, preset("sac-lag", "Circle2D-3-v0"))
+    own_task = {"algorithm_module": "agents.algorithms.sac_lag", "task_module": "my_tasks"}
+    assert command(config, "x", own_task).startswith("circle2d train --import my_tasks --algorithm")
+    by_prefix = replace(config, task="circle2d_mj:Circle2D-3-v0")
+    assert "--import" not in command(by_prefix, "x", own_task)
+    content = asdict(config) | {"algorithm": "mine"}
+    own = TrainConfig.parse(content, "x", strict=False)  # not registered here
+    for recorded, imports in (
+        ({"algorithm_module": "my_module", "task_module": "my_tasks"}, "my_module my_tasks"),
+        ({"algorithm_module": "mine", "task_module": "mine"}, "mine"),
+        ({"algorithm_module": "__main__", "task_module": "__main__"}, ""),
+        ({}, ""),  # a folder of before they were recorded
+    ):
+        said = command(own, "x", recorded).partition(" --algorithm")[0]
+        assert said == " ".join(["circle2d train", *(f"--import {m}" for m in imports.split())])
 
 
 def test_what_is_told(tmp_path):

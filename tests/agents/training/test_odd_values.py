@@ -9,7 +9,7 @@ import agents
 from agents.errors import UserError
 from agents.results.archive import open_source
 from agents.results.reading import read_groups
-from agents.training.config import TrainConfig
+from agents.training.config import NOT_SETTINGS, TrainConfig
 
 OPTIONS = {"random_steps": 50, "gradient_steps": 1, "checkpoint_every": 100, "backend": "eager"}
 
@@ -45,7 +45,7 @@ def test_settings_of_another_type(folder, strict):
     path = folder / "config.json"
     (folder / "checksums.json").unlink()
     content = json.loads(path.read_text())
-    for name in content.keys() - {"versions", "machine", "spaces", "algorithm_module", "commit"}:
+    for name in content.keys() - set(NOT_SETTINGS):
         for value in (None, 7.5, [], [[1]], {"a": 1}, "-x", 10**400, -1, True):
             if (name, value) in POSSIBLE:
                 continue
