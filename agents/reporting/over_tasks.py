@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
+from typing import Any
 
 from agents.algorithms import title
 from agents.paper.settings import changes, in_order
@@ -13,6 +14,12 @@ from agents.results.reading import Group
 from agents.results.statistics import corrected
 from emcc import iqm
 from emcc.statistics import FEWEST_RUNS
+
+TEST = (
+    "permutation test of Welch's t of the means over seeds and tasks, with runs exchanged within "
+    "each task alone, corrected for"
+)
+"""Of both tables, before the number of comparisons."""
 
 
 def over_tasks(groups: Sequence[Group]) -> Table | None:
@@ -35,14 +42,18 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
     for name, of in runs.items():
         cells = [number_of(bootstrapped(iqm, of.get(m.name)), m.digits) for m in columns]
         rows.append(Row(f"{title(name)}, {seeds_of(of)} seeds", cells, kind="mean"))
-    for a, b in combinations(runs, 2):
-        sets = TwoSets(runs[b], runs[a], len(tasks))
-        cells = [number_of(sets.improvement(m)) for m in columns]
-        rows.append(Row(f"P({title(a)} better than {title(b)})", cells, kind="test"))
+    pairs = {(a, b): TwoSets(runs[b], runs[a], len(tasks)) for a, b in combinations(runs, 2)}
+    p_values = corrected({(pair, m.name): of.p(m) for pair, of in pairs.items() for m in columns})
+    for (a, b), sets in pairs.items():
+        better = [number_of(sets.improvement(m)) for m in columns]
+        tests = [p_number(p_values[(a, b), m.name]) for m in columns]
+        rows.append(Row(f"P({title(a)} better than {title(b)})", better, kind="test"))
+        rows.append(Row("p", tests, kind="test"))
     caption = (
         f"Over {len(tasks)} tasks, with the presets: interquartile mean of all seeds and tasks; P: "
         "probability that a run of the first is better than one of the second on a task, equal "
-        "ones half, mean over the tasks; [95 % bootstrap interval, seeds drawn in each task anew]. "
+        "ones half, mean over the tasks; [95 % bootstrap interval, seeds drawn in each task anew]; "
+        f"p: {TEST} the {_count(p_values)} comparisons of this table (Holm). "
         f"Algorithms with {FEWEST_RUNS} seeds or more on every task, the seeds that all tasks have"
     )
     return Table(caption, [f"{len(tasks)} tasks", *(m.head for m in columns)], rows)
@@ -67,14 +78,16 @@ def differences_over_tasks(sets: Mapping[str, TwoSets]) -> Table | None:
             Row("p", [p_number(p_values[name, m.name]) for m in columns], kind="test"),
             Row("P(B better)", better, kind="test"),
         ]
-    tests = sum(p is not None for p in p_values.values())
     caption = (
         "Over all tasks that both have: B - A, difference of the means over seeds and tasks [95 % "
         "bootstrap interval, seeds drawn in each task anew, where both have "
-        f"{FEWEST_RUNS} or more]; p: permutation test of Welch's t of these means, with runs "
-        "exchanged within each task alone, corrected for the "
-        f"{tests} comparisons of this table (Holm); P(B better): probability that a run of B is "
-        "better than one of A on a task, equal ones half, mean over the tasks. The seeds that all "
-        "tasks have"
+        f"{FEWEST_RUNS} or more]; p: {TEST} the {_count(p_values)} comparisons of this table "
+        "(Holm); P(B better): probability that a run of B is better than one of A on a task, equal "
+        "ones half, mean over the tasks. The seeds that all tasks have"
     )
     return Table(caption, ["over all tasks", *(m.head for m in columns)], rows)
+
+
+def _count(p_values: Mapping[Any, float | None]) -> int:
+    """How many are known."""
+    return sum(p is not None for p in p_values.values())

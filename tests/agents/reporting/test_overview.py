@@ -160,10 +160,11 @@ def test_over_tasks_by_hand(groups):
     table = over_tasks(groups)
     names = [row.name for row in table.rows]
     assert names[:3] == [f"{name}, 6 seeds" for name in ("TRPO-Lag", "CPO", "WCSAC")]
-    assert names[3:] == [
+    assert names[3::2] == [
         *("P(TRPO-Lag better than CPO)", "P(TRPO-Lag better than WCSAC)"),
         "P(CPO better than WCSAC)",
     ]
+    assert names[4::2] == ["p"] * 3
     assert table.head[1:] == ["EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost rate"]
     # Streaks 2 3 4 2 3 4 on either task: of twelve values the middle six are 2 3 3 3 3 4 or so.
     streaks = sorted([2, 3, 4] * 4)
@@ -176,9 +177,13 @@ def test_over_tasks_by_hand(groups):
     assert table.rows[3].numbers[3].value == pytest.approx(lower)
     cpo, wcsac = ([s + k % 3 for k in range(6)] for s in (2, 8))
     better = fmean(a < b or (a == b) / 2 for a, b in product(cpo, wcsac))
-    assert table.rows[5].numbers[0].value == pytest.approx(better) == 1.0
-    low, high = table.rows[5].numbers[3].low, table.rows[5].numbers[3].high
+    assert table.rows[7].numbers[0].value == pytest.approx(better) == 1.0
+    low, high = table.rows[7].numbers[3].low, table.rows[7].numbers[3].high
     assert low < 0.5 < high  # equal cost rates
+    p_values = [number.value for number in table.rows[8].numbers]
+    assert max(p_values[:2]) < 0.01  # of 924² divisions within the tasks the most extreme
+    assert p_values[2:] == [1, 1]  # nobody costs in the last third
+    assert "corrected for the 12 comparisons of this table" in table.caption
 
 
 def test_one_task_has_no_table_over_tasks(groups):
