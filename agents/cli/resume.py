@@ -36,9 +36,12 @@ def run(args: Sequence[str]) -> int:
     folders = options.folders
     configs = {folder: TrainConfig.read(folder) for folder in folders}
     for folder, config in configs.items():
-        is_done = grid.finished(folder, config)
-        if note := "it is done: evaluated again" if is_done else other_session(folder):
+        if (note := other_session(folder)) and not grid.finished(folder, config):
             print(f"circle2d: {one_line(folder)}: {note}", file=sys.stderr)
     with signals.AfterEpoch(options.imports) as after_epoch:
         runs = api.resume(*folders, progress=True, on_epoch=after_epoch)
+    for folder in configs:
+        if folder not in after_epoch.steps:  # no epoch was left to train
+            note = "was done already: evaluated again"
+            print(f"circle2d: {one_line(folder)}: {note}", file=sys.stderr)
     return finish(runs, after_epoch)

@@ -54,7 +54,7 @@ def test_resume_of_a_finished_run_changes_nothing(folder, capsys):
     before = (folder / "checkpoint.npz").read_bytes()
     assert main(["resume", str(folder)]) == 0
     assert (folder / "checkpoint.npz").read_bytes() == before
-    assert f"{folder}: it is done: evaluated again\n" in capsys.readouterr().err
+    assert f"{folder}: was done already: evaluated again\n" in capsys.readouterr().err
 
 
 def test_hyperparameters_and_task_parameters(tmp_path):
