@@ -18,7 +18,7 @@ The whole entrance from Python:
 `on_epoch` of `train` receives an `Epoch`; a mistake of the caller raises `UserError`. `import
 agents` imports none of this: names are looked up when they are first used, and torch with them.
 
-The rooms of the house, of which each uses only those before it:
+The subpackages and modules, lowest layer first; each imports only those before it:
 
 - `errors`: mistakes of a caller, and checks of values
 - `lockstep`: many runs of one algorithm as one batch: networks, Adam, noise, replay, rollouts
@@ -30,7 +30,8 @@ The rooms of the house, of which each uses only those before it:
 - `reporting`: tables, figures, page
 - `export`: policies as files for other programs
 - `sweeps`: combinations of hyper-parameters, and the engines that train them
-- `api`: this entrance
+- `runs`: runs on disk as Python objects
+- `api`: the functions above
 - `cli`: the command `circle2d`
 """
 

@@ -114,26 +114,28 @@ def train(
     >>> [round(float(x)) for x in runs.records[runs.folder, 1].length]
     [50, 50, 50, 50, 50, 50, 50, 50]
 
-    algorithm: name of a built-in (`circle2d --help` lists them) or registered one; hyperparameters:
-        its own, over the preset for the task (the paper's on its tasks).
+    algorithm: name of a built-in (`circle2d --help` lists them) or registered one. hyperparameters:
+        values that replace those of the task's preset (on the paper's tasks, the paper's values).
     task: id of a gymnasium task with `info["cost"]`; "module:Id" imports the module first.
         task_parameters: keyword arguments for it.
     seeds: one run for each; a number is one seed. steps: environment steps of each run.
     out: folder for the runs; made, and refused where it holds runs already. None: a temporary one,
         which lives as long as the returned object.
-    checkpoint_every: environment steps of a run between checkpoints. evaluate_every: those between
-        evaluations, each of which leaves the policy too (`load_policy(..., step=...)`); None: none.
+    checkpoint_every: environment steps of a run between checkpoints. evaluate_every: environment
+        steps of a run between evaluations; each also saves the policy, for
+        `load_policy(..., step=...)`. None: evaluate only at the end.
     vectorization: "auto": the task's own vector environment or one process; "sync": gymnasium's
         `SyncVectorEnv`; "async": a process for each environment. All give the same results.
-        step_timeout: seconds that a step may take with "async"; None: any.
+        step_timeout: seconds that a step may take with "async"; None: no limit.
     backend: how updates run: "compiled", "eager", or "auto": compiled where that is possible.
     tensorboard: whether to write event files too. progress: whether to show it on stderr.
     on_epoch: called with an `Epoch` after each epoch; returning False stops the training after a
         checkpoint, without the evaluation at its end. `resume` goes on.
-    engine: "local": in this process; "ray": as a task of the Ray cluster at `address`, "HOST:PORT"
-        or "auto"; None: RAY_ADDRESS or a cluster of this machine. Without on_epoch and progress.
+    engine: "local": in this process; "ray": as a task of a Ray cluster, which supports neither
+        on_epoch nor progress. address: of the cluster, "HOST:PORT" or "auto"; None: RAY_ADDRESS,
+        or else a new cluster on this machine.
 
-    Raises UserError for what is unknown or not allowed, before anything is written.
+    Raises UserError for an unknown or invalid argument, before anything is written.
     """
     settings = {"checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every}
     settings |= {"vectorization": vectorization, "step_timeout": step_timeout}

@@ -2,8 +2,8 @@
 
     costs of steps -> longest streak -> MCC of a rollout -> EMCC of a part of training -> interval
 
-Arrays in, numbers or frozen dataclasses out. numpy is all it imports. Other libraries are met
-where costs arise: `RecordCosts` wraps an environment of gymnasium, `sb3.EMCCCallback` follows a
+Arrays in, numbers or frozen dataclasses out. The core imports only numpy. Costs can come from other
+libraries: `RecordCosts` wraps an environment of gymnasium, `sb3.EMCCCallback` follows a
 training of Stable-Baselines3, `from_tensordict` reads TorchRL's batches, `from_minari` a data set.
 `read` takes what `python -m emcc` takes. `panel` puts EMCC beside the measures that
 other papers report.

@@ -19,17 +19,17 @@ _TIE = 1e-12
 def permutation_test(
     first: ArrayLike, second: ArrayLike, *, rng: np.random.Generator, resamples: int = 20_000
 ) -> float:
-    """Two-sided p value that two sets of runs have the same mean: of Welch's t, by permutation.
+    """Return the p value of a two-sided permutation test of equal means, with Welch's t.
 
     first, second: [runs], two at least each, or [runs, tasks] with the same tasks. Exact, over all
     ways to divide the runs among the two sets, where there are 200 000 at most; otherwise over
     `resamples` random ones. Welch's t keeps the test near its level where the spreads differ too.
-    Of 3 runs against 3 no p value is below 0.1.
+    With 3 runs against 3 no p value is below 0.1.
 
     With tasks it is one test of the means over the tasks. Runs are divided within each task (a
     stratum) alone, and t is the sum of the tasks' differences over its standard error. So few runs
     on several tasks can decide: of 3 against 3 on each of four tasks, p can be 2 / 160 000. The
-    values need one unit, as EMCC has and returns have not.
+    values of all tasks must have one unit: EMCC does, returns do not.
 
     Source: Janssen 1997, "Studentized permutation tests for non-i.i.d. hypotheses and the
     generalized Behrens-Fisher problem"; by strata, Good 2005, "Permutation, Parametric and
@@ -49,14 +49,15 @@ def equivalence_test(
     rng: np.random.Generator,
     resamples: int = 20_000,
 ) -> float:
-    """P value that the means of two sets of runs differ by `margin` or more, either way.
+    """Return the p value of an equivalence test: small if the means differ by less than `margin`.
 
-    Where it is small, the means are equal but for less than the margin: what a large p value of
-    `permutation_test` does not say. The larger of two one-sided permutation tests of Welch's t,
-    with one set shifted by the margin. margin: > 0, in the values' unit; others as there; with
-    tasks it is one of the means over them. Source: Schuirmann 1987 (two one-sided tests), Janssen
-    1997.
-    TypeError: rng is no numpy Generator. ValueError: margin <= 0, and as there.
+    The null hypothesis is that they differ by `margin` or more. A large p value of
+    `permutation_test` does not show that means are equal; a small one here shows that they differ
+    by less than the margin. The value is the larger of the p values of two one-sided permutation
+    tests of Welch's t, with one set shifted by the margin. margin: > 0, in the values' unit; the
+    other arguments as in `permutation_test`; with tasks it is one test of the means over them.
+    Source: Schuirmann 1987 (two one-sided tests), Janssen 1997.
+    TypeError: rng is no numpy Generator. ValueError: margin <= 0, and as in `permutation_test`.
     """
     if as_number(margin, "margin") <= 0:
         raise ValueError(f"margin must be above 0, got {margin}")

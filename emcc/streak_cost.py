@@ -1,4 +1,4 @@
-"""StreakCost for gymnasium: EMCC as an objective, for any environment and algorithm."""
+"""StreakCost for gymnasium: a cost that grows along streaks, for any environment and algorithm."""
 
 from typing import Any
 

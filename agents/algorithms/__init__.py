@@ -71,7 +71,7 @@ ALGORITHMS: Mapping[str, Algorithm] = _algorithms
 
 
 def register(name: str, algorithm: Algorithm) -> None:
-    """Make an algorithm of one's own known under a name, for training, command line and reports.
+    """Register an algorithm under a name, for training, the command line and reports.
 
     Raises UserError where the name is taken or cannot name a folder, or a hyper-parameter has the
     name of an option, and TypeError where `algorithm` is no `Algorithm` or its config no frozen

@@ -1,4 +1,4 @@
-"""PPO: proximal policy optimisation, which knows no constraint. A reference for the others.
+"""PPO: proximal policy optimisation, without a constraint: a baseline for the others.
 
 Source: Schulman et al. 2017, "Proximal policy optimization algorithms".
 """

@@ -1,4 +1,4 @@
-"""SAC: soft actor-critic, which knows no constraint. A reference for the others.
+"""SAC: soft actor-critic, without a constraint: a baseline for the others.
 
 Source: Haarnoja et al. 2018, "Soft actor-critic algorithms and applications".
 """

@@ -6,12 +6,13 @@ critics see how long one has lasted. The other changes are for exploration. A bo
 a run has seldom seen (see `agents.sac.novelty`) leads it along the rim of the region, where the
 reward is flat, while the barrier keeps it from the region. Brown random actions show the critics
 the region's far side, and a quarter of each batch keeps showing it (as prior data in RLPD, Ball et
-al. 2023). Returns go on behind the time limit, which the observation does not tell: as terminal it
-would pay to wait where episodes end (Pardo et al. 2018); costs end there, since the limit is an
-episode's. The networks learn faster, and the temperature falls slower, so that the critics know the
-way before the policy gets sure. On Circle2D the preset scales positions back to units of length.
-Source of the barrier: Zhang et al. 2024 (see `sac_lb`). `results/solve/README.md` has the trials,
-and runs without one part each: not every part proves to be needed.
+al. 2023). The reward critics bootstrap at the time limit: the observation does not contain the
+time, and with a terminal limit it would pay to wait where episodes end (Pardo et al. 2018). The
+cost critics do not bootstrap there, since the cost limit is that of an episode. The networks learn
+faster, and the temperature falls more slowly, so that the critics know the way before the policy's
+entropy is low. On Circle2D the preset scales positions back to units of length. Source of the
+barrier: Zhang et al. 2024 (see `sac_lb`). `results/solve/README.md` has the trials and an ablation
+of each part: not every part proves to be needed.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ class SACLBStreakConfig(SACLBConfig):
     """Exponent β of the random actions' power spectrum 1/f^β: 2 is brown noise, which keeps a
     direction for many steps. The paper's SAC-LB: 0."""
     time_limit: TimeLimit = "terminal_cost"
-    """Whether to bootstrap at the time limit: bootstrap, terminal (not), or terminal_cost (the
-    return only: costs end there). The paper's SAC-LB: terminal on Circle2D."""
+    """Whether to bootstrap at the time limit: bootstrap (reward and cost), terminal (neither), or
+    terminal_cost (reward only). The paper's SAC-LB: terminal on Circle2D."""
     random_share: float = 0.25
     """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0
     the replay keeps these to the end. The paper's SAC-LB: 0."""

@@ -39,8 +39,8 @@ class WCSACConfig(MultiplierConfig, ConstrainedSACConfig):
     """Scale of the damping of the multiplier in the actor's loss. Not printed in the paper; 10 in
     the code of Yang et al."""
     variance_target: Literal["squared", "unsquared"] = "squared"
-    """Last term of the variance's target: squared, as a variance needs it, or unsquared and the
-    target without the end of episodes, as in a later library of the paper's group. No preset."""
+    """Last term of the variance's target: squared, as for a variance; or unsquared, with no mask at
+    terminal steps, as in a later library of the paper's group. No preset uses unsquared."""
     damping_gradient: Literal["stopped", "through"] = "stopped"
     """Whether the actor's gradient goes through the damping: stopped as in the code of Yang et al.,
     or through it as in a later library of the paper's group. No preset."""

@@ -15,7 +15,8 @@ from agents.training.progress import working
 
 @dataclass(frozen=True)
 class EvaluateOptions:
-    """Play episodes with the policies of a folder's last checkpoint and print their means."""
+    """Play episodes with the policies of a folder's last checkpoint, print their means, and replace
+    evaluation.json."""
 
     folder: Folder
     """Folder of the runs."""

@@ -25,7 +25,7 @@ class ExportOptions:
     out: Path | None = None
     """Folder for the files; by default `exported` in the runs' own."""
     seeds: tuple[int, ...] | None = None
-    """Of the runs; by default all."""
+    """Seeds of the runs to export; by default all."""
     step: int | None = None
     """Environment steps of the training at which the policy was kept, a multiple of its
     --evaluate-every; by default the last checkpoint's."""

@@ -19,13 +19,14 @@ class ReportOptions:
     and index.html with training curves and heat maps as well."""
 
     folders: Folders
-    """Folders of runs, or with such folders below them, or archives, or folders of archives: all in
+    """Folders of runs, folders above such folders, archives, or folders in archives. All go into
     one report, such as your runs beside results/circle2d/runs.zip/Circle2D-1-v0."""
     archive: Path | None = None
-    """File to pack all that the report needs into; `circle2d report FILE` writes it again."""
+    """Archive to write, with all that the report needs; `circle2d report FILE` makes the report
+    from it."""
     out: Path | None = None
-    """Folder for the report; by default that of the runs, or one beside an archive, of its name.
-    Several FOLDERs need it."""
+    """Folder for the report; by default the folder of the runs, or a folder beside the archive with
+    its name. Required with several FOLDERs."""
     width: int | None = None
     """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
     are printed as Markdown."""

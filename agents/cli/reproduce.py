@@ -54,17 +54,17 @@ class ReproduceOptions:
     tasks: tuple[str, ...] = ()
     """Ids of other tasks to run instead, such as circle2d_mj/SafetyPointGoal1-v0."""
     ablations: bool = False
-    """Run other choices of what the paper does not print as well: the multiplier's optimiser of
-    TRPO-Lag, what a time limit is to the off-policy algorithms, observations in units of length,
-    and WCSAC as in a later library. Of SAC-LB-Streak: without one of its parts each."""
+    """Also run other values of settings that the paper does not print: TRPO-Lag's multiplier
+    optimiser, bootstrapping at the time limit off-policy, observations in units of length, and
+    WCSAC as in a later library. For SAC-LB-Streak, leave out one part at a time."""
     seeds: tuple[int, ...] | None = None
     """Seeds of each algorithm and task; by default 0 1 2."""
     steps: int | None = None
     """Environment steps of each run; by default the paper's: 1 000 000 on Circle2D, 10 000 000 on
     its Safety tasks."""
     backend: BackendChoice | None = None
-    """How updates run, see `circle2d train --help`; by default auto, or what the runs in out began
-    with, and eager with quick, which is over before anything is compiled."""
+    """How updates run: see `circle2d train --help`. By default the backend that the runs in out
+    began with, else auto; with --quick eager, since it ends before updates would be compiled."""
     device: Device = "cpu"
     """Where updates run: cuda on a GPU."""
     workers: int | None = None

@@ -57,14 +57,14 @@ class TrainOptions:
     """How environments run side by side: the task's own vector environment or one process (auto),
     gymnasium's SyncVectorEnv (sync), a process each, for slow tasks (async)."""
     step_timeout: float | None = None
-    """Seconds that a step may take with async; the training fails where a process does not answer
-    in time. By default it is waited for."""
+    """Seconds that a step may take with async; if a process does not answer in time, the training
+    fails. By default there is no limit."""
     tensorboard: bool = False
     """Write TensorBoard event files too, into each run's folder."""
     backend: BackendChoice = "auto"
-    """How updates run: as compiled code, twice as fast once compiled, which takes a minute at
-    first and seconds from then on (compiled); operation by operation (eager); compiled where there
-    is a C++ compiler (auto)."""
+    """How updates run. compiled: twice as fast as eager, after a minute of compilation the first
+    time and seconds from then on. eager: operation by operation. auto: compiled where there is a
+    C++ compiler."""
     device: Device = "cpu"
     """Where updates run: cuda on a GPU."""
     imports: Imports = ()

@@ -49,8 +49,8 @@ class SACConfig:
     """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
     al."""
     time_limit: TimeLimit = "bootstrap"
-    """Whether to bootstrap at the time limit: bootstrap, terminal (not), or terminal_cost (the
-    return only: costs end there). Not printed in the paper; the presets of Circle2D have
+    """Whether to bootstrap at the time limit: bootstrap (reward and cost), terminal (neither), or
+    terminal_cost (reward only). Not printed in the paper; the presets of Circle2D have
     terminal."""
     random_share: float = 0.0
     """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0

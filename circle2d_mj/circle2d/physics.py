@@ -71,8 +71,8 @@ class Physics:
     def step(self, action: NDArray[np.float64]) -> Move:
         """Take ten physics steps. action: [num_envs, 2], clipped to [-1, 1].
 
-        There is contact, by MuJoCo's contacts, where the ball touched a rigid region after any of
-        them; where it can be entered, if the ball's centre is inside after the last.
+        MuJoCo's contacts decide. A rigid region is in contact if the ball touched it after any of
+        the ten; a region that can be entered, if the ball's centre is inside it after the last.
         "contact_force": the region's greatest force on the ball during the step, kg·units/s²; 0
         where it can be entered. "penetration": world units; how far the rigid region and the ball
         overlapped at most, elsewhere how far the centre is from free space at the end.

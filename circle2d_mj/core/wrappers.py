@@ -117,8 +117,8 @@ class FromSafetyGymnasium(gym.Env):
     `step` gives gymnasium's five values and `info["cost"]`, a float (numpy's float64); `reset`'s
     info holds cost 0.0.
     The environment need not be a `gymnasium.Env`: its spaces are copied by their attributes where
-    they are another package's Box or Discrete. `render` and `close` are passed through. Of a seed
-    above 2**32 - 1, which numpy's RandomState in older environments refuses, it gets
+    they are another package's Box or Discrete. `render` and `close` are passed through. A seed
+    above 2**32 - 1, which numpy's RandomState in older environments refuses, is replaced by
     `numpy.random.SeedSequence(seed).generate_state(1)[0]`.
 
     To train on a task of Safety-Gymnasium by `circle2d train --task my_tasks:Goal-v0`, write a
