@@ -25,6 +25,7 @@ from agents.paper.evidence import (
     some,
 )
 from agents.paper.presets import PAPER_ALGORITHMS, preset
+from agents.results.measures import COST
 from agents.results.reading import Group, Run
 
 LIMIT = preset("cpo", LEVEL_TASKS[0]).cost_limit
@@ -144,7 +145,7 @@ def _low_cost(evidence: Evidence) -> list[Finding]:
     findings = []
     for task in tasks:
         cell = evidence[task, "wcsac"]
-        later = cell.mean("episode cost after the first third", _later_costs(cell.runs), None)
+        later = cell.mean("episode cost after the first third", _later_costs(cell.runs), None, COST)
         facts = [*cell.share(_settled, "", "do so"), *cell.means("J_C"), *later]
         findings.append(finding(short(task), judge(cell, rule), [cell], facts))
     return findings

@@ -10,6 +10,7 @@ from agents.algorithms import algorithm
 from agents.paper.ablations import choice_of
 from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, registered_id
 from agents.paper.printed import paper_results
+from agents.results.measures import UNBOUNDED, Bounds, measure
 from agents.results.reading import Group, Run, one_place
 from agents.results.statistics import LEVEL, equivalence_of, known, mean_of, p_of
 from circle2d_mj.registration import KINEMATIC
@@ -59,17 +60,25 @@ class Cell(NamedTuple):
         counted = sum(map(does, self.runs))
         return [Fact(name, share(counted, len(self.runs)), does=words)] if self.runs else []
 
-    def mean(self, name: str, values: Sequence[float | None], printed: float | None) -> list[Fact]:
+    def mean(
+        self,
+        name: str,
+        values: Sequence[float | None],
+        printed: float | None,
+        bounds: Bounds = UNBOUNDED,
+    ) -> list[Fact]:
         """Mean over the runs beside the paper's number; nothing where there are no runs."""
-        return [Fact(name, mean_of(values, one_place(self.runs)), printed)] if self.runs else []
+        if not self.runs:
+            return []
+        return [Fact(name, mean_of(values, one_place(self.runs), bounds), printed)]
 
     def means(self, *measures: str) -> list[Fact]:
         """Means of measures."""
-        return [
-            fact
-            for name in measures
-            for fact in self.mean(name, [r.measures[name] for r in self.runs], self.printed[name])
-        ]
+        found = []
+        for name in measures:
+            values = [run.measures[name] for run in self.runs]
+            found += self.mean(name, values, self.printed[name], measure(name).bounds)
+        return found
 
 
 class Fact(NamedTuple):

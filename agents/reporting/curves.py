@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.reporting.style import Style, drawing, legend, svg_of
+from agents.results.measures import COST, SHARE, UNBOUNDED, Bounds
 from agents.results.precision import five_digits
 from agents.results.statistics import mean_of
 from emcc import EpisodeRecords, emcc, emcc_by_part
@@ -60,13 +61,13 @@ def episode_means(line: Line, column: Literal["reward", "cost"]) -> Curve:
         sums = np.bincount(part, values, minlength=POINTS)
         count = np.bincount(part, minlength=POINTS)
         rows.append(np.where(count > 0, sums / np.maximum(count, 1), np.nan))
-    return _over_runs(rows, line.one_place)
+    return _over_runs(rows, line.one_place, COST if column == "cost" else UNBOUNDED)
 
 
 def running_emcc(line: Line, alpha: float) -> Curve:
     """`emcc_along` of each run."""
     rows = [emcc_along(of_run, line.total_steps, alpha) for of_run in line.records]
-    return _over_runs(rows, line.one_place)
+    return _over_runs(rows, line.one_place, SHARE)
 
 
 def emcc_along(records: EpisodeRecords, total_steps: int, alpha: float) -> list[float]:
@@ -83,13 +84,13 @@ def thirds_emcc(line: Line, alpha: float) -> Curve:
         list(emcc_by_part(*of_run.mcc_per_rollout(), line.total_steps, alpha).values())
         for of_run in line.records
     ]
-    return _over_runs(rows, line.one_place)
+    return _over_runs(rows, line.one_place, SHARE)
 
 
-def _over_runs(rows: Sequence[Sequence[float] | NDArray], one_place: bool) -> Curve:
+def _over_runs(rows: Sequence[Sequence[float] | NDArray], one_place: bool, bounds: Bounds) -> Curve:
     found = np.full((3, len(rows[0])), np.nan)
     for k, values in enumerate(np.array(rows).T):
-        mean = mean_of(values.tolist(), one_place) if np.isfinite(values).all() else None
+        mean = mean_of(values.tolist(), one_place, bounds) if np.isfinite(values).all() else None
         if mean is not None:
             found[:, k] = [np.nan if v is None else v for v in (mean.value, mean.low, mean.high)]
     return Curve(*found)
@@ -108,8 +109,8 @@ def curves_svg(title: str, lines: Sequence[Line], cost_limit: float | None, alph
         figure.suptitle(title)
         for k, line in enumerate(lines):
             _draw(returns, line, episode_means(line, "reward"))
-            _draw(costs, line, episode_means(line, "cost"), lowest=0.0)
-            _draw(running, line, running_emcc(line, alpha), lowest=0.0)
+            _draw(costs, line, episode_means(line, "cost"))
+            _draw(running, line, running_emcc(line, alpha))
             _draw_thirds(thirds, line, thirds_emcc(line, alpha), (k, len(lines)))
         if cost_limit is not None:
             costs.axhline(cost_limit, label="cost limit", color="#888888", linewidth=0.9)
@@ -120,19 +121,17 @@ def curves_svg(title: str, lines: Sequence[Line], cost_limit: float | None, alph
         return svg_of(figure)
 
 
-def _draw(axis: Any, line: Line, curve: Curve, lowest: float = -np.inf) -> None:
-    """lowest: that the quantity can be, where the band ends."""
+def _draw(axis: Any, line: Line, curve: Curve) -> None:
     at, (colour, dash, _) = midpoints(line.total_steps), line.style
     axis.plot(at, curve.mean, linewidth=1.5, color=colour, linestyle=dash, label=line.name)
-    low = np.maximum(curve.low, lowest)
-    axis.fill_between(at, low, curve.high, color=colour, alpha=0.15, linewidth=0)
+    axis.fill_between(at, curve.low, curve.high, color=colour, alpha=0.15, linewidth=0)
 
 
 def _draw_thirds(axis: Any, line: Line, curve: Curve, place: tuple[int, int]) -> None:
     """place: of the line, and the number of all lines, which stand beside each other."""
     (k, count), (colour, _, marker) = place, line.style
     at = np.arange(len(curve.mean)) + (k - (count - 1) / 2) * 0.6 / count
-    axis.vlines(at, np.maximum(curve.low, 0), curve.high, color=colour, linewidth=1.5)
+    axis.vlines(at, curve.low, curve.high, color=colour, linewidth=1.5)
     axis.plot(at, curve.mean, linestyle="", marker=marker, markersize=5, color=colour)
 
 

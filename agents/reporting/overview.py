@@ -14,7 +14,7 @@ from agents.paper.settings import by_task, name_of
 from agents.reporting.figures import Figure
 from agents.reporting.style import Style, drawing, legend, styles, svg_of
 from agents.results import thirds
-from agents.results.measures import Measure, measures
+from agents.results.measures import SHARE, Measure, measures
 from agents.results.reading import Group
 from agents.results.statistics import group_mean, iqm_of, known, mean_of
 from emcc import profile
@@ -104,10 +104,10 @@ def _frame(axis: Any, rows: int, measure: Measure) -> None:
 def rates_figure(groups: Sequence[Group]) -> Figure:
     """Cost rate against EMCC, a dot for each run: a row for each task, a column for each third."""
 
-    def draw(axis: Any, of_third: Sequence[thirds.Third], style: Style, name: str) -> None:
+    def draw(axis: Any, of_third: Sequence[thirds.Third], style: Style, group: Group) -> None:
         points = np.array([(third.cost_rate, third.emcc) for third in of_third])
         look = {"marker": style.marker, "color": style.colour, "markersize": 5}
-        axis.plot(*points.T, label=name, **look, **DOT)
+        axis.plot(*points.T, label=name_of(group), **look, **DOT)
 
     labels = ("cost rate of the third", f"EMCC (α = {ALPHA:g})")
     content = _facets(groups, labels, draw)
@@ -122,21 +122,27 @@ def rates_figure(groups: Sequence[Group]) -> Figure:
 def profiles_figure(groups: Sequence[Group]) -> Figure:
     """Share of rollouts whose MCC is above each threshold, by task and third."""
 
-    def draw(axis: Any, of_third: Sequence[thirds.Third], style: Style, name: str) -> None:
+    def draw(axis: Any, of_third: Sequence[thirds.Third], style: Style, group: Group) -> None:
         shares = np.array([profile(third.mcc, THRESHOLDS) for third in of_third])
-        found = [mean_of(values.tolist()) for values in shares.T]
+        found = [mean_of(values.tolist(), group.one_place, SHARE) for values in shares.T]
         look = {"color": style.colour, "linestyle": style.dash, "linewidth": 1.4}
-        axis.plot(THRESHOLDS, [of.value for of in found if of], label=name, **look)
+        axis.plot(THRESHOLDS, [of.value for of in found if of], label=name_of(group), **look)
         ends = [(of.low, of.high) for of in found if of and of.low is not None]
         if ends:
-            band = np.clip(np.array(ends, dtype=float).T, 0, 1)
-            axis.fill_between(THRESHOLDS, *band, color=style.colour, alpha=0.13, linewidth=0)
+            axis.fill_between(
+                THRESHOLDS,
+                *np.array(ends, dtype=float).T,
+                color=style.colour,
+                alpha=0.13,
+                linewidth=0,
+            )
 
     content = _facets(groups, ("τ", "P(MCC > τ)"), draw, level=ALPHA)
     words = (
         "Performance profiles: the share of a third's rollouts whose MCC, the longest chain of "
         "cost steps over the episode's length, is above τ. Lines: the mean over seeds; areas: the "
-        "95 % t interval, of fewer than five seeds their range, cut off at 0 and 1. EMCC is the "
+        "95 % t interval, or the range of seeds that are fewer than five or end in different "
+        "places. EMCC is the "
         f"mean of the MCC right of where a run's line crosses {ALPHA:g} (dotted)."
     )
     return Figure("profiles", "svg", content, "Profiles of MCC", words)
@@ -161,10 +167,9 @@ def _facets(
         handles: dict[str, Any] = {}
         for row, (task, of_task) in zip(axes, tasks.items(), strict=True):
             for group, style in zip(of_task, styles([g.config for g in of_task]), strict=True):
-                name = name_of(group)
                 for axis, of_third in zip(row, thirds.of_group(group).values(), strict=True):
-                    draw(axis, of_third, style, name)
-                    handles.setdefault(name, axis.lines[-1])
+                    draw(axis, of_third, style, group)
+                    handles.setdefault(name_of(group), axis.lines[-1])
             row[0].set_ylabel(f"{task.removeprefix('circle2d_mj/')}\n{labels[1]}")
             for axis in row:
                 axis.spines[["top", "right"]].set_visible(False)

@@ -15,6 +15,12 @@ from typing import Any, Literal
 from emcc import EpisodeRecords, cost_rate, emcc_by_part
 from emcc.parts import ALPHA, PARTS
 
+Bounds = tuple[float, float]
+"""The lowest and the highest value that there can be."""
+UNBOUNDED: Bounds = (-math.inf, math.inf)
+SHARE: Bounds = (0.0, 1.0)
+COST: Bounds = (0.0, math.inf)
+
 
 @dataclass(frozen=True)
 class RunData:
@@ -62,6 +68,8 @@ class Measure:
     """Its name in sentences, where that is not the title; measures may share one."""
     note: str = ""
     """How it is defined, for the legend of tables, where its title does not say it."""
+    bounds: Bounds = UNBOUNDED
+    """Where intervals of its mean end."""
 
     @property
     def head(self) -> str:
@@ -117,12 +125,19 @@ def _cost_rate(run: RunData) -> float:
     return cost_rate(run.records.cost, run.records.length)
 
 
+def _of_policy(
+    name: str, better: Literal["lower", "higher"], bounds: Bounds, word: str = ""
+) -> Measure:
+    return Measure(name, name, "", 2, better, _evaluated(name), "policy", word, bounds=bounds)
+
+
 for _part in PARTS:
-    register(Measure(f"EMCC_{_part}", f"EMCC_{_part}", "", 2, "lower", _emcc(_part), word="EMCC"))
-register(Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate))
-register(Measure("J_R", "J_R", "", 2, "higher", _evaluated("J_R"), "policy"))
-register(Measure("J_C", "J_C", "", 2, "lower", _evaluated("J_C"), "policy"))
-register(Measure("CVaR_0.5", "CVaR_0.5", "", 2, "lower", _evaluated("CVaR_0.5"), "policy", "CVaR"))
+    _name, _of_part = f"EMCC_{_part}", _emcc(_part)
+    register(Measure(_name, _name, "", 2, "lower", _of_part, word="EMCC", bounds=SHARE))
+register(Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate, bounds=COST))
+register(_of_policy("J_R", "higher", UNBOUNDED))
+register(_of_policy("J_C", "lower", COST))
+register(_of_policy("CVaR_0.5", "lower", COST, "CVaR"))
 register(
     Measure(
         "mean_streak",
@@ -132,5 +147,6 @@ register(
         "neither",  # fewer and longer, or more and shorter: neither is better by itself
         lambda run: run.records.mean_streak,
         note="mean streak: the mean length of training's streaks of cost steps",
+        bounds=COST,
     )
 )

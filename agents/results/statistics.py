@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 import emcc
-from agents.results.measures import Measure
+from agents.results.measures import UNBOUNDED, Bounds, Measure, measure
 from agents.results.reading import Group
 from emcc import Interval, Share
 from emcc.statistics import FEWEST_RUNS
@@ -27,7 +27,7 @@ INTERVALS = (
     "[95 % t interval over seeds], or the range of the seeds where there are fewer than "
     f"{FEWEST_RUNS} or they end in different places, since no interval of such a mean holds"
 )
-"""The intervals of means in words."""
+"""The intervals of means in words. They end where no value can be beyond: a cost at 0."""
 
 
 def known(values: Values) -> list[float] | None:
@@ -36,18 +36,21 @@ def known(values: Values) -> list[float] | None:
     return found if found and len(found) == len(values) else None
 
 
-def mean_of(values: Values, one_place: bool = True) -> Interval | None:
+def mean_of(values: Values, one_place: bool = True, bounds: Bounds = UNBOUNDED) -> Interval | None:
     """Mean over runs with its 95 % t interval; with its range where there are fewer than five.
 
-    one_place: whether all end in the same place; the mean of others has its range too.
+    one_place: whether all end in the same place; the mean of others has its range too. bounds: the
+    lowest and highest value there can be, where an interval ends.
     """
     found = known(values)
     if found is None:
         return None
     mean = emcc.mean_interval(found)
-    if one_place or mean.kind == "range":
+    if mean.kind == "range" or mean.low is None or mean.high is None:
         return mean
-    return replace(mean, low=min(found), high=max(found), kind="range")
+    if not one_place:
+        return replace(mean, low=min(found), high=max(found), kind="range")
+    return replace(mean, low=max(mean.low, bounds[0]), high=min(mean.high, bounds[1]))
 
 
 def iqm_of(values: Values) -> float | None:
@@ -88,15 +91,15 @@ def _two_sides(a: Values, b: Values) -> tuple[list[float], list[float]] | None:
     return of_a, of_b
 
 
-def improvement_of(a: Values, b: Values, measure: Measure) -> Interval | None:
+def improvement_of(a: Values, b: Values, of: Measure) -> Interval | None:
     """Probability that a run of `b` is better than one of `a`, with its bootstrap interval.
 
     None for a measure of which neither direction is better.
     """
     of_a, of_b = known(a), known(b)
-    if of_a is None or of_b is None or measure.better == "neither":
+    if of_a is None or of_b is None or of.better == "neither":
         return None
-    sides = (of_a, of_b) if measure.better == "lower" else (of_b, of_a)
+    sides = (of_a, of_b) if of.better == "lower" else (of_b, of_a)
     rng = np.random.default_rng(0)
     return emcc.bootstrap(emcc.probability_of_improvement, *sides, rng=rng)
 
@@ -108,15 +111,15 @@ def corrected(p_values: Mapping[Key, float | None]) -> dict[Key, float | None]:
     return dict(p_values) | {key: float(p) for key, p in zip(keys, found, strict=True)}
 
 
-def group_mean(group: Group, measure: str) -> Interval | None:
+def group_mean(group: Group, name: str) -> Interval | None:
     """Mean of a measure over a group's runs: see `mean_of`."""
-    return mean_of(group.values(measure), group.one_place)
+    return mean_of(group.values(name), group.one_place, measure(name).bounds)
 
 
-def group_difference(a: Group, b: Group, measure: str) -> Interval | None:
+def group_difference(a: Group, b: Group, name: str) -> Interval | None:
     """Difference of the means of a measure, B - A: see `difference_of`."""
     one_place = a.one_place and b.one_place
-    return difference_of(a.values(measure), b.values(measure), one_place)
+    return difference_of(a.values(name), b.values(name), one_place)
 
 
 def places(group: Group) -> dict[str, Share]:

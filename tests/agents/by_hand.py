@@ -113,17 +113,24 @@ def place(x, y):
     return "cost region"
 
 
-def interval(values, runs):
+def bounds(measure):
+    """Between which a mean can be: EMCC is a share, costs and streaks are not below 0."""
+    if measure in ("J_R", "change"):
+        return -math.inf, math.inf
+    return 0.0, 1.0 if measure.startswith(("EMCC", "split")) else math.inf
+
+
+def interval(measure, values, runs):
     """Student's t interval where all runs end in one place; otherwise the lowest and highest."""
     if len({run["ends"].partition(" (")[0] for run in runs}) > 1:
         return "range {} to {}", min(values), max(values)
-    half = T_OF_4 * stdev(values) / math.sqrt(len(values))
-    return "[{}, {}]", fmean(values) - half, fmean(values) + half
+    half, (low, high) = T_OF_4 * stdev(values) / math.sqrt(len(values)), bounds(measure)
+    return "[{}, {}]", max(fmean(values) - half, low), min(fmean(values) + half, high)
 
 
-def is_mean(text, values, runs):
+def is_mean(text, measure, values, runs):
     """Whether "1.23 [0.45, 6.78]" is the mean of some values of runs with its interval."""
-    form, *ends = interval(values, runs)
+    form, *ends = interval(measure, values, runs)
     pattern = re.escape(form).replace(r"\{\}", r"(\S+)")
     mean, low, high = re.fullmatch(rf"(\S+) {pattern}", text).groups()
     return near(mean, fmean(values)) and near(low, ends[0]) and near(high, ends[1])

@@ -125,7 +125,7 @@ def check_rows(rows, numbers):
         elif name in means:
             runs = means[name]
             for measure, cell in measured.items():
-                assert is_mean(cell, column(runs, measure), runs), (name, measure, cell)
+                assert is_mean(cell, measure, column(runs, measure), runs), (name, measure, cell)
             assert cells[8] == share_words(sum(run["J_C"] <= LIMIT for run in runs), N)
             places = Counter(run["ends"].partition(" (")[0] for run in runs)
             assert cells[9] == "; ".join(
@@ -169,7 +169,8 @@ def test_ties_split_instead_of_kept(raw):
         for way, key in (("kept", "EMCC"), ("split", "split")):
             cells = found[f"{TASK}, {TITLES[name]}, ties {way}, mean of {N}"]
             for part, cell in zip(("0.33", "0.66", "0.99"), cells, strict=True):
-                assert is_mean(cell, column(runs, f"{key}_{part}"), runs), (name, way, cell)
+                of = f"{key}_{part}"
+                assert is_mean(cell, of, column(runs, of), runs), (name, way, cell)
 
 
 def test_pairs_that_emcc_separates(raw):
@@ -215,13 +216,17 @@ def test_the_numbers_for_a_program(raw):
     for key, name in names.items():
         for seed, run in zip(SEEDS, numbers[key], strict=True):
             expected[name, "run", str(seed)] = [run[m] for m in MEASURES]
-        values = [column(numbers[key], m) for m in MEASURES]
-        form = interval(values[0], numbers[key])[0]
+        values = {m: column(numbers[key], m) for m in MEASURES}
+        form = interval("J_R", values["J_R"], numbers[key])[0]
         ends = ("mean lowest", "mean highest") if "range" in form else ("mean low", "mean high")
-        expected[name, "mean", ""] = list(map(fmean, values))
-        expected[name, "iqm", ""] = [fmean(sorted(of)[1:-1]) for of in values]  # a quarter of 5: 1
+        expected[name, "mean", ""] = list(map(fmean, values.values()))
+        expected[name, "iqm", ""] = [  # a quarter of 5: 1
+            fmean(sorted(of)[1:-1]) for of in values.values()
+        ]
         for k, kind in enumerate(ends, 1):
-            expected[name, kind, ""] = [interval(of, numbers[key])[k] for of in values]
+            expected[name, kind, ""] = [
+                interval(m, of, numbers[key])[k] for m, of in values.items()
+            ]
     for key, values in PAPER.items():
         expected[TITLES[key], "paper", ""] = [*values, ""]
     with (out / "report.csv").open(newline="") as file:
@@ -313,7 +318,7 @@ def test_the_numbers_of_the_claims(raw):
         )
         assert int(falls) == sum(value < 0 for value in change)
         assert share_words(int(falls), N).endswith(share)
-        assert is_mean(told, change, runs)
+        assert is_mean(told, "change", change, runs)
     inside = {
         name: sum(run["ends"].startswith("corridor") and run["J_C"] <= LIMIT for run in runs)
         for name, runs in numbers.items()
@@ -329,8 +334,8 @@ def test_the_numbers_of_the_claims(raw):
         not run["ends"].startswith("corridor") and max(run["J_C"], run["later"]) <= LIMIT
         for run in runs
     )
-    assert is_mean(cost, column(runs, "J_C"), runs)
-    assert is_mean(later, column(runs, "later"), runs)
+    assert is_mean(cost, "J_C", column(runs, "J_C"), runs)
+    assert is_mean(later, "later", column(runs, "later"), runs)
     check_differences(claims, numbers)
     assert "5 of 10 runs: CPO, WCSAC: undecided" in claims
 
