@@ -89,8 +89,9 @@ def parts_over_tasks(pairs: Sequence[tuple[Group, Group]]) -> Table | None:
     by_choice: dict[str, list[tuple[Group, Group]]] = {}
     for usual, *others in _of_parts(pairs):
         for other in others:
-            name = f"B - A: {_choice(other.config)} - preset"
-            by_choice.setdefault(name, []).append((usual, other))
+            config, apart = other.config, filter(None, [other.apart])
+            name = ", ".join([_choice(config), *unusual_steps(config), *apart])
+            by_choice.setdefault(f"B - A: {name} - preset", []).append((usual, other))
     found = {name: two_sets(of) for name, of in by_choice.items()}
     return differences_over_tasks({name: sets for name, sets in found.items() if sets})
 

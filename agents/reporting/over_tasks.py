@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
-from agents.algorithms import title
-from agents.paper.settings import changes, in_order
+from agents.paper.settings import changes, in_order, title_of
 from agents.reporting.table import Row, Table, number_of, p_number
 from agents.results.over_tasks import TwoSets, bootstrapped, common_measures, matrices, seeds_of
 from agents.results.reading import Group
@@ -23,7 +22,8 @@ TEST = (
 
 
 def over_tasks(groups: Sequence[Group]) -> Table | None:
-    """Measures of training over all tasks, of the algorithms that have presets' runs on each.
+    """Measures of training over all tasks, of the algorithms that have presets' runs of one length
+    on each.
 
     None where there are not two tasks with five seeds each.
     """
@@ -32,7 +32,9 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
     by_name: dict[str, dict[str, Group]] = {}
     for group in in_order(groups):
         if group.runs and not changes(group.config):
-            by_name.setdefault(group.config.algorithm, {}).setdefault(group.config.task, group)
+            of_name = by_name.setdefault(title_of(group.config), {})
+            same = of_name.setdefault(group.config.task, group)
+            of_name[group.config.task] = max(same, group, key=lambda of: len(of.runs))
     common = {name: of for name, of in by_name.items() if len(of) == len(tasks)}
     runs = {name: matrices(list(of.values()), FEWEST_RUNS) for name, of in common.items()}
     runs = {name: of for name, of in runs.items() if of}
@@ -41,20 +43,21 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
     rows = []
     for name, of in runs.items():
         cells = [number_of(bootstrapped(iqm, of.get(m.name)), m.digits) for m in columns]
-        rows.append(Row(f"{title(name)}, {seeds_of(of)} seeds", cells, kind="mean"))
+        rows.append(Row(f"{name}, {seeds_of(of)} seeds", cells, kind="mean"))
     pairs = {(a, b): TwoSets(runs[b], runs[a], len(tasks)) for a, b in combinations(runs, 2)}
     p_values = corrected({(pair, m.name): of.p(m) for pair, of in pairs.items() for m in columns})
     for (a, b), sets in pairs.items():
         better = [number_of(sets.improvement(m)) for m in columns]
         tests = [p_number(p_values[(a, b), m.name]) for m in columns]
-        rows.append(Row(f"P({title(a)} better than {title(b)})", better, kind="test"))
+        rows.append(Row(f"P({a} better than {b})", better, kind="test"))
         rows.append(Row("p", tests, kind="test"))
     caption = (
         f"Over {len(tasks)} tasks, with the presets: interquartile mean of all seeds and tasks; P: "
         "probability that a run of the first is better than one of the second on a task, equal "
         "ones half, mean over the tasks; [95 % bootstrap interval, seeds drawn in each task anew]; "
         f"p: {TEST} the {_count(p_values)} comparisons of this table (Holm). "
-        f"Algorithms with {FEWEST_RUNS} seeds or more on every task, the seeds that all tasks have"
+        f"Algorithms with {FEWEST_RUNS} seeds or more on every task, the seeds that all tasks "
+        "have; of several folders of equal settings on a task, the one of most runs"
     )
     return Table(caption, [f"{len(tasks)} tasks", *(m.head for m in columns)], rows)
 

@@ -39,8 +39,9 @@ def separated_table(groups: Sequence[Group]) -> Table | None:
     caption = (
         f"{RULE}. Of {len(found)} comparisons the cost rate does not tell {len(not_told)} apart, "
         f"of which EMCC tells {differ} apart; {len(equal)} have equal cost rates, of which EMCC "
-        f"tells {len(shown)} apart: these are listed. Differences with Welch's 95 % t interval; p "
-        f"equal: of the equivalence test; p: of EMCC, corrected for {len(found)} tests"
+        f"tells {len(shown)} apart: these are listed. Differences with Welch's 95 % t interval, "
+        "where all runs of either end in one place; p equal: of the equivalence test; p: of EMCC, "
+        f"corrected for {len(found)} tests"
     )
     return Table(caption, ["A and B", *HEAD], [_row(of) for of in shown])
 

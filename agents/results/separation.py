@@ -47,12 +47,16 @@ class Comparison(NamedTuple):
     @property
     def rate_difference(self) -> Interval | None:
         """B - A."""
-        return difference_of(*self.rates)
+        return difference_of(*self.rates, self._one_place)
 
     @property
     def emcc_difference(self) -> Interval | None:
         """B - A."""
-        return difference_of(*self.emccs)
+        return difference_of(*self.emccs, self._one_place)
+
+    @property
+    def _one_place(self) -> bool:
+        return self.a.one_place and self.b.one_place
 
 
 def comparisons(groups: Sequence[Group]) -> list[Comparison]:

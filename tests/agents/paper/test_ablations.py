@@ -217,13 +217,13 @@ def test_parts_over_all_tasks(tmp_path):
             write_runs(folder, "sac-lb-streak", [0.0, 0.0], config, task=task, ends=ENDS)
     words = markdown(table(tmp_path))
     found = rows(words[words.index("| over all tasks") :])
-    name = "B - A: without-streak - preset"
+    name = "B - A: without-streak, 100 steps - preset"
     assert found[2:5] == [
         [f"{name}, 2 tasks, 2 seeds against 2", *["+0.000"] * 4],
         ["p", *["1.000"] * 4],
         ["P(B better)", *["0.50"] * 4],
     ]
-    assert "without-share - preset" not in words
+    assert "without-share, 100 steps - preset" not in words
 
 
 def test_runs_of_other_steps_are_no_pair(folder):

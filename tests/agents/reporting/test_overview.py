@@ -1,6 +1,7 @@
 """Figures and tables over all tasks, against counts and means worked out here."""
 
 import re
+from dataclasses import replace
 from itertools import product
 from statistics import fmean
 
@@ -159,10 +160,11 @@ def test_fewer_than_five_runs_are_in_no_comparison(groups):
 def test_over_tasks_by_hand(groups):
     table = over_tasks(groups)
     names = [row.name for row in table.rows]
-    assert names[:3] == [f"{name}, 6 seeds" for name in ("TRPO-Lag", "CPO", "WCSAC")]
+    trpo_lag, cpo, wcsac = (f"{name} (3,000 steps)" for name in ("TRPO-Lag", "CPO", "WCSAC"))
+    assert names[:3] == [f"{name}, 6 seeds" for name in (trpo_lag, cpo, wcsac)]
     assert names[3::2] == [
-        *("P(TRPO-Lag better than CPO)", "P(TRPO-Lag better than WCSAC)"),
-        "P(CPO better than WCSAC)",
+        *(f"P({trpo_lag} better than {cpo})", f"P({trpo_lag} better than {wcsac})"),
+        f"P({cpo} better than {wcsac})",
     ]
     assert names[4::2] == ["p"] * 3
     assert table.head[1:] == ["EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost rate"]
@@ -184,6 +186,28 @@ def test_over_tasks_by_hand(groups):
     assert max(p_values[:2]) < 0.01  # of 924² divisions within the tasks the most extreme
     assert p_values[2:] == [1, 1]  # nobody costs in the last third
     assert "corrected for the 12 comparisons of this table" in table.caption
+
+
+def test_a_shorter_trial_beside_the_runs_changes_nothing_over_tasks(groups):
+    """Nor does a second folder of equal settings with fewer runs; one with more takes its place."""
+    expected = over_tasks(groups)
+    trial = group(TASKS[0], "trpo-lag", [run(seed, 0, 0) for seed in range(6)])
+    shorter = replace(trial, config=replace(trial.config, steps=STEPS // 2))
+    fewer = group(TASKS[0], "trpo-lag", trial.runs[:5])
+    for more in (shorter, fewer):
+        assert over_tasks([more, *groups]).rows == over_tasks([*groups, more]).rows == expected.rows
+    longer = group(TASKS[0], "trpo-lag", [run(seed, 0, 0) for seed in range(7)])
+    assert over_tasks([longer, *groups]).rows != expected.rows
+
+
+def test_no_interval_of_a_difference_where_runs_end_in_different_places(groups):
+    (row, *_) = separated_table(groups).rows
+    assert row.numbers[2].low is not None
+    assert row.numbers[6].low is not None
+    elsewhere = [run(seed, 10 + seed % 2, 8 + seed % 3, "left rim") for seed in range(6)]
+    mixed = group(TASKS[0], "wcsac", [*elsewhere[:3], *groups[2].runs[3:]])
+    (row, *_) = separated_table([groups[1], mixed]).rows
+    assert [row.numbers[k].low for k in (2, 6)] == [None, None]
 
 
 def test_one_task_has_no_table_over_tasks(groups):
