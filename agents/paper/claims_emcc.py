@@ -74,7 +74,8 @@ TREND = Claim(
     "show no such trend.",
     "A run's EMCC falls where EMCC_0.99 is below its EMCC_0.33. For an on-policy method more than "
     "half of the runs fall on every task; for an off-policy method fewer than half do on one task "
-    "at least, and it is refuted where more than half do on all.",
+    "at least, and it is refuted where more than half do on all, by 95 % intervals, since all are "
+    "needed.",
     _trend,
 )
 
