@@ -13,7 +13,7 @@ from emcc.measures import cost_measures
 from emcc.panels import WINDOW, panel, panel_table
 from emcc.parts import cost_rate, rollouts_by_part
 from emcc.streaks import streak_bounds
-from emcc.table import INTERVALS, MISSING, Table, mean_cell
+from emcc.table import MISSING, Table, intervals, mean_cell
 from emcc.tail import emcc
 
 
@@ -36,7 +36,7 @@ def emcc_table(
                 rows.append([*label, f"seed {run.seed or '?'}", *_cells([run], measures, seed)])
     caption = (
         f"EMCC with alpha = {alpha:g}, ties = {ties}: {_READINGS[ties]} in each third of training; "
-        f"means over runs {INTERVALS}"
+        f"means over runs {intervals()}"
     )
     names = list(measures[runs[0]])
     return Table(

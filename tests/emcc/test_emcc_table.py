@@ -68,15 +68,28 @@ def test_seeds_make_one_row_with_a_range(tmp_path, capsys):
         config = {"task": "t", "algorithm": "cpo", "seed": seed}
         write_run(tmp_path / f"s{seed}", [value] * 10, config)
     rows, (caption,) = table(capsys, tmp_path, "--per-run")
-    assert "or the range of fewer than 5 runs" in caption
+    assert "or the range of fewer than" in caption
     assert [row["runs"] for row in rows] == ["3", "seed 0", "seed 1", "seed 2"]
     assert rows[0]["EMCC_0.33"] == "0.400 range 0.200 to 0.600"
     assert [row["EMCC_0.33"] for row in rows[1:]] == ["0.200", "0.400", "0.600"]
     assert rows[0]["steps from"] == "recorded"
 
 
-def test_the_seed_decides_the_interval(tmp_path, capsys):
-    values = np.random.default_rng(0).random(8)
+def test_five_seeds_make_a_row_with_the_t_interval(tmp_path, capsys):
+    pytest.importorskip("scipy", minversion="1.15")
+    for seed, value in enumerate([0.2, 0.4, 0.6, 0.7, 0.9]):
+        write_run(tmp_path / f"s{seed}", [value] * 10, {"algorithm": "cpo", "seed": seed})
+    (row,), (caption,) = table(capsys, tmp_path)
+    assert row["EMCC_0.33"] == "0.560 [0.225, 0.895]"
+    assert "[95 % t interval], or the range of fewer than 5 runs" in caption
+    _, (caption,) = table(capsys, tmp_path, "--limit", 5)
+    assert "means over 5 runs [95 % t interval], or the range of fewer than 5 runs" in caption
+
+
+def test_the_seed_decides_the_interval_without_scipy(tmp_path, capsys, monkeypatch):
+    for name in ("scipy", "scipy.special"):
+        monkeypatch.setitem(sys.modules, name, None)
+    values = np.random.default_rng(0).random(10)
     for seed, value in enumerate(values):
         write_run(tmp_path / f"s{seed}", [value] * 10, {"algorithm": "cpo"}, length=10_000)
     default, same, other = (
