@@ -89,7 +89,13 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--per-run", action="store_true", help="also the numbers of every run (default: means only)"
     )
-    add("--seed", type=int, default=0, help="random seed of the intervals (default 0)")
+    add(
+        "--seed",
+        type=int,
+        default=0,
+        help="random seed of bootstrap intervals, which stand in for t intervals where scipy is "
+        "missing (default 0)",
+    )
     return parser
 
 

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from emcc.records import EpisodeRecords
 
+RECORDED = "recorded"
+"""Where total steps come from that nobody planned."""
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -18,7 +21,7 @@ class Run:
     path: Path
     records: EpisodeRecords
     total_steps: int  # planned, as far as known
-    total_from: str = "recorded"
+    total_from: str = RECORDED
     task: str = ""
     algorithm: str = ""
     seed: str = ""

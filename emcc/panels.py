@@ -8,7 +8,7 @@ from emcc.arrays import as_count, as_number, check_records
 from emcc.measures import LEVELS, Measures, feasible, measures_of
 from emcc.parts import ALPHA, PARTS
 from emcc.records import EpisodeRecords
-from emcc.table import INTERVALS, Table, mean_cell
+from emcc.table import Table, intervals, mean_cell
 
 WINDOW = 100
 """Episodes of a moving window."""
@@ -168,7 +168,7 @@ def panel_table(
         dict.fromkeys(f"{of.episodes} episodes, {of.steps} steps" for of in panels)
     )
     if len(panels) > 1:
-        sizes = f"means over {len(panels)} runs {INTERVALS}"
+        sizes = f"means over {len(panels)} runs {intervals()}"
     head = ["all" if first.parts else "value", *(PARTS[part] for part in first.parts)]
     return Table(
         f"{name + ': ' if name else ''}{SOURCES[first.source]}, {limit}; {sizes}",

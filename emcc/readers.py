@@ -47,6 +47,7 @@ def read(path: str | os.PathLike[str], threshold: float = 0.0) -> EpisodeRecords
     with the cost, length and longest_streak of each episode; or a folder with one such file in it
     or below. `python -m emcc --help` names their columns.
     threshold: a step that costs more is a cost step; for costs of steps alone.
+    A warning says where the file was read by a guess: one without episodes as one episode.
     Of a run that has not ended, give `emcc_by_part` the total_steps: records do not know them.
     ValueError: several files, one that cannot be understood, or one of sums of episodes or means
     of epochs, which have no EMCC.
@@ -58,6 +59,8 @@ def read(path: str | os.PathLike[str], threshold: float = 0.0) -> EpisodeRecords
     content = read_file(files[0], threshold)
     if not isinstance(content, Run):
         raise ValueError(f"{content.path}: {content.contents} cannot give EMCC")
+    if content.note:
+        warnings.warn(content.note, stacklevel=2)
     return content.records
 
 
@@ -162,6 +165,11 @@ def _read_numpy(path: Path, threshold: float) -> Run:
     if "costs" not in arrays:
         raise ValueError(f"{path}: has the arrays {', '.join(arrays)}; needed is costs")
     costs = np.atleast_1d(arrays["costs"])
+    if costs.ndim > 2:
+        raise ValueError(
+            f"{path}: costs must be [steps] or [episodes, steps] of one run, got shape "
+            f"{list(costs.shape)}"
+        )
     if "lengths" in arrays:
         return _run_of_costs(path, costs, arrays["lengths"], threshold=threshold)
     lengths = np.full(math.prod(costs.shape[:-1]), costs.shape[-1])
@@ -169,17 +177,11 @@ def _read_numpy(path: Path, threshold: float) -> Run:
 
 
 def _read_steps(columns: Columns, threshold: float) -> Run:
-    """One row per step. A trajectory ends where the episode or the rollout changes; without a
-    column `episode`, behind each row that one of `ENDS` marks."""
+    """One row per step, of trajectories one after another."""
     path, costs = columns.path, parse(columns, "cost", float)
     if not costs.size:
         raise ValueError(f"{path}: no steps")
-    ends = [name for name in ENDS if name in columns]
-    if "episode" not in columns and ends:
-        last = np.any([_flags(columns, name) for name in ends], axis=0)
-        columns["episode"] = [str(number) for number in np.cumsum(last) - last]
-    episode, rollout = (columns.get(name, [""] * costs.size) for name in ("episode", "rollout"))
-    keys = list(zip(rollout, episode, strict=True))
+    keys = _trajectories(columns)
     begins = [row for row, key in enumerate(keys) if row == 0 or key != keys[row - 1]]
     if len({keys[row] for row in begins}) < len(begins):
         raise ValueError(f"{path}: the steps of an episode must follow one another")
@@ -189,21 +191,38 @@ def _read_steps(columns: Columns, threshold: float) -> Run:
             "(with a column length they give bounds)"
         )
     lengths = np.diff([*begins, costs.size])
-    names = [rollout[row] for row in begins]
+    names = [keys[row][0] for row in begins]
     numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
     ids = np.array([numbers[name] for name in names]) if "rollout" in columns else None
     run = _run_of_costs(path, costs, lengths, ids, threshold)
-    if {"episode", "rollout"} & columns.keys():
+    if {"episode", "rollout", *ENDS} & columns.keys():
         return run
     return replace(run, note=f"{path} has no column episode or done: read as one episode.")
+
+
+def _trajectories(columns: Columns) -> list[tuple[str, str]]:
+    """Rollout and episode of each row. Without a column `episode`, one ends behind each row that
+    one of `ENDS` marks. With both, an episode may end unmarked, as where it was reset or where
+    `terminated` stands alone; but none goes on behind a mark."""
+    rows, marks = len(columns["cost"]), [name for name in ENDS if name in columns]
+    last = np.any([[False] * rows, *(_flags(columns, name) for name in marks)], axis=0)
+    episode = columns.get("episode", list(map(str, np.cumsum(last) - last)))
+    keys = list(zip(columns.get("rollout", [""] * rows), episode, strict=True))
+    for row in np.flatnonzero(last[:-1]).tolist():
+        if keys[row] == keys[row + 1]:
+            raise ValueError(
+                f"{columns.path}, line {columns.lines[row]}: the last step of an episode by "
+                f"{', '.join(marks)}, but the next line has the episode {episode[row]!r} too"
+            )
+    return keys
 
 
 def _flags(columns: Columns, name: str) -> NDArray[np.bool_]:
     """A column of 0 and 1, or of False and True: [rows]."""
     words = {"false": "0", "true": "1"}
-    columns[name] = [words.get(text.strip().lower(), text) for text in columns[name]]
+    columns[name] = [words.get(text.lower(), text) for text in columns[name]]
     flags = parse(columns, name, float)
     if len(bad := np.flatnonzero((flags != 0) & (flags != 1))):
-        place = f"{columns.path}, line {columns.first_line + bad[0]}, column {name}"
+        place = f"{columns.path}, line {columns.lines[bad[0]]}, column {name}"
         raise ValueError(f"{place}: must be 0 or 1, got {flags[bad[0]]:g}")
     return flags == 1

@@ -84,13 +84,10 @@ class CostRecorder:
         running = self._length > 0
         if where is not None:
             running &= self._mask(where)
-        sums = (self._length, self._reward, self._cost, self._longest)
-        sums = (*sums, self._cost_steps, self._streaks)
-        for index in np.flatnonzero(running).tolist():
-            row = (column[index].item() for column in (self._start_step, *sums))
-            self._rows.append((self._rollout, *row))
-            self._rollout += self._per_episode
-        for column in (*sums, self._streak):
+        rows = self._rows_of(running)
+        self._rows += rows
+        self._rollout += len(rows) * self._per_episode
+        for column in (*self._sums, self._streak):
             column[running] = 0
 
     def end_rollout(self) -> None:
@@ -108,6 +105,11 @@ class CostRecorder:
         """The trajectories finished so far, in the order in which they ended."""
         return _records(self._rows)
 
+    @property
+    def snapshot(self) -> EpisodeRecords:
+        """`records`, and behind them the running trajectories as far as they are. Cuts nothing."""
+        return _records(self._rows + self._rows_of(self._length > 0))
+
     def recent(self, rollouts: int) -> EpisodeRecords:
         """The finished trajectories of the last so many rollouts that have any."""
         first, kept = len(self._rows), set()
@@ -117,6 +119,20 @@ class CostRecorder:
                 break
             first -= 1
         return _records(self._rows[first:])
+
+    @property
+    def _sums(self) -> tuple[NDArray[Any], ...]:
+        """The columns of the running trajectories that begin at 0."""
+        sums = (self._length, self._reward, self._cost, self._longest)
+        return (*sums, self._cost_steps, self._streaks)
+
+    def _rows_of(self, running: NDArray[np.bool_]) -> list[tuple[Any, ...]]:
+        """Rows of the running trajectories where the mask [num_envs] says."""
+        columns = (column[running].tolist() for column in (self._start_step, *self._sums))
+        return [
+            (self._rollout + place * self._per_episode, *row)
+            for place, row in enumerate(zip(*columns, strict=True))
+        ]
 
     def _vector(self, values: ArrayLike, name: str) -> NDArray[Any]:
         array = as_array(values, name)

@@ -294,7 +294,7 @@ def parse_records(columns: Columns) -> EpisodeRecords:
     try:
         return EpisodeRecords(*arrays)
     except BadRow as bad:
-        line = columns.first_line + bad.row
+        line = columns.lines[bad.row]
         raise ValueError(f"{columns.path}, line {line}, {bad.problem}") from None
     except ValueError as error:
         raise ValueError(f"{columns.path}: {error}") from None

@@ -3,24 +3,25 @@
 import json
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emcc.inputs import EpisodeSums, EpochMeans, Run
+from emcc.inputs import RECORDED, EpisodeSums, EpochMeans, Run
 from emcc.measures import cost_measures
 from emcc.panels import WINDOW, panel, panel_table
 from emcc.parts import cost_rate, rollouts_by_part
 from emcc.streaks import streak_bounds
-from emcc.table import INTERVALS, MISSING, Table, mean_cell
+from emcc.table import MISSING, Table, intervals, mean_cell
 from emcc.tail import emcc
 
 
 def emcc_table(
     runs: Sequence[Run], alpha: float, ties: str, seed: int = 0, per_run: bool = False
 ) -> Table:
-    """One row per task, algorithm and settings: means over its runs; with per_run, they follow.
+    """One row per task, algorithm, settings and planned steps: means over its runs; with per_run,
+    they follow.
 
     seed: of the bootstrap. Runs without a task and an algorithm have a row each.
     ValueError: alpha, ties or the steps of a run are not allowed.
@@ -29,14 +30,14 @@ def emcc_table(
     groups = _groups(runs)
     rows = []
     for key, members in groups.items():
-        label = [key[0] or MISSING, _name(key, list(groups))]
+        label = [key.task or MISSING, _name(key, list(groups))]
         rows.append([*label, str(len(members)), *_cells(members, measures, seed)])
         if per_run:
             for run in members:
                 rows.append([*label, f"seed {run.seed or '?'}", *_cells([run], measures, seed)])
     caption = (
         f"EMCC with alpha = {alpha:g}, ties = {ties}: {_READINGS[ties]} in each third of training; "
-        f"means over runs {INTERVALS}"
+        f"means over runs {intervals()}"
     )
     names = list(measures[runs[0]])
     return Table(
@@ -44,35 +45,48 @@ def emcc_table(
         ["task", "algorithm", "runs", "steps", "steps from", *names],
         rows,
         [note for run in runs for note in _notes(run, _missing(measures[run]))]
-        + _repeated_seeds(groups),
+        + _notes_of_groups(groups),
         complete=all(
             value is not None for of_run in measures.values() for value in of_run.values()
         ),
     )
 
 
-Key = tuple[str, str, str]
-"""Task, algorithm (or path, where there is none) and settings of runs of one kind."""
+class Key(NamedTuple):
+    """What runs of one row have in common."""
+
+    task: str
+    algorithm: str
+    """Or the path, where there is none."""
+    settings: str
+    total_steps: int | None
+    """As planned; None where only the recorded steps are known, which differ by chance."""
 
 
 def _groups(runs: Sequence[Run]) -> dict[Key, list[Run]]:
     groups: dict[Key, list[Run]] = {}
     for run in runs:
-        key = (run.task, run.algorithm or str(run.path), run.settings)
+        planned = None if run.total_from == RECORDED else run.total_steps
+        key = Key(run.task, run.algorithm or str(run.path), run.settings, planned)
         groups.setdefault(key, []).append(run)
     return groups
 
 
 def _name(key: Key, keys: Sequence[Key]) -> str:
-    """The algorithm, with its settings that differ where others have its name on the same task."""
-    others = [_flat(json.loads(other[2])) for other in keys if other[:2] == key[:2] and other[2]]
-    if len(others) < 2 or not key[2]:
-        return key[1]
-    told = []
-    for name, value in _flat(json.loads(key[2])).items():
-        if any(other.get(name) != value for other in others):
-            told.append(f"{name} {value}")
-    return f"{key[1]} ({', '.join(told)})" if told else key[1]
+    """The algorithm, with what differs where others have its name on the same task."""
+    others = [_told(other) for other in keys if other[:2] == key[:2]]
+    differing = [
+        f"{name} {value}"
+        for name, value in _told(key).items()
+        if any(other.get(name) != value for other in others)
+    ]
+    return f"{key.algorithm} ({', '.join(differing)})" if differing else key.algorithm
+
+
+def _told(key: Key) -> dict[str, Any]:
+    """The settings and the length of runs, by name."""
+    settings = _flat(json.loads(key.settings)) if key.settings else {}
+    return settings if key.total_steps is None else settings | {"total steps": key.total_steps}
 
 
 def _flat(settings: dict[str, Any]) -> dict[str, Any]:
@@ -132,13 +146,22 @@ def _notes(run: Run, missing: list[str]) -> list[str]:
     return notes
 
 
-def _repeated_seeds(groups: dict[Key, list[Run]]) -> list[str]:
-    return [
-        f"{task} {algorithm}: {times} runs have seed {seed}; their interval may be too narrow."
-        for (task, algorithm, _), runs in groups.items()
-        for seed, times in Counter(run.seed for run in runs if run.seed).items()
-        if times > 1
-    ]
+def _notes_of_groups(groups: dict[Key, list[Run]]) -> list[str]:
+    notes = []
+    for key, runs in groups.items():
+        name = f"{key.task} {key.algorithm}"
+        for seed, times in Counter(run.seed for run in runs if run.seed).items():
+            if times > 1:
+                notes.append(
+                    f"{name}: {times} runs have seed {seed}; their interval may be too narrow."
+                )
+        steps = [run.total_steps for run in runs]
+        if min(steps) < max(steps):
+            notes.append(
+                f"{name}: means over runs of {min(steps)} to {max(steps)} recorded steps; steps in "
+                "config.json keep runs of other planned lengths apart."
+            )
+    return notes
 
 
 def panel_tables(
@@ -150,23 +173,25 @@ def panel_tables(
     seed: int = 0,
     per_run: bool = False,
 ) -> list[Table]:
-    """A panel for each task, algorithm and settings: means over its runs; with per_run, a panel for
-    every run follows. The arguments are those of `emcc.panel` and `emcc_table`."""
+    """A panel for each row of `emcc_table`: means over its runs; with per_run, one for every run
+    follows. The arguments are those of `emcc.panel` and `emcc_table`."""
     tables = []
     groups = _groups(runs)
     for key, members in groups.items():
         notes, panels = [], []
+        # One window for all runs, since a row names it; a run without episodes is refused below.
+        shared = min([window, *(len(run.records) for run in members if len(run.records))])
         for run in members:
             missing = [f"EMCC_{part}" for part, where in _parts(run).items() if not where.any()]
             notes += _notes(run, missing)
             try:
-                of_run = panel(run.records, limit, alpha, ties=ties, window=window,
+                of_run = panel(run.records, limit, alpha, ties=ties, window=shared,
                     total_steps=run.total_steps)  # fmt: skip
             except ValueError as error:
                 raise ValueError(f"{run.path}: {error}") from None
             panels.append(of_run)
-        name = " on ".join(filter(None, (_name(key, list(groups)), key[0])))
-        notes += _repeated_seeds({key: members})
+        name = " on ".join(filter(None, (_name(key, list(groups)), key.task)))
+        notes += _notes_of_groups({key: members})
         tables.append(panel_table(panels, name, notes, seed))
         if per_run and len(members) > 1:
             for run, of_run in zip(members, panels, strict=True):

@@ -1,5 +1,7 @@
 """EMCC of a training with Stable-Baselines3."""
 
+from typing import Any
+
 from emcc.panels import WINDOW, Panel, panel
 
 try:
@@ -31,7 +33,8 @@ class EMCCCallback(BaseCallback):
     rollout: "auto" is "update" for on-policy algorithms (a rollout is what is collected between two
     updates, and cuts running episodes), and "episode" for all others; a number of environment steps
     as in `CostRecorder` is possible too.
-    `learn` starts new records, but for reset_num_timesteps=False, which goes on with the old ones.
+    `learn` starts new records, but for reset_num_timesteps=False, which goes on with the old ones
+    and with the running episodes; those that were reset in between are kept as far as they got.
     alpha: share of the rollouts with the highest MCC. window: rollouts whose numbers are logged
     while training. limit: cost limit of an episode, for the measures that need one; None omits
     them. threshold: a step whose cost exceeds it is a cost step.
@@ -57,15 +60,16 @@ class EMCCCallback(BaseCallback):
         self._by_update = rollout == "update"
         self._rollouts: CostRecorder | None = None
         self._episodes: CostRecorder | None = None  # whole episodes, whatever cuts the rollouts
+        self._last_obs: Any = None  # from which the model would go on after training
 
     @property
     def records(self) -> EpisodeRecords:
-        """Trajectories of the rollouts; running ones are recorded when training ends."""
-        return _started(self._rollouts).records
+        """Trajectories of the rollouts; behind them the running ones, as far as they are."""
+        return _started(self._rollouts).snapshot
 
     @property
     def episodes(self) -> EpisodeRecords:
-        """Whole episodes; those that were running when training ended are left out."""
+        """Whole episodes; running ones are left out."""
         return _started(self._episodes).records
 
     def panel(self, limit: float | None = None) -> Panel:
@@ -77,6 +81,9 @@ class EMCCCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         if self._rollouts is not None and not self.locals["reset_num_timesteps"]:
+            if self.model._last_obs is not self._last_obs:  # the environment was reset in between
+                for recorder in (self._rollouts, _started(self._episodes)):
+                    recorder.cut()
             return
         envs = self.training_env.num_envs
         rollout = self.rollout
@@ -105,8 +112,10 @@ class EMCCCallback(BaseCallback):
             self._log()
 
     def _on_training_end(self) -> None:
+        self._last_obs = self.model._last_obs
         recorder = _started(self._rollouts)
-        recorder.end_rollout()
+        if self._by_update:  # an episode that is a rollout goes on with the next `learn`
+            recorder.end_rollout()
         if not recorder.steps:
             return
         for part, of_part in self.panel().parts.items():

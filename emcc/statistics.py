@@ -174,6 +174,15 @@ def _resampled(runs: NDArray[np.float64], rng: np.random.Generator) -> NDArray[n
     return np.take_along_axis(runs, rng.integers(len(runs), size=runs.shape), axis=0)
 
 
+def has_scipy() -> bool:
+    """Whether a scipy is installed that these functions can use."""
+    try:
+        _special()
+    except ImportError:
+        return False
+    return True
+
+
 def _special() -> Any:
     """scipy.special: scipy.stats has the same quantiles, but takes half a second and 50 MB."""
     try:

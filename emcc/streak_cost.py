@@ -44,9 +44,9 @@ def StreakCost(
     threshold: a step whose cost exceeds it is a cost step.
     In a vector environment info["cost"] and info["plain_cost"] are [num_envs] arrays of the step
     just taken, in every autoreset mode, as rewards are; so are those in info["final_info"].
-    TypeError: no gymnasium environment, or no flat Box to append to. ValueError: weight below 0,
-    scale not above 0, a bad threshold, a vector environment without an autoreset mode. KeyError: a
-    step without a cost.
+    TypeError: no gymnasium environment, or no flat Box of floats to append to. ValueError: weight
+    below 0, scale not above 0, a bad threshold, a vector environment without an autoreset mode.
+    KeyError: a step without a cost.
     """
     if not isinstance(env, (VectorEnv, gym.Env)):
         raise TypeError(f"env must be a gymnasium Env or VectorEnv, got {type(env).__name__}")
@@ -66,7 +66,7 @@ class StreakCostEnv(gym.Wrapper):
     def __init__(self, env: gym.Env, weight: float, scale: float | None, threshold: float) -> None:
         super().__init__(env)
         self.weight, self.scale, self.threshold = weight, scale, threshold
-        self._streak = 0
+        self._streak, self._finished = 0, False
         if scale is not None:
             self.observation_space = _with_streak(env.observation_space)
 
@@ -75,13 +75,15 @@ class StreakCostEnv(gym.Wrapper):
     ) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; no streak is running."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._streak = 0
+        self._streak, self._finished = 0, False
         return self._observed(observation), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment; info["cost"] is weighted, info["plain_cost"] is not."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        cost = cost_of(info)
+        # A step behind the last one of an episode is the resetting step of gymnasium's Autoreset.
+        cost = 0.0 if self._finished else cost_of(info)
+        self._finished = bool(terminated or truncated)
         self._streak = self._streak + 1 if cost > self.threshold else 0
         of_streak = float(weighted(cost, self._streak, self.weight))
         info = {**info, "cost": np.float64(of_streak), "plain_cost": np.float64(cost)}
@@ -172,8 +174,9 @@ def _with_masks(of_streak: dict[str, NDArray], where: NDArray[np.bool_]) -> dict
 
 def _with_streak(space: gym.Space) -> Box:
     """The space of observations with a streak of 0 or more behind them."""
-    if not isinstance(space, Box) or len(space.shape) != 1:
-        raise TypeError(f"observe needs a flat Box as observation space, got {space}")
+    floats = np.issubdtype(space.dtype, np.floating)  # since k / scale is a fraction
+    if not isinstance(space, Box) or len(space.shape) != 1 or not floats:
+        raise TypeError(f"observe needs a flat Box of floats as observation space, got {space}")
     dtype: Any = space.dtype
     low, high = (
         np.append(bound, np.asarray(of_streak, bound.dtype))

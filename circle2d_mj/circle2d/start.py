@@ -15,6 +15,8 @@ Rectangle = tuple[tuple[float, float], tuple[float, float]]
 _FREE_SHARE = 0.9
 # Halving 26 times resolves a feasible patch of 1e-8 of the rectangle's side.
 _MAX_SPLITS = 26
+# Classifying as many cells takes 1.6 GB.
+_MAX_CELLS = 2**23
 
 
 class StartArea:
@@ -23,7 +25,8 @@ class StartArea:
     The rectangle is split into equal cells, and cells that surely lie in the region are dropped,
     until nearly all that is left is surely free. A cell is then drawn, a point in it, and both
     again while the point lies in the region: uniform over the feasible part. region=None: uniform
-    over all of the rectangle. Raises ValueError where nothing feasible is left.
+    over all of the rectangle. Raises ValueError where nothing feasible is left, or no more than an
+    edge so thin that millions of cells would be needed.
     """
 
     def __init__(self, rectangle: Rectangle, region: CostRegion | None) -> None:
@@ -53,12 +56,18 @@ class StartArea:
             self._corners, free = self._corners[~infeasible], free[~infeasible]
             if len(free) and free.mean() >= _FREE_SHARE:
                 return
+            # At the edge of a cut-out that only touches the rectangle each split doubles the cells,
+            # and none gets free. Where it overlaps, but by less than a cell, enough are free when
+            # cells are a tenth as long, and there are 100 times as many.
+            if len(free) * (4 if free.any() else 100) > _MAX_CELLS:
+                break
             self._size = self._size / 2
             offsets = np.array([(0, 0), (0, 1), (1, 0), (1, 1)]) * self._size
             self._corners = (self._corners[:, None] + offsets).reshape(-1, 2)
         raise ValueError(
-            "no feasible start is left: the start area (init_region_size, init_radius_multiplier) "
-            "lies in the cost region; enlarge it or set allow_infeasible_init"
+            "no feasible start is left, or too little to draw from: the start area "
+            "(init_region_size, init_radius_multiplier) lies in the cost region; enlarge it or set "
+            "allow_infeasible_init"
         )
 
 

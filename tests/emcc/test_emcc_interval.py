@@ -1,13 +1,13 @@
 """Bootstrap intervals: what they contain, and what decides them."""
 
 import itertools
-import re
+import sys
 
 import numpy as np
 import pytest
 
 from emcc import difference, estimate
-from emcc.table import mean_cell
+from emcc.table import intervals, mean_cell
 
 
 def one(values, **options):
@@ -122,14 +122,34 @@ def test_difference_names_bad_input():
         difference([0.1], [0.1], rng=np.random.default_rng(0), level=0)
 
 
-def test_the_cell_of_five_runs_has_an_interval_and_of_four_their_range():
-    """Against all 5 ** 5 resamples. The bootstrap of four would be too narrow."""
-    values = [0.2, 0.4, 0.6, 0.7, 0.9]
-    means = [np.mean(drawn) for drawn in itertools.product(values, repeat=5)]
-    mean, low, high = re.findall(r"[\d.]+", mean_cell(values, 3, seed=0))
-    assert mean == "0.560"
-    ends = np.quantile(means, [0.025, 0.975])
-    assert np.allclose([float(low), float(high)], ends, atol=0.021)  # means are 0.02 apart
-    assert mean_cell(values[:4], 3, seed=0) == "0.475 range 0.200 to 0.700"
-    assert mean_cell(values[:1], 2, seed=0) == "0.20"
-    assert mean_cell([*values, None], 2, seed=0) == "\N{EN DASH}"
+VALUES = [0.2, 0.4, 0.6, 0.7, 0.9]
+
+
+def test_a_cell_has_the_t_interval_from_five_runs_on():
+    """By hand: t of 4 degrees of freedom is 2.776, the standard error .2702 / sqrt(5) = .1208."""
+    pytest.importorskip("scipy", minversion="1.15")
+    assert mean_cell(VALUES, 3, seed=0) == "0.560 [0.225, 0.895]"
+    assert intervals() == "[95 % t interval], or the range of fewer than 5 runs"
+    check_small_cells()
+
+
+def test_a_cell_without_scipy_has_the_range_below_ten_runs_and_the_bootstrap_from_then_on(
+    monkeypatch,
+):
+    """Of five 0 and five 1, resampled sums are binomial: P(sum <= 1) = .011, P(sum <= 2) = .055."""
+    for name in ("scipy", "scipy.special"):
+        monkeypatch.setitem(sys.modules, name, None)
+    assert mean_cell(VALUES, 3, seed=0) == "0.560 range 0.200 to 0.900"
+    assert mean_cell([0, 1] * 4 + [1], 2, seed=0) == "0.56 range 0.00 to 1.00"
+    assert mean_cell([0, 1] * 5, 3, seed=0) == "0.500 [0.200, 0.800]"
+    assert intervals() == (
+        "[95 % bootstrap interval], or the range of fewer than 10 runs, whose t interval needs "
+        "scipy>=1.15"
+    )
+    check_small_cells()
+
+
+def check_small_cells():
+    assert mean_cell(VALUES[:4], 3, seed=0) == "0.475 range 0.200 to 0.700"
+    assert mean_cell(VALUES[:1], 2, seed=0) == "0.20"
+    assert mean_cell([*VALUES, None], 2, seed=0) == "\N{EN DASH}"

@@ -72,7 +72,14 @@ LAYOUTS = {
         "cost,done",
         [(cost, int(end and k < STEPS[-1][2])) for cost, end, k in STEPS],
     ),
-    "both": ("episode,cost,done", [(k, cost, "?") for cost, _, k in STEPS]),
+    "both": ("episode,cost,done", [(k, cost, end) for cost, end, k in STEPS]),
+    "episodes that end unmarked": (
+        "episode,cost,terminated",
+        [(k, cost, end and k % 2 == 0) for cost, end, k in STEPS],
+    ),
+    "blanks": (" cost , done", [(f" {cost} ", f" {end}") for cost, end, _ in STEPS]),
+    "a byte order mark": ("\ufeffcost,done", [(cost, end) for cost, end, _ in STEPS]),
+    "empty lines": ("\n\ncost,done", [(cost, f"{end}\n") for cost, end, _ in STEPS]),
 }  # fmt: skip
 
 
@@ -114,6 +121,44 @@ def test_a_flag_that_is_none(tmp_path, capsys, cell, message):
     error = error_of(path, capsys)
     assert f"{path}, line 3, column done: " in error
     assert message in error
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("cost,done,cost,done\n1,0,0,0\n", ": the header names cost, done more than once"),
+        ("cost,done, cost\n1,0,0\n", ": the header names cost more than once"),
+        ("episode,cost,done\n7,1,0\n7,1,1\n7,0,0\n", ", line 3: the last step of an episode by"),
+        ("episode,cost,done\n7,1,0\n\n7,1,1\n7,0,0\n", "but the next line has the episode '7' too"),
+        ("rollout,episode,cost,done\n0,7,1,1\n0,7,1,1\n", ", line 2: the last step of an episode"),
+        ("episode,cost,done\n0,1,?\n0,1,1\n", ", line 2, column done: '?' is not a number"),
+        ("cost,done\n1,0\n\n\n1,x\n", ", line 5, column done: 'x' is not a number"),
+        ("cost,length,longest_streak\n\n3,2,3\n", ", line 3, column longest_streak: 3 must be in"),
+        ("\n\n", ": the file is empty; a header line is needed"),
+    ],
+)  # fmt: skip
+def test_tables_that_say_two_things(tmp_path, capsys, text, message):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    error = error_of(path, capsys)
+    assert str(path) in error
+    assert message in error
+
+
+def test_costs_of_several_runs_are_not_one(tmp_path, capsys):
+    path = tmp_path / "costs.npy"
+    np.save(path, np.zeros((3, 20, 5)))
+    needed = "costs must be [steps] or [episodes, steps] of one run, got shape [3, 20, 5]"
+    assert f"{path}: {needed}" in error_of(path, capsys)
+    np.savez(tmp_path / "costs.npz", costs=np.zeros((3, 20, 5)), lengths=[5] * 60)
+    assert needed in error_of(tmp_path / "costs.npz", capsys)
+
+
+def test_python_is_told_too_where_a_file_was_read_by_a_guess(tmp_path):
+    path = write(tmp_path / "log.csv", "cost", [[0], [1], [1], [0]])
+    with pytest.warns(UserWarning, match="no column episode or done: read as one episode") as told:
+        assert emcc.read(path).longest_streak == [2]
+    assert told[0].filename == __file__
 
 
 SUMS = [(sum(of), len(of), streak(of)) for of in episodes()]

@@ -1,5 +1,7 @@
 """CostRecorder: steps in, trajectories out, without gymnasium."""
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,21 @@ def test_end_rollout_keeps_what_is_running():
         recorder.end_rollout()
     feed(recorder, [1], done_at=(1,))
     assert rows(recorder) == [(0, 0, 2, 1.0, 1), (1, 2, 1, 1.0, 1), (2, 3, 1, 1.0, 1)]
+
+
+@pytest.mark.parametrize("rollout", ["episode", 4, "manual"])
+def test_a_snapshot_is_what_an_end_now_would_give_and_cuts_nothing(rollout):
+    recorder, watched = CostRecorder(2, rollout), CostRecorder(2, rollout)
+    rng = np.random.default_rng(0)
+    for count in range(60):
+        step = rng.integers(0, 2, 2), rng.integers(0, 5, 2), rng.random(2) < 0.2
+        recorder.step(*step)
+        watched.step(*step)
+        ended = copy.deepcopy(recorder)
+        ended.end_rollout()
+        assert watched.snapshot.to_csv() == ended.records.to_csv()
+        assert watched.snapshot.total_steps == 2 * (count + 1)
+    assert watched.records.to_csv() == recorder.records.to_csv()
 
 
 def test_rollouts_of_n_steps_cut_the_running_episode():

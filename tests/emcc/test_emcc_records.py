@@ -205,7 +205,7 @@ GOOD_ROW = "0,0,10,-1.5,4.0,4,4,1"
 BAD_FILES = {
     "empty": ("", "the file is empty"),
     "header": (f"rollout,length\n{GOOD_ROW}\n", "line 2: 8 fields, the header has 2"),
-    "order": (f"length,{HEADER[:-1]}\n", "the header must be rollout,"),
+    "order": (f"streaks,{HEADER.removesuffix(',streaks')}\n", "the header must be rollout,"),
     "fields": (f"{HEADER}\n{GOOD_ROW}\n0,0,10\n", "line 3: 3 fields, the header has 8"),
     "text": (
         f"{HEADER}\n{GOOD_ROW}\n0,0,ten,0.0,0.0,0,0,0\n",

@@ -168,6 +168,38 @@ def test_learning_goes_on_or_starts_anew():
     assert callback.records.total_steps == 60
 
 
+def off_policy(rollout="auto"):
+    callback = emcc.sb3.EMCCCallback(rollout)
+    return callback, SAC("MlpPolicy", envs(1), learning_starts=10_000, device="cpu")
+
+
+@pytest.mark.parametrize("rollout", ["auto", 32])
+def test_learning_in_parts_gives_the_records_of_learning_at_once(rollout):
+    """An end of `learn` ends no episode, so it cuts none."""
+    once, model = off_policy(rollout)
+    model.learn(600, callback=once)
+    parts, model = off_policy(rollout)
+    for part in range(50):
+        model.learn(12, callback=parts, reset_num_timesteps=part == 0)
+        assert parts.records.total_steps == 12 * (part + 1)
+    assert parts.records.to_csv() == once.records.to_csv()
+    assert parts.episodes.to_csv() == once.episodes.to_csv()
+
+
+def test_an_episode_that_another_environment_ends_is_cut():
+    callback, model = off_policy()
+    model.learn(100, callback=callback)
+    _, running = episodes_of_log()
+    assert running  # else the next assertion says nothing
+    before = callback.records
+    model.set_env(envs(1))
+    model.learn(100, callback=callback, reset_num_timesteps=False)
+    assert callback.records.length[: len(before)].tolist() == before.length.tolist()
+    ended, running = episodes_of_log()
+    lengths = [len(costs) for costs, _ in ended] + [len(steps) for steps in running.values()]
+    assert callback.records.length[len(before) :].tolist() == lengths
+
+
 def test_mistakes_are_named():
     with pytest.raises(ValueError, match=r'rollout must be "auto", .*never'):
         emcc.sb3.EMCCCallback(rollout="never")

@@ -78,6 +78,19 @@ def test_one_environment():
         assert terminated
 
 
+@pytest.mark.parametrize("at_reset", [{}, {"cost": 9.0}])
+def test_a_resetting_step_costs_nothing_and_ends_the_streak(at_reset, monkeypatch):
+    """The first episode ends in a streak of 2, the second is one of 1."""
+    reset = Scripted.reset
+    monkeypatch.setattr(Scripted, "reset", lambda env, **options: (reset(env)[0], at_reset))
+    env = StreakCost(gym.wrappers.Autoreset(Scripted(SCRIPTS[0])), WEIGHT, scale=SCALE)
+    env.reset()
+    seen = [env.step(0) for _ in range(7)]
+    costs = [(info["cost"], info["plain_cost"]) for *_, info in seen]
+    assert costs == [(0, 0), (1, 1), (1.5, 1), (4, 2), (0, 0), (2, 2), (0, 0)]
+    assert [of[0][2] * SCALE for of in seen] == [0, 1, 2, 3, 0, 1, 0]
+
+
 @pytest.mark.parametrize("mode", AutoresetMode)
 def test_vector_environments(mode):
     envs = SyncVectorEnv([partial(Scripted, script) for script in SCRIPTS], autoreset_mode=mode)
@@ -164,6 +177,7 @@ BAD = {
     "weight": (lambda: StreakCost(Scripted([]), -1.0), ValueError, "weight must be >= 0, got -1"),
     "scale": (lambda: StreakCost(Scripted([]), scale=0), ValueError, "scale must be above 0"),
     "space": (lambda: StreakCost(Discrete()), TypeError, r"a flat Box .* got Discrete\(3\)"),
+    "integers": (lambda: StreakCost(Whole([])), TypeError, "Box of floats .*, got Box.*int64"),
     "no cost": (lambda: stepped(StreakCost(NoCost(SCRIPTS[0]))), KeyError, "has no 'cost'"),
 }
 
@@ -173,6 +187,10 @@ class Discrete(Scripted):
 
     def __init__(self):
         pass
+
+
+class Whole(Scripted):
+    observation_space = gym.spaces.Box(0, 9, (2,), np.int64)
 
 
 class NoCost(Scripted):

@@ -68,15 +68,28 @@ def test_seeds_make_one_row_with_a_range(tmp_path, capsys):
         config = {"task": "t", "algorithm": "cpo", "seed": seed}
         write_run(tmp_path / f"s{seed}", [value] * 10, config)
     rows, (caption,) = table(capsys, tmp_path, "--per-run")
-    assert "or the range of fewer than 5 runs" in caption
+    assert "or the range of fewer than" in caption
     assert [row["runs"] for row in rows] == ["3", "seed 0", "seed 1", "seed 2"]
     assert rows[0]["EMCC_0.33"] == "0.400 range 0.200 to 0.600"
     assert [row["EMCC_0.33"] for row in rows[1:]] == ["0.200", "0.400", "0.600"]
     assert rows[0]["steps from"] == "recorded"
 
 
-def test_the_seed_decides_the_interval(tmp_path, capsys):
-    values = np.random.default_rng(0).random(8)
+def test_five_seeds_make_a_row_with_the_t_interval(tmp_path, capsys):
+    pytest.importorskip("scipy", minversion="1.15")
+    for seed, value in enumerate([0.2, 0.4, 0.6, 0.7, 0.9]):
+        write_run(tmp_path / f"s{seed}", [value] * 10, {"algorithm": "cpo", "seed": seed})
+    (row,), (caption,) = table(capsys, tmp_path)
+    assert row["EMCC_0.33"] == "0.560 [0.225, 0.895]"
+    assert "[95 % t interval], or the range of fewer than 5 runs" in caption
+    _, (caption,) = table(capsys, tmp_path, "--limit", 5)
+    assert "means over 5 runs [95 % t interval], or the range of fewer than 5 runs" in caption
+
+
+def test_the_seed_decides_the_interval_without_scipy(tmp_path, capsys, monkeypatch):
+    for name in ("scipy", "scipy.special"):
+        monkeypatch.setitem(sys.modules, name, None)
+    values = np.random.default_rng(0).random(10)
     for seed, value in enumerate(values):
         write_run(tmp_path / f"s{seed}", [value] * 10, {"algorithm": "cpo"}, length=10_000)
     default, same, other = (
@@ -121,6 +134,41 @@ def test_settings_that_differ_are_named(tmp_path, capsys):
     rows, _ = table(capsys, tmp_path / "x", tmp_path / "y")
     names = ["ppo (hyperparameters lr=3)", "ppo (hyperparameters None)"]
     assert [row["algorithm"] for row in rows] == names
+
+
+def test_runs_of_other_planned_lengths_are_apart(tmp_path, capsys):
+    """Thirds of a long and of a short training are no two values of one mean."""
+    for name, values, steps in (("a", [0.9] * 20, 200), ("b", [0.1] * 10, 100), ("c", NINE, 100)):
+        config = {"task": "t", "algorithm": "cpo", "seed": name, "steps": steps}
+        write_run(tmp_path / name, values, config | {"hyperparameters": {"lr": 1}})
+    rows, _ = table(capsys, tmp_path, "--alpha", 1)
+    assert [(row["algorithm"], row["runs"], row["EMCC_0.33"]) for row in rows] == [
+        ("cpo (total steps 200)", "1", "0.900"),
+        ("cpo (total steps 100)", "2", "0.188 range 0.100 to 0.275"),
+    ]
+    main([str(tmp_path), "--limit", "1"])
+    captions = [line for line in capsys.readouterr().out.splitlines() if line.startswith("cpo")]
+    assert [line.partition(":")[0] for line in captions] == [
+        "cpo (total steps 200) on t", "cpo (total steps 100) on t"
+    ]  # fmt: skip
+
+
+def test_recorded_lengths_that_differ_are_told(tmp_path, capsys):
+    for name, values in (("a", [0.9] * 20), ("b", [0.1] * 21)):
+        write_run(tmp_path / name, values, {"task": "t", "algorithm": "cpo", "seed": name})
+    (row,), (_, note) = table(capsys, tmp_path)
+    assert (row["runs"], row["EMCC_0.33"]) == ("2", "0.500 range 0.100 to 0.900")
+    assert "t cpo: means over runs of 200 to 210 recorded steps; " in note
+
+
+def test_runs_of_one_panel_have_one_window(tmp_path, capsys):
+    """The row names it: of 4 episodes, since one run has no more. Costs of 9 and 1 in 10 steps."""
+    for name, values in (("a", [0.9] * 4 + [0.1] * 6), ("b", [0.1] * 4)):
+        write_run(tmp_path / name, values, {"task": "t", "algorithm": "cpo", "seed": name})
+    assert main([str(tmp_path), "--limit", "1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (peak,) = (line for line in lines if line.startswith("peak cost rate (4 episodes)"))
+    assert peak.split(")", 1)[1].strip().startswith("0.500 range 0.100 to 0.900")
 
 
 def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):

@@ -1,10 +1,14 @@
 """Start positions are uniform over the feasible part of the start area, and end."""
 
+import hashlib
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
+from circle2d_mj.circle2d import start
+from circle2d_mj.circle2d.start import classify_cells
 from circle2d_mj.core.streams import Streams
 
 
@@ -56,6 +60,38 @@ def test_a_sliver_is_found_and_nothing_is_refused():
     assert (np.hypot(*points.T) >= 10).all()
     with pytest.raises(ValueError, match="no feasible start"):
         Circle2DConfig(init_radius_multiplier=0.9682)
+
+
+EDGES = {"level": 2, "corridor_height_factor": 2.0, "init_radius_multiplier": 0.6}
+"""The top and bottom cut-outs begin where a start area of size 1 ends."""
+
+
+@pytest.mark.parametrize("size", [1.0, 1.000001])
+def test_an_edge_that_touches_a_cutout_is_refused_before_memory_is_full(monkeypatch, size):
+    def counted(region, low, cell):
+        assert len(low) <= 2**20
+        return classify_cells(region, low, cell)
+
+    monkeypatch.setattr(start, "classify_cells", counted)
+    with pytest.raises(ValueError, match="no feasible start"):
+        Circle2DConfig(**EDGES, init_region_size=size)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "cells", "digest"),
+    [
+        (CONFIGS[0], 182, "33d58cf56455"),
+        (CONFIGS[1], 6972, "0cc24c0dba44"),
+        (CONFIGS[3], 1924, "f011e78fbf4b"),
+        (EDGES | {"init_region_size": 1.01}, 45056, "bedd34a59252"),
+    ],
+)
+def test_the_cells_of_version_v0(parameters, cells, digest):
+    """To the bit, since starts are drawn in them; recorded when splits had no other end."""
+    area = Circle2DConfig(**parameters).start_area
+    assert len(area._corners) == cells
+    kept = area._corners.tobytes() + area._size.tobytes()
+    assert hashlib.sha1(kept).hexdigest().startswith(digest)
 
 
 def test_the_starts_of_version_v0():
