@@ -42,6 +42,7 @@ def configs_of(
     check_task(task, first.task_parameters)
     if first.tensorboard:
         require_tensorboard()
+    lockstep_backend.require(False, first.device)  # before the compiler is tried, which takes long
     chosen = lockstep_backend.choose(backend)
     lockstep_backend.require(chosen == "compiled", first.device)
     return [dataclasses.replace(first, hyperparameters=own, backend=chosen) for own in found]

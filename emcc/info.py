@@ -1,4 +1,7 @@
-"""The cost in the info of a step: its only checks, for single and for vector environments."""
+"""The cost in the info of a step: its only checks, for single and for vector environments.
+
+Where `StreakCost` has weighted info["cost"], it is info["plain_cost"].
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,10 +17,10 @@ def cost_of(info: Mapping[str, Any]) -> float:
 
     Its value is checked by `CostRecorder`. KeyError: no cost. TypeError: not one number.
     """
-    _require_cost(info)
-    cost = as_array(info["cost"], "info['cost']")
+    name = _name_in(info)
+    cost = as_array(info[name], f"info['{name}']")
     if cost.size != 1:
-        raise TypeError(f"info['cost'] must be one number, got shape {cost.shape}")
+        raise TypeError(f"info['{name}'] must be one number, got shape {cost.shape}")
     return float(cost.reshape(()))
 
 
@@ -63,19 +66,21 @@ def _with_final_dicts(
 def _given_costs(infos: Mapping[str, Any], needed: NDArray[np.bool_]) -> NDArray[Any]:
     """infos["cost"], whose mask infos["_cost"], where there is one, must cover those needed; with a
     mask, which is gymnasium's own, no array of whole numbers or bools."""
-    _require_cost(infos)
-    missing = needed & ~np.asarray(infos.get("_cost", needed), dtype=bool)
+    name = _name_in(infos)
+    missing = needed & ~np.asarray(infos.get(f"_{name}", needed), dtype=bool)
     if missing.any():
-        raise ValueError(f"sub-environment {int(np.argmax(missing))} gave no 'cost' in its info")
-    costs = as_array(infos["cost"], "info['cost']")
-    if "_cost" in infos and costs.dtype.kind in "biu":
+        raise ValueError(f"sub-environment {int(np.argmax(missing))} gave no {name!r} in its info")
+    costs = as_array(infos[name], f"info['{name}']")
+    if f"_{name}" in infos and costs.dtype.kind in "biu":
         raise TypeError(
-            f"info['cost'] came as {costs.dtype}: gymnasium's vector environments give all costs "
+            f"info['{name}'] came as {costs.dtype}: gymnasium's vector environments give all costs "
             "the type of the first, which may have rounded others; let every one give a float"
         )
     return costs
 
 
-def _require_cost(info: Mapping[str, Any]) -> None:
+def _name_in(info: Mapping[str, Any]) -> str:
+    """The name of the plain cost. KeyError: no cost."""
     if "cost" not in info:
         raise KeyError(f"the environment's info has no 'cost'; it has {sorted(info)}")
+    return "plain_cost" if "plain_cost" in info else "cost"

@@ -1,5 +1,6 @@
 """EMCC beside the numbers that papers on safe exploration report, from one set of costs."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
@@ -8,10 +9,13 @@ from emcc.arrays import as_count, as_number, check_records
 from emcc.measures import LEVELS, Measures, feasible, measures_of
 from emcc.parts import ALPHA, PARTS
 from emcc.records import EpisodeRecords
+from emcc.statistics import COST, SHARE, Bounds
 from emcc.table import Table, intervals, mean_cell
 
 WINDOW = 100
 """Episodes of a moving window."""
+SEVERITY: Bounds = (-1.0, math.inf)
+"""An episode without cost is 100 % below the limit."""
 SOURCES = {
     "training": "costs during training",
     "stochastic": "costs of the final policy, with its noise",
@@ -108,11 +112,13 @@ def panel(
 
 
 class Row(NamedTuple):
-    """A measure in a table: its title, its value in one stretch of training, decimal places."""
+    """A measure in a table: its title, its value in one stretch of training, decimal places, and
+    the values that there can be."""
 
     title: str
     value: Callable[[Measures], float | None]
     digits: int = 3
+    bounds: Bounds = COST
 
 
 def rows(of: Panel) -> list[Row]:
@@ -120,9 +126,12 @@ def rows(of: Panel) -> list[Row]:
     windows = f"{of.window} episodes"
     share = f"α = {of.alpha:g}" + (f", ties {of.ties}" if of.ties != "all" else "")
     listed = [
-        Row(f"EMCC ({share})", lambda m: m.emcc),
-        Row("mean MCC", lambda m: m.mcc),
-        *(Row(f"P(MCC > {level:g})", lambda m, k=level: m.mcc_above[k]) for level in LEVELS),
+        Row(f"EMCC ({share})", lambda m: m.emcc, bounds=SHARE),
+        Row("mean MCC", lambda m: m.mcc, bounds=SHARE),
+        *(
+            Row(f"P(MCC > {level:g})", lambda m, k=level: m.mcc_above[k], bounds=SHARE)
+            for level in LEVELS
+        ),
         Row("longest streak (steps)", lambda m: m.longest_streak, 0),
         Row("mean streak (steps)", lambda m: m.mean_streak, 2),
         Row("cost rate (per step)", lambda m: m.cost_rate),
@@ -133,12 +142,16 @@ def rows(of: Panel) -> list[Row]:
     ]
     if of.limit is not None:
         listed += [
-            Row("violation rate V", lambda m: m.violation_rate),
-            Row("severity D", lambda m: m.severity),
+            Row("violation rate V", lambda m: m.violation_rate, bounds=SHARE),
+            Row("severity D", lambda m: m.severity, bounds=SEVERITY),
             Row("severity of violations D+", lambda m: m.severity_of_violations),
             Row("cost regret", lambda m: m.regret, 1),
             Row(f"steps until {windows} are within the limit", _of_whole("steps_to_feasible"), 0),
-            Row("share of training within it from then on", _of_whole("feasible_share")),
+            Row(
+                "share of training within it from then on",
+                _of_whole("feasible_share"),
+                bounds=SHARE,
+            ),
         ]
     return listed
 
@@ -162,7 +175,8 @@ def panel_table(
     cells = []
     for row in rows(first):
         values = [[None if m is None else row.value(m) for m in stretch] for stretch in of_runs]
-        cells.append([row.title, *(mean_cell(of_row, row.digits, seed) for of_row in values)])
+        means = (mean_cell(of_row, row.digits, seed, row.bounds) for of_row in values)
+        cells.append([row.title, *means])
     limit = "no limit" if first.limit is None else f"limit {first.limit:g}"
     sizes = " and ".join(
         dict.fromkeys(f"{of.episodes} episodes, {of.steps} steps" for of in panels)

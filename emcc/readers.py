@@ -164,6 +164,12 @@ def _read_numpy(path: Path, threshold: float) -> Run:
         raise ValueError(f"{path}: not a numpy file: {error or type(error).__name__}") from None
     if "costs" not in arrays:
         raise ValueError(f"{path}: has the arrays {', '.join(arrays)}; needed is costs")
+    not_read = [name for name in arrays if name.removesuffix("s") in ("episode", "rollout", *ENDS)]
+    if not_read and "lengths" not in arrays:
+        raise ValueError(
+            f"{path}: the ends of episodes are not read from the array {', '.join(not_read)}: add "
+            "the array lengths, or give costs the shape [episodes, steps]"
+        )
     costs = np.atleast_1d(arrays["costs"])
     if costs.ndim > 2:
         raise ValueError(
@@ -205,7 +211,8 @@ def _trajectories(columns: Columns) -> list[tuple[str, str]]:
     one of `ENDS` marks. With both, an episode may end unmarked, as where it was reset or where
     `terminated` stands alone; but none goes on behind a mark."""
     rows, marks = len(columns["cost"]), [name for name in ENDS if name in columns]
-    last = np.any([[False] * rows, *(_flags(columns, name) for name in marks)], axis=0)
+    flags = [_flags(columns, name) for name in marks]
+    last = np.any([np.zeros(rows, dtype=bool), *flags], axis=0)
     episode = columns.get("episode", list(map(str, np.cumsum(last) - last)))
     keys = list(zip(columns.get("rollout", [""] * rows), episode, strict=True))
     for row in np.flatnonzero(last[:-1]).tolist():

@@ -12,6 +12,7 @@ from emcc.inputs import RECORDED, EpisodeSums, EpochMeans, Run
 from emcc.measures import cost_measures
 from emcc.panels import WINDOW, panel, panel_table
 from emcc.parts import cost_rate, rollouts_by_part
+from emcc.statistics import COST, SHARE
 from emcc.streaks import streak_bounds
 from emcc.table import MISSING, Table, intervals, mean_cell
 from emcc.tail import emcc
@@ -128,7 +129,13 @@ def _cells(runs: list[Run], measures: dict[Run, dict[str, float | None]], seed: 
     steps = ", ".join(dict.fromkeys(str(run.total_steps) for run in runs))
     source = ", ".join(dict.fromkeys(run.total_from for run in runs))
     means = [
-        mean_cell([measures[run][name] for run in runs], 3, seed) for name in measures[runs[0]]
+        mean_cell(
+            [measures[run][name] for run in runs],
+            3,
+            seed,
+            SHARE if name.startswith("EMCC") else COST,
+        )
+        for name in measures[runs[0]]
     ]
     return [steps, source, *means]
 

@@ -36,8 +36,8 @@ def StreakCost(
 
     info["cost"] becomes the cost times `1 + weight (k - 1)` at the k-th consecutive cost step, so
     that an algorithm that limits cost limits streaks as well; info["plain_cost"] is the cost as it
-    was. What an agent is judged by is the plain cost: record it inside, as in
-    `StreakCost(RecordCosts(env))`.
+    was. What an agent is judged by is the plain cost: `RecordCosts` and `EMCCCallback` record it,
+    inside or outside of this wrapper.
     observe: append k / scale, which is 0 after a safe step, to the observation, so that the task
     stays Markov: without it the cost depends on what the agent cannot see. The observation space
     must then be a flat Box. scale: cost steps that make the observation 1.

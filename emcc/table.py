@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emcc.interval import estimate
-from emcc.statistics import FEWEST_RUNS, has_scipy, mean_interval
+from emcc.statistics import FEWEST_RUNS, Bounds, has_scipy, mean_interval
 
 MISSING = "\N{EN DASH}"
 FORMATS = ("text", "md", "csv", "latex")
@@ -71,10 +71,10 @@ def intervals() -> str:
     )
 
 
-def mean_cell(values: Sequence[float | None], digits: int, seed: int) -> str:
+def mean_cell(values: Sequence[float | None], digits: int, seed: int, bounds: Bounds) -> str:
     """Mean over runs with its interval or range, see `intervals`; a dash where a run has no value.
 
-    seed: of the bootstrap, which is there for tables without scipy.
+    seed: of the bootstrap, which is there for tables without scipy. bounds: see `mean_interval`.
     """
     known = [value for value in values if value is not None]
     if len(known) < len(values):
@@ -88,7 +88,7 @@ def mean_cell(values: Sequence[float | None], digits: int, seed: int) -> str:
         )
     # A generator of its own: no cell depends on which others the table has.
     rng = np.random.default_rng(seed)
-    mean = mean_interval(known) if with_t else estimate({"": known}, rng=rng)[""]
+    mean = mean_interval(known, bounds=bounds) if with_t else estimate({"": known}, rng=rng)[""]
     return f"{mean.value:.{digits}f} [{mean.low:.{digits}f}, {mean.high:.{digits}f}]"
 
 

@@ -6,8 +6,10 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 import results_table
 
+import agents
 import emcc
 
 ROOT = Path(__file__).parents[1]
@@ -24,6 +26,15 @@ def of_level(level):
         with (ROOT / "results" / grid / "report.csv").open() as file:
             rows += [row for row in csv.DictReader(file) if row["task"] == f"Circle2D-{level}-v0"]
     return rows
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("folder", ["circle2d", "solve", "solve/safety"])
+def test_the_published_reports_are_what_this_version_writes(folder, tmp_path):
+    published = ROOT / "results" / folder
+    agents.report(published / "runs.zip", out=tmp_path)
+    found, expected = ((of / "report.md").read_text() for of in (tmp_path, published))
+    assert found.splitlines() == expected.splitlines()
 
 
 def test_the_readmes_table():

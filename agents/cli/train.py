@@ -52,7 +52,7 @@ class TrainOptions:
     """Environment steps of a run between evaluations, each of which leaves the policy too; by
     default there is none but that at the end."""
     task_parameters: dict[str, str] = field(default_factory=dict)
-    """Keyword arguments for the task, as NAME VALUE ..., e.g. constraint_radius 3.0."""
+    """Keyword arguments for the task, as NAME VALUE ..., e.g. optima_perturbation 1.0 0.5."""
     vectorization: Vectorization = "auto"
     """How environments run side by side: the task's own vector environment or one process (auto),
     gymnasium's SyncVectorEnv (sync), a process each, for slow tasks (async)."""

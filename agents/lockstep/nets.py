@@ -30,9 +30,11 @@ def check_lanes(config: Any) -> None:
     Off these multiples a run would depend, in its last bits, on the runs beside it: torch computes
     the remainder of a vector otherwise than the vector.
     """
-    hidden = config.hidden if isinstance(config.hidden, (tuple, list)) else ()
+    hidden = config.hidden
+    if not isinstance(hidden, (tuple, list)) or not hidden:
+        raise UserError(f"hidden must be the sizes of the layers, like (64, 64), got {hidden!r}")
     sizes = (config.batch_size, *hidden)
-    if not hidden or any(type(n) is not int or n < 1 or n % LANES for n in sizes):
+    if any(type(n) is not int or n < 1 or n % LANES for n in sizes):
         raise UserError(
             f"batch_size and the sizes in hidden must be multiples of {LANES}, "
             f"got {config.batch_size!r} and {config.hidden!r}"

@@ -25,8 +25,8 @@ from agents.paper.evidence import (
     some,
 )
 from agents.paper.presets import PAPER_ALGORITHMS, preset
-from agents.results.measures import COST
 from agents.results.reading import Group, Run
+from emcc.statistics import COST
 
 LIMIT = preset("cpo", LEVEL_TASKS[0]).cost_limit
 Count = Callable[[int, int, int], Verdict]

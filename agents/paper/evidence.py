@@ -10,11 +10,12 @@ from agents.algorithms import algorithm
 from agents.paper.ablations import choice_of
 from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, registered_id
 from agents.paper.printed import paper_results
-from agents.results.measures import UNBOUNDED, Bounds, measure
+from agents.results.measures import measure
 from agents.results.reading import Group, Run, one_place
 from agents.results.statistics import LEVEL, equivalence_of, known, mean_of, p_of
 from circle2d_mj.registration import KINEMATIC
 from emcc import Interval, Share, mean_interval, share
+from emcc.statistics import UNBOUNDED, Bounds
 
 Verdict = Literal["confirmed", "refuted", "undecided"]
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.reporting.style import Style, drawing, legend, svg_of
-from agents.results.measures import COST, SHARE, UNBOUNDED, Bounds
 from agents.results.precision import five_digits
 from agents.results.statistics import mean_of
 from emcc import EpisodeRecords, emcc, emcc_by_part
 from emcc.parts import PARTS
+from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
 
 POINTS = 50
 """Along the training."""

@@ -14,11 +14,12 @@ from agents.paper.settings import by_task, name_of
 from agents.reporting.figures import Figure
 from agents.reporting.style import Style, drawing, legend, styles, svg_of
 from agents.results import thirds
-from agents.results.measures import SHARE, Measure, measures
+from agents.results.measures import Measure, measures
 from agents.results.reading import Group
 from agents.results.statistics import group_mean, iqm_of, known, mean_of
 from emcc import profile
 from emcc.parts import ALPHA, PARTS
+from emcc.statistics import SHARE
 
 THRESHOLDS = np.linspace(0, 1, 51)
 """Thresholds of MCC, of the profiles."""

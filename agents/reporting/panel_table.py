@@ -12,20 +12,22 @@ from agents.results.reading import Group, Run
 from agents.results.statistics import INTERVALS, Values, mean_of
 from emcc import panel
 from emcc.measures import CostMeasures, cost_measures
-from emcc.panels import WINDOW, Panel
+from emcc.panels import SEVERITY, WINDOW, Panel
 from emcc.panels import rows as panel_rows
 from emcc.parts import ALPHA
+from emcc.statistics import COST, SHARE, Bounds
 
 OF_POLICIES = (
-    ("cost rate (per step)", "cost_rate", 3),
-    (f"CVaR of episode cost (α = {ALPHA:g})", "cvar", 2),
-    ("95th percentile of episode cost", "p95", 2),
-    ("highest episode cost", "maximum", 2),
-    ("violation rate V", "violation_rate", 3),
-    ("severity D", "severity", 3),
-    ("severity of violations D+", "severity_of_violations", 3),
+    ("cost rate (per step)", "cost_rate", 3, COST),
+    (f"CVaR of episode cost (α = {ALPHA:g})", "cvar", 2, COST),
+    ("95th percentile of episode cost", "p95", 2, COST),
+    ("highest episode cost", "maximum", 2, COST),
+    ("violation rate V", "violation_rate", 3, SHARE),
+    ("severity D", "severity", 3, SEVERITY),
+    ("severity of violations D+", "severity_of_violations", 3, COST),
 )
-"""Rows for the episodes of the final policies: title, field of `CostMeasures`, decimal places."""
+"""Rows for the episodes of the final policies: title, field of `CostMeasures`, decimal places, and
+the values that there can be."""
 POLICIES = {"stochastic": "policy with its noise", "deterministic": "policy without noise"}
 """Final policies in `evaluation.json`, in the words of the rows."""
 
@@ -81,7 +83,7 @@ def _training_rows(groups: Sequence[Group], panels: Sequence[Sequence[Panel]]) -
     limited = [of_run for of_run in all_panels if of_run.limit is not None]
     for row in panel_rows((limited or all_panels)[0]):
         values = [[row.value(of_run) for of_run in of_group] for of_group in panels]
-        yield _mean_row(f"training: {row.title}", groups, values, row.digits)
+        yield _mean_row(f"training: {row.title}", groups, values, row.digits, row.bounds)
 
 
 def _policy_rows(
@@ -94,14 +96,16 @@ def _policy_rows(
     ]
     if not any(of_run for of_group in measured for of_run in of_group):
         return
-    for title, name, digits in OF_POLICIES:
+    for title, name, digits, bounds in OF_POLICIES:
         values = [[of_run and getattr(of_run, name) for of_run in runs] for runs in measured]
-        yield _mean_row(f"{words}: {title}", groups, values, digits)
+        yield _mean_row(f"{words}: {title}", groups, values, digits, bounds)
 
 
-def _mean_row(name: str, groups: Sequence[Group], values: Sequence[Values], digits: int) -> Row:
+def _mean_row(
+    name: str, groups: Sequence[Group], values: Sequence[Values], digits: int, bounds: Bounds
+) -> Row:
     """The row of the means over each group's runs, with their intervals."""
-    means = [mean_of(v, group.one_place) for group, v in zip(groups, values, strict=True)]
+    means = [mean_of(v, of.one_place, bounds) for of, v in zip(groups, values, strict=True)]
     return Row(name, [number_of(mean, digits) for mean in means], kind="mean")
 
 

@@ -14,12 +14,7 @@ from typing import Any, Literal
 
 from emcc import EpisodeRecords, cost_rate, emcc_by_part
 from emcc.parts import ALPHA, PARTS
-
-Bounds = tuple[float, float]
-"""The lowest and the highest value that there can be."""
-UNBOUNDED: Bounds = (-math.inf, math.inf)
-SHARE: Bounds = (0.0, 1.0)
-COST: Bounds = (0.0, math.inf)
+from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from typing import TypeVar
 import numpy as np
 
 import emcc
-from agents.results.measures import UNBOUNDED, Bounds, Measure, measure
+from agents.results.measures import Measure, measure
 from agents.results.reading import Group
 from emcc import Interval, Share
-from emcc.statistics import FEWEST_RUNS
+from emcc.statistics import FEWEST_RUNS, UNBOUNDED, Bounds
 
 Key = TypeVar("Key", bound=Hashable)
 Values = Sequence[float | None]
@@ -39,18 +39,16 @@ def known(values: Values) -> list[float] | None:
 def mean_of(values: Values, one_place: bool = True, bounds: Bounds = UNBOUNDED) -> Interval | None:
     """Mean over runs with its 95 % t interval; with its range where there are fewer than five.
 
-    one_place: whether all end in the same place; the mean of others has its range too. bounds: the
-    lowest and highest value there can be, where an interval ends.
+    one_place: whether all end in the same place; the mean of others has its range too. bounds: see
+    `emcc.mean_interval`.
     """
     found = known(values)
     if found is None:
         return None
-    mean = emcc.mean_interval(found)
-    if mean.kind == "range" or mean.low is None or mean.high is None:
+    mean = emcc.mean_interval(found, bounds=bounds)
+    if one_place or mean.kind == "range":
         return mean
-    if not one_place:
-        return replace(mean, low=min(found), high=max(found), kind="range")
-    return replace(mean, low=max(mean.low, bounds[0]), high=min(mean.high, bounds[1]))
+    return replace(mean, low=min(found), high=max(found), kind="range")
 
 
 def iqm_of(values: Values) -> float | None:

@@ -142,10 +142,11 @@ class TrainConfig:
         for name in ("evaluate_every", "step_timeout"):
             if content[name] is None:
                 del content[name]
-        try:
-            json.dumps(content)
-        except (TypeError, ValueError, RecursionError) as error:
-            raise UserError(f"task_parameters must be plain values: {error}") from None
+        for name in ("task_parameters", "hyperparameters"):
+            try:
+                json.dumps(content[name])
+            except (TypeError, ValueError, RecursionError) as error:
+                raise UserError(f"{name} must be plain values: {error}") from None
         _require_none(folder)
         folder.mkdir(parents=True, exist_ok=True)
         with locked(folder):
@@ -198,10 +199,12 @@ class TrainConfig:
                 raise ValueError(f"algorithm must be a name, got {name!r}")
             content["seeds"] = tuple(content["seeds"])
             if name not in ALGORITHMS and strict and own["algorithm_module"]:
-                raise _Unregistered(
-                    f"the algorithm {name!r} of {folder} is not registered here: import "
-                    f"{own['algorithm_module']} first (--import {own['algorithm_module']})"
-                )
+                module = own["algorithm_module"]
+                how = f"import {module} first (--import {module})"
+                if module == "__main__":
+                    how = "the script that trained it did so: register it in a module"
+                words = f"the algorithm {name!r} of {folder} is not registered here: {how}"
+                raise _Unregistered(words)
             known = strict or name in ALGORITHMS
             config = _of(algorithm(name).config, values) if known else _plain(values)
             return cls(hyperparameters=config, **content)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agents.errors import TaskFailure, UserError
 from agents.lockstep.rollout import MAX_STEPS
 from agents.training.config import TrainConfig
-from agents.training.environments import FloatCost, import_module_of, registered
+from agents.training.environments import FloatCost, registered, task_id
 from agents.training.policy import Policy, load_policy
 from agents.training.pretrained import folder_of
 from emcc import cvar, longest_streak
@@ -94,7 +94,7 @@ def evaluate(
     if not isinstance(episodes, (int, np.integer)) or episodes < 1:
         raise UserError(f"episodes must be an integer of at least 1, got {episodes!r}")
     if task is not None:
-        import_module_of(task)
+        task = task_id(task)
     if isinstance(policy, (str, os.PathLike)):
         folder = folder_of(policy)
         seeds = TrainConfig.read(folder).seeds

@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
 
 import agents
@@ -16,12 +17,13 @@ import agents
         ({"step": 3}, "no hyper-parameter 'step': did you mean 'steps'"),
         ({"lr": 3}, "no hyper-parameter 'lr': did you mean 'learning_rate'"),
         ({"total_timesteps": 3}, "no hyper-parameter 'total_timesteps': did you mean 'steps'"),
-        ({"hidden": 64}, "sizes in hidden must be multiples of 32, got 256 and 64"),
+        ({"hidden": 64}, r"hidden must be the sizes of the layers, like \(64, 64\), got 64"),
         ({"task": gym.Env()}, "task must be the id of a gymnasium task, like 'Circle2D-1', got"),
         (
             {"algorithm": agents.Algorithm},
             "algorithm must be a name, like 'sac-lag', got",
         ),
+        ({"discount": np.float32(0.9)}, "hyperparameters must be plain values: .*float32"),
         ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
         ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),
         ({"task": "Nowhere-v0"}, "unknown task 'Nowhere-v0'"),

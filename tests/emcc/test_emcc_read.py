@@ -154,6 +154,14 @@ def test_costs_of_several_runs_are_not_one(tmp_path, capsys):
     assert needed in error_of(tmp_path / "costs.npz", capsys)
 
 
+def test_arrays_of_ends_are_not_passed_over(tmp_path, capsys):
+    path = tmp_path / "costs.npz"
+    np.savez(path, costs=np.ones(4), dones=[0, 1, 0, 1], rewards=np.ones(4))
+    assert "the ends of episodes are not read from the array dones" in error_of(path, capsys)
+    np.savez(path, costs=np.ones(4), dones=[0, 1, 0, 1], lengths=[2, 2])
+    assert emcc.read(path).longest_streak.tolist() == [2, 2]
+
+
 def test_python_is_told_too_where_a_file_was_read_by_a_guess(tmp_path):
     path = write(tmp_path / "log.csv", "cost", [[0], [1], [1], [0]])
     with pytest.warns(UserWarning, match="no column episode or done: read as one episode") as told:

@@ -38,6 +38,16 @@ def test_mean_interval_by_hand():
     assert found.value - found.low == pytest.approx(found.high - found.value)
 
 
+def test_an_interval_ends_where_no_value_can_be():
+    """0, 0, 0, 0, 1: mean .2, half-width 2.776 √.2 / √5 = .555."""
+    assert statistics.mean_interval([0, 0, 0, 0, 1]).low == pytest.approx(0.2 - 0.2 * 2.7764451)
+    found = statistics.mean_interval([0, 0, 0, 0, 1], bounds=(0, 1))
+    assert (found.low, found.high) == (0.0, pytest.approx(0.2 + 0.2 * 2.7764451))
+    assert statistics.mean_interval([1, 1, 1, 1, 0], bounds=(0, 1)).high == 1.0
+    with pytest.raises(ValueError, match=r"values must be within \(0, 1\), got 0.0 to 2.0"):
+        statistics.mean_interval([0, 2], bounds=(0, 1))
+
+
 def test_fewer_than_five_runs_have_a_range_and_one_has_nothing():
     found = statistics.mean_interval([1.0, 5.0, 3.0])
     assert (found.value, found.low, found.high, found.kind) == (3.0, 1.0, 5.0, "range")

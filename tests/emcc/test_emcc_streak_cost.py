@@ -147,14 +147,36 @@ def test_our_vector_environments_give_what_the_single_one_gives(mode):
     assert info["cost"].dtype == np.float64
 
 
-def test_plain_costs_are_recorded_inside():
+def test_plain_costs_are_recorded_inside_and_outside():
     inner = RecordCosts(Scripted(SCRIPTS[0]))
-    env = StreakCost(inner, WEIGHT)
+    env = RecordCosts(StreakCost(inner, WEIGHT))
     env.reset()
     for _ in range(4):
         env.step(0)
-    assert inner.records.cost.tolist() == [4.0]
-    assert inner.records.longest_streak.tolist() == [3]
+    for records in (inner.records, env.records):
+        assert records.cost.tolist() == [4.0]
+        assert records.longest_streak.tolist() == [3]
+
+
+@pytest.mark.parametrize("mode", [NEXT, SAME])
+def test_plain_costs_are_recorded_outside_of_vector_environments(mode):
+    envs = SyncVectorEnv([partial(Scripted, script) for script in SCRIPTS], autoreset_mode=mode)
+    envs = RecordCosts(StreakCost(envs, WEIGHT))
+    envs.reset()
+    for _ in range(6):
+        envs.step(np.zeros(2, int))
+    # Their first episodes, and of the first environment the second one, of one step.
+    assert sorted(envs.records.cost.tolist()) == [2.0, 4.0, 4.0]
+
+
+def test_stable_baselines_callback_records_plain_costs():
+    algorithms = pytest.importorskip("stable_baselines3")
+    from emcc.sb3 import EMCCCallback
+
+    callback = EMCCCallback()
+    env = StreakCost(Scripted(SCRIPTS[0]), WEIGHT)
+    algorithms.A2C("MlpPolicy", env, n_steps=8).learn(8, callback)
+    assert callback.episodes.cost.tolist() == [4.0, 2.0, 2.0]
 
 
 def test_without_observation_the_space_stays():

@@ -209,7 +209,7 @@ def test_evaluation_by_hand():
         seen.append(observation.shape)
         return np.array([0.5], np.float32)
 
-    found = agents.evaluate(policy, "Target-v0", episodes=3)
+    found = agents.evaluate(policy, "Target", episodes=3)  # the newest version, as in `train`
     np.testing.assert_allclose(found.returns, [-0.09] * 3, rtol=1e-6)
     np.testing.assert_allclose(found.costs, [0.75] * 3)
     assert found.lengths.tolist() == [1] * 3
