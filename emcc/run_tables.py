@@ -54,7 +54,7 @@ def emcc_table(
 
 
 class Key(NamedTuple):
-    """What runs of one row have in common."""
+    """The properties that runs of one row share."""
 
     task: str
     algorithm: str
