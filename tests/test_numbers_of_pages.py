@@ -57,7 +57,7 @@ def test_the_table_of_the_results():
 
 def test_the_choices_of_the_results():
     rows = results_table.choices(results_table.REPORT)
-    assert len(rows) == 17
+    assert len(rows) == 23
     assert all(row in RESULTS for row in rows)
 
 
@@ -65,14 +65,14 @@ def test_which_choice_is_the_nearest():
     report = (ROOT / "results" / "circle2d" / "report.md").read_text()
     section = report.partition("## Which choice is the nearest to the paper")[2]
     section = section.partition("\n## ")[0]
-    rows = re.findall(r"^\| ([\w-]+), (\w+).*? \| (\d+ of \d+) *\|$", section, re.MULTILINE)
-    assert len(rows) == 12
+    rows = re.findall(r"^\| ([\w-]+), ([\w-]+).*? \| (\d+ of \d+) *\|$", section, re.MULTILINE)
+    assert len(rows) == 18
     table = RESULTS.partition("In how many measures each choice is the nearest")[2]
     for name, choice, count in rows:
         (row,) = re.findall(rf"^\| {name} \| (.*) \|$", table.partition("\n## ")[0], re.MULTILINE)
-        preset, units, other, library = (cell.strip() for cell in row.split("|"))
+        preset, units, other, both, library = (cell.strip() for cell in row.split("|"))
         own = {"units": units, "library": library, "sgd": other, "bootstrap": other}
-        assert own.get(choice, preset).removeprefix(f"`{choice}` ") == count
+        assert (own | {"bootstrap-units": both}).get(choice, preset) == count
 
 
 def test_the_sentences_on_the_five():
@@ -105,6 +105,16 @@ def test_the_sentences_on_the_five():
         "{} keep the limit. The paper's": count(runs_of("WCSAC"), limit=5),
         "But {} end in the corridor": count(runs_of("CPO (input_scale 15.0)"), "corridor"),
         "and {} keeps the limit": count(runs_of("CPO (input_scale 15.0)"), limit=5),
+        "There {} end in the corridor within the": count(
+            runs_of("SAC-LB (input_scale 15.0)", behind), "corridor", 5
+        ),
+        "with the preset {} (Fisher": count(runs_of("SAC-LB", behind), "corridor", 5),
+        "round level 0, in {} within the limit;": count(
+            runs_of("SAC-LB (input_scale 15.0, time_limit bootstrap)", [0]), "corridor", 5
+        ),
+        "On levels 1 to 3 it is {}, fewer": count(
+            runs_of("SAC-LB (input_scale 15.0, time_limit bootstrap)", behind), "corridor", 5
+        ),
         "run of SAC-Lag and SAC-LB, {}, ends": count(
             [r for k in ("Lag", "LB") for r in runs_of(f"SAC-{k} (time_limit bootstrap)", [0])],
             "corridor",

@@ -18,7 +18,6 @@ import emcc
 RESULTS = Path(__file__).parents[2] / "results"
 REPORT = RESULTS / "circle2d" / "report.csv"
 SOLVED = RESULTS / "solve" / "report.csv"
-UNITS = RESULTS / "circle2d-units" / "report.csv"
 SAFETY = RESULTS / "solve" / "safety" / "report.csv"
 MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C")
 LEVELS = ("Circle2D-0-v0", "Circle2D-1-v0", "Circle2D-2-v0", "Circle2D-3-v0")
@@ -28,7 +27,7 @@ PARTS = {
     "scale": "the unit of length",
     "novelty": "the bonus for new states",
     "share": "the share of random actions",
-    "horizon": "returns behind the time limit",
+    "horizon": "bootstrapping at the time limit",
     "streak": "streak cost",
     "brown": "brown random actions",
     "speed": "its own step sizes and batches",
@@ -41,7 +40,7 @@ ROWS = {f"without-{k}": f"without {v}" for k, v in PARTS.items()} | {
 
 def solves(run: dict[str, str]) -> bool:
     """Whether the trained policy of a report's row ends in the corridor within the limit."""
-    return run["ends_in"].startswith("corridor") and float(run["J_C"]) <= LIMIT
+    return run["ends_in"].startswith("corridor") and _is_within(run)
 
 
 def _lines(report: Path) -> list[dict[str, str]]:
@@ -71,7 +70,7 @@ def _row(level: str, name: str, lines: list[dict[str, str]]) -> str:
 def choices(report: Path) -> list[str]:
     """Rows of Markdown for each algorithm that was trained with other choices of what the paper
     does not print: those of the preset, of each choice, and of the paper. Means of J_C and
-    EMCC_0.99 on levels 0 to 3, and seeds within the limit there."""
+    EMCC_0.99 on levels 0 to 3, and runs within the limit, and in the corridor within it, there."""
     lines = [line for line in _lines(report) if line["task"] in LEVELS]
     found = []
     for name in ALGORITHMS:
@@ -161,19 +160,6 @@ def safety(report: Path) -> list[str]:
     return found
 
 
-def units(report: Path) -> list[str]:
-    """Rows of `choices` for the algorithms that were trained with positions in units of length in a
-    folder of their own, and the runs in the corridor within the limit."""
-    lines = _lines(report)
-    found = []
-    for name in ("SAC-Lag", "SAC-LB", "WCSAC"):
-        own = [line for line in lines if line["folder"].endswith(f"-{name.lower()}-units")]
-        runs = [[of for of in own if of["seed"] and of["task"] == level] for level in LEVELS]
-        words = ", ".join(f"{sum(map(solves, of))} of {len(of)}" for of in runs)
-        found.append(f"{_choice(f'{name}, units', own)} {words} |")
-    return found
-
-
 def _short(value: float, digits: int) -> str:
     """A number without the 0 before its point."""
     return f"{value:.{digits}f}".removeprefix("0")
@@ -210,13 +196,20 @@ def _part(runs: list[dict[str, str]], title: str) -> str:
 
 def _choice(title: str, lines: list[dict[str, str]]) -> str:
     means = {line["task"]: line for line in lines if line["kind"] in ("mean", "paper")}
-    counts = {line["task"]: _count(line) for line in lines if line["kind"] == "within limit"}
+    runs = {of: [x for x in lines if (x["task"], x["kind"]) == (of, "run")] for of in LEVELS}
     cells = [
         ", ".join(f"{float(means[of][measure]):{digits}}" if of in means else "–" for of in LEVELS)
         for measure, digits in (("J_C", ".1f"), ("EMCC_0.99", ".2f"))
     ]
-    cells.append(", ".join(counts.get(of, "–") for of in LEVELS) if counts else "")
+    for is_counted in (_is_within, solves):
+        counts = ", ".join(str(sum(map(is_counted, of))) if of else "–" for of in runs.values())
+        (seeds,) = {len(of) for of in runs.values() if of} or {0}  # equally many on all levels
+        cells.append(f"{counts} of {seeds}" if seeds else "")
     return f"| {title} | {' | '.join(cells)} |"
+
+
+def _is_within(run: dict[str, str]) -> bool:
+    return float(run["J_C"]) <= LIMIT
 
 
 def _mean(measure: str, kinds: dict[str, dict[str, str]]) -> str:
@@ -239,5 +232,5 @@ def _count(line: dict[str, str]) -> str:
 
 if __name__ == "__main__":
     tables = [rows(REPORT), choices(REPORT), parts(SOLVED), parts_over_levels(SOLVED)]
-    tables += [safety(SAFETY), units(UNITS)]
+    tables += [safety(SAFETY)]
     print("\n\n".join(map("\n".join, tables)))
