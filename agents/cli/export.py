@@ -10,7 +10,9 @@ from typing import Annotated
 import tyro
 
 from agents.cli.options import Imports, parse
+from agents.errors import UserError
 from agents.export import Format, export
+from agents.training.pretrained import folder_of
 
 
 @dataclass(frozen=True)
@@ -19,11 +21,12 @@ class ExportOptions:
     card. Needs the extra [export]."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of the runs."""
+    """Folder of the runs, or pretrained:ALGORITHM/TASK."""
     format: Format
     """safetensors: the network's arrays; onnx: a graph from observations to actions."""
     out: Path | None = None
-    """Folder for the files; by default `exported` in the runs' own."""
+    """Folder for the files; by default `exported` in the runs' own. Required for a policy that
+    comes with the package."""
     seeds: tuple[int, ...] | None = None
     """Seeds of the runs to export; by default all."""
     step: int | None = None
@@ -35,6 +38,9 @@ class ExportOptions:
 def run(args: Sequence[str]) -> int:
     """Run `circle2d export`; returns the exit status."""
     options = parse(ExportOptions, "export", args)
-    for path in export(options.folder, options.format, options.out, options.seeds, options.step):
+    folder = folder_of(options.folder)
+    if folder != options.folder and options.out is None:
+        raise UserError(f"{options.folder} is in the package: give a folder for the files, --out")
+    for path in export(folder, options.format, options.out, options.seeds, options.step):
         print(path)
     return 0

@@ -3,6 +3,7 @@
 import json
 import re
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,6 +120,16 @@ def test_policies_of_the_package(tmp_path):
     _, card = export(folder, "safetensors", tmp_path)
     assert agents.load_policy(folder).step is None
     assert "| environment steps | not recorded; planned 1,000,000 |" in card.read_text()
+
+
+def test_the_command_exports_policies_of_the_package_to_a_folder_of_ones_own(tmp_path, capsys):
+    named = ["export", "pretrained:trpo-lag/Circle2D-2-v0", "--format", "onnx"]
+    assert main(named) == 2
+    assert "is in the package: give a folder for the files, --out" in capsys.readouterr().err
+    assert main([*named, "--out", str(tmp_path)]) == 0
+    written = capsys.readouterr().out.split()
+    assert written
+    assert all(tmp_path in Path(path).parents for path in written)
 
 
 def test_a_policy_alone_keeps_its_step(folder, tmp_path):
