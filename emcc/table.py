@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emcc.interval import estimate
-from emcc.statistics import FEWEST_RUNS, Bounds, has_scipy, mean_interval
+from emcc.statistics import FEWEST_RUNS, UNBOUNDED, Bounds, has_scipy, mean_interval
 
 MISSING = "\N{EN DASH}"
 FORMATS = ("text", "md", "csv", "latex")
@@ -71,7 +71,9 @@ def intervals() -> str:
     )
 
 
-def mean_cell(values: Sequence[float | None], digits: int, seed: int, bounds: Bounds) -> str:
+def mean_cell(
+    values: Sequence[float | None], digits: int, seed: int, bounds: Bounds = UNBOUNDED
+) -> str:
     """Mean over runs with its interval or range, see `intervals`; a dash where a run has no value.
 
     seed: of the bootstrap, which is there for tables without scipy. bounds: see `mean_interval`.

@@ -120,8 +120,7 @@ class TrainConfig:
 
     @property
     def shared(self) -> dict[str, Any]:
-        """Settings that folders whose runs train together have in common: all but tasks and
-        seeds."""
+        """Settings that folders which train together have in common: all but tasks and seeds."""
         own = ("task", "task_parameters", "seeds")
         return {name: value for name, value in self.settings.items() if name not in own}
 
@@ -199,12 +198,10 @@ class TrainConfig:
                 raise ValueError(f"algorithm must be a name, got {name!r}")
             content["seeds"] = tuple(content["seeds"])
             if name not in ALGORITHMS and strict and own["algorithm_module"]:
-                module = own["algorithm_module"]
-                how = f"import {module} first (--import {module})"
-                if module == "__main__":
-                    how = "the script that trained it did so: register it in a module"
-                words = f"the algorithm {name!r} of {folder} is not registered here: {how}"
-                raise _Unregistered(words)
+                how = "import {0} first (--import {0})".format(own["algorithm_module"])
+                if own["algorithm_module"] == "__main__":
+                    how = "register it in a module, not in a script"
+                raise _Unregistered(f"algorithm {name!r} of {folder} is not registered here: {how}")
             known = strict or name in ALGORITHMS
             config = _of(algorithm(name).config, values) if known else _plain(values)
             return cls(hyperparameters=config, **content)

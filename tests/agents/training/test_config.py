@@ -61,6 +61,9 @@ def test_an_algorithm_that_is_not_registered(tmp_path):
         UserError, match=r"'mine' of .* is not registered here: import my_module first"
     ):
         TrainConfig.read(tmp_path)
+    edit(tmp_path, algorithm_module="__main__")
+    with pytest.raises(UserError, match="register it in a module, not in a script"):
+        TrainConfig.read(tmp_path)
     read = TrainConfig.read(tmp_path, strict=False)
     assert dataclasses.asdict(read.hyperparameters) == {**values, "hidden": (8, 9)}
     assert read.settings["hyperparameters.my_factor"] == 0.25
