@@ -130,13 +130,8 @@ def profiles_figure(groups: Sequence[Group]) -> Figure:
         axis.plot(THRESHOLDS, [of.value for of in found if of], label=name_of(group), **look)
         ends = [(of.low, of.high) for of in found if of and of.low is not None]
         if ends:
-            axis.fill_between(
-                THRESHOLDS,
-                *np.array(ends, dtype=float).T,
-                color=style.colour,
-                alpha=0.13,
-                linewidth=0,
-            )
+            band = np.array(ends, dtype=float).T
+            axis.fill_between(THRESHOLDS, *band, color=style.colour, alpha=0.13, linewidth=0)
 
     content = _facets(groups, ("τ", "P(MCC > τ)"), draw, level=ALPHA)
     words = (
