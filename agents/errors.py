@@ -1,11 +1,12 @@
-"""Mistakes of the user, and checks of the values they give."""
+"""Mistakes of the user, and errors of the user's own code."""
 
 from __future__ import annotations
 
 import difflib
-import math
+import pickle
+import traceback
 from collections.abc import Iterable
-from numbers import Real
+from pathlib import Path
 from typing import Any
 
 
@@ -16,8 +17,62 @@ class UserError(ValueError):
     """
 
 
-class TaskFailure(UserError):
-    """An environment that failed while it was stepped. The command line exits with status 1."""
+class OwnCodeError(UserError):
+    """An error of the user's own code: a task, an algorithm, a measure. The original error is its
+    `__cause__`. The command line shows its traceback and exits with status 1."""
+
+    def __reduce__(self) -> Any:  # a cause is lost in the pickle of an exception
+        cause, trace = self.__cause__, _traceback(self.__cause__)
+        try:
+            pickle.loads(pickle.dumps(cause))
+        except Exception:  # whatever the user's class of exception raises
+            cause = None if cause is None else RuntimeError(described(cause))
+        return _with_cause, (type(self), str(self), cause, trace)
+
+
+class TaskFailure(OwnCodeError):
+    """An environment that failed while it was made, reset or stepped."""
+
+
+class _RemoteTraceback(Exception):
+    """The traceback of an error in another process, which no pickle holds."""
+
+    def __str__(self) -> str:
+        return f'\n"""\n{self.args[0]}"""'
+
+
+def _with_cause(
+    kind: type[OwnCodeError], message: str, cause: BaseException | None, trace: str
+) -> OwnCodeError:
+    error = kind(message)
+    error.__cause__ = cause
+    if cause is not None:
+        cause.__cause__ = _RemoteTraceback(trace)
+    return error
+
+
+def _traceback(error: BaseException | None) -> str:
+    return "" if error is None else "".join(traceback.format_exception(error))
+
+
+OURS = tuple(str(Path(__file__).parents[1] / name) for name in ("agents", "circle2d_mj", "emcc"))
+"""Folders of this package, whose frames are not the user's."""
+
+
+def described(error: BaseException) -> str:
+    """An error of somebody's code: its type, its words, and the file and line where it arose."""
+    words = f"{type(error).__name__}: {error}".removesuffix(": ")
+    frames = traceback.extract_tb(error.__traceback__)
+    others = ("gymnasium", "importlib", "concurrent")
+    own = [
+        frame
+        for frame in frames
+        if not frame.filename.startswith(OURS) and not any(f in frame.filename for f in others)
+    ]
+    if not (own or frames):
+        return words
+    place = (own or list(frames))[-1]
+    return f"{words} ({place.filename}, line {place.lineno})"
 
 
 def one_line(text: object) -> str:
@@ -63,58 +118,3 @@ def nearest(given: str, valid: Iterable[str], otherwise: str = "") -> str:
     if near:
         return f"did you mean {names[near[0]]!r}?"
     return otherwise or f"valid are {', '.join(names.values())}"
-
-
-def check_integers(config: Any, *names: str, low: int, high: int = 2**40) -> None:
-    """Refuse fields of a config that are not integers from `low` to `high`."""
-    for name in names:
-        value = getattr(config, name)
-        if not isinstance(value, int) or isinstance(value, bool):
-            raise UserError(f"{name} must be an integer, got {value!r}")
-        if not low <= value <= high:
-            rule = f"at least {low}" if value < low else f"at most {high}"
-            raise UserError(f"{name} must be {rule}, got {value}")
-
-
-def check(
-    config: Any,
-    *names: str,
-    low: float = -math.inf,
-    above: float = -math.inf,
-    high: float = math.inf,
-) -> None:
-    """Refuse fields of a config that are not finite numbers within bounds (`above` is excluded)."""
-    for name in names:
-        value = getattr(config, name)
-        if not _is_finite(value):
-            raise UserError(f"{name} must be a finite number, got {value!r}")
-        if not (low <= float(value) <= high and float(value) > above):
-            bounds = {"at least": low, "above": above, "at most": high}
-            rule = " and ".join(f"{k} {v:g}" for k, v in bounds.items() if math.isfinite(v))
-            raise UserError(f"{name} must be {rule}, got {value!r}")
-
-
-def check_scale(config: Any) -> None:
-    """Refuse an `input_scale` that is neither a number from 1e-6 to 1e6 nor a tuple of them."""
-    value = config.input_scale
-    factors = value if isinstance(value, tuple) else (value,)
-    if not all(_is_finite(factor) and 1e-6 <= factor <= 1e6 for factor in factors) or not factors:
-        raise UserError(
-            "input_scale must be a number from 1e-06 to 1e+06, or one for each number of an "
-            f"observation, got {value!r}"
-        )
-
-
-def _is_finite(value: Any) -> bool:
-    """Whether a value is a real number that a float can hold."""
-    try:
-        return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
-    except OverflowError:  # an integer beyond all floats
-        return False
-
-
-def check_choice(config: Any, name: str, *allowed: str) -> None:
-    """Refuse a field of a config that is not one of the allowed words."""
-    if getattr(config, name) not in allowed:
-        given = getattr(config, name)
-        raise UserError(f"{name} must be {' or '.join(allowed)}, got {given!r}")

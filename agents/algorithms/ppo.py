@@ -12,7 +12,7 @@ from agents.first_order import FirstOrder, Objective, PPOConfig
 
 
 def advantage(
-    config: PPOConfig, reward_advantage: Tensor, cost_advantage: Tensor, multiplier: Tensor
+    config: PPOConfig, reward_advantage: Tensor, cost_advantage: Tensor, multipliers: Tensor
 ) -> Tensor:
     """`A_r`: costs are recorded, and nothing else."""
     return reward_advantage

@@ -7,13 +7,12 @@ Not in the paper's grid.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 from agents.algorithms import Algorithm
 from agents.algorithms.trpo_lag import advantage
-from agents.errors import check
 from agents.first_order import FirstOrder, Objective, PPOConfig
-from agents.lockstep.lagrange import PROJECTED, MultiplierConfig
+from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier, MultiplierConfig
 from agents.on_policy.state import EpisodeCostLimit
 
 
@@ -21,19 +20,14 @@ from agents.on_policy.state import EpisodeCostLimit
 class PPOLagConfig(MultiplierConfig, EpisodeCostLimit, PPOConfig):
     """Hyper-parameters of PPO-Lag."""
 
-    initial_multiplier: float = 0.001
+    initial_multiplier: Annotated[float, Gain] = 0.001
     """Initial multiplier λ, at least 0. Not in the paper; 0.001 as in OmniSafe and TRPO-Lag."""
-    multiplier_lr: float = 0.035
+    multiplier_lr: Annotated[float, Gain] = 0.035
     """Step size of the multiplier by adam or sgd. Not in the paper; 0.035 as in OmniSafe."""
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "adam"
     """How the multiplier follows the cost: it ascends by Adam or by the plain gradient (sgd), or a
     PID controller sets it (pid; Stooke et al. 2020). Not in the paper; adam as in OmniSafe."""
 
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        super().__post_init__()
-        check(self, "initial_multiplier", low=0)
 
-
-RULE = Objective(advantage, PROJECTED)
+RULE = Objective(advantage, (Multiplier(PROJECTED),))
 ALGORITHM = Algorithm("PPO-Lag", PPOLagConfig, RULE, FirstOrder)

@@ -13,7 +13,7 @@ from agents.algorithms.sac_lag import critic_loss, risk
 from agents.sac import CostRule, OffPolicy, SACConfig
 
 
-def penalty(config: SACConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
+def penalty(config: SACConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
     """0: the cost critics learn for the records alone."""
     return torch.zeros_like(risk)
 

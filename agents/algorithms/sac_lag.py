@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from agents.algorithms import Algorithm
-from agents.lockstep.lagrange import SOFTPLUS, MultiplierConfig
+from agents.lockstep.lagrange import SOFTPLUS, Multiplier, MultiplierConfig
 from agents.lockstep.replay import Batch
 from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy, SACConfig
 
@@ -40,10 +40,10 @@ def critic_loss(
     return 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
 
 
-def penalty(config: SACLagConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
+def penalty(config: SACLagConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
     """`β Q_c`: the constraint's term of the Lagrangian (its constant, -β d, has no gradient)."""
-    return multiplier * risk
+    return multipliers[..., None] * risk
 
 
-RULE = CostRule(risk, critic_loss, penalty, SOFTPLUS)
+RULE = CostRule(risk, critic_loss, penalty, (Multiplier(SOFTPLUS),))
 ALGORITHM = Algorithm("SAC-Lag", SACLagConfig, RULE, OffPolicy)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
 from agents.algorithms import Algorithm
 from agents.algorithms.sac_lag import critic_loss, risk
-from agents.errors import check
+from agents.checks import In
 from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
 
 
@@ -22,14 +23,9 @@ from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
 class SACLBConfig(ConstrainedSACConfig):
     """Hyper-parameters of SAC-LB."""
 
-    log_barrier_factor: float = 3.0
+    log_barrier_factor: Annotated[float, In(1e-3, 1e3)] = 3.0
     """Factor t of the barrier: the larger, the closer to a wall at the limit. Paper: 3 (printed in
     SAC-Lag's column of table HP_Circle2D; it can only be SAC-LB's)."""
-
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        super().__post_init__()
-        check(self, "log_barrier_factor", low=1e-3, high=1e3)
 
 
 def log_barrier(z: Tensor, t: float) -> Tensor:
@@ -45,7 +41,7 @@ def log_barrier(z: Tensor, t: float) -> Tensor:
     return torch.where(z <= switch, barrier, tangent)
 
 
-def penalty(config: SACLBConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
+def penalty(config: SACLBConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
     """`ψ(max Q_c - d)`."""
     return log_barrier(risk - config.cost_limit, config.log_barrier_factor)
 

@@ -18,9 +18,11 @@ of each part: not every part proves to be needed.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from agents.algorithms import Algorithm
 from agents.algorithms.sac_lb import RULE, SACLBConfig
+from agents.checks import In
 from agents.sac import OffPolicy
 from agents.sac.config import TimeLimit
 
@@ -29,30 +31,30 @@ from agents.sac.config import TimeLimit
 class SACLBStreakConfig(SACLBConfig):
     """Hyper-parameters of SAC-LB-Streak: SAC-LB's, nine of them with other defaults."""
 
-    learning_rate: float = 1e-3
+    learning_rate: Annotated[float, In(above=0, high=1)] = 1e-3
     """Adam's step size for actor and critics. The paper's SAC-LB: 3e-4."""
-    temperature_lr: float = 1.5e-4
+    temperature_lr: Annotated[float, In(above=0, high=1)] = 1.5e-4
     """Adam's step size for the temperature, which falls from 1 as the policy gets surer. The
     paper's SAC-LB: 3e-4."""
-    batch_size: int = 128
+    batch_size: Annotated[int, In(1)] = 128
     """Transitions a gradient step; a multiple of 32, at most the replay's size. The paper's
     SAC-LB: 256."""
-    gradient_steps: int = 10
+    gradient_steps: Annotated[int, In(1, 100_000)] = 10
     """Gradient steps an epoch, which is one episode. The paper's SAC-LB: 5."""
-    random_exponent: float = 2.0
+    random_exponent: Annotated[float, In(0, 4)] = 2.0
     """Exponent β of the random actions' power spectrum 1/f^β: 2 is brown noise, which keeps a
     direction for many steps. The paper's SAC-LB: 0."""
     time_limit: TimeLimit = "terminal_cost"
     """Whether to bootstrap at the time limit: bootstrap (reward and cost), terminal (neither), or
     terminal_cost (reward only). The paper's SAC-LB: terminal on Circle2D."""
-    random_share: float = 0.25
+    random_share: Annotated[float, In(0, 1)] = 0.25
     """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0
     the replay keeps these to the end. The paper's SAC-LB: 0."""
-    novelty_bonus: float = 1.0
+    novelty_bonus: Annotated[float, In(0, 1e6)] = 1.0
     """Bonus, in units of reward, on the learned reward for reaching states that are new to the run:
     about `novelty_bonus / √(1 + n)` after n visits. Records keep the plain reward. The paper's
     SAC-LB: 0."""
-    streak_weight: float = 0.25
+    streak_weight: Annotated[float, In(0, 1e6)] = 0.25
     """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
     step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. The
     paper's SAC-LB: 0."""

@@ -7,14 +7,13 @@ in the paper's grid as "TRPO-Lag".
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
 from torch import Tensor
 
 from agents.algorithms import Algorithm
-from agents.errors import check
-from agents.lockstep.lagrange import PROJECTED, MultiplierConfig
+from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier, MultiplierConfig
 from agents.trust_region.learner import TrustRegion
 from agents.trust_region.natural_gradient import Problem, Step
 from agents.trust_region.policy_step import StepRule, TRPOConfig
@@ -24,26 +23,22 @@ from agents.trust_region.policy_step import StepRule, TRPOConfig
 class TRPOLagConfig(MultiplierConfig, TRPOConfig):
     """Hyper-parameters of TRPO-Lag."""
 
-    initial_multiplier: float = 0.001
+    initial_multiplier: Annotated[float, Gain] = 0.001
     """Initial multiplier λ, at least 0. Paper: 0.001."""
-    multiplier_lr: float = 0.005
+    multiplier_lr: Annotated[float, Gain] = 0.005
     """Step size of the multiplier by adam or sgd. Paper: 0.005."""
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "adam"
     """How the multiplier follows the cost: it ascends by Adam or by the plain gradient (sgd), or a
     PID controller sets it (pid; Stooke et al. 2020). It decides how runs end. Inferred for the
     paper's Circle2D, not printed: adam."""
 
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        super().__post_init__()
-        check(self, "initial_multiplier", low=0)
-
 
 def advantage(
-    config: TRPOLagConfig, reward_advantage: Tensor, cost_advantage: Tensor, multiplier: Tensor
+    config: TRPOLagConfig, reward_advantage: Tensor, cost_advantage: Tensor, multipliers: Tensor
 ) -> Tensor:
     """`(A_r - λ A_c) / (1 + λ)`: the divisor keeps its scale as λ grows."""
-    return (reward_advantage - multiplier * cost_advantage) / (1.0 + multiplier)
+    penalty = (multipliers[..., None] * cost_advantage).sum(dim=1)
+    return (reward_advantage - penalty) / (1.0 + multipliers.sum(dim=1, keepdim=True))
 
 
 def step(config: TRPOLagConfig, problem: Problem) -> Step:
@@ -57,5 +52,5 @@ def step(config: TRPOLagConfig, problem: Problem) -> Step:
     )
 
 
-RULE = StepRule(advantage, step, PROJECTED)
+RULE = StepRule(advantage, step, (Multiplier(PROJECTED),))
 ALGORITHM = Algorithm("TRPO-Lag", TRPOLagConfig, RULE, TrustRegion)

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
 from agents.algorithms import Algorithm
-from agents.errors import check, check_choice
-from agents.lockstep.lagrange import EXP, MultiplierConfig
+from agents.checks import In
+from agents.lockstep.lagrange import EXP, Multiplier, MultiplierConfig
 from agents.lockstep.replay import Batch
 from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
 
@@ -32,10 +32,13 @@ class WCSACConfig(MultiplierConfig, ConstrainedSACConfig):
     The multiplier is κ = exp(parameter): 1 for the parameter 0 it starts from.
     """
 
-    risk_level: float = 0.5
+    initial_multiplier: Annotated[float, In(-50, 50)] = 0.0  # far from where exp overflows
+    """Initial parameter of the multiplier, before it is mapped to positive numbers. Not printed in
+    the paper."""
+    risk_level: Annotated[float, In(above=0, high=1)] = 0.5
     """Share α of the worst cost returns whose mean is bounded; 1 bounds the mean of all.
     Paper: 0.5."""
-    damping: float = 10.0
+    damping: Annotated[float, In(0, 1e6)] = 10.0
     """Scale of the damping of the multiplier in the actor's loss. Not printed in the paper; 10 in
     the code of Yang et al."""
     variance_target: Literal["squared", "unsquared"] = "squared"
@@ -44,15 +47,6 @@ class WCSACConfig(MultiplierConfig, ConstrainedSACConfig):
     damping_gradient: Literal["stopped", "through"] = "stopped"
     """Whether the actor's gradient goes through the damping: stopped as in the code of Yang et al.,
     or through it as in a later library of the paper's group. No preset."""
-
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        super().__post_init__()
-        check(self, "initial_multiplier", low=-50, high=50)  # far from where exp overflows
-        check(self, "risk_level", above=0, high=1)
-        check(self, "damping", low=0, high=1e6)
-        check_choice(self, "variance_target", "squared", "unsquared")
-        check_choice(self, "damping_gradient", "stopped", "through")
 
 
 def tail_factor(level: float) -> Tensor:
@@ -118,12 +112,12 @@ def unsquared_variance_target(
     return target.clamp(*VARIANCE)
 
 
-def penalty(config: WCSACConfig, risk: Tensor, multiplier: Tensor) -> Tensor:
+def penalty(config: WCSACConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
     """`(κ - κ_d) Γ` with the damping `κ_d = scale · E[d - Γ]`, by default without its gradient."""
     mean = (risk.detach() if config.damping_gradient == "stopped" else risk).mean(-1, keepdim=True)
     damping = config.damping * (config.cost_limit - mean)
-    return (multiplier - damping) * risk
+    return (multipliers[..., None] - damping) * risk
 
 
-RULE = CostRule(risk, critic_loss, penalty, EXP)
+RULE = CostRule(risk, critic_loss, penalty, (Multiplier(EXP),))
 ALGORITHM = Algorithm("WCSAC", WCSACConfig, RULE, OffPolicy)

@@ -43,9 +43,9 @@ class FirstOrder(OnPolicy):
         config, rule, state = self.config, self.rule, self._state
         actor, moments, runs = state.actor, state.actor_moments, len(self.seeds)
         assert moments is not None
-        multiplier = lagrange.value(rule.multiplier_form, state.multiplier, runs)
+        multipliers = lagrange.values(rule.multipliers, state.multipliers, runs)
         advantages = epoch.reward_advantage, epoch.cost_advantage
-        advantage = rule.advantage(config, *advantages, multiplier)
+        advantage = rule.advantage(config, *advantages, multipliers)
         blocks = blocks_of(self.nets, actor, epoch, advantage)
         old_log_prob = torch.cat([block.old_log_prob for block in blocks], dim=-1)
         clipped, count, run = torch.zeros(runs), torch.zeros(runs), torch.arange(runs)[:, None]
@@ -57,5 +57,7 @@ class FirstOrder(OnPolicy):
                 actor, moments, outside = actor_step(self.nets, config, actor, moments, batch)
                 clipped, count = clipped + outside, count + (weight[:, 0] > 0)
         _, kl = compared(self.nets, actor, blocks)
-        records = {"kl": kl, "clipped": clipped / count, "multiplier": multiplier[:, 0]}
+        records = {"kl": kl, "clipped": clipped / count}
+        names = lagrange.names(rule.multipliers)
+        records |= dict(zip(names, multipliers.unbind(dim=-1), strict=True))
         return state._replace(actor=actor, actor_moments=moments), records

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from agents.errors import check, check_integers
+from agents.checks import In
 from agents.lockstep import tree
 from agents.lockstep.adam import Moments, adam
 from agents.lockstep.compiling import compiled
-from agents.lockstep.lagrange import MultiplierForm
+from agents.lockstep.lagrange import Multiplier
 from agents.on_policy.state import Nets, OnPolicyConfig
 
 
@@ -29,36 +29,30 @@ class PPOConfig(OnPolicyConfig):
     belong to the on-policy epoch, which is the paper's.
     """
 
-    batch_size: int = 64
+    batch_size: Annotated[int, In(1)] = 64
     """Steps in a minibatch of actor and critics; a multiple of 32. Not in the paper; 64 as in
     Stable-Baselines3 and OmniSafe."""
-    actor_iterations: int = 10
+    actor_iterations: Annotated[int, In(1, 10_000)] = 10
     """Passes of the actor over an epoch's steps. Not in the paper; 10 as in Schulman et al. and
     Stable-Baselines3."""
-    clip_range: float = 0.2
+    clip_range: Annotated[float, In(above=0, high=1)] = 0.2
     """Distance ε from 1 at which the ratio of new and old probability is clipped. Not in the paper;
     0.2 as in Schulman et al."""
-    max_gradient_norm: float = 0.5
+    max_gradient_norm: Annotated[float, In(above=0, high=1e12)] = 0.5
     """Norm to which a longer gradient of the actor is scaled. Not in the paper; 0.5 as in
     Stable-Baselines3."""
-
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        super().__post_init__()
-        check_integers(self, "actor_iterations", low=1, high=10_000)
-        check_integers(self, "batch_size", low=1)
-        check(self, "clip_range", above=0, high=1)
-        check(self, "max_gradient_norm", above=0, high=1e12)
 
 
 class Objective(NamedTuple):
     """How an algorithm of the family treats costs."""
 
     advantage: Callable[[Any, Tensor, Tensor, Tensor], Tensor]
-    """(config, reward advantages [R, B], cost advantages [R, B], multiplier [R, 1]) -> [R, B]: the
-    advantages that the policy raises. The multiplier is 0 where there is none."""
-    multiplier_form: MultiplierForm | None = None
-    """How the multiplier is parametrised; it follows `J_C - d`. None for an algorithm without."""
+    """(config, reward advantages [R, B], cost advantages [R, C, B], multipliers [R, M]) -> [R, B]:
+    the advantages that the policy raises."""
+    multipliers: tuple[Multiplier, ...] = ()
+    """Each follows `J_C - d` of its cost."""
+    costs: int = 1
+    """How many costs are learned."""
 
 
 class Minibatch(NamedTuple):

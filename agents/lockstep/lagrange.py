@@ -6,33 +6,35 @@ A multiplier is updated from an explicit estimate of the cost, never from a log 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
-from agents.errors import check, check_choice
+from agents.checks import In, Settings
 from agents.lockstep.adam import Moments, adam, no_moments
 from agents.lockstep.nets import LANES
 
 PID_SMOOTHING = 0.95
 """Share of the old value in the smoothed cost, whose growth the derivative term sees. Source: code
 of Stooke et al. 2020; OmniSafe."""
+Gain = In(0, 1e6)
+"""Numbers are float32: beyond it the first update is not finite."""
 
 
 @dataclass(frozen=True)
-class PIDConfig:
+class PIDConfig(Settings):
     """Gains of the PID controller of a multiplier."""
 
-    pid_kp: float = 0.1
+    pid_kp: Annotated[float, Gain] = 0.1
     """Gain of the cost above its limit, by pid. Not in the paper; 0.1 as in OmniSafe."""
-    pid_ki: float = 0.01
+    pid_ki: Annotated[float, Gain] = 0.01
     """Gain of the sum over epochs of the cost above its limit, by pid. Not in the paper; 0.01 as in
     OmniSafe."""
-    pid_kd: float = 0.01
+    pid_kd: Annotated[float, Gain] = 0.01
     """Gain of the smoothed cost's growth in an epoch, by pid. Not in the paper; 0.01 as in
     OmniSafe."""
 
@@ -41,26 +43,16 @@ class PIDConfig:
 class MultiplierConfig(PIDConfig):
     """Hyper-parameters of a multiplier, for the configs of algorithms that have one."""
 
-    initial_multiplier: float = 0.0
+    initial_multiplier: Annotated[float, In(-1e6, 1e6)] = 0.0
     """Initial parameter of the multiplier, before it is mapped to positive numbers. Paper: 0 for
     SAC-Lag; not printed for WCSAC."""
-    multiplier_lr: float = 3e-4
+    multiplier_lr: Annotated[float, Gain] = 3e-4
     """Step size of the multiplier's parameter by adam or sgd. Paper: 3e-4 for SAC-Lag; not printed
     for WCSAC."""
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "adam"
     """How the multiplier follows the cost: its parameter ascends by Adam or by the plain gradient
     (sgd), or a PID controller sets it once an epoch (pid; Stooke et al. 2020). Not printed in the
     paper."""
-
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        # Numbers are float32: beyond these bounds the first update is not finite.
-        check(self, "initial_multiplier", low=-1e6, high=1e6)
-        check(self, "multiplier_lr", "pid_kp", "pid_ki", "pid_kd", low=0, high=1e6)
-        check_choice(self, "multiplier_optimizer", "adam", "sgd", "pid")
-        of_family = getattr(super(), "__post_init__", None)
-        if of_family:
-            of_family()
 
 
 class MultiplierForm(NamedTuple):
@@ -83,8 +75,18 @@ PROJECTED = MultiplierForm(torch.clone, torch.ones_like, lowest=0.0)
 """The parameter is the multiplier."""
 
 
+class Multiplier(NamedTuple):
+    """A multiplier of an algorithm's rule: what it stands for, follows, and is limited by."""
+
+    form: MultiplierForm
+    signal: int = 0
+    """Index of the cost that it follows."""
+    limit: str = "cost_limit"
+    """Name of the hyper-parameter that limits it."""
+
+
 class MultiplierState(NamedTuple):
-    """The multipliers of all runs that ascend a gradient. Lanes of a row are equal: see `nets`."""
+    """A multiplier of all runs that ascends a gradient. Lanes of a row are equal: see `nets`."""
 
     parameter: Tensor
     """[R, LANES]"""
@@ -92,7 +94,7 @@ class MultiplierState(NamedTuple):
 
 
 class PIDState(NamedTuple):
-    """The multipliers of all runs that a PID controller sets. Lanes of a row are equal."""
+    """A multiplier of all runs that a PID controller sets. Lanes of a row are equal."""
 
     value: Tensor
     """[R, LANES]: the multiplier itself, at least 0"""
@@ -102,16 +104,19 @@ class PIDState(NamedTuple):
     """[R, LANES]: exponential average of the costs seen, from 0"""
 
 
-def initial(
-    form: MultiplierForm | None, config: Any, runs: int
-) -> MultiplierState | PIDState | None:
-    """The state before the first update; None for an algorithm without a multiplier.
+State = MultiplierState | PIDState
+
+
+def initial(multipliers: Sequence[Multiplier], config: Any, runs: int) -> tuple[State, ...]:
+    """The states of a rule's multipliers before the first update.
 
     A PID controller starts from the same multiplier as the others, as its integral term. Raises
     TypeError for a form with a law where the config has an optimiser, too.
     """
-    if form is None:
-        return None
+    return tuple(_initial(multiplier.form, config, runs) for multiplier in multipliers)
+
+
+def _initial(form: MultiplierForm, config: Any, runs: int) -> State:
     parameter = torch.full((runs, LANES), float(config.initial_multiplier))
     if form.law:
         if hasattr(config, "multiplier_optimizer"):
@@ -123,44 +128,48 @@ def initial(
     return MultiplierState(parameter, no_moments(parameter))
 
 
-def value(
-    form: MultiplierForm | None, state: MultiplierState | PIDState | None, runs: int
-) -> Tensor:
-    """The multiplier of each run, [R, 1]; 0 for an algorithm without one."""
-    if form is None or state is None:
-        return torch.zeros(runs, 1)
-    if isinstance(state, PIDState):
-        return state.value[:, :1]
-    return form.value(state.parameter)[:, :1]
+def values(multipliers: Sequence[Multiplier], states: Sequence[State], runs: int) -> Tensor:
+    """The M multipliers of each run, [R, M]."""
+    columns = [
+        state.value[:, :1] if isinstance(state, PIDState) else of.form.value(state.parameter)[:, :1]
+        for of, state in zip(multipliers, states, strict=True)
+    ]
+    return torch.cat([torch.zeros(runs, 0), *columns], dim=-1)
+
+
+def names(multipliers: Sequence[Multiplier]) -> tuple[str, ...]:
+    """Names of the multipliers in records: multiplier, multiplier_2, ..."""
+    return tuple("multiplier" + f"_{k}" * (k > 1) for k in range(1, len(multipliers) + 1))
 
 
 def follow(
-    form: MultiplierForm | None,
-    config: Any,
-    state: MultiplierState | PIDState | None,
-    cost: Tensor,
-) -> MultiplierState | PIDState | None:
-    """The state after an update by the form's law or the config's optimiser.
+    multipliers: Sequence[Multiplier], config: Any, states: Sequence[State], cost: Tensor
+) -> tuple[State, ...]:
+    """The states after an update by each form's law or the config's optimiser.
 
-    cost: [R, 1], to be compared with `config.cost_limit`.
+    cost: [R, C]; each multiplier compares that of its signal with its limit.
     """
-    if form is None or state is None:
-        return None
+    pairs = zip(multipliers, states, strict=True)
+    return tuple(_follow(of, config, state, cost[:, [of.signal]]) for of, state in pairs)
+
+
+def _follow(multiplier: Multiplier, config: Any, state: State, cost: Tensor) -> State:
+    """cost: [R, 1]."""
+    form, excess = multiplier.form, cost - getattr(config, multiplier.limit)
     if isinstance(state, PIDState):
-        return control(config, state, cost)
+        return control(config, state, cost, excess)
     if form.law:
         parameter = form.law(config, state.parameter, cost).clamp(min=form.lowest)
         return MultiplierState(parameter, state.moments)
-    return ascend(form, config, state, cost)
+    return ascend(form, config, state, excess)
 
 
 def ascend(
-    form: MultiplierForm, config: Any, state: MultiplierState, cost: Tensor
+    form: MultiplierForm, config: Any, state: MultiplierState, excess: Tensor
 ) -> MultiplierState:
-    """One gradient step up `λ (cost - d)`: λ rises exactly where the cost is above its limit."""
+    """One gradient step up `λ (cost - d)`: λ rises exactly where the excess [R, 1] is above 0."""
     parameter, moments = state
-    excess = (cost - config.cost_limit).to(parameter.dtype)
-    gradient = -form.slope(parameter) * excess
+    gradient = -form.slope(parameter) * excess.to(parameter.dtype)
     if config.multiplier_optimizer == "adam":
         parameter, moments = adam(parameter, gradient, moments, config.multiplier_lr)
     else:
@@ -168,14 +177,14 @@ def ascend(
     return MultiplierState(parameter.clamp(min=form.lowest), moments)
 
 
-def control(config: Any, state: PIDState, cost: Tensor) -> PIDState:
-    """One step of the PID controller, `Δ = cost - d`, `(x)₊ = max(x, 0)`.
+def control(config: Any, state: PIDState, cost: Tensor, excess: Tensor) -> PIDState:
+    """One step of the PID controller, `Δ = cost - d`, `(x)₊ = max(x, 0)`; cost, excess: [R, 1].
 
     `I ← (I + k_I Δ)₊`, `c ← .95 c + .05 cost`, `λ = (k_P Δ + I + k_D (c - c_before)₊)₊`.
     Source: Stooke et al. 2020, "Responsive safety in reinforcement learning by PID Lagrangian
     methods", algorithm 2, with the derivative of the smoothed cost as in its code.
     """
-    excess = (cost - config.cost_limit).to(state.value.dtype)
+    excess = excess.to(state.value.dtype)
     integral = (state.integral + config.pid_ki * excess).clamp(min=0.0)
     new_share = (1.0 - PID_SMOOTHING) * cost.to(state.value.dtype)
     smoothed = PID_SMOOTHING * state.smoothed_cost + new_share

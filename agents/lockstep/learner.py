@@ -7,16 +7,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.lockstep.noise import Epochs
 from agents.lockstep.rollout import Act, Policy, Rollout
-from agents.lockstep.tree import ALL
 
 
 class Learner(Protocol):
     """The runs of one algorithm, as the training loop sees them: what a family provides.
 
-    R runs train side by side. `policy`, `state_dict` and `load_state_dict` are of the runs in a
-    slice, by default of all.
+    R runs train side by side, and none depends on the others.
 
     Arrays of the state whose names are `actor` or begin with `actor.` are those that the policy
     depends on: a trained policy is loaded from them alone. For `to_torch` a learner also has a
@@ -28,15 +25,15 @@ class Learner(Protocol):
     metrics: tuple[str, ...]
     """Names of the numbers that `learn` returns."""
 
-    def policy(self, runs: slice = ALL) -> Policy:
-        """The policy of some runs as it stands now."""
+    def policy(self) -> Policy:
+        """The policy of every run as it stands now."""
         ...
 
-    def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
+    def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
         """Actions of the runs in an epoch; steps: [R], environment steps each has taken before."""
         ...
 
-    def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray:
+    def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
         """Learn from an epoch of R·E episodes; active: [R], runs that take part.
 
         Returns each of `metrics`, [R, metrics]; NaN for runs that learned nothing.
@@ -47,10 +44,10 @@ class Learner(Protocol):
         """Mask of the runs that hold only finite numbers, [R]."""
         ...
 
-    def state_dict(self, runs: slice = ALL) -> dict[str, NDArray]:
-        """The whole training state of some runs as named arrays, the run axis first."""
+    def state_dict(self) -> dict[str, NDArray]:
+        """The whole training state as named arrays, the run axis first."""
         ...
 
-    def load_state_dict(self, state: dict[str, NDArray], runs: slice = ALL) -> None:
+    def load_state_dict(self, state: dict[str, NDArray]) -> None:
         """Load a state, bit for bit. KeyError or ValueError for one that does not fit."""
         ...

@@ -9,9 +9,17 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from agents.lockstep.nets import Activation
 
-def mlp(layers: Sequence[NDArray[np.float32]]) -> nn.Sequential:
-    """Linear layers with tanh between them.
+ACTIVATIONS: dict[Activation, type[nn.Module]] = {
+    "tanh": nn.Tanh,
+    "relu": nn.ReLU,
+    "silu": nn.SiLU,
+}
+
+
+def mlp(layers: Sequence[NDArray[np.float32]], activation: Activation) -> nn.Sequential:
+    """Linear layers with the activation between them.
 
     layers: weight [in, out] and bias [1, out] of each layer in turn; they are copied.
     """
@@ -21,5 +29,5 @@ def mlp(layers: Sequence[NDArray[np.float32]]) -> nn.Sequential:
         with torch.no_grad():
             linear.weight.copy_(torch.from_numpy(weight.T.copy()))
             linear.bias.copy_(torch.from_numpy(bias[0].copy()))
-        modules += [linear, nn.Tanh()]
+        modules += [linear, ACTIVATIONS[activation]()]
     return nn.Sequential(*modules[:-1])

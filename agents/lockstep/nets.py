@@ -9,7 +9,8 @@ same alone as among others.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import torch
@@ -18,39 +19,35 @@ from torch import Tensor
 
 from agents.errors import UserError
 
+Activation = Literal["tanh", "relu", "silu"]
 LANES = 32
 SMALL_PRODUCT = 4096
 """Multiplications of a matrix product up to which torch may compute it otherwise than among others:
 it hands batches of products to oneDNN by the size of the whole batch."""
 
 
-def check_lanes(config: Any) -> None:
-    """Refuse a batch_size and hidden sizes that are not multiples of 32.
+def check_batch(batch_size: int) -> None:
+    """Refuse a batch_size that is no multiple of 32.
 
-    Off these multiples a run would depend, in its last bits, on the runs beside it: torch computes
-    the remainder of a vector otherwise than the vector.
+    A run would depend, in its last bits, on the runs beside it: torch computes the remainder of a
+    vector otherwise than the vector.
     """
-    hidden = config.hidden
-    if not isinstance(hidden, (tuple, list)) or not hidden:
-        raise UserError(f"hidden must be the sizes of the layers, like (64, 64), got {hidden!r}")
-    sizes = (config.batch_size, *hidden)
-    if any(type(n) is not int or n < 1 or n % LANES for n in sizes):
-        raise UserError(
-            f"batch_size and the sizes in hidden must be multiples of {LANES}, "
-            f"got {config.batch_size!r} and {config.hidden!r}"
-        )
+    if batch_size % LANES:
+        raise UserError(f"batch_size must be a multiple of {LANES}, got {batch_size}")
 
 
 class MLP:
-    """The shape of a tanh network: its layer sizes, and where each layer lies in the flat vector.
+    """The shape of a network: its layer sizes, and where each layer lies in the flat vector.
 
-    `MLP((2, 64, 64, 4))` has two inputs, two hidden layers of 64 and four outputs.
+    `MLP((2, 64, 64, 4))` has two inputs, two hidden layers of 64 and four outputs. Hidden layers
+    are filled up to multiples of 32 by units without weights, which stay so: their gradients are 0.
     """
 
-    def __init__(self, sizes: Sequence[int]) -> None:
-        self.sizes = tuple(sizes)
-        pairs = zip(self.sizes[:-1], self.sizes[1:], strict=True)
-        self._shapes = [shape for n_in, n_out in pairs for shape in ((n_in, n_out), (1, n_out))]
+    def __init__(self, sizes: Sequence[int], activation: Activation = "tanh") -> None:
+        self.sizes, self.activation = tuple(sizes), activation
+        n_in, *hidden, n_out = self.sizes
+        filled = (n_in, *(-(-n // LANES) * LANES for n in hidden), n_out)
+        self._own, self._shapes = _shapes(self.sizes), _shapes(filled)
         counts = [rows * columns for rows, columns in self._shapes]
         self.size = -(-sum(counts) // LANES) * LANES
         """Length of the flat vector, padding included."""
@@ -59,11 +56,9 @@ class MLP:
     def initial(self, rng: np.random.Generator) -> NDArray[np.float32]:
         """Fresh parameters [size]: uniform in ±1/√(inputs of the layer), as PyTorch draws them."""
         params = np.zeros(self.size, dtype=np.float32)
-        start = 0
-        for i, (rows, columns) in enumerate(self._shapes):
+        for i, layer in enumerate(self.layers(params[None])):
             bound = 1.0 / np.sqrt(self.sizes[i // 2])
-            params[start : start + rows * columns] = rng.uniform(-bound, bound, rows * columns)
-            start += rows * columns
+            layer[0] = rng.uniform(-bound, bound, layer.size).reshape(layer.shape[1:])
         return params
 
     def forward(self, params: Tensor, x: Tensor) -> Tensor:
@@ -73,13 +68,16 @@ class MLP:
         layers = [p.view(len(p), *shape) for p, shape in zip(parts, self._shapes, strict=False)]
         # tanh(z) = 2σ(2z) - 1, with the factors folded into the weights: torch's tanh kernel on
         # CPU is six times slower than its sigmoid, and weights are smaller than activations.
+        folded = self.activation == "tanh"
         for i, (weight, bias) in enumerate(zip(layers[::2], layers[1::2], strict=True)):
-            if i > 0:
+            if i > 0 and folded:
                 x, bias = torch.sigmoid(x), bias - weight.sum(dim=-2, keepdim=True)
                 weight = 2.0 * weight
-            if i < len(self.sizes) - 2:
+            elif i > 0:
+                x = torch.relu(x) if self.activation == "relu" else torch.nn.functional.silu(x)
+            if i < len(self.sizes) - 2 and folded:
                 weight, bias = 2.0 * weight, 2.0 * bias
-            if self.sizes[i + 1] == 1:  # slow as a matrix product
+            if weight.shape[-1] == 1:  # slow as a matrix product
                 x = (x * weight.transpose(-1, -2)).sum(dim=-1, keepdim=True) + bias
             elif x.shape[-2] * weight[0].numel() <= SMALL_PRODUCT:
                 x = (x[..., None] * weight[:, None]).sum(dim=-2) + bias
@@ -94,14 +92,29 @@ class MLP:
     def layers(self, params: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Views of the weights [N, in, out] and biases [N, 1, out] in params [N, size], in turn."""
         parts = np.split(params, np.cumsum(self._splits[:-1]), axis=-1)
-        return [p.reshape(-1, *shape) for p, shape in zip(parts, self._shapes, strict=False)]
+        filled = (p.reshape(-1, *shape) for p, shape in zip(parts, self._shapes, strict=False))
+        return [p[:, :rows, :columns] for p, (rows, columns) in zip(filled, self._own, strict=True)]
 
 
-def forward_numpy(layers: Sequence[NDArray[np.float32]], x: NDArray[np.float32]) -> NDArray:
+def _shapes(sizes: Sequence[int]) -> list[tuple[int, int]]:
+    """Shapes of the weight and the bias of each layer, in turn."""
+    return [shape for n_in, n_out in pairwise(sizes) for shape in ((n_in, n_out), (1, n_out))]
+
+
+def forward_numpy(
+    layers: Sequence[NDArray[np.float32]], x: NDArray[np.float32], activation: Activation = "tanh"
+) -> NDArray:
     """`MLP.forward` in numpy: for one step of a rollout several times faster than torch.
 
     layers: of `MLP.layers`; x: [N, B, in] -> [N, B, out].
     """
     for weight, bias in zip(layers[:-2:2], layers[1:-2:2], strict=True):
-        x = np.tanh(x @ weight + bias)
+        x = _IN_NUMPY[activation](x @ weight + bias)
     return x @ layers[-2] + layers[-1]
+
+
+def _silu(x: NDArray) -> NDArray:
+    return x * (0.5 + 0.5 * np.tanh(0.5 * x))  # the sigmoid by tanh cannot overflow
+
+
+_IN_NUMPY = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0), "silu": _silu}

@@ -46,19 +46,12 @@ def stream(seed: int, purpose: Purpose, epoch: int = 0) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=key, counter=(0, 0, 0, epoch)))
 
 
-Epochs = int | NDArray[np.int64]
-"""The epoch of all runs, or that of each, [R]: folders that train together may be unequally far."""
-
-
-def streams(seeds: Sequence[int], purpose: Purpose, epoch: Epochs) -> list[np.random.Generator]:
+def streams(seeds: Sequence[int], purpose: Purpose, epoch: int) -> list[np.random.Generator]:
     """The generator of every run."""
-    of_runs = np.broadcast_to(epoch, len(seeds))
-    return [stream(seed, purpose, int(k)) for seed, k in zip(seeds, of_runs, strict=True)]
+    return [stream(seed, purpose, epoch) for seed in seeds]
 
 
-def environment_seeds(
-    seeds: Sequence[int], purpose: Purpose, epoch: Epochs, each: int
-) -> list[int]:
+def environment_seeds(seeds: Sequence[int], purpose: Purpose, epoch: int, each: int) -> list[int]:
     """Seeds for the resets of an epoch, `each` of them a run, one run after the other."""
     draws = [rng.integers(2**63, size=each) for rng in streams(seeds, purpose, epoch)]
     return [int(draw) for draw in np.concatenate(draws)]
@@ -99,7 +92,7 @@ def correlated_uniform(
 
 
 def steps_of_noise(
-    draw: Draw, seeds: Sequence[int], purpose: Purpose, epoch: Epochs, shape: tuple[int, ...]
+    draw: Draw, seeds: Sequence[int], purpose: Purpose, epoch: int, shape: tuple[int, ...]
 ) -> Iterator[NDArray[np.float32]]:
     """Numbers by `draw` for each step of an epoch, [R, *shape]."""
     generators = streams(seeds, purpose, epoch)

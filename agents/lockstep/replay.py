@@ -23,7 +23,7 @@ class Batch(NamedTuple):
     reward: Tensor
     """[R, B]"""
     cost: Tensor
-    """[R, B]"""
+    """[R, C, B]"""
     next_observation: Tensor
     """[R, B, critic inputs]"""
     terminal: Tensor
@@ -37,9 +37,15 @@ class Replay:
     one row, so that one gather fetches a whole batch."""
 
     def __init__(
-        self, runs: int, capacity: int, observation_size: int, action_size: int, kept: int = 0
+        self,
+        runs: int,
+        capacity: int,
+        observation_size: int,
+        action_size: int,
+        costs: int = 1,
+        kept: int = 0,
     ) -> None:
-        self._widths = [observation_size, action_size, 1, 1, observation_size, 1, 1]
+        self._widths = [observation_size, action_size, 1, costs, observation_size, 1, 1]
         self._kept = kept
         self._rows = np.zeros((runs, capacity, sum(self._widths)), dtype=np.float32)
         self.stored = np.zeros(runs, dtype=np.int64)
@@ -69,18 +75,18 @@ class Replay:
         parts = (part.contiguous() for part in rows.split(self._widths, dim=-1))
         observation, action, reward, cost, next_observation, *ends = parts
         terminal, cost_terminal = (end[..., 0] for end in ends)
-        reward, cost = reward[..., 0], cost[..., 0]
-        return Batch(observation, action, reward, cost, next_observation, terminal, cost_terminal)
+        cost = cost.transpose(1, 2).contiguous()
+        return Batch(
+            observation, action, reward[..., 0], cost, next_observation, terminal, cost_terminal
+        )
 
-    def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
-        """The state of some runs for a checkpoint: the rows they hold, not the empty ones."""
-        held = self.size[runs].max(initial=0)
-        return {"rows": self._rows[runs, :held], "stored": self.stored[runs]}
+    def state_dict(self) -> dict[str, NDArray]:
+        """The state for a checkpoint: the rows that are held, not the empty ones."""
+        return {"rows": self._rows[:, : self.size.max(initial=0)], "stored": self.stored}
 
-    def load_state_dict(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
+    def load_state_dict(self, state: dict[str, NDArray]) -> None:
         """Load a state. ValueError or KeyError for anything else."""
-        stored = tree.expect("stored", state, self.stored[runs].shape, np.int64)
-        self.stored[runs] = stored
-        held = int(self.size[runs].max(initial=0))
-        shape = (len(stored), held, self._rows.shape[2])
-        self._rows[runs, :held] = tree.expect("rows", state, shape, np.float32)
+        self.stored = tree.expect("stored", state, self.stored.shape, np.int64).copy()
+        held = int(self.size.max(initial=0))
+        shape = (len(self.stored), held, self._rows.shape[2])
+        self._rows[:, :held] = tree.expect("rows", state, shape, np.float32)

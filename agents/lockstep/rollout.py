@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ class Rollout(NamedTuple):
     reward: NDArray[np.float64]
     """[T, N]"""
     cost: NDArray[np.float64]
-    """[T, N]"""
+    """[T, N, C]: each of the costs"""
     next_observation: NDArray[np.float32]
     """[T, N, observation size]"""
     terminated: NDArray[np.bool_]
@@ -31,14 +31,20 @@ class Rollout(NamedTuple):
     """[T, N]: the episode was cut off, by a time limit for instance"""
     length: NDArray[np.int64]
     """[N]: steps of each episode; 0 where there was none"""
-    diverged: NDArray[np.bool_]
-    """[N]: the policy or the environment gave a number that is not finite; the episode is void"""
+    failure: NDArray[np.str_]
+    """[N]: name of a number that was not finite ("action", "observation", "reward" or the cost's),
+    which makes the episode void; else empty"""
 
     def of(self, episodes: slice) -> Rollout:
         """Some of the episodes."""
-        *columns, length, diverged = self
+        *columns, length, failure = self
         columns = [column[:, episodes] for column in columns]
-        return Rollout._make([*columns, length[episodes], diverged[episodes]])
+        return Rollout._make([*columns, length[episodes], failure[episodes]])
+
+    @property
+    def diverged(self) -> NDArray[np.bool_]:
+        """Mask of the episodes that are void, [N]."""
+        return self.failure != ""
 
     @property
     def during(self) -> NDArray[np.bool_]:
@@ -56,14 +62,15 @@ class Rollout(NamedTuple):
 
     @property
     def cost_returns(self) -> NDArray[np.float64]:
-        """Undiscounted cost return of each episode, [N]."""
+        """Undiscounted return of each cost and episode, [N, C]."""
         return self._sums(self.cost)
 
     def _sums(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sums over each episode, [N], added in the order of time. `sum` would choose an order by
-        the array's shape, and so by how long the other episodes are."""
+        """Sums over each episode, [N, ...], added in the order of time. `sum` would choose an order
+        by the array's shape, and so by how long the other episodes are."""
         sums = np.cumsum(values, axis=0)[self.length - 1, np.arange(len(self.length))]
-        return np.where(self.length > 0, sums, 0.0)
+        sums[self.length == 0] = 0.0
+        return sums
 
     @property
     def final_observation(self) -> NDArray[np.float32]:
@@ -71,10 +78,12 @@ class Rollout(NamedTuple):
         return self.next_observation[self.length - 1, np.arange(len(self.length))]
 
 
-def require_cost(source: object, info: dict[str, Any]) -> None:
-    """Raise UserError, naming the source, where the info of a step holds no cost."""
-    if "cost" not in info:
-        raise UserError(f"{source} gives no info['cost']; it gives {sorted(info) or 'nothing'}")
+def require_costs(source: object, info: Mapping[str, Any], costs: Sequence[str]) -> None:
+    """Raise UserError, naming the source, where the info of a step lacks a cost."""
+    for name in costs:
+        if name not in info:
+            given = sorted(key for key in info if not key.startswith("_")) or "nothing"
+            raise UserError(f"{source} gives no info[{name!r}]; it gives {given}")
 
 
 Act = Callable[[NDArray[np.float32]], NDArray[np.float32]]
@@ -89,20 +98,25 @@ MAX_STEPS = 100_000
 
 
 def collect(
-    envs: VectorEnv, seeds: Sequence[int], act: Act, active: NDArray[np.bool_] | None = None
+    envs: VectorEnv,
+    seeds: Sequence[int],
+    act: Act,
+    active: NDArray[np.bool_] | None = None,
+    costs: Sequence[str] = ("cost",),
 ) -> Rollout:
     """One whole episode of every environment, each reset with its seed.
 
     envs: N environments that do not reset themselves (autoreset mode DISABLED); act: observations
     [N, observation size] -> actions [N, action size]; active: [N], the environments of which an
-    episode is wanted, all by default. An environment whose episode has ended waits for the others,
-    and its further steps are left out; so does one whose action is not finite. Raises UserError
-    where the environment gives no `info["cost"]`, TaskFailure for a negative one or no end.
+    episode is wanted, all by default; costs: their names in the infos. An environment whose episode
+    has ended waits for the others, and its further steps are left out; so does one whose action is
+    not finite. Raises UserError where the environment lacks a cost, TaskFailure for a negative one
+    or no end.
     """
     observation = _reset(envs, seed=list(seeds))
     running = np.ones(len(seeds), dtype=bool) if active is None else active.copy()
     length = np.zeros(len(seeds), dtype=np.int64)
-    diverged = np.zeros(len(seeds), dtype=bool)
+    failure = np.full(len(seeds), "", dtype="U64")
     steps: list[tuple] = []
     while running.any():
         if len(steps) == MAX_STEPS:
@@ -111,14 +125,15 @@ def collect(
             action = act(observation)
         if not np.isfinite(action).all():
             finite = np.all(np.isfinite(action), axis=-1)
-            diverged |= running & ~finite
+            failure[running & ~finite] = "action"
             running &= finite
             action = np.where(finite[:, None], action, np.float32(0.0))
         clipped = np.minimum(np.maximum(action, -1.0), 1.0)  # `clip` takes twice as long
         following, reward, terminated, truncated, info = envs.step(clipped)
-        require_cost(envs, info)
+        require_costs(envs, info, costs)
+        cost = np.stack([info[name] for name in costs], axis=-1)
         following = np.asarray(following, dtype=np.float32)
-        steps.append((observation, action, reward, info["cost"], following, terminated, truncated))
+        steps.append((observation, action, reward, cost, following, terminated, truncated))
         length += running
         ended = terminated | truncated
         running &= ~ended
@@ -126,19 +141,24 @@ def collect(
         if ended.any() and running.any():
             observation = _reset(envs, options={"reset_mask": ended.copy()})
     columns = [np.stack(column) for column in zip(*steps, strict=True)]
-    return _checked(Rollout._make([*columns, length, diverged]), envs)
+    return _checked(Rollout._make([*columns, length, failure]), envs, costs)
 
 
 def _reset(envs: VectorEnv, **kwargs: Any) -> NDArray[np.float32]:
     return np.asarray(envs.reset(**kwargs)[0], dtype=np.float32)
 
 
-def _checked(rollout: Rollout, envs: VectorEnv) -> Rollout:
+def _checked(rollout: Rollout, envs: VectorEnv, costs: Sequence[str]) -> Rollout:
     """The rollout with episodes marked that hold numbers which are not finite. Raises TaskFailure
     for a negative cost."""
-    if (rollout.cost[rollout.during] < 0).any():
-        raise TaskFailure(f"{envs} gives a negative cost")
-    finite = np.isfinite(rollout.reward) & np.isfinite(rollout.cost)
-    finite &= np.isfinite(rollout.next_observation).all(axis=-1)
-    void = (~finite & rollout.during).any(axis=0)
-    return rollout._replace(diverged=rollout.diverged | void)
+    negative = (rollout.cost[rollout.during] < 0).any(axis=0)
+    if negative.any():
+        raise TaskFailure(f"{envs} gives a negative {costs[int(negative.argmax())]}")
+    failure = rollout.failure.copy()
+    columns = {"observation": rollout.next_observation, "reward": rollout.reward[..., None]}
+    columns |= {name: rollout.cost[..., [k]] for k, name in enumerate(costs)}
+    for name, values in columns.items():
+        if not (finite := np.isfinite(values).all(axis=-1)).all():
+            void = (~finite & rollout.during).any(axis=0)
+            failure[void & (failure == "")] = name
+    return rollout._replace(failure=failure)

@@ -1,11 +1,11 @@
-"""Nested named tuples of tensors with a run axis: choosing by run, saving, loading.
+"""Nested tuples of tensors with a run axis: choosing by run, saving, loading.
 
 None stands for a part that an algorithm does not have.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,8 +17,6 @@ from agents.lockstep.backend import array, tensor
 from agents.lockstep.compiling import compiled
 
 Tree = TypeVar("Tree")
-ALL = slice(None)
-"""All runs, where some can be chosen."""
 
 
 def where(mask: NDArray[np.bool_], new: Tree, old: Tree) -> Tree:
@@ -32,7 +30,7 @@ def select(mask: Tensor, new: Any, old: Any) -> Any:
         return new
     if isinstance(new, Tensor):
         return torch.where(mask.view(-1, *[1] * (new.dim() - 1)), new, old)
-    return type(new)(*(select(mask, a, b) for a, b in zip(new, old, strict=True)))
+    return _like(new, (select(mask, a, b) for a, b in zip(new, old, strict=True)))
 
 
 def finite(tree: Any) -> NDArray[np.bool_]:
@@ -64,30 +62,32 @@ def expect(
     return found
 
 
-def flatten(tree: Any, runs: slice = ALL, prefix: str = "") -> dict[str, NDArray]:
-    """Every tensor of some runs under its dotted name."""
+def flatten(tree: Any, prefix: str = "") -> dict[str, NDArray]:
+    """Every tensor under its dotted name."""
     if tree is None:
         return {}
     if isinstance(tree, Tensor):
-        return {prefix: array(tree[runs])}
-    named = zip(tree._fields, tree, strict=True)
-    dot = f"{prefix}." if prefix else ""
-    return {k: v for name, part in named for k, v in flatten(part, runs, f"{dot}{name}").items()}
+        return {prefix: array(tree)}
+    return {k: v for name, part in _named(tree, prefix) for k, v in flatten(part, name).items()}
 
 
-def unflatten(like: Any, arrays: dict[str, NDArray], runs: slice = ALL, prefix: str = "") -> Any:
-    """The tree `like`, but for some runs with the arrays that `flatten` named. KeyError for a
-    missing one, ValueError for one of another shape or type."""
+def unflatten(like: Any, arrays: dict[str, NDArray], prefix: str = "") -> Any:
+    """The tree `like` with the arrays that `flatten` named. KeyError for a missing one, ValueError
+    for one of another shape or type."""
     if like is None:
         return None
     if isinstance(like, Tensor):
-        whole = array(like).copy()
-        whole[runs] = expect(prefix, arrays, whole[runs].shape, whole.dtype)
-        return tensor(whole)
+        whole = array(like)
+        return tensor(expect(prefix, arrays, whole.shape, whole.dtype).copy())
+    return _like(like, (unflatten(part, arrays, name) for name, part in _named(like, prefix)))
+
+
+def _named(tree: Any, prefix: str) -> Iterator[tuple[str, Any]]:
+    """Parts of a tuple by their dotted names: those of its fields, or their places."""
+    names = getattr(tree, "_fields", map(str, range(len(tree))))
     dot = f"{prefix}." if prefix else ""
-    return type(like)(
-        *(
-            unflatten(part, arrays, runs, f"{dot}{name}")
-            for name, part in zip(like._fields, like, strict=True)
-        )
-    )
+    return ((f"{dot}{name}", part) for name, part in zip(names, tree, strict=True))
+
+
+def _like(tree: Any, parts: Iterable[Any]) -> Any:
+    return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)

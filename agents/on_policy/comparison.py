@@ -23,7 +23,7 @@ class Block(NamedTuple):
     weight: Tensor
     """[R, BLOCK]"""
     gains: Tensor
-    """[R, 2, BLOCK]: advantages of the objective and of the cost"""
+    """[R, 2, BLOCK]: advantages of the objective and of the first cost"""
     old: Gaussian
     """The policy before its step."""
     old_log_prob: Tensor
@@ -32,7 +32,8 @@ class Block(NamedTuple):
 
 def blocks_of(nets: Nets, actor: Tensor, epoch: Epoch, objective: Tensor) -> list[Block]:
     """The epoch's steps under the policy that took them; objective: advantages [R, B]."""
-    columns = (epoch.observation, epoch.action, epoch.weight, objective, epoch.cost_advantage)
+    first = epoch.cost_advantage[:, 0]
+    columns = (epoch.observation, epoch.action, epoch.weight, objective, first)
     found = []
     for observation, action, weight, of_objective, of_cost in blocks(*columns):
         old = nets.actor.distribution(actor, observation)
@@ -53,8 +54,8 @@ def compared_in(nets: Nets, actor: Tensor, block: Block) -> tuple[Tensor, Tensor
 
 
 def compared(nets: Nets, actor: Tensor, steps: list[Block]) -> tuple[Tensor, Tensor]:
-    """A policy against the one before: `E[π(a|s) / π_old(a|s) · A]` for the objective and the cost,
-    [R, 2], and the mean KL divergence from the old to the new one, [R]."""
+    """A policy against the one before: `E[π(a|s) / π_old(a|s) · A]` for the objective and the first
+    cost, [R, 2], and the mean KL divergence from the old to the new one, [R]."""
     surrogates, kl = torch.zeros(len(actor), 2), torch.zeros(len(actor))
     for block in steps:
         of_block, kl_of_block = compared_in(nets, actor, block)

@@ -15,23 +15,25 @@ from agents.on_policy.state import Epoch, Nets, OnPolicyState
 
 @compiled
 def values(nets: Nets, critics: Tensor, observation: Tensor) -> Tensor:
-    """Values of both critics of each run at observations [R, B, critic inputs]: [R, 2, B]."""
-    runs, batch, width = observation.shape
-    inputs = observation[:, None].expand(runs, 2, batch, width).reshape(runs * 2, batch, width)
-    return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, 2, batch)
+    """Values of all critics of each run at observations [R, B, critic inputs]: [R, 1 + C, B]."""
+    (runs, batch, width), count = observation.shape, critics.shape[1]
+    inputs = observation[:, None].expand(runs, count, batch, width)
+    inputs = inputs.reshape(runs * count, batch, width)
+    return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, count, batch)
 
 
 def critic_step(
     nets: Nets, config: Any, state: OnPolicyState, epoch: Epoch, rows: Tensor, weight: Tensor
 ) -> tuple[OnPolicyState, Tensor]:
-    """One Adam step of both critics on half the mean squared error of a minibatch.
+    """One Adam step of all critics on half the mean squared error of a minibatch.
 
     rows, weight: [R, B]. A run without rows in it waits. Returns the new state and the losses,
-    [R, 2].
+    [R, 1 + C].
     """
     run = torch.arange(len(rows))[:, None]
     observation = epoch.observation[run, rows]
-    target = epoch.value_targets.gather(2, rows[:, None].expand(-1, 2, -1))
+    targets = epoch.value_targets
+    target = targets.gather(2, rows[:, None].expand(-1, targets.shape[1], -1))
     critics, moments, losses = critics_update(
         nets, config, state.critics, state.critic_moments, observation, target, weight
     )

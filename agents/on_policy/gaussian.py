@@ -72,7 +72,8 @@ class GaussianPolicy(NamedTuple):
 
         observation: [R, N, observation size], noise: [R, N, A] -> [R, N, A].
         """
-        mean = forward_numpy(self.net.layers(params[:, : self.net.size]), observation)
+        layers = self.net.layers(params[:, : self.net.size])
+        mean = forward_numpy(layers, observation, self.net.activation)
         if noise is None:
             return mean
         log_std = params[:, None, self.net.size : self.net.size + self.net.sizes[-1]]

@@ -12,12 +12,11 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from agents.lockstep import tree
+from agents.lockstep import lagrange, tree
 from agents.lockstep.backend import array, tensor
-from agents.lockstep.lagrange import MultiplierForm, follow
 from agents.lockstep.learned import input_scale, learned
 from agents.lockstep.modules import mlp
-from agents.lockstep.noise import Epochs, Purpose, normal, steps_of_noise, streams
+from agents.lockstep.noise import Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.on_policy import critics
 from agents.on_policy.gaussian import GaussianPolicy
@@ -52,13 +51,12 @@ class OnPolicy(ABC):
     ) -> None:
         self.config, self.rule, self.seeds = config, rule, tuple(seeds)
         self.episodes: int = config.episodes
-        form: MultiplierForm | None = rule.multiplier_form
-        own = ("multiplier",) if form else ()
         critics_own = ("critic_loss", "cost_critic_loss", "std")
-        self.metrics = (*self.improvement_metrics, *critics_own, *own)
-        self.action_size = action_size
-        self.nets = make_nets(config, observation_size, action_size)
-        self._state = initial_state(self.nets, config, form, seeds)
+        multipliers = lagrange.names(rule.multipliers)
+        self.metrics = (*self.improvement_metrics, *critics_own, *multipliers)
+        self.action_size, self.costs = action_size, rule.costs
+        self.nets = make_nets(config, observation_size, action_size, rule.costs)
+        self._state = initial_state(self.nets, config, rule.multipliers, rule.costs, seeds)
 
     @abstractmethod
     def improve(
@@ -70,9 +68,9 @@ class OnPolicy(ABC):
         generators: each run's, for the minibatches of this epoch.
         """
 
-    def policy(self, runs: slice = tree.ALL) -> Policy:
-        """The policy of some runs as it stands now."""
-        params, scale = array(self._state.actor[runs]), input_scale(self.config)
+    def policy(self) -> Policy:
+        """The policy of every run as it stands now."""
+        params, scale = array(self._state.actor), input_scale(self.config)
         return functools.partial(_act, self.nets.actor, params, scale)
 
     def module(self, run: int) -> nn.Module:
@@ -80,9 +78,9 @@ class OnPolicy(ABC):
         net = self.nets.actor.net
         params = array(self._state.actor)[run : run + 1, : net.size]
         first, *others = (layer[0] for layer in net.layers(params))
-        return mlp([input_scale(self.config)[..., None] * first, *others])
+        return mlp([input_scale(self.config)[..., None] * first, *others], net.activation)
 
-    def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
+    def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
         """Actions of the runs in an epoch: the policy's, with its noise."""
         policy, runs = self.policy(), len(self.seeds)
         shape = (self.episodes, self.action_size)
@@ -91,7 +89,7 @@ class OnPolicy(ABC):
             observation.reshape(runs, self.episodes, -1), next(noise)
         ).reshape(runs * self.episodes, -1)
 
-    def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray:
+    def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
         """Improve the policy, then the critics and the multiplier; active: [R], runs that take
         part.
 
@@ -99,20 +97,21 @@ class OnPolicy(ABC):
         [R, metrics]; NaN for runs that take no part.
         """
         length = np.where(np.repeat(active, self.episodes), rollout.length, 0)
-        rollout = learned(rollout, self.config)._replace(length=length)
+        rollout = learned(rollout, self.config, self.costs)._replace(length=length)
         packing = Packing(rollout.during, len(self.seeds))
         data = self._epoch(rollout, packing)
         generators = streams(self.seeds, Purpose.UPDATE, epoch)
         state, records = self.improve(data, packing.steps, generators)
-        losses, count = torch.zeros(len(self.seeds), 2), torch.zeros(len(self.seeds), 1)
+        losses = torch.zeros(len(self.seeds), 1 + self.costs)
+        count = torch.zeros(len(self.seeds), 1)
         for _ in range(self.config.critic_iterations):
             for rows, weight in minibatches(packing.steps, self.config.batch_size, generators):
                 state, loss = critics.critic_step(self.nets, self.config, state, data, rows, weight)
                 losses, count = losses + loss, count + (weight[:, :1] > 0)
-        form, cost = self.rule.multiplier_form, data.cost[:, None]
-        multiplier = follow(form, self.config, state.multiplier, cost)
-        self._state = tree.where(active, state._replace(multiplier=multiplier), self._state)
-        records["critic_loss"], records["cost_critic_loss"] = (losses / count).T
+        followed = lagrange.follow(self.rule.multipliers, self.config, state.multipliers, data.cost)
+        self._state = tree.where(active, state._replace(multipliers=followed), self._state)
+        losses = losses / count
+        records["critic_loss"], records["cost_critic_loss"] = losses[:, 0], losses[:, 1:].sum(dim=1)
         records["std"] = self._std()
         columns = np.stack([array(records[name]) for name in self.metrics], axis=-1)
         return np.where(active[:, None], columns, np.nan)
@@ -123,34 +122,34 @@ class OnPolicy(ABC):
         value = self._values(observation)
         next_value = self._values(tensor(packing.pack(rollout.next_observation)))
         terminal = rollout.terminal(self.config.time_limit)
-        of_both = []
-        for k, signal in enumerate((rollout.reward, rollout.cost)):
+        gains = []
+        for k, signal in enumerate((rollout.reward, *np.moveaxis(rollout.cost, -1, 0))):
             unpacked = packing.unpack(value[:, k]), packing.unpack(next_value[:, k])
             discounts = self.config.discount, self.config.gae_lambda
-            found = advantages(signal, *unpacked, terminal, rollout.during, *discounts)
-            of_both.append(packing.pack(found))
-        targets = tensor(np.stack(of_both, axis=1)) + tensor(value)
-        reward, cost = of_both
+            gain = advantages(signal, *unpacked, terminal, rollout.during, *discounts)
+            gains.append(packing.pack(gain))
+        targets = tensor(np.stack(gains, axis=1)) + tensor(value)
+        reward, *costs = gains
         for run, n in enumerate(packing.steps):
             if n:
                 reward[run, :n] -= reward[run, :n].mean()
                 reward[run, :n] /= reward[run, :n].std() + 1e-8
-                cost[run, :n] -= cost[run, :n].mean()
+                for cost in costs:
+                    cost[run, :n] -= cost[run, :n].mean()
         shape = (len(self.seeds), self.episodes)
-        costs = rollout.cost_returns.reshape(shape).mean(axis=1)
         return Epoch(
             observation=observation,
             action=tensor(packing.pack(rollout.action)),
             weight=tensor(packing.weight),
             reward_advantage=tensor(reward),
-            cost_advantage=tensor(cost),
+            cost_advantage=tensor(np.stack(costs, axis=1)),
             value_targets=targets,
             length=tensor(rollout.length.reshape(shape).mean(axis=1)).float(),
-            cost=tensor(costs),
+            cost=tensor(rollout.cost_returns.reshape(*shape, -1).mean(axis=1)),
         )
 
     def _values(self, observation: torch.Tensor) -> NDArray[np.float32]:
-        """Values of the critics, computed block by block: [R, 2, B]."""
+        """Values of the critics, computed block by block: [R, 1 + C, B]."""
         parts = [
             critics.values(self.nets, self._state.critics, *block) for block in blocks(observation)
         ]
@@ -165,10 +164,10 @@ class OnPolicy(ABC):
         """Mask of the runs that hold only finite numbers, [R]."""
         return tree.finite(self._state)
 
-    def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
-        """The whole training state of some runs as named arrays."""
-        return tree.flatten(self._state, runs)
+    def state_dict(self) -> dict[str, NDArray]:
+        """The whole training state as named arrays."""
+        return tree.flatten(self._state)
 
-    def load_state_dict(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
+    def load_state_dict(self, state: dict[str, NDArray]) -> None:
         """Load a state, bit for bit."""
-        self._state = tree.unflatten(self._state, state, runs)
+        self._state = tree.unflatten(self._state, state)

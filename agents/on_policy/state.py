@@ -4,46 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from torch import Tensor
 
-from agents.errors import check, check_choice, check_integers, check_scale
+from agents.checks import In, Settings
 from agents.lockstep import lagrange
 from agents.lockstep.adam import Moments, no_moments
 from agents.lockstep.backend import tensor
-from agents.lockstep.lagrange import MultiplierForm, MultiplierState, PIDState
+from agents.lockstep.lagrange import Multiplier, State
 from agents.lockstep.learned import critic_inputs
-from agents.lockstep.nets import MLP, check_lanes
+from agents.lockstep.nets import LANES, MLP, Activation, check_batch
 from agents.lockstep.noise import Purpose, stream
 from agents.on_policy.gaussian import GaussianPolicy
 
 
 @dataclass(frozen=True)
-class OnPolicyConfig:
+class OnPolicyConfig(Settings):
     """Hyper-parameters of all on-policy algorithms; a family adds its `batch_size`.
 
     The defaults are the paper's (table HP_Circle2D).
     """
 
-    discount: float = 0.99
+    discount: Annotated[float, In(0, 1)] = 0.99
     """Discount factor γ of rewards and costs, in [0, 1]. Paper: 0.99."""
-    gae_lambda: float = 0.95
+    gae_lambda: Annotated[float, In(0, 1)] = 0.95
     """Weight λ of longer returns in advantages (GAE), in [0, 1]. Paper: 0.95."""
-    episodes: int = 10
+    episodes: Annotated[int, In(1, 10_000)] = 10
     """Whole episodes an epoch. Paper: 10; 20 on SafetyPointCircle1."""
-    learning_rate: float = 3e-4
+    learning_rate: Annotated[float, In(above=0, high=1)] = 3e-4
     """Adam's step size. Paper: 3e-4 for the critics."""
-    critic_iterations: int = 10
+    critic_iterations: Annotated[int, In(1, 10_000)] = 10
     """Passes of the critics over an epoch's steps. Paper: 10."""
-    hidden: tuple[int, ...] = (64, 64)
-    """Sizes of the hidden layers of actor and critics (tanh); multiples of 32. Paper: 64, 64."""
-    input_scale: float | tuple[float, ...] = 1.0
+    hidden: Annotated[tuple[int, ...], In(1, 65_536)] = (64, 64)
+    """Sizes of the hidden layers of actor and critics. Paper: 64, 64."""
+    activation: Activation = "tanh"
+    """Function between the layers. Not printed in the paper; tanh."""
+    input_scale: Annotated[float | tuple[float, ...], In(1e-6, 1e6)] = 1.0
     """Factor on observations before the networks, or one for each number of an observation. Small
     tanh networks are smooth: observations in [-1, 1] whose details matter want a larger one. Not in
     the paper; 1 leaves them as they are."""
-    initial_log_std: float = 0.0
+    initial_log_std: Annotated[float, In(-20, 20)] = 0.0
     """Initial logarithm of the policy's standard deviation. Not printed in the paper; 0 as in
     Stable-Baselines3."""
     time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
@@ -51,35 +53,22 @@ class OnPolicyConfig:
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
-        check_integers(self, "episodes", "critic_iterations", low=1, high=10_000)
-        check(self, "discount", "gae_lambda", low=0, high=1)
-        check(self, "learning_rate", above=0, high=1)
-        check_scale(self)
-        check(self, "initial_log_std", low=-20, high=20)
-        check_lanes(self)
-        check_choice(self, "time_limit", "bootstrap", "terminal")
+        super().__post_init__()
+        check_batch(getattr(self, "batch_size", LANES))
 
 
 @dataclass(frozen=True)
-class EpisodeCostLimit:
+class EpisodeCostLimit(Settings):
     """The constraint of the on-policy algorithms that have one."""
 
     limited_cost = "undiscounted cost of an episode"  # in words, for tables
-    cost_limit: float = 25.0
+    cost_limit: Annotated[float, In(0, 1e9)] = 25.0
     """Limit d of the undiscounted cost J_C of an episode, mean over an epoch's episodes. Paper: 5
     on Circle2D, 25 on Safety-Gymnasium."""
-    streak_weight: float = 0.0
+    streak_weight: Annotated[float, In(0, 1e6)] = 0.0
     """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
     step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. Not in the
     paper; 0: none."""
-
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        check(self, "cost_limit", low=0, high=1e9)
-        check(self, "streak_weight", low=0, high=1e6)
-        of_family = getattr(super(), "__post_init__", None)
-        if of_family:
-            of_family()
 
 
 class OnPolicyState(NamedTuple):
@@ -88,9 +77,9 @@ class OnPolicyState(NamedTuple):
     actor: Tensor
     """[R, actor size]"""
     critics: Tensor
-    """[R, 2, critic size]: of the reward, of the cost"""
+    """[R, 1 + C, critic size]: of the reward, of each cost"""
     critic_moments: Moments
-    multiplier: MultiplierState | PIDState | None
+    multipliers: tuple[State, ...]
     actor_moments: Moments | None = None
     """None in a family whose actor is not trained by Adam."""
 
@@ -107,13 +96,13 @@ class Epoch(NamedTuple):
     reward_advantage: Tensor
     """[R, B], standardised"""
     cost_advantage: Tensor
-    """[R, B], centred"""
+    """[R, C, B], centred"""
     value_targets: Tensor
-    """[R, 2, B]: of the reward, of the cost"""
+    """[R, 1 + C, B]: of the reward, of each cost"""
     length: Tensor
     """[R]: mean length of the episodes"""
     cost: Tensor
-    """[R]: mean undiscounted cost of the episodes, J_C"""
+    """[R, C]: mean undiscounted costs of the episodes, J_C"""
 
 
 class Nets(NamedTuple):
@@ -123,21 +112,22 @@ class Nets(NamedTuple):
     critic: MLP
 
 
-def make_nets(config: OnPolicyConfig, observation_size: int, action_size: int) -> Nets:
+def make_nets(config: OnPolicyConfig, observation_size: int, action_size: int, costs: int) -> Nets:
     """Nets for flat observations and actions."""
+    seen = critic_inputs(config, observation_size, costs)
     return Nets(
-        actor=GaussianPolicy(MLP((observation_size, *config.hidden, action_size))),
-        critic=MLP((critic_inputs(config, observation_size), *config.hidden, 1)),
+        GaussianPolicy(MLP((observation_size, *config.hidden, action_size), config.activation)),
+        MLP((seen, *config.hidden, 1), config.activation),
     )
 
 
 def initial_state(
-    nets: Nets, config: Any, form: MultiplierForm | None, seeds: Sequence[int]
+    nets: Nets, config: Any, multipliers: Sequence[Multiplier], costs: int, seeds: Sequence[int]
 ) -> OnPolicyState:
     """The state of runs before their first update; each run's comes from its seed alone."""
     streams = [stream(seed, Purpose.PARAMETERS) for seed in seeds]
     actor = np.stack([nets.actor.initial(rng, config.initial_log_std) for rng in streams])
-    critics = np.array([[nets.critic.initial(rng) for _ in range(2)] for rng in streams])
-    critics = tensor(critics)
-    multiplier = lagrange.initial(form, config, len(seeds))
-    return OnPolicyState(tensor(actor), critics, no_moments(critics), multiplier)
+    critics = [[nets.critic.initial(rng) for _ in range(1 + costs)] for rng in streams]
+    critics = tensor(np.array(critics))
+    states = lagrange.initial(multipliers, config, len(seeds))
+    return OnPolicyState(tensor(actor), critics, no_moments(critics), states)

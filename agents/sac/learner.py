@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 
-from agents.lockstep import tree
+from agents.lockstep import lagrange, tree
 from agents.lockstep.backend import array, tensor
-from agents.lockstep.lagrange import PIDState, follow
+from agents.lockstep.lagrange import PIDState
 from agents.lockstep.learned import critic_inputs, input_scale, learned
 from agents.lockstep.modules import mlp
-from agents.lockstep.nets import forward_numpy
+from agents.lockstep.nets import Activation, forward_numpy
 from agents.lockstep.noise import (
-    Epochs,
     Purpose,
     correlated_uniform,
     normal,
@@ -32,25 +31,18 @@ from agents.sac import update as sac
 from agents.sac.config import SACConfig
 from agents.sac.novelty import Novelty
 
-METRICS = (
-    "critic_loss",
-    "cost_critic_loss",
-    "actor_loss",
-    "temperature",
-    "multiplier",
-    "risk",
-    "entropy",
-)
-"""Records of `sac.update`; the multiplier of the algorithms that have one."""
+METRICS = ("critic_loss", "cost_critic_loss", "actor_loss", "temperature", "entropy")
+"""Records of `sac.update` that are one number a run; risks and multipliers come before the last."""
 
 
 def _act(
     layers: Sequence[NDArray[np.float32]],
+    activation: Activation,
     scale: NDArray[np.float32],
     observation: NDArray[np.float32],
     noise: NDArray[np.float32] | None,
 ) -> NDArray[np.float32]:
-    return squashed_gaussian.act(forward_numpy(layers, scale * observation), noise)
+    return squashed_gaussian.act(forward_numpy(layers, scale * observation, activation), noise)
 
 
 class OffPolicy:
@@ -68,33 +60,36 @@ class OffPolicy:
     ) -> None:
         self.config, self.rule, self.seeds = config, rule, tuple(seeds)
         self.episodes = 1
-        self.metrics = tuple(m for m in METRICS if rule.multiplier_form or m != "multiplier")
-        self.action_size = action_size
-        self.nets = sac.make_nets(config, observation_size, action_size)
+        risks = ("risk", *(f"risk_{k}" for k in range(2, rule.costs + 1)))
+        *usual, last = METRICS
+        self.metrics = (*usual, *lagrange.names(rule.multipliers), *risks, last)
+        self.action_size, self.costs = action_size, rule.costs
+        self.nets = sac.make_nets(config, observation_size, action_size, rule.costs)
         self._state = sac.initial_state(self.nets, config, rule, seeds)
-        inputs = critic_inputs(config, observation_size)
+        inputs = critic_inputs(config, observation_size, rule.costs)
         self._kept = config.random_steps if config.random_share else 0
-        self._replay = Replay(len(seeds), config.replay_size, inputs, action_size, self._kept)
+        sizes = (inputs, action_size, rule.costs)
+        self._replay = Replay(len(seeds), config.replay_size, *sizes, self._kept)
         self._novelty = (
             Novelty(config.novelty_length, seeds, observation_size)
             if config.novelty_bonus
             else None
         )
 
-    def policy(self, runs: slice = tree.ALL) -> Policy:
-        """The policy of some runs as it stands now."""
-        layers = self.nets.actor.layers(array(self._state.actor[runs]))
-        scale = input_scale(self.config)
-        return functools.partial(_act, layers, scale)
+    def policy(self) -> Policy:
+        """The policy of every run as it stands now."""
+        net = self.nets.actor
+        layers = net.layers(array(self._state.actor))
+        return functools.partial(_act, layers, net.activation, input_scale(self.config))
 
     def module(self, run: int) -> nn.Module:
         """The deterministic policy of a run in PyTorch: observations -> actions in [-1, 1]."""
         layers = [layer[run] for layer in self.nets.actor.layers(array(self._state.actor))]
         layers[-2:] = [layer[..., : self.action_size] for layer in layers[-2:]]  # of the mean
         layers[0] = input_scale(self.config)[..., None] * layers[0]
-        return nn.Sequential(*mlp(layers), nn.Tanh())
+        return nn.Sequential(*mlp(layers, self.nets.actor.activation), nn.Tanh())
 
-    def explorer(self, epoch: Epochs, steps: NDArray[np.int64]) -> Act:
+    def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
         """Actions of the runs in an epoch: random until `random_steps`, then the policy's.
 
         steps: [R], environment steps each run has taken before.
@@ -121,7 +116,7 @@ class OffPolicy:
         exponent = self.config.random_exponent
         return correlated_uniform(rng, size, exponent) if exponent else uniform(rng, size)
 
-    def learn(self, rollout: Rollout, epoch: Epochs, active: NDArray[np.bool_]) -> NDArray:
+    def learn(self, rollout: Rollout, epoch: int, active: NDArray[np.bool_]) -> NDArray:
         """Store an epoch's episodes and take its gradient steps; active: [R], runs that take part.
 
         Returns the mean of each of `metrics` over the steps, [R, metrics]; NaN for runs that took
@@ -132,24 +127,24 @@ class OffPolicy:
         if of_rewards == "terminal_cost":
             of_rewards, of_costs = "bootstrap", "terminal"
         ends = rollout.terminal(of_rewards), rollout.terminal(of_costs)
-        rollout = learned(rollout, self.config)._replace(length=length)
+        rollout = learned(rollout, self.config, self.costs)._replace(length=length)
         self._replay.add(rollout, *ends)
         if self._novelty:
             self._novelty.add(rollout.next_observation, rollout.length)
         learning = active & (self._replay.size >= self.config.batch_size)
         if not learning.any():
             return np.full((len(self.seeds), len(self.metrics)), np.nan)
-        total = 0.0
+        total = risks = 0.0
         for index, noise in self._draws(epoch):
             batch = self._with_bonus(self._replay.gather(index))
             state, metrics = sac.update(
                 self.nets, self.config, self.rule, self._state, batch, noise
             )
             self._state = tree.where(learning, state, self._state)
-            total = total + np.stack([array(metrics[name]) for name in self.metrics], axis=-1)
-        means = total / self.config.gradient_steps
-        self._control_multiplier(means[:, self.metrics.index("risk"), None], learning)
-        return np.where(learning[:, None], means, np.nan)
+            risks = risks + array(metrics["risks"])
+            total = total + _columns(metrics)
+        self._control_multipliers(risks / self.config.gradient_steps, learning)
+        return np.where(learning[:, None], total / self.config.gradient_steps, np.nan)
 
     def _with_bonus(self, batch: Batch) -> Batch:
         """The batch with `novelty_bonus` in its rewards, by what the runs have seen until now."""
@@ -158,22 +153,23 @@ class OffPolicy:
         novelty = tensor(self._novelty.of(array(batch.next_observation)))
         return batch._replace(reward=batch.reward + self.config.novelty_bonus * novelty)
 
-    def _control_multiplier(self, risk: NDArray, learning: NDArray[np.bool_]) -> None:
-        """One step of a PID multiplier; risk: [R, 1], mean over the epoch's gradient steps.
+    def _control_multipliers(self, risks: NDArray, learning: NDArray[np.bool_]) -> None:
+        """One step of PID multipliers; risks: [R, C], means over the epoch's gradient steps.
 
         Once an epoch, as on-policy: the gains are those of a step of the controller, and the
         derivative of single minibatches' means would be that of their noise.
         """
-        if isinstance(before := self._state.multiplier, PIDState):
-            after = follow(self.rule.multiplier_form, self.config, before, tensor(risk))
-            state = self._state._replace(multiplier=after)
+        if any(isinstance(state, PIDState) for state in self._state.multipliers):
+            multipliers, states = self.rule.multipliers, self._state.multipliers
+            after = lagrange.follow(multipliers, self.config, states, tensor(risks))
+            state = self._state._replace(multipliers=after)
             self._state = tree.where(learning, state, self._state)
 
     def finite(self) -> NDArray[np.bool_]:
         """Mask of the runs that hold only finite numbers, [R]."""
         return tree.finite(self._state)
 
-    def _draws(self, epoch: Epochs) -> list[tuple[NDArray[np.int64], sac.UpdateNoise]]:
+    def _draws(self, epoch: int) -> list[tuple[NDArray[np.int64], sac.UpdateNoise]]:
         """The draws of each gradient step of an epoch: slots [R, B] and action noise."""
         steps, batch = self.config.gradient_steps, self.config.batch_size
         share, action_noise = [], []
@@ -202,19 +198,27 @@ class OffPolicy:
         parts = {"replay": self._replay, "novelty": self._novelty}
         return {name: part for name, part in parts.items() if part is not None}
 
-    def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
-        """The whole training state of some runs as named arrays."""
-        of_parts = {
+    def state_dict(self) -> dict[str, NDArray]:
+        """The whole training state as named arrays."""
+        parts = {
             f"{name}.{key}": value
             for name, part in self._parts.items()
-            for key, value in part.state_dict(runs).items()
+            for key, value in part.state_dict().items()
         }
-        return {**tree.flatten(self._state, runs), **of_parts}
+        return {**tree.flatten(self._state), **parts}
 
-    def load_state_dict(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
+    def load_state_dict(self, state: dict[str, NDArray]) -> None:
         """Load a state, bit for bit."""
-        self._state = tree.unflatten(self._state, state, runs)
+        self._state = tree.unflatten(self._state, state)
         for name, part in self._parts.items():
             prefix = f"{name}."
             arrays = {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
-            part.load_state_dict(arrays, runs)
+            part.load_state_dict(arrays)
+
+
+def _columns(metrics: dict[str, Tensor]) -> NDArray:
+    """The records of an update in the order of `OffPolicy.metrics`, [R, metrics]."""
+    *usual, last = METRICS
+    single = [array(metrics[name])[:, None] for name in usual]
+    several = [array(metrics[name]) for name in ("multipliers", "risks")]
+    return np.concatenate([*single, *several, array(metrics[last])[:, None]], axis=-1)

@@ -48,22 +48,21 @@ class Novelty:
         return np.sqrt(np.maximum(square, 0.0))  # rounding may leave it below 0
 
     def _features(
-        self, states: NDArray[np.float32], run: int | slice = tree.ALL
+        self, states: NDArray[np.float32], run: int | slice = slice(None)
     ) -> NDArray[np.float32]:
         frequencies = self._frequencies[run]
         angle = states[..., : frequencies.shape[-2]] @ frequencies
         scale = np.float32(np.sqrt(2.0 / FEATURES))
         return scale * np.concatenate([np.cos(angle), np.sin(angle)], axis=-1)
 
-    def state_dict(self, runs: slice = tree.ALL) -> dict[str, NDArray]:
-        """The state of some runs for a checkpoint."""
-        return {"seen": self._seen[runs]}
+    def state_dict(self) -> dict[str, NDArray]:
+        """The state for a checkpoint."""
+        return {"seen": self._seen}
 
-    def load_state_dict(self, state: dict[str, NDArray], runs: slice = tree.ALL) -> None:
+    def load_state_dict(self, state: dict[str, NDArray]) -> None:
         """Load a state. ValueError or KeyError for anything else."""
-        seen = self._seen[runs]
-        self._seen[runs] = tree.expect("seen", state, seen.shape, np.float64)
-        self._inverse[runs] = _inverses(self._seen[runs])
+        self._seen = tree.expect("seen", state, self._seen.shape, np.float64).copy()
+        self._inverse = _inverses(self._seen)
 
 
 def _inverses(matrices: NDArray[np.float64]) -> NDArray[np.float32]:

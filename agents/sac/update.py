@@ -18,7 +18,7 @@ from agents.lockstep import lagrange
 from agents.lockstep.adam import Moments, adam, no_moments
 from agents.lockstep.backend import tensor
 from agents.lockstep.compiling import compiled
-from agents.lockstep.lagrange import MultiplierForm, MultiplierState, PIDState
+from agents.lockstep.lagrange import Multiplier, MultiplierState, State
 from agents.lockstep.learned import critic_inputs
 from agents.lockstep.nets import LANES, MLP
 from agents.lockstep.noise import Purpose, stream
@@ -30,19 +30,21 @@ from agents.sac.config import SACConfig
 class CostRule(NamedTuple):
     """How an algorithm of the family treats costs. Every function takes its config first.
 
-    `cost_values` are the outputs of the two cost critics, [R, 2, B].
+    `cost_values` are the outputs of one cost's two critics, [R, 2, B].
     """
 
     risk: Callable[[Any, Tensor], Tensor]
-    """(config, cost_values) -> [R, B]: cost estimate that the actor penalises."""
+    """(config, cost_values) -> [R, B]: estimate of a cost that the actor penalises."""
     critic_loss: Callable[[Any, Tensor, Tensor, Batch], Tensor]
-    """(config, cost_values, the target critics' at the next action, batch) -> [R]."""
+    """(config, cost_values, the target critics' at the next action, batch with that cost [R, B])
+    -> [R]."""
     penalty: Callable[[Any, Tensor, Tensor], Tensor]
-    """(config, risk [R, B], multiplier [R, 1]) -> [R, B]: added to the actor's loss. The multiplier
-    is 0 where the rule has none."""
-    multiplier_form: MultiplierForm | None = None
-    """How the multiplier is parametrised; it follows `E[risk] - d`. None for an algorithm without
-    one."""
+    """(config, risks [R, C, B], multipliers [R, M]) -> [R, C, B]: added to the actor's loss, each
+    cost's."""
+    multipliers: tuple[Multiplier, ...] = ()
+    """Each follows `E[risk] - d` of its cost."""
+    costs: int = 1
+    """How many costs are learned, by a pair of critics each."""
 
 
 class Nets(NamedTuple):
@@ -61,12 +63,12 @@ class SACState(NamedTuple):
     actor: Tensor
     """[R, actor size]"""
     critics: Tensor
-    """[R, 4, critic size]: two for the reward, two for the cost"""
+    """[R, 2 + 2·C, critic size]: two for the reward, two for each cost"""
     targets: Tensor
-    """[R, 4, critic size]"""
+    """[R, 2 + 2·C, critic size]"""
     log_temperature: Tensor
     """[R, LANES]"""
-    multiplier: MultiplierState | PIDState | None
+    multipliers: tuple[State, ...]
     actor_moments: Moments
     critic_moments: Moments
     temperature_moments: Moments
@@ -79,11 +81,12 @@ class UpdateNoise(NamedTuple):
     new_action: Tensor
 
 
-def make_nets(config: SACConfig, observation_size: int, action_size: int) -> Nets:
+def make_nets(config: SACConfig, observation_size: int, action_size: int, costs: int) -> Nets:
     """Nets for flat observations and actions."""
+    seen = critic_inputs(config, observation_size, costs) + action_size
     return Nets(
-        actor=MLP((observation_size, *config.hidden, 2 * action_size)),
-        critic=MLP((critic_inputs(config, observation_size) + action_size, *config.hidden, 1)),
+        actor=MLP((observation_size, *config.hidden, 2 * action_size), config.activation),
+        critic=MLP((seen, *config.hidden, 1), config.activation),
     )
 
 
@@ -91,7 +94,8 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
     """The state of runs before their first update; each run's comes from its seed alone."""
     streams = [stream(seed, Purpose.PARAMETERS) for seed in seeds]
     actor = tensor(np.stack([nets.actor.initial(rng) for rng in streams]))
-    critics = [[nets.critic.initial(rng) for _ in range(4)] for rng in streams]
+    count = 2 + 2 * rule.costs
+    critics = [[nets.critic.initial(rng) for _ in range(count)] for rng in streams]
     critics = tensor(np.array(critics))
     log_temperature = torch.zeros(len(seeds), LANES)
     return SACState(
@@ -99,7 +103,7 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
         critics=critics,
         targets=critics.clone(),
         log_temperature=log_temperature,
-        multiplier=lagrange.initial(rule.multiplier_form, config, len(seeds)),
+        multipliers=lagrange.initial(rule.multipliers, config, len(seeds)),
         actor_moments=no_moments(actor),
         critic_moments=no_moments(critics),
         temperature_moments=no_moments(log_temperature),
@@ -107,11 +111,16 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
 
 
 def values(nets: Nets, critics: Tensor, observation: Tensor, action: Tensor) -> Tensor:
-    """Values of the four critics of each run: [R, 4, B]."""
+    """Values of all critics of each run: [R, 2 + 2·C, B]."""
     inputs = torch.cat([observation, action], dim=-1)
-    runs, batch, width = inputs.shape
-    inputs = inputs[:, None].expand(runs, 4, batch, width).reshape(runs * 4, batch, width)
-    return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, 4, batch)
+    (runs, batch, width), count = inputs.shape, critics.shape[1]
+    inputs = inputs[:, None].expand(runs, count, batch, width).reshape(runs * count, batch, width)
+    return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, count, batch)
+
+
+def cost_pairs(values: Tensor) -> list[Tensor]:
+    """The outputs [R, 2, B] of each cost's two critics among those of all critics."""
+    return [values[:, k : k + 2] for k in range(2, values.shape[1], 2)]
 
 
 def critic_loss(
@@ -121,16 +130,22 @@ def critic_loss(
     critics: Tensor,
     batch: Batch,
     reward_target: Tensor,
-    next_cost_values: Tensor,
+    next_values: Tensor,
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Half the mean squared error of each reward critic, and the rule's loss of the cost critics.
+
+    next_values: of all target critics at the next action, [R, 2 + 2·C, B].
 
     Returns the sum over runs, and both parts [R].
     """
     q = values(nets, critics, batch.observation, batch.action)
     error = q[:, :2] - reward_target[:, None]
     reward_part = 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
-    cost_part = rule.critic_loss(config, q[:, 2:], next_cost_values, batch)
+    pairs = enumerate(zip(cost_pairs(q), cost_pairs(next_values), strict=True))
+    losses = [
+        rule.critic_loss(config, *pair, batch._replace(cost=batch.cost[:, k])) for k, pair in pairs
+    ]
+    cost_part = sum(losses[1:], start=losses[0])
     parts = {"critic_loss": reward_part.detach(), "cost_critic_loss": cost_part.detach()}
     return (reward_part + cost_part).sum(), parts
 
@@ -147,15 +162,15 @@ def actor_loss(
 ) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
     """`E[α log π - min Q + penalty(risk)]` over actions drawn anew.
 
-    Returns the sum over runs, and [R], risk [R, B] and log π [R, B] without gradient.
+    Returns the sum over runs, and [R], risks [R, C, B] and log π [R, B] without gradient.
     """
     outputs = nets.actor.forward(actor, nets.actor.inputs_of(batch.observation))
     action, log_prob = squashed_gaussian.sample(outputs, noise)
     q = values(nets, critics, batch.observation, action)
-    risk = rule.risk(config, q[:, 2:])
+    risk = torch.stack([rule.risk(config, pair) for pair in cost_pairs(q)], dim=1)
     temperature = state.log_temperature.exp()[:, :1]
-    multiplier = lagrange.value(rule.multiplier_form, state.multiplier, len(actor))
-    penalty = rule.penalty(config, risk, multiplier)
+    multipliers = lagrange.values(rule.multipliers, state.multipliers, len(actor))
+    penalty = rule.penalty(config, risk, multipliers).sum(dim=1)
     reward = torch.minimum(q[:, 0], q[:, 1])
     loss = (temperature * log_prob - reward + penalty).mean(dim=-1)
     return loss.sum(), (loss.detach(), risk.detach(), log_prob.detach())
@@ -164,15 +179,15 @@ def actor_loss(
 def targets_of(
     nets: Nets, config: SACConfig, state: SACState, batch: Batch, noise: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """`r + γ (min Q' - α log π)` at the next action, and the target cost critics' values there.
+    """`r + γ (min Q' - α log π)` at the next action, and all target critics' values there.
 
-    -> [R, B] and [R, 2, B].
+    -> [R, B] and [R, 2 + 2·C, B].
     """
     outputs = nets.actor.forward(state.actor, nets.actor.inputs_of(batch.next_observation))
     action, log_prob = squashed_gaussian.sample(outputs, noise)
     q = values(nets, state.targets, batch.next_observation, action)
     soft_value = torch.minimum(q[:, 0], q[:, 1]) - state.log_temperature.exp()[:, :1] * log_prob
-    return batch.reward + config.discount * (1.0 - batch.terminal) * soft_value, q[:, 2:]
+    return batch.reward + config.discount * (1.0 - batch.terminal) * soft_value, q
 
 
 @compiled
@@ -182,13 +197,13 @@ def update(
     """One gradient step of critics, actor, temperature and multiplier, in this order.
 
     Temperature and multiplier see the actions that the actor's step was computed from. Returns the
-    new state and, for the records, means over the batch, [R] each.
+    new state and, for the records, means over the batch: [R], multipliers [R, M], risks [R, C].
     """
     rate = config.learning_rate
-    reward_target, next_cost_values = targets_of(nets, config, state, batch, noise.next_action)
+    reward_target, next_values = targets_of(nets, config, state, batch, noise.next_action)
 
     def of_critics(critics: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        return critic_loss(nets, config, rule, critics, batch, reward_target, next_cost_values)
+        return critic_loss(nets, config, rule, critics, batch, reward_target, next_values)
 
     gradient, metrics = torch.func.grad(of_critics, has_aux=True)(state.critics)
     critics, critic_moments = adam(state.critics, gradient, state.critic_moments, rate)
@@ -198,20 +213,21 @@ def update(
 
     gradient, (loss, risk, log_prob) = torch.func.grad(of_actor, has_aux=True)(state.actor)
     actor, actor_moments = adam(state.actor, gradient, state.actor_moments, rate)
+    multipliers = lagrange.values(rule.multipliers, state.multipliers, len(actor))
+    risk = risk.mean(dim=-1)
     metrics |= {
         "actor_loss": loss,
         "temperature": state.log_temperature.exp()[:, 0],
-        "multiplier": lagrange.value(rule.multiplier_form, state.multiplier, len(actor))[:, 0],
-        "risk": risk.mean(dim=-1),
+        "multipliers": multipliers,
+        "risks": risk,
         "entropy": -log_prob.mean(dim=-1),
     }
     log_temperature, temperature_moments = temperature_step(
         config, state, log_prob, batch.action.shape[-1]
     )
-    multiplier = state.multiplier
-    if isinstance(multiplier, MultiplierState):  # a PID controller's follows once an epoch
-        cost = risk.mean(dim=-1, keepdim=True)
-        multiplier = lagrange.follow(rule.multiplier_form, config, multiplier, cost)
+    states = state.multipliers
+    if all(isinstance(part, MultiplierState) for part in states):  # a PID follows once an epoch
+        states = lagrange.follow(rule.multipliers, config, states, risk)
     # One constructor call: of two chained _replace calls torch 2.11 on Python 3.12 returns an empty
     # tuple where it compiles.
     after = SACState(
@@ -219,7 +235,7 @@ def update(
         critics=critics,
         targets=state.targets.lerp(critics, config.target_rate),
         log_temperature=log_temperature,
-        multiplier=multiplier,
+        multipliers=states,
         actor_moments=actor_moments,
         critic_moments=critic_moments,
         temperature_moments=temperature_moments,

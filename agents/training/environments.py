@@ -1,12 +1,13 @@
-"""Environments to train in: any gymnasium task with Box spaces and `info["cost"]`."""
+"""Environments to train in: any gymnasium task with Box spaces and costs in its info."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib
 import inspect
 import re
-from numbers import Real
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
@@ -16,12 +17,14 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.vector import RescaleAction
 
-from agents.errors import TaskFailure, UserError, nearest
-from agents.lockstep.rollout import require_cost
-from agents.training.guard import Guard, quiet_worker
+from agents.errors import OwnCodeError, UserError, described, nearest
+from agents.lockstep.rollout import require_costs
+from agents.training.wrappers import CheckedEnv, Guard, quiet_worker
 from circle2d_mj.core.view import View
 
 Vectorization = Literal["auto", "sync", "async"]
+TASK = re.compile(r"([\w.]+:)?([\w-]+/)?[\w:.-]+")
+"""Ids of tasks, as gymnasium has them, with the module that registers them before."""
 
 
 def make_envs(
@@ -30,6 +33,7 @@ def make_envs(
     parameters: dict[str, Any],
     vectorization: Vectorization = "auto",
     step_timeout: float | None = None,
+    costs: Sequence[str] = ("cost",),
 ) -> VectorEnv:
     """`num_envs` environments that take actions in [-1, 1] and do not reset themselves.
 
@@ -38,7 +42,7 @@ def make_envs(
     same numbers. step_timeout: see `Guard`. Raises UserError for an unknown task, parameters it
     refuses, and spaces that are not flat Boxes (actions: bounded); stepping them, TaskFailure.
     """
-    envs = Guard(_unscaled(task, num_envs, parameters, vectorization), task, step_timeout)
+    envs = Guard(unscaled(task, num_envs, parameters, vectorization, costs), task, step_timeout)
     actions = envs.single_action_space
     assert isinstance(actions, Box)
     if (actions.low == -1).all() and (actions.high == 1).all():
@@ -47,14 +51,17 @@ def make_envs(
     return RescaleAction(envs, -one, one)
 
 
-def _unscaled(
-    task: str, num_envs: int, parameters: dict[str, Any], vectorization: Vectorization = "auto"
+def unscaled(
+    task: str,
+    num_envs: int,
+    parameters: dict[str, Any],
+    vectorization: Vectorization = "auto",
+    costs: Sequence[str] = ("cost",),
 ) -> VectorEnv:
     """The environments of `make_envs` with the task's own actions."""
     name = registered(task)
-    native = vectorization == "auto" and is_native(task)
     try:
-        if native:
+        if vectorization == "auto" and is_native(task):
             envs = gym.make_vec(
                 name,
                 num_envs,
@@ -70,11 +77,11 @@ def _unscaled(
                 num_envs,
                 vectorization_mode="async" if apart else "sync",
                 vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED, **worker},
-                wrappers=(FloatCost,),
+                wrappers=(functools.partial(CheckedEnv, costs=costs),),
                 **parameters,
             )
     except Exception as error:  # of the task's own code
-        raise UserError(f"cannot make task {task!r}: {error or type(error).__name__}") from None
+        raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
     _check_space(task, "observation", envs.single_observation_space)
     _check_space(task, "action", envs.single_action_space)
     actions = envs.single_action_space
@@ -84,49 +91,18 @@ def _unscaled(
     return envs
 
 
-class FloatCost(gym.Wrapper):
-    """Makes reward and `info["cost"]` of every step a float.
-
-    gymnasium's vector environments type the array of costs by the first cost they meet, and fill
-    in 0 where one is missing: either would change costs silently.
-    """
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """As the environment's. Raises UserError where reward or cost is no number."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        require_cost(self.env, info)
-        info = {**info, "cost": self._number("info['cost']", info["cost"])}
-        given = self.env.observation_space.shape
-        if np.shape(observation) != given:
-            raise UserError(
-                f"{self.env} gives an observation of shape {list(np.shape(observation))}, its "
-                f"observation space has {list(given or ())}"
-            )
-        if isinstance(reward, np.ndarray) and reward.size == 1:
-            reward = reward.reshape(())[()]
-        return observation, self._number("reward", reward), terminated, truncated, info
-
-    def _number(self, name: str, value: Any) -> float:
-        if not isinstance(value, (Real, np.floating, np.integer, np.bool_)):
-            raise UserError(f"{self.env} gives {name} = {value!r}, which is no number")
-        return float(value)
-
-
-def check_task(task: str, parameters: dict[str, Any]) -> None:
-    """Raise UserError for a task that cannot be made, never ends, or whose steps give no cost."""
+def check_task(task: str, parameters: dict[str, Any], costs: Sequence[str] = ("cost",)) -> None:
+    """Raise UserError for a task that cannot be made, never ends, or whose steps lack a cost."""
     if parameters.get("max_episode_steps", 1) is None:
         raise UserError("task_parameters: max_episode_steps must not be None, episodes must end")
     for parameter in sorted(parameters.keys() & gym.spec(registered(task)).kwargs.keys()):
         raise UserError(
             f"task_parameters: {parameter} is part of the task's id, {task}; choose another id"
         )
-    with contextlib.closing(make_envs(task, 1, parameters)) as envs:
-        try:
-            envs.reset(seed=0)
-            info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
-        except TaskFailure as error:
-            raise UserError(str(error)) from None
-    require_cost(f"task {task!r}", info)
+    with contextlib.closing(make_envs(task, 1, parameters, costs=costs)) as envs:
+        envs.reset(seed=0)
+        info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
+    require_costs(f"task {task!r}", info, costs)
 
 
 def sizes(envs: VectorEnv) -> tuple[int, int]:
@@ -137,23 +113,16 @@ def sizes(envs: VectorEnv) -> tuple[int, int]:
     return observation[0], action[0]
 
 
-def view_of(
-    task: str, parameters: dict[str, Any], expected: tuple[int, int] | None = None
-) -> View | None:
+def view_of(task: str, parameters: dict[str, Any]) -> View | None:
     """The view of a registered task: the attribute `view` of its environment.
 
-    None where the task has no view or is not registered; no module is imported for it. expected:
-    see `sizes`. Raises UserError where the task cannot be made, or is of other sizes.
+    None where the task has no view or is not registered; no module is imported for it. Raises
+    UserError where the task cannot be made.
     """
     name = task.rpartition(":")[2]
     if name not in gym.registry:
         return None
-    with contextlib.closing(_unscaled(name, 1, parameters)) as envs:
-        if expected not in (None, sizes(envs)):
-            raise UserError(
-                f"task {task!r} has {sizes(envs)} numbers in an observation and an action, and had "
-                f"{expected} where its runs began"
-            )
+    with contextlib.closing(unscaled(name, 1, parameters)) as envs:
         env: Any = envs.unwrapped
         if isinstance(env, SyncVectorEnv):  # its wrappers may hold the attribute
             [env] = env.envs
@@ -162,6 +131,27 @@ def view_of(
         except AttributeError:
             return None
     return view if callable(getattr(view, "positions", None)) else None
+
+
+def spaces_of(tasks: Sequence[str], parameters: dict[str, Any]) -> Spaces:
+    """`Spaces` of some tasks. Raises UserError where they have different ones."""
+    spaces = [_spaces_of(task, parameters) for task in tasks]
+    for task, other in zip(tasks, spaces, strict=True):
+        if other != spaces[0]:
+            raise UserError(
+                "tasks that train together must have equal observations and actions: "
+                f"{tasks[0]} has {spaces[0]}, {task} has {other}"
+            )
+    return spaces[0]
+
+
+def _spaces_of(task: str, parameters: dict[str, Any]) -> Spaces:
+    with contextlib.closing(unscaled(task, 1, parameters)) as envs:
+        observation_size, _ = sizes(envs)
+        actions = envs.single_action_space
+        assert isinstance(actions, Box)
+        low, high = (tuple(map(float, bound)) for bound in (actions.low, actions.high))
+        return Spaces(observation_size, low, high, str(actions.dtype))
 
 
 class Spaces(NamedTuple):
@@ -181,16 +171,6 @@ class Spaces(NamedTuple):
         return self.observation_size, len(self.low)
 
 
-def spaces_of(task: str, parameters: dict[str, Any]) -> Spaces:
-    """`Spaces` of a task."""
-    with contextlib.closing(_unscaled(task, 1, parameters)) as envs:
-        observation_size, _ = sizes(envs)
-        actions = envs.single_action_space
-        assert isinstance(actions, Box)
-        low, high = (tuple(map(float, bound)) for bound in (actions.low, actions.high))
-        return Spaces(observation_size, low, high, str(actions.dtype))
-
-
 def registered(task: str) -> str:
     """The id of a task, without the module in "module:id".
 
@@ -206,6 +186,7 @@ def registered(task: str) -> str:
     try:
         gym.spec(name)
     except gym.error.Error as error:
+        task, name = (text if len(text) < 80 else f"{text[:80]}..." for text in (task, name))
         if isinstance(error, gym.error.VersionNotFound):  # which names the versions there are
             raise UserError(f"cannot make task {task!r}: {error}") from None
         hint = nearest(name, gym.registry, otherwise="gymnasium does not have it")
@@ -223,8 +204,9 @@ def task_id(task: str) -> str:
     "module:id" imports the module, as gymnasium does it. Raises UserError for an unknown task, and
     for what is no id.
     """
-    if not isinstance(task, str):
-        raise UserError(f"task must be the id of a gymnasium task, like 'Circle2D-1', got {task!r}")
+    if not isinstance(task, str) or not TASK.fullmatch(task):
+        given = repr(task)[:80]
+        raise UserError(f"task must be the id of a gymnasium task, like 'Circle2D-1', got {given}")
     name = import_module_of(task)
     versions = [re.fullmatch(f"{re.escape(name)}-v([0-9]+)", other) for other in gym.registry]
     newest = max(filter(None, versions), key=lambda found: int(found[1]), default=None)
@@ -241,10 +223,7 @@ def import_module_of(task: str) -> str:
         try:
             importlib.import_module(module)
         except Exception as error:  # of the user's own code
-            why = (
-                str(error) if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
-            )
-            raise UserError(f"cannot make task {task!r}: {why}") from None
+            raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
     return name
 
 

@@ -1,134 +1,117 @@
-"""Evaluation: whole episodes of the deterministic and the stochastic policy."""
+"""Evaluation: whole episodes of policies, of a training's runs together or of any policy."""
 
 from __future__ import annotations
 
 import contextlib
-from pathlib import Path
-from typing import Any
+import functools
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
-from gymnasium.vector import VectorEnv
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from agents.errors import UserError
+from agents.errors import OwnCodeError, TaskFailure, UserError, described
 from agents.lockstep.noise import Purpose, environment_seeds, normal, steps_of_noise
-from agents.lockstep.rollout import Policy, Rollout, collect
-from agents.training.config import TrainConfig, run_folder
-from agents.training.environments import make_envs, sizes
-from agents.training.files import json_bytes
-from emcc import cvar
-from emcc.files import write_files
+from agents.lockstep.rollout import MAX_STEPS, Rollout, collect
+from agents.lockstep.rollout import Policy as RunsPolicy
+from agents.training.config import TrainConfig
+from agents.training.environments import is_native, make_envs, registered, task_id, view_of
+from agents.training.policy import Policy, load_policy
+from agents.training.pretrained import folder_of
+from agents.training.wrappers import CheckedEnv, RecordPositions, SideBySide
+from emcc import cvar, longest_streak
 
-Results = dict[str, list[dict[str, Any]]]
-CVAR_ALPHA = 0.5
-EVALUATION_EPISODES = 100
-"""Of each run and policy at the end of a training."""
+EPISODES = 100
+"""Episodes of each run and policy at the end of a training."""
+SNAPSHOT_EPISODES = 20
+"""Those of an evaluation during training."""
 MOST_EPISODES = 1_000_000
 POLICIES = ("deterministic", "stochastic")
+DRAWN = 5
+"""Episodes of each trained policy that a report draws."""
 
 
-def evaluate(
-    folder: Path,
-    config: TrainConfig,
-    policy: Policy,
-    episodes: int,
-    active: NDArray[np.bool_] | None = None,
-) -> Results:
-    """Evaluate a policy of every run and write `evaluation.json` into its folder.
+class Episodes(NamedTuple):
+    """Evaluated episodes of each run by one policy; those of a void run mean nothing."""
 
-    As `play_policies`. Instead of empty results an older file is removed.
-    """
-    active = np.ones(len(config.seeds), dtype=bool) if active is None else active
-    results = play_policies(config, policy, episodes, active)
-    contents = {}
-    for run, seed in enumerate(config.seeds):
-        name = f"{run_folder(folder, seed).name}/evaluation.json"
-        contents[name] = evaluation_bytes(results, run, seed, episodes)
-    write_files(folder, contents)
-    return results
+    returns: NDArray[np.float64]
+    """[R, N]: undiscounted"""
+    costs: NDArray[np.float64]
+    """[R, N, C]: undiscounted, of each cost"""
+    lengths: NDArray[np.int64]
+    """[R, N]: steps"""
+    final_observations: NDArray[np.float32]
+    """[R, N, observation size]"""
+    void: NDArray[np.bool_]
+    """[R]: runs that were not evaluated, or met a number that is not finite"""
+    paths: list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]]
+    """The first `DRAWN` episodes of each run whose task has a view: positions [T + 1, 2], the start
+    first, and costs [T]"""
 
 
-def evaluation_bytes(results: Results, run: int, seed: int, episodes: int) -> bytes | None:
-    """Results of a run as the content of a file; None where there are none."""
-    of_run = {name: result[run] for name, result in results.items()}
-    if not all(of_run.values()):
-        return None
-    return json_bytes({"seed": seed, "episodes": episodes, **of_run})
+def evaluate_runs(
+    config: TrainConfig, policy: RunsPolicy, episodes: int, active: NDArray[np.bool_] | None = None
+) -> dict[str, Episodes]:
+    """Play episodes with the policy of every run, without its noise and with it, by name.
 
-
-def play_policies(
-    config: TrainConfig, policy: Policy, episodes: int, active: NDArray[np.bool_]
-) -> Results:
-    """Play episodes with a policy of every run.
-
-    Returns for each of `POLICIES` a dictionary a run: means, and values per episode. Start states
-    and noise come from the run's seed, so that an evaluation can be repeated bit for bit.
-    active: [R], runs to be evaluated. The results of the others, and of a run whose policy gives
-    numbers that are not finite, are empty.
+    Start states and noise come from the run's seed, so that an evaluation can be repeated bit for
+    bit. active: [R], runs to be evaluated.
     """
     if not 1 <= episodes <= MOST_EPISODES:
         rule = "at least 1" if episodes < 1 else f"at most {MOST_EPISODES}"
         raise UserError(f"episodes must be {rule}, got {episodes}")
-    results = {name: [{} for _ in config.seeds] for name in POLICIES}
-    if active.any():
-        # As many as memory holds; others than native ones are a model or a process each. Noise is
-        # drawn for all episodes in every part, so there are about 100 parts at the most.
-        at_once = min(episodes, max(100, episodes // 100) if config.is_native else 10)
-        arguments = (config.task, len(config.seeds) * at_once, config.task_parameters)
-        how = (config.vectorization, config.step_timeout)
-        with contextlib.closing(make_envs(*arguments, *how)) as envs:
-            for name in POLICIES:
-                noisy = name == "stochastic"
-                results[name] = _play(envs, config, policy, episodes, at_once, active, noisy)
-    return results
+    active = np.ones(len(config.runs), dtype=bool) if active is None else active
+    # As many as memory holds; others than native ones are a model or a process each. Noise is drawn
+    # for all episodes in every part, so there are about 100 parts at the most.
+    native = config.vectorization == "auto" and all(map(is_native, config.tasks))
+    at_once = min(episodes, max(100, episodes // 100) if native else 10)
+    with contextlib.closing(runs_envs(config, at_once)) as envs:
+        return {
+            name: _all_parts(envs, config, policy, episodes, at_once, active, name == "stochastic")
+            for name in POLICIES
+        }
 
 
-def _play(
-    envs: VectorEnv,
+def runs_envs(config: TrainConfig, each: int) -> SideBySide:
+    """Environments of all runs, `each` of a run; those of tasks with a view record positions."""
+    parts = []
+    for task in config.tasks:
+        how = (config.vectorization, config.step_timeout, config.costs)
+        envs = make_envs(task, len(config.seeds) * each, config.task_parameters, *how)
+        view = view_of(task, config.task_parameters)
+        parts.append(envs if view is None else RecordPositions(envs, view))
+    return SideBySide(parts, config.costs)
+
+
+def _all_parts(
+    envs: SideBySide,
     config: TrainConfig,
-    policy: Policy,
+    policy: RunsPolicy,
     episodes: int,
     at_once: int,
     active: NDArray[np.bool_],
     noisy: bool,
-) -> list[dict[str, Any]]:
-    """For each run the means and, per episode, the undiscounted sums of rewards and costs."""
-    starts = range(0, episodes, at_once)
-    rollouts = (play(envs, config, policy, episodes, k, at_once, active, noisy) for k in starts)
-    parts = [_columns(rollout, len(config.seeds)) for rollout in rollouts]
-    columns = {name: np.concatenate([part[name] for part in parts], axis=1) for name in parts[0]}
-    valid = active & ~columns.pop("diverged")[:, :episodes].any(axis=1)
-    results = []
-    for run in range(len(config.seeds)):
-        if not valid[run]:
-            results.append({})
-            continue
-        of_run = {name: column[run, :episodes] for name, column in columns.items()}
-        means = {
-            "J_R": float(np.mean(of_run["returns"])),
-            "J_C": float(np.mean(of_run["cost_returns"])),
-            f"CVaR_{CVAR_ALPHA:g}": cvar(of_run["cost_returns"], CVAR_ALPHA),
-        }
-        results.append(means | {name: column.tolist() for name, column in of_run.items()})
-    return results
-
-
-def _columns(rollout: Rollout, runs: int) -> dict[str, NDArray]:
-    """Results of the episodes of a rollout, in arrays [R, episodes of each, ...]."""
-    columns = {
-        "returns": rollout.returns,
-        "cost_returns": rollout.cost_returns,
-        "lengths": rollout.length,
-        "final_observations": rollout.final_observation,
-        "diverged": rollout.diverged,
-    }
-    return {name: column.reshape(runs, -1, *column.shape[1:]) for name, column in columns.items()}
+) -> Episodes:
+    runs, columns, paths = len(config.runs), [], []
+    for first in range(0, episodes, at_once):
+        rollout = play(envs, config, policy, episodes, first, at_once, active, noisy)
+        paths = paths or _paths(envs, rollout, runs)
+        values = (rollout.returns, rollout.cost_returns, rollout.length)
+        values = (*values, rollout.final_observation, rollout.diverged)
+        columns.append([column.reshape(runs, at_once, *column.shape[1:]) for column in values])
+    joined = [np.concatenate(parts, axis=1)[:, :episodes] for parts in zip(*columns, strict=True)]
+    *values, diverged = joined
+    return Episodes(*values, ~active | diverged.any(axis=1), paths)
 
 
 def play(
-    envs: VectorEnv,
+    envs: SideBySide,
     config: TrainConfig,
-    policy: Policy,
+    policy: RunsPolicy,
     episodes: int,
     first: int,
     count: int,
@@ -139,7 +122,7 @@ def play(
 
     envs: R·count environments. The rollout holds run after run, [T, R·count].
     """
-    runs, (_, action_size) = len(config.seeds), sizes(envs)
+    runs, action_size = len(config.runs), (envs.single_action_space.shape or (1,))[0]
     chosen = np.arange(first, first + count) % episodes  # beyond the last: played, and left out
     seeds = environment_seeds(config.stream_seeds, Purpose.EVALUATION, 0, episodes)
     seeds = np.array(seeds).reshape(runs, episodes)[:, chosen].ravel().tolist()
@@ -151,4 +134,177 @@ def play(
         action = policy(observation, next(noise)[:, chosen] if noisy else None)
         return action.reshape(runs * count, -1)
 
-    return collect(envs, seeds, act, np.repeat(active, count))
+    return collect(envs, seeds, act, np.repeat(active, count), config.costs)
+
+
+def _paths(
+    envs: SideBySide, rollout: Rollout, runs: int
+) -> list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]]:
+    """`Episodes.paths` of a rollout."""
+    each, column = envs.num_envs // runs, 0
+    paths: list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]] = []
+    for part in envs.parts:
+        located = part.with_start if isinstance(part, RecordPositions) else None
+        for start in range(0, part.num_envs, each):
+            drawn = range(start, start + min(each, DRAWN)) if located is not None else ()
+            lengths = rollout.length[column : column + part.num_envs]
+            costs = rollout.cost[:, column : column + part.num_envs, 0]
+            paths.append(
+                [(located[: lengths[k] + 1, k], costs[: lengths[k], k]) for k in drawn]
+                if located is not None
+                else []
+            )
+        column += part.num_envs
+    return paths
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation:
+    """Results of the episodes of an evaluation.
+
+    The arrays are [episodes]; of a folder they are [runs, episodes], runs in the order of its
+    tasks and seeds.
+    """
+
+    task: str
+    seeds: tuple[int, ...]
+    """Seeds of the runs of a folder, or of the policy's run; empty for any other policy."""
+    returns: NDArray[np.float64]
+    """Undiscounted sum of the rewards of each episode."""
+    costs: NDArray[np.float64]
+    """Undiscounted sum of the costs."""
+    lengths: NDArray[np.int64]
+    """Steps."""
+    longest_streaks: NDArray[np.int64]
+    """Longest streak of consecutive steps with a cost, in steps."""
+
+    def __repr__(self) -> str:
+        runs = f"runs={len(self.returns)}, " if self.returns.ndim > 1 else ""
+        return (
+            f"Evaluation(task={self.task!r}, {runs}episodes={self.returns.shape[-1]}, "
+            f"mean_return={self.mean_return:.2f}, mean_cost={self.mean_cost:.2f}, "
+            f"mcc={self.mcc:.2f})"
+        )
+
+    @property
+    def mean_return(self) -> float:
+        """Mean of `returns`."""
+        return float(self.returns.mean())
+
+    @property
+    def mean_cost(self) -> float:
+        """Mean of `costs`."""
+        return float(self.costs.mean())
+
+    @property
+    def mean_length(self) -> float:
+        """Mean of `lengths`."""
+        return float(self.lengths.mean())
+
+    @property
+    def mcc(self) -> float:
+        """Maximum consecutive cost steps: the greatest share of an episode in one streak."""
+        return float((self.longest_streaks / self.lengths).max())
+
+    def cvar(self, alpha: float = 0.5) -> float:
+        """Conditional value at risk of `costs`: see `emcc.cvar`."""
+        return cvar(self.costs.ravel(), alpha)
+
+
+def evaluate(
+    policy: Policy | Callable[[NDArray], Any] | str | os.PathLike[str],
+    task: str | None = None,
+    episodes: int = 100,
+    deterministic: bool = True,
+    seed: int = 0,
+    task_parameters: dict[str, Any] | None = None,
+    cost: str = "cost",
+) -> Evaluation:
+    """Play whole episodes with a policy, or with those of a folder of runs. Writes nothing.
+
+    policy: what `load_policy` returned, a folder, runs, or any function of one observation to an
+    action of the task. task: a gymnasium id with `info["cost"]`, by default the policy's own, with
+    its `task_parameters`; required for a function. deterministic: for policies and folders;
+    otherwise actions are drawn. seed: of the start states and draws, the same for all runs of a
+    folder. cost: its name in the infos. Raises UserError where the task does not fit the policy.
+    """
+    if not isinstance(episodes, (int, np.integer)) or isinstance(episodes, bool) or episodes < 1:
+        raise UserError(f"episodes must be an integer of at least 1, got {episodes!r}")
+    if isinstance(policy, (str, os.PathLike)):
+        folder = folder_of(policy)
+        config = TrainConfig.read(folder)
+        policies = [load_policy(folder, run.seed, task=run.task) for run in config.runs]
+        given = (task, episodes, deterministic, seed, task_parameters, cost)
+        results = [evaluate(of_run, *given) for of_run in policies]
+        names = ("returns", "costs", "lengths", "longest_streaks")
+        columns = [np.array([getattr(result, name) for result in results]) for name in names]
+        return Evaluation(results[0].task, config.seeds, *columns)
+    if not callable(policy):
+        raise TypeError(f"policy must be a policy, a function or a folder, got {policy!r}")
+    own = policy if isinstance(policy, Policy) else None
+    if task is None and own is None:
+        raise UserError("evaluate needs the task where the policy is a function")
+    name = task_id(task) if task is not None else own.task if own else ""
+    if own and task_parameters is None and name == own.task:
+        task_parameters = own.task_parameters
+    try:
+        made = gym.make(registered(name), disable_env_checker=True, **(task_parameters or {}))
+    except Exception as error:  # of the task's own code
+        raise OwnCodeError(f"cannot make task {name!r}: {described(error)}") from error
+    with contextlib.closing(CheckedEnv(made, (cost,))) as env:
+        act: Callable[[NDArray], Any] = policy
+        if own:
+            _check_fit(own, env.observation_space, env.action_space, name)
+            rng = np.random.default_rng([seed, 1])
+            act = functools.partial(own, deterministic=deterministic, rng=rng)
+        starts = np.random.default_rng(seed).integers(2**31, size=episodes).tolist()
+        try:
+            played = [_episode(env, act, start, cost) for start in starts]
+        except TaskFailure as error:
+            raise TaskFailure(f"task {name!r} {error}") from error.__cause__
+    return Evaluation(name, (own.seed,) if own else (), *map(np.array, zip(*played, strict=True)))
+
+
+def _episode(
+    env: gym.Env, act: Callable[[NDArray], Any], seed: int, cost: str
+) -> tuple[float, float, int, int]:
+    """Return, cost, length and longest streak of an episode."""
+    observation, _ = env.reset(seed=seed)
+    rewards, costs, over = [], [], False
+    while not over:
+        if len(costs) == MAX_STEPS:
+            raise TaskFailure(f"has an episode that has not ended after {MAX_STEPS} steps")
+        action = act(observation)
+        _check_action(action, env.action_space)
+        observation, reward, terminated, truncated, info = env.step(action)
+        rewards.append(float(reward))
+        costs.append(info[cost])
+        over = terminated or truncated
+    return sum(rewards), sum(costs), len(costs), longest_streak(np.array(costs))
+
+
+def _check_action(action: Any, space: gym.Space) -> None:
+    """Raise UserError for an action that a policy must not give; bounds are the task's affair."""
+    given = np.asarray(action)
+    if given.dtype.kind not in "biuf" or not np.isfinite(given).all():
+        raise UserError(f"the policy gives an action that is not finite: {action!r}")
+    if isinstance(space, Box) and given.shape != space.shape:
+        raise UserError(
+            f"the policy gives an action of shape {list(given.shape)}, the task takes one of "
+            f"{list(space.shape or ())}"
+        )
+
+
+def _check_fit(policy: Policy, observation: gym.Space, action: gym.Space, task: str) -> None:
+    """Raise UserError where a policy's observations or actions are not those of a task."""
+    spaces = policy.spaces
+    same = observation.shape == (spaces.observation_size,) and action.shape == (len(spaces.low),)
+    if isinstance(action, Box):
+        bounds = ((action.low, spaces.low), (action.high, spaces.high))
+        same = same and all(np.array_equal(a, np.array(b, action.dtype)) for a, b in bounds)
+    if not same or not isinstance(action, Box):
+        raise UserError(
+            f"the policy of {policy.task} takes observations [{spaces.observation_size}] and gives "
+            f"actions from {list(spaces.low)} to {list(spaces.high)}; task {task!r} has "
+            f"observations {observation} and actions {action}"
+        )

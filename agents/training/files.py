@@ -1,40 +1,35 @@
-"""Files of runs: JSON, arrays, and the lock of a folder. `emcc.files` writes them whole."""
+"""Files of runs: each is written once, whole or not at all, and the lock of a folder."""
 
 from __future__ import annotations
 
 import contextlib
-import glob
-import hashlib
 import io
 import json
+import lzma
 import os
 import secrets
+import struct
 import time
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import UserError
-from emcc.files import check_digest, digest, write_whole
 
-__all__ = (
-    "check_folder",
-    "compare",
-    "json_bytes",
-    "locked",
-    "npz_bytes",
-    "read_arrays",
-    "read_json",
-    "remove_leftovers",
-    "unfinished",
-    "write_arrays",
-    "write_json",
-    "write_whole",
+AnyPath = Path | zipfile.Path
+"""A file or folder on disk, or in an archive."""
+UNFINISHED = ".unfinished"
+"""Ends the name of a file that is being written."""
+UNREADABLE = (
+    *(OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, Warning),
+    *(zipfile.BadZipFile, lzma.LZMAError, struct.error, NotImplementedError, SyntaxError),
 )
+"""Errors that damaged files have zipfile, json and numpy raise."""
 
 
 @contextlib.contextmanager
@@ -61,43 +56,123 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[None]:
         lock.release()
 
 
-def remove_leftovers(folder: Path) -> None:
-    """Remove what killed processes left of files that they were writing, in folders of runs too.
+@contextlib.contextmanager
+def whole(path: Path) -> Iterator[IO[bytes]]:
+    """A new file that takes the place of `path` at the end, flushed; nothing is left of it where
+    that is not reached."""
+    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(8)}{UNFINISHED}")
+    try:
+        with unfinished.open("xb") as file:  # x: follows no link
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
-    Only while the folder is locked.
-    """
-    for path in folder.rglob(".*.unfinished"):
+
+def write_whole(path: Path, content: bytes | str) -> None:
+    """Write a file, whole or not at all."""
+    with whole(path) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what killed processes left of files that they were writing; while it is locked."""
+    for path in folder.rglob(f".*{UNFINISHED}"):
         path.unlink(missing_ok=True)
 
 
-def json_bytes(content: Any) -> bytes:
-    """JSON, indented; floats round-trip bit for bit."""
-    return (json.dumps(content, indent=1) + "\n").encode()
-
-
 def write_json(path: Path, content: Any) -> None:
-    """Write JSON: see `json_bytes`."""
-    write_whole(path, json_bytes(content))
+    """Write JSON, indented; floats round-trip bit for bit."""
+    write_whole(path, json.dumps(content, indent=1) + "\n")
 
 
-def read_json(path: Path, checked: bool = False) -> dict[str, Any]:
-    """Read a JSON object.
-
-    checked: compare the file with its checksum, where there is one. Raises UserError naming the
-    file where it is missing or damaged.
-    """
+def read_json(path: AnyPath) -> dict[str, Any]:
+    """Read a JSON object. Raises UserError naming the file where it is missing or damaged."""
+    if not path.is_file():
+        raise UserError(f"{path} is missing")
     try:
-        data = path.read_bytes()
-        content = json.loads(data.decode("utf-8"))
-    except FileNotFoundError:
-        raise UserError(f"{path} is missing: not a run folder, or a damaged one") from None
-    except (OSError, ValueError, RecursionError) as error:
+        content = json.loads(path.read_bytes().decode("utf-8"))
+    except (*UNREADABLE, RecursionError) as error:
         raise UserError(f"{path} is damaged: {error}") from None
     if not isinstance(content, dict):
         raise UserError(f"{path} is damaged: must be a JSON object, got {type(content).__name__}")
-    if checked:
-        compare(path, data)
     return content
+
+
+def write_arrays(
+    target: Path | IO[bytes], arrays: Mapping[str, NDArray], compression: int = zipfile.ZIP_STORED
+) -> None:
+    """Write named arrays as an .npz file, which `numpy.load` reads; equal ones give equal bytes."""
+    if isinstance(target, Path):
+        with whole(target) as file:
+            write_arrays(file, arrays, compression)
+        return
+    with zipfile.ZipFile(target, "w") as archive:
+        for name, array in arrays.items():
+            member = zipfile.ZipInfo(f"{name}.npy")  # of a fixed date
+            member.compress_type = compression
+            with archive.open(member, "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, np.asanyarray(array), allow_pickle=False)
+
+
+class Arrays(Mapping[str, NDArray]):
+    """The arrays of an .npz file by name, each read, and compared with its checksum, when it is
+    asked for. Raises UserError naming the file where it is missing or damaged."""
+
+    def __init__(self, path: AnyPath) -> None:
+        self.path = path
+        if not path.is_file():
+            raise UserError(f"{path} is missing")
+        try:
+            # One in an archive is read as a whole: it is compressed there.
+            source = path if isinstance(path, Path) else io.BytesIO(path.read_bytes())
+            self._file = zipfile.ZipFile(source)
+        except UNREADABLE as error:
+            raise self._damaged(error) from None
+        self._names = {name.removesuffix(".npy"): name for name in self._file.namelist()}
+
+    def __getitem__(self, name: str) -> NDArray:
+        if name not in self._names:
+            raise KeyError(name)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # of a damaged header too
+                with self._file.open(self._names[name]) as file:
+                    array = np.lib.format.read_array(file, allow_pickle=False)
+                    file.read()  # to its end, where its checksum is compared
+                    return array
+        except UNREADABLE as error:
+            raise self._damaged(error) from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def below(self, prefix: str) -> dict[str, Callable[[], NDArray]]:
+        """Readers of the arrays whose names begin with a prefix, by the rest of their names."""
+        names = (name for name in self if name.startswith(prefix))
+        return {n.removeprefix(prefix): lambda n=n: self[n] for n in names}
+
+    def _damaged(self, error: BaseException) -> UserError:
+        return UserError(f"{self.path} is damaged: {error or type(error).__name__}")
+
+
+def numbered(folder: AnyPath, name: str) -> dict[int, AnyPath]:
+    """The files of a folder's part, such as checkpoints/000050000.npz, by number, in order."""
+    part = folder / name
+    if not part.is_dir():
+        return {}
+    stems = {path.name.removesuffix(".npz"): path for path in part.iterdir()}
+    return {int(stem): stems[stem] for stem in sorted(stems) if stem.isdecimal()}
+
+
+def numbered_path(folder: Path, name: str, number: int) -> Path:
+    """The file of a number: see `numbered`."""
+    return folder / name / f"{number:09d}.npz"
 
 
 def check_folder(path: Path) -> None:
@@ -105,80 +180,3 @@ def check_folder(path: Path) -> None:
     for part in (path, *path.parents):
         if part.is_file():
             raise UserError(f"out must be a folder, but {str(part)!r} is a file")
-
-
-def compare(path: Path, data: bytes) -> str:
-    """The checksum of a file's content. Raises UserError where another one is known."""
-    found = digest(data)
-    try:
-        check_digest(path, found)
-    except ValueError as error:
-        raise UserError(str(error)) from None
-    return found
-
-
-def npz_bytes(arrays: Mapping[str, NDArray]) -> bytes:
-    """Named arrays as the content of an .npz file."""
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **arrays)
-    return buffer.getvalue()
-
-
-def write_arrays(path: Path, arrays: Mapping[str, NDArray]) -> None:
-    """Write named arrays (.npz)."""
-    write_whole(path, npz_bytes(arrays))
-
-
-def read_arrays(
-    path: Path, wanted: Callable[[str], bool] = lambda name: True
-) -> dict[str, NDArray]:
-    """Read those named arrays whose name is `wanted`, all by default; nothing is unpickled.
-
-    Each array's own checksum (CRC-32) is looked at. Raises UserError where the file is missing or
-    damaged. MemoryError and OSError are let out where the file's checksum shows that it is whole:
-    a smaller load on the machine may read it.
-    """
-    try:
-        with path.open("rb") as file:  # numpy leaves a damaged file open
-            return _arrays_in(file, wanted)
-    except FileNotFoundError:
-        raise UserError(f"{path} is missing: nothing has been trained there yet") from None
-    except Exception as error:  # a damaged file has numpy and zipfile raise errors of any kind
-        if isinstance(error, (MemoryError, OSError)) and _is_whole(path):
-            raise
-        raise UserError(f"{path} is damaged: {error or type(error).__name__}") from None
-
-
-def _is_whole(path: Path) -> bool:
-    """Whether a file's checksum is known and matches. It need not fit into memory."""
-    try:
-        with path.open("rb") as file:
-            return check_digest(path, hashlib.file_digest(file, "sha256").hexdigest())
-    except (OSError, ValueError):
-        return False
-
-
-def _arrays_in(file: Any, wanted: Callable[[str], bool]) -> dict[str, NDArray]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # of a damaged header too
-        arrays: Any = np.load(file, allow_pickle=False)
-        if isinstance(arrays, np.ndarray):
-            raise ValueError("it holds one array, not several by name")
-        return {name: arrays[name] for name in arrays.files if wanted(name)}
-
-
-@contextlib.contextmanager
-def unfinished(path: Path) -> Iterator[Path]:
-    """A new path beside a file, of the same suffix, for a library that writes it in pieces.
-
-    What it wrote is moved into place at the end, or removed where that raises.
-    """
-    for left in path.parent.glob(f".*.{glob.escape(path.stem)}.unfinished{path.suffix}"):
-        with contextlib.suppress(OSError):
-            left.unlink()
-    temporary = path.with_name(f".{secrets.token_hex(8)}.{path.stem}.unfinished{path.suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,10 @@ from agents.algorithms import learner as make_learner
 from agents.errors import UserError
 from agents.lockstep import tree
 from agents.lockstep.learner import Learner
-from agents.training.config import TrainConfig, read_spaces
+from agents.training.config import CHECKPOINTS, POLICIES, RunId, TrainConfig, read_spaces
 from agents.training.environments import Spaces
+from agents.training.files import Arrays, numbered, numbered_path
 from agents.training.pretrained import folder_of
-from agents.training.snapshots import read_policy_arrays
 
 
 class Policy:
@@ -34,19 +35,18 @@ class Policy:
     """Id of the task it was trained on."""
     task_parameters: dict[str, Any]
     seed: int
-    """Of its run."""
-    step: int | None
-    """Environment steps of its run by then, of a snapshot those it is named by; None where that was
-    not recorded."""
+    """Seed of its run."""
+    step: int
+    """Environment steps of its run by then, of a policy kept on the way those it is named by."""
     spaces: Spaces
     """Sizes, and bounds of actions."""
 
     def __init__(
-        self, config: TrainConfig, seed: int, step: int | None, spaces: Spaces, learner: Learner
+        self, config: TrainConfig, run: RunId, step: int, spaces: Spaces, learner: Learner
     ) -> None:
         """learner: holds the one run."""
-        self.task, self.task_parameters = config.task, config.task_parameters
-        self.seed, self.step = seed, step
+        self.task, self.task_parameters = run.task, config.task_parameters
+        self.seed, self.step = run.seed, step
         self.spaces, self._act = spaces, learner.policy()
         module = getattr(learner, "module", None)
         self._module = module(0) if module else None
@@ -129,44 +129,41 @@ class _Bounded(nn.Module):
         return self.low + (self.high - self.low) * share
 
 
+def is_of_policy(name: str) -> bool:
+    """Whether an array of a learner's state is one of its policy."""
+    return name == "actor" or name.startswith("actor.")
+
+
+def policy_path(folder: Path, run: RunId, step: int) -> Path:
+    """File of the policy of a run at a step."""
+    return numbered_path(folder / POLICIES, run.prefix, step)
+
+
 def load_policy(
-    folder: str | os.PathLike[str], seed: int | None = None, step: int | None = None
+    folder: str | os.PathLike[str],
+    seed: int | None = None,
+    step: int | None = None,
+    task: str | None = None,
 ) -> Policy:
     """Load a trained policy from a folder of runs, or one that comes with the package.
 
     folder: that of the runs, or "pretrained:ALGORITHM/TASK", such as
         "pretrained:sac-lb-streak/Circle2D-2-v0".
-    seed: of the run; it may be left out where there is only one.
+    seed, task: of the run; each may be left out where there is only one.
     step: a multiple of the training's `evaluate_every`, for the policy of that time; by default
-        that of the last checkpoint.
+        that of the newest checkpoint.
 
     Needs neither the task's environment nor the replay. Raises UserError for what is not there.
     """
     folder = folder_of(folder)
     config = TrainConfig.read(folder)
-    if seed is None:
-        if len(config.seeds) != 1:
-            raise UserError(f"{folder} has several runs: give the seed, one of {config.seeds}")
-        seed = config.seeds[0]
-    if seed not in config.seeds:
-        raise UserError(f"{folder} has no run of seed {seed!r}: there are {config.seeds}")
-    spaces = read_spaces(folder, config)
-    learner, step = load_learner(folder, config, spaces, seed, step)
-    return Policy(config, seed, step, spaces, learner)
-
-
-def load_learner(
-    folder: Path, config: TrainConfig, spaces: Spaces, seed: int, step: int | None = None
-) -> tuple[Learner, int | None]:
-    """Load what one run of a folder learned, without its replay, and the steps it had taken.
-
-    Raises as `load_policy`.
-    """
-    arrays, step = read_policy_arrays(folder, config, seed, step)
-    stream_seed = config.stream_seeds[config.seeds.index(seed)]
+    run = chosen_run(folder, config, seed, task)
+    spaces = read_spaces(folder)
+    arrays, step = read_policy_arrays(folder, config, run, step)
+    stream_seed = config.stream_seeds[config.runs.index(run)]
     learner = make_learner(config.algorithm, config.hyperparameters, [stream_seed], *spaces.sizes)
-    fresh = learner.state_dict()
     try:
+        fresh = learner.state_dict()
         for name, array in arrays.items():
             like = fresh[name]
             if not name.startswith("replay."):  # whose length is that of the training
@@ -175,4 +172,57 @@ def load_learner(
         learner.load_state_dict(fresh)
     except (KeyError, ValueError) as error:
         raise UserError(f"{folder}: the policy is damaged or of another version: {error}") from None
-    return learner, step
+    return Policy(config, run, step, spaces, learner)
+
+
+def chosen_run(
+    folder: object, config: TrainConfig, seed: int | None = None, task: str | None = None
+) -> RunId:
+    """The run of a seed and a task, or the only one. Raises UserError where there is none such."""
+    tasks = [known for known in config.tasks if task in (None, known, known.rpartition(":")[2])]
+    if not tasks:
+        raise UserError(f"{folder} has no run on task {task!r}: its tasks are {config.tasks}")
+    if len(tasks) > 1:
+        raise UserError(f"{folder} has several tasks: give the task, one of {config.tasks}")
+    if seed is None and len(config.seeds) > 1:
+        raise UserError(f"{folder} has several runs: give the seed, one of {config.seeds}")
+    seed = config.seeds[0] if seed is None else seed
+    if seed not in config.seeds:
+        raise UserError(f"{folder} has no run of seed {seed!r}: there are {config.seeds}")
+    return RunId(tasks[0], seed)
+
+
+def read_policy_arrays(
+    folder: Path, config: TrainConfig, run: RunId, step: int | None = None
+) -> tuple[dict[str, NDArray], int]:
+    """The arrays of the policy of one run, each [1, ...], and the steps that the run had taken.
+
+    step: of a policy kept on the way; None for the newest checkpoint, of which nothing else is
+    read. Raises UserError where there is no such policy.
+    """
+    if step is not None:
+        path = policy_path(folder, run, step)
+        if not path.exists():
+            steps = ", ".join(map(str, numbered(folder / POLICIES, run.prefix))) or "none"
+            raise UserError(
+                f"{folder} has no policy of {run} at step {step}: there are {steps}; training "
+                "keeps one every evaluate_every steps"
+            )
+        kept = Arrays(path)
+        return {name: kept[name] for name in kept if not name.startswith("evaluation/")}, step
+    k, error = config.runs.index(run), None
+    for path in reversed(numbered(folder, CHECKPOINTS).values()):
+        try:
+            state = Arrays(path)
+            names = [name for name in state if is_of_policy(name)]
+            # A family without the convention: all of its state.
+            names = names or [name for name in state if name not in ("epoch", "steps", "failures")]
+            arrays = {name: state[name][k : k + 1] for name in names}
+            steps = int(state["steps"][k])
+        except (UserError, KeyError, IndexError) as damaged:
+            error = error or damaged
+            continue
+        if error:
+            warnings.warn(f"{error}: this is the policy of the one before it", stacklevel=4)
+        return arrays, steps
+    raise UserError(f"{error}" if error else f"{folder} has no checkpoint yet")

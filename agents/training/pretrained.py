@@ -5,12 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import numpy as np
-
 from agents.errors import UserError, nearest
-from agents.training.config import TrainConfig
-from agents.training.files import read_json, write_arrays, write_json
-from agents.training.snapshots import read_policy_arrays
 
 FOLDER = Path(__file__).parent.parent / "policies"
 """Holds a folder `ALGORITHM/TASK` for each policy."""
@@ -41,23 +36,3 @@ def folder_of(given: str | os.PathLike[str]) -> Path:
     kind, colon, name = Path(given).as_posix().partition(":")
     algorithm, _, task = name.partition("/")
     return pretrained(algorithm, task) if kind == "pretrained" and colon else Path(given)
-
-
-def write_policy(folder: Path, seed: int, out: Path) -> None:
-    """Write a folder with the policy of one run, from which `load_policy` reads it.
-
-    folder: of the runs, with a checkpoint; out: a new folder. Raises UserError where there is no
-    such policy, or `out` exists.
-    """
-    config = TrainConfig.read(folder)
-    if seed not in config.seeds:
-        raise UserError(f"{folder} has no run of seed {seed}: its seeds are {list(config.seeds)}")
-    if out.exists():
-        raise UserError(f"{out} exists already: choose another folder")
-    arrays, step = read_policy_arrays(folder, config, seed, None)
-    if step is not None:
-        arrays["steps"] = np.array([step])
-    content = read_json(folder / "config.json") | {"seeds": [seed]}
-    out.mkdir(parents=True)
-    write_arrays(out / "checkpoint.npz", arrays)
-    write_json(out / "config.json", content)

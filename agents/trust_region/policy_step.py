@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from agents.errors import check, check_integers
+from agents.checks import In
 from agents.lockstep import lagrange
 from agents.lockstep.compiling import compiled
-from agents.lockstep.lagrange import MultiplierForm
+from agents.lockstep.lagrange import Multiplier
 from agents.on_policy.comparison import Block, blocks_of, compared, compared_in
 from agents.on_policy.state import EpisodeCostLimit, Epoch, Nets, OnPolicyConfig, OnPolicyState
 from agents.trust_region.natural_gradient import Problem, Step, conjugate_gradient, line_search
@@ -30,43 +30,36 @@ class TRPOConfig(EpisodeCostLimit, OnPolicyConfig):
     tasks; presets set it for Circle2D.
     """
 
-    batch_size: int = 256
+    batch_size: Annotated[int, In(1)] = 256
     """Steps in a minibatch of the critics; a multiple of 32. Paper: 256."""
-    target_kl: float = 0.01
+    target_kl: Annotated[float, In(1e-8, 10)] = 0.01
     """Largest mean KL divergence δ of a step of the policy. Paper: 0.01."""
-    cg_iterations: int = 15
+    cg_iterations: Annotated[int, In(1, 10_000)] = 15
     """Iterations of conjugate gradients. Paper: 15."""
-    cg_damping: float = 0.1
+    cg_damping: Annotated[float, In(0, 1e6)] = 0.1
     """Added to the diagonal of the KL divergence's Hessian. Not printed in the paper; 0.1 as in
     Stable-Baselines3."""
-    line_search_steps: int = 15
+    line_search_steps: Annotated[int, In(1, 10_000)] = 15
     """Lengths of a step that are tried at most. Paper: 15."""
-    line_search_decay: float = 0.8
+    line_search_decay: Annotated[float, In(above=0, high=1)] = 0.8
     """Factor between the lengths tried, in (0, 1]. Not printed in the paper; 0.8 as in
     Stable-Baselines3."""
-
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        super().__post_init__()
-        check_integers(self, "cg_iterations", "line_search_steps", low=1, high=10_000)
-        check_integers(self, "batch_size", low=1)
-        check(self, "cg_damping", low=0, high=1e6)
-        check(self, "line_search_decay", above=0, high=1)
-        check(self, "target_kl", low=1e-8, high=10)
 
 
 class StepRule(NamedTuple):
     """How an algorithm of the family treats costs. Every function takes its config first."""
 
     advantage: Callable[[Any, Tensor, Tensor, Tensor], Tensor]
-    """(config, reward advantages [R, B], cost advantages [R, B], multiplier [R, 1]) -> [R, B]: the
-    advantages that the policy's step raises. The multiplier is 0 where the rule has none."""
+    """(config, reward advantages [R, B], cost advantages [R, C, B], multipliers [R, M]) -> [R, B]:
+    the advantages that the policy's step raises."""
     step: Callable[[Any, Problem], Step]
     """(config, problem) -> the step that is tried."""
-    multiplier_form: MultiplierForm | None = None
-    """How the multiplier is parametrised; it follows `J_C - d`. None for an algorithm without."""
+    multipliers: tuple[Multiplier, ...] = ()
+    """Each follows `J_C - d` of its cost."""
     has_cases: bool = False
     """Whether `Step.case` is worth recording."""
+    costs: int = 1
+    """How many costs are learned."""
 
 
 @compiled
@@ -105,8 +98,8 @@ def policy_step(
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The policy after the rule's step and its line search -> [R, actor size], records [R]."""
     old = state.actor
-    multiplier = lagrange.value(rule.multiplier_form, state.multiplier, len(old))
-    advantage = rule.advantage(config, epoch.reward_advantage, epoch.cost_advantage, multiplier)
+    multipliers = lagrange.values(rule.multipliers, state.multipliers, len(old))
+    advantage = rule.advantage(config, epoch.reward_advantage, epoch.cost_advantage, multipliers)
     steps = blocks_of(nets, old, epoch, advantage)
 
     def gradient(of: int) -> Tensor:
@@ -118,7 +111,7 @@ def policy_step(
     problem = Problem(
         gradient=gradient(0),
         cost_gradient=lambda: gradient(1) * epoch.length[:, None],
-        excess=(epoch.cost - config.cost_limit).to(old.dtype),
+        excess=(epoch.cost[:, 0] - config.cost_limit).to(old.dtype),
         product=product,
         solve=lambda b: conjugate_gradient(product, b, config.cg_iterations),
         target_kl=config.target_kl,
@@ -136,4 +129,5 @@ def policy_step(
     tries, decay = config.line_search_steps, config.line_search_decay
     found = line_search(old, step.displacement, judge, tries, decay)
     records = {"kl": found.kl, "step_scale": found.scale, "case": step.case.float()}
-    return found.params, records | {"multiplier": multiplier[:, 0]}
+    names = lagrange.names(rule.multipliers)
+    return found.params, records | dict(zip(names, multipliers.unbind(dim=-1), strict=True))

@@ -1,0 +1,95 @@
+"""Settings that say at the field what is allowed."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import types
+from numbers import Real
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from agents.errors import UserError
+
+MOST = 2**40
+"""Largest integer where a field names no other."""
+
+
+@dataclasses.dataclass(frozen=True)
+class In:
+    """The numbers that a field allows, as `Annotated[float, In(0, 1)]`; `above` is excluded."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    above: float = -math.inf
+
+    def __str__(self) -> str:
+        ends = {"at least": self.low, "above": self.above, "at most": self.high}
+        return " and ".join(f"{k} {v:g}" for k, v in ends.items() if math.isfinite(v))
+
+    def __contains__(self, value: float) -> bool:
+        return self.low <= float(value) <= self.high and float(value) > self.above
+
+
+class Settings:
+    """Base of a frozen dataclass whose values are checked against the types of its fields.
+
+    Checked are numbers (by `In`, if it stands beside the type), bool, Literal, tuples of numbers,
+    and unions of these. A class with rules between its fields adds them to `__post_init__`.
+    """
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the field, the value, and what is allowed."""
+        for name, hint in _hints(type(self)).items():
+            problem = _problem(getattr(self, name), hint)
+            if problem:
+                raise UserError(f"{name} must be {problem}, got {getattr(self, name)!r}")
+
+
+@functools.cache
+def _hints(cls: type) -> dict[str, Any]:
+    try:
+        hints = get_type_hints(cls, include_extras=True)
+    except NameError:  # a class within a function names what no module has: nothing to check by
+        return {}
+    return {field.name: hints[field.name] for field in dataclasses.fields(cls)}  # pyright: ignore
+
+
+def _problem(value: Any, hint: Any, bounds: In | None = None) -> str:
+    """What a value must be and is not, in words; empty where it is allowed."""
+    if get_origin(hint) is Annotated:
+        hint, *marks = get_args(hint)
+        bounds = next((mark for mark in marks if isinstance(mark, In)), bounds)
+    arguments = get_args(hint)
+    if get_origin(hint) in (Union, types.UnionType):
+        problems = [_problem(value, kind, bounds) for kind in arguments]
+        return "" if "" in problems else " or ".join(dict.fromkeys(problems))
+    if hint is type(None):
+        return "" if value is None else "None"
+    if get_origin(hint) is Literal:
+        return "" if value in arguments else " or ".join(map(str, arguments))
+    if hint is bool:
+        return "" if isinstance(value, bool) else "True or False"
+    if hint in (int, float):
+        return _no_number(value, hint, bounds or In())
+    if get_origin(hint) is tuple and arguments[1:] == (...,) and arguments[0] in (int, float):
+        each = "integers" if arguments[0] is int else "numbers"
+        inside = isinstance(value, tuple) and value
+        rule = f", each {bounds}" if bounds else ""
+        allowed = inside and not any(_problem(part, arguments[0], bounds) for part in value)
+        return "" if allowed else f"a tuple of {each}{rule}"
+    return ""
+
+
+def _no_number(value: Any, kind: type, bounds: In) -> str:
+    if isinstance(value, bool) or not isinstance(value, int if kind is int else Real):
+        return "an integer" if kind is int else "a finite number"
+    try:
+        finite = math.isfinite(value)
+    except OverflowError:  # an integer beyond all floats
+        finite = False
+    if not finite:
+        return "a finite number"
+    if kind is int and bounds.high == math.inf and value > MOST:
+        return f"at most {MOST}"
+    return "" if value in bounds else str(bounds)

@@ -1,0 +1,353 @@
+"""What follows a training epoch by epoch: status, policies on the way, TensorBoard, progress."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
+from rich.text import Text
+
+from agents.errors import UserError
+from agents.lockstep.compiling import CLOCK
+from agents.training import evaluation
+from agents.training.config import STATUS, TrainConfig
+from agents.training.files import AnyPath, read_json, write_arrays, write_json
+from agents.training.machine import made_with
+from agents.training.policy import is_of_policy, policy_path
+
+if TYPE_CHECKING:
+    from agents.training.trainer import Trainer
+
+EVERY_SECONDS = 1.0
+"""Least time between two writes of a status, and of a display."""
+
+
+@contextlib.contextmanager
+def usual(trainer: Trainer) -> Iterator[tuple[Callable[[Trainer], object], ...]]:
+    """The callbacks that a training's configuration asks for, and its status."""
+    with contextlib.ExitStack() as stack:
+        chosen: list[Callable[[Trainer], object]] = [keep_policies(trainer)]
+        if trainer.config.tensorboard:
+            chosen.append(stack.enter_context(contextlib.closing(Events(trainer))))
+        if not trainer.done:
+            chosen.append(stack.enter_context(contextlib.closing(StatusFile(trainer))))
+        yield tuple(chosen)
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """An epoch of a training, for those who follow it: trackers, tuners, notebooks.
+
+    `runs[seed]` has, for each run that took part, "step": environment steps taken; "return" and
+    "cost" (undiscounted) and "length": means over the epoch's episodes; "mcc": the greatest share
+    of an episode in one streak of cost; further costs by their names; then the mean of each number
+    that the algorithm's updates give, such as "critic_loss", where the run learned. With several
+    tasks it is `runs[task, seed]`.
+    """
+
+    folder: Path
+    algorithm: str
+    task: str
+    """The task; of several all, with spaces between them."""
+    steps: int
+    """Environment steps that each run takes in all."""
+    runs: Mapping[Any, Mapping[str, float]]
+    """Numbers by seed and name: see above."""
+
+
+def follower(on_epoch: Callable[[Epoch], object]) -> Callable[[Trainer], bool]:
+    """The callback for a function of an `Epoch`. It is False, which stops the training, where the
+    function returned False, be it numpy's; what else it returns does not matter."""
+
+    def call(trainer: Trainer) -> bool:
+        config = trainer.config
+        steps = dict(zip(config.runs, trainer.steps.tolist(), strict=True))
+        runs = {
+            run.seed if len(config.tasks) == 1 else run: {"step": float(steps[run]), **numbers}
+            for run, numbers in trainer.recorder.latest.items()
+        }
+        task = " ".join(config.tasks)
+        answer = on_epoch(Epoch(trainer.folder, config.algorithm, task, config.steps, runs))
+        return not (isinstance(answer, (bool, np.bool_)) and not answer)
+
+    return call
+
+
+def check_callback(on_epoch: object) -> None:
+    """Raise UserError for an `on_epoch` that cannot be called."""
+    if on_epoch is not None and not callable(on_epoch):
+        raise UserError(f"on_epoch must be a function of an Epoch, got {on_epoch!r}")
+
+
+def keep_policies(trainer: Trainer) -> Callable[[Trainer], None]:
+    """Keep the policies of the runs that pass a multiple of `evaluate_every`, with an evaluation.
+
+    Each file depends on the state of the training alone: after a kill the same are written again.
+    """
+    before = trainer.steps.copy()
+
+    def call(trainer: Trainer) -> None:
+        nonlocal before
+        config, every = trainer.config, trainer.config.evaluate_every
+        now, last = trainer.steps, before
+        before = now.copy()
+        if (
+            not every
+            or not (due := (trainer.failures == "") & (now // every > last // every)).any()
+        ):
+            return
+        results = evaluation.evaluate_runs(
+            config, trainer.learner.policy(), evaluation.SNAPSHOT_EPISODES, due
+        )
+        state = trainer.learner.state_dict()
+        kept = {k: v for k, v in state.items() if is_of_policy(k)} or state
+        for k in np.flatnonzero(due):
+            arrays = {name: array[k : k + 1] for name, array in kept.items()}
+            for name, result in results.items():
+                if not result.void[k]:
+                    arrays[f"evaluation/{name}/returns"] = result.returns[k]
+                    arrays[f"evaluation/{name}/costs"] = result.costs[k]
+                    arrays[f"evaluation/{name}/lengths"] = result.lengths[k]
+            path = policy_path(trainer.folder, config.runs[k], int(now[k] // every * every))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_arrays(path, arrays)
+
+    return call
+
+
+class Reading(NamedTuple):
+    """Progress of a training at one time."""
+
+    seconds: float
+    """Since the measuring began."""
+    steps: int
+    """Environment steps of the run that has taken the fewest, those that failed apart."""
+    share: float
+    """Done, in [0, 1]."""
+    steps_per_second: float | None
+    """Of all runs together, since the first epoch; None as long as there is no other."""
+    seconds_left: float | None
+    """None likewise."""
+
+
+class Meter:
+    """Measures a training after each of its epochs.
+
+    The first epoch of a process is not counted in its speed, since it pays for what is done only
+    once, nor is the time in which the compiler works.
+    """
+
+    def __init__(self, steps: int) -> None:
+        """steps: of each run in all."""
+        self._steps, self._started = steps, time.monotonic()
+        self._first: tuple[float, int, float] | None = None
+
+    def read(self, trainer: Trainer) -> Reading:
+        """Progress by now."""
+        now, going = time.monotonic(), trainer.failures == ""
+        steps = int(trainer.steps[going].min(initial=self._steps))
+        total, share = int(trainer.steps.sum()), min(1.0, steps / self._steps)
+        working = now - CLOCK.seconds
+        self._first = self._first or (working, total, share)
+        seconds, more, gained = working - self._first[0], total - self._first[1], share
+        gained -= self._first[2]
+        known = seconds > 0 and gained > 0
+        speed = more / seconds if known else None
+        left = seconds * (1 - share) / gained if known else None
+        return Reading(now - self._started, steps, share, speed, left)
+
+
+class StatusFile:
+    """Keeps `status.json`: {"share": in [0, 1], "steps_per_second": a number or null, "sessions":
+    {"random id of a process": {"seconds": ..., "versions": ..., "machine": ...}}}."""
+
+    def __init__(self, trainer: Trainer) -> None:
+        self._trainer, self._path = trainer, trainer.folder / STATUS
+        self._meter, self._written = Meter(trainer.config.steps), -float("inf")
+        self._before, self._session = sessions(trainer.folder), secrets.token_hex(8)
+        self._made_with = made_with()
+
+    def __call__(self, trainer: Trainer) -> None:
+        """Write where that is due."""
+        now = self._meter.read(trainer)
+        if time.monotonic() - self._written >= EVERY_SECONDS or trainer.done:
+            self._written = time.monotonic()
+            own = {"seconds": round(now.seconds, 3)} | self._made_with
+            content = {"share": now.share, "steps_per_second": now.steps_per_second}
+            content |= {"sessions": self._before | {self._session: own}}
+            write_json(self._path, content)
+
+    def close(self) -> None:
+        """Write a last time."""
+        self._written = -float("inf")
+        self(self._trainer)
+
+
+def share_done(folder: AnyPath) -> float:
+    """Share of a training that is done, in [0, 1]; 0 where nothing says."""
+    share = _status(folder).get("share")
+    return float(share) if isinstance(share, (int, float)) and 0 <= share <= 1 else 0.0
+
+
+def speed(folder: AnyPath) -> float | None:
+    """Environment steps a second of a training, all runs together; None where nothing says."""
+    value = _status(folder).get("steps_per_second")
+    return float(value) if isinstance(value, (int, float)) else None
+
+
+def sessions(folder: AnyPath) -> dict[str, dict[str, Any]]:
+    """Seconds, versions and machine of each process that trained, by its random id; empty where
+    nothing says. The time of a killed process after its last write is not counted."""
+    content = _status(folder).get("sessions")
+    return content if isinstance(content, dict) else {}
+
+
+def other_session(folder: AnyPath) -> str:
+    """Words on other versions or another machine that trained so far; empty where they are ours."""
+    now, before = made_with(), [*sessions(folder).values()]
+    changed = [f"{k} {before[-1].get(k)}" for k in now if before and before[-1].get(k) != now[k]]
+    if not changed:
+        return ""
+    return f"trained so far with other {' and '.join(changed)}: results may differ"
+
+
+def _status(folder: AnyPath) -> dict[str, Any]:
+    """Empty where the file is missing or damaged: no result depends on it."""
+    try:
+        return read_json(folder / STATUS)
+    except UserError:
+        return {}
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words: 3 h 2 min, 5 min, 40 s."""
+    minutes = round(seconds / 60)
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"
+
+
+def require_tensorboard() -> None:
+    """Raise UserError, saying how to install it, where TensorBoard is missing."""
+    try:
+        import torch.utils.tensorboard  # noqa: F401  # an extra, and slow to import
+    except ImportError as error:
+        raise UserError(
+            "TensorBoard is not installed: pip install 'circle2d-mj[tensorboard]'"
+        ) from error
+
+
+class Events:
+    """TensorBoard event files, each run's in `tensorboard/RUN`.
+
+    They hold times of day, unlike the other records. After a resume, the events that an interrupted
+    training had written beyond its checkpoint are marked as void.
+    """
+
+    def __init__(self, trainer: Trainer) -> None:
+        require_tensorboard()
+        from torch.utils.tensorboard import SummaryWriter
+
+        folder = trainer.folder / "tensorboard"
+        self._writers = {
+            run: SummaryWriter(str(folder / run.prefix), purge_step=int(step) + 1)
+            for run, step in zip(trainer.config.runs, trainer.steps, strict=True)
+        }
+
+    def __call__(self, trainer: Trainer) -> None:
+        """Write the last epoch."""
+        steps = dict(zip(trainer.config.runs, trainer.steps, strict=True))
+        for run, numbers in trainer.recorder.latest.items():
+            for name, value in numbers.items():
+                kind = "update" if name in trainer.recorder.metrics else "rollout"
+                self._writers[run].add_scalar(f"{kind}/{name}", value, int(steps[run]))
+
+    def close(self) -> None:
+        """Write out what is buffered."""
+        for writer in self._writers.values():
+            writer.close()
+
+
+@contextlib.contextmanager
+def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
+    """Show steps, speed, recent returns and the time left of a training on stderr.
+
+    Yields the callback. A bar on a terminal; elsewhere a line for every tenth of the training.
+    """
+    console = Console(stderr=True)
+    with _bar(console) as bar:
+        yield _Display(config, console, bar)
+
+
+def working(on: str) -> contextlib.AbstractContextManager[object]:
+    """Show on a terminal that work goes on whose end cannot be foreseen."""
+    return Console(stderr=True).status(on)
+
+
+class _Display:
+    """Progress of a training, seen from the process that goes on with it."""
+
+    def __init__(self, config: TrainConfig, console: Console, bar: Progress) -> None:
+        self.title = f"{config.algorithm} {' '.join(config.tasks)} x {len(config.runs)}"
+        self.console, self.bar = console, bar
+        self.task = bar.add_task(self.title, total=config.steps, speed="", recent="", left="")
+        self.meter, self.shown = Meter(config.steps), time.monotonic()
+        self.compiled = self.compiled_before = CLOCK.seconds
+        self.tenth = -1
+
+    def __call__(self, trainer: Trainer) -> None:
+        """Show progress where that is due."""
+        now, done = self.meter.read(trainer), trainer.done
+        is_tenth = int(10 * now.share) > self.tenth
+        if time.monotonic() - self.shown < EVERY_SECONDS and not done and not is_tenth:
+            return
+        self.shown = time.monotonic()
+        if CLOCK.seconds > self.compiled:
+            self.compiled = CLOCK.seconds
+            self._print(f"compiled in {self.compiled - self.compiled_before:.0f} s")
+        per_second = "" if now.steps_per_second is None else f"{now.steps_per_second:,.0f} steps/s"
+        left = "" if now.seconds_left is None else f"{duration(now.seconds_left)} left"
+        recent = "return {:.2f}, cost {:.2f}".format(*trainer.recorder.recent)
+        if done:  # an evaluation follows
+            recent, left = f"{recent}, evaluating", ""
+        shown = {"speed": per_second, "recent": recent, "left": left}
+        self.bar.update(self.task, completed=now.steps, **shown)
+        if is_tenth or done:
+            self.tenth = int(10 * now.share)
+            after = f"{int(100 * now.share)} % after {now.seconds:.0f} s"
+            self._print(", ".join(filter(None, (after, per_second, recent, left))))
+
+    def _print(self, text: str) -> None:
+        """A line on stderr where that is no terminal."""
+        if not self.console.is_terminal:
+            print(f"{self.title}: {text}", file=self.console.file, flush=True)
+
+
+class _Compiling(ProgressColumn):
+    """For how long the compiler has been working; empty where it is not."""
+
+    def render(self, task: Task) -> Text:
+        began = CLOCK.began
+        return Text("" if began is None else f"compiling, {time.monotonic() - began:.0f} s")
+
+
+def _bar(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:.0f} %"),
+        _Compiling(),
+        TextColumn("{task.fields[speed]}"),
+        TextColumn("{task.fields[recent]}"),
+        TextColumn("{task.fields[left]}"),
+        console=console,
+        disable=not console.is_terminal,
+    )

@@ -1,0 +1,362 @@
+"""`results.npz`: all that reports read of a training, derived once from its steps.
+
+Arrays of a run, below its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`):
+
+- `rollouts` [rollouts]: episodes in each; `length` and `return` [episodes]
+- `costs/NAME/steps`, `/unsafe` and, unless every cost is 1, `/values`: see `pack_costs`
+- `updates` [epochs, metrics], whose names are the array `metrics` of the file
+- `failure`: why the run failed; of none that did not
+- `evaluation/POLICY/returns`, `/costs` and `/lengths`; of the deterministic policy also `/places`
+  and `/ways`, where its episodes end and how they came there, where the task names them
+- `trained/length`, `/positions` and `/costs`: the first evaluated episodes of a task with a view
+- `replay/points` and `/box`: see `Replay`
+
+Of a task, below "Circle2D-1-v0/": `visits` [3, CELLS, CELLS] and `visited` [3, 3], see `Visits`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.errors import UserError
+from agents.lockstep.rollout import Policy
+from agents.training.config import RESULTS, STEPS, RunId, TrainConfig, file_name
+from agents.training.environments import view_of
+from agents.training.evaluation import EPISODES, Episodes, evaluate_runs
+from agents.training.files import Arrays, numbered, write_arrays
+from circle2d_mj.core.view import TellsWays, View
+from circle2d_mj.render import canvas
+from emcc import EpisodeRecords, count_streaks, emcc, longest_streaks, worst
+from emcc.parts import ALPHA, PARTS, rollouts_by_part
+
+CELLS = 160
+"""Cells along each side of a heat map."""
+WINDOWS = 60
+"""Windows of the replay, equal parts of training."""
+GRID_MAX = 65_535
+"""Largest coordinate of the replay's grid."""
+DRAWN_POLICIES = 5
+"""Runs of a task, the first ones, whose trained policies a report draws."""
+
+
+class Visits(NamedTuple):
+    """States that the agents of some runs visited in a part of their training."""
+
+    counts: NDArray[np.int64]
+    """Visits of each cell, [CELLS, CELLS], the top row first."""
+    emcc: float
+    """Mean over the runs."""
+    rollouts: int
+    """Rollouts that are counted."""
+    of: int
+    """All rollouts of the part."""
+
+
+class Episode(NamedTuple):
+    """One episode: where each step ended, and what it cost."""
+
+    positions: NDArray[np.float32]
+    """[T, 2] in the view's unit; [T + 1, 2], the start first, of a trained policy."""
+    costs: NDArray[np.float64]
+    """[T]"""
+
+
+class ReplayEpisode(NamedTuple):
+    """The episode of highest MCC in a window of training."""
+
+    window: int
+    """Of `WINDOWS`, from 0."""
+    start_step: int
+    """Environment steps before it."""
+    points: NDArray[np.uint16]
+    """Where each step ended, [T, 2]: see `Replay.positions`."""
+    costs: NDArray[np.float64]
+    """[T]"""
+
+
+class Replay(NamedTuple):
+    """Episodes of a run's training, one for each window, on a grid of 65 536 points a side."""
+
+    episodes: list[ReplayEpisode]
+    box: NDArray[np.float64]
+    """The lowest and the highest of the points' coordinates in the view's unit, [2, 2]."""
+
+    def positions(self, points: NDArray[np.uint16]) -> NDArray[np.float64]:
+        """Points in the view's unit, [T, 2]."""
+        return self.box[0] + points * ((self.box[1] - self.box[0]) / GRID_MAX)
+
+
+class Steps:
+    """All steps of a training so far, from its files in `steps/`."""
+
+    def __init__(self, folder: Path) -> None:
+        self._files = [Arrays(path) for path in numbered(folder, STEPS).values()]
+
+    def get(self, run: RunId, name: str) -> NDArray | None:
+        """An array of a run over all files; None where there is none."""
+        key = run.prefix + name
+        parts = [file[key] for file in self._files if key in file]
+        return np.concatenate(parts) if parts else None
+
+    @property
+    def metrics(self) -> NDArray[np.str_]:
+        """Names of the numbers of an update."""
+        return self._files[0]["metrics"] if self._files else np.array([], dtype=np.str_)
+
+
+def steps_recorded(folder: Path, config: TrainConfig) -> NDArray[np.int64]:
+    """Steps of each run in `steps/`, [R]. Those of an epoch in which a run failed are not there."""
+    steps = Steps(folder)
+    lengths = (steps.get(run, "length") for run in config.runs)
+    return np.array([0 if length is None else length.sum() for length in lengths], dtype=np.int64)
+
+
+def write_results(
+    folder: Path,
+    config: TrainConfig,
+    policy: Policy,
+    failures: NDArray[np.str_],
+    episodes: int = EPISODES,
+) -> dict[str, Episodes]:
+    """Evaluate the policies of a training that is done, and write `results.npz`.
+
+    failures: [R], why runs failed. Returns the evaluations by policy.
+    """
+    evaluated = evaluate_runs(config, policy, episodes, failures == "")
+    arrays = derived(folder, config, failures)
+    for k, run in enumerate(config.runs):
+        view = _view(config, run.task)
+        for name, result in evaluated.items():
+            if not result.void[k]:
+                own = _evaluation(result, k, view if name == "deterministic" else None)
+                prefix = f"{run.prefix}evaluation/{name}/"
+                arrays |= {prefix + key: array for key, array in own.items()}
+        drawn = evaluated["deterministic"].paths[k]
+        first = config.seeds.index(run.seed) < DRAWN_POLICIES
+        if drawn and first and not evaluated["deterministic"].void[k]:
+            paths = [positions for positions, _ in drawn]
+            arrays[run.prefix + "trained/length"] = np.array([len(costs) for _, costs in drawn])
+            arrays[run.prefix + "trained/positions"] = np.concatenate(paths)
+            costs = np.concatenate([costs for _, costs in drawn])
+            arrays[run.prefix + "trained/costs"] = costs.astype(np.float64)
+    write_arrays(folder / RESULTS, arrays, zipfile.ZIP_DEFLATED)
+    return evaluated
+
+
+def derived(
+    folder: Path, config: TrainConfig, failures: NDArray[np.str_] | None = None
+) -> dict[str, NDArray]:
+    """The arrays of `results.npz` but for evaluations, of a training that need not be done."""
+    steps = Steps(folder)
+    arrays: dict[str, NDArray] = {"metrics": steps.metrics}
+    for task in config.tasks:
+        located: list[tuple[EpisodeRecords, NDArray[np.float32]]] = []
+        for run in (run for run in config.runs if run.task == task):
+            failure = "" if failures is None else failures[config.runs.index(run)]
+            if failure:
+                arrays[run.prefix + "failure"] = np.array(failure)
+            if (length := steps.get(run, "length")) is None:
+                continue
+            own, records = _run(steps, run, length, config)
+            positions = steps.get(run, "positions")
+            if positions is not None and not failure:
+                located.append((records, positions))
+                own |= _replay(records, positions, config.steps)
+            arrays |= {run.prefix + name: array for name, array in own.items()}
+        if located and (view := _view(config, task)):
+            with contextlib.suppress(UserError):  # a third without a rollout
+                visits = count_visits(view, located, config.steps)
+                prefix = file_name(task) + "/"
+                counts = np.array([part.counts for part in visits], dtype=np.uint32)
+                arrays[prefix + "visits"] = counts
+                arrays[prefix + "visited"] = np.array([part[1:] for part in visits], dtype=float)
+    return arrays
+
+
+def _run(
+    steps: Steps, run: RunId, length: NDArray[np.int64], config: TrainConfig
+) -> tuple[dict[str, NDArray], EpisodeRecords]:
+    """Arrays of a run, and its records with the first cost."""
+    updates = steps.get(run, "updates")
+    returns = steps.get(run, "return")
+    assert updates is not None
+    assert returns is not None
+    each = len(length) // max(len(updates), 1)
+    arrays = {"rollouts": np.full(len(updates), each, np.uint16), "updates": updates}
+    arrays |= {"length": smallest(length), "return": returns}
+    for name in config.costs:
+        costs = steps.get(run, f"costs/{name}")
+        assert costs is not None
+        arrays |= {f"costs/{name}/{key}": array for key, array in pack_costs(costs).items()}
+    return arrays, records_of(lambda key: arrays[key], config.costs[0])
+
+
+def _view(config: TrainConfig, task: str) -> View | None:
+    return view_of(task, config.task_parameters)
+
+
+def smallest(values: NDArray[np.int64]) -> NDArray:
+    """Integers in the smallest type that holds them."""
+    for kind in (np.uint8, np.uint16, np.int32):
+        if np.array_equal(values.astype(kind), values):
+            return values.astype(kind)
+    return values
+
+
+def pack_costs(costs: NDArray[np.float64]) -> dict[str, NDArray]:
+    """Costs of steps: a bit each, and the values where some are neither 0 nor 1."""
+    unsafe = costs != 0
+    packed = {"unsafe": np.packbits(unsafe), "steps": np.array(len(costs))}
+    if (costs[unsafe] != 1).any():
+        packed["values"] = costs[unsafe]
+    return packed
+
+
+def unpack_costs(arrays: Callable[[str], NDArray], has_values: bool) -> NDArray[np.float64]:
+    """The costs that `pack_costs` was given."""
+    unsafe = np.unpackbits(arrays("unsafe"), count=int(arrays("steps"))).astype(bool)
+    costs = unsafe.astype(np.float64)
+    if has_values:
+        costs[unsafe] = arrays("values")
+    return costs
+
+
+def records_of(
+    arrays: Callable[[str], NDArray], cost: str, has_values: bool | None = None
+) -> EpisodeRecords:
+    """The episodes of a run by its arrays, with one of its costs."""
+    if has_values is None:
+        try:
+            arrays(f"costs/{cost}/values")
+            has_values = True
+        except KeyError:
+            has_values = False
+    costs = unpack_costs(lambda name: arrays(f"costs/{cost}/{name}"), has_values)
+    length = arrays("length").astype(np.int64)
+    start = np.cumsum(length) - length
+    rollouts = arrays("rollouts")
+    return EpisodeRecords(
+        np.repeat(np.arange(len(rollouts)), rollouts),
+        start,
+        length,
+        arrays("return"),
+        np.add.reduceat(costs, start),
+        longest_streaks(costs, length),
+        *count_streaks(costs, length),
+    )
+
+
+def count_visits(
+    view: View,
+    runs: Sequence[tuple[EpisodeRecords, NDArray[np.float32]]],
+    steps: int,
+    parts: Sequence[float] = tuple(PARTS),
+    alpha: float = ALPHA,
+) -> list[Visits]:
+    """States of the rollouts that dominate EMCC in some parts of training, all runs together.
+
+    runs: records and positions [steps, 2] of each; steps: of the whole training; alpha: the share
+    of rollouts with the highest MCC, those equal to the last of them included; 1 takes all. Source:
+    the figures of visited states. Raises UserError where no rollout starts in a part.
+    """
+    visits = []
+    for part in parts:
+        counts, values, chosen, every = np.zeros((CELLS, CELLS), np.int64), [], 0, 0
+        for records, positions in runs:
+            mcc, starts = records.mcc_per_rollout()
+            in_part = np.flatnonzero(rollouts_by_part(starts, steps)[part])
+            if not len(in_part):
+                raise UserError(f"no rollout starts in part {part:g} of training")
+            dominating = in_part[worst(mcc[in_part], alpha)]
+            rollouts = np.unique(records.rollout)[dominating]
+            rows = np.repeat(np.isin(records.rollout, rollouts), records.length)
+            counts += canvas.count_visits(view.extent, positions[rows], CELLS)
+            values.append(emcc(mcc[in_part], alpha))
+            chosen, every = chosen + len(dominating), every + len(in_part)
+        visits.append(Visits(counts, float(np.mean(values)), chosen, every))
+    return visits
+
+
+def replay_rows(records: EpisodeRecords, steps: int) -> list[tuple[int, int]]:
+    """For each window of training in which an episode starts: the window, and the row of the
+    episode of highest MCC, the first of equal ones."""
+    window = np.minimum(records.start_step * WINDOWS // steps, WINDOWS - 1)
+    share = records.longest_streak / records.length
+    # By window, then by falling MCC, then by time.
+    order = np.lexsort((records.start_step, -share, window))
+    windows, first = np.unique(window[order], return_index=True)
+    return list(zip(windows.tolist(), order[first].tolist(), strict=True))
+
+
+def _replay(
+    records: EpisodeRecords, positions: NDArray[np.float32], steps: int
+) -> dict[str, NDArray]:
+    """The points of the replay's episodes, one after the other, and their box."""
+    rows = [row for _, row in replay_rows(records, steps)]
+    spans = [(int(records.start_step[row]), int(records.length[row])) for row in rows]
+    points = np.concatenate([positions[start : start + n] for start, n in spans]).astype(float)
+    box = np.array([points.min(axis=0), points.max(axis=0)])
+    size = np.where(box[1] > box[0], box[1] - box[0], 1.0)
+    grid = np.round((points - box[0]) / size * GRID_MAX).astype(np.uint16)
+    return {"replay/points": grid, "replay/box": box}
+
+
+def _evaluation(result: Episodes, run: int, view: View | None) -> dict[str, NDArray]:
+    arrays = {"returns": result.returns[run], "costs": result.costs[run]}
+    arrays["lengths"] = result.lengths[run]
+    return arrays | places_of(view, result.final_observations[run], result.costs[run, :, 0])
+
+
+def places_of(
+    view: View | None, observations: NDArray[np.float32], costs: NDArray[np.float64]
+) -> dict[str, NDArray]:
+    """Where evaluated episodes end, and by which way, where the view names places.
+
+    observations: the last of each episode; costs: [N], of whole episodes.
+    """
+    if view is None:
+        return {}
+    left, right, bottom, top = view.extent
+    middle = np.array([[(left + right) / 2, (bottom + top) / 2]])
+    if not view.places(middle):  # the task's places have no names
+        return {}
+    positions = view.positions(observations, {})
+    places = {"places": np.array(view.places(positions), dtype=np.str_)}
+    if isinstance(view, TellsWays):
+        places["ways"] = np.array(view.ways(positions, costs), dtype=np.str_)
+    return places
+
+
+def packed_results(arrays: Mapping[str, NDArray]) -> bytes:
+    """`results.npz` for an archive: without updates, returns of training's episodes to five digits,
+    which the noise in their other bytes would treble, and better compressed."""
+    kept = {
+        name: five_digits(array).astype(np.float32) if name.endswith("/return") else array
+        for name, array in arrays.items()
+        if not name.endswith("/updates")
+    }
+    buffer = io.BytesIO()
+    write_arrays(buffer, kept, zipfile.ZIP_LZMA)
+    return buffer.getvalue()
+
+
+def five_digits(values: NDArray) -> NDArray[np.float64]:
+    """The nearest numbers of 16 significant bits: off by a part in 65 536 at most.
+
+    Means over hundreds of episodes to three digits need no more. Rounded twice is rounded once.
+    Where a number lies beyond float32, all stay as they are.
+    """
+    exact = np.asarray(values, dtype=np.float64)
+    with np.errstate(over="ignore"):
+        bits = exact.astype(np.float32).view(np.uint32).astype(np.uint64)
+    rounded = ((bits + np.uint64(128)) // np.uint64(256) * np.uint64(256)).astype(np.uint32)
+    numbers = rounded.view(np.float32).astype(np.float64)
+    return numbers if np.isfinite(numbers).all() else exact

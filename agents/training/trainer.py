@@ -1,0 +1,288 @@
+"""The training of a folder's runs. It can be killed at any moment and goes on from its newest
+checkpoint."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from agents.algorithms import BUILT_IN
+from agents.algorithms import learner as make_learner
+from agents.errors import OwnCodeError, UserError, described
+from agents.lockstep import backend, tree
+from agents.lockstep.learner import Learner
+from agents.lockstep.noise import Purpose, environment_seeds
+from agents.lockstep.rollout import Rollout, collect
+from agents.training import callbacks, derive
+from agents.training.config import CHECKPOINTS, RESULTS, STEPS, TrainConfig, read_spaces
+from agents.training.evaluation import runs_envs
+from agents.training.files import (
+    Arrays,
+    locked,
+    numbered,
+    numbered_path,
+    remove_unfinished,
+    write_arrays,
+)
+from agents.training.recorder import Recorder
+from agents.training.wrappers import RecordPositions, SideBySide
+
+KEPT = 2
+"""Checkpoints of a folder: the newest, and the one before in case that is damaged."""
+WRITING_SHARE = 0.02
+"""Share of the time that writing checkpoints may take."""
+Callback = Callable[["Trainer"], object]
+"""Called after every epoch. Returning False stops the training after a checkpoint."""
+
+
+def train(folder: Path, *own: Callback) -> Trainer:
+    """Train the runs of a folder to their end, from the newest checkpoint if there is one.
+
+    The folder is one that `TrainConfig.write` made. own: further callbacks. Changes torch's threads
+    and matrix products for the process (`backend.configure`); the last bits of results depend on
+    them. NumPy has one thread meanwhile: its idle threads spin, which made two trainings side by
+    side on two cores nine times slower. Ends with an evaluation and `results.npz`, unless a
+    callback stopped it. Raises UserError where another process trains there.
+    """
+    config = TrainConfig.read(folder)
+    backend.configure(config.backend == "compiled", config.device)
+    with threadpool_limits(1, user_api="blas"), locked(folder):
+        remove_unfinished(folder)
+        trainer = Trainer(folder, config)
+        trainer.load()
+        with contextlib.closing(trainer), callbacks.usual(trainer) as usual:
+            trainer.run((*usual, *own))
+            if trainer.done:
+                derive.write_results(folder, config, trainer.learner.policy(), trainer.failures)
+    return trainer
+
+
+class Trainer:
+    """The runs of a folder between two epochs, and their files."""
+
+    def __init__(self, folder: Path, config: TrainConfig) -> None:
+        self.folder, self.config = folder, config
+        self.learner: Learner = self._learner(config.stream_seeds)
+        self.recorder = Recorder(
+            config.runs, self.learner.episodes, self.learner.metrics, config.costs
+        )
+        count = len(config.runs)
+        self.epoch = 0
+        self.steps = np.zeros(count, dtype=np.int64)
+        """Environment steps each run has taken, [R]."""
+        self.failures = np.full(count, "", dtype="U200")
+        """Why runs have stopped that met a NaN or an infinite number, [R]; the others go on."""
+        self.began_at = 0
+        """Epoch from which this process went on."""
+        self._saved_at, self._writing = time.monotonic(), 0.0
+        own = config.algorithm not in BUILT_IN and count > 1
+        self._alone = self._learner(config.stream_seeds[:1]) if own else None
+
+    def _learner(self, stream_seeds: list[int]) -> Learner:
+        config, sizes = self.config, read_spaces(self.folder).sizes
+        return make_learner(config.algorithm, config.hyperparameters, stream_seeds, *sizes)
+
+    @functools.cached_property
+    def _envs(self) -> SideBySide:
+        """Environments of all runs for an epoch's episodes; made when they are first needed."""
+        return runs_envs(self.config, self.learner.episodes)
+
+    @property
+    def active(self) -> NDArray[np.bool_]:
+        """Runs that still have steps to take, [R]."""
+        return (self.steps < self.config.steps) & (self.failures == "")
+
+    @property
+    def done(self) -> bool:
+        """Whether no run has steps to take."""
+        return not self.active.any()
+
+    def run(self, own: tuple[Callback, ...]) -> None:
+        """Go on until all runs are done or a callback returns False, and save them."""
+        stopped, saved = False, True
+        while not self.done and not stopped:
+            before = self.steps.copy()
+            self.run_epoch()
+            saved = self._is_due(before)
+            if saved:
+                self.save()
+            answers = [callback(self) for callback in own]
+            stopped = any(answer is False for answer in answers)
+        if not saved:
+            self.save()
+
+    def _is_due(self, before: NDArray[np.int64]) -> bool:
+        """Whether to save: at the end, and where a run has passed a multiple of `checkpoint_every`
+        unless writing would take more than its share of the time."""
+        if self.done:
+            return True
+        every = self.config.checkpoint_every
+        passed = (self.steps // every > before // every).any()
+        since = time.monotonic() - self._saved_at
+        return bool(passed and since * WRITING_SHARE >= self._writing)
+
+    def run_epoch(self) -> None:
+        """Collect the episodes of an epoch of every active run, and learn from them."""
+        config, learner, episodes = self.config, self.learner, self.learner.episodes
+        active = self.active
+        resets = environment_seeds(config.stream_seeds, Purpose.ENVIRONMENT, self.epoch, episodes)
+        envs: VectorEnv = self._envs if len(config.tasks) > 1 else self._envs.parts[0]
+        with self._own_code("acts"):
+            act = learner.explorer(self.epoch, self.steps)
+            rollout = collect(envs, resets, act, np.repeat(active, episodes), config.costs)
+        void = rollout.diverged.reshape(-1, episodes)
+        learning = active & ~void.any(axis=1)
+        metrics = np.full((len(active), len(learner.metrics)), np.nan)
+        if learning.any():
+            with self._own_code("learns"):
+                metrics = self._learn(rollout, learning)
+        self.recorder.add(rollout, self._positions(), learning, metrics)
+        self.steps += np.where(active, rollout.length.reshape(len(active), -1).sum(axis=1), 0)
+        self._note_failures(rollout, active, learner.finite())
+        self.epoch += 1
+
+    def _positions(self) -> list[NDArray[np.float32] | None]:
+        """Where the steps of each run ended, [T, E, 2]; None without a view."""
+        positions: list[NDArray[np.float32] | None] = []
+        for part in self._envs.parts:
+            each: list[NDArray[np.float32] | None] = [None] * len(self.config.seeds)
+            if isinstance(part, RecordPositions):
+                each = [*np.split(part.positions, len(self.config.seeds), axis=1)]
+            positions += each
+        return positions
+
+    def _note_failures(
+        self, rollout: Rollout, active: NDArray[np.bool_], finite: NDArray[np.bool_]
+    ) -> None:
+        """Stop the runs that met a number which is not finite, or hold one."""
+        causes = rollout.failure.reshape(len(active), -1)
+        for run in np.flatnonzero(active):
+            cause = next(
+                filter(None, causes[run]), "" if finite[run] else "parameter of its update"
+            )
+            if cause:
+                step = self.steps[run]
+                self.failures[run] = f"failed at step {step}: its {cause} is not finite"
+
+    @contextlib.contextmanager
+    def _own_code(self, does: str) -> Iterator[None]:
+        """Name the algorithm in an error of its code."""
+        try:
+            yield
+        except UserError:
+            raise
+        except Exception as error:
+            name, step = self.config.algorithm, int(self.steps.max())
+            words = f"algorithm {name!r} failed at step {step} where it {does}: {described(error)}"
+            raise OwnCodeError(words) from error
+
+    def _learn(self, rollout: Rollout, learning: NDArray[np.bool_]) -> NDArray:
+        """Learn from an epoch. Raises UserError where an algorithm of the user's own trains its
+        first run otherwise among others than alone: its gradients then depend on the others."""
+        metrics = self.learner.learn(rollout, self.epoch, learning)
+        if self._alone is None:
+            return metrics
+        own = self._alone.learn(rollout.of(slice(self._alone.episodes)), self.epoch, learning[:1])
+        if not np.isnan(own).all():  # its first update
+            together = self.learner.state_dict()
+            for name, array in self._alone.state_dict().items():
+                beside = together[name][:1]
+                beside = beside[:, : array.shape[1]] if array.ndim > 1 else beside
+                if not np.allclose(array, beside, rtol=1e-3, equal_nan=True):
+                    raise UserError(
+                        f"algorithm {self.config.algorithm!r} trains a run otherwise among others "
+                        f"than alone ({name} differs): does it reduce over the first axis, that of "
+                        "runs? A mean over a batch is x.mean(dim=-1)"
+                    )
+            self._alone = None
+        return metrics
+
+    def save(self) -> None:
+        """Write what is new, then the checkpoint; of the older ones the newest stays."""
+        began = time.monotonic()
+        number = self._number
+        counters = {"epoch": np.array(self.epoch), "steps": self.steps, "failures": self.failures}
+        for name, arrays in (
+            (STEPS, self.recorder.take()),
+            (CHECKPOINTS, counters | self.learner.state_dict()),
+        ):
+            (self.folder / name).mkdir(exist_ok=True)
+            write_arrays(numbered_path(self.folder, name, number), arrays)
+        for path in list(numbered(self.folder, CHECKPOINTS).values())[:-KEPT]:
+            Path(str(path)).unlink(missing_ok=True)
+        self._saved_at = time.monotonic()
+        self._writing = self._saved_at - began
+
+    @property
+    def _number(self) -> int:
+        """Number of a checkpoint: steps of the run that is behind; at the end, of the first."""
+        active = self.active
+        return int(self.steps[active].min() if active.any() else self.steps.max())
+
+    def load(self) -> None:
+        """Load the newest checkpoint that opens, and drop what was written behind it.
+
+        Warns of damaged ones. Raises UserError where none of several opens, or a file of steps
+        before it is missing.
+        """
+        checkpoints = numbered(self.folder, CHECKPOINTS)
+        last: UserError | None = None
+        for number in reversed(checkpoints):
+            try:
+                self._load(Arrays(checkpoints[number]))
+                break
+            except UserError as error:
+                last = last or error
+        else:
+            if last:
+                raise last
+            number = -1
+        if last:
+            warnings.warn(
+                f"{last}: going on from the checkpoint before it, {int(self.steps.min())} of "
+                f"{self.config.steps} steps",
+                stacklevel=2,
+            )
+        for name in (CHECKPOINTS, STEPS):
+            for later, path in numbered(self.folder, name).items():
+                if later > number:
+                    Path(str(path)).unlink()
+        if not self.done:
+            (self.folder / RESULTS).unlink(missing_ok=True)
+        recorded = derive.steps_recorded(self.folder, self.config)
+        going = self.failures == ""  # the epoch in which a run failed is not recorded
+        if not np.array_equal(recorded[going], self.steps[going]):
+            raise UserError(
+                f"{self.folder / STEPS} is damaged: it holds {recorded.tolist()} steps of the "
+                f"runs, the checkpoint has {self.steps.tolist()}"
+            )
+
+    def _load(self, state: Arrays) -> None:
+        """Load a checkpoint. Raises UserError where it is damaged."""
+        try:
+            content = dict(state)
+            self.learner.load_state_dict(content)
+            self.steps = tree.expect("steps", content, self.steps.shape, np.int64)
+            self.failures = tree.expect(
+                "failures", content, self.failures.shape, self.failures.dtype
+            )
+            self.epoch = self.began_at = int(tree.expect("epoch", content, (), np.int64))
+            self._alone = None
+        except (KeyError, ValueError) as error:
+            if isinstance(error, UserError):
+                raise
+            raise UserError(f"{state.path} is damaged or of another version: {error}") from None
+
+    def close(self) -> None:
+        """Close the environments."""
+        if "_envs" in vars(self):
+            self._envs.close()

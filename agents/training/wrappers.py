@@ -1,0 +1,297 @@
+"""Wrappers of the environments that training steps: checks, failures, positions, several tasks."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator, Sequence
+from numbers import Real
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import logger
+from gymnasium.vector import AsyncVectorEnv, VectorEnv, VectorWrapper
+from gymnasium.vector.async_vector_env import _async_worker
+from numpy.typing import NDArray
+
+from agents.errors import OwnCodeError, TaskFailure, UserError, described
+from agents.lockstep.rollout import require_costs
+from circle2d_mj.core.view import View
+
+
+class CheckedEnv(gym.Wrapper):
+    """Makes the reward and the costs of every step floats, and errors of the task TaskFailures.
+
+    gymnasium's vector environments type an array of costs by the first cost they meet, and fill in
+    0 where one is missing: either would change costs silently. A failure has the error of the task
+    as its cause, also where it comes from another process.
+    """
+
+    def __init__(self, env: gym.Env, costs: Sequence[str]) -> None:
+        super().__init__(env)
+        self._costs, self._steps = costs, 0
+
+    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
+        """Reset the environment. Raises TaskFailure for any error of it."""
+        self._steps = 0
+        with failing("in a reset"):
+            return self.env.reset(**kwargs)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the environment. Raises TaskFailure for any error of it, and UserError where the
+        reward or a cost is no number."""
+        self._steps += 1
+        with failing(f"in step {self._steps} of an episode"):
+            observation, reward, terminated, truncated, info = self.env.step(action)
+            shape = self.env.observation_space.shape
+            if np.shape(observation) != shape:
+                raise UserError(
+                    f"an observation must be {list(shape or ())}, as its space says, "
+                    f"got {list(np.shape(observation))}"
+                )
+        require_costs(self.env, info, self._costs)
+        costs = {name: self._number(f"info[{name!r}]", info[name]) for name in self._costs}
+        if isinstance(reward, np.ndarray) and reward.size == 1:
+            reward = reward.reshape(())[()]
+        return observation, self._number("reward", reward), terminated, truncated, info | costs
+
+    def _number(self, name: str, value: Any) -> float:
+        if not isinstance(value, (Real, np.floating, np.integer, np.bool_)):
+            raise UserError(f"{self.env} gives {name} = {value!r}, which is no number")
+        return float(value)
+
+
+@contextlib.contextmanager
+def failing(when: str) -> Iterator[None]:
+    """Raise TaskFailure for any error of a task's own code, with that as its cause."""
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        raise TaskFailure(f"failed {when}: {described(error)}") from error
+
+
+class Guard(VectorWrapper):
+    """Names the task in the failures of its environments: those that raise, give arrays of other
+    shapes than their spaces, end or do not answer."""
+
+    def __init__(self, env: VectorEnv, task: str, step_timeout: float | None = None) -> None:
+        """step_timeout: seconds that a step or reset of environments in processes of their own may
+        take; None: any."""
+        super().__init__(env)
+        self._task, self._timeout, self._steps = task, step_timeout, 0
+        self._shape, self._each = env.observation_space.shape, (env.num_envs,)
+
+    def __repr__(self) -> str:
+        return f"task {self._task!r}"
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Reset the environments. Raises TaskFailure."""
+        if options is None or "reset_mask" not in options:
+            self._steps = 0
+        with self._failing("in a reset"):
+            if isinstance(self.env, AsyncVectorEnv):
+                with _silent():
+                    self.env.reset_async(seed=seed, options=options)
+                    observations, info = self.env.reset_wait(self._timeout)
+            else:
+                observations, info = self.env.reset(seed=seed, options=options)
+            _check_shapes({"observations": (observations, self._shape)})
+        return observations, info
+
+    def step(self, actions: Any) -> tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]:
+        """Step the environments. Raises TaskFailure."""
+        self._steps += 1
+        with self._failing(f"in step {self._steps} of an episode"):
+            if isinstance(self.env, AsyncVectorEnv):
+                with _silent():
+                    self.env.step_async(actions)
+                    results = self.env.step_wait(self._timeout)
+            else:
+                results = self.env.step(actions)
+            observations, rewards, terminated, truncated, info = results
+            columns = {"rewards": rewards, "terminated": terminated, "truncated": truncated}
+            columns |= {"info['cost']": info["cost"]} if "cost" in info else {}
+            shapes = {name: (values, self._each) for name, values in columns.items()}
+            _check_shapes(shapes | {"observations": (observations, self._shape)})
+        return results
+
+    def close(self, **kwargs: Any) -> None:
+        """Close the environments; end their processes where they do not answer."""
+        try:
+            self.env.close(**kwargs)
+        except Exception:  # of processes that are gone, or of the task's own code
+            if isinstance(self.env, AsyncVectorEnv):
+                end_processes(self.env)
+
+    @contextlib.contextmanager
+    def _failing(self, when: str) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:
+            if isinstance(self.env, AsyncVectorEnv):
+                end_processes(self.env)
+            # gymnasium wraps the error of another process in one of the same class.
+            inner = error.args[0] if error.args and isinstance(error.args[0], UserError) else error
+            if isinstance(inner, OwnCodeError):  # `CheckedEnv` says when
+                raise TaskFailure(f"task {self._task!r} {inner}") from (inner.__cause__ or inner)
+            why = described(error)
+            if isinstance(inner, UserError):
+                why = str(inner)
+            elif isinstance(error, (TimeoutError, multiprocessing.TimeoutError)):
+                why = f"a process did not answer within step_timeout, {self._timeout:g} s"
+            elif isinstance(error, (EOFError, ConnectionError)):
+                why = "a process of its environments ended"
+            raise TaskFailure(f"task {self._task!r} failed {when}: {why}") from error
+
+
+def _check_shapes(arrays: dict[str, tuple[Any, Any]]) -> None:
+    """Raise UserError for an array of another shape; by name, arrays and their shapes."""
+    for name, (values, shape) in arrays.items():
+        if np.shape(values) != shape:
+            raise UserError(f"{name} must be {list(shape)}, got {list(np.shape(values))}")
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Keep gymnasium from printing the errors of its processes, which it raises as well."""
+    log: Any = logger
+    before, log.min_level = log.min_level, log.ERROR + 1
+    try:
+        yield
+    finally:
+        log.min_level = before
+
+
+def end_processes(envs: AsyncVectorEnv) -> None:
+    """End the processes of environments, whatever they do, and wait for their end."""
+    for process in envs.processes:
+        process.kill()
+    for process in envs.processes:
+        process.join()
+    for pipe in envs.parent_pipes:
+        if pipe is not None:
+            pipe.close()
+    envs.closed = True
+
+
+def quiet_worker(*args: Any) -> None:
+    """gymnasium's process of one environment, which leaves Ctrl-C to its parent, ends by itself
+    with it, and prints nothing of either."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("SIGTERM", "SIGHUP"):  # the parent's handlers are not the child's
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_DFL)
+    try:
+        _async_worker(*args)  # pyright: ignore[reportCallIssue]
+    except BaseException:
+        os._exit(1)  # the parent is gone, or knows from the pipe
+
+
+class RecordPositions(VectorWrapper):
+    """Records where the agents are, by their task's view, since the last reset of all of them."""
+
+    def __init__(self, env: VectorEnv, view: View) -> None:
+        super().__init__(env)
+        self._view = view
+        self._start: NDArray[np.float32] | None = None
+        self._positions: list[NDArray[np.float32]] = []
+
+    @property
+    def positions(self) -> NDArray[np.float32]:
+        """Where each step ended, [steps, num_envs, 2]."""
+        return np.array(self._positions, dtype=np.float32).reshape(-1, self.num_envs, 2)
+
+    @property
+    def with_start(self) -> NDArray[np.float32]:
+        """Where each episode started and each step ended, [steps + 1, num_envs, 2]."""
+        assert self._start is not None
+        return np.concatenate((self._start[None], self.positions))
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Reset the environments, and forget the positions unless only some are reset."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        if options is None or "reset_mask" not in options:
+            self._positions, self._start = [], self._of(observation, info)
+        return observation, info
+
+    def step(self, actions: Any) -> tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]:
+        """Step the environments. Raises UserError where the view cannot give the positions."""
+        observation, *others, info = self.env.step(actions)
+        self._positions.append(self._of(observation, info))
+        reward, terminated, truncated = others
+        return observation, reward, terminated, truncated, info
+
+    def _of(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
+        try:
+            given = self._view.positions(np.asarray(observation, dtype=np.float32), info)
+        except KeyError as error:
+            raise UserError(f"the view of {self.env} needs info[{error}]") from error
+        positions = np.asarray(given, dtype=np.float32)
+        if positions.shape != (self.num_envs, 2):
+            raise UserError(
+                f"the view of {self.env} must give positions [{self.num_envs}, 2], "
+                f"got {list(positions.shape)}"
+            )
+        return positions
+
+
+class SideBySide(VectorEnv):
+    """Vector environments of several tasks that do not reset themselves, one after the other in
+    every array. They have observations of one size and actions of one size. The info of a step
+    holds the costs."""
+
+    def __init__(self, parts: Sequence[VectorEnv], costs: Sequence[str]) -> None:
+        self.parts, self._costs = parts, costs
+        self._ends = np.cumsum([part.num_envs for part in parts])
+        self.num_envs = int(self._ends[-1])
+        self.single_observation_space = parts[0].single_observation_space
+        self.single_action_space = parts[0].single_action_space
+
+    def __repr__(self) -> str:
+        return " beside ".join(map(str, self.parts))
+
+    def reset(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, *, seed: Sequence[int] = (), options: dict | None = None
+    ) -> tuple[NDArray, dict[str, Any]]:
+        """Reset all, with a seed for each environment; or those in `options["reset_mask"]`."""
+        if options is None:
+            pairs = zip(self.parts, self._split(seed), strict=True)
+            observations = [part.reset(seed=seeds.tolist())[0] for part, seeds in pairs]
+        else:
+            observations = []
+            masks = self._split(options["reset_mask"])
+            for part, mask, last in zip(self.parts, masks, self._split(self._last), strict=True):
+                to_reset = {"reset_mask": mask.copy()}
+                observations.append(part.reset(options=to_reset)[0] if mask.any() else last)
+        self._last = np.concatenate(observations)
+        return self._last, {}
+
+    def step(
+        self, actions: NDArray
+    ) -> tuple[NDArray, NDArray, NDArray, NDArray, dict[str, NDArray]]:
+        """Step all; actions: [N, action size]."""
+        results = []
+        for part, own in zip(self.parts, self._split(actions), strict=True):
+            *columns, info = part.step(own)
+            require_costs(part, info, self._costs)
+            results.append((*columns, *(info[name] for name in self._costs)))
+        columns = [np.concatenate(column) for column in zip(*results, strict=True)]
+        self._last, reward, terminated, truncated, *costs = columns
+        return self._last, reward, terminated, truncated, dict(zip(self._costs, costs, strict=True))
+
+    def close(self, **kwargs: Any) -> None:
+        """Close all."""
+        for part in self.parts:
+            part.close(**kwargs)
+
+    def _split(self, values: Any) -> list[NDArray]:
+        return np.split(np.asarray(values), self._ends[:-1])
