@@ -1,26 +1,42 @@
-"""Typed results of the runs of a source, and which of them are complete."""
+"""Trained runs as reports see them: from folders and archives, by task, and which are complete.
+
+An archive is a folder of trainings as a zip file, without checkpoints and steps. Nothing in it is
+unpickled, and reading it runs no code of others.
+"""
 
 from __future__ import annotations
 
-import math
+import itertools
+import zipfile
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from agents.errors import UserError
+from agents.errors import OwnCodeError, UserError, described
 from agents.results.measures import RunData, measures
-from agents.results.source import DamagedSource, Source
-from agents.training.config import NO_RUNS, TrainConfig
-from agents.training.evaluation import CVAR_ALPHA, POLICIES
+from agents.training import derive
+from agents.training.callbacks import sessions
+from agents.training.config import (
+    CHECKPOINTS,
+    CONFIG,
+    NO_RUNS,
+    RESULTS,
+    STATUS,
+    RunId,
+    TrainConfig,
+    file_name,
+)
+from agents.training.derive import Episode, Replay, ReplayEpisode, Visits
+from agents.training.evaluation import POLICIES
+from agents.training.files import UNREADABLE, AnyPath, Arrays, numbered, read_json, whole
 from emcc import EpisodeRecords, cvar
 
-CVAR = f"CVaR_{CVAR_ALPHA:g}"
-
-
-UNREADABLE = (OSError, ValueError, ArithmeticError, LookupError, TypeError, AttributeError)
-"""Errors of values in a run's files that are of another kind than they should be."""
+CVAR_ALPHA = 0.5
 
 
 @dataclass(frozen=True)
@@ -31,14 +47,14 @@ class Run:
     measures: Mapping[str, float | None]
     """By the name of the measure; None for what the run lacks."""
     episodes: int
-    """Evaluated ones of each policy."""
+    """Evaluation episodes per policy."""
     ends: Mapping[str, int]
     """Evaluated episodes of the deterministic policy by the place where they end; empty for a task
     without named places."""
     records: EpisodeRecords = field(repr=False)
-    evaluation: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    """Of `evaluation.json`: means of either policy, and arrays of values per episode, but for the
-    final observations."""
+    evaluation: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, repr=False)
+    """For each policy the means J_R, J_C and CVaR_0.5, and arrays "returns", "cost_returns" and
+    "lengths" of its episodes."""
     ways: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Of the episodes that end in a place, those that came by each way; empty where none tells."""
 
@@ -50,8 +66,8 @@ class Run:
     @property
     def way(self) -> str:
         """The way by which most of them came to that place; empty where it is unknown."""
-        of = self.ways.get(self.end, {})
-        return max(of, key=of.__getitem__, default="")
+        ways = self.ways.get(self.end, {})
+        return max(ways, key=ways.__getitem__, default="")
 
     @property
     def place(self) -> str:
@@ -65,56 +81,274 @@ def one_place(runs: Sequence[Run]) -> bool:
 
 
 @dataclass(frozen=True)
+class Part:
+    """A training's folder, on disk or in an archive, and the runs of one task in it."""
+
+    path: AnyPath
+    title: str
+    """The folder as seen from beside the report's."""
+    arrays: Mapping[str, NDArray] = field(repr=False)
+    """`results.npz`, or what it would hold by now: see `derive`."""
+    seeds: Sequence[int]
+
+
+@dataclass(frozen=True)
 class Group:
-    """The runs of one folder, or of several pooled ones, which differ in their seed only."""
+    """The runs of a training on one task, or of several trainings that differ in seeds alone."""
 
     folder: str
-    """Below the source's own: "." or like "Circle2D-1-v0/cpo"; of several with " + " between."""
+    """Below the report's own: "." or like "Circle2D-1-v0/cpo"; of several with " + " between."""
+    task: str
     config: TrainConfig
     runs: Sequence[Run]
-    """Those that are complete."""
+    """Complete runs."""
+    parts: Sequence[Part] = field(repr=False)
     missing: Mapping[int, str] = field(default_factory=dict)
     """Why the others are left out, by seed."""
     apart: str = ""
     """Words that tell it from a group of equal settings in another folder, if there is one."""
+    cost: str = "cost"
+    """The cost that its measures are of."""
+
+    @property
+    def title(self) -> str:
+        """The folders as seen from beside the report's."""
+        return " + ".join(part.title for part in self.parts)
 
     @property
     def seeds(self) -> list[int]:
-        """Of the complete runs."""
+        """Seeds of the complete runs."""
         return [run.seed for run in self.runs]
 
     @property
     def one_place(self) -> bool:
-        """See the function, of its complete runs."""
+        """Whether all complete runs end in one place."""
         return one_place(self.runs)
 
     def values(self, measure: str) -> list[float | None]:
         """A measure of each complete run."""
         return [run.measures.get(measure) for run in self.runs]
 
+    @property
+    def recorded(self) -> Mapping[str, Any]:
+        """`config.json`."""
+        return read_json(self.parts[0].path / CONFIG)
 
-def read_groups(source: Source, notes: list[str]) -> list[Group]:
-    """The runs of every folder of a source.
+    def sessions(self) -> Mapping[str, Mapping[str, Any]]:
+        """Seconds, versions and machine of each process that trained; empty where nothing says."""
+        return {name: one for part in self.parts for name, one in sessions(part.path).items()}
 
-    Those that are missing, damaged or unfinished go into the notes. Raises UserError where no run
-    is left.
+    def visits(self) -> list[Visits]:
+        """States visited in each third of training, of all complete runs. Raises UserError."""
+        prefix, weights, parts = file_name(self.task) + "/", [], []
+        for part in self.parts:
+            if not any(seed in part.seeds for seed in self.seeds):
+                continue
+            if prefix + "visits" not in part.arrays:
+                raise UserError("it has no positions")
+            counts, about = part.arrays[prefix + "visits"], part.arrays[prefix + "visited"]
+            pairs = zip(counts.astype(np.int64), about.tolist(), strict=True)
+            parts.append([Visits(c, value, int(n), int(every)) for c, (value, n, every) in pairs])
+            weights.append(sum(seed in part.seeds for seed in self.seeds))
+        return [_together(weights, third) for third in zip(*parts, strict=True)]
+
+    def trained(self, seeds: Sequence[int]) -> dict[int, list[Episode] | None]:
+        """Episodes of the trained policies, by seed; None of one that met a number which is not
+        finite. Those of the first `derive.DRAWN_POLICIES` runs are there. Raises UserError."""
+        return {seed: self._trained(seed) for seed in seeds}
+
+    def _trained(self, seed: int) -> list[Episode] | None:
+        arrays, prefix = self._arrays(seed)
+        if f"{prefix}evaluation/deterministic/returns" not in arrays:
+            return None
+        if f"{prefix}trained/length" not in arrays:
+            raise UserError(f"the policy of seed {seed} has no episodes to draw")
+        names = ("length", "positions", "costs")
+        length, positions, costs = (arrays[f"{prefix}trained/{name}"] for name in names)
+        ends = np.cumsum(length)[:-1]
+        paths = np.split(positions, ends + np.arange(1, len(length)))
+        return [Episode(*pair) for pair in zip(paths, np.split(costs, ends), strict=True)]
+
+    def replay(self, run: Run) -> Replay:
+        """The episode of highest MCC in each window of a run's training. Raises UserError."""
+        arrays, prefix = self._arrays(run.seed)
+        if f"{prefix}replay/points" not in arrays:
+            raise UserError("it has no positions")
+        costs, points = self.costs(run), arrays[f"{prefix}replay/points"]
+        episodes, at, records = [], 0, run.records
+        for window, row in derive.replay_rows(records, self.config.steps):
+            start, length = int(records.start_step[row]), int(records.length[row])
+            path = points[at : at + length]
+            at += length
+            episodes.append(ReplayEpisode(window, start, path, costs[start : start + length]))
+        return Replay(episodes, arrays[f"{prefix}replay/box"])
+
+    def costs(self, run: Run) -> NDArray[np.float64]:
+        """Costs of all steps of a run, [steps]."""
+        arrays, prefix = self._arrays(run.seed)
+        return _costs(arrays, f"{prefix}costs/{self.cost}/")
+
+    def _arrays(self, seed: int) -> tuple[Mapping[str, NDArray], str]:
+        part = next(part for part in self.parts if seed in part.seeds)
+        return part.arrays, RunId(self.task, seed).prefix
+
+
+def _together(weights: Sequence[int], visits: Sequence[Visits]) -> Visits:
+    """Visits of one part of training in several folders, of so many runs each."""
+    return Visits(
+        np.sum([part.counts for part in visits], axis=0),
+        float(np.average([part.emcc for part in visits], weights=weights)),
+        sum(part.rollouts for part in visits),
+        sum(part.of for part in visits),
+    )
+
+
+def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> list[Group]:
+    """The runs at or below some folders and in archives, by task; a path may lead into an archive.
+
+    Folders that differ in their seeds alone count as one. What is missing, damaged or unfinished
+    goes into the notes. name: of what holds all, by default that of the only path. Raises UserError
+    where no run is left, for a path that is no folder or archive, and where one lies in another.
     """
+    sources = _folders(paths, name)
+    own = name if name is not None else name_of_source(paths[0])
     groups = []
-    notes += [f"left out: {problem}" for problem in source.problems]
-    for folder, content in source.configs.items():
+    for folder, path in sources.items():
+        title = own if folder == "." else f"{own}/{folder}"
         try:
-            config = TrainConfig.parse(content, source.title(folder), strict=False)
+            groups += _groups(path, folder, title)
         except UserError as error:
-            notes.append(f"left out: {error}")
-            continue
-        group = _read_group(source, folder, config)
-        groups.append(group)
-        notes += _left_out(source.title(folder), group.missing)
+            notes.append(f"left out: {_relative(error, path, title)}")
     if not groups and not notes:
-        raise UserError(f"{source.name} {NO_RUNS}")
+        raise UserError(f"{own} {NO_RUNS}")
+    for group in groups:
+        notes += _left_out(group.title, group.missing)
     if not any(group.runs for group in groups):
-        raise UserError(f"{source.name} holds no complete runs" + "".join(f"; {n}" for n in notes))
+        raise UserError(f"{own} holds no complete runs" + "".join(f"; {note}" for note in notes))
+    return _pooled(groups, notes)
+
+
+def name_of_source(path: Path) -> str:
+    """The name of a folder; of an archive that of the folder it was made from."""
+    archive = archive_of(path)
+    if archive is None:
+        return path.resolve().name
+    within = path.relative_to(archive).as_posix()
+    if within != ".":
+        return PurePosixPath(within).name
+    with zipfile.ZipFile(archive) as file:
+        return file.comment.decode() or archive.stem
+
+
+def archive_of(path: Path) -> Path | None:
+    """The file that a path is or leads into; None for a path of folders alone."""
+    return next((part for part in (path, *path.parents) if part.is_file()), None)
+
+
+def folders_below(path: Path) -> dict[str, AnyPath]:
+    """Folders of trainings at or below a folder, in an archive, or in a folder of an archive, such
+    as `runs.zip/Circle2D-1-v0`, by their names from there. Raises UserError for anything else."""
+    archive = archive_of(path)
+    if archive is None:
+        if not path.is_dir():
+            raise UserError(f"{path} is no folder")
+        files = sorted(path.rglob(CONFIG))
+        return {file.parent.relative_to(path).as_posix(): file.parent for file in files}
+    within = path.relative_to(archive)
+    try:
+        root = zipfile.Path(archive)
+        names = [PurePosixPath(name) for name in root.root.namelist()]
+    except UNREADABLE as error:
+        raise UserError(f"{path} is no archive that circle2d report wrote: {error}") from None
+    folders = [name.parent for name in names if name.name == CONFIG]
+    if not folders:
+        raise UserError(f"{archive} is no archive that circle2d report wrote: no {CONFIG} in it")
+    below = [folder for folder in folders if folder.is_relative_to(within)]
+    if not below:
+        beside = sorted({f.parts[0] for f in folders if f.parts})
+        raise UserError(f"{archive} has no folder {within}; it has {', '.join(beside) or 'none'}")
+    return {
+        folder.relative_to(within).as_posix(): root if str(folder) == "." else root / str(folder)
+        for folder in below
+    }
+
+
+def _folders(paths: Sequence[Path], name: str | None) -> dict[str, AnyPath]:
+    """All folders of trainings by a name each.
+
+    A folder keeps its name where no other path has one of that name; otherwise, and where it is all
+    of its path (`.`), the path stands before it: as many of its last parts as tell the paths apart.
+    """
+    for one, other in itertools.permutations(paths, 2):
+        if one.resolve().is_relative_to(other.resolve()):
+            raise UserError(f"{one} is in {other}: its runs would count twice")
+    sources = [folders_below(path) for path in paths]
+    for path, folders in zip(paths, sources, strict=True):
+        if not folders:
+            raise UserError(f"{path} {NO_RUNS}")
+    if len(paths) == 1 and name is None:
+        return sources[0]
+    count = Counter(folder for folders in sources for folder in folders)
+    joined: dict[str, AnyPath] = {}
+    for prefix, folders in zip(_prefixes(paths), sources, strict=True):
+        for folder, path in folders.items():
+            unique = count[folder] == 1 and folder != "."
+            key = folder if unique else prefix if folder == "." else f"{prefix}/{folder}"
+            if key in joined:
+                raise UserError(f"two of the sources hold runs named {key}: rename one")
+            joined[key] = path
+    return joined
+
+
+def _prefixes(paths: Sequence[Path]) -> list[str]:
+    """The last parts of each path, without an archive's suffix: as few as differ, all equally many.
+
+    An archive's suffix stays where nothing else differs.
+    """
+    resolved = [path.resolve() for path in paths]
+    short = [path.with_suffix("") if path.is_file() else path for path in resolved]
+    for named in (short, resolved):
+        for parts in range(1, max(len(path.parts) for path in named) + 1):
+            prefixes = ["/".join(path.parts[-parts:]) for path in named]
+            if len(set(prefixes)) == len(paths):
+                return prefixes
+    raise AssertionError(f"equal paths: {paths}")
+
+
+def results_of(path: AnyPath, config: TrainConfig) -> Mapping[str, NDArray]:
+    """`results.npz` of a training, or what it would hold by now. Raises UserError."""
+    if (path / RESULTS).is_file() or not isinstance(path, Path):
+        return Arrays(path / RESULTS)
+    failures = None
+    for checkpoint in reversed(numbered(path, CHECKPOINTS).values()):
+        state = Arrays(checkpoint)
+        failures = state.get("failures")
+        break
+    return derive.derived(path, config, failures)
+
+
+def _groups(path: AnyPath, folder: str, title: str) -> list[Group]:
+    """The runs of a folder: a group for each task and cost."""
+    config = TrainConfig.parse(read_json(path / CONFIG), title, strict=False)
+    part = Part(path, title, results_of(path, config), config.seeds)
+    groups = []
+    for task, cost in itertools.product(config.tasks, config.costs):
+        runs, missing = [], {}
+        for seed in config.seeds:
+            try:
+                runs.append(_read_run(part.arrays, config, RunId(task, seed), cost, title))
+            except OwnCodeError:
+                raise
+            except UserError as error:
+                missing[seed] = _relative(error, path, title)
+        apart = "" if cost == config.costs[0] else cost
+        groups.append(Group(folder, task, config, runs, [part], missing, apart, cost))
     return groups
+
+
+def _relative(error: UserError, path: AnyPath, title: str) -> str:
+    """An error's words with paths as seen from beside the report's folder: they name no machine."""
+    return str(error).replace(str(path), title)
 
 
 def _left_out(folder: str, missing: Mapping[int, str]) -> list[str]:
@@ -123,89 +357,143 @@ def _left_out(folder: str, missing: Mapping[int, str]) -> list[str]:
     for seed, why in missing.items():
         seeds.setdefault(why, []).append(seed)
     return [
-        f"left out: {folder}/seed-{of[0]}: {why}"
-        if len(of) == 1
-        else f"left out: {folder}, seeds {', '.join(map(str, of))}: {why}"
-        for why, of in seeds.items()
+        f"left out: {folder}, seed{'s' * (len(those) > 1)} {', '.join(map(str, those))}: {why}"
+        for why, those in seeds.items()
     ]
 
 
-def _read_group(source: Source, folder: str, config: TrainConfig) -> Group:
-    runs, missing = [], {}
-    for seed in config.seeds:
+def _costs(arrays: Mapping[str, NDArray], prefix: str) -> NDArray[np.float64]:
+    return derive.unpack_costs(lambda name: arrays[prefix + name], prefix + "values" in arrays)
+
+
+def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> EpisodeRecords:
+    """Episodes of a run so far. Raises UserError where there are none, or they are damaged."""
+    if f"{run.prefix}length" not in arrays:
+        raise UserError("has no checkpoint yet")
+    has_values = f"{run.prefix}costs/{cost}/values" in arrays
+    try:
+        return derive.records_of(lambda name: arrays[run.prefix + name], cost, has_values)
+    except UserError:
+        raise
+    except UNREADABLE as error:
+        raise UserError(f"is damaged: {error}") from None
+
+
+def _read_run(
+    arrays: Mapping[str, NDArray], config: TrainConfig, run: RunId, cost: str, title: str
+) -> Run:
+    """A complete run. Raises UserError for another."""
+    if f"{run.prefix}failure" in arrays:
+        raise UserError(str(arrays[f"{run.prefix}failure"]))
+    records = run_records(arrays, run, cost)
+    if records.total_steps < config.steps:
+        raise UserError(f"is unfinished: {records.total_steps} of {config.steps} steps")
+    evaluation = _evaluation(arrays, run, config.costs.index(cost))
+    if not evaluation:
+        raise UserError("its evaluation met a number that is not finite")
+    data = RunData(records, config.steps, evaluation)
+    try:
+        _ = data.emcc_by_part
+    except ValueError as error:
+        raise UserError(str(error)) from None
+    values = {}
+    for measure in measures():
         try:
-            runs.append(_read_run(source, folder, config, seed))
-        except DamagedSource:
-            raise
-        except UNREADABLE as error:
-            missing[seed] = f"{error}"
-    return Group(folder, config, runs, missing)
+            values[measure.name] = measure(data)
+        except Exception as error:
+            where = f"measure {measure.name!r} failed on {title}, {run}"
+            raise OwnCodeError(f"{where}: {described(error)}") from error
+    ends, ways = _places(arrays, f"{run.prefix}evaluation/deterministic/")
+    episodes = len(evaluation["deterministic"]["returns"])
+    return Run(run.seed, values, episodes, ends, records, evaluation, ways)
 
 
-def _read_run(source: Source, folder: str, config: TrainConfig, seed: int) -> Run:
-    files = source.run(folder, config, seed)
-    _check_records(files.records, config.steps)
-    _check_evaluation(files.evaluation)
-    data = RunData(files.records, config.steps, files.evaluation)
-    return Run(
-        seed,
-        {measure.name: measure(data) for measure in measures()},
-        int(files.evaluation["episodes"]),
-        files.ends,
-        files.records,
-        _compact(files.evaluation),
-        files.ways,
-    )
-
-
-def _compact(evaluation: Mapping[str, Any]) -> dict[str, Any]:
-    """An evaluation in a fifth of the memory: values per episode as arrays, and without where the
-    episodes end, which `Run.ends` counts."""
-    found = dict(evaluation)
+def _evaluation(arrays: Mapping[str, NDArray], run: RunId, cost: int) -> dict[str, dict[str, Any]]:
+    """Means and values per episode of each policy that was evaluated."""
+    evaluation = {}
     for policy in POLICIES:
-        if policy in found:
-            found[policy] = {
-                name: np.array(value) if isinstance(value, list) else value
-                for name, value in found[policy].items()
-                if name != "final_observations"
+        prefix = f"{run.prefix}evaluation/{policy}/"
+        if prefix + "returns" in arrays:
+            returns, costs = arrays[prefix + "returns"], arrays[prefix + "costs"][:, cost]
+            means = {"J_R": float(np.mean(returns)), "J_C": float(np.mean(costs))}
+            means[f"CVaR_{CVAR_ALPHA:g}"] = cvar(costs, CVAR_ALPHA)
+            lengths = arrays[prefix + "lengths"]
+            evaluation[policy] = means | {
+                "returns": returns,
+                "cost_returns": costs,
+                "lengths": lengths,
             }
-    return found
+    return evaluation if "deterministic" in evaluation else {}
 
 
-def _check_records(records: EpisodeRecords, steps: int) -> None:
-    """Raise UserError for records that no training of so many steps leaves."""
-    last = records.start_step[records.rollout == records.rollout.max()].min()
-    if last >= steps:
-        raise UserError(f"is damaged: a rollout starts at step {last}, the training has {steps}")
+def _places(
+    arrays: Mapping[str, NDArray], prefix: str
+) -> tuple[dict[str, int], dict[str, dict[str, int]]]:
+    """Episodes by the place where they end, and those of each place by the way to it."""
+    if prefix + "places" not in arrays:
+        return {}, {}
+    places, ways = arrays[prefix + "places"].tolist(), {}
+    if prefix + "ways" in arrays:
+        for (place, way), count in Counter(
+            zip(places, arrays[prefix + "ways"].tolist(), strict=True)
+        ).items():
+            if way:
+                ways.setdefault(place, {})[way] = count
+    return dict(Counter(places)), ways
 
 
-def _check_evaluation(content: Mapping[str, Any]) -> None:
-    """Raise UserError for an `evaluation.json` with values that cannot be."""
-    episodes = content["episodes"]
-    if not isinstance(episodes, int) or isinstance(episodes, bool) or episodes < 1:
-        raise UserError(f"evaluation.json is damaged: episodes must be >= 1, got {episodes!r}")
-    for policy in POLICIES:
-        of = content.get(policy, {})
-        for name in {"J_R", "J_C", CVAR} & of.keys():
-            value = of[name]
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not number or (name != "J_R" and value < 0):
-                raise UserError(
-                    f"evaluation.json is damaged: {name} of the {policy} policy is {value!r}"
-                )
-        if "returns" in of and "cost_returns" in of:
-            _check_means(policy, of, episodes)
+def _pooled(groups: Sequence[Group], notes: list[str]) -> list[Group]:
+    """The groups, those that differ in their seeds alone as one, which is noted.
 
-
-def _check_means(policy: str, of: Mapping[str, Any], episodes: int) -> None:
-    """Raise UserError where the means of a policy are not those of its episodes."""
-    returns, costs = (np.array(of[name], dtype=np.float64) for name in ("returns", "cost_returns"))
-    if returns.shape != (episodes,) or costs.shape != (episodes,):
-        raise UserError(f"evaluation.json is damaged: it must hold {episodes} episodes a policy")
-    means = {"J_R": returns.mean(), "J_C": costs.mean(), CVAR: cvar(costs, CVAR_ALPHA)}
-    for name, mean in means.items():
-        if name in of and not math.isclose(of[name], mean, rel_tol=1e-9, abs_tol=1e-9):
-            raise UserError(
-                f"evaluation.json is damaged: {name} of the {policy} policy is {of[name]}, its "
-                f"episodes give {mean}"
+    A group stays alone where one of these has a seed that another has too: one of the two is a
+    second training of the same runs, which must not count twice.
+    """
+    alike: list[list[Group]] = []
+    for group in groups:
+        same = next((others for others in alike if _equal(others[0], group)), None)
+        if same is None:
+            alike.append([group])
+        else:
+            same.append(group)
+    pooled = []
+    for same in alike:
+        seeds = [seed for group in same for seed in group.config.seeds]
+        if len(same) == 1 or len(set(seeds)) < len(seeds):
+            pooled += same
+            continue
+        pooled.append(
+            replace(
+                same[0],
+                folder=" + ".join(group.folder for group in same),
+                config=replace(same[0].config, seeds=tuple(seeds)),
+                runs=[run for group in same for run in group.runs],
+                parts=[part for group in same for part in group.parts],
+                missing={seed: why for group in same for seed, why in group.missing.items()},
             )
+        )
+        listed = (f"{g.title} (seeds {', '.join(map(str, g.config.seeds))})" for g in same)
+        notes.append(f"of equal settings, with other seeds, so counted as one: {'; '.join(listed)}")
+    return pooled
+
+
+def _equal(a: Group, b: Group) -> bool:
+    names = ("algorithm", "task_parameters", "steps", "hyperparameters", "costs")
+    same = all(getattr(a.config, name) == getattr(b.config, name) for name in names)
+    return same and (a.task, a.cost) == (b.task, b.cost)
+
+
+def write_archive(path: Path, paths: Sequence[Path], name: str | None = None) -> None:
+    """Pack the trainings at or below some folders and in archives into one file, whole or not at
+    all, without checkpoints and steps: see `derive.packed_results`. name: as in `read`."""
+    own = name if name is not None else name_of_source(paths[0])
+    with whole(path) as target, zipfile.ZipFile(target, "w") as archive:
+        archive.comment = own.encode()
+        for folder, source in _folders(paths, name).items():
+            prefix = "" if folder == "." else folder + "/"
+            config = TrainConfig.parse(read_json(source / CONFIG), folder, strict=False)
+            contents = {CONFIG: (source / CONFIG).read_bytes()}
+            if (source / STATUS).is_file():
+                contents[STATUS] = (source / STATUS).read_bytes()
+            contents[RESULTS] = derive.packed_results(results_of(source, config))
+            for part, data in contents.items():
+                archive.writestr(zipfile.ZipInfo(prefix + part), data)  # of a fixed date

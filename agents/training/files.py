@@ -12,7 +12,7 @@ import struct
 import time
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -146,16 +146,14 @@ class Arrays(Mapping[str, NDArray]):
         except UNREADABLE as error:
             raise self._damaged(error) from None
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)
 
     def __len__(self) -> int:
         return len(self._names)
-
-    def below(self, prefix: str) -> dict[str, Callable[[], NDArray]]:
-        """Readers of the arrays whose names begin with a prefix, by the rest of their names."""
-        names = (name for name in self if name.startswith(prefix))
-        return {n.removeprefix(prefix): lambda n=n: self[n] for n in names}
 
     def _damaged(self, error: BaseException) -> UserError:
         return UserError(f"{self.path} is damaged: {error or type(error).__name__}")
