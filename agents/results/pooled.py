@@ -51,32 +51,32 @@ class PooledSource:
     def __init__(self, source: Source, notes: list[str]) -> None:
         """Read all groups. The notes get those of `read_groups`, and which folders are one. Raises
         UserError where no run is left."""
-        self._source = source
+        self.source = source
         self.by_folder = read_groups(source, notes)
-        self._parts = {" + ".join(g.folder for g in of): of for of in pool(self.by_folder)}
-        self.groups = [_as_one(folder, of) for folder, of in self._parts.items()]
-        notes += [self._note(of) for of in self._parts.values() if len(of) > 1]
+        self.parts = {" + ".join(g.folder for g in of): of for of in pool(self.by_folder)}
+        self.groups = [_as_one(folder, of) for folder, of in self.parts.items()]
+        notes += [self._note(of) for of in self.parts.values() if len(of) > 1]
 
     def _note(self, groups: Sequence[Group]) -> str:
         parts = [
-            f"{self._source.title(group.folder)} (seeds {', '.join(map(str, group.config.seeds))})"
+            f"{self.source.title(group.folder)} (seeds {', '.join(map(str, group.config.seeds))})"
             for group in groups
         ]
         return f"of equal settings, with other seeds, so counted as one: {'; '.join(parts)}"
 
     def title(self, folder: str) -> str:
         """All folders, as seen from beside the source's."""
-        return " + ".join(self._source.title(of.folder) for of in self._parts[folder])
+        return " + ".join(self.source.title(of.folder) for of in self.parts[folder])
 
     def visits(
         self, folder: str, config: TrainConfig, records: Mapping[int, EpisodeRecords]
     ) -> list[Visits]:
         """States visited in each third of training, of runs by seed. Raises UserError."""
         found = []
-        for of in self._parts[folder]:
+        for of in self.parts[folder]:
             own = {seed: records[seed] for seed in of.seeds if seed in records}
             if own:
-                found.append((len(own), self._source.visits(of.folder, of.config, own)))
+                found.append((len(own), self.source.visits(of.folder, of.config, own)))
         runs = [n for n, _ in found]
         return [_together(runs, part) for part in zip(*(of for _, of in found), strict=True)]
 
@@ -85,18 +85,18 @@ class PooledSource:
     ) -> dict[int, list[Episode] | None]:
         """Episodes of the trained policies, by seed; None of one that diverged. UserError."""
         played: dict[int, list[Episode] | None] = {}
-        for of in self._parts[folder]:
+        for of in self.parts[folder]:
             own = [seed for seed in of.config.seeds if seed in seeds]
             if own:
-                played |= self._source.trained(of.folder, of.config, own)
+                played |= self.source.trained(of.folder, of.config, own)
         return played
 
     def replay(
         self, folder: str, config: TrainConfig, seed: int, records: EpisodeRecords
     ) -> Replay:
         """The episode of highest MCC in each window of training. Raises UserError."""
-        of = next(of for of in self._parts[folder] if seed in of.config.seeds)
-        return self._source.replay(of.folder, of.config, seed, records)
+        of = next(of for of in self.parts[folder] if seed in of.config.seeds)
+        return self.source.replay(of.folder, of.config, seed, records)
 
 
 def _as_one(folder: str, groups: Sequence[Group]) -> Group:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from agents.errors import UserError
 from agents.results.measures import RunData, measures
 from agents.results.source import DamagedSource, Source
+from agents.results.steps import Episode, Replay, Visits
 from agents.training.config import NO_RUNS, TrainConfig
 from agents.training.evaluation import CVAR_ALPHA, POLICIES
 from emcc import EpisodeRecords, cvar
@@ -77,6 +79,40 @@ class Group:
     """Why the others are left out, by seed."""
     apart: str = ""
     """Words that tell it from a group of equal settings in another folder, if there is one."""
+    title: str = ""
+    """The folder as seen from beside the report's."""
+    recorded: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    """`config.json`: versions, machine, modules, commit."""
+    pooled: Sequence[Group] = field(default=(), repr=False)
+    """The groups of the single folders, where it has several."""
+    source: Any = field(default=None, repr=False)
+
+    @property
+    def parts(self) -> Sequence[Group]:
+        """The groups of the single folders; itself where it is of one."""
+        return self.pooled or [self]
+
+    @property
+    def task(self) -> str:
+        """The task's id."""
+        return self.config.task
+
+    def visits(self) -> list[Visits]:
+        """States visited in each third of training by the complete runs. Raises UserError."""
+        records = {run.seed: run.records for run in self.runs}
+        return self.source.visits(self.folder, self.config, records)
+
+    def trained(self, seeds: Sequence[int]) -> dict[int, list[Episode] | None]:
+        """Episodes of the trained policies, by seed; None of one that diverged. UserError."""
+        return self.source.trained(self.folder, self.config, seeds)
+
+    def replay(self, run: Run) -> Replay:
+        """The episode of highest MCC in each window of a run's training. Raises UserError."""
+        return self.source.replay(self.folder, self.config, run.seed, run.records)
+
+    def sessions(self) -> Mapping[str, float]:
+        """Seconds that each process trained; empty where nothing says."""
+        return {k: v for part in self.parts for k, v in part.source.sessions(part.folder).items()}
 
     @property
     def seeds(self) -> list[int]:
@@ -91,6 +127,44 @@ class Group:
     def values(self, measure: str) -> list[float | None]:
         """A measure of each complete run."""
         return [run.measures.get(measure) for run in self.runs]
+
+
+def read(paths: Sequence[Path], notes: list[str], name: str = "") -> list[Group]:
+    """All groups of some folders and archives; those that differ in their seeds alone are one.
+
+    name: that the titles of several paths begin with. Runs that are missing, damaged or unfinished
+    go into the notes. Raises UserError where no run is left.
+    """
+    from agents.results.archive import open_source
+    from agents.results.joined import JoinedSource
+    from agents.results.pooled import PooledSource
+
+    source = open_source(paths[0]) if len(paths) == 1 else JoinedSource(paths, name)
+    pooled = PooledSource(source, notes)
+    single = {
+        group.folder: replace(
+            group,
+            title=source.title(group.folder),
+            recorded=source.configs[group.folder],
+            source=source,
+        )
+        for group in pooled.by_folder
+    }
+    groups = []
+    for group in pooled.groups:
+        parts = [single[part.folder] for part in pooled.parts[group.folder]]
+        title = pooled.title(group.folder)
+        more = {"title": title, "recorded": parts[0].recorded, "source": pooled, "pooled": parts}
+        groups.append(replace(group, **more))
+    return groups
+
+
+def write_archive(path: Path, groups: Sequence[Group]) -> None:
+    """Write an archive of all that was read with some groups of `read`."""
+    from agents.results import archive
+
+    pooled = groups[0].source
+    archive.write_archive(path, pooled.source, pooled.by_folder)
 
 
 def read_groups(source: Source, notes: list[str]) -> list[Group]:
