@@ -16,8 +16,7 @@ from agents.algorithms import title
 from agents.errors import UserError
 from agents.reporting.provenance import command
 from agents.reporting.tables import task_table
-from agents.results.archive import open_source
-from agents.results.reading import read_groups
+from agents.results.reading import read
 from agents.training.config import TrainConfig, read_spaces
 from agents.training.environments import Spaces
 from agents.training.files import read_json, write_whole
@@ -198,7 +197,7 @@ def _results(folder: Path) -> str:
     """The table of the folder's runs, or why there is none."""
     notes: list[str] = []
     try:
-        groups = read_groups(open_source(folder), notes)
+        groups = read([folder], notes)
     except UserError as error:
         return f"None: {error}"
     words = [f"\nNote: {note}\n" for note in notes]

@@ -10,16 +10,15 @@ from typing import Any
 from agents.algorithms import ALGORITHMS, title
 from agents.paper.presets import preset, usual_steps
 from agents.results.reading import Group
-from agents.results.source import StepSource
 from agents.training.config import TrainConfig
 
 
-def with_distinct_titles(groups: Sequence[Group], source: StepSource) -> list[Group]:
-    """All groups of a source; those of one title on one task get their folders into their names."""
+def with_distinct_titles(groups: Sequence[Group]) -> list[Group]:
+    """Groups; those of one title on one task get their folders into their names."""
     keys = [(group.config.task, title_of(group.config)) for group in groups]
     count = Counter(key for key, group in zip(keys, groups, strict=True) if group.runs)
     return [
-        dataclasses.replace(group, apart=f"in {source.title(group.folder)}" if count[k] > 1 else "")
+        dataclasses.replace(group, apart=f"in {group.title}" if count[k] > 1 else "")
         for k, group in zip(keys, groups, strict=True)
     ]
 

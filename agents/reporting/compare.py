@@ -19,15 +19,13 @@ from agents.reporting.csv_table import (
 from agents.reporting.figures import curves
 from agents.reporting.over_tasks import differences_over_tasks
 from agents.reporting.page import Section, page
-from agents.reporting.provenance import made
+from agents.reporting.provenance import made, name_of_all
 from agents.reporting.table import Number, Row, Table, markdown, number_of, p_number
 from agents.reporting.tables import caption, mean_row, measures_table, run_rows
 from agents.reporting.together import TASKS
-from agents.results.archive import open_source
 from agents.results.measures import measures
 from agents.results.over_tasks import TwoSets, two_sets
-from agents.results.pooled import PooledSource
-from agents.results.reading import Group
+from agents.results.reading import Group, read
 from agents.results.statistics import LEVEL, corrected, group_difference, improvement_of, p_of
 from agents.training.files import write_whole
 
@@ -65,9 +63,8 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     the two have no task in common.
     """
     notes: list[str] = []
-    sources = [open_source(side) for side in (a, b)]
-    pooled = [PooledSource(source, notes) for source in sources]
-    found = [[g for g in with_distinct_titles(side.groups, side) if g.runs] for side in pooled]
+    sides = [with_distinct_titles(read([side], notes)) for side in (a, b)]
+    found = [[g for g in side if g.runs] for side in sides]
     tasks = [list(dict.fromkeys(group.config.task for group in groups)) for groups in found]
     common = [task for task in tasks[0] if task in tasks[1]]
     if not common:
@@ -96,10 +93,10 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
         sections = [Section(of, table, drawn.get(of, [])) for of, table in tables.items()]
         how = {
             f"{name}, {k}": text
-            for name, source, side in zip("AB", sources, pooled, strict=True)
-            for k, text in made(source, side.by_folder).items()
+            for name, side in zip("AB", sides, strict=True)
+            for k, text in made(side).items()
         }
-        title = f"{sources[0].name} (A) and {sources[1].name} (B)"
+        title = f"{name_of_all(sides[0])} (A) and {name_of_all(sides[1])} (B)"
         write_whole(out / "compare.html", page(title, sections, how))
         write_whole(out / "compare.md", markdown(list(tables.values())))
         lines = [line for sides in by_task.values() for line in _lines(sides)]

@@ -13,8 +13,7 @@ from agents.paper.settings import in_order, name_of
 from agents.reporting.figures import visits_words
 from agents.reporting.scenes import STATES, Scene, Scenes, heat_png, paths
 from agents.results.measures import measure
-from agents.results.reading import Group, Run
-from agents.results.source import DamagedSource, StepSource
+from agents.results.reading import DamagedSource, Group, Run
 from agents.results.steps import DRAWN, DRAWN_POLICIES, Episode
 from circle2d_mj.render import canvas
 from emcc.parts import ALPHA, PARTS
@@ -46,9 +45,7 @@ class Maps(NamedTuple):
     """Visits that the last colour of heat stands for."""
 
 
-def maps(
-    source: StepSource, groups: Sequence[Group], scenes: Scenes, notes: list[str]
-) -> list[Maps]:
+def maps(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> list[Maps]:
     """The maps of one task; none of a task without a view.
 
     groups: its runs. What cannot be drawn goes into the notes.
@@ -56,7 +53,7 @@ def maps(
     seen = [
         (g, scene) for g in in_order(groups) if g.runs and (scene := scenes.of(g.config, notes))
     ]
-    found = [_visited(source, seen, notes), _trained(source, seen, notes)]
+    found = [_visited(seen, notes), _trained(seen, notes)]
     return [_turned(shown) if len(shown.columns) == 1 else shown for shown in found if shown]
 
 
@@ -66,20 +63,17 @@ def _turned(shown: Maps) -> Maps:
     return shown._replace(columns=shown.rows, rows=shown.columns, cells=cells)
 
 
-def _visited(
-    source: StepSource, seen: Sequence[tuple[Group, Scene]], notes: list[str]
-) -> Maps | None:
+def _visited(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | None:
     """A row for each third of training; one scale for all."""
     names: list[str] = []
     columns: list[list[tuple[Scene, str, NDArray[np.int64]]]] = []
     for group, scene in seen:
-        records = {run.seed: run.records for run in group.runs}
         try:
-            parts = source.visits(group.folder, group.config, records)
+            parts = group.visits()
         except DamagedSource:
             raise
         except UserError as error:
-            notes.append(f"no heat map of {source.title(group.folder)}: {error}")
+            notes.append(f"no heat map of {group.title}: {error}")
             continue
         names.append(name_of(group))
         columns.append([(scene, visits_words(of), _coarser(of.counts)) for of in parts])
@@ -106,20 +100,18 @@ def _coarser(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     return counts.reshape(half, 2, half, 2).sum(axis=(1, 3))
 
 
-def _trained(
-    source: StepSource, seen: Sequence[tuple[Group, Scene]], notes: list[str]
-) -> Maps | None:
+def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | None:
     """A row for each run."""
     names: list[str] = []
     columns: list[list[Map | str]] = []
     for group, scene in seen:
         runs = group.runs[:DRAWN_POLICIES]
         try:
-            played = source.trained(group.folder, group.config, [run.seed for run in runs])
+            played = group.trained([run.seed for run in runs])
         except DamagedSource:
             raise
         except UserError as error:
-            notes.append(f"no trajectories of {source.title(group.folder)}: {error}")
+            notes.append(f"no trajectories of {group.title}: {error}")
             continue
         names.append(name_of(group))
         columns.append([_map(run, played[run.seed], scene) for run in runs])

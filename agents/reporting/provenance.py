@@ -10,19 +10,19 @@ from typing import Any
 from agents.algorithms import BUILT_IN, title
 from agents.paper.settings import hyperparameter_changes, in_order, title_of
 from agents.results.reading import Group
-from agents.results.source import Source
 from agents.training.config import TrainConfig
 from agents.training.machine import commit, sessions_of
 from agents.training.status import duration
 
 
-def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
+def made(groups: Sequence[Group]) -> dict[str, str]:
     """All that is needed to make the numbers again, by name.
 
     program: this one, with its commit; command: a line for each folder. Versions, machine and
     training time are those that the run folders hold, and left out where there are none.
     """
-    sessions = [of for group in groups for of in sessions_of(source.configs[group.folder])]
+    groups = [part for group in groups for part in group.parts]
+    sessions = [of for group in groups for of in sessions_of(dict(group.recorded))]
     versions = {
         f"{name} {version}" for of in sessions for name, version in (of["versions"] or {}).items()
     }
@@ -34,12 +34,11 @@ def made(source: Source, groups: Sequence[Group]) -> dict[str, str]:
     found = {
         "program": program(),
         "command": "\n".join(
-            command(group.config, source.title(of), source.configs[of])
-            for of, group in ((group.folder, group) for group in groups)
+            command(group.config, group.title, group.recorded) for group in groups
         ),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
-        "training time": _training_time([source.sessions(group.folder) for group in groups]),
+        "training time": _training_time([group.sessions() for group in groups]),
         "runs": str(sum(len(group.runs) for group in groups)),
         "seeds": _list(seed for group in groups for seed in group.config.seeds),
         "steps": _list(group.config.steps for group in groups),
@@ -51,6 +50,11 @@ def program() -> str:
     """Name, version and, where it is known, commit."""
     words = f"circle2d-mj {version('circle2d-mj')}"
     return f"{words}, commit {found}" if (found := commit()) else words
+
+
+def name_of_all(groups: Sequence[Group]) -> str:
+    """The name of the folder that holds all groups: the first part of every title."""
+    return groups[0].title.partition(" + ")[0].partition("/")[0]
 
 
 def heading(groups: Sequence[Group]) -> str:

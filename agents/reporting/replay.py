@@ -19,8 +19,7 @@ from agents.errors import UserError
 from agents.paper.settings import in_order, name_of
 from agents.reporting.curves import emcc_along
 from agents.reporting.scenes import STATES, Scenes, shown_states
-from agents.results.reading import Group, Run
-from agents.results.source import DamagedSource, StepSource
+from agents.results.reading import DamagedSource, Group, Run
 from agents.results.steps import LAST, WINDOWS, Replay
 from emcc.parts import ALPHA, PARTS
 
@@ -30,9 +29,7 @@ DIGITS = 1000
 """EMCC is stored as a multiple of 1 / DIGITS."""
 
 
-def replay_data(
-    source: StepSource, groups: Sequence[Group], scenes: Scenes, notes: list[str]
-) -> dict[str, Any]:
+def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> dict[str, Any]:
     """The data of the player; no runs where none has recorded positions and costs.
 
     What cannot be replayed of a task with positions goes into the notes.
@@ -45,14 +42,14 @@ def replay_data(
         named = {"task": group.config.task, "algorithm": name_of(group)}
         for run in group.runs:
             try:
-                replay = source.replay(group.folder, group.config, run.seed, run.records)
+                replay = group.replay(run)
             except DamagedSource:
                 raise
             except UserError as error:
-                notes.append(f"no replay of {source.title(group.folder)}: {error}")
+                notes.append(f"no replay of {group.title}: {error}")
                 break
             if not all(len(episode.points) for episode in replay.episodes):
-                notes.append(f"no replay of {source.title(group.folder)}: it has no positions")
+                notes.append(f"no replay of {group.title}: it has no positions")
                 break
             of_run = _run(run, replay, group.config.steps)
             runs.append({**named, "scene": scene.number, **of_run})

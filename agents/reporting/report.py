@@ -29,15 +29,13 @@ from agents.reporting.figures import figures, introduction
 from agents.reporting.maps import maps
 from agents.reporting.page import Section, page
 from agents.reporting.panel_table import panel_table, panel_title
-from agents.reporting.provenance import heading, made, summary
+from agents.reporting.provenance import heading, made, name_of_all, summary
 from agents.reporting.replay import replay_data
 from agents.reporting.scenes import Scenes
 from agents.reporting.table import Block, Table, markdown, plain
 from agents.reporting.tables import task_table
-from agents.results.archive import archive_of, open_source, write_archive
-from agents.results.joined import JoinedSource
-from agents.results.pooled import PooledSource
-from agents.results.reading import Group
+from agents.results.archive import archive_of
+from agents.results.reading import Group, read, write_archive
 from agents.training.files import write_whole
 
 
@@ -59,19 +57,17 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     out = _output_folder(paths, out)
     if archive is not None:
         _check_archive(archive)
-    source = open_source(*paths) if len(paths) == 1 else JoinedSource(paths, out.resolve().name)
     notes: list[str] = []
-    pooled = PooledSource(source, notes)
-    everything = with_distinct_titles(pooled.groups, pooled)
+    everything = with_distinct_titles(read(paths, notes, out.resolve().name))
     groups, ablated = ablations.split(everything)
     by_task = _by_task(groups)
     # Early, since later it would add to the memory that all else holds.
     on_circle2d = any(is_circle2d(group.config.task) and group.runs for group in groups)
     about = introduction() if on_circle2d else []
     scenes = Scenes()
-    replay = replay_data(pooled, groups, scenes, notes)
+    replay = replay_data(groups, scenes, notes)
     drawn = {
-        task: Section(task, figures=figures(of_task), maps=maps(pooled, of_task, scenes, notes))
+        task: Section(task, figures=figures(of_task), maps=maps(of_task, scenes, notes))
         for task, of_task in by_task.items()
     }
     shown, common = together.figures(groups), together.tables(groups)
@@ -81,7 +77,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     checked = check_claims(everything)
     verdicts = [claims_text.markdown(checked)] if checked else []
     if archive is not None:
-        write_archive(archive, source, pooled.by_folder)
+        write_archive(archive, everything)
     sections = [Section(claims_text.TITLE, claims=checked)] if checked else []
     sections += [Section(name, common.get(name), of) for name, of in shown.items()]
     sections += [Section("Replay of training", replay=replay)] if replay["runs"] else []
@@ -93,8 +89,8 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     if about:
         sections.append(Section("Circle2D and EMCC", figures=about))
     out.mkdir(parents=True, exist_ok=True)
-    title = f"{heading(groups)} ({source.name})"
-    html = page(title, sections, made(source, pooled.by_folder), summary(groups), scenes.all)
+    title = f"{heading(groups)} ({name_of_all(everything)})"
+    html = page(title, sections, made(everything), summary(groups), scenes.all)
     write_whole(out / "index.html", html)
     ending = "Figures, heat maps and replay: index.html\n"
     titled = [block for name, of in tables.items() for block in (f"## {plain(name)}\n", of)]
@@ -134,8 +130,7 @@ def table(folder: Path) -> list[Table]:
     Writes `report.md` and `report.csv`. Otherwise as `report`.
     """
     notes: list[str] = []
-    pooled = PooledSource(open_source(folder), notes)
-    everything = with_distinct_titles(pooled.groups, pooled)
+    everything = with_distinct_titles(read([folder], notes))
     groups, ablated = ablations.split(everything)
     found = list(_tables(_by_task(groups), ablated, notes).values())
     write_whole(folder / "report.md", markdown(found))
