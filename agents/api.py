@@ -20,32 +20,33 @@ was not; two callbacks measure the time of PyTorch's compiler.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
+import itertools
+import operator
 import os
+import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar
 
-from agents.algorithms import Algorithm, register
-from agents.arguments import configs_of, folder_to_write
-from agents.errors import UserError
+from agents.algorithms import BUILT_IN, Algorithm, module_of, register
+from agents.errors import RunsFailed, UserError
 from agents.lockstep import backend as lockstep_backend
-from agents.reporting.compare import compare as compare_runs
-from agents.reporting.report import report as write_report
-from agents.reporting.table import markdown
+from agents.paper import grid as grids
+from agents.paper.presets import preset_with
 from agents.runs import Runs, folders_of, load_runs
-from agents.sweeps import Values, sweep_configs, train_groups
-from agents.training import loop
-from agents.training.config import Backend, Device, TrainConfig
-from agents.training.engines import EngineName
-from agents.training.environments import Vectorization
-from agents.training.epochs import Epoch, check_callback, follower
-from agents.training.playing import Evaluation, evaluate
+from agents.training import callbacks, trainer
+from agents.training.callbacks import Epoch
+from agents.training.config import CONFIG, Backend, Device, TrainConfig
+from agents.training.environments import Vectorization, check_task, module_of_task, task_id
+from agents.training.evaluation import Evaluation, evaluate
+from agents.training.files import check_folder
+from agents.training.launcher import EngineName, launcher
 from agents.training.policy import Policy, load_policy
 from agents.training.pretrained import pretrained
-from agents.training.progress import show_progress
 
 __all__ = (
     "Algorithm",
@@ -67,9 +68,11 @@ __all__ = (
 )
 
 OnEpoch = Callable[[Epoch], object]
-"""Called after every epoch of each folder; returning False stops the training."""
+"""Called after every epoch; returning False stops the training."""
 Folder = str | os.PathLike[str]
 """A path, or `Runs` of one folder, which stand for it."""
+Values = Collection[Any]
+"""Values of a hyper-parameter."""
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -88,12 +91,13 @@ def _as_guest(function: Callable[P, T]) -> Callable[P, T]:
 @_as_guest
 def train(
     algorithm: str,
-    task: str = "Circle2D-1-v0",
+    task: str | Iterable[str] = "Circle2D-1-v0",
     *,
     seeds: int | Iterable[int] = (0, 1, 2),
     steps: int = 1_000_000,
     out: Folder | None = None,
     task_parameters: Mapping[str, Any] | None = None,
+    costs: Sequence[str] = ("cost",),
     checkpoint_every: int = 50_000,
     evaluate_every: int | None = None,
     vectorization: Vectorization = "auto",
@@ -107,7 +111,7 @@ def train(
     address: str | None = None,
     **hyperparameters: Any,
 ) -> Runs:
-    """Train runs of an algorithm on a task, one for each seed, and evaluate them.
+    """Train runs of an algorithm, one for each task and seed, and evaluate them.
 
     >>> import agents
     >>> runs = agents.train("sac-lb", seeds=1, steps=400, random_steps=300, gradient_steps=2)
@@ -116,11 +120,14 @@ def train(
 
     algorithm: name of a built-in (`circle2d --help` lists them) or registered one. hyperparameters:
         values that replace those of the task's preset (on the paper's tasks, the paper's values).
-    task: id of a gymnasium task with `info["cost"]`; "module:Id" imports the module first.
-        task_parameters: keyword arguments for it.
+    task: id of a gymnasium task with `info["cost"]`, or several, whose observations, actions and
+        presets are equal; "module:Id" imports the module first. task_parameters: keyword arguments
+        for each.
     seeds: one run for each; a number is one seed. steps: environment steps of each run.
     out: folder for the runs; made, and refused where it holds runs already. None: a temporary one,
         which lives as long as the returned object.
+    costs: names of costs in the task's info: all are recorded and evaluated; an algorithm limits
+        the first, or as many as its rule says.
     checkpoint_every: environment steps of a run between checkpoints. evaluate_every: environment
         steps of a run between evaluations; each also saves the policy, for
         `load_policy(..., step=...)`. None: evaluate only at the end.
@@ -135,74 +142,85 @@ def train(
         on_epoch nor progress. address: of the cluster, "HOST:PORT" or "auto"; None: RAY_ADDRESS,
         or else a new cluster on this machine.
 
-    Raises UserError for an unknown or invalid argument, before anything is written.
+    Raises UserError for an unknown or invalid argument, before anything is written, and where every
+    run failed; an error of the task's or the algorithm's own code is its cause.
     """
-    settings = {"checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every}
-    settings |= {"vectorization": vectorization, "step_timeout": step_timeout}
-    settings |= {"device": device, "tensorboard": tensorboard}
-    runs = (seeds, steps, task_parameters)
-    (config,) = configs_of(algorithm, task, *runs, [hyperparameters], backend, settings)
-    return _start(config, out, on_epoch, progress, engine, address)
+    given = {name: value for name, value in locals().items() if name in SETTINGS}
+    if out is not None:
+        _to_write(out)  # before anything that takes long
+    (config,) = configs_of(algorithm, task, [hyperparameters], backend, given)
+    callbacks.check_callback(on_epoch)
+    if engine != "local" and (on_epoch or progress):
+        raise UserError("on_epoch and progress are of the engine local")
+    folder = Path(tempfile.mkdtemp(prefix="agents-")) if out is None else _to_write(out)
+    try:
+        if engine == "local" and address is None:
+            config.write(folder)
+            _train(folder, on_epoch, progress)
+        else:
+            if (folder / CONFIG).exists():
+                raise UserError(f"{folder} holds runs already")
+            _launch({folder: config}, engine, None, address)
+    except BaseException:
+        if out is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return Runs([folder], temporary=out is None)
 
 
 def sweep(
     algorithm: str,
-    task: str = "Circle2D-1-v0",
+    task: str | Iterable[str] = "Circle2D-1-v0",
     *,
     grid: Mapping[str, Values],
-    seeds: int | Iterable[int] = (0, 1, 2),
-    steps: int = 1_000_000,
     out: Folder,
-    task_parameters: Mapping[str, Any] | None = None,
-    checkpoint_every: int = 50_000,
-    evaluate_every: int | None = None,
-    vectorization: Vectorization = "auto",
-    step_timeout: float | None = None,
     backend: Backend | Literal["auto"] = "auto",
-    device: Device = "cpu",
-    tensorboard: bool = False,
     engine: EngineName = "local",
     workers: int | None = None,
     address: str | None = None,
-    **hyperparameters: Any,
+    **settings: Any,
 ) -> Runs:
     """Train an algorithm with every combination of some hyper-parameters.
 
     grid: values of each hyper-parameter by its name: {"cost_limit": (1.0, 5.0), ...}. Each
         combination has a folder below `out`, named by its values. Given again, the same call goes
         on where it was interrupted. workers: processes, or tasks of Ray, at a time; by default as
-        many as there are cores. The other arguments are those of `train`.
+        many as there are cores. settings: the other arguments of `train`, hyper-parameters among
+        them.
 
     Raises UserError for what is unknown or not allowed, before anything is written, and where a
     training fails; the others are done by then.
     """
-    combinations, folder = sweep_configs(grid), folder_to_write(out)
-    for name in grid.keys() & hyperparameters.keys():
-        raise UserError(f"{name} is given twice: in the grid, and as {hyperparameters[name]!r}")
-    settings = {"checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every}
-    settings |= {"vectorization": vectorization, "step_timeout": step_timeout}
-    settings |= {"device": device, "tensorboard": tensorboard}
-    runs = (seeds, steps, task_parameters)
-    chosen = [hyperparameters | values for values in combinations.values()]
-    found = configs_of(algorithm, task, *runs, chosen, backend, settings)
-    configs = {folder / name: of for name, of in zip(combinations, found, strict=True)}
-    train_groups(configs, engine, workers, address)
-    return Runs(list(configs))
+    combinations, folder = combinations_of(grid), _to_write(out)
+    for name in ("on_epoch", "progress"):
+        if name in settings:
+            raise UserError(f"sweep takes no {name}: it trains in other processes")
+    given = {name: settings.pop(name) for name in SETTINGS if name in settings}
+    for name in grid.keys() & settings.keys():
+        raise UserError(f"{name} is given twice: in the grid, and as {settings[name]!r}")
+    chosen = [settings | values for values in combinations.values()]
+    configs = configs_of(algorithm, task, chosen, backend, given)
+    by_folder = {folder / name: c for name, c in zip(combinations, configs, strict=True)}
+    _launch(by_folder, engine, workers, address)
+    return Runs(list(by_folder))
 
 
 @_as_guest
 def resume(*folders: Folder, on_epoch: OnEpoch | None = None, progress: bool = False) -> Runs:
-    """Go on with the runs of folders, from their last checkpoints, as if never interrupted.
+    """Go on with the runs of folders, from their newest checkpoints, as if never interrupted.
 
-    Several folders, which differ in task and seeds only, train jointly, faster than one after the
-    other. Folders that are done are evaluated again. on_epoch, progress: as in `train`. Raises
-    UserError where there is nothing to go on with, or another process trains there.
+    One folder after the other; those that are done are evaluated again. on_epoch, progress: as in
+    `train`. Raises UserError where there is nothing to go on with, or another process trains there.
     """
     if not folders:
         raise UserError("resume needs a folder of runs")
-    check_callback(on_epoch)
+    callbacks.check_callback(on_epoch)
     paths = list(dict.fromkeys(folders_of(*folders)))
-    _train(paths, on_epoch, progress)
+    for path in paths:
+        TrainConfig.read(path)
+    for path in paths:
+        if _train(path, on_epoch, progress).stopped:
+            break
     return Runs(paths)
 
 
@@ -216,8 +234,11 @@ def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = N
     that has its name without the suffix; several paths need one. Raises UserError where there are
     no complete runs, or an archive is damaged.
     """
+    from agents.reporting.report import report as write_report
+    from agents.reporting.table import markdown
+
     file = None if archive is None else Path(archive)
-    folder = None if out is None else folder_to_write(out)
+    folder = None if out is None else _to_write(out)
     return markdown(write_report(*folders_of(*paths), archive=file, out=folder))
 
 
@@ -228,48 +249,161 @@ def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:
     `compare.md`, `compare.csv`, and `compare.html` with the training curves of both, to that
     folder. Raises UserError where a side has no complete run, or the two have no task in common.
     """
-    return markdown(compare_runs(Path(a), Path(b), None if out is None else folder_to_write(out)))
+    from agents.reporting.compare import compare as compare_runs
+    from agents.reporting.table import markdown
+
+    return markdown(compare_runs(Path(a), Path(b), None if out is None else _to_write(out)))
 
 
-def _start(
-    config: TrainConfig,
-    out: Folder | None,
-    on_epoch: OnEpoch | None,
-    progress: bool,
+SETTINGS = (
+    *("seeds", "steps", "task_parameters", "costs", "checkpoint_every", "evaluate_every"),
+    *("vectorization", "step_timeout", "device", "tensorboard"),
+)
+"""Arguments of `train` that are fields of a configuration."""
+
+
+def configs_of(
+    algorithm: str,
+    task: str | Iterable[str],
+    hyperparameters: Sequence[Mapping[str, Any]],
+    backend: Backend | Literal["auto"],
+    given: Mapping[str, Any],
+) -> list[TrainConfig]:
+    """A configuration for each choice of hyper-parameters. Raises UserError for what is not
+    allowed, or not possible on this machine. given: of `SETTINGS`."""
+    several = [task] if isinstance(task, str) or not isinstance(task, Iterable) else [*task]
+    tasks = tuple(map(task_id, several))
+    if not tasks:
+        raise UserError("task must be the id of a gymnasium task, or several, got none")
+    settings = {"seeds": (0, 1, 2), "steps": 1_000_000} | dict(given)
+    settings["seeds"] = _seeds_of(settings["seeds"])
+    parameters = settings.pop("task_parameters", None)
+    parameters = {} if parameters is None else parameters
+    settings["task_parameters"] = (
+        dict(parameters) if isinstance(parameters, Mapping) else parameters
+    )
+    costs = settings.get("costs", ("cost",))
+    settings["costs"] = (costs,) if isinstance(costs, str) else tuple(costs)
+    configs = []
+    for own in hyperparameters:
+        presets = {name: preset_with(algorithm, name, own) for name in tasks}
+        for name, other in presets.items():
+            if other != presets[tasks[0]]:
+                raise UserError(
+                    f"{tasks[0]} and {name} have other presets for {algorithm}, "
+                    f"{presets[tasks[0]]} and {other}: train them in folders of their own, or give "
+                    "the hyper-parameters in which they differ"
+                )
+        configs.append(TrainConfig(algorithm, tasks, hyperparameters=presets[tasks[0]], **settings))
+    first = configs[0]
+    if first.step_timeout is not None and first.vectorization != "async":
+        word = first.vectorization
+        raise UserError(f"step_timeout is for processes: vectorization must be async, got {word}")
+    for name in tasks:
+        check_task(name, first.task_parameters, first.costs)
+    if first.tensorboard:
+        callbacks.require_tensorboard()
+    lockstep_backend.require(False, first.device)  # before the compiler is tried, which takes long
+    chosen = lockstep_backend.choose(backend)
+    lockstep_backend.require(chosen == "compiled", first.device)
+    return [dataclasses.replace(config, backend=chosen) for config in configs]
+
+
+def combinations_of(values: Mapping[str, Values]) -> dict[str, dict[str, Any]]:
+    """Every combination, by a name for its folder, such as "cost_limit=5.0,hidden=64x64".
+
+    Raises UserError for an empty grid, values that are none, and equal names.
+    """
+    if not isinstance(values, Mapping):
+        raise UserError(f"grid must be values by the names of hyper-parameters, got {values!r}")
+    for name, several in values.items():
+        if isinstance(several, str) or not isinstance(several, Collection) or not several:
+            raise UserError(f"grid needs several values of {name}, got {several!r}")
+    if not values:
+        raise UserError("grid is empty: it needs values of a hyper-parameter at least")
+    combinations: dict[str, dict[str, Any]] = {}
+    for chosen in itertools.product(*values.values()):
+        combination = dict(zip(values, chosen, strict=True))
+        name = ",".join(f"{key}={_word(value)}" for key, value in combination.items())
+        if name in combinations:
+            raise UserError(f"grid has {name} twice")
+        combinations[name] = combination
+    return combinations
+
+
+def _word(value: Any) -> str:
+    parts = value if isinstance(value, (tuple, list)) else [value]
+    return re.sub(r"[^\w.+-]+", "_", "x".join(map(str, parts)))
+
+
+def _launch(
+    configs: Mapping[Path, TrainConfig],
     engine: EngineName,
+    workers: int | None,
     address: str | None,
-) -> Runs:
-    """Make the folder of some runs and train them."""
-    check_callback(on_epoch)
-    if engine != "local" and (on_epoch or progress):
-        raise UserError("on_epoch and progress are of the engine local")
-    folder = Path(tempfile.mkdtemp(prefix="agents-")) if out is None else folder_to_write(out)
+) -> None:
+    """Train folders to their end; what is done stays.
+
+    Raises UserError where one holds other runs, and where the training of a folder fails; the
+    others are done by then.
+    """
+    first = next(iter(configs.values()))
+    modules = modules_of(configs.values())
+    with launcher(engine, workers, modules, address, first.device) as trainings:
+        grids.prepare(configs)
+        for folder in configs:
+            if not grids.finished(folder):
+                trainings.submit(folder)
+        trainings.wait(every=0.5)
+        failed = trainings.failed
+    if failed:
+        raise RunsFailed("; ".join(f"{folder} failed: {why}" for folder, why in failed.items()))
+
+
+def modules_of(configs: Collection[TrainConfig]) -> list[str]:
+    """Modules that other processes import in order to know algorithms and tasks. Raises UserError
+    for one that the running script registers, which they cannot import."""
+    modules = {}
+    for config in configs:
+        if config.algorithm not in BUILT_IN:
+            modules[module_of(config.algorithm)] = config.algorithm, "agents.register"
+        for task in config.tasks:
+            if module := module_of_task(task):
+                modules[module] = task, "gymnasium.register"
+    if "__main__" in modules:
+        name, how = modules["__main__"]
+        raise UserError(
+            f"{name} is registered in the running script, which the processes that train cannot "
+            f"import: call {how} in a module of its own and import that"
+        )
+    return sorted(modules)
+
+
+def _to_write(out: Folder) -> Path:
+    """The folder to write to. Raises UserError for what is none."""
+    if not isinstance(out, (str, os.PathLike)) or not os.fspath(out):
+        raise UserError(f"out must be a folder, got {out!r}")
+    check_folder(Path(out))
+    return Path(out)
+
+
+def _seeds_of(seeds: int | Iterable[int]) -> tuple[int, ...]:
     try:
-        if engine == "local" and address is None:
-            config.write(folder)
-            _train([folder], on_epoch, progress)
-        else:
-            if (folder / "config.json").exists():
-                raise UserError(f"{folder} holds runs already")
-            train_groups({folder: config}, engine, None, address)
-    except BaseException:
-        if out is None:
-            shutil.rmtree(folder, ignore_errors=True)
-        raise
-    return Runs([folder], temporary=out is None)
+        return tuple(operator.index(s) for s in (seeds if isinstance(seeds, Iterable) else [seeds]))
+    except TypeError:
+        raise UserError(f"seeds must be an integer or several, got {seeds!r}") from None
 
 
-def _train(folders: Sequence[Path], on_epoch: OnEpoch | None, progress: bool) -> None:
-    follow = follower(on_epoch, folders) if on_epoch else lambda trainings: True
+def _train(folder: Path, on_epoch: OnEpoch | None, progress: bool) -> trainer.Trainer:
+    """Train a folder. Raises RunsFailed where every run failed."""
     with contextlib.ExitStack() as stack:
-        show = None
+        own: list[trainer.Callback] = []
         if progress:
-            configs = {folder: TrainConfig.read(folder) for folder in folders}
-            show = stack.enter_context(show_progress(configs))
-
-        def after_epoch(trainings: Sequence[loop.Training]) -> object:
-            if show:
-                show(trainings)
-            return follow(trainings)
-
-        loop.train(*folders, on_epoch=after_epoch)
+            display = callbacks.show_progress(TrainConfig.read(folder))
+            own.append(stack.enter_context(display))
+        if on_epoch:
+            own.append(callbacks.follower(on_epoch))
+        trained = trainer.train(folder, *own)
+    if (trained.failures != "").all():
+        raise RunsFailed(f"every run of {folder} failed; the first {trained.failures[0]}")
+    return trained

@@ -30,6 +30,10 @@ class OwnCodeError(UserError):
         return _with_cause, (type(self), str(self), cause, trace)
 
 
+class RunsFailed(UserError):
+    """Trainings that failed, all else being done. The command line exits with status 1."""
+
+
 class TaskFailure(OwnCodeError):
     """An environment that failed while it was made, reset or stepped."""
 

@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import shutil
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agents.errors import UserError
-from agents.reporting.report import table
-from agents.reporting.table import markdown
-from agents.results.archive import open_source
-from agents.results.reading import Group, read_groups
-from agents.results.source import FolderSource
-from agents.training.config import NO_RUNS, TrainConfig, run_folder
+from agents.training.config import NO_RUNS, RunId, TrainConfig
 from emcc import EpisodeRecords
 
 if TYPE_CHECKING:
     import pandas
 
-Rows = Literal["episodes", "runs"]
+    from agents.results.reading import Group
+
+Rows = Literal["measures", "episodes", "updates"]
 
 
 class Runs:
@@ -36,7 +33,7 @@ class Runs:
             raise UserError(f"Runs takes a list of folders, got {folders!r}: see load_runs")
         self.folders = tuple(map(Path, folders))
         self.configs = tuple(TrainConfig.read(folder, strict=False) for folder in self.folders)
-        """Of each folder."""
+        """The configuration of each folder."""
         if temporary:
             for folder in self.folders:
                 weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
@@ -63,88 +60,102 @@ class Runs:
 
     @property
     def results(self) -> list[Group]:
-        """Measures and records of the complete runs, for each folder.
+        """Measures and records of the complete runs, for each folder, task and cost.
 
         Folders are named from the parent that they have in common. Raises UserError where no run is
         complete: a run that was stopped has `records` only.
         """
-        return [
-            dataclasses.replace(group, folder=name)
-            for folder, name in self._names.items()
-            for group in read_groups(open_source(folder), [])
-            if group.folder == "."  # not one whose folder lies within this one
-        ]
+        from agents.results.reading import read_folder
+
+        return [group for path, name in self._names.items() for group in read_folder(path, name)]
 
     @property
-    def records(self) -> dict[tuple[Path, int], EpisodeRecords]:
-        """The episodes of every run so far, by folder and seed."""
-        return {
-            (folder, seed): EpisodeRecords.load(run_folder(folder, seed) / "episodes.csv")
-            for folder, config in zip(self.folders, self.configs, strict=True)
-            for seed in config.seeds
-        }
+    def records(self) -> dict[Any, EpisodeRecords]:
+        """The episodes of every run so far, by (folder, seed); of a folder with several tasks by
+        (folder, task, seed)."""
+        return self.records_of()
+
+    def records_of(self, cost: str | None = None) -> dict[Any, EpisodeRecords]:
+        """The episodes of every run so far, with one of its costs, by default the first: keys as of
+        `records`."""
+        from agents.results.reading import run_records
+
+        records = {}
+        for folder, config, arrays in self._arrays():
+            for run in config.runs:
+                key = (folder, run.seed) if len(config.tasks) == 1 else (folder, *run)
+                records[key] = run_records(arrays, run, cost or config.costs[0])
+        return records
 
     def table(self) -> str:
         """The table that the command prints, as Markdown; written into the folder too."""
+        from agents.reporting.report import table
+        from agents.reporting.table import markdown
+
         return "\n".join(markdown(table(folder)) for folder in self.folders)
 
-    def to_pandas(self, rows: Rows = "episodes") -> pandas.DataFrame:
-        """A row for each episode, as in `episodes.csv`, or for each complete run, of its measures.
+    def to_pandas(self, rows: Rows = "measures") -> pandas.DataFrame:
+        """The tidy frame: a row for each measure of each complete run (task, algorithm, settings,
+        seed, measure, part, value), from which reports are made.
 
-        Its first columns are folder (as in `results`), algorithm, task, the hyper-parameters and
-        task parameters in which the folders differ, and seed. Raises ImportError, saying how to
-        install it, where pandas is missing.
+        rows: "episodes" and "updates" have a row for each episode, or each epoch's update, of every
+        run so far, with the columns folder, algorithm, task and seed, and the hyper-parameters and
+        task parameters in which the folders differ.
         """
         if rows not in get_args(Rows):
-            raise UserError(f"rows must be {' or '.join(get_args(Rows))}, got {rows!r}")
+            raise UserError(f"rows must be {', '.join(get_args(Rows))}, got {rows!r}")
         try:
             import pandas as pd
-        except ImportError:
-            raise ImportError("to_pandas needs pandas: pip install pandas") from None
-        if rows == "runs":
-            found = [
-                (group.folder, run.seed, {k: np.array([v], float) for k, v in run.measures.items()})
-                for group in self.results
-                for run in group.runs
-            ]
-        else:
-            names = self._names
-            found = [(names[of], seed, _columns(r)) for (of, seed), r in self.records.items()]
-        about, frames = self._about(), []
-        for folder, seed, columns in found:
-            count = len(next(iter(columns.values())))
-            first = {"folder": folder} | about[folder] | {"seed": seed}
-            # Lists, since a hyper-parameter may be a tuple.
-            frames.append(pd.DataFrame({k: [v] * count for k, v in first.items()} | columns))
+        except ImportError as error:
+            raise ImportError("to_pandas needs pandas: pip install 'circle2d-mj[train]'") from error
+        if rows == "measures":
+            from agents.results.frame import tidy
+
+            return tidy(self.results)
+        about, frames, columns_of = self._about(), [], _episodes if rows == "episodes" else _updates
+        for folder, config, arrays in self._arrays():
+            for run in config.runs:
+                columns = columns_of(arrays, run, config)
+                count = len(next(iter(columns.values())))
+                first = about[folder] | {"task": run.task} | about[folder] | {"seed": run.seed}
+                # Lists, since a hyper-parameter may be a tuple.
+                frames.append(pd.DataFrame({k: [v] * count for k, v in first.items()} | columns))
         return pd.concat(frames, ignore_index=True)
+
+    def _arrays(self) -> list[tuple[Path, TrainConfig, Mapping[str, NDArray]]]:
+        from agents.results.reading import results_of
+
+        pairs = zip(self.folders, self.configs, strict=True)
+        return [(folder, config, results_of(folder, config)) for folder, config in pairs]
 
     @property
     def _names(self) -> dict[Path, str]:
         """Each folder as seen from the parent that all have in common."""
         absolute = {folder: Path(os.path.abspath(folder)) for folder in self.folders}
         common = os.path.commonpath([folder.parent for folder in absolute.values()])
-        return {folder: of.relative_to(common).as_posix() for folder, of in absolute.items()}
+        return {folder: path.relative_to(common).as_posix() for folder, path in absolute.items()}
 
-    def _about(self) -> dict[str, dict[str, Any]]:
-        """Of each folder by its name: algorithm, task, and settings in which the folders differ."""
-        settings = [dataclasses.asdict(c.hyperparameters) | c.task_parameters for c in self.configs]
-        every = dict.fromkeys(setting for of in settings for setting in of)
-        varied = [k for k in every if len({repr(of.get(k)) for of in settings}) > 1]
+    def _about(self) -> dict[Path, dict[str, Any]]:
+        """Name, algorithm, and settings in which the folders differ, of each."""
+        settings = [vars(c.hyperparameters) | c.task_parameters for c in self.configs]
+        every = dict.fromkeys(name for own in settings for name in own)
+        varied = [k for k in every if len({repr(own.get(k)) for own in settings}) > 1]
+        names = self._names
         return {
-            name: {"algorithm": config.algorithm, "task": config.task}
-            | {setting: of.get(setting) for setting in varied}
-            for name, config, of in zip(self._names.values(), self.configs, settings, strict=True)
+            folder: {"folder": names[folder], "algorithm": config.algorithm}
+            | {name: own.get(name) for name in varied}
+            for folder, config, own in zip(self.folders, self.configs, settings, strict=True)
         }
 
 
 def folders_of(*given: str | os.PathLike[str]) -> list[Path]:
     """Folders one by one; of runs all of theirs. Raises UserError for anything else."""
-    found: list[Path] = []
-    for of in given:
-        if not isinstance(of, (str, os.PathLike)):
-            raise UserError(f"give folders one by one, as in resume('a', 'b'), got {of!r}")
-        found += of.folders if isinstance(of, Runs) else [Path(of)]
-    return found
+    folders: list[Path] = []
+    for one in given:
+        if not isinstance(one, (str, os.PathLike)):
+            raise UserError(f"give folders one by one, as in resume('a', 'b'), got {one!r}")
+        folders += one.folders if isinstance(one, Runs) else [Path(one)]
+    return folders
 
 
 def load_runs(*folders: str | os.PathLike[str]) -> Runs:
@@ -153,19 +164,38 @@ def load_runs(*folders: str | os.PathLike[str]) -> Runs:
     An algorithm of one's own need not be registered. Raises UserError where there are no runs, and
     for a folder that is damaged.
     """
-    found: dict[Path, None] = {}
+    from agents.results.reading import folders_below
+
+    paths: dict[Path, None] = {}
     for root in folders_of(*folders):
-        source = FolderSource(root)
-        if source.problems or not source.configs:
-            raise UserError("; ".join(source.problems) or f"{root} {NO_RUNS}")
-        found |= dict.fromkeys(root / name for name in source.configs)
-    if not found:
+        if not (names := folders_below(root)):
+            raise UserError(f"{root} {NO_RUNS}")
+        paths |= dict.fromkeys(root / name for name in names)
+    if not paths:
         raise UserError("load_runs needs a folder of runs")
-    return Runs(list(found))
+    return Runs(list(paths))
 
 
-def _columns(records: EpisodeRecords) -> dict[str, Any]:
-    """The columns of `episodes.csv` that there are."""
-    values = {field.name: getattr(records, field.name) for field in dataclasses.fields(records)}
-    names = {"reward": "return"}  # as in the file
-    return {names.get(name, name): of for name, of in values.items() if of is not None}
+def _episodes(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) -> dict[str, Any]:
+    """Columns of the episodes of a run; further costs by their names."""
+    from agents.results.reading import run_records
+
+    first, *others = config.costs
+    records = run_records(arrays, run, first)
+    names = ("rollout", "start_step", "length", "return", "cost", "longest_streak")
+    names = (*names, "cost_steps", "streaks")
+    columns = {name: getattr(records, "reward" if name == "return" else name) for name in names}
+    for other in others:
+        of_other = run_records(arrays, run, other)
+        columns |= {other: of_other.cost, f"{other}_longest_streak": of_other.longest_streak}
+    return columns
+
+
+def _updates(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) -> dict[str, Any]:
+    """Columns of the updates of a run; `step`: environment steps taken by then."""
+    values, rollouts = arrays[f"{run.prefix}updates"], arrays[f"{run.prefix}rollouts"]
+    lengths = arrays[f"{run.prefix}length"].astype(np.int64)
+    steps = np.add.reduceat(lengths, np.cumsum(rollouts) - rollouts).cumsum()
+    return {"rollout": np.arange(len(values)), "step": steps} | dict(
+        zip(arrays["metrics"].tolist(), values.T, strict=True)
+    )

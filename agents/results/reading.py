@@ -85,6 +85,8 @@ class Part:
     """A training's folder, on disk or in an archive, and the runs of one task in it."""
 
     path: AnyPath
+    folder: str
+    """Below the report's own: see `Group`."""
     title: str
     """The folder as seen from beside the report's."""
     arrays: Mapping[str, NDArray] = field(repr=False)
@@ -228,6 +230,15 @@ def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> li
     return _pooled(groups, notes)
 
 
+def read_folder(path: Path, name: str) -> list[Group]:
+    """The runs of one training. Raises UserError where none is complete."""
+    groups = _groups(path, name, name)
+    if not any(group.runs for group in groups):
+        reasons = "; ".join(note for group in groups for note in _left_out(name, group.missing))
+        raise UserError(f"{name} holds no complete runs; {reasons}")
+    return groups
+
+
 def name_of_source(path: Path) -> str:
     """The name of a folder; of an archive that of the folder it was made from."""
     archive = archive_of(path)
@@ -330,7 +341,7 @@ def results_of(path: AnyPath, config: TrainConfig) -> Mapping[str, NDArray]:
 def _groups(path: AnyPath, folder: str, title: str) -> list[Group]:
     """The runs of a folder: a group for each task and cost."""
     config = TrainConfig.parse(read_json(path / CONFIG), title, strict=False)
-    part = Part(path, title, results_of(path, config), config.seeds)
+    part = Part(path, folder, title, results_of(path, config), config.seeds)
     groups = []
     for task, cost in itertools.product(config.tasks, config.costs):
         runs, missing = [], {}
@@ -482,18 +493,23 @@ def _equal(a: Group, b: Group) -> bool:
     return same and (a.task, a.cost) == (b.task, b.cost)
 
 
-def write_archive(path: Path, paths: Sequence[Path], name: str | None = None) -> None:
-    """Pack the trainings at or below some folders and in archives into one file, whole or not at
-    all, without checkpoints and steps: see `derive.packed_results`. name: as in `read`."""
-    own = name if name is not None else name_of_source(paths[0])
+def write_archive(path: Path, groups: Sequence[Group]) -> None:
+    """Pack the trainings of some groups into one file, whole or not at all, without checkpoints and
+    steps: see `derive.packed_results`."""
+    parts = {part.folder: part for group in groups for part in group.parts}
     with whole(path) as target, zipfile.ZipFile(target, "w") as archive:
-        archive.comment = own.encode()
-        for folder, source in _folders(paths, name).items():
+        archive.comment = name_of_all(groups).encode()
+        for folder, part in sorted(parts.items()):
             prefix = "" if folder == "." else folder + "/"
-            config = TrainConfig.parse(read_json(source / CONFIG), folder, strict=False)
-            contents = {CONFIG: (source / CONFIG).read_bytes()}
-            if (source / STATUS).is_file():
-                contents[STATUS] = (source / STATUS).read_bytes()
-            contents[RESULTS] = derive.packed_results(results_of(source, config))
-            for part, data in contents.items():
-                archive.writestr(zipfile.ZipInfo(prefix + part), data)  # of a fixed date
+            contents = {CONFIG: (part.path / CONFIG).read_bytes()}
+            if (part.path / STATUS).is_file():
+                contents[STATUS] = (part.path / STATUS).read_bytes()
+            contents[RESULTS] = derive.packed_results(part.arrays)
+            for name, data in contents.items():
+                archive.writestr(zipfile.ZipInfo(prefix + name), data)  # of a fixed date
+
+
+def name_of_all(groups: Sequence[Group]) -> str:
+    """The name of the folder, archive or report that holds some groups."""
+    part = groups[0].parts[0]
+    return part.title if part.folder == "." else part.title.removesuffix(f"/{part.folder}")

@@ -83,6 +83,8 @@ class Trainer:
         """Why runs have stopped that met a NaN or an infinite number, [R]; the others go on."""
         self.began_at = 0
         """Epoch from which this process went on."""
+        self.stopped = False
+        """Whether a callback stopped it."""
         self._saved_at, self._writing = time.monotonic(), 0.0
         own = config.algorithm not in BUILT_IN and count > 1
         self._alone = self._learner(config.stream_seeds[:1]) if own else None
@@ -108,15 +110,15 @@ class Trainer:
 
     def run(self, own: tuple[Callback, ...]) -> None:
         """Go on until all runs are done or a callback returns False, and save them."""
-        stopped, saved = False, True
-        while not self.done and not stopped:
+        saved = True
+        while not self.done and not self.stopped:
             before = self.steps.copy()
             self.run_epoch()
             saved = self._is_due(before)
             if saved:
                 self.save()
             answers = [callback(self) for callback in own]
-            stopped = any(answer is False for answer in answers)
+            self.stopped = any(answer is False for answer in answers)
         if not saved:
             self.save()
 
