@@ -12,11 +12,11 @@ from typing import Any, Literal, get_args
 from agents.algorithms import ALGORITHMS, algorithm, module_of
 from agents.errors import UserError, check, check_choice, check_integers
 from agents.lockstep.noise import stream_seed
+from agents.training.checksums import write_files
 from agents.training.environments import Spaces, Vectorization, is_native, module_of_task, spaces_of
 from agents.training.files import compare, json_bytes, locked, read_json
 from agents.training.machine import commit, made_with
 from agents.training.memory import check_memory
-from emcc.files import write_files
 
 Backend = Literal["compiled", "eager"]
 Device = Literal["cpu", "cuda"]

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from agents.errors import UserError
 from agents.lockstep.noise import Purpose, environment_seeds, normal, steps_of_noise
 from agents.lockstep.rollout import Policy, Rollout, collect
+from agents.training.checksums import write_files
 from agents.training.config import TrainConfig, run_folder
 from agents.training.environments import make_envs, sizes
 from agents.training.files import json_bytes
 from emcc import cvar
-from emcc.files import write_files
 
 Results = dict[str, list[dict[str, Any]]]
 CVAR_ALPHA = 0.5

@@ -1,4 +1,4 @@
-"""Files of runs: JSON, arrays, and the lock of a folder. `emcc.files` writes them whole."""
+"""Files of runs: JSON, arrays, and the lock of a folder. `checksums` writes them whole."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import UserError
-from emcc.files import check_digest, digest, write_whole
+from agents.training.checksums import check_digest, digest, write_whole
 
 __all__ = (
     "check_folder",

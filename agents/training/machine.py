@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from agents.errors import UserError
+from agents.training.checksums import write_files
 from agents.training.files import json_bytes, read_json
-from emcc.files import write_files
 
 PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
 CPUINFO = Path("/proc/cpuinfo")

@@ -19,6 +19,7 @@ from agents.lockstep import tree
 from agents.lockstep.learner import Learner
 from agents.lockstep.noise import Purpose, environment_seeds
 from agents.lockstep.rollout import Rollout, collect
+from agents.training.checksums import digest, replacing, write_whole
 from agents.training.config import (
     CHECKPOINT,
     FAILURE,
@@ -34,7 +35,6 @@ from agents.training.positions import RecordPositions
 from agents.training.records import Log
 from agents.training.side_by_side import SideBySide
 from agents.training.step_files import VISITED, StepFiles
-from emcc.files import digest, replacing, write_whole
 
 
 class Training:

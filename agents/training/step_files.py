@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.lockstep.rollout import Rollout
-from emcc.files import check_digest
+from agents.training.checksums import check_digest
 
 COSTS, VISITED = "costs.npy", "visited.npy"
 """In the folder of a run: the cost of every step, [steps] float64, and the position it ended at,

@@ -10,9 +10,9 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from agents.training.checksums import CHECKSUMS, digest
 from agents.training.files import write_whole
 from agents.training.workers import Group
-from emcc.files import CHECKSUMS, digest
 
 STATUS = "status.json"
 """The name that `agents.training.status` gives it, whose import would bring torch to Ray's own

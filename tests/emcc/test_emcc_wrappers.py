@@ -228,7 +228,46 @@ def test_equals_the_recorder_alone():
 
 def test_the_spec_makes_the_same_wrapper_again():
     env = RecordCosts(gym.make("CartPole-v1"), rollout=7)
-    assert env.spec.additional_wrappers[-1].kwargs == {"rollout": 7, "threshold": 0.0}
+    assert env.spec.additional_wrappers[-1].kwargs == {
+        "rollout": 7, "threshold": 0.0, "costs": ("cost",)
+    }
+
+
+class TwoCosts(Scripted):
+    """A second cost where the first is 0."""
+
+    def step(self, action):
+        *rest, info = super().step(action)
+        return (*rest, info | {"cost_2": float(info["cost"] == 0)})
+
+
+def test_a_second_cost_has_records_of_its_own():
+    costs = ("cost", "cost_2")
+    env = run_single(RecordCosts(TwoCosts(SCRIPTS[1]), costs=costs), episodes=2)
+    assert env.records.longest_streak.tolist() == [3, 1]
+    assert list(env.records_by_cost) == list(costs)
+    assert env.records_by_cost["cost"].to_csv() == env.records.to_csv()
+    assert env.records_by_cost["cost_2"].longest_streak.tolist() == [1, 2]
+    makers = [partial(TwoCosts, script) for script in SCRIPTS]
+    envs = RecordCosts(SyncVectorEnv(makers, autoreset_mode=SAME), costs=costs)
+    play(envs, 8)
+    envs.end_rollout()
+    by_cost = envs.records_by_cost
+    assert rows(envs)[: len(EIGHT_STEPS)] == EIGHT_STEPS
+    assert by_cost["cost_2"].longest_streak.tolist()[:5] == [1, 0, 1, 1, 2]
+    assert by_cost["cost_2"].start_step.tolist() == by_cost["cost"].start_step.tolist()
+    alone = RecordCosts(TwoCosts(SCRIPTS[1]), costs=("cost_2",))
+    assert run_single(alone, episodes=1).records.longest_streak.tolist() == [1]
+
+
+def test_names_of_costs_are_checked():
+    for costs in ("cost_2", (), ("cost", "cost")):
+        with pytest.raises(ValueError, match="costs must be different names"):
+            RecordCosts(Scripted(SCRIPTS[0]), costs=costs)
+    env = RecordCosts(Scripted(SCRIPTS[0]), costs=("cost", "cost_2"))
+    env.reset()
+    with pytest.raises(KeyError, match="info has no 'cost_2'"):
+        env.step(0)
 
 
 def test_costs_that_gymnasium_may_have_rounded_are_refused():
