@@ -38,40 +38,15 @@ if TYPE_CHECKING:
     from emcc.streak_cost import StreakCost
     from emcc.wrappers import RecordCosts
 
+# fmt: off
 __all__ = [
-    "CostRecorder",
-    "EpisodeRecords",
-    "Interval",
-    "Panel",
-    "RecordCosts",
-    "Share",
-    "StreakCost",
-    "bootstrap",
-    "cost_rate",
-    "count_streaks",
-    "cvar",
-    "emcc",
-    "emcc_by_part",
-    "equivalence_test",
-    "from_minari",
-    "from_tensordict",
-    "holm",
-    "iqm",
-    "longest_streak",
-    "longest_streaks",
-    "mcc",
-    "mean_difference",
-    "mean_interval",
-    "panel",
-    "permutation_test",
-    "probability_of_improvement",
-    "profile",
-    "read",
-    "sb3",
-    "share",
-    "streak_bounds",
-    "worst",
+    "CostRecorder", "EpisodeRecords", "Interval", "Panel", "RecordCosts", "Share", "StreakCost",
+    "bootstrap", "cost_rate", "count_streaks", "cvar", "emcc", "emcc_by_part",
+    "equivalence_test", "from_minari", "from_tensordict", "holm", "iqm", "longest_streak",
+    "longest_streaks", "mcc", "mean_difference", "mean_interval", "panel", "permutation_test",
+    "probability_of_improvement", "profile", "read", "sb3", "share", "streak_bounds", "worst",
 ]
+# fmt: on
 
 _LATE = {
     "RecordCosts": ("emcc.wrappers", "gymnasium>=0.28"),

@@ -1,5 +1,6 @@
 """EMCC beside the numbers that papers on safe exploration report, from one set of costs."""
 
+import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -91,13 +92,7 @@ class Panel(Measures):
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers by name, the thirds in "parts"; json can write it."""
-
-        def plain(value: Any) -> Any:
-            if isinstance(value, dict):
-                return {str(key): plain(entry) for key, entry in value.items()}
-            return value
-
-        return plain(asdict(self))
+        return json.loads(json.dumps(asdict(self)))  # the keys of thirds become text
 
     def to_markdown(self) -> str:
         """A table: a row for each measure, a column for all of training and for each third."""
@@ -129,36 +124,24 @@ def panel(
     TypeError: something else than records. ValueError: no trajectory, or an argument that is not
     allowed.
     """
-    if limit is not None and (limit := as_number(limit, "limit")) < 0:
-        raise ValueError(f"limit must be >= 0, got {limit}")
+    limit = limit if limit is None else as_number(limit, "limit", low=0)
     check_records(records)
     episodes = records if episodes is None else episodes
     if len(episodes):
         check_records(episodes, "episodes")
     window = min(as_count(window, "window"), len(episodes) or window)
-    options = limit, alpha, window, ties
     if total_steps is None:
         total_steps = max(records.total_steps, episodes.total_steps)
-    by_part, episodes_by_part = records.by_part(total_steps), episodes.by_part(total_steps)
+    thirds, of_episodes = records.by_part(total_steps), episodes.by_part(total_steps)
+    choices = limit, alpha, window, ties
     parts = {
-        part: measures_of(by_part[part], episodes_by_part[part], *options)
-        if len(by_part[part])
-        else None
-        for part in PARTS
+        part: measures_of(third, of_episodes[part], *choices) if len(third) else None
+        for part, third in thirds.items()
     }
-    feasible = None, None
-    if limit is not None and len(episodes):
-        feasible = _feasible(episodes, limit, window)
-    return Panel(
-        **vars(measures_of(records, episodes, *options)),
-        steps_to_feasible=feasible[0],
-        feasible_share=feasible[1],
-        parts=parts,
-        limit=limit,
-        alpha=alpha,
-        ties=ties,
-        window=window,
-    )
+    first, share = _feasible(episodes, limit, window)
+    whole = vars(measures_of(records, episodes, *choices))
+    return Panel(**whole, steps_to_feasible=first, feasible_share=share, parts=parts, limit=limit,
+        alpha=alpha, ties=ties, window=window)  # fmt: skip
 
 
 def measures_of(
@@ -222,8 +205,12 @@ def _windows(values: NDArray, window: int) -> NDArray:
     return np.lib.stride_tricks.sliding_window_view(values, window)
 
 
-def _feasible(episodes: EpisodeRecords, limit: float, window: int) -> tuple[int | None, float]:
+def _feasible(
+    episodes: EpisodeRecords, limit: float | None, window: int
+) -> tuple[int | None, float | None]:
     """Steps to the first window within the limit, and the share of windows from there that are."""
+    if limit is None or not len(episodes):
+        return None, None
     order = np.argsort(episodes.start_step, kind="stable")
     within = _windows(episodes.cost[order], window).mean(-1) <= limit
     if not within.any():
@@ -245,37 +232,34 @@ class Row(NamedTuple):
 def rows(panel: Panel) -> list[Row]:
     """The rows of a panel's table; those that need a limit only where there is one."""
     windows = f"{panel.window} episodes"
-    share = f"α = {panel.alpha:g}" + (f", ties {panel.ties}" if panel.ties != "all" else "")
-    above = [
-        Row(f"P(MCC > {level:g})", lambda m, k=level: m.mcc_above[k], bounds=SHARE)
-        for level in LEVELS
-    ]
+    tail = f"α = {panel.alpha:g}" + (f", ties {panel.ties}" if panel.ties != "all" else "")
+    mcc = [(f"P(MCC > {tau:g})", lambda m, tau=tau: m.mcc_above[tau]) for tau in LEVELS]
     listed = [
-        Row(f"EMCC ({share})", lambda m: m.emcc, bounds=SHARE),
-        Row("mean MCC", lambda m: m.mcc, bounds=SHARE),
-        *above,
+        Row(f"EMCC ({tail})", lambda m: m.emcc, 3, SHARE),
+        Row("mean MCC", lambda m: m.mcc, 3, SHARE),
+        *(Row(title, value, 3, SHARE) for title, value in mcc),
         Row("longest streak (steps)", lambda m: m.longest_streak, 0),
         Row("mean streak (steps)", lambda m: m.mean_streak, 2),
         Row("cost rate (per step)", lambda m: m.cost_rate),
         Row(f"peak cost rate ({windows})", lambda m: m.peak_rate),
-        Row(f"CVaR of episode cost ({share})", lambda m: m.cvar, 2),
+        Row(f"CVaR of episode cost ({tail})", lambda m: m.cvar, 2),
         Row("95th percentile of episode cost", lambda m: m.p95, 2),
         Row("highest episode cost", lambda m: m.maximum, 2),
     ]
-    if panel.limit is None:
-        return listed
-    feasible = f"steps until {windows} are within the limit"
-    share_feasible = "share of training within it from then on"
-    return [
-        *listed,
-        Row("violation rate V", lambda m: m.violation_rate, bounds=SHARE),
-        Row("severity D", lambda m: m.severity, bounds=SEVERITY),
-        Row("severity of violations D+", lambda m: m.severity_of_violations),
-        Row("cost regret", lambda m: m.regret, 1),
-        # Thirds of training have neither.
-        Row(feasible, lambda m: getattr(m, "steps_to_feasible", None), 0),
-        Row(share_feasible, lambda m: getattr(m, "feasible_share", None), bounds=SHARE),
-    ]
+    if panel.limit is not None:
+        first, share = (
+            lambda m, name=name: getattr(m, name, None)  # thirds of training have neither
+            for name in ("steps_to_feasible", "feasible_share")
+        )
+        listed += [
+            Row("violation rate V", lambda m: m.violation_rate, 3, SHARE),
+            Row("severity D", lambda m: m.severity, 3, SEVERITY),
+            Row("severity of violations D+", lambda m: m.severity_of_violations),
+            Row("cost regret", lambda m: m.regret, 1),
+            Row(f"steps until {windows} are within the limit", first, 0),
+            Row("share of training within it from then on", share, 3, SHARE),
+        ]
+    return listed
 
 
 def panel_table(panels: Sequence[Panel], name: str = "") -> Table:

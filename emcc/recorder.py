@@ -33,18 +33,16 @@ class CostRecorder:
         self.threshold = as_number(threshold, "threshold", low=0)
         self.steps = 0  # environment steps so far
         self._per_episode = rollout == "episode"
-        self._rollout_length = _as_rollout_length(rollout)
+        named = rollout in ("episode", "manual")
+        self._rollout_length = math.inf if named else as_count(rollout, "rollout")  # pyright: ignore[reportArgumentType]
         self._rollout = 0  # id of the current rollout
         self._rollout_start = 0
         # The running trajectory of each environment; length 0 stands for none.
-        self._start_step = np.zeros(num_envs, dtype=np.int64)
-        self._length = np.zeros(num_envs, dtype=np.int64)
-        self._reward = np.zeros(num_envs)
-        self._cost = np.zeros(num_envs)
+        self._start_step, self._length, self._longest, self._cost_steps, self._streaks = (
+            np.zeros(num_envs, dtype=np.int64) for _ in range(5)
+        )
         self._streak = np.zeros(num_envs, dtype=np.int64)  # the one that has not ended yet
-        self._longest = np.zeros(num_envs, dtype=np.int64)
-        self._cost_steps = np.zeros(num_envs, dtype=np.int64)
-        self._streaks = np.zeros(num_envs, dtype=np.int64)
+        self._reward, self._cost = np.zeros(num_envs), np.zeros(num_envs)
         self._rows: list[tuple[Any, ...]] = []  # finished trajectories, as in EpisodeRecords
 
     def step(
@@ -91,7 +89,7 @@ class CostRecorder:
         rows = self._running_rows(running)
         self._rows += rows
         self._rollout += len(rows) * self._per_episode
-        for column in (*self._sums, self._streak):
+        for column in (*self._columns[1:], self._streak):
             column[running] = 0
 
     def end_rollout(self) -> None:
@@ -125,14 +123,14 @@ class CostRecorder:
         return _records(self._rows[first:])
 
     @property
-    def _sums(self) -> tuple[NDArray[Any], ...]:
-        """The columns of the running trajectories that begin at 0."""
-        sums = (self._length, self._reward, self._cost, self._longest)
-        return (*sums, self._cost_steps, self._streaks)
+    def _columns(self) -> tuple[NDArray[Any], ...]:
+        """The columns of records but the first, of the running trajectories."""
+        sums = self._length, self._reward, self._cost
+        return (self._start_step, *sums, self._longest, self._cost_steps, self._streaks)
 
     def _running_rows(self, running: NDArray[np.bool_]) -> list[tuple[Any, ...]]:
         """Rows of the running trajectories where the mask [num_envs] says."""
-        columns = (column[running].tolist() for column in (self._start_step, *self._sums))
+        columns = (column[running].tolist() for column in self._columns)
         return [
             (self._rollout + place * self._per_episode, *row)
             for place, row in enumerate(zip(*columns, strict=True))
@@ -150,15 +148,6 @@ class CostRecorder:
 
 def _records(rows: list[tuple[Any, ...]]) -> EpisodeRecords:
     return EpisodeRecords(*np.array(rows).reshape(-1, len(COLUMNS)).T)
-
-
-def _as_rollout_length(rollout: int | str) -> float:
-    """Environment steps of a rollout; infinite where something else ends it."""
-    if isinstance(rollout, str):
-        if rollout not in ("episode", "manual"):
-            raise ValueError(f'rollout must be "episode", "manual" or a number, got {rollout!r}')
-        return math.inf
-    return as_count(rollout, "rollout")
 
 
 def cost_of(info: Mapping[str, Any], name: str = "cost") -> float:

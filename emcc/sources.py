@@ -27,7 +27,7 @@ ENDS = ("done", "terminated", "truncated")
 """Columns that mark the last step of an episode, in files of costs of steps."""
 ARRAYS = {"costs", "lengths", "rewards", "rollouts"}
 """Arrays of a .npz file: the arguments of `EpisodeRecords.from_costs`."""
-OF_COST = ("cost", "longest_streak", "cost_steps", "streaks")
+COST_COLUMNS = ("cost", "longest_streak", "cost_steps", "streaks")
 """Columns of records that each cost has of its own."""
 
 
@@ -115,11 +115,14 @@ def _read_run_folder(folder: Any) -> Iterator[Run]:
     for task, seed in keys:
         prefix = f"{task.replace('/', '-')}/{seed}/episodes."
         columns = (name.removeprefix(prefix) for name in arrays if name.startswith(prefix))
-        named = [column.rpartition(".") for column in columns]
-        for cost in ["cost", *(cost for cost, dot, name in named if dot and name == OF_COST[1])]:
-            own = dict.fromkeys(OF_COST, "" if cost == "cost" else f"{cost}.")
+        others = [
+            c.removesuffix(".longest_streak") for c in columns if c.endswith(".longest_streak")
+        ]
+        for cost in ("cost", *others):
+            own = "" if cost == "cost" else f"{cost}."
+            names = (prefix + own * (column in COST_COLUMNS) + column for column in COLUMNS)
             with _named(results):
-                records = EpisodeRecords(*(arrays[prefix + own.get(c, "") + c] for c in COLUMNS))
+                records = EpisodeRecords(*(arrays[name] for name in names))
             yield Run(str(folder), records, steps, task, algorithm, seed, cost)
 
 

@@ -86,8 +86,7 @@ def mean_difference(first: ArrayLike, second: ArrayLike, level: float = 0.95) ->
 
     With fewer than five runs on a side there is no interval (None). As that of `mean_interval` it
     is for runs that end in one place; `permutation_test` decides whether two sets differ.
-    Source: Welch 1947, "The generalization of Student's problem when several different population
-    variances are involved".
+    Source: Welch 1947, "The generalization of Student's problem".
     """
     a, b = (as_vector(v, n).astype(float) for v, n in ((first, "first"), (second, "second")))
     level, n = _as_level(level), min(len(a), len(b))
@@ -106,8 +105,7 @@ def share(count: int, runs: int, level: float = 0.95) -> Share:
     """Share of runs that do something, with its Clopper-Pearson interval.
 
     The interval covers the true share at least as often as `level` says. 9 of 10 has a lower bound
-    of 0.555. Source: Clopper & Pearson 1934, "The use of confidence or fiducial limits illustrated
-    in the case of the binomial". ValueError: not 0 <= count <= runs with runs >= 1.
+    of 0.555. Source: Clopper & Pearson 1934. ValueError: not 0 <= count <= runs with runs >= 1.
     """
     from scipy.stats import binomtest
 
@@ -186,20 +184,16 @@ def permutation_test(
 
     first, second: [runs], two at least each, or [runs, tasks] with the same tasks. Exact, over all
     ways to divide the runs among the two sets, where there are 200 000 at most; otherwise over
-    `resamples` random ones. Welch's t keeps the test near its level where the spreads differ too.
-    With 3 runs against 3 no p value is below 0.1.
-
+    `resamples` random ones. With 3 runs against 3 no p value is below 0.1.
     With tasks it is one test of the means over the tasks. Runs are divided within each task (a
-    stratum) alone, and t is the sum of the tasks' differences over its standard error. So few runs
-    on several tasks can decide: of 3 against 3 on each of four tasks, p can be 2 / 160 000. The
-    values of all tasks must have one unit: EMCC does, returns do not.
-
+    stratum) alone, and t is the sum of the tasks' differences over its standard error: of 3 against
+    3 on each of four tasks, p can be 2 / 160 000. All tasks must have one unit: EMCC does, returns
+    do not.
     Source: Janssen 1997, "Studentized permutation tests for non-i.i.d. hypotheses and the
     generalized Behrens-Fisher problem"; by strata, Good 2005, "Permutation, Parametric and
     Bootstrap Tests of Hypotheses".
     """
-    t = np.abs(_permuted(*_as_two_sets(first, second, fewest=2), rng, resamples))
-    return _share_as_high(t)
+    return _p_value(np.abs(_permuted(*_as_two_sets(first, second, fewest=2), rng, resamples)))
 
 
 def equivalence_test(
@@ -212,25 +206,22 @@ def equivalence_test(
 ) -> float:
     """Return the p value of an equivalence test: small if the means differ by less than `margin`.
 
-    The null hypothesis is that they differ by `margin` or more. A large p value of
-    `permutation_test` does not show that means are equal; a small one here shows that they differ
-    by less than the margin. The value is the larger of the p values of two one-sided permutation
-    tests of Welch's t, with one set shifted by the margin. margin: > 0, in the values' unit; the
-    other arguments as in `permutation_test`. Source: Schuirmann 1987 (two one-sided tests).
+    The value is the larger of the p values of two one-sided permutation tests of Welch's t, with
+    one set shifted by the margin. margin: > 0, in the values' unit; the other arguments as in
+    `permutation_test`. Source: Schuirmann 1987 (two one-sided tests).
     """
     if as_number(margin, "margin") <= 0:
         raise ValueError(f"margin must be above 0, got {margin}")
     a, b = _as_two_sets(first, second, fewest=2)
     shifted = (b + margin, a), (a + margin, b)  # raised still, it is not the higher
-    return max(_share_as_high(_permuted(*sets, rng, resamples)) for sets in shifted)
+    return max(_p_value(_permuted(*sets, rng, resamples)) for sets in shifted)
 
 
 def holm(p_values: ArrayLike) -> NDArray[np.float64]:
     """P values of many tests corrected for their number, in the same order: [tests].
 
-    A test is significant at a level where its corrected p value is at most that level; the chance
-    of one or more false ones is then at most the level. Source: Holm 1979, "A simple sequentially
-    rejective multiple test procedure".
+    The chance of one or more false ones at or below a level is at most the level. Source: Holm
+    1979, "A simple sequentially rejective multiple test procedure".
     """
     p = as_vector(p_values, "p_values", low=0, high=1).astype(np.float64)
     order = np.argsort(p, kind="stable")
@@ -239,7 +230,7 @@ def holm(p_values: ArrayLike) -> NDArray[np.float64]:
     return np.minimum(corrected, 1.0)
 
 
-def _share_as_high(t: NDArray[np.float64]) -> float:
+def _p_value(t: NDArray[np.float64]) -> float:
     """Share of divisions at or above the observed one; those that differ by rounding are equal."""
     return float((t >= t[0] - 1e-12).mean())
 

@@ -3,7 +3,7 @@
 A cost step is a step whose cost exceeds the threshold; a streak is a run of consecutive cost steps.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -37,23 +37,8 @@ def longest_streaks(
     ValueError: an empty trajectory, lengths that do not add up to the number of costs, a NaN,
     infinite or negative cost, a bad threshold.
     """
-    costs, lengths, threshold = _trajectories(costs, lengths, threshold)
-    stops = np.cumsum(lengths)
-    starts = stops - lengths
-    longest, first = np.zeros(len(lengths), dtype=np.int64), 0
-    while first < len(lengths):
-        after = int(np.searchsorted(stops, starts[first] + _BLOCK, side="right"))
-        after = max(after, first + 1)
-        unsafe = exceed(costs[starts[first] : stops[after - 1]], threshold)
-        begins = starts[first:after] - starts[first]
-        place = np.arange(1, unsafe.size + 1)
-        # Place of the latest safe step, or of the step before the trajectory.
-        safe = np.where(unsafe, 0, place)
-        safe[begins] = np.where(unsafe[begins], begins, begins + 1)
-        streak = place - np.maximum.accumulate(safe)
-        longest[first:after] = np.maximum.reduceat(streak, begins)
-        first = after
-    return longest
+    blocks = _blocks(costs, lengths, threshold)
+    return np.concatenate([np.maximum.reduceat(streak, begins) for streak, begins in blocks])
 
 
 def count_streaks(
@@ -65,24 +50,36 @@ def count_streaks(
     Cost steps divided by streaks is the mean length of a streak.
     ValueError: as in `longest_streaks`.
     """
-    costs, lengths, threshold = _trajectories(costs, lengths, threshold)
-    unsafe, starts = exceed(costs, threshold), np.cumsum(lengths) - lengths
-    begins = unsafe.copy()
-    begins[1:] &= ~unsafe[:-1]
-    begins[starts] = unsafe[starts]
-    cost_steps = np.add.reduceat(unsafe, starts, dtype=np.int64)
-    return cost_steps, np.add.reduceat(begins, starts, dtype=np.int64)
+    counts = [
+        [np.add.reduceat(counted, begins, dtype=np.int64) for counted in (streak > 0, streak == 1)]
+        for streak, begins in _blocks(costs, lengths, threshold)
+    ]
+    cost_steps, streaks = map(np.concatenate, zip(*counts, strict=True))
+    return cost_steps, streaks
 
 
-def _trajectories(
+def _blocks(
     costs: ArrayLike, lengths: ArrayLike, threshold: float
-) -> tuple[NDArray[Any], NDArray[np.int64], float]:
-    """The arguments of `longest_streaks`, checked."""
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Blocks of whole trajectories: how many steps the streak has at each step, 0 at a safe one;
+    and the steps at which trajectories begin."""
     costs = as_vector(costs, "costs", low=0)
     lengths = as_integers(as_vector(lengths, "lengths"), "lengths", low=1)
     if (total := int(lengths.sum())) != costs.size:
         raise ValueError(f"lengths add up to {total} steps, but there are {costs.size} costs")
-    return costs, lengths, as_number(threshold, "threshold", low=0)
+    threshold = as_number(threshold, "threshold", low=0)
+    stops, first, start = np.cumsum(lengths), 0, 0
+    while start < total:
+        after = max(int(np.searchsorted(stops, start + _BLOCK, side="right")), first + 1)
+        stop = int(stops[after - 1])
+        unsafe, begins = exceed(costs[start:stop], threshold), stops[first:after] - start
+        begins -= lengths[first:after]
+        # Steps up to the latest safe one, or up to the trajectory's begin.
+        count = np.arange(1, unsafe.size + 1)
+        safe = np.where(unsafe, 0, count)
+        safe[begins] = begins + ~unsafe[begins]
+        yield count - np.maximum.accumulate(safe), begins
+        first, start = after, stop
 
 
 def mcc(trajectories: Iterable[ArrayLike], threshold: float = 0.0) -> float:

@@ -31,16 +31,15 @@ class Columns(dict[str, list[str]]):
             raise ValueError(f"{path}: not a CSV file: {error}") from error
         if not rows:
             raise ValueError(f"{path}: the file is empty; a header line is needed")
-        self.complete = text.endswith("\n")
         (_, header), *rows = rows
         if len(set(header)) < len(header):
             raise ValueError(f"{path}: the header names a column twice: {', '.join(header)}")
         for line, row in rows:
             if len(row) != len(header):
-                fields = f"{len(row)} fields, the header has {len(header)}"
-                raise ValueError(f"{path}, line {line}: {fields}")
+                raise ValueError(f"{path}, line {line}: {len(row)} fields, not {len(header)}")
         super().__init__((name, [row[k] for _, row in rows]) for k, name in enumerate(header))
         self.lines = [line for line, _ in rows]
+        self.complete = text.endswith("\n")
 
     def numbers(self, name: str, kind: type[int] | type[float]) -> NDArray[Any]:
         """One column as an array. ValueError: a cell that is no such number, by its line."""

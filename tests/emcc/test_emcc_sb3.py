@@ -184,18 +184,6 @@ def test_pieces_of_episodes_are_not_held_against_the_limit():
     assert (logged["emcc/violation_rate"], logged["emcc/maximum"]) == (1.0, 100.0)
 
 
-def test_learning_goes_on_or_starts_anew():
-    callback = emcc.sb3.EMCCCallback()
-    model = SAC("MlpPolicy", envs(1), learning_starts=10_000, device="cpu")
-    model.learn(100, callback=callback)
-    model.learn(100, callback=callback, reset_num_timesteps=False)
-    assert callback.records.total_steps == 200
-    ended, _ = episodes_of_log()
-    assert callback.episodes.cost.tolist() == [sum(costs) for costs, _ in ended]
-    model.learn(60, callback=callback)
-    assert callback.records.total_steps == 60
-
-
 def off_policy(rollout="auto"):
     callback = emcc.sb3.EMCCCallback(rollout)
     return callback, SAC("MlpPolicy", envs(1), learning_starts=10_000, device="cpu")
