@@ -65,6 +65,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     try:
         runs = [run for path in options.paths for run in read_runs(path, options.threshold)]
+        # Paths may overlap.
+        runs = list({(run.source, run.task, run.seed, run.cost): run for run in runs}.values())
         if options.total_steps is not None:
             runs = [replace(run, total_steps=options.total_steps) for run in runs]
         groups: dict[tuple[str, ...], list[Run]] = {}
@@ -87,7 +89,8 @@ def _emcc_table(groups: Sequence[Sequence[Run]], alpha: float, ties: str) -> Tab
     for group in groups:
         first = group[0]
         thirds = zip(*(_emcc_by_part(run, alpha, ties) for run in group), strict=True)
-        rates = [cost_rate(run.records.cost, run.records.length) for run in group]
+        kept = [run.records for run in group]
+        rates = [cost_rate(r.cost, r.length) if len(r) else None for r in kept]
         rows.append([
             first.source,
             first.algorithm or MISSING,

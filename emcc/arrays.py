@@ -60,6 +60,27 @@ def as_steps(values: Any, lengths: ArrayLike | None, name: str) -> tuple[NDArray
     return np.concatenate(pieces), sizes
 
 
+def as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """[runs, tasks]; values of one task, [runs], are a column."""
+    array = as_array(values, name)
+    if array.ndim not in (1, 2) or not array.size:
+        shape = f"got shape {array.shape}"
+        raise ValueError(f"{name} must be [runs] or [runs, tasks] and not empty, {shape}")
+    check_range(array, name)
+    return array.reshape(len(array), -1).astype(np.float64)
+
+
+def as_two_sets(first: ArrayLike, second: ArrayLike, fewest: int = 1) -> tuple[NDArray, NDArray]:
+    """Two sets of at least `fewest` runs, [runs, tasks] each, with the same tasks."""
+    a, b = as_runs(first, "first"), as_runs(second, "second")
+    if min(len(a), len(b)) < fewest:
+        raise ValueError(f"first and second need {fewest} runs each, got {len(a)} and {len(b)}")
+    if a.shape[1] != b.shape[1]:
+        tasks = f"{a.shape[1]} and {b.shape[1]}"
+        raise ValueError(f"first and second must have the same tasks, got {tasks} of them")
+    return a, b
+
+
 def as_integers(values: ArrayLike, name: str, low: float = 0) -> NDArray[np.int64]:
     """An int64 array of any shape, none below `low`; floats where they are whole numbers."""
     array = as_array(values, name)

@@ -163,10 +163,7 @@ def cost_of(info: Mapping[str, Any], name: str = "cost") -> float:
 
 
 def costs_of(
-    infos: Mapping[str, Any],
-    active: NDArray[np.bool_],
-    done: NDArray[np.bool_],
-    name: str = "cost",
+    infos: Mapping[str, Any], active: NDArray[np.bool_], done: NDArray[np.bool_], name: str = "cost"
 ) -> NDArray[np.float64]:
     """The costs of a vector environment's step, [num_envs]; 0 where `active` is False.
 

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_count, as_integers, as_number, as_vector, check_range
+from emcc.arrays import as_count, as_integers, as_number, as_runs, as_two_sets, as_vector
 
 FEWEST_RUNS = 5
 """Runs that an interval of a mean needs. Of fewer, the range is given instead."""
@@ -123,7 +123,7 @@ def iqm(values: ArrayLike) -> float:
     Source: Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical
     precipice".
     """
-    ordered = np.sort(_as_runs(values, "values"), axis=None)
+    ordered = np.sort(as_runs(values, "values"), axis=None)
     quarter = ordered.size // 4
     return float(ordered[quarter : ordered.size - quarter].mean())
 
@@ -135,7 +135,7 @@ def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> float:
     the Mann-Whitney statistic over the number of pairs. For measures that are better when they are
     higher, exchange the two. Source: Agarwal et al. 2021.
     """
-    a, b = _as_two_sets(first, second)
+    a, b = as_two_sets(first, second)
     return float(((b[None] < a[:, None]) + 0.5 * (b[None] == a[:, None])).mean())
 
 
@@ -164,7 +164,7 @@ def bootstrap(
     stratum) anew. A set with fewer than five runs gives no interval.
     """
     _check_generator(rng)
-    runs, level = [_as_runs(values, "values") for values in sets], _as_level(level)
+    runs, level = [as_runs(values, "values") for values in sets], _as_level(level)
     value, fewest = float(statistic(*runs)), min(map(len, runs))
     if fewest < FEWEST_RUNS:
         return Interval(value, None, None, "range", fewest)
@@ -193,7 +193,7 @@ def permutation_test(
     generalized Behrens-Fisher problem"; by strata, Good 2005, "Permutation, Parametric and
     Bootstrap Tests of Hypotheses".
     """
-    return _p_value(np.abs(_permuted(*_as_two_sets(first, second, fewest=2), rng, resamples)))
+    return _p_value(np.abs(_permuted(*as_two_sets(first, second, fewest=2), rng, resamples)))
 
 
 def equivalence_test(
@@ -212,7 +212,7 @@ def equivalence_test(
     """
     if as_number(margin, "margin") <= 0:
         raise ValueError(f"margin must be above 0, got {margin}")
-    a, b = _as_two_sets(first, second, fewest=2)
+    a, b = as_two_sets(first, second, fewest=2)
     shifted = (b + margin, a), (a + margin, b)  # raised still, it is not the higher
     return max(_p_value(_permuted(*sets, rng, resamples)) for sets in shifted)
 
@@ -275,27 +275,6 @@ def _divisions(runs: int, first: int) -> NDArray[np.float64]:
     chosen = np.zeros((len(rows), runs))
     np.put_along_axis(chosen, rows, 1.0, axis=1)
     return chosen
-
-
-def _as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    """[runs, tasks]; values of one task, [runs], are a column."""
-    array = as_array(values, name)
-    if array.ndim not in (1, 2) or not array.size:
-        shape = f"got shape {array.shape}"
-        raise ValueError(f"{name} must be [runs] or [runs, tasks] and not empty, {shape}")
-    check_range(array, name)
-    return array.reshape(len(array), -1).astype(np.float64)
-
-
-def _as_two_sets(first: ArrayLike, second: ArrayLike, fewest: int = 1) -> tuple[NDArray, NDArray]:
-    """Two sets of at least `fewest` runs, [runs, tasks] each, with the same tasks."""
-    a, b = _as_runs(first, "first"), _as_runs(second, "second")
-    if min(len(a), len(b)) < fewest:
-        raise ValueError(f"first and second need {fewest} runs each, got {len(a)} and {len(b)}")
-    if a.shape[1] != b.shape[1]:
-        tasks = f"{a.shape[1]} and {b.shape[1]}"
-        raise ValueError(f"first and second must have the same tasks, got {tasks} of them")
-    return a, b
 
 
 def _as_level(level: float) -> float:

@@ -25,9 +25,8 @@ TEN = [0.1, 0.2, 0.6, 0.2, 0.3, 0.3, 0.0, 0.1, 0.9, 0.0]  # of 10 rollouts, at 0
 
 def records_of(mcc_values):
     """One episode of 10 steps per rollout, with one streak and nothing else."""
-    return emcc.EpisodeRecords.from_costs(
-        [np.arange(10) < round(10 * value) for value in mcc_values]
-    )
+    costs = [np.arange(10) < round(10 * value) for value in mcc_values]
+    return emcc.EpisodeRecords.from_costs(costs) if costs else emcc.EpisodeRecords(*[[]] * 8)
 
 
 def write_run(folder, by_seed, steps=100, task="A-v0"):
@@ -67,6 +66,8 @@ def test_seeds_of_a_folder_make_one_row(tmp_path, capsys):
     (row,), (caption,) = table(capsys, tmp_path)
     assert (row["seeds"], row["EMCC_0.33"]) == ("0 1 2", "0.400 range 0.200 to 0.600")
     assert "range of fewer than 5 runs" in caption
+    (again,), _ = table(capsys, tmp_path, tmp_path / "a")  # paths may overlap
+    assert again == row
     rows, _ = table(capsys, tmp_path, "--per-run")
     assert [row["EMCC_0.33"] for row in rows] == ["0.200", "0.400", "0.600"]
 
@@ -108,6 +109,12 @@ def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):
     assert row["EMCC_0.99"] == DASH
     (row,), _ = table(capsys, tmp_path, "--total-steps", 100)
     assert (row["steps"], row["EMCC_0.99"]) == ("100", "0.900")
+
+
+def test_a_run_without_an_episode_is_no_zero(tmp_path, capsys):
+    write_run(tmp_path / "a", {0: TEN, 1: []})
+    (row,), _ = table(capsys, tmp_path, status=1)
+    assert {row[name] for name in (*PARTS, "cost rate")} == {DASH}
 
 
 def test_a_mean_over_runs_needs_all_of_them(tmp_path, capsys):

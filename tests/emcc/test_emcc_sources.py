@@ -111,10 +111,7 @@ BAD_FILES = {
     "a negative cost": ("cost,done\n0,0\n-1,1\n", "costs must be finite and >= 0, got -1"),
     "interleaved": ("episode,cost\n0,1\n1,1\n0,1\n1,0\n", "must follow one another"),
     "a column twice": ("cost,done,cost\n1,0,0\n", "names a column twice"),
-    "a long streak": (
-        "cost,length,longest_streak\n\n3,2,3\n",
-        "cannot have longest_streak 3",
-    ),
+    "a long streak": ("cost,length,longest_streak\n\n3,2,3\n", "cannot have longest_streak 3"),
     "a length below 1": ("cost,length,longest_streak\n1,2,1\n0,-9,0\n", "length must be .* got -9"),
     "half of the counts": ("cost,length,longest_streak,streaks\n1,2,1,1\n", "together, or neither"),
     "a binary file": ("\0\n", "log.csv"),

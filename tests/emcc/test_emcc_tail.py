@@ -128,10 +128,7 @@ BAD = {
     "negative cost": (lambda: cost_rate([-1.0], 5), "costs .* got -1.0"),
     "no costs": (lambda: cost_rate([], 10), "0 costs do not fit 1 lengths of 10 steps"),
     "more costs": (lambda: cost_rate([1, 1, 1], 2), "3 costs do not fit"),
-    "other costs": (
-        lambda: cost_rate([1, 2, 3], [5, 5]),
-        "3 costs do not fit 2 lengths",
-    ),
+    "other costs": (lambda: cost_rate([1, 2, 3], [5, 5]), "3 costs do not fit 2 lengths"),
 }
 
 

@@ -13,10 +13,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from emcc import EpisodeRecords, RecordCosts
 
 # The costs of each environment's episodes, one after another; the last step ends the episode.
-SCRIPTS = (
-    [[0.0, 1.0, 1.0], [2.0], [0.0, 1.0]],
-    [[1.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0]],
-)
+SCRIPTS = ([[0.0, 1.0, 1.0], [2.0], [0.0, 1.0]], [[1.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
 NEXT, SAME, DISABLED = AutoresetMode
 
 
