@@ -127,15 +127,14 @@ def panel(
     limit = limit if limit is None else as_number(limit, "limit", low=0)
     check_records(records)
     episodes = records if episodes is None else episodes
-    if len(episodes):
-        check_records(episodes, "episodes")
+    check_records(episodes, "episodes", fewest=0)
     window = min(as_count(window, "window"), len(episodes) or window)
     if total_steps is None:
         total_steps = max(records.total_steps, episodes.total_steps)
-    thirds, of_episodes = records.by_part(total_steps), episodes.by_part(total_steps)
+    thirds, whole_thirds = records.by_part(total_steps), episodes.by_part(total_steps)
     choices = limit, alpha, window, ties
     parts = {
-        part: measures_of(third, of_episodes[part], *choices) if len(third) else None
+        part: measures_of(third, whole_thirds[part], *choices) if len(third) else None
         for part, third in thirds.items()
     }
     first, share = _feasible(episodes, limit, window)

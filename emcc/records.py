@@ -286,9 +286,9 @@ class EpisodeRecords:
             raise ValueError(f"{path}: {error}") from error
 
 
-def check_records(records: Any, name: str = "records") -> None:
-    """TypeError where these are no EpisodeRecords, ValueError where they have no trajectory."""
+def check_records(records: Any, name: str = "records", fewest: int = 1) -> None:
+    """TypeError where these are no EpisodeRecords, ValueError where they have fewer rows."""
     if not isinstance(records, EpisodeRecords):
         raise TypeError(f"{name} must be EpisodeRecords, got {type(records).__name__}")
-    if not len(records):
+    if len(records) < fewest:
         raise ValueError(f"{name} are empty: no finished trajectory; call end_rollout() first")

@@ -243,6 +243,8 @@ def test_mistakes_are_named(changes, message):
     for given_records in ([1, 2], None):
         with pytest.raises(TypeError, match="records must be EpisodeRecords"):
             panel(given_records)
+    with pytest.raises(TypeError, match="episodes must be EpisodeRecords, got list"):
+        panel(records_of([[1]]), episodes=[])
 
 
 def test_before_the_first_trajectory_has_ended():
