@@ -20,7 +20,7 @@ from agents.algorithms import algorithm
 from agents.lockstep import backend
 from agents.training.config import TrainConfig
 from agents.training.loop import Training
-from emcc import estimate
+from emcc import mean_interval
 
 TASK, EPISODE, QUARTERS = "FreePendulum-v0", 200, 4
 STEPS = {"sac": 12_000, "ppo": 60_000}
@@ -117,7 +117,7 @@ def main():
             curves = quarters(train(name, options.seeds, steps), steps)
             cells = []
             for values in curves.T:
-                it = estimate({title: values}, rng=np.random.default_rng(0))[title]
+                it = mean_interval(values)
                 interval = "" if it.low is None else f" [{it.low:.0f}, {it.high:.0f}]"
                 cells.append(f"{it.value:.0f}{interval}")
             row = (name, steps, title, len(curves), *cells)

@@ -12,87 +12,54 @@ other papers report.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from emcc.datasets import from_minari, from_tensordict
-from emcc.interval import Difference, Estimate, difference, estimate
-from emcc.measures import regret_curve
 from emcc.panels import Panel, panel
-from emcc.parts import cost_rate, emcc_by_part
-from emcc.permutation import equivalence_test, holm, permutation_test
-from emcc.readers import read
+from emcc.parts import cost_rate, cvar, emcc, emcc_by_part, worst
 from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords
+from emcc.sources import from_minari, from_tensordict, read
 from emcc.statistics import (
     Interval,
     Share,
     bootstrap,
+    equivalence_test,
+    holm,
     iqm,
     mean_difference,
     mean_interval,
+    permutation_test,
     probability_of_improvement,
     profile,
     share,
 )
 from emcc.streaks import count_streaks, longest_streak, longest_streaks, mcc, streak_bounds
-from emcc.tail import cvar, emcc, worst
 
 if TYPE_CHECKING:
     from emcc import sb3
     from emcc.streak_cost import StreakCost
     from emcc.wrappers import RecordCosts
 
+# fmt: off
 __all__ = [
-    "CostRecorder",
-    "Difference",
-    "EpisodeRecords",
-    "Estimate",
-    "Interval",
-    "Panel",
-    "RecordCosts",
-    "Share",
-    "StreakCost",
-    "bootstrap",
-    "cost_rate",
-    "count_streaks",
-    "cvar",
-    "difference",
-    "emcc",
-    "emcc_by_part",
-    "equivalence_test",
-    "estimate",
-    "from_minari",
-    "from_tensordict",
-    "holm",
-    "iqm",
-    "longest_streak",
-    "longest_streaks",
-    "mcc",
-    "mean_difference",
-    "mean_interval",
-    "panel",
-    "permutation_test",
-    "probability_of_improvement",
-    "profile",
-    "read",
-    "regret_curve",
-    "sb3",
-    "share",
-    "streak_bounds",
-    "worst",
+    "CostRecorder", "EpisodeRecords", "Interval", "Panel", "RecordCosts", "Share", "StreakCost",
+    "bootstrap", "cost_rate", "count_streaks", "cvar", "emcc", "emcc_by_part",
+    "equivalence_test", "from_minari", "from_tensordict", "holm", "iqm", "longest_streak",
+    "longest_streaks", "mcc", "mean_difference", "mean_interval", "panel", "permutation_test",
+    "probability_of_improvement", "profile", "read", "sb3", "share", "streak_bounds", "worst",
 ]
+# fmt: on
 
-
-_OF_GYMNASIUM = {
+_LATE = {
     "RecordCosts": ("emcc.wrappers", "gymnasium>=0.28"),
     "StreakCost": ("emcc.streak_cost", "gymnasium>=1.1"),
 }
-"""Names, by the module that has them and the version of gymnasium that it takes."""
+"""Names that need gymnasium: their module, and the version that it takes."""
 
 
 def __getattr__(name: str) -> Any:
     if name == "sb3":  # late, because it needs stable-baselines3
         return import_module("emcc.sb3")
-    if name in _OF_GYMNASIUM:
-        module, needed = _OF_GYMNASIUM[name]
+    if name in _LATE:
+        module, needed = _LATE[name]
         try:
             return getattr(import_module(module), name)
         except ImportError as error:  # gymnasium is missing, or too old to have a name
@@ -101,5 +68,5 @@ def __getattr__(name: str) -> Any:
             raise ImportError(
                 f"emcc.{name} needs {needed}: pip install '{needed}'; without it, "
                 "emcc.CostRecorder takes the costs of steps"
-            ) from None
+            ) from error
     raise AttributeError(f"module 'emcc' has no attribute {name!r}")

@@ -7,29 +7,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
-from emcc.inputs import EpisodeSums, EpochMeans, Run
-from emcc.panels import WINDOW
-from emcc.parts import ALPHA
-from emcc.readers import find_files, read_file
-from emcc.run_tables import bounds_table, emcc_table, epochs_table, panel_tables
-from emcc.table import FORMATS
-from emcc.tail import TIES
+from emcc.panels import INTERVALS, WINDOW, mean_cell, panel, panel_table
+from emcc.parts import ALPHA, PARTS, TIES, cost_rate, emcc, rollouts_by_part
+from emcc.sources import Run, read_runs
+from emcc.statistics import COST, SHARE
+from emcc.table import FORMATS, MISSING, Table
 
 _PATHS = """\
 PATH is
-  a folder: every episodes.csv in it or below; a config.json beside one may give the task,
-      the algorithm, the seed and the steps of the whole training. A folder without one:
-      every progress.csv and *monitor.csv
-  a file of records, as emcc.EpisodeRecords.save writes it, or a .csv with a row per episode
-      (cost, length, longest_streak)
-  costs of steps: .npy, .npz (costs, lengths), .csv (cost; if several, episode and rollout,
-      or done, terminated, truncated, which mark an episode's last step)
-  sums of episodes: .csv (cost, length), or a monitor file of Stable-Baselines3 with the
-      column cost. They bound the longest streak, but have no EMCC
-  means of epochs: progress.csv of OmniSafe or SafePO. They give the cost rate, but no EMCC
+  a run folder of `circle2d train`, an archive of one or many, or a folder that holds some
+  costs of steps: .npz (costs and lengths, rewards, rollouts), .npy ([episodes, steps]), .csv
+      (cost; episode or done, terminated, truncated, which mark an episode's last step; rollout)
+  a row per episode: .csv (length, cost, longest_streak), or as emcc.EpisodeRecords.save writes it
 
 exit status: 0 the table is complete; 1 a number is missing (no rollout starts in a third of
-  training), or the file holds sums or means; 2 a mistake
+  training); 2 a mistake
 """
 
 
@@ -50,52 +42,20 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("paths", nargs="+", type=Path, metavar="PATH", help="run folder or file, see below")
-    add(
-        "--limit",
-        type=float,
-        metavar="D",
-        help="cost limit of an episode, undiscounted: print the panel of all measures "
-        "(default: print EMCC and the cost rate)",
-    )
-    add(
-        "--window",
-        type=int,
-        default=WINDOW,
-        metavar="N",
-        help="episodes of the panel's moving window (default %(default)s)",
-    )
-    add(
-        "--alpha",
-        type=float,
-        default=ALPHA,
-        help="share of the rollouts with the highest MCC, in (0, 1] (default %(default)s)",
-    )
-    add(
-        "--ties",
-        choices=TIES,
-        default="all",
-        help="all: the mean of all values at or above the quantile; split: of exactly the share "
-        "alpha of highest values (default all)",
-    )
-    add(
-        "--threshold",
-        type=float,
-        default=0.0,
-        help="a step that costs more is a cost step (default 0)",
-    )
-    add("--total-steps", type=int, metavar="N", help="environment steps of the whole training "
-        "(default: steps in config.json, else those recorded)")  # fmt: skip
+    text = "cost limit of an episode, undiscounted: print the panel of all measures"
+    add("--limit", type=float, metavar="D", help=f"{text} (default: EMCC and the cost rate)")
+    text = "episodes of the panel's moving window (default %(default)s)"
+    add("--window", type=int, default=WINDOW, metavar="N", help=text)
+    text = "share of the rollouts with the highest MCC, in (0, 1] (default %(default)s)"
+    add("--alpha", type=float, default=ALPHA, help=text)
+    text = "all: the mean of all MCC values at or above the (1 - alpha) quantile; split: of exactly"
+    add("--ties", choices=TIES, default="all", help=f"{text} the share alpha (default all)")
+    text = "a step that costs more is a cost step (default 0); for costs of steps"
+    add("--threshold", type=float, default=0.0, help=text)
+    text = "environment steps of the whole training (default: those of the run folder, or recorded)"
+    add("--total-steps", type=int, metavar="N", help=text)
     add("--format", choices=FORMATS, default="text", help="form of the table (default text)")
-    add(
-        "--per-run", action="store_true", help="also the numbers of every run (default: means only)"
-    )
-    add(
-        "--seed",
-        type=int,
-        default=0,
-        help="random seed of bootstrap intervals, which stand in for t intervals where scipy is "
-        "missing (default 0)",
-    )
+    add("--per-run", action="store_true", help="the numbers of every run instead of their means")
     return parser
 
 
@@ -104,34 +64,73 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(argv)
     try:
-        files = dict.fromkeys(file for path in options.paths for file in find_files(path))
-        contents = [read_file(file, options.threshold) for file in files]
-        runs = [content for content in contents if isinstance(content, Run)]
-        sums = [content for content in contents if isinstance(content, EpisodeSums)]
-        means = [content for content in contents if isinstance(content, EpochMeans)]
+        runs = [run for path in options.paths for run in read_runs(path, options.threshold)]
+        # Paths may overlap.
+        runs = list({(run.source, run.task, run.seed, run.cost): run for run in runs}.values())
         if options.total_steps is not None:
-            planned = {"total_steps": options.total_steps, "total_from": "--total-steps"}
-            runs = [replace(run, **planned) for run in runs]
-        tables = []
-        if runs and options.limit is not None:
-            tables += panel_tables(
-                runs, options.limit, options.alpha, options.ties, options.window, options.seed,
-                options.per_run,
-            )  # fmt: skip
-        elif runs:
-            tables.append(
-                emcc_table(runs, options.alpha, options.ties, options.seed, options.per_run)
-            )
-        if sums:
-            tables.append(bounds_table(sums, options.limit))
-        if means:
-            tables.append(epochs_table(means, options.limit))
+            runs = [replace(run, total_steps=options.total_steps) for run in runs]
+        groups: dict[tuple[str, ...], list[Run]] = {}
+        for run in runs:
+            seed = run.seed if options.per_run else ""
+            groups.setdefault((run.source, run.task, run.cost, seed), []).append(run)
+        if options.limit is None:
+            tables = [_emcc_table(list(groups.values()), options.alpha, options.ties)]
+        else:
+            tables = [_panel_table(group, options) for group in groups.values()]
         print("\n".join(table.render(options.format) for table in tables), end="")
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         parser.error(str(error))
-    for entry in (*sums, *means):
-        print(f"{parser.prog}: {entry.path}: {entry.contents} cannot give EMCC", file=sys.stderr)
-    return 0 if not sums and not means and all(table.complete for table in tables) else 1
+    return int(any(part is None for run in runs for part in _emcc_by_part(run, 1.0, "all")))
+
+
+def _emcc_table(groups: Sequence[Sequence[Run]], alpha: float, ties: str) -> Table:
+    """A row for each group of runs that differ in their seeds alone."""
+    rows = []
+    for group in groups:
+        first = group[0]
+        thirds = zip(*(_emcc_by_part(run, alpha, ties) for run in group), strict=True)
+        kept = [run.records for run in group]
+        rates = [cost_rate(r.cost, r.length) if len(r) else None for r in kept]
+        rows.append([
+            first.source,
+            first.algorithm or MISSING,
+            _task(first),
+            " ".join(run.seed for run in group) or MISSING,
+            str(first.total_steps),
+            *(mean_cell(values, 3, SHARE) for values in thirds),
+            mean_cell(rates, 3, COST),
+        ])  # fmt: skip
+    caption = f"EMCC with alpha = {alpha:g}, ties = {ties}; means over runs {INTERVALS}"
+    head = ["source", "algorithm", "task", "seeds", "steps", *(f"EMCC_{part}" for part in PARTS)]
+    return Table(caption, [*head, "cost rate"], rows)
+
+
+def _emcc_by_part(run: Run, alpha: float, ties: str) -> list[float | None]:
+    """EMCC of each third; None where no rollout starts in it."""
+    mcc, starts = run.records.mcc_per_rollout()
+    try:
+        parts = rollouts_by_part(starts, run.total_steps)
+    except ValueError as error:
+        raise ValueError(f"{run.source}: {error}") from error
+    return [emcc(mcc[chosen], alpha, ties) if chosen.any() else None for chosen in parts.values()]
+
+
+def _panel_table(group: Sequence[Run], options: argparse.Namespace) -> Table:
+    first = group[0]
+    # One window for all runs, since a row names it.
+    window = min(options.window, *(len(run.records) or 1 for run in group))
+    choices = {"ties": options.ties, "window": window, "total_steps": first.total_steps}
+    try:
+        panels = [panel(run.records, options.limit, options.alpha, **choices) for run in group]
+    except ValueError as error:
+        raise ValueError(f"{first.source}: {error}") from error
+    seeds = f"seeds {' '.join(run.seed for run in group)}" if first.seed else ""
+    words = first.source, first.algorithm, _task(first), seeds
+    return panel_table(panels, ", ".join(filter(None, words)))
+
+
+def _task(run: Run) -> str:
+    return f"{run.task} ({run.cost})" if run.cost != "cost" else run.task or MISSING
 
 
 if __name__ == "__main__":

@@ -1,4 +1,8 @@
-"""Anything array-like in, a checked numpy array out; the complaints about bad input live here."""
+"""Anything array-like in, a checked numpy array out; the complaints about bad input live here.
+
+Each raises TypeError for something that is no number or no numbers, ValueError for other numbers
+than are allowed.
+"""
 
 import math
 import operator
@@ -9,10 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
-    """A bool, integer or float array made of lists, numpy, pandas, or torch tensors on any device.
-
-    TypeError: not an array of numbers.
-    """
+    """A bool, integer or float array from lists, numpy, pandas, or torch tensors on any device."""
     detach = getattr(values, "detach", None)
     if callable(detach):  # a torch tensor, met without importing torch
         values = detach().cpu()  # pyright: ignore[reportAttributeAccessIssue]
@@ -21,7 +22,7 @@ def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
     try:
         array = np.asarray(values)
     except (TypeError, ValueError) as error:  # a ragged list, say
-        raise TypeError(f"{name} must be an array of numbers: {error}") from None
+        raise TypeError(f"{name} must be an array of numbers: {error}") from error
     if array.dtype.kind not in "biuf":
         raise TypeError(f"{name} must be bool, integer or float numbers, got {array.dtype}")
     return array
@@ -30,10 +31,7 @@ def as_array(values: ArrayLike, name: str) -> NDArray[Any]:
 def as_vector(
     values: ArrayLike, name: str, low: float = -math.inf, high: float = math.inf
 ) -> NDArray[Any]:
-    """A 1-D array with at least one value, all of them finite and in [low, high].
-
-    TypeError: not numbers. ValueError: another shape, no values, or one that is not allowed.
-    """
+    """A 1-D array with at least one value, all of them finite and in [low, high]."""
     array = as_array(values, name)
     if array.ndim != 1:
         raise ValueError(f"{name} must be 1-D, got shape {array.shape}")
@@ -47,14 +45,13 @@ def as_steps(values: Any, lengths: ArrayLike | None, name: str) -> tuple[NDArray
     """Numbers of all steps, one trajectory after another, and the trajectories' lengths [E].
 
     values: just these; or an array [T] of each trajectory, where lengths may be None.
-    TypeError: not numbers. ValueError: lengths that are missing, or others than the arrays have.
     """
     listed = isinstance(values, (list, tuple))  # of arrays of any lengths, whose ndim numpy refuses
     if (1 + max(map(np.ndim, values[:1]), default=0) if listed else np.ndim(values)) < 2:
         if lengths is None:
             raise ValueError(f"lengths are needed, or {name} as an array of each trajectory")
         return as_array(values, name), lengths
-    pieces = [as_vector(of, f"{name} of trajectory {index}") for index, of in enumerate(values)]
+    pieces = [as_vector(row, f"{name} of trajectory {index}") for index, row in enumerate(values)]
     if not pieces:
         raise ValueError(f"{name} are empty; at least one trajectory is needed")
     sizes = np.array([piece.size for piece in pieces])
@@ -64,34 +61,18 @@ def as_steps(values: Any, lengths: ArrayLike | None, name: str) -> tuple[NDArray
 
 
 def as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    """A new float64 array of the values of runs: [runs], or [runs, tasks] where tasks are strata.
-
-    TypeError: not numbers. ValueError: another shape, no values, NaN or infinite ones.
-    """
+    """[runs, tasks]; values of one task, [runs], are a column."""
     array = as_array(values, name)
     if array.ndim not in (1, 2) or not array.size:
-        raise ValueError(
-            f"{name} must be [runs] or [runs, tasks] and not empty, got shape {array.shape}"
-        )
+        shape = f"got shape {array.shape}"
+        raise ValueError(f"{name} must be [runs] or [runs, tasks] and not empty, {shape}")
     check_range(array, name)
-    return array.astype(np.float64)
+    return array.reshape(len(array), -1).astype(np.float64)
 
 
-def as_runs_by_task(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    """`as_runs` as [runs, tasks]: values of one task are a column."""
-    runs = as_runs(values, name)
-    return runs.reshape(len(runs), -1)
-
-
-def as_two_sets(
-    first: ArrayLike, second: ArrayLike, fewest: int = 1
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two sets of runs as [runs, tasks] each.
-
-    first, second: [runs] or [runs, tasks] with the same tasks. TypeError: not numbers. ValueError:
-    fewer than `fewest` runs, NaN or infinite values, other shapes.
-    """
-    a, b = as_runs_by_task(first, "first"), as_runs_by_task(second, "second")
+def as_two_sets(first: ArrayLike, second: ArrayLike, fewest: int = 1) -> tuple[NDArray, NDArray]:
+    """Two sets of at least `fewest` runs, [runs, tasks] each, with the same tasks."""
+    a, b = as_runs(first, "first"), as_runs(second, "second")
     if min(len(a), len(b)) < fewest:
         raise ValueError(f"first and second need {fewest} runs each, got {len(a)} and {len(b)}")
     if a.shape[1] != b.shape[1]:
@@ -101,10 +82,7 @@ def as_two_sets(
 
 
 def as_integers(values: ArrayLike, name: str, low: float = 0) -> NDArray[np.int64]:
-    """An int64 array of any shape; floats are accepted where they are whole numbers.
-
-    TypeError: not numbers. ValueError: a fraction, or a number below `low` or too large.
-    """
+    """An int64 array of any shape, none below `low`; floats where they are whole numbers."""
     array = as_array(values, name)
     check_range(array, name, low)
     with np.errstate(invalid="ignore"):  # what does not fit changes, which is looked for below
@@ -122,43 +100,40 @@ def check_range(
     if array.size == 0 or array.dtype == bool:
         return
     smallest, largest = float(array.min()), float(array.max())  # NaN, if there is one, is both
-    if low <= smallest and largest <= high and math.isfinite(smallest + largest):
+    if low <= smallest and largest <= high and np.isfinite((smallest, largest)).all():
         return
     bad = ~(np.isfinite(array) & (array >= low) & (array <= high))
     index = int(np.argmax(bad))
-    raise ValueError(
-        f"{name} must be finite{_limits(low, high)}, got {array.flat[index]} at index {index}"
-    )
-
-
-def _limits(low: float, high: float) -> str:
+    limits = f" and >= {low}" if low > -math.inf else ""
     if high < math.inf:
-        return f" and in [{low}, {high}]"
-    return f" and >= {low}" if low > -math.inf else ""
+        limits = f" and in [{low}, {high}]"
+    raise ValueError(f"{name} must be finite{limits}, got {array.flat[index]} at index {index}")
 
 
-def as_number(value: float, name: str) -> float:
-    """A finite real number.
-
-    TypeError: not a number. ValueError: NaN or infinite.
-    """
+def as_number(value: float, name: str, low: float = -math.inf) -> float:
+    """A finite real number, at least `low`."""
     try:
         number = float(operator.pos(value))  # pos: float() alone would take the text "0.5"
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} must be a number, got {value!r}") from None
-    except OverflowError:
-        raise ValueError(f"{name} must be finite, got an integer beyond all floats") from None
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name} must be a number, got {value!r}") from error
+    except OverflowError as error:
+        raise ValueError(f"{name} must be finite, got an integer beyond all floats") from error
     if not math.isfinite(number):
         raise ValueError(f"{name} must be finite, got {number}")
+    if number < low:
+        raise ValueError(f"{name} must be >= {low:g}, got {number}")
     return number
 
 
-def as_threshold(threshold: float) -> float:
-    """A cost that a cost step must exceed: a finite number >= 0."""
-    threshold = as_number(threshold, "threshold")
-    if threshold < 0:
-        raise ValueError(f"threshold must be >= 0, got {threshold}")
-    return threshold
+def as_count(value: int, name: str) -> int:
+    """A whole number >= 1."""
+    try:
+        count = operator.index(value)
+    except TypeError as error:
+        raise TypeError(f"{name} must be an integer, got {value!r}") from error
+    if count < 1:
+        raise ValueError(f"{name} must be >= 1, got {count}")
+    return count
 
 
 def exceed(costs: NDArray[Any], threshold: float) -> NDArray[np.bool_]:
@@ -167,42 +142,3 @@ def exceed(costs: NDArray[Any], threshold: float) -> NDArray[np.bool_]:
     numpy alone would round the threshold to the type of costs of lower precision.
     """
     return np.greater(costs, threshold, signature="dd->?")
-
-
-def as_level(level: float) -> float:
-    """The coverage of an interval: a number in (0, 1).
-
-    TypeError: not a number. ValueError: another one.
-    """
-    level = as_number(level, "level")
-    if not 0 < level < 1:
-        raise ValueError(f"level must be in (0, 1), got {level}")
-    return level
-
-
-def check_generator(rng: np.random.Generator) -> None:
-    """TypeError where rng is no numpy.random.Generator."""
-    if not isinstance(rng, np.random.Generator):
-        raise TypeError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
-
-
-def as_count(value: int, name: str) -> int:
-    """A whole number >= 1.
-
-    TypeError: not an integer. ValueError: below 1.
-    """
-    try:
-        count = operator.index(value)
-    except TypeError:
-        raise TypeError(f"{name} must be an integer, got {value!r}") from None
-    if count < 1:
-        raise ValueError(f"{name} must be >= 1, got {count}")
-    return count
-
-
-def check_records(records: Any, name: str = "records") -> None:
-    """TypeError where these are no EpisodeRecords, ValueError where they have no trajectory."""
-    if not hasattr(records, "mcc_per_rollout"):  # its file imports this one
-        raise TypeError(f"{name} must be EpisodeRecords, got {type(records).__name__}")
-    if not len(records):
-        raise ValueError(f"{name} are empty: no finished trajectory; call end_rollout() first")

@@ -1,30 +1,78 @@
 """EMCC beside the numbers that papers on safe exploration report, from one set of costs."""
 
+import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
-from emcc.arrays import as_count, as_number, check_records
-from emcc.measures import LEVELS, Measures, feasible, measures_of
-from emcc.parts import ALPHA, PARTS
-from emcc.records import EpisodeRecords
-from emcc.statistics import COST, SHARE, Bounds
-from emcc.table import Table, intervals, mean_cell
+import numpy as np
+from numpy.typing import NDArray
+
+from emcc.arrays import as_count, as_number
+from emcc.parts import ALPHA, PARTS, cost_rate, cvar, emcc
+from emcc.records import EpisodeRecords, check_records
+from emcc.statistics import COST, FEWEST_RUNS, SHARE, UNBOUNDED, Bounds, mean_interval
+from emcc.table import MISSING, Table
 
 WINDOW = 100
 """Episodes of a moving window."""
+LEVELS = (0.25, 0.5, 0.75)
+"""Values tau of the MCC for which a panel has P(MCC > tau)."""
 SEVERITY: Bounds = (-1.0, math.inf)
 """An episode without cost is 100 % below the limit."""
-SOURCES = {
-    "training": "costs during training",
-    "stochastic": "costs of the final policy, with its noise",
-    "deterministic": "costs of the final policy, without noise",
-}
-"""Where costs come from, in words."""
+INTERVALS = f"[95 % t interval], or the range of fewer than {FEWEST_RUNS} runs"
+"""Meaning of the brackets in the cell of a mean."""
 
 
 @dataclass(frozen=True)
+class CostMeasures:
+    """Measures of the costs C of whole episodes: C_i of N episodes, limit d, in training's order.
+
+    All but the numbers of episodes and steps and the cost rate are None without a whole episode;
+    the four with a limit also without a limit.
+    """
+
+    episodes: int
+    steps: int
+    cost_rate: float
+    """All costs / all steps. Source: Safety Gym (Ray et al. 2019)."""
+    cvar: float | None = None
+    """CVaR of C: the mean of the share alpha of highest C. Source: WCSAC (Yang et al. 2021)."""
+    violation_rate: float | None = None
+    """V, the share of episodes with C > d. Source: SafeRLEval (2026), with both severities."""
+    severity: float | None = None
+    """D, the mean of (C - d) / d over all episodes; None where d is 0."""
+    severity_of_violations: float | None = None
+    """D+, the same over violating episodes: 0 where none violates, else None where d is 0."""
+    regret: float | None = None
+    """Sum of max(C - d, 0). Source: C-TRPO and the literature on constrained bandits."""
+    p95: float | None = None
+    """95th percentile of C, between neighbours by linear interpolation."""
+    maximum: float | None = None
+    """Highest C."""
+    peak_rate: float | None = None
+    """Highest cost rate of a window of consecutive episodes: all costs / all steps of it. A stretch
+    with fewer episodes is one window."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measures(CostMeasures):
+    """All measures of a stretch of training."""
+
+    emcc: float
+    """EMCC of the rollouts, with risk level alpha: see `emcc.emcc`."""
+    mcc: float
+    """The mean of MCC over all rollouts: EMCC with alpha = 1."""
+    mcc_above: dict[float, float]
+    """P(MCC > tau), the share of rollouts, for the tau of `LEVELS`."""
+    longest_streak: int
+    """Longest streak of all trajectories, in steps."""
+    mean_streak: float | None
+    """`EpisodeRecords.mean_streak`."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Panel(Measures):
     """Measures of a whole training, and of its thirds."""
 
@@ -34,26 +82,17 @@ class Panel(Measures):
     feasible_share: float | None
     """Share of the windows from that one on whose mean C is within d; 0 where no window is."""
     parts: dict[float, Measures | None]
-    """Of each third of training, by its beta; None where no rollout starts in it. Empty for a final
-    policy."""
+    """Measures of each third of training, by its beta; None where no rollout starts in it."""
     limit: float | None
     alpha: float
     ties: str
     """Reading of alpha: see `emcc.emcc`."""
     window: int
     """Episodes of a moving window: at most those there are."""
-    source: str
-    """One of `SOURCES`."""
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers by name, the thirds in "parts"; json can write it."""
-
-        def plain(value: Any) -> Any:
-            if isinstance(value, dict):
-                return {str(key): plain(entry) for key, entry in value.items()}
-            return value
-
-        return plain(asdict(self))
+        return json.loads(json.dumps(asdict(self)))  # the keys of thirds become text
 
     def to_markdown(self) -> str:
         """A table: a row for each measure, a column for all of training and for each third."""
@@ -73,7 +112,6 @@ def panel(
     window: int = WINDOW,
     total_steps: int | None = None,
     episodes: EpisodeRecords | None = None,
-    source: str = "training",
 ) -> Panel:
     """EMCC and the measures it is compared with.
 
@@ -81,34 +119,103 @@ def panel(
     alpha, ties: of EMCC and of CVaR, as in `emcc.emcc`. window: episodes of a moving window; all,
     where there are fewer. total_steps: environment steps of the whole training, by default those
     recorded. episodes: records whose rows are whole episodes, for the measures of episode costs,
-    where rollouts cut those of `records`. source: one of `SOURCES`; only training has thirds and a
-    time to feasible. Episodes are taken by rising start step.
+    where rollouts cut those of `records`; without rows, those measures are None. Episodes are taken
+    by rising start step.
     TypeError: something else than records. ValueError: no trajectory, or an argument that is not
     allowed.
     """
-    if limit is not None and (limit := as_number(limit, "limit")) < 0:
-        raise ValueError(f"limit must be >= 0, got {limit}")
-    if source not in SOURCES:
-        raise ValueError(f"source must be one of {', '.join(SOURCES)}, got {source!r}")
+    limit = limit if limit is None else as_number(limit, "limit", low=0)
+    check_records(records)
     episodes = records if episodes is None else episodes
-    for name, given in (("records", records), ("episodes", episodes)):
-        check_records(given, name)
-    window = min(as_count(window, "window"), len(episodes))
-    whole = measures_of(records, episodes, limit, alpha, window, ties)
-    parts: dict[float, Measures | None] = {}
-    from_then = None, None
-    if source == "training":
-        if total_steps is None:
-            total_steps = max(records.total_steps, episodes.total_steps)
-        of_records, of_episodes = (of.by_part(total_steps) for of in (records, episodes))
-        for part in PARTS:
-            some = len(of_records[part]) and len(of_episodes[part])
-            given = of_records[part], of_episodes[part]
-            parts[part] = measures_of(*given, limit, alpha, window, ties) if some else None
-        if limit is not None:
-            from_then = feasible(episodes, limit, window)
-    return Panel(**vars(whole), steps_to_feasible=from_then[0], feasible_share=from_then[1],
-        parts=parts, limit=limit, alpha=alpha, ties=ties, window=window, source=source)  # fmt: skip
+    check_records(episodes, "episodes", fewest=0)
+    window = min(as_count(window, "window"), len(episodes) or window)
+    if total_steps is None:
+        total_steps = max(records.total_steps, episodes.total_steps)
+    thirds, whole_thirds = records.by_part(total_steps), episodes.by_part(total_steps)
+    choices = limit, alpha, window, ties
+    parts = {
+        part: measures_of(third, whole_thirds[part], *choices) if len(third) else None
+        for part, third in thirds.items()
+    }
+    first, share = _feasible(episodes, limit, window)
+    whole = vars(measures_of(records, episodes, *choices))
+    return Panel(**whole, steps_to_feasible=first, feasible_share=share, parts=parts, limit=limit,
+        alpha=alpha, ties=ties, window=window)  # fmt: skip
+
+
+def measures_of(
+    records: EpisodeRecords,
+    episodes: EpisodeRecords,
+    limit: float | None,
+    alpha: float,
+    window: int,
+    ties: str,
+) -> Measures:
+    """All measures of a stretch of training; the arguments are those of `panel`, checked."""
+    mcc, _ = records.mcc_per_rollout()
+    costs = {"episodes": 0}
+    if len(episodes):
+        order = np.argsort(episodes.start_step, kind="stable")
+        cost, length = episodes.cost[order], episodes.length[order]
+        costs = vars(cost_measures(cost, length, limit, alpha, window, ties))
+    # Rollouts may also hold pieces of episodes that have not ended.
+    rate = cost_rate(records.cost, records.length)
+    return Measures(
+        **{**costs, "cost_rate": rate, "steps": records.total_steps},
+        emcc=emcc(mcc, alpha, ties),
+        mcc=emcc(mcc),
+        mcc_above={level: float((mcc > level).mean()) for level in LEVELS},
+        longest_streak=int(records.longest_streak.max()),
+        mean_streak=records.mean_streak,
+    )
+
+
+def cost_measures(
+    cost: NDArray, length: NDArray, limit: float | None, alpha: float, window: int, ties: str
+) -> CostMeasures:
+    """Measures of episode costs [N] and lengths [N] in steps, in the order of training."""
+    window = min(window, len(cost))
+    rates = _windows(cost, window).sum(-1) / _windows(length, window).sum(-1)
+    limited: dict[str, float | None] = {}
+    if limit is not None:
+        over = cost - limit
+        violating = over[over > 0]
+        severity = float(violating.mean() / limit) if limit and violating.size else None
+        limited = {
+            "violation_rate": float((over > 0).mean()),
+            "severity": float(over.mean() / limit) if limit else None,
+            "severity_of_violations": severity if violating.size else 0.0,
+            "regret": math.fsum(violating),
+        }
+    return CostMeasures(
+        episodes=len(cost),
+        steps=int(length.sum()),
+        cost_rate=cost_rate(cost, length),
+        cvar=cvar(cost, alpha, ties),
+        p95=float(np.percentile(cost, 95)),
+        maximum=float(cost.max()),
+        peak_rate=float(rates.max()),
+        **limited,
+    )
+
+
+def _windows(values: NDArray, window: int) -> NDArray:
+    """[N - window + 1, window]: all runs of consecutive values."""
+    return np.lib.stride_tricks.sliding_window_view(values, window)
+
+
+def _feasible(
+    episodes: EpisodeRecords, limit: float | None, window: int
+) -> tuple[int | None, float | None]:
+    """Steps to the first window within the limit, and the share of windows from there that are."""
+    if limit is None or not len(episodes):
+        return None, None
+    order = np.argsort(episodes.start_step, kind="stable")
+    within = _windows(episodes.cost[order], window).mean(-1) <= limit
+    if not within.any():
+        return None, 0.0
+    first = int(np.argmax(within))
+    return int(episodes.start_step[order][first]), float(within[first:].mean())
 
 
 class Row(NamedTuple):
@@ -121,73 +228,70 @@ class Row(NamedTuple):
     bounds: Bounds = COST
 
 
-def rows(of: Panel) -> list[Row]:
+def rows(panel: Panel) -> list[Row]:
     """The rows of a panel's table; those that need a limit only where there is one."""
-    windows = f"{of.window} episodes"
-    share = f"α = {of.alpha:g}" + (f", ties {of.ties}" if of.ties != "all" else "")
+    windows = f"{panel.window} episodes"
+    tail = f"α = {panel.alpha:g}" + (f", ties {panel.ties}" if panel.ties != "all" else "")
+    mcc = [(f"P(MCC > {tau:g})", lambda m, tau=tau: m.mcc_above[tau]) for tau in LEVELS]
     listed = [
-        Row(f"EMCC ({share})", lambda m: m.emcc, bounds=SHARE),
-        Row("mean MCC", lambda m: m.mcc, bounds=SHARE),
-        *(
-            Row(f"P(MCC > {level:g})", lambda m, k=level: m.mcc_above[k], bounds=SHARE)
-            for level in LEVELS
-        ),
+        Row(f"EMCC ({tail})", lambda m: m.emcc, 3, SHARE),
+        Row("mean MCC", lambda m: m.mcc, 3, SHARE),
+        *(Row(title, value, 3, SHARE) for title, value in mcc),
         Row("longest streak (steps)", lambda m: m.longest_streak, 0),
         Row("mean streak (steps)", lambda m: m.mean_streak, 2),
         Row("cost rate (per step)", lambda m: m.cost_rate),
         Row(f"peak cost rate ({windows})", lambda m: m.peak_rate),
-        Row(f"CVaR of episode cost ({share})", lambda m: m.cvar, 2),
+        Row(f"CVaR of episode cost ({tail})", lambda m: m.cvar, 2),
         Row("95th percentile of episode cost", lambda m: m.p95, 2),
         Row("highest episode cost", lambda m: m.maximum, 2),
     ]
-    if of.limit is not None:
+    if panel.limit is not None:
+        first, share = (
+            lambda m, name=name: getattr(m, name, None)  # thirds of training have neither
+            for name in ("steps_to_feasible", "feasible_share")
+        )
         listed += [
-            Row("violation rate V", lambda m: m.violation_rate, bounds=SHARE),
-            Row("severity D", lambda m: m.severity, bounds=SEVERITY),
+            Row("violation rate V", lambda m: m.violation_rate, 3, SHARE),
+            Row("severity D", lambda m: m.severity, 3, SEVERITY),
             Row("severity of violations D+", lambda m: m.severity_of_violations),
             Row("cost regret", lambda m: m.regret, 1),
-            Row(f"steps until {windows} are within the limit", _of_whole("steps_to_feasible"), 0),
-            Row(
-                "share of training within it from then on",
-                _of_whole("feasible_share"),
-                bounds=SHARE,
-            ),
+            Row(f"steps until {windows} are within the limit", first, 0),
+            Row("share of training within it from then on", share, 3, SHARE),
         ]
     return listed
 
 
-def _of_whole(name: str) -> Callable[[Measures], float | None]:
-    """A measure that thirds of training do not have."""
-    return lambda stretch: getattr(stretch, name, None)
-
-
-def panel_table(
-    panels: Sequence[Panel], name: str = "", notes: Sequence[str] = (), seed: int = 0
-) -> Table:
+def panel_table(panels: Sequence[Panel], name: str = "") -> Table:
     """The table of the means over runs of one kind, with their intervals.
 
-    name: of the runs, for the caption; seed: of the bootstrap. A cell is empty where any run has no
-    such value.
+    name: of the runs, for the caption. A cell is empty where any run has no such value.
     """
     first = panels[0]
-    of_runs: list[list[Measures | None]] = [list(panels)]
-    of_runs += [[of.parts[part] for of in panels] for part in first.parts]
+    stretches: list[list[Measures | None]] = [list(panels)]
+    stretches += [[run.parts[part] for run in panels] for part in PARTS]
     cells = []
     for row in rows(first):
-        values = [[None if m is None else row.value(m) for m in stretch] for stretch in of_runs]
-        means = (mean_cell(of_row, row.digits, seed, row.bounds) for of_row in values)
-        cells.append([row.title, *means])
+        values = [[m and row.value(m) for m in stretch] for stretch in stretches]
+        cells.append([row.title, *(mean_cell(v, row.digits, row.bounds) for v in values)])
     limit = "no limit" if first.limit is None else f"limit {first.limit:g}"
-    sizes = " and ".join(
-        dict.fromkeys(f"{of.episodes} episodes, {of.steps} steps" for of in panels)
-    )
+    sizes = f"{first.episodes} episodes, {first.steps} steps"
     if len(panels) > 1:
-        sizes = f"means over {len(panels)} runs {intervals()}"
-    head = ["all" if first.parts else "value", *(PARTS[part] for part in first.parts)]
-    return Table(
-        f"{name + ': ' if name else ''}{SOURCES[first.source]}, {limit}; {sizes}",
-        ["measure", *head],
-        cells,
-        list(notes),
-        complete=all(m is not None for stretch in of_runs for m in stretch),
-    )
+        sizes = f"means over {len(panels)} runs {INTERVALS}"
+    caption = f"{name + ': ' if name else ''}costs during training, {limit}; {sizes}"
+    return Table(caption, ["measure", "all", *PARTS.values()], cells)
+
+
+def mean_cell(values: Sequence[float | None], digits: int, bounds: Bounds = UNBOUNDED) -> str:
+    """Mean over runs with its interval or range, see `INTERVALS`; a dash where a run has no value.
+
+    bounds: see `mean_interval`.
+    """
+    known = [value for value in values if value is not None]
+    if len(known) < len(values):
+        return MISSING
+    mean = mean_interval(known, bounds=bounds)
+    if mean.low is None or mean.high is None:
+        return f"{mean.value:.{digits}f}"
+    low, high = f"{mean.low:.{digits}f}", f"{mean.high:.{digits}f}"
+    interval = f"[{low}, {high}]" if mean.kind == "t" else f"range {low} to {high}"
+    return f"{mean.value:.{digits}f} {interval}"

@@ -1,19 +1,89 @@
-"""The thirds of training, EMCC of each, and the cost rate."""
+"""EMCC from the MCC of rollouts, of all of training and of its thirds; CVaR and the cost rate."""
+
+import math
+from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_count, as_integers, as_vector, check_range
-from emcc.tail import emcc
+from emcc.arrays import as_array, as_count, as_integers, as_number, as_vector, check_range
 
 ALPHA = 0.1
 """Risk level of EMCC by part: the share of a part's rollouts with the highest MCC. Source: the
 paper's tables."""
-
 PARTS = {0.33: "0 to 33 %", 0.66: "33 to 66 %", 0.99: "66 to 99 %"}
 """The thirds of training: beta of EMCC_beta, and the stretch of training in words. Each ends at the
 share beta of all environment steps and begins where the one before ends; the last 1 % is in none.
 Source: the paper's definition of EMCC_beta."""
+TIES = ("all", "split")
+
+
+def emcc(mcc_values: ArrayLike, alpha: float = 1.0, ties: str = "all") -> float:
+    """Expected maximum consecutive cost steps, over the share alpha of the worst rollouts.
+
+    mcc_values: [D] MCC of each rollout, in [0, 1] -> float in [0, 1]. alpha 1 is the plain mean.
+    ties: how the share of the highest values is read when several rollouts are equal, or when
+    alpha * D is not a whole number. "all" is the equation: the mean of all values at or above
+    F^-1(1 - alpha), the smallest value v with at least a share 1 - alpha of values <= v. "split"
+    is the recipe: the mean of exactly the top share alpha, its last value weighted fractionally.
+    Source: equations (emcc) and (emcc_beta_cvar); recipe, steps 4 and 5.
+    ValueError: no values, a value outside [0, 1], alpha outside (0, 1], unknown ties.
+    """
+    return _tail_mean(as_vector(mcc_values, "mcc_values", low=0, high=1), alpha, ties)
+
+
+def cvar(values: ArrayLike, alpha: float = 0.5, ties: str = "all") -> float:
+    """Conditional value at risk: the mean of the share alpha of highest values.
+
+    values: [N] finite numbers, such as the cost returns of evaluation episodes, in their own unit.
+    ties: as in `emcc`.
+    Source: equations (VaR) and (CVaR): E[z | z >= F^-1(1 - alpha)].
+    ValueError: no values, NaN or infinite ones, alpha outside (0, 1], unknown ties.
+    """
+    return _tail_mean(as_vector(values, "values"), alpha, ties)
+
+
+def worst(values: ArrayLike, alpha: float = ALPHA) -> NDArray[np.bool_]:
+    """Mask of the values that `emcc` and `cvar` with ties="all" average: those at or above the
+    quantile F^-1(1 - alpha).
+
+    values: [D] finite numbers, such as the MCC of each rollout -> [D] bool. It tells which rollouts
+    dominate EMCC. ValueError: no values, NaN or infinite ones, alpha outside (0, 1].
+    """
+    values = as_vector(values, "values")
+    return values >= _quantile(np.sort(values), _as_fraction(alpha) * values.size)
+
+
+def _tail_mean(values: NDArray[np.float64], alpha: float, ties: str) -> float:
+    size = _as_fraction(alpha) * values.size  # how many values the tail has, exactly
+    if ties not in TIES:
+        raise ValueError(f"ties must be one of {TIES}, got {ties!r}")
+    ordered = np.sort(values.astype(np.float64))
+    if ties == "all":
+        return float(ordered[np.searchsorted(ordered, _quantile(ordered, size)) :].mean())
+    whole, rest = divmod(size, 1)
+    total = ordered[values.size - whole :].sum()
+    if rest:
+        total += float(rest) * ordered[values.size - whole - 1]
+    return float(total / float(size))
+
+
+def _quantile(ordered: NDArray, size: Fraction) -> Any:
+    """F^-1(1 - alpha): the value of rank ceil((1 - alpha) n), counted from 1."""
+    rank = max(ordered.size - math.floor(size), 1)
+    return ordered[rank - 1]
+
+
+def _as_fraction(alpha: float) -> Fraction:
+    """The fraction that a float stands for: 1/10 for 0.1, and for 1 - 0.9 as well.
+
+    With floats, (1 - alpha) * n may miss a whole number by a hair, and the tail gains a value.
+    """
+    alpha = as_number(alpha, "alpha")
+    if not 0 < alpha <= 1:
+        raise ValueError(f"alpha must be in (0, 1], got {alpha}")
+    return Fraction(alpha).limit_denominator(10**9) or Fraction(alpha)
 
 
 def emcc_by_part(
@@ -44,7 +114,7 @@ def emcc_by_part(
                 f"no rollout starts in part {part} of {total_steps} training steps; "
                 f"they start at steps {start_steps.min()} to {start_steps.max()}"
             )
-    return {part: emcc(mcc_values[where], alpha, ties) for part, where in parts.items()}
+    return {part: emcc(mcc_values[rollouts], alpha, ties) for part, rollouts in parts.items()}
 
 
 def rollouts_by_part(
@@ -73,19 +143,17 @@ def cost_rate(costs: ArrayLike, steps: ArrayLike) -> float:
     Both are numbers or arrays of any shape, and are added up.
     Source: cost rate rho_c in "Existing metrics for SafeRL".
     ValueError: a NaN, infinite or negative cost, a negative or fractional number of steps, no step
-    or no cost, more costs than steps, several that are neither one for each of several lengths nor
-    one for each step.
+    or no cost, several costs that are neither one for each length nor one for each step.
     """
     costs, steps = as_array(costs, "costs"), as_integers(steps, "steps")
     check_range(costs, "costs", low=0)
     total_steps = int(steps.sum())
     if total_steps == 0:
         raise ValueError("steps add up to 0; at least one step is needed")
-    if not 0 < costs.size <= total_steps:
-        raise ValueError(f"{total_steps} steps need 1 to {total_steps} costs, got {costs.size}")
-    if costs.size > 1 and steps.size > 1 and costs.size not in (steps.size, total_steps):
+    fit = costs.size in (1, steps.size, total_steps) or steps.size == 1
+    if not fit or not 0 < costs.size <= total_steps:
         raise ValueError(
-            f"{costs.size} costs, but {steps.size} lengths of {total_steps} steps in all; "
+            f"{costs.size} costs do not fit {steps.size} lengths of {total_steps} steps in all; "
             "one for each length or for each step is needed"
         )
     return float(costs.sum(dtype=np.float64) / total_steps)

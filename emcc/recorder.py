@@ -1,12 +1,16 @@
-"""Steps in, trajectories out: the bookkeeping of `RecordCosts`, without gymnasium."""
+"""Steps in, trajectories out: the bookkeeping of `RecordCosts`, and the cost in a step's info.
+
+Where `StreakCost` has weighted info["cost"], the recorded cost is info["plain_cost"].
+"""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_count, as_threshold, check_range, exceed
+from emcc.arrays import as_array, as_count, as_number, check_range, exceed
 from emcc.records import COLUMNS, EpisodeRecords
 
 
@@ -26,21 +30,19 @@ class CostRecorder:
         self, num_envs: int, rollout: int | str = "episode", threshold: float = 0.0
     ) -> None:
         self.num_envs = as_count(num_envs, "num_envs")
-        self.threshold = as_threshold(threshold)
+        self.threshold = as_number(threshold, "threshold", low=0)
         self.steps = 0  # environment steps so far
         self._per_episode = rollout == "episode"
-        self._rollout_length = _as_rollout_length(rollout)
+        named = rollout in ("episode", "manual")
+        self._rollout_length = math.inf if named else as_count(rollout, "rollout")  # pyright: ignore[reportArgumentType]
         self._rollout = 0  # id of the current rollout
         self._rollout_start = 0
         # The running trajectory of each environment; length 0 stands for none.
-        self._start_step = np.zeros(num_envs, dtype=np.int64)
-        self._length = np.zeros(num_envs, dtype=np.int64)
-        self._reward = np.zeros(num_envs)
-        self._cost = np.zeros(num_envs)
+        self._start_step, self._length, self._longest, self._cost_steps, self._streaks = (
+            np.zeros(num_envs, dtype=np.int64) for _ in range(5)
+        )
         self._streak = np.zeros(num_envs, dtype=np.int64)  # the one that has not ended yet
-        self._longest = np.zeros(num_envs, dtype=np.int64)
-        self._cost_steps = np.zeros(num_envs, dtype=np.int64)
-        self._streaks = np.zeros(num_envs, dtype=np.int64)
+        self._reward, self._cost = np.zeros(num_envs), np.zeros(num_envs)
         self._rows: list[tuple[Any, ...]] = []  # finished trajectories, as in EpisodeRecords
 
     def step(
@@ -84,10 +86,10 @@ class CostRecorder:
         running = self._length > 0
         if where is not None:
             running &= self._mask(where)
-        rows = self._rows_of(running)
+        rows = self._running_rows(running)
         self._rows += rows
         self._rollout += len(rows) * self._per_episode
-        for column in (*self._sums, self._streak):
+        for column in (*self._columns[1:], self._streak):
             column[running] = 0
 
     def end_rollout(self) -> None:
@@ -108,7 +110,7 @@ class CostRecorder:
     @property
     def snapshot(self) -> EpisodeRecords:
         """`records`, and behind them the running trajectories as far as they are. Cuts nothing."""
-        return _records(self._rows + self._rows_of(self._length > 0))
+        return _records(self._rows + self._running_rows(self._length > 0))
 
     def recent(self, rollouts: int) -> EpisodeRecords:
         """The finished trajectories of the last so many rollouts that have any."""
@@ -121,14 +123,14 @@ class CostRecorder:
         return _records(self._rows[first:])
 
     @property
-    def _sums(self) -> tuple[NDArray[Any], ...]:
-        """The columns of the running trajectories that begin at 0."""
-        sums = (self._length, self._reward, self._cost, self._longest)
-        return (*sums, self._cost_steps, self._streaks)
+    def _columns(self) -> tuple[NDArray[Any], ...]:
+        """The columns of records but the first, of the running trajectories."""
+        sums = self._length, self._reward, self._cost
+        return (self._start_step, *sums, self._longest, self._cost_steps, self._streaks)
 
-    def _rows_of(self, running: NDArray[np.bool_]) -> list[tuple[Any, ...]]:
+    def _running_rows(self, running: NDArray[np.bool_]) -> list[tuple[Any, ...]]:
         """Rows of the running trajectories where the mask [num_envs] says."""
-        columns = (column[running].tolist() for column in (self._start_step, *self._sums))
+        columns = (column[running].tolist() for column in self._columns)
         return [
             (self._rollout + place * self._per_episode, *row)
             for place, row in enumerate(zip(*columns, strict=True))
@@ -148,10 +150,61 @@ def _records(rows: list[tuple[Any, ...]]) -> EpisodeRecords:
     return EpisodeRecords(*np.array(rows).reshape(-1, len(COLUMNS)).T)
 
 
-def _as_rollout_length(rollout: int | str) -> float:
-    """Environment steps of a rollout; infinite where something else ends it."""
-    if isinstance(rollout, str):
-        if rollout not in ("episode", "manual"):
-            raise ValueError(f'rollout must be "episode", "manual" or a number, got {rollout!r}')
-        return math.inf
-    return as_count(rollout, "rollout")
+def cost_of(info: Mapping[str, Any], name: str = "cost") -> float:
+    """The cost of one environment's step, from its info.
+
+    Its value is checked by `CostRecorder`. KeyError: no cost. TypeError: not one number.
+    """
+    name = _plain(info, name)
+    cost = as_array(info[name], f"info['{name}']")
+    if cost.size != 1:
+        raise TypeError(f"info['{name}'] must be one number, got shape {cost.shape}")
+    return float(cost.reshape(()))
+
+
+def costs_of(
+    infos: Mapping[str, Any], active: NDArray[np.bool_], done: NDArray[np.bool_], name: str = "cost"
+) -> NDArray[np.float64]:
+    """The costs of a vector environment's step, [num_envs]; 0 where `active` is False.
+
+    active: [num_envs] environments that took a step; done: [num_envs] episodes that ended with it.
+    Where environments reset in the step that ends an episode, infos[name] may belong to the next
+    episode's reset; the cost of the last step is then in infos["final_info"].
+    KeyError, ValueError: no cost at all, or of one environment. TypeError: an array of whole
+    numbers or bools that gymnasium has made of all costs.
+    """
+    final, costs = infos.get("final_info", {}), np.zeros(len(active))
+    if isinstance(final, np.ndarray):  # gymnasium before 1.0: an array of dicts
+        finals = active & done & np.array([info is not None for info in final])
+        costs[finals] = [cost_of(info, name) for info in final[finals]]
+    else:
+        finals = active & done & (name in final)
+        if finals.any():
+            costs[finals] = _given_costs(final, finals, name)[finals]
+    others = active & ~finals
+    if others.any():
+        costs[others] = _given_costs(infos, others, name)[others]
+    return costs
+
+
+def _given_costs(infos: Mapping[str, Any], needed: NDArray[np.bool_], name: str) -> NDArray[Any]:
+    """infos[name], whose mask infos["_" + name], where there is one, must cover those needed; with
+    a mask, which is gymnasium's own, no array of whole numbers or bools."""
+    name = _plain(infos, name)
+    missing = needed & ~np.asarray(infos.get(f"_{name}", needed), dtype=bool)
+    if missing.any():
+        raise ValueError(f"sub-environment {int(np.argmax(missing))} gave no {name!r} in its info")
+    costs = as_array(infos[name], f"info['{name}']")
+    if f"_{name}" in infos and costs.dtype.kind in "biu":
+        raise TypeError(
+            f"info['{name}'] came as {costs.dtype}: gymnasium's vector environments give all costs "
+            "the type of the first, which may have rounded others; let every one give a float"
+        )
+    return costs
+
+
+def _plain(info: Mapping[str, Any], name: str) -> str:
+    """The key of the cost before `StreakCost`. KeyError: no cost."""
+    if name not in info:
+        raise KeyError(f"the environment's info has no {name!r}; it has {sorted(info)}")
+    return "plain_cost" if name == "cost" and "plain_cost" in info else name

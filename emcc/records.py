@@ -5,16 +5,15 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_integers, as_steps, check_records
-from emcc.csv_columns import BadRow, Columns, parse, read_columns
-from emcc.files import digest, read_checked, read_checksums, replacing, write_whole
-from emcc.parts import ALPHA, emcc_by_part, rollouts_by_part
+from emcc.arrays import as_array, as_integers, as_steps, check_range
+from emcc.parts import ALPHA, emcc, emcc_by_part, rollouts_by_part
 from emcc.streaks import count_streaks, longest_streaks
-from emcc.tail import emcc
+from emcc.table import Columns
 
 COLUMNS = {  # of the CSV file, in the order of the fields of EpisodeRecords
     "rollout": int,
@@ -26,8 +25,6 @@ COLUMNS = {  # of the CSV file, in the order of the fields of EpisodeRecords
     "cost_steps": int,
     "streaks": int,
 }
-OPTIONAL = ("cost_steps", "streaks")
-"""Columns that files of version 0.1 lack."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,51 +56,38 @@ class EpisodeRecords:
     def __post_init__(self) -> None:
         if (self.cost_steps is None) != (self.streaks is None):
             raise ValueError("cost_steps and streaks must be given together, or neither")
-        for field, (column, number) in zip(fields(self), COLUMNS.items(), strict=True):
-            if getattr(self, field.name) is None and column in OPTIONAL:
-                continue
-            array = as_array(getattr(self, field.name), column).copy()
-            if number is int:
-                array = as_integers(array, column, low=-math.inf)
-            array = array.astype(np.float64 if number is float else np.int64, copy=False)
+        for name, values in self._columns().items():
+            low = {"length": 1, "return": -math.inf}.get(name, 0)
+            array = as_array(values, name).copy()
+            if COLUMNS[name] is int:
+                array = as_integers(array, name, low)
+            check_range(array, name, low)
+            array = array.astype(COLUMNS[name], copy=False)
             array.flags.writeable = False
-            object.__setattr__(self, field.name, array)
+            object.__setattr__(self, "reward" if name == "return" else name, array)
         shapes = sorted({array.shape for array in self._columns().values()})
         if len(shapes) > 1 or len(shapes[0]) != 1:
             raise ValueError(f"the arrays must be 1-D and of one length, got shapes {shapes}")
-        self._check_rows()
+        longest, possible = self.longest_streak, self.longest_streak <= self.length
+        if self.cost_steps is not None and self.streaks is not None:
+            steps, streaks = self.cost_steps, self.streaks
+            # Streaks are apart by a safe step at least, and none is longer than the longest.
+            possible &= -(-steps // np.maximum(longest, 1)) <= streaks
+            possible &= longest + streaks - 1 <= steps
+            possible &= steps + streaks - 1 <= self.length
+            possible &= (longest > 0) & (longest <= steps)
+            possible |= (steps == 0) & (longest == 0) & (streaks == 0)
+        if not possible.all():
+            row = int(np.argmin(possible))
+            named = (f"{name} {array[row]}" for name, array in list(self._columns().items())[5:])
+            problem = f"{self.length[row]} steps cannot have {', '.join(named)}"
+            raise ValueError(f"{problem}, at index {row}")
 
     def _columns(self) -> dict[str, NDArray]:
         """The columns that there are, by their names in the file."""
         arrays = (getattr(self, field.name) for field in fields(self))
-        found = zip(COLUMNS, arrays, strict=True)
-        return {name: array for name, array in found if array is not None}
-
-    def _check_rows(self) -> None:
-        streak = self.longest_streak
-        rules = [
-            ("rollout", self.rollout, self.rollout >= 0, ">= 0"),
-            ("start_step", self.start_step, self.start_step >= 0, ">= 0"),
-            ("length", self.length, self.length >= 1, ">= 1"),
-            ("return", self.reward, np.isfinite(self.reward), "finite"),
-            ("cost", self.cost, np.isfinite(self.cost) & (self.cost >= 0), "finite and >= 0"),
-            ("longest_streak", streak, (streak >= 0) & (streak <= self.length), "in [0, length]"),
-        ]
-        if self.cost_steps is not None and self.streaks is not None:
-            steps, streaks = self.cost_steps, self.streaks
-            # Streaks are apart by a safe step at least, and none is longer than the longest.
-            possible = (-(-steps // np.maximum(streak, 1)) <= streaks) & (streak > 0)
-            possible &= (streak + streaks - 1 <= steps) & (steps + streaks - 1 <= self.length)
-            possible |= (steps == 0) & (streak == 0) & (streaks == 0)
-            rules += [
-                ("cost_steps", steps, (steps >= streak) & (steps <= self.length),
-                 "in [longest_streak, length]"),
-                ("streaks", streaks, possible, "possible with the other columns"),
-            ]  # fmt: skip
-        for column, values, allowed, rule in rules:
-            if not allowed.all():
-                row = int(np.argmin(allowed))
-                raise BadRow(row, f"column {column}: {values[row]} must be {rule}")
+        named = zip(COLUMNS, arrays, strict=True)
+        return {name: array for name, array in named if array is not None}
 
     def __len__(self) -> int:
         return len(self.rollout)
@@ -235,18 +219,16 @@ class EpisodeRecords:
             raise ValueError("there are no records to merge")
         if shared_rollouts and not interleaved:
             raise ValueError("shared_rollouts needs interleaved records")
-        count = len(parts)
-        names = [name for name in COLUMNS if all(name in part._columns() for part in parts)]
-        columns = {
-            name: np.concatenate([part._columns()[name] for part in parts]) for name in names
-        }
-        sizes = [len(part) for part in parts]
+        count, sizes = len(parts), [len(part) for part in parts]
+        tables = [part._columns() for part in parts]
+        shared = [name for name in COLUMNS if all(name in table for table in tables)]
+        columns = {name: np.concatenate([table[name] for table in tables]) for name in shared}
         if interleaved:
             end = columns["start_step"] + columns["length"]
             columns["start_step"] = columns["start_step"] * count
             if not shared_rollouts:
-                which = np.repeat(np.arange(count), sizes)
-                columns["rollout"] = columns["rollout"] * count + which
+                recorder = np.repeat(np.arange(count), sizes)
+                columns["rollout"] = columns["rollout"] * count + recorder
             order = np.argsort(end, kind="stable")  # stable: then by environment
             return cls(*(column[order] for column in columns.values()))
         steps = np.cumsum([0, *(part.total_steps for part in parts)])[:-1]
@@ -262,39 +244,51 @@ class EpisodeRecords:
         return "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""])
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a CSV file, whole or not at all; equal records give equal bytes.
-
-        Where a `checksums.json` beside it holds the file's checksum, it gets the new one.
-        """
-        path, text = Path(path), self.to_csv()
-        known = path.name in read_checksums(path.parent)
-        with replacing(path.parent, {path.name: digest(text.encode())} if known else {}):
-            write_whole(path, text)
+        """Write a CSV file, whole or not at all; equal records give equal bytes."""
+        path = Path(path)
+        unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
+        try:
+            with unfinished.open("w", encoding="utf-8", newline="") as file:
+                file.write(self.to_csv())
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(unfinished, path)
+        finally:
+            unfinished.unlink(missing_ok=True)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "EpisodeRecords":
-        """Read what `save` wrote, bit for bit.
+        """Read a file of `save`, bit for bit.
 
-        ValueError: a damaged file; the message names it with the line and column, or says that it
-        does not match its checksum, where `checksums.json` beside it or one folder above has one.
+        The file may also have a row per episode with cost, length and longest_streak alone, in the
+        order of training: each episode is a rollout then, and without a column `return` returns
+        are 0. ValueError: a damaged file, or other columns.
         """
-        path = Path(path)
-        data = read_checked(path)
-        columns = read_columns(path, data)
-        if list(columns) not in (list(COLUMNS), [name for name in COLUMNS if name not in OPTIONAL]):
-            raise ValueError(f"{path}: the header must be {','.join(COLUMNS)}")
-        if not data.endswith(b"\n"):  # a number may have lost its last digits
+        columns = Columns(Path(path))
+        if {"rollout", "start_step"} & columns.keys():
+            needed = {"rollout", "start_step", "length", "cost", "longest_streak"}
+        else:
+            needed = {"length", "cost", "longest_streak"}
+        if missing := needed - columns.keys():
+            raise ValueError(f"{path}: the columns {', '.join(sorted(missing))} are missing")
+        if not columns.complete:  # a number may have lost its last digits
             raise ValueError(f"{path}: the last line is cut off")
-        return parse_records(columns)
+        arrays: dict[str, Any] = {
+            name: columns.numbers(name, kind) for name, kind in COLUMNS.items() if name in columns
+        }
+        length = arrays["length"]
+        arrays.setdefault("rollout", np.arange(len(length)))
+        arrays.setdefault("start_step", np.cumsum(length) - length)
+        arrays.setdefault("return", np.zeros(len(length)))
+        try:
+            return cls(*(arrays.get(name) for name in COLUMNS))  # pyright: ignore[reportArgumentType]
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
 
 
-def parse_records(columns: Columns) -> EpisodeRecords:
-    """Records from the columns of a CSV file; ValueError naming the line of a bad value."""
-    arrays = [parse(columns, name, COLUMNS[name]) for name in COLUMNS if name in columns]
-    try:
-        return EpisodeRecords(*arrays)
-    except BadRow as bad:
-        line = columns.lines[bad.row]
-        raise ValueError(f"{columns.path}, line {line}, {bad.problem}") from None
-    except ValueError as error:
-        raise ValueError(f"{columns.path}: {error}") from None
+def check_records(records: Any, name: str = "records", fewest: int = 1) -> None:
+    """TypeError where these are no EpisodeRecords, ValueError where they have fewer rows."""
+    if not isinstance(records, EpisodeRecords):
+        raise TypeError(f"{name} must be EpisodeRecords, got {type(records).__name__}")
+    if len(records) < fewest:
+        raise ValueError(f"{name} are empty: no finished trajectory; call end_rollout() first")

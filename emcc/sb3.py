@@ -2,7 +2,12 @@
 
 from typing import Any
 
-from emcc.panels import WINDOW, Panel, panel
+import numpy as np
+
+from emcc.panels import WINDOW, Panel, measures_of, panel
+from emcc.parts import ALPHA
+from emcc.recorder import CostRecorder, cost_of
+from emcc.records import EpisodeRecords
 
 try:
     from stable_baselines3.common.callbacks import BaseCallback
@@ -10,17 +15,7 @@ try:
 except ModuleNotFoundError as error:
     if (error.name or "").partition(".")[0] != "stable_baselines3":
         raise
-    raise ImportError(
-        "emcc.sb3 needs Stable-Baselines3: pip install stable-baselines3"
-    ) from None  # fmt: skip
-
-import numpy as np
-
-from emcc.info import cost_of
-from emcc.measures import measures_of
-from emcc.parts import ALPHA
-from emcc.recorder import CostRecorder
-from emcc.records import EpisodeRecords
+    raise ImportError("emcc.sb3 needs Stable-Baselines3: pip install stable-baselines3") from error
 
 
 class EMCCCallback(BaseCallback):
@@ -37,7 +32,8 @@ class EMCCCallback(BaseCallback):
     and with the running episodes; those that were reset in between are kept as far as they got.
     alpha: share of the rollouts with the highest MCC. window: rollouts whose numbers are logged
     while training. limit: cost limit of an episode, for the measures that need one; None omits
-    them. threshold: a step whose cost exceeds it is a cost step.
+    them. Measures of whole episodes are logged once one has ended. threshold: a step whose cost
+    exceeds it is a cost step.
     ValueError: arguments that are not allowed. KeyError: no cost in the info of a step.
     """
 
@@ -75,9 +71,8 @@ class EMCCCallback(BaseCallback):
     def panel(self, limit: float | None = None) -> Panel:
         """All measures of the training so far: `emcc.panel`. limit: by default the callback's."""
         limit = self.limit if limit is None else limit
-        steps, episodes = _started(self._rollouts).steps, self.episodes
-        whole = episodes if len(episodes) else None
-        return panel(self.records, limit, self.alpha, total_steps=steps, episodes=whole)
+        steps = _started(self._rollouts).steps
+        return panel(self.records, limit, self.alpha, total_steps=steps, episodes=self.episodes)
 
     def _on_training_start(self) -> None:
         if self._rollouts is not None and not self.locals["reset_num_timesteps"]:
@@ -118,9 +113,9 @@ class EMCCCallback(BaseCallback):
             recorder.end_rollout()
         if not recorder.steps:
             return
-        for part, of_part in self.panel().parts.items():
-            if of_part is not None:
-                self.logger.record(f"emcc/emcc_{part}", of_part.emcc)
+        for part, measures in self.panel().parts.items():
+            if measures is not None:
+                self.logger.record(f"emcc/emcc_{part}", measures.emcc)
         self.logger.dump(self.num_timesteps)
 
     def _log(self) -> None:
@@ -128,9 +123,8 @@ class EMCCCallback(BaseCallback):
         episodes = _started(self._episodes).recent(self.window)
         if not len(recent):
             return
-        given = episodes if len(episodes) else recent
-        of_recent = measures_of(recent, given, self.limit, self.alpha, self.window, "all")
-        for name, value in vars(of_recent).items():
+        measures = measures_of(recent, episodes, self.limit, self.alpha, self.window, "all")
+        for name, value in vars(measures).items():
             if isinstance(value, (int, float)):
                 self.logger.record(f"emcc/{name}", value)
 

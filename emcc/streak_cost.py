@@ -9,8 +9,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_number, as_threshold
-from emcc.info import cost_of, costs_of
+from emcc.arrays import as_array, as_number
+from emcc.recorder import cost_of, costs_of
 
 
 def weighted(costs: ArrayLike, streak: ArrayLike, weight: float) -> NDArray[np.float64]:
@@ -50,14 +50,12 @@ def StreakCost(
     """
     if not isinstance(env, (VectorEnv, gym.Env)):
         raise TypeError(f"env must be a gymnasium Env or VectorEnv, got {type(env).__name__}")
-    if as_number(weight, "weight") < 0:
-        raise ValueError(f"weight must be >= 0, got {weight}")
+    weight, threshold = as_number(weight, "weight", 0), as_number(threshold, "threshold", 0)
     if as_number(scale, "scale") <= 0:
         raise ValueError(f"scale must be above 0, got {scale}")
-    chosen = float(weight), float(scale) if observe else None, float(as_threshold(threshold))
-    if isinstance(env, VectorEnv):
-        return StreakCostVectorEnv(env, *chosen)
-    return StreakCostEnv(env, *chosen)
+    kind = StreakCostVectorEnv if isinstance(env, VectorEnv) else StreakCostEnv
+    shown = float(scale) if observe else None
+    return kind(env, weight, shown, threshold)  # pyright: ignore[reportArgumentType]
 
 
 class StreakCostEnv(gym.Wrapper):
@@ -82,11 +80,11 @@ class StreakCostEnv(gym.Wrapper):
         """Step the environment; info["cost"] is weighted, info["plain_cost"] is not."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         # A step behind the last one of an episode is the resetting step of gymnasium's Autoreset.
-        cost = 0.0 if self._finished else cost_of(info)
+        plain = 0.0 if self._finished else cost_of(info)
         self._finished = bool(terminated or truncated)
-        self._streak = self._streak + 1 if cost > self.threshold else 0
-        of_streak = float(weighted(cost, self._streak, self.weight))
-        info = {**info, "cost": np.float64(of_streak), "plain_cost": np.float64(cost)}
+        self._streak = self._streak + 1 if plain > self.threshold else 0
+        cost = np.float64(weighted(plain, self._streak, self.weight))
+        info = {**info, "cost": cost, "plain_cost": np.float64(plain)}
         return self._observed(observation), reward, bool(terminated), bool(truncated), info
 
     def _observed(self, observation: Any) -> Any:
@@ -105,14 +103,10 @@ class StreakCostVectorEnv(VectorWrapper):
         self.weight, self.scale, self.threshold = weight, scale, threshold
         try:
             self._mode = AutoresetMode(env.metadata.get("autoreset_mode"))
-        except ValueError:
-            raise ValueError(
-                f"{env}: metadata['autoreset_mode'] must be a gymnasium.vector.AutoresetMode, "
-                f"got {env.metadata.get('autoreset_mode')!r}"
-            ) from None
+        except ValueError as error:
+            raise ValueError(f"{env}: metadata['autoreset_mode']: {error}") from error
         self._streak = np.zeros(env.num_envs, dtype=np.int64)
-        self._finished = np.zeros(env.num_envs, dtype=bool)
-        """Episodes that are over, and not reset yet."""
+        self._finished = np.zeros(env.num_envs, dtype=bool)  # and not reset yet
         if scale is not None:
             self.single_observation_space = _with_streak(env.single_observation_space)
             self.observation_space = batch_space(self.single_observation_space, env.num_envs)
@@ -121,38 +115,37 @@ class StreakCostVectorEnv(VectorWrapper):
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Reset the environments, or those in options["reset_mask"]; their streaks are over."""
-        where = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool)))
-        where = where.copy()
+        where = np.array((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool)))
         observations, infos = self.env.reset(seed=seed, options=options)
         self._streak[where] = 0
         self._finished &= ~where
-        return self._observed(observations, self._streak), infos
+        return self._observed(observations), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step the environments; costs are weighted, plain costs are not."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         active = ~self._finished
         done = as_array(terminated, "terminated") | as_array(truncated, "truncated")
-        costs = np.zeros(self.num_envs)
+        plain = np.zeros(self.num_envs)
         if active.any():
-            costs = costs_of(infos, active, done)
-        self._streak = np.where(active & (costs > self.threshold), self._streak + 1, 0)
-        of_streak = {"cost": weighted(costs, self._streak, self.weight), "plain_cost": costs}
-        infos = {**infos, **_with_masks(of_streak, active)}
+            plain = costs_of(infos, active, done)
+        self._streak = np.where(active & (plain > self.threshold), self._streak + 1, 0)
+        costs = {"cost": weighted(plain, self._streak, self.weight), "plain_cost": plain}
+        infos = {**infos, **_with_masks(costs, active)}
         if self._mode == AutoresetMode.SAME_STEP:
             if done.any():
-                infos = self._with_final(infos, of_streak, done)
+                infos = self._with_final(infos, costs, done)
             self._streak = np.where(done, 0, self._streak)  # of the next episodes already
         else:
             resets = self._mode == AutoresetMode.NEXT_STEP
             self._finished = (done & active) if resets else self._finished | done
-        return self._observed(observations, self._streak), rewards, terminated, truncated, infos
+        return self._observed(observations), rewards, terminated, truncated, infos
 
     def _with_final(
-        self, infos: dict[str, Any], of_streak: dict[str, NDArray], done: NDArray[np.bool_]
+        self, infos: dict[str, Any], costs: dict[str, NDArray], done: NDArray[np.bool_]
     ) -> dict[str, Any]:
         """The infos with the streak in the last observations, and the costs of the last steps."""
-        final = {**infos.get("final_info", {}), **_with_masks(of_streak, done)}
+        final = {**infos.get("final_info", {}), **_with_masks(costs, done)}
         observations = infos["final_obs"].copy()
         for index in np.flatnonzero(done) if self.scale is not None else ():
             last = observations[index]
@@ -160,16 +153,16 @@ class StreakCostVectorEnv(VectorWrapper):
             observations[index] = np.append(last, streak)
         return {**infos, "final_info": final, "final_obs": observations}
 
-    def _observed(self, observations: Any, streak: NDArray[np.int64]) -> Any:
+    def _observed(self, observations: Any) -> Any:
         if self.scale is None:
             return observations
-        column = (streak / self.scale).astype(observations.dtype)
+        column = (self._streak / self.scale).astype(observations.dtype)
         return np.concatenate((observations, column[:, None]), axis=1)
 
 
-def _with_masks(of_streak: dict[str, NDArray], where: NDArray[np.bool_]) -> dict[str, Any]:
-    masked = {name: np.where(where, values, 0.0) for name, values in of_streak.items()}
-    return masked | {f"_{name}": where.copy() for name in of_streak}
+def _with_masks(costs: dict[str, NDArray], where: NDArray[np.bool_]) -> dict[str, Any]:
+    masked = {name: np.where(where, values, 0.0) for name, values in costs.items()}
+    return masked | {f"_{name}": where.copy() for name in costs}
 
 
 def _with_streak(space: gym.Space) -> Box:
@@ -177,9 +170,5 @@ def _with_streak(space: gym.Space) -> Box:
     floats = np.issubdtype(space.dtype, np.floating)  # since k / scale is a fraction
     if not isinstance(space, Box) or len(space.shape) != 1 or not floats:
         raise TypeError(f"observe needs a flat Box of floats as observation space, got {space}")
-    dtype: Any = space.dtype
-    low, high = (
-        np.append(bound, np.asarray(of_streak, bound.dtype))
-        for bound, of_streak in ((space.low, 0.0), (space.high, np.inf))
-    )
-    return Box(low, high, dtype=dtype)
+    low, high = np.append(space.low, 0.0), np.append(space.high, np.inf)
+    return Box(low.astype(space.dtype), high.astype(space.dtype), dtype=space.dtype)  # pyright: ignore[reportArgumentType]

@@ -3,13 +3,13 @@
 A cost step is a step whose cost exceeds the threshold; a streak is a run of consecutive cost steps.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_integers, as_threshold, as_vector, exceed
+from emcc.arrays import as_integers, as_number, as_vector, exceed
 
 _BLOCK = 1 << 18  # steps looked at together: their temporaries fit in a processor's cache
 
@@ -32,28 +32,13 @@ def longest_streaks(
 
     costs: [sum of lengths] the trajectories one after another; lengths: [E] steps -> int64 [E].
     A streak never crosses from one trajectory into the next. Beside input and result this needs
-    a few megabytes, however long the trajectories are.
+    a few megabytes, or some 30 bytes for each step of the longest trajectory.
     Source: d_tau^max in equation (mcc).
     ValueError: an empty trajectory, lengths that do not add up to the number of costs, a NaN,
     infinite or negative cost, a bad threshold.
     """
-    costs, lengths, threshold = _trajectories(costs, lengths, threshold)
-    stops = np.cumsum(lengths)
-    starts = stops - lengths
-    longest = np.zeros(len(lengths), dtype=np.int64)
-    carry = 0  # length of the streak that reaches the end of the block before
-    for low in range(0, costs.size, _BLOCK):
-        unsafe = exceed(costs[low : low + _BLOCK], threshold)
-        first = int(np.searchsorted(stops, low, side="right"))  # trajectory of the first step
-        after = int(np.searchsorted(starts, low + unsafe.size, side="left"))
-        begins = np.maximum(starts[first:after] - low, 0)
-        where, streaks = _streaks(unsafe, begins)
-        if unsafe[0] and starts[first] < low:
-            streaks[0] += carry
-        carry = streaks[-1] if unsafe[-1] else 0
-        block = longest[first:after]
-        np.maximum(block, _largest_per_group(streaks, np.searchsorted(where, begins)), out=block)
-    return longest
+    blocks = _blocks(costs, lengths, threshold)
+    return np.concatenate([np.maximum.reduceat(streak, begins) for streak, begins in blocks])
 
 
 def count_streaks(
@@ -65,45 +50,36 @@ def count_streaks(
     Cost steps divided by streaks is the mean length of a streak.
     ValueError: as in `longest_streaks`.
     """
-    costs, lengths, threshold = _trajectories(costs, lengths, threshold)
-    unsafe, starts = exceed(costs, threshold), np.cumsum(lengths) - lengths
-    begins = unsafe.copy()
-    begins[1:] &= ~unsafe[:-1]
-    begins[starts] = unsafe[starts]
-    cost_steps = np.add.reduceat(unsafe, starts, dtype=np.int64)
-    return cost_steps, np.add.reduceat(begins, starts, dtype=np.int64)
+    counts = [
+        [np.add.reduceat(counted, begins, dtype=np.int64) for counted in (streak > 0, streak == 1)]
+        for streak, begins in _blocks(costs, lengths, threshold)
+    ]
+    cost_steps, streaks = map(np.concatenate, zip(*counts, strict=True))
+    return cost_steps, streaks
 
 
-def _trajectories(
+def _blocks(
     costs: ArrayLike, lengths: ArrayLike, threshold: float
-) -> tuple[NDArray[Any], NDArray[np.int64], float]:
-    """The arguments of `longest_streaks`, checked."""
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Blocks of whole trajectories: how many steps the streak has at each step, 0 at a safe one;
+    and the steps at which trajectories begin."""
     costs = as_vector(costs, "costs", low=0)
     lengths = as_integers(as_vector(lengths, "lengths"), "lengths", low=1)
     if (total := int(lengths.sum())) != costs.size:
         raise ValueError(f"lengths add up to {total} steps, but there are {costs.size} costs")
-    return costs, lengths, as_threshold(threshold)
-
-
-def _streaks(
-    unsafe: NDArray[np.bool_], begins: NDArray[np.int64]
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """First step and length of every streak; `begins` are the steps at which trajectories begin."""
-    opens, closes = unsafe.copy(), unsafe.copy()
-    opens[1:] &= ~unsafe[:-1]
-    closes[:-1] &= ~unsafe[1:]
-    opens[begins] = unsafe[begins]
-    closes[begins - 1] = unsafe[begins - 1]  # begins[0] - 1 is -1, the last step: it closes too
-    first, last = np.flatnonzero(opens), np.flatnonzero(closes)
-    return first, last - first + 1
-
-
-def _largest_per_group(values: NDArray[Any], begins: NDArray[Any]) -> NDArray[Any]:
-    """Largest value of each group values[begins[i]:begins[i + 1]]; 0 for an empty group."""
-    values = np.append(values, 0)  # reduceat wants every index to exist, also behind the end
-    largest = np.maximum.reduceat(values, begins)
-    largest[:-1][begins[1:] == begins[:-1]] = 0  # where reduceat gives the next group's value
-    return largest
+    threshold = as_number(threshold, "threshold", low=0)
+    stops, first, start = np.cumsum(lengths), 0, 0
+    while start < total:
+        after = max(int(np.searchsorted(stops, start + _BLOCK, side="right")), first + 1)
+        stop = int(stops[after - 1])
+        unsafe, begins = exceed(costs[start:stop], threshold), stops[first:after] - start
+        begins -= lengths[first:after]
+        # Steps up to the latest safe one, or up to the trajectory's begin.
+        count = np.arange(1, unsafe.size + 1)
+        safe = np.where(unsafe, 0, count)
+        safe[begins] = begins + ~unsafe[begins]
+        yield count - np.maximum.accumulate(safe), begins
+        first, start = after, stop
 
 
 def mcc(trajectories: Iterable[ArrayLike], threshold: float = 0.0) -> float:

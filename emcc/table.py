@@ -1,20 +1,62 @@
-"""A table of text cells, and its forms: plain text, Markdown, CSV, LaTeX."""
+"""Tables of text: CSV files read into columns; cells printed as text, Markdown, CSV or LaTeX."""
 
 import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-
-from emcc.interval import estimate
-from emcc.statistics import FEWEST_RUNS, UNBOUNDED, Bounds, has_scipy, mean_interval
+from numpy.typing import NDArray
 
 MISSING = "\N{EN DASH}"
 FORMATS = ("text", "md", "csv", "latex")
-Rows = list[list[str]]
-FEWEST_RESAMPLED = 10
-"""Runs that a bootstrap interval of a mean needs: of five it covers 83 % instead of 95 %."""
+
+
+class Columns(dict[str, list[str]]):
+    """The columns of a CSV file by their names, still as text; blanks around cells are dropped.
+
+    ValueError: not a text file, no header, two columns of one name, or a line with another number
+    of fields than the header.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+            reader = csv.reader(io.StringIO(text, newline=""))
+            rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise ValueError(f"{path}: not a CSV file: {error}") from error
+        if not rows:
+            raise ValueError(f"{path}: the file is empty; a header line is needed")
+        (_, header), *rows = rows
+        if len(set(header)) < len(header):
+            raise ValueError(f"{path}: the header names a column twice: {', '.join(header)}")
+        for line, row in rows:
+            if len(row) != len(header):
+                raise ValueError(f"{path}, line {line}: {len(row)} fields, not {len(header)}")
+        super().__init__((name, [row[k] for _, row in rows]) for k, name in enumerate(header))
+        self.lines = [line for line, _ in rows]
+        self.complete = text.endswith("\n")
+
+    def numbers(self, name: str, kind: type[int] | type[float]) -> NDArray[Any]:
+        """One column as an array. ValueError: a cell that is no such number, by its line."""
+        values = []
+        for line, text in zip(self.lines, self[name], strict=True):
+            try:
+                if not text.isascii() or "_" in text:  # Python reads 1_0 and digits of any script
+                    raise ValueError("not a plain number")
+                values.append(kind(text))
+            except ValueError as error:
+                number = "a whole number" if kind is int else "a number"
+                place = f"{self.path}, line {line}, column {name}"
+                raise ValueError(f"{place}: {text!r} is not {number}") from error
+        try:
+            return np.array(values, dtype=kind)
+        except OverflowError as error:
+            raise ValueError(f"{self.path}, column {name}: a number is too large") from error
 
 
 @dataclass(frozen=True)
@@ -23,75 +65,38 @@ class Table:
 
     caption: str
     head: list[str]
-    rows: Rows
-    notes: list[str]
-    complete: bool = True
-    """Whether no number is missing."""
+    rows: list[list[str]]
+    notes: Sequence[str] = ()
 
     def render(self, form: str) -> str:
         """Lines of aligned text, Markdown, CSV whose comment lines begin with '#', or LaTeX's
         tabular with the rules of booktabs, whose comment lines begin with '%'."""
-        notes = [f"Note: {note}" for note in self.notes]
         if form == "csv":
             body = io.StringIO()
             csv.writer(body, lineterminator="\n").writerows([self.head, *self.rows])
-            comments = [f"# {line}" for line in (self.caption, *notes)]
-            return "\n".join([*comments, body.getvalue()])
+            return "".join(f"# {line}\n" for line in (self.caption, *self.notes)) + body.getvalue()
         if form == "latex":
-            return self._latex([f"% {line}" for line in (self.caption, *notes)])
+            return self._latex()
         lines = [self.head, *self.rows]
-        if form == "md":
-            lines = [self.head, ["---"] * len(self.head), *self.rows]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        if form == "md":
+            lines.insert(1, ["-" * max(3, width) for width in widths])
         padded = [
             [cell.ljust(width) for cell, width in zip(line, widths, strict=True)] for line in lines
         ]
         if form == "md":
             body = [f"| {' | '.join(line)} |" for line in padded]
-            notes = [line for note in notes for line in ("", note)]  # a paragraph each
         else:
             body = ["  ".join(line).rstrip() for line in padded]
-            notes = ["", *notes] if notes else []
+        notes = [text for note in self.notes for text in ("", note)]  # a paragraph each
         return "\n".join([self.caption, "", *body, *notes, ""])
 
-    def _latex(self, comments: list[str]) -> str:
+    def _latex(self) -> str:
+        comments = [f"% {line}" for line in (self.caption, *self.notes)]
         head, *rows = (" & ".join(map(_escape, row)) + r" \\" for row in (self.head, *self.rows))
         first = rf"\begin{{tabular}}{{l{'r' * (len(self.head) - 1)}}}"
         top, end = (first, r"\toprule", head, r"\midrule"), (r"\bottomrule", r"\end{tabular}")
         return "\n".join([*comments, *top, *rows, *end, ""])
-
-
-def intervals() -> str:
-    """Meaning of the brackets in the cell of a mean."""
-    if has_scipy():
-        return f"[95 % t interval], or the range of fewer than {FEWEST_RUNS} runs"
-    return (
-        f"[95 % bootstrap interval], or the range of fewer than {FEWEST_RESAMPLED} runs, whose "
-        "t interval needs scipy>=1.15"
-    )
-
-
-def mean_cell(
-    values: Sequence[float | None], digits: int, seed: int, bounds: Bounds = UNBOUNDED
-) -> str:
-    """Mean over runs with its interval or range, see `intervals`; a dash where a run has no value.
-
-    seed: of the bootstrap, which is there for tables without scipy. bounds: see `mean_interval`.
-    """
-    known = [value for value in values if value is not None]
-    if len(known) < len(values):
-        return MISSING
-    if len(known) == 1:
-        return f"{known[0]:.{digits}f}"
-    with_t = has_scipy()
-    if len(known) < (FEWEST_RUNS if with_t else FEWEST_RESAMPLED):
-        return (
-            f"{np.mean(known):.{digits}f} range {min(known):.{digits}f} to {max(known):.{digits}f}"
-        )
-    # A generator of its own: no cell depends on which others the table has.
-    rng = np.random.default_rng(seed)
-    mean = mean_interval(known, bounds=bounds) if with_t else estimate({"": known}, rng=rng)[""]
-    return f"{mean.value:.{digits}f} [{mean.low:.{digits}f}, {mean.high:.{digits}f}]"
 
 
 def _escape(text: str) -> str:
@@ -106,7 +111,5 @@ _LATEX = {
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
     "α": r"$\alpha$",
-    "±": r"$\pm$",
-    "²": r"$^2$",
     MISSING: "--",
 }

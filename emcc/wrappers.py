@@ -1,15 +1,16 @@
 """RecordCosts for gymnasium: the wrappers of single and of vector environments."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv
+from numpy.typing import ArrayLike
 
 from emcc.arrays import as_array
-from emcc.info import cost_of, costs_of
-from emcc.recorder import CostRecorder
+from emcc.recorder import CostRecorder, cost_of, costs_of
 from emcc.records import EpisodeRecords
 
 OLD = gym.__version__.startswith("0.")
@@ -25,51 +26,75 @@ AUTORESET_MODES = ("NextStep", "SameStep", "Disabled")
 
 
 @overload
-def RecordCosts(
-    env: VectorEnv, rollout: int | str = "episode", threshold: float = 0.0
-) -> "RecordVectorCosts": ...
+def RecordCosts(env: VectorEnv, *args: Any, **options: Any) -> "RecordVectorCosts": ...
 @overload
 def RecordCosts(
-    env: gym.Env[Observation, Action], rollout: int | str = "episode", threshold: float = 0.0
+    env: gym.Env[Observation, Action], *args: Any, **options: Any
 ) -> "RecordEnvCosts[Observation, Action]": ...
 def RecordCosts(
-    env: gym.Env | VectorEnv, rollout: int | str = "episode", threshold: float = 0.0
+    env: gym.Env | VectorEnv,
+    rollout: int | str = "episode",
+    threshold: float = 0.0,
+    costs: Sequence[str] = ("cost",),
 ) -> "RecordEnvCosts | RecordVectorCosts":
-    """Wrap an Env or VectorEnv whose info has "cost", and record its trajectories.
+    """Wrap an Env or VectorEnv whose info has costs, and record its trajectories.
 
     The wrapper is a gymnasium.Wrapper or a gymnasium.vector.VectorWrapper, with
-      .records        EpisodeRecords of the trajectories finished so far
-      .end_rollout()  cut the running episodes and begin the next rollout (`CostRecorder`)
-    rollout and threshold: as in `CostRecorder`.
+      .records          EpisodeRecords of the trajectories finished so far, by the first cost
+      .records_by_cost  the same by each cost, by its name
+      .end_rollout()    cut the running episodes and begin the next rollout (`CostRecorder`)
+    rollout, threshold: as in `CostRecorder`. costs: keys of info, such as ("cost", "cost_2").
 
     A vector environment's autoreset step is no step; its mode is read from
     env.metadata["autoreset_mode"]. A reset in the middle of an episode keeps the steps so far as a
     trajectory. Sub-environments must give the cost as a float: gymnasium's vector environments make
     an array of the type of the first cost they see, which would round others.
     TypeError: no gymnasium environment, or such an array of whole numbers or bools. ValueError: a
-    vector environment without an autoreset mode, an environment that steps without giving a cost.
-    KeyError: no cost in info at all.
+    vector environment without an autoreset mode, an environment that steps without giving a cost,
+    costs that are not different names. KeyError: no such cost in info at all.
     """
     if isinstance(env, VectorEnv):
-        return RecordVectorCosts(env, rollout, threshold)
+        return RecordVectorCosts(env, rollout, threshold, costs)
     if isinstance(env, gym.Env):
-        return RecordEnvCosts(env, rollout, threshold)
+        return RecordEnvCosts(env, rollout, threshold, costs)
     raise TypeError(f"env must be a gymnasium Env or VectorEnv, got {type(env).__name__}")
 
 
 class _Recorded:
-    """The part of the recorder that both wrappers offer."""
+    """The recorders that both wrappers have, one for each cost."""
 
-    recorder: CostRecorder
+    recorders: dict[str, CostRecorder]
+
+    def _record(
+        self, num_envs: int, rollout: int | str, threshold: float, costs: Sequence[str]
+    ) -> None:
+        if isinstance(costs, str) or not costs or len(set(costs)) < len(costs):
+            raise ValueError(f'costs must be different names, as in ("cost",), got {costs!r}')
+        self.recorders = {name: CostRecorder(num_envs, rollout, threshold) for name in costs}
+
+    @property
+    def recorder(self) -> CostRecorder:
+        """The recorder of the first cost."""
+        return next(iter(self.recorders.values()))
 
     @property
     def records(self) -> EpisodeRecords:
-        """The trajectories finished so far."""
+        """The trajectories finished so far, by the first cost."""
         return self.recorder.records
+
+    @property
+    def records_by_cost(self) -> dict[str, EpisodeRecords]:
+        """The trajectories finished so far, by each cost."""
+        return {name: recorder.records for name, recorder in self.recorders.items()}
 
     def end_rollout(self) -> None:
         """Cut the running episodes and begin the next rollout."""
-        self.recorder.end_rollout()
+        for recorder in self.recorders.values():
+            recorder.end_rollout()
+
+    def _cut(self, where: ArrayLike | None = None) -> None:
+        for recorder in self.recorders.values():
+            recorder.cut(where)
 
 
 class RecordEnvCosts(
@@ -82,10 +107,11 @@ class RecordEnvCosts(
         env: gym.Env[Observation, Action],
         rollout: int | str = "episode",
         threshold: float = 0.0,
+        costs: Sequence[str] = ("cost",),
     ) -> None:
-        RecordConstructorArgs.__init__(self, rollout=rollout, threshold=threshold)
+        RecordConstructorArgs.__init__(self, rollout=rollout, threshold=threshold, costs=costs)
         gym.Wrapper.__init__(self, env)
-        self.recorder = CostRecorder(1, rollout, threshold)
+        self._record(1, rollout, threshold, costs)
         self._finished = False
 
     def reset(
@@ -93,7 +119,7 @@ class RecordEnvCosts(
     ) -> tuple[Observation, dict[str, Any]]:
         """Reset the environment; the steps of an episode that was running are kept."""
         result = super().reset(seed=seed, options=options)
-        self.recorder.cut()
+        self._cut()
         self._finished = False
         return result
 
@@ -103,7 +129,8 @@ class RecordEnvCosts(
         _, reward, terminated, truncated, info = result
         done = bool(terminated or truncated)
         if not self._finished:  # else it is the resetting step of gymnasium.wrappers.Autoreset
-            self.recorder.step([cost_of(info)], [float(reward)], [done])
+            for name, recorder in self.recorders.items():
+                recorder.step([cost_of(info, name)], [float(reward)], [done])
         self._finished = done
         return result
 
@@ -112,11 +139,11 @@ class RecordVectorCosts(_Recorded, VectorWrapper):
     """`RecordCosts` of a VectorEnv."""
 
     def __init__(
-        self, env: VectorEnv, rollout: int | str = "episode", threshold: float = 0.0
+        self, env: VectorEnv, rollout: int | str, threshold: float, costs: Sequence[str]
     ) -> None:
         super().__init__(env)
         self._mode = _autoreset_mode(env)
-        self.recorder = CostRecorder(env.num_envs, rollout, threshold)
+        self._record(env.num_envs, rollout, threshold, costs)
         self._waiting = np.zeros(env.num_envs, dtype=bool)  # finished, and not reset yet
 
     def reset(
@@ -127,7 +154,7 @@ class RecordVectorCosts(_Recorded, VectorWrapper):
         mask = (options or {}).get("reset_mask")
         where = np.ones(self.num_envs, dtype=bool) if mask is None else np.array(mask)
         result = super().reset(seed=seed, options=options)
-        self.recorder.cut(where)
+        self._cut(where)
         self._waiting &= ~where
         return result
 
@@ -137,8 +164,8 @@ class RecordVectorCosts(_Recorded, VectorWrapper):
         _, rewards, terminated, truncated, infos = result
         active = ~self._waiting
         done = as_array(terminated, "terminated") | as_array(truncated, "truncated")
-        if active.any():
-            self.recorder.step(costs_of(infos, active, done), rewards, done, active)
+        for name, recorder in self.recorders.items() if active.any() else ():
+            recorder.step(costs_of(infos, active, done, name), rewards, done, active)
         if self._mode == "NextStep":
             self._waiting = done & active
         elif self._mode == "Disabled":

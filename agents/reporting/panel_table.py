@@ -11,8 +11,7 @@ from agents.reporting.table import Row, Table, number_of
 from agents.results.reading import Group, Run
 from agents.results.statistics import INTERVALS, Values, mean_of
 from emcc import panel
-from emcc.measures import CostMeasures, cost_measures
-from emcc.panels import SEVERITY, WINDOW, Panel
+from emcc.panels import SEVERITY, WINDOW, CostMeasures, Panel, cost_measures
 from emcc.panels import rows as panel_rows
 from emcc.parts import ALPHA
 from emcc.statistics import COST, SHARE, Bounds

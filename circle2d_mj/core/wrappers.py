@@ -58,7 +58,7 @@ class SixValueVectorEnv(VectorWrapper):
     def _costs(self, info: dict[str, Any], ended: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Return each step's cost; in SAME_STEP mode `info` already belongs to the next episode.
 
-        The rule is that of `emcc.info.costs_of`, which the environments do not depend on.
+        The rule is that of `emcc.recorder.costs_of`, which the environments do not depend on.
         """
         final = info.get("final_info", {})
         of_final = ended & ("cost" in final)

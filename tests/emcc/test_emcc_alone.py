@@ -28,11 +28,6 @@ def test_the_pages_first_code_gives_the_numbers_beside_it():
         assert eval(expression, names) == eval(f"({numbers})")
 
 
-def test_names_on_the_page_exist():
-    names = re.findall(r"emcc\.(\w+)", (PACKAGE / "README.md").read_text())
-    assert set(names) <= set(emcc.__all__)
-
-
 def test_requirements_are_fewer_than_those_of_all():
     alone = tomllib.loads((PACKAGE / "pyproject.toml").read_text())["project"]
     together = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

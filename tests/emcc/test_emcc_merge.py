@@ -1,7 +1,5 @@
 """Records from costs, and records of several recorders put together."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 
@@ -93,17 +91,6 @@ def test_records_from_costs_are_those_of_the_recorder(seed):
     assert made.rollout.tolist() == recorder.records.rollout.tolist()
     for name in COLUMNS:
         assert getattr(made, name) == pytest.approx(getattr(recorder.records, name), rel=1e-14)
-
-
-def test_costs_that_give_no_records():
-    make = partial(EpisodeRecords.from_costs, [1.0, 0.0, 1.0])
-    with pytest.raises(ValueError, match="lengths add up to 2 steps, but there are 3 costs"):
-        make([2])
-    with pytest.raises(ValueError, match=r"3 costs, but rewards have shape \(2,\)"):
-        make([3], [1.0, 2.0])
-    with pytest.raises(ValueError, match="of one length"):
-        make([3], rollouts=[0, 1])
-    assert make([3], threshold=1).longest_streak.tolist() == [0]
 
 
 def test_recent_rollouts():

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import emcc
-from emcc import EpisodeRecords, panel, regret_curve
+from emcc import EpisodeRecords, panel
 
 KINDS = {
     "mixed": lambda rng: [(rng.random(n) < 0.4) * rng.random(n) for n in rng.integers(1, 30, 60)],
@@ -159,6 +159,33 @@ def test_whole_episodes_beside_rollouts_that_cut_them():
     assert panel(cut, 3.0).violation_rate == 0.0
 
 
+def test_a_third_in_which_no_whole_episode_starts_has_its_emcc():
+    """Two environments, rollouts of 2 steps each, episodes of 6 steps: all start at step 0."""
+    recorders = {kind: emcc.CostRecorder(2, kind) for kind in ("manual", "episode")}
+    for step, cost in enumerate([1, 0, 1, 1, 0, 0], 1):
+        for recorder in recorders.values():
+            recorder.step([cost, 0], [0, 0], [step == 6] * 2)
+        if step % 2 == 0:
+            recorders["manual"].end_rollout()
+    rollouts, episodes = (recorder.records for recorder in recorders.values())
+    found = panel(rollouts, 2.0, episodes=episodes)
+    by_part = {part: measures.emcc for part, measures in found.parts.items()}
+    assert by_part == rollouts.emcc_by_part() == {0.33: 0.5, 0.66: 1.0, 0.99: 0.0}
+    assert found.parts[0.33].violation_rate == 0.5
+    later = found.parts[0.66]
+    assert (later.episodes, later.steps, later.cost_rate) == (0, 4, 0.5)
+    assert {later.maximum, later.cvar, later.p95, later.violation_rate, later.regret} == {None}
+
+
+def test_without_a_whole_episode_there_is_emcc_but_no_measure_of_episodes():
+    pieces = records_of([[1, 1], [0, 1]])
+    found = panel(pieces, 1.0, episodes=EpisodeRecords(*[[]] * 8))
+    assert (found.emcc, found.cost_rate) == (1.0, 0.75)
+    assert (found.episodes, found.maximum, found.violation_rate) == (0, None, None)
+    (line,) = (x for x in found.to_markdown().splitlines() if "violation" in x and "V" in x)
+    assert line.replace(" ", "") == "|violationrateV|–|–|–|–|"
+
+
 def test_order_is_that_of_training():
     episodes = [[0.0]] * 5 + [[1.0]] * 5
     records = records_of(episodes)
@@ -174,26 +201,6 @@ def test_without_a_limit():
         assert getattr(found, name) is None
     assert (found.steps_to_feasible, found.feasible_share) == (None, None)
     assert "violation" not in found.to_markdown()
-
-
-def test_records_of_version_0_1_have_no_mean_streak():
-    old = EpisodeRecords([0], [0], [4], [0], [2], [2])
-    assert panel(old, 1.0).mean_streak is None
-    (line,) = (x for x in panel(old, 1.0).to_markdown().splitlines() if "mean streak" in x)
-    assert line.replace(" ", "") == "|meanstreak(steps)|–|–|–|–|"
-
-
-def test_regret_as_a_curve():
-    steps, regret = regret_curve(records_of([[1, 1, 1], [0], [2, 2]]), 1.0)
-    assert (steps.tolist(), regret.tolist()) == ([0, 3, 4], [2.0, 2.0, 5.0])
-
-
-def test_sources_are_told_apart():
-    records = records_of([[1, 0], [1, 1]])
-    final = panel(records, 1.0, source="deterministic")
-    assert (final.parts, final.steps_to_feasible) == ({}, None)
-    assert final.to_markdown().startswith("costs of the final policy, without noise, limit 1")
-    assert panel(records, 1.0).to_markdown().startswith("costs during training, limit 1")
 
 
 def test_ties_are_passed_on():
@@ -223,10 +230,8 @@ BAD = {
     "NaN": ({"limit": math.nan}, "limit must be finite, got nan"),
     "alpha": ({"alpha": 0.0}, r"alpha must be in \(0, 1\], got 0.0"),
     "window": ({"window": 0}, "window must be >= 1, got 0"),
-    "source": ({"source": "test"}, "source must be one of training, stochastic, determ.* 'test'"),
     "steps": ({"total_steps": 2}, r"start_steps must be finite and in \[0, 1\], got 2"),
     "empty": ({"records": EpisodeRecords(*[[]] * 8)}, "records are empty"),
-    "empty episodes": ({"episodes": EpisodeRecords(*[[]] * 8)}, "episodes are empty"),
 }  # fmt: skip
 
 
@@ -235,29 +240,18 @@ def test_mistakes_are_named(changes, message):
     arguments = {"records": records_of([[1, 0], [1, 1]]), "limit": 1.0, **changes}
     with pytest.raises(ValueError, match=message):
         panel(**arguments)
-
-
-def test_something_else_than_records():
-    for call in (
-        panel,
-        regret_curve,
-        lambda given, limit: panel(records_of([[1]]), episodes=given),
-    ):
-        with pytest.raises(TypeError, match=r"(records|episodes) must be EpisodeRecords, got list"):
-            call([1, 2], limit=5)
+    for given_records in ([1, 2], None):
+        with pytest.raises(TypeError, match="records must be EpisodeRecords"):
+            panel(given_records)
+    with pytest.raises(TypeError, match="episodes must be EpisodeRecords, got list"):
+        panel(records_of([[1]]), episodes=[])
 
 
 def test_before_the_first_trajectory_has_ended():
     recorder = emcc.CostRecorder(1)
     for cost in (0, 1, 1, 0):
         recorder.step([cost], [0], [False])
-    calls = (
-        EpisodeRecords.emcc,
-        EpisodeRecords.emcc_by_part,
-        panel,
-        lambda of: regret_curve(of, 1),
-    )
-    for call in calls:
+    for call in (EpisodeRecords.emcc, EpisodeRecords.emcc_by_part, panel):
         with pytest.raises(ValueError, match=r"no finished trajectory; call end_rollout\(\) first"):
             call(recorder.records)
     recorder.end_rollout()

@@ -139,7 +139,7 @@ def test_bad_steps_are_named(step, message):
 
 
 def test_bad_rollouts_are_named():
-    with pytest.raises(ValueError, match='rollout must be "episode", "manual" or a number'):
+    with pytest.raises(TypeError, match="rollout must be an integer, got 'epoch'"):
         CostRecorder(1, rollout="epoch")
     with pytest.raises(ValueError, match="rollout must be >= 1, got 0"):
         CostRecorder(1, rollout=0)

@@ -156,16 +156,33 @@ def test_what_the_logger_gets():
     )
 
 
-def test_learning_goes_on_or_starts_anew():
-    callback = emcc.sb3.EMCCCallback()
-    model = SAC("MlpPolicy", envs(1), learning_starts=10_000, device="cpu")
-    model.learn(100, callback=callback)
-    model.learn(100, callback=callback, reset_num_timesteps=False)
-    assert callback.records.total_steps == 200
-    ended, _ = episodes_of_log()
-    assert callback.episodes.cost.tolist() == [sum(costs) for costs, _ in ended]
-    model.learn(60, callback=callback)
-    assert callback.records.total_steps == 60
+class Long(gym.Env):
+    """Episodes of 100 steps that all cost 1."""
+
+    observation_space, action_space = Noisy.observation_space, Noisy.action_space
+
+    def reset(self, *, seed=None, options=None):
+        self.left = 100
+        return np.zeros(2, np.float32), {}
+
+    def step(self, action):
+        self.left -= 1
+        return np.zeros(2, np.float32), 0.0, self.left == 0, False, {"cost": 1.0}
+
+
+def test_pieces_of_episodes_are_not_held_against_the_limit():
+    """Updates after 40 steps: the first episode ends in the third."""
+    writer, callback = Kept(), emcc.sb3.EMCCCallback(limit=50.0)
+    model = A2C("MlpPolicy", DummyVecEnv([Long]), n_steps=40, device="cpu")
+    model.set_logger(Logger(None, [writer]))
+    model.learn(80, callback=callback, log_interval=1)
+    assert writer.rows[0][1]["emcc/mcc"] == 1.0
+    logged = {name for _, row in writer.rows for name in row}
+    assert not {"emcc/violation_rate", "emcc/maximum", "emcc/cvar"} & logged
+    assert callback.panel().violation_rate is None
+    model.learn(40, callback=callback, log_interval=1, reset_num_timesteps=False)
+    logged = {name: value for _, row in writer.rows for name, value in row.items()}
+    assert (logged["emcc/violation_rate"], logged["emcc/maximum"]) == (1.0, 100.0)
 
 
 def off_policy(rollout="auto"):

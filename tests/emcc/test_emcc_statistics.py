@@ -12,7 +12,7 @@ from emcc import statistics
 pytest.importorskip("scipy", minversion="1.15")
 import scipy.stats
 
-SIMULATIONS = 4_000
+SIMULATIONS = 1_500
 
 
 def margin(rate, simulations=SIMULATIONS):

@@ -127,26 +127,6 @@ def test_vector_environments(mode):
             waits[i] = bool(over and mode != SAME)
 
 
-@pytest.mark.parametrize("mode", AutoresetMode)
-def test_our_vector_environments_give_what_the_single_one_gives(mode):
-    pytest.importorskip("circle2d_mj")  # registers the task
-    kwargs = {"vectorization_mode": "vector_entry_point", "autoreset_mode": mode}
-    envs = StreakCost(gym.make_vec("Circle2D-1-v0", 2, **kwargs), WEIGHT)
-    one = StreakCost(gym.make("Circle2D-1-v0"), WEIGHT)
-    envs.reset(seed=[3, 4])
-    one.reset(seed=3)
-    for _ in range(30):
-        single = one.step(np.array([-1.0, 0.0]))
-        observations, rewards, *_, info = envs.step(np.array([[-1.0, 0.0]] * 2))
-        np.testing.assert_array_equal(observations[0], single[0])
-        assert (info["cost"][0], info["plain_cost"][0]) == (
-            single[4]["cost"],
-            single[4]["plain_cost"],
-        )
-        assert rewards[0] == single[1]
-    assert info["cost"].dtype == np.float64
-
-
 def test_plain_costs_are_recorded_inside_and_outside():
     inner = RecordCosts(Scripted(SCRIPTS[0]))
     env = RecordCosts(StreakCost(inner, WEIGHT))
@@ -177,14 +157,6 @@ def test_stable_baselines_callback_records_plain_costs():
     env = StreakCost(Scripted(SCRIPTS[0]), WEIGHT)
     algorithms.A2C("MlpPolicy", env, n_steps=8).learn(8, callback)
     assert callback.episodes.cost.tolist() == [4.0, 2.0, 2.0]
-
-
-def test_without_observation_the_space_stays():
-    pytest.importorskip("circle2d_mj")  # registers the task
-    env = StreakCost(gym.make("Circle2D-1-v0"), observe=False)
-    assert env.observation_space == gym.make("Circle2D-1-v0").observation_space
-    env.reset(seed=0)
-    assert env.step(np.zeros(2))[0].shape == (2,)
 
 
 @pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")

@@ -126,9 +126,9 @@ BAD = {
     "unequal": (lambda: emcc_by_part(VALUES, [0, 40], 100), "3 mcc_values, but 2 start_steps"),
     "no steps": (lambda: cost_rate([0.0], 0), "steps add up to 0"),
     "negative cost": (lambda: cost_rate([-1.0], 5), "costs .* got -1.0"),
-    "no costs": (lambda: cost_rate([], 10), "10 steps need 1 to 10 costs, got 0"),
-    "more costs": (lambda: cost_rate([1, 1, 1], 2), "2 steps need 1 to 2 costs, got 3"),
-    "other costs": (lambda: cost_rate([1, 2, 3], [5, 5]), "3 costs, but 2 lengths of 10 steps"),
+    "no costs": (lambda: cost_rate([], 10), "0 costs do not fit 1 lengths of 10 steps"),
+    "more costs": (lambda: cost_rate([1, 1, 1], 2), "3 costs do not fit"),
+    "other costs": (lambda: cost_rate([1, 2, 3], [5, 5]), "3 costs do not fit 2 lengths"),
 }
 
 

@@ -10,13 +10,10 @@ pytest.importorskip("gymnasium", minversion="1.1")
 import gymnasium as gym
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
-from emcc import CostRecorder, EpisodeRecords, RecordCosts
+from emcc import EpisodeRecords, RecordCosts
 
 # The costs of each environment's episodes, one after another; the last step ends the episode.
-SCRIPTS = (
-    [[0.0, 1.0, 1.0], [2.0], [0.0, 1.0]],
-    [[1.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0]],
-)
+SCRIPTS = ([[0.0, 1.0, 1.0], [2.0], [0.0, 1.0]], [[1.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
 NEXT, SAME, DISABLED = AutoresetMode
 
 
@@ -174,20 +171,6 @@ def test_single_environment_that_resets_itself():
     assert rows(env) == [(0, 0, 3, 2.0, 2), (1, 3, 1, 2.0, 1), (2, 4, 2, 1.0, 1)]
 
 
-def test_a_rollout_that_cuts_an_episode():
-    env = run_single(RecordCosts(Scripted(SCRIPTS[1]), rollout=2), episodes=1)
-    env.end_rollout()
-    assert rows(env) == [(0, 0, 2, 2.0, 2), (1, 2, 2, 1.0, 1), (2, 4, 1, 1.0, 1)]
-
-
-def test_manual_rollouts_hold_several_episodes():
-    env = RecordCosts(Scripted(SCRIPTS[0]), rollout="manual")
-    run_single(env, episodes=2).end_rollout()
-    run_single(env, episodes=1).end_rollout()
-    assert env.records.rollout.tolist() == [0, 0, 1]
-    assert env.records.mcc_per_rollout()[0].tolist() == [1.0, 1 / 2]
-
-
 def test_a_reset_in_mid_episode_keeps_the_piece():
     env = RecordCosts(Scripted(SCRIPTS[1]))
     env.reset()
@@ -202,33 +185,50 @@ def test_a_reset_in_mid_episode_keeps_the_piece():
     assert rows(envs) == [(0, 0, 1, 1.0, 1)]
 
 
-def test_threshold():
-    env = run_single(RecordCosts(Scripted(SCRIPTS[0]), threshold=1.0))
-    assert env.records.longest_streak.tolist() == [0, 1, 0]
-    recorder = CostRecorder(1, threshold=0.1)
-    recorder.step(np.array([0.1], np.float32), [0.0], [True])
-    assert recorder.records.longest_streak.tolist() == [1]
-
-
-def test_equals_the_recorder_alone():
-    """The wrapper adds nothing to what a training loop can do with CostRecorder."""
-    envs = RecordCosts(vector(SAME), rollout=5)
-    recorder = CostRecorder(2, rollout=5)
-    envs.reset()
-    for _ in range(20):
-        _, rewards, terminated, truncated, infos = envs.step([0, 0])
-        done = terminated | truncated
-        last = infos.get("final_info", {}).get("cost", np.zeros(2))
-        recorder.step(np.where(done, last, infos["cost"]), rewards, done)
-    assert envs.records.mcc_per_rollout()[0].tolist() == [
-        *recorder.records.mcc_per_rollout()[0].tolist()
-    ]
-    assert len(envs.records) == len(recorder.records)
-
-
 def test_the_spec_makes_the_same_wrapper_again():
     env = RecordCosts(gym.make("CartPole-v1"), rollout=7)
-    assert env.spec.additional_wrappers[-1].kwargs == {"rollout": 7, "threshold": 0.0}
+    assert env.spec.additional_wrappers[-1].kwargs == {
+        "rollout": 7,
+        "threshold": 0.0,
+        "costs": ("cost",),
+    }
+
+
+class TwoCosts(Scripted):
+    """A second cost where the first is 0."""
+
+    def step(self, action):
+        *rest, info = super().step(action)
+        return (*rest, info | {"cost_2": float(info["cost"] == 0)})
+
+
+def test_a_second_cost_has_records_of_its_own():
+    costs = ("cost", "cost_2")
+    env = run_single(RecordCosts(TwoCosts(SCRIPTS[1]), costs=costs), episodes=2)
+    assert env.records.longest_streak.tolist() == [3, 1]
+    assert list(env.records_by_cost) == list(costs)
+    assert env.records_by_cost["cost"].to_csv() == env.records.to_csv()
+    assert env.records_by_cost["cost_2"].longest_streak.tolist() == [1, 2]
+    makers = [partial(TwoCosts, script) for script in SCRIPTS]
+    envs = RecordCosts(SyncVectorEnv(makers, autoreset_mode=SAME), costs=costs)
+    play(envs, 8)
+    envs.end_rollout()
+    by_cost = envs.records_by_cost
+    assert rows(envs)[: len(EIGHT_STEPS)] == EIGHT_STEPS
+    assert by_cost["cost_2"].longest_streak.tolist()[:5] == [1, 0, 1, 1, 2]
+    assert by_cost["cost_2"].start_step.tolist() == by_cost["cost"].start_step.tolist()
+    alone = RecordCosts(TwoCosts(SCRIPTS[1]), costs=("cost_2",))
+    assert run_single(alone, episodes=1).records.longest_streak.tolist() == [1]
+
+
+def test_names_of_costs_are_checked():
+    for costs in ("cost_2", (), ("cost", "cost")):
+        with pytest.raises(ValueError, match="costs must be different names"):
+            RecordCosts(Scripted(SCRIPTS[0]), costs=costs)
+    env = RecordCosts(Scripted(SCRIPTS[0]), costs=("cost", "cost_2"))
+    env.reset()
+    with pytest.raises(KeyError, match="info has no 'cost_2'"):
+        env.step(0)
 
 
 def test_costs_that_gymnasium_may_have_rounded_are_refused():

@@ -1,0 +1,266 @@
+"""Records from files of costs, run folders and archives, and from the data of other libraries.
+
+Objects of Minari and TorchRL are used as they come; neither library is imported.
+"""
+
+import io
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emcc.arrays import as_array, as_count
+from emcc.recorder import CostRecorder
+from emcc.records import COLUMNS, EpisodeRecords
+from emcc.table import Columns
+
+ENDS = ("done", "terminated", "truncated")
+"""Columns that mark the last step of an episode, in files of costs of steps."""
+ARRAYS = {"costs", "lengths", "rewards", "rollouts"}
+"""Arrays of a .npz file: the arguments of `EpisodeRecords.from_costs`."""
+COST_COLUMNS = ("cost", "longest_streak", "cost_steps", "streaks")
+"""Columns of records that each cost has of its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The training costs of one run."""
+
+    source: str
+    """The file, or the run folder."""
+    records: EpisodeRecords
+    total_steps: int
+    """Environment steps of the whole training."""
+    task: str = ""
+    algorithm: str = ""
+    seed: str = ""
+    cost: str = "cost"
+    """Name of the cost in the environment's info."""
+
+
+def read(path: str | os.PathLike[str], threshold: float = 0.0) -> EpisodeRecords:
+    """Records of one training run, from a file or run folder as `python -m emcc` reads it.
+
+    threshold: a step that costs more is a cost step; for files of costs of steps alone.
+    ValueError: several runs, or something that cannot be understood.
+    """
+    runs = read_runs(Path(path), threshold)
+    if len(runs) > 1:
+        raise ValueError(f"{path}: one run is needed, but there are {len(runs)}")
+    return runs[0].records
+
+
+def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
+    """All runs of a file of costs, of a run folder or archive, or of a folder that holds some.
+
+    ValueError: something that cannot be understood, by its path.
+    """
+    if path.is_dir() or path.suffix == ".zip":
+        if threshold:
+            raise ValueError(f"{path}: holds streaks, not costs of steps: leave the threshold out")
+        with _named(path):
+            folder = zipfile.Path(path) if path.is_file() else path
+        runs = [run for inner in _run_folders(folder) for run in _read_run_folder(inner)]
+        if not runs:
+            raise ValueError(f"{path}: no run folder (config.json, results.npz) in it or below")
+        return runs
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file or folder")
+    reader = _read_numpy if path.suffix in (".npy", ".npz") else _read_csv
+    records = reader(path, threshold)
+    return [Run(str(path), records, records.total_steps)]
+
+
+@contextmanager
+def _named(path: Any) -> Iterator[None]:
+    """Puts the path in front of what is wrong with a file's content."""
+    try:
+        yield
+    except KeyError as error:
+        raise ValueError(f"{path}: missing: {error.args[0]}") from error
+    except (TypeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _run_folders(folder: Any) -> Iterator[Any]:
+    """Run folders in a folder or below, by name; folder: pathlib.Path or zipfile.Path."""
+    if (folder / "config.json").is_file():
+        yield folder
+        return
+    for inner in sorted(folder.iterdir(), key=lambda entry: entry.name):
+        if inner.is_dir():
+            yield from _run_folders(inner)
+
+
+def _read_run_folder(folder: Any) -> Iterator[Run]:
+    """The runs of one training: a run for each cost of each task and seed in config.json, with its
+    arrays TASK/SEED/episodes.* in results.npz."""
+    with _named(folder / "config.json"):
+        config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+        algorithm, steps = config["algorithm"], as_count(config["steps"], "steps")
+        keys = [(str(task), str(seed)) for task in config["tasks"] for seed in config["seeds"]]
+    results = folder / "results.npz"
+    if not results.is_file():
+        raise ValueError(f"{folder}: no results.npz, which a training writes at its end")
+    arrays = _arrays(results)
+    for task, seed in keys:
+        prefix = f"{task.replace('/', '-')}/{seed}/episodes."
+        columns = (name.removeprefix(prefix) for name in arrays if name.startswith(prefix))
+        others = [
+            c.removesuffix(".longest_streak") for c in columns if c.endswith(".longest_streak")
+        ]
+        for cost in ("cost", *others):
+            own = "" if cost == "cost" else f"{cost}."
+            names = (prefix + own * (column in COST_COLUMNS) + column for column in COLUMNS)
+            with _named(results):
+                records = EpisodeRecords(*(arrays[name] for name in names))
+            yield Run(str(folder), records, steps, task, algorithm, seed, cost)
+
+
+def _arrays(path: Any) -> Any:
+    """The arrays of a numpy file by their names; path: pathlib.Path or zipfile.Path."""
+    with _named(path):
+        content: Any = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
+    return {"costs": content} if isinstance(content, np.ndarray) else content
+
+
+def _read_numpy(path: Path, threshold: float) -> EpisodeRecords:
+    arrays = _arrays(path)
+    if unknown := [name for name in arrays if name not in ARRAYS]:
+        raise ValueError(f"{path}: holds {', '.join(unknown)}; known are {sorted(ARRAYS)}")
+    with _named(path):
+        given = {"costs": arrays["costs"], **arrays}
+        return EpisodeRecords.from_costs(**given, threshold=threshold)
+
+
+def _read_csv(path: Path, threshold: float) -> EpisodeRecords:
+    """A file of records, or with a row for each step, whose `cost` it has."""
+    columns = Columns(path)
+    if "longest_streak" in columns:
+        if threshold:
+            raise ValueError(f"{path}: holds streaks, not costs of steps: leave the threshold out")
+        return EpisodeRecords.load(path)
+    marks = [name for name in ENDS if name in columns]
+    if "cost" not in columns or not (marks or "episode" in columns):
+        raise ValueError(
+            f"{path}: has the columns {', '.join(columns)}. EMCC needs a row for each step, with "
+            f"cost and episode or {', '.join(ENDS)}; or for each episode, with length, cost and "
+            "longest_streak. Sums of episodes and means of epochs cannot give EMCC"
+        )
+    costs = columns.numbers("cost", float)
+    if not costs.size:
+        raise ValueError(f"{path}: no steps")
+    rollouts, episodes = (columns.get(name, [""] * costs.size) for name in ("rollout", "episode"))
+    # An episode, or its piece in a rollout, ends where these change, and behind a marked step.
+    names = list(zip(rollouts, episodes, strict=True))
+    ends = np.array([name != following for name, following in pairwise([*names, None])])
+    if "episode" in columns and len(set(names)) < ends.sum():
+        raise ValueError(f"{path}: the steps of an episode must follow one another")
+    for name in marks:
+        ends |= _flags(columns, name)
+    last = np.flatnonzero(np.append(ends[:-1], True))
+    if len(last) == costs.size > 1:
+        raise ValueError(f"{path}: every episode has one row: sums of episodes have no EMCC")
+    numbers = {name: number for number, name in enumerate(dict.fromkeys(rollouts))}
+    ids = [numbers[rollouts[row]] for row in last] if "rollout" in columns else None
+    with _named(path):
+        lengths = np.diff(last, prepend=-1)
+        return EpisodeRecords.from_costs(costs, lengths, None, ids, threshold)
+
+
+def _flags(columns: Columns, name: str) -> NDArray[np.bool_]:
+    """A column of 0 and 1, or of False and True: [rows]."""
+    words = [text.lower().removesuffix(".0") for text in columns[name]]
+    if bad := set(words) - {"0", "1", "false", "true"}:
+        raise ValueError(f"{columns.path}, column {name}: must be 0 or 1, got {min(bad)!r}")
+    return np.isin(words, ["1", "true"])
+
+
+def from_minari(dataset: Any, threshold: float = 0.0) -> EpisodeRecords:
+    """Records of a Minari data set, each episode a rollout, in the data set's order.
+
+    dataset: a minari.MinariDataset recorded with `record_infos=True`, with "cost" in the infos.
+    Infos have an entry more than an episode has steps, that of the reset: its cost is dropped.
+    threshold: a step whose cost exceeds it is a cost step.
+    ValueError: no episode, or one whose costs are missing, of another length, negative or NaN.
+    """
+    costs, rewards = [], []
+    for episode in dataset.iterate_episodes():
+        name, steps = f"episode {episode.id}", len(episode.rewards)
+        if "cost" not in (episode.infos or {}):
+            raise ValueError(
+                f"{name} has no 'cost' in its infos (it has {sorted(episode.infos or {})}): record "
+                "with record_infos=True from an environment whose info has a cost"
+            )
+        cost = as_array(episode.infos["cost"], f"costs of {name}").reshape(-1)
+        if len(cost) != steps + 1:
+            raise ValueError(
+                f"{name} has {steps} steps and {len(cost)} costs; needed are those of the reset "
+                "and of every step"
+            )
+        costs.append(cost[1:])
+        rewards.append(as_array(episode.rewards, f"rewards of {name}"))
+    if not costs:
+        raise ValueError("the data set has no episode")
+    return EpisodeRecords.from_costs(costs, None, rewards, threshold=threshold)
+
+
+def from_tensordict(
+    batches: Any, rollout: str = "batch", threshold: float = 0.0
+) -> EpisodeRecords:  # fmt: skip
+    """Records of a TensorDict of TorchRL, or of those that a collector yields one after another.
+
+    batches: a TensorDict [time] or [..., time] with ("next", "cost"), ("next", "reward") and
+    ("next", "done"), or an iterable of them. The environment has to tell its cost:
+    `env.auto_register_info_dict()` for a GymEnv. Every leading index is an environment, stepped
+    together with the others; the dimension named "time" is the last, unless the names say another.
+    rollout: "batch" where the policy is updated after each batch: running episodes are cut there;
+    "episode" where each episode is a rollout: they go on in the next batch. Episodes that have not
+    ended with the last batch are trajectories as well.
+    threshold: a step whose cost exceeds it is a cost step.
+    KeyError: no cost. ValueError: no batch, another rollout, batches of different environments.
+    """
+    if rollout not in ("batch", "episode"):
+        raise ValueError(f'rollout must be "batch" or "episode", got {rollout!r}')
+    recorder = None
+    for batch in [batches] if hasattr(batches, "batch_size") else batches:
+        cost, reward, done = (_steps(batch, name) for name in ("cost", "reward", "done"))
+        envs = cost.shape[1]
+        if recorder is None:
+            recorder = CostRecorder(envs, "manual" if rollout == "batch" else rollout, threshold)
+        if envs != recorder.num_envs:
+            raise ValueError(f"a batch has {envs} environments, the first {recorder.num_envs}")
+        for step in range(len(cost)):
+            recorder.step(cost[step], reward[step], done[step])
+        if rollout == "batch":
+            recorder.end_rollout()
+    if recorder is None:
+        raise ValueError("there is no batch")
+    recorder.cut()  # the episodes that are still running
+    return recorder.records
+
+
+def _steps(batch: Any, name: str) -> NDArray[Any]:
+    """[time, environments] of ("next", name)."""
+    values = batch.get(("next", name), None)
+    if values is None:
+        raise KeyError(
+            f"the batch has no ('next', {name!r}); for a cost, call env.auto_register_info_dict() "
+            "before collecting"
+        )
+    shape = tuple(batch.batch_size)
+    if not shape:
+        raise ValueError("the batch must have a time dimension, got batch_size []")
+    names = list(getattr(batch, "names", None) or [])
+    time = names.index("time") if "time" in names else len(shape) - 1
+    array = as_array(values, name).reshape(shape)  # drops the last axis, of one value
+    return np.moveaxis(array, time, 0).reshape(shape[time], -1)

@@ -1,0 +1,188 @@
+"""python -m emcc: the table of run folders and files, its status, and mistakes."""
+
+import csv
+import subprocess
+import sys
+from importlib import util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import emcc
+from emcc.__main__ import main
+
+# pytest's importlib mode makes no package of the tests.
+_spec = util.spec_from_file_location("sources", Path(__file__).with_name("test_emcc_sources.py"))
+sources = util.module_from_spec(_spec)
+_spec.loader.exec_module(sources)
+
+PARTS = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")
+DASH = "\N{EN DASH}"
+TEN = [0.1, 0.2, 0.6, 0.2, 0.3, 0.3, 0.0, 0.1, 0.9, 0.0]  # of 10 rollouts, at 0 %, 10 %, ...
+# [0, 33 %) has four, [33 %, 66 %) three, [66 %, 99 %] three of them.
+
+
+def records_of(mcc_values):
+    """One episode of 10 steps per rollout, with one streak and nothing else."""
+    costs = [np.arange(10) < round(10 * value) for value in mcc_values]
+    return emcc.EpisodeRecords.from_costs(costs) if costs else emcc.EpisodeRecords(*[[]] * 8)
+
+
+def write_run(folder, by_seed, steps=100, task="A-v0"):
+    runs = {(task, seed): sources.arrays_of(records_of(m)) for seed, m in by_seed.items()}
+    return sources.write_run(folder, runs, steps=steps)
+
+
+def table(capsys, *arguments, status=0):
+    """The rows of the CSV form, each by the head's names; and the lines of comments."""
+    assert main([*map(str, arguments), "--format", "csv"]) == status
+    lines = capsys.readouterr().out.splitlines()
+    comments = [line for line in lines if line.startswith("#")]
+    return list(csv.DictReader(line for line in lines if not line.startswith("#"))), comments
+
+
+def test_a_run(tmp_path, capsys):
+    folder = write_run(tmp_path / "a", {0: TEN})
+    (row,), (caption,) = table(capsys, tmp_path, "--alpha", 1)
+    assert row == {
+        "source": str(folder), "algorithm": "cpo", "task": "A-v0", "seeds": "0", "steps": "100",
+        "EMCC_0.33": "0.275", "EMCC_0.66": "0.200", "EMCC_0.99": "0.333", "cost rate": "0.270",
+    }  # fmt: skip
+    assert "alpha = 1, ties = all" in caption
+
+
+def test_alpha_and_ties_are_used_and_named(tmp_path, capsys):
+    records_of(TEN).save(tmp_path / "a.csv")
+    (row,), _ = table(capsys, tmp_path / "a.csv")  # alpha 0.1: of so few values the largest
+    assert [row[part] for part in PARTS] == ["0.600", "0.300", "0.900"]
+    (row,), (caption,) = table(capsys, tmp_path / "a.csv", "--alpha", 0.5, "--ties", "split")
+    assert [row[part] for part in PARTS] == ["0.400", "0.300", "0.633"]
+    assert "alpha = 0.5, ties = split" in caption
+
+
+def test_seeds_of_a_folder_make_one_row(tmp_path, capsys):
+    write_run(tmp_path / "a", {seed: [value] * 10 for seed, value in enumerate((0.2, 0.4, 0.6))})
+    (row,), (caption,) = table(capsys, tmp_path)
+    assert (row["seeds"], row["EMCC_0.33"]) == ("0 1 2", "0.400 range 0.200 to 0.600")
+    assert "range of fewer than 5 runs" in caption
+    (again,), _ = table(capsys, tmp_path, tmp_path / "a")  # paths may overlap
+    assert again == row
+    rows, _ = table(capsys, tmp_path, "--per-run")
+    assert [row["EMCC_0.33"] for row in rows] == ["0.200", "0.400", "0.600"]
+
+
+def test_five_seeds_have_the_t_interval(tmp_path, capsys):
+    pytest.importorskip("scipy", minversion="1.15")
+    values = enumerate((0.2, 0.4, 0.6, 0.7, 0.9))
+    write_run(tmp_path / "a", {seed: [value] * 10 for seed, value in values})
+    (row,), _ = table(capsys, tmp_path)
+    assert row["EMCC_0.33"] == "0.560 [0.225, 0.895]"
+
+
+def test_without_scipy_an_interval_is_refused_and_a_range_is_not(tmp_path, capsys, monkeypatch):
+    for name in ("scipy", "scipy.stats"):
+        monkeypatch.setitem(sys.modules, name, None)
+    write_run(tmp_path / "three", dict.fromkeys(range(3), TEN))
+    assert main([str(tmp_path)]) == 0
+    write_run(tmp_path / "five", {seed: [0.1 * seed] * 10 for seed in range(5)})
+    with pytest.raises(SystemExit):
+        main([str(tmp_path)])
+    assert "scipy" in capsys.readouterr().err
+
+
+def test_folders_tasks_and_costs_are_apart(tmp_path, capsys):
+    write_run(tmp_path / "a", {0: TEN})
+    write_run(tmp_path / "b", {0: TEN}, task="B-v0")
+    arrays = sources.arrays_of(records_of(TEN))
+    other = sources.arrays_of(records_of([0.5] * 10), "cost_2")
+    sources.write_run(tmp_path / "c", {("A-v0", 1): arrays | other}, steps=100)
+    rows, _ = table(capsys, tmp_path)
+    assert [row["task"] for row in rows] == ["A-v0", "B-v0", "A-v0", "A-v0 (cost_2)"]
+    assert [row["EMCC_0.33"] for row in rows] == ["0.600"] * 3 + ["0.500"]
+
+
+def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):
+    write_run(tmp_path / "a", {0: TEN}, steps=200)
+    (row,), _ = table(capsys, tmp_path, "--alpha", 1, status=1)
+    assert row["EMCC_0.33"] == f"{np.mean(TEN[:7]):.3f}"
+    assert row["EMCC_0.99"] == DASH
+    (row,), _ = table(capsys, tmp_path, "--total-steps", 100)
+    assert (row["steps"], row["EMCC_0.99"]) == ("100", "0.900")
+
+
+def test_a_run_without_an_episode_is_no_zero(tmp_path, capsys):
+    write_run(tmp_path / "a", {0: TEN, 1: []})
+    (row,), _ = table(capsys, tmp_path, status=1)
+    assert {row[name] for name in (*PARTS, "cost rate")} == {DASH}
+
+
+def test_a_mean_over_runs_needs_all_of_them(tmp_path, capsys):
+    write_run(tmp_path / "a", {0: TEN, 1: TEN[:5]})
+    (row,), _ = table(capsys, tmp_path, status=1)
+    assert row["EMCC_0.33"] == "0.600 range 0.600 to 0.600"
+    assert row["EMCC_0.99"] == DASH
+
+
+def test_panels(tmp_path, capsys):
+    """One window for all runs of a panel: of 4 episodes. Costs of 9 and 1 in 10 steps."""
+    write_run(tmp_path / "a", {0: [0.9] * 4 + [0.1] * 6, 1: [0.1] * 4}, steps=40)
+    with pytest.raises(SystemExit):  # the first run has more steps than that
+        main([str(tmp_path), "--limit", "1"])
+    main([str(tmp_path), "--limit", "1", "--total-steps", "100"])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"{tmp_path / 'a'}, cpo, A-v0, seeds 0 1: costs during training")
+    (peak,) = (line for line in lines if line.startswith("peak cost rate (4 episodes)"))
+    assert peak.split(")", 1)[1].strip().startswith("0.500 range 0.100 to 0.900")
+    main([str(tmp_path), "--limit", "1", "--total-steps", "100", "--per-run"])
+    assert capsys.readouterr().out.count("violation rate V") == 2
+
+
+def test_text_is_aligned_and_markdown_is_a_table(tmp_path, capsys):
+    write_run(tmp_path / "a", {0: TEN})
+    main([str(tmp_path)])
+    head, row = capsys.readouterr().out.splitlines()[2:4]
+    for name, cell in (("algorithm", "cpo"), ("EMCC_0.33", "0.600")):
+        assert head.index(name) == row.index(cell)
+    main([str(tmp_path), "--format", "md"])
+    lines = capsys.readouterr().out.splitlines()[2:5]
+    assert set(lines[1]) == set("|- ")
+    assert {line.count("|") for line in lines} == {10}
+
+
+def test_as_a_command(tmp_path):
+    write_run(tmp_path / "a", {0: TEN})
+    done = subprocess.run(
+        [sys.executable, "-m", "emcc", str(tmp_path)],
+        cwd=Path(emcc.__file__).parents[1],
+        capture_output=True,
+        encoding="utf-8",
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "EMCC_0.33" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere\x1b"], "no such file or folder"),
+        (["a", "--alpha", "0"], "alpha must be in (0, 1], got 0.0"),
+        (["a", "--ties", "some"], "invalid choice: 'some'"),
+        (["a", "--limit", "-1"], "limit must be >= 0"),
+        (["a", "--threshold", "1"], "leave the threshold out"),
+        (["a", "--total-steps", "50"], "start_steps must be finite and in [0, 49]"),
+        (["a", "--total-steps", "0"], "total_steps must be >= 1, got 0"),
+        ([], "the following arguments are required: PATH"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(tmp_path, capsys, monkeypatch, arguments, message):
+    write_run(tmp_path / "a", {0: TEN})
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    output, errors = capsys.readouterr()
+    assert (stop.value.code, output) == (2, "")
+    assert message in errors
+    assert errors.startswith("python -m emcc: error: ")
+    assert errors.count("\n") == 1
+    assert "\x1b" not in errors

@@ -1,0 +1,282 @@
+"""Files of costs, run folders and archives: which give EMCC, and equal numbers; which do not."""
+
+import json
+import shutil
+import zipfile
+
+import numpy as np
+import pytest
+
+import emcc
+from emcc.sources import read_runs
+
+
+def episodes(count=200, seed=1):
+    rng = np.random.default_rng(seed)
+    return [(rng.random(n) < 0.3).astype(int) for n in rng.integers(2, 60, count)]
+
+
+def streak(costs):
+    """The longest streak, by a loop."""
+    longest = running = 0
+    for cost in costs:
+        running = running + 1 if cost else 0
+        longest = max(longest, running)
+    return longest
+
+
+def by_hand(costs):
+    """EMCC of each third at alpha 0.1: the values that nine tenths of their third do not exceed."""
+    total, start, thirds = sum(map(len, costs)), 0, ([], [], [])
+    for episode in costs:
+        if 100 * start < 99 * total:
+            thirds[100 * start // (33 * total)].append(streak(episode) / len(episode))
+        start += len(episode)
+    tails = [(sorted(values)[-(-9 * len(values) // 10) - 1], values) for values in thirds]
+    return [np.mean([value for value in values if value >= least]) for least, values in tails]
+
+
+def write(path, head, rows):
+    path.write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]) + "\n")
+    return path
+
+
+STEPS = [
+    (cost, t == len(costs) - 1, k)
+    for k, costs in enumerate(episodes())
+    for t, cost in enumerate(costs)
+]
+SUMS = [(sum(costs), len(costs), streak(costs)) for costs in episodes()]
+LAYOUTS = {
+    "episode": ("episode,cost", [(k, cost) for cost, _, k in STEPS]),
+    "done": ("cost,done", [(cost, int(end)) for cost, end, _ in STEPS]),
+    "of numpy": ("cost,done", [(float(cost), float(end)) for cost, end, _ in STEPS]),
+    "Python's words": (
+        "terminated,cost,truncated",
+        [(end and k % 2 == 0, cost, end and k % 2 == 1) for cost, end, k in STEPS],
+    ),
+    "still running": (
+        "cost,done",
+        [(cost, int(end and k < STEPS[-1][2])) for cost, end, k in STEPS],
+    ),
+    "both": ("episode,cost,done", [(k, cost, end) for cost, end, k in STEPS]),
+    "episodes that end unmarked": (
+        "episode,cost,terminated",
+        [(k, cost, end and k % 2 == 0) for cost, end, k in STEPS],
+    ),
+    "blanks": (" cost , done", [(f" {cost} ", f" {end}") for cost, end, _ in STEPS]),
+    "a byte order mark": ("\ufeffcost,done", [(cost, end) for cost, end, _ in STEPS]),
+    "empty lines": ("\n\ncost,done", [(cost, f"{end}\n") for cost, end, _ in STEPS]),
+    "a row per episode": ("cost,length,longest_streak", SUMS),
+    "in another order": ("longest_streak,return,length,cost", [(c, a, b, a) for a, b, c in SUMS]),
+}
+
+
+@pytest.mark.parametrize(("head", "rows"), LAYOUTS.values(), ids=LAYOUTS)
+def test_csv_files_in_any_layout(tmp_path, head, rows):
+    records = emcc.read(write(tmp_path / "log.csv", head, rows))
+    assert list(records.emcc_by_part().values()) == pytest.approx(by_hand(episodes()), rel=1e-12)
+
+
+def test_rollouts_end_where_they_say_and_episodes_at_done(tmp_path):
+    rows = ["a,1,0", "a,1,1", "a,0,0", "b,1,0", "b,0,0", "c,0,0", "c,0,1"]
+    path = write(tmp_path / "log.csv", "rollout,cost,done", [row.split(",") for row in rows])
+    records = emcc.read(path)
+    assert records.length.tolist() == [2, 1, 2, 2]
+    assert records.mcc_per_rollout()[0].tolist() == [1.0, 0.5, 0.0]
+
+
+def test_arrays_are_the_arguments_of_from_costs(tmp_path):
+    costs = np.array([[0, 1, 1, 0], [1, 1, 1, 0], [0, 0, 0, 0.5]])
+    expected = emcc.EpisodeRecords.from_costs(costs).to_csv()
+    np.save(tmp_path / "c.npy", costs)
+    np.savez(tmp_path / "c.npz", costs=costs.ravel(), lengths=[4, 4, 4])
+    for name in ("c.npy", "c.npz"):
+        assert emcc.read(str(tmp_path / name)).to_csv() == expected
+        assert emcc.read(tmp_path / name, threshold=0.5).longest_streak.tolist() == [2, 3, 0]
+    np.savez(tmp_path / "c.npz", costs=costs, rewards=costs, rollouts=[0, 0, 1])
+    assert emcc.read(tmp_path / "c.npz").mcc_per_rollout()[0].tolist() == [0.75, 0.25]
+
+
+BAD_FILES = {
+    "a row per episode": ("cost,done\n3,1\n2,1\n", "every episode has one row"),
+    "a row per episode, by name": ("episode,cost\n0,3\n1,2\n", "every episode has one row"),
+    "sums": ("cost,length\n3,10\n", "Sums of episodes and means of epochs cannot give EMCC"),
+    "a monitor file": ("r,l,t,cost\n1,10,.1,3\n", "cost and episode or done"),
+    "no episodes": ("cost\n0\n1\n", "cost and episode or done"),
+    "no costs": ("reward,done\n0,1\n", "cost and episode or done"),
+    "no steps": ("cost,done\n", "no steps"),
+    "a flag of 2": ("cost,done\n0,0\n0,2\n", "column done: must be 0 or 1, got '2'"),
+    "a word": ("cost,done\n0,0\n\nhigh,1\n", "line 4, column cost: 'high' is not a number"),
+    "a negative cost": ("cost,done\n0,0\n-1,1\n", "costs must be finite and >= 0, got -1"),
+    "interleaved": ("episode,cost\n0,1\n1,1\n0,1\n1,0\n", "must follow one another"),
+    "a column twice": ("cost,done,cost\n1,0,0\n", "names a column twice"),
+    "a long streak": ("cost,length,longest_streak\n\n3,2,3\n", "cannot have longest_streak 3"),
+    "a length below 1": ("cost,length,longest_streak\n1,2,1\n0,-9,0\n", "length must be .* got -9"),
+    "half of the counts": ("cost,length,longest_streak,streaks\n1,2,1,1\n", "together, or neither"),
+    "a binary file": ("\0\n", "log.csv"),
+    "nothing": ("\n\n", "the file is empty"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), BAD_FILES.values(), ids=BAD_FILES)
+def test_csv_files_without_emcc_are_named(tmp_path, text, message):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message) as error:
+        emcc.read(path)
+    assert str(path) in str(error.value)
+
+
+def test_arrays_without_emcc_are_named(tmp_path):
+    path = tmp_path / "costs.npz"
+    for arrays, message in (
+        ({"costs": np.zeros((3, 20, 5))}, "costs of trajectory 0 must be 1-D"),
+        ({"costs": np.ones(4)}, "lengths are needed"),
+        ({"costs": np.ones(4), "lengths": [1]}, "lengths add up to 1 steps"),
+        ({"costs": np.ones((2, 2)), "dones": [0, 1]}, "holds dones; known are"),
+        ({"lengths": [4]}, "missing: costs"),
+        ({"costs": np.array([{}])}, r"costs\.npz"),
+    ):
+        np.savez(path, **arrays)
+        with pytest.raises(ValueError, match=message) as error:
+            emcc.read(path)
+        assert str(path) in str(error.value)
+    for content in (b"", b"nothing", path.read_bytes()[:100]):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=r"costs\.npz: "):
+            emcc.read(path)
+
+
+COLUMNS = dict(
+    zip(emcc.records.COLUMNS, emcc.records.fields(emcc.EpisodeRecords), strict=True)
+)  # of a run folder, and their fields
+
+
+def arrays_of(records, name=""):
+    """The arrays of a run, as a run folder has them; name: of another cost than the first."""
+    own = ("cost", "longest_streak", "cost_steps", "streaks")
+    arrays = {column: getattr(records, field.name) for column, field in COLUMNS.items()}
+    if name:
+        return {f"episodes.{name}.{column}": arrays[column] for column in own}
+    return {f"episodes.{column}": array for column, array in arrays.items()}
+
+
+def write_run(folder, runs, **config):
+    """A run folder. runs: (task, seed) -> arrays."""
+    folder.mkdir(parents=True)
+    tasks, seeds = (list(dict.fromkeys(key[k] for key in runs)) for k in (0, 1))
+    steps = 10_000
+    config = {"algorithm": "cpo", "tasks": tasks, "seeds": seeds, "steps": steps} | config
+    (folder / "config.json").write_text(json.dumps(config))
+    arrays = {
+        f"{task.replace('/', '-')}/{seed}/{name}": array
+        for (task, seed), named in runs.items()
+        for name, array in {**named, "updates.loss": np.zeros(3)}.items()
+    }
+    np.savez(folder / "results.npz", **arrays)
+    return folder
+
+
+def made(seed):
+    return emcc.EpisodeRecords.from_costs(episodes(50, seed))
+
+
+def described(runs):
+    return [
+        (run.task, run.algorithm, run.seed, run.cost, run.total_steps, run.records.to_csv())
+        for run in runs
+    ]
+
+
+@pytest.fixture
+def two_tasks(tmp_path):
+    """A run folder of two tasks and two seeds; the rows that it must give."""
+    keys = [(task, seed) for task in ("A-v0", "m/B-v1") for seed in (0, 3)]
+    runs = {key: made(number) for number, key in enumerate(keys)}
+    folder = write_run(tmp_path / "runs" / "first", {key: arrays_of(runs[key]) for key in runs})
+    expected = [
+        (task, "cpo", str(seed), "cost", 10_000, records.to_csv())
+        for (task, seed), records in runs.items()
+    ]
+    return folder, expected
+
+
+def test_run_folders(two_tasks):
+    folder, expected = two_tasks
+    assert described(read_runs(folder)) == expected
+    shutil.copytree(folder, folder.parent / "deeper" / "second")
+    assert described(read_runs(folder.parent)) == 2 * expected
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_archives(two_tasks, tmp_path, many):
+    folder, expected = two_tasks
+    path = tmp_path / "runs.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for prefix in ("", "a/b/") if many else ("",):
+            for file in folder.iterdir():
+                archive.write(file, f"{prefix or ('c/' if many else '')}{file.name}")
+    assert described(read_runs(path)) == expected * (1 + many)
+
+
+def test_one_run_is_read_as_records(two_tasks, tmp_path):
+    folder, _ = two_tasks
+    with pytest.raises(ValueError, match="one run is needed, but there are 4"):
+        emcc.read(folder)
+    write_run(tmp_path / "one", {("A-v0", 5): arrays_of(made(5))})
+    assert emcc.read(tmp_path / "one").to_csv() == made(5).to_csv()
+
+
+def test_every_named_cost_has_records_of_its_own(tmp_path):
+    first, second = made(1), made(1)
+    second = emcc.EpisodeRecords.from_costs([costs[::-1] > 0 for costs in episodes(50, 2)])
+    length = {"length": second.length, "start_step": second.start_step}
+    first = emcc.EpisodeRecords(**{**vars(first), **length, **{
+        name: np.zeros(50, int) for name in ("cost", "longest_streak", "cost_steps", "streaks")
+    }})  # fmt: skip
+    folder = write_run(
+        tmp_path / "run", {("A-v0", 0): arrays_of(first) | arrays_of(second, "cost_2")}
+    )
+    runs = {run.cost: run.records for run in read_runs(folder)}
+    assert list(runs) == ["cost", "cost_2"]
+    assert runs["cost"].longest_streak.max() == 0
+    assert runs["cost_2"].to_csv() == second.to_csv()
+
+
+def test_folders_that_are_no_runs_are_named(two_tasks, tmp_path):
+    folder, _ = two_tasks
+    with pytest.raises(ValueError, match="no such file or folder"):
+        emcc.read(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match=r"empty: no run folder"):
+        emcc.read(tmp_path / "empty")
+    with pytest.raises(ValueError, match="leave the threshold out"):
+        emcc.read(folder, threshold=1.0)
+    (tmp_path / "bad.zip").write_text("nothing")
+    with pytest.raises(ValueError, match=r"bad\.zip: File is not a zip"):
+        emcc.read(tmp_path / "bad.zip")
+    config = json.loads((folder / "config.json").read_text())
+    for changed in (
+        [1],
+        {"task": "A-v0"},
+        config | {"steps": "many"},
+        config | {"steps": 0},
+        config | {"tasks": None},
+    ):
+        (folder / "config.json").write_text(json.dumps(changed))
+        with pytest.raises(ValueError, match=r"first/config\.json: "):
+            emcc.read(folder)
+    (folder / "config.json").write_text(json.dumps(config | {"seeds": [0, 4]}))
+    with pytest.raises(ValueError, match=r"missing: A-v0/4/episodes\.rollout"):
+        emcc.read(folder)
+    (folder / "config.json").write_text(json.dumps(config))
+    (folder / "results.npz").write_bytes((folder / "results.npz").read_bytes()[:-100])
+    with pytest.raises(ValueError, match=r"first/results\.npz: "):
+        emcc.read(folder)
+    (folder / "results.npz").unlink()
+    with pytest.raises(ValueError, match=r"first: no results\.npz"):
+        emcc.read(folder)
+    arrays = arrays_of(made(0)) | {"episodes.length": np.zeros(50, int)}
+    with pytest.raises(ValueError, match=r"run/results\.npz: .*length .* got 0"):
+        emcc.read(write_run(tmp_path / "run", {("A-v0", 0): arrays}))
