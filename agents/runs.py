@@ -193,7 +193,8 @@ def _episodes(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) ->
 
 def _updates(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) -> dict[str, Any]:
     """Columns of the updates of a run; `step`: environment steps taken by then."""
-    values, rollouts = arrays[f"{run.prefix}updates"], arrays[f"{run.prefix}rollouts"]
+    values = arrays[f"{run.prefix}updates"]
+    rollouts = arrays[f"{run.prefix}rollouts"].astype(np.int64)
     lengths = arrays[f"{run.prefix}length"].astype(np.int64)
     steps = np.add.reduceat(lengths, np.cumsum(rollouts) - rollouts).cumsum()
     return {"rollout": np.arange(len(values)), "step": steps} | dict(

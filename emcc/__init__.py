@@ -12,29 +12,29 @@ other papers report.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from emcc.panels import Panel, panel
 from emcc.parts import cost_rate, cvar, emcc, emcc_by_part, worst
-from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords
-from emcc.sources import from_minari, from_tensordict, read
-from emcc.statistics import (
-    Interval,
-    Share,
-    bootstrap,
-    equivalence_test,
-    holm,
-    iqm,
-    mean_difference,
-    mean_interval,
-    permutation_test,
-    probability_of_improvement,
-    profile,
-    share,
-)
 from emcc.streaks import count_streaks, longest_streak, longest_streaks, mcc, streak_bounds
 
 if TYPE_CHECKING:
     from emcc import sb3
+    from emcc.panels import Panel, panel
+    from emcc.recorder import CostRecorder
+    from emcc.sources import from_minari, from_tensordict, read
+    from emcc.statistics import (
+        Interval,
+        Share,
+        bootstrap,
+        equivalence_test,
+        holm,
+        iqm,
+        mean_difference,
+        mean_interval,
+        permutation_test,
+        probability_of_improvement,
+        profile,
+        share,
+    )
     from emcc.streak_cost import StreakCost
     from emcc.wrappers import RecordCosts
 
@@ -49,24 +49,34 @@ __all__ = [
 # fmt: on
 
 _LATE = {
-    "RecordCosts": ("emcc.wrappers", "gymnasium>=0.28"),
-    "StreakCost": ("emcc.streak_cost", "gymnasium>=1.1"),
+    "panels": ("Panel", "panel"),
+    "recorder": ("CostRecorder",),
+    "sources": ("from_minari", "from_tensordict", "read"),
+    "statistics": (
+        *("Interval", "Share", "bootstrap", "equivalence_test", "holm", "iqm", "mean_difference"),
+        *("mean_interval", "permutation_test", "probability_of_improvement", "profile", "share"),
+    ),
+    "streak_cost": ("StreakCost",),
+    "wrappers": ("RecordCosts",),
 }
-"""Names that need gymnasium: their module, and the version that it takes."""
+"""Names by the module that has them, which is imported when one is first asked for."""
+_NEEDS = {"wrappers": "gymnasium>=0.28", "streak_cost": "gymnasium>=1.1"}
+"""What a module takes beside numpy."""
 
 
 def __getattr__(name: str) -> Any:
-    if name == "sb3":  # late, because it needs stable-baselines3
+    if name == "sb3":  # needs stable-baselines3
         return import_module("emcc.sb3")
-    if name in _LATE:
-        module, needed = _LATE[name]
-        try:
-            return getattr(import_module(module), name)
-        except ImportError as error:  # gymnasium is missing, or too old to have a name
-            if (error.name or "").partition(".")[0] != "gymnasium":
-                raise
-            raise ImportError(
-                f"emcc.{name} needs {needed}: pip install '{needed}'; without it, "
-                "emcc.CostRecorder takes the costs of steps"
-            ) from error
-    raise AttributeError(f"module 'emcc' has no attribute {name!r}")
+    module = next((module for module, names in _LATE.items() if name in names), None)
+    if module is None:
+        raise AttributeError(f"module 'emcc' has no attribute {name!r}")
+    try:
+        return getattr(import_module(f"emcc.{module}"), name)
+    except ImportError as error:  # gymnasium is missing, or too old to have a name
+        if module not in _NEEDS or (error.name or "").partition(".")[0] != "gymnasium":
+            raise
+        needed = _NEEDS[module]
+        raise ImportError(
+            f"emcc.{name} needs {needed}: pip install '{needed}'; without it, "
+            "emcc.CostRecorder takes the costs of steps"
+        ) from error

@@ -6,11 +6,12 @@ Objects of Minari and TorchRL are used as they come; neither library is imported
 import io
 import json
 import os
+import re
 import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,15 +21,13 @@ from numpy.typing import NDArray
 
 from emcc.arrays import as_array, as_count
 from emcc.recorder import CostRecorder
-from emcc.records import COLUMNS, EpisodeRecords
+from emcc.records import EpisodeRecords
 from emcc.table import Columns
 
 ENDS = ("done", "terminated", "truncated")
 """Columns that mark the last step of an episode, in files of costs of steps."""
 ARRAYS = {"costs", "lengths", "rewards", "rollouts"}
 """Arrays of a .npz file: the arguments of `EpisodeRecords.from_costs`."""
-COST_COLUMNS = ("cost", "longest_streak", "cost_steps", "streaks")
-"""Columns of records that each cost has of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +64,9 @@ def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
     ValueError: something that cannot be understood, by its path.
     """
     if path.is_dir() or path.suffix == ".zip":
-        if threshold:
-            raise ValueError(f"{path}: holds streaks, not costs of steps: leave the threshold out")
         with _named(path):
             folder = zipfile.Path(path) if path.is_file() else path
-        runs = [run for inner in _run_folders(folder) for run in _read_run_folder(inner)]
+        runs = [run for inner in _run_folders(folder) for run in _read_run_folder(inner, threshold)]
         if not runs:
             raise ValueError(f"{path}: no run folder (config.json, results.npz) in it or below")
         return runs
@@ -101,29 +98,38 @@ def _run_folders(folder: Any) -> Iterator[Any]:
             yield from _run_folders(inner)
 
 
-def _read_run_folder(folder: Any) -> Iterator[Run]:
+def _read_run_folder(folder: Any, threshold: float) -> Iterator[Run]:
     """The runs of one training: a run for each cost of each task and seed in config.json, with its
-    arrays TASK/SEED/episodes.* in results.npz."""
+    arrays TASK/SEED/* in results.npz."""
     with _named(folder / "config.json"):
         config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
         algorithm, steps = config["algorithm"], as_count(config["steps"], "steps")
-        keys = [(str(task), str(seed)) for task in config["tasks"] for seed in config["seeds"]]
+        costs = config.get("costs", ["cost"])
+        keys = [(task, str(seed)) for task in config["tasks"] for seed in config["seeds"]]
     results = folder / "results.npz"
     if not results.is_file():
         raise ValueError(f"{folder}: no results.npz, which a training writes at its end")
     arrays = _arrays(results)
     for task, seed in keys:
-        prefix = f"{task.replace('/', '-')}/{seed}/episodes."
-        columns = (name.removeprefix(prefix) for name in arrays if name.startswith(prefix))
-        others = [
-            c.removesuffix(".longest_streak") for c in columns if c.endswith(".longest_streak")
-        ]
-        for cost in ("cost", *others):
-            own = "" if cost == "cost" else f"{cost}."
-            names = (prefix + own * (column in COST_COLUMNS) + column for column in COLUMNS)
+        prefix = f"{re.sub('[/:]', '-', task)}/{seed}/"
+        for cost in costs:
             with _named(results):
-                records = EpisodeRecords(*(arrays[name] for name in names))
+                records = _records(arrays, prefix, cost, threshold)
             yield Run(str(folder), records, steps, task, algorithm, seed, cost)
+
+
+def _records(arrays: Any, prefix: str, cost: str, threshold: float) -> EpisodeRecords:
+    """The records of one run: its costs are a bit for each step that costs, and the values where
+    some are not 1."""
+    packed = f"{prefix}costs/{cost}/"
+    unsafe = np.unpackbits(arrays[packed + "unsafe"], count=int(arrays[packed + "steps"]))
+    costs = unsafe.astype(np.float64)
+    if packed + "values" in arrays:
+        costs[unsafe == 1] = arrays[packed + "values"]
+    rollouts = arrays[prefix + "rollouts"]
+    ids, lengths = np.repeat(np.arange(len(rollouts)), rollouts), arrays[prefix + "length"]
+    records = EpisodeRecords.from_costs(costs, lengths.astype(np.int64), None, ids, threshold)
+    return replace(records, reward=arrays[prefix + "return"])
 
 
 def _arrays(path: Any) -> Any:

@@ -7,21 +7,11 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from emcc.arrays import as_array, as_number
 from emcc.recorder import cost_of, costs_of
-
-
-def weighted(costs: ArrayLike, streak: ArrayLike, weight: float) -> NDArray[np.float64]:
-    """Costs by their place in a streak: the k-th step of a streak costs `1 + weight (k - 1)` times.
-
-    costs, streak: of any one shape; streak: k at a cost step, 0 elsewhere. A streak of n steps that
-    cost 1 each then costs `n + weight n (n - 1) / 2`: one of 8 with weight 1 costs 36, eight of 1
-    cost 8.
-    """
-    factor = 1.0 + weight * np.maximum(np.asarray(streak) - 1, 0)
-    return np.asarray(costs, dtype=np.float64) * factor
+from emcc.streaks import weighted
 
 
 def StreakCost(

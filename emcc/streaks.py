@@ -121,3 +121,14 @@ def streak_bounds(unsafe_steps: ArrayLike, length: ArrayLike) -> tuple[Any, Any]
     low = -(-unsafe // (length - unsafe + 1))
     high = unsafe + np.zeros_like(low)  # the common shape
     return (int(low), int(high)) if low.ndim == 0 else (low, high)
+
+
+def weighted(costs: ArrayLike, streak: ArrayLike, weight: float) -> NDArray[np.float64]:
+    """Costs by their place in a streak: the k-th step of a streak costs `1 + weight (k - 1)` times.
+
+    costs, streak: of any one shape; streak: k at a cost step, 0 elsewhere. A streak of n steps that
+    cost 1 each then costs `n + weight n (n - 1) / 2`: one of 8 with weight 1 costs 36, eight of 1
+    cost 8.
+    """
+    factor = 1.0 + weight * np.maximum(np.asarray(streak) - 1, 0)
+    return np.asarray(costs, dtype=np.float64) * factor

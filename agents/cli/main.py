@@ -9,26 +9,29 @@ import contextlib
 import importlib
 import os
 import re
+import signal
 import sys
+import traceback
 import warnings
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 from agents.cli import signals
-from agents.errors import TaskFailure, UserError, extra_hint, nearest, one_line
+from agents.errors import OwnCodeError, RunsFailed, UserError, extra_hint, nearest, one_line
 
 COMMANDS = {
-    "train": "train runs of an algorithm on a task, evaluate them and print their table",
-    "resume": "go on with runs that were interrupted",
-    "evaluate": "play episodes with trained policies",
-    "reproduce": "run the paper's experiments, or a part of them, and report",
-    "report": "write tables, training curves and heat maps of trained runs",
-    "compare": "put two sets of runs side by side, with their differences",
-    "heatmap": "draw which states were visited in training",
-    "export": "write trained policies as safetensors or ONNX files, with a model card",
-    "render": "draw episodes of trained policies, side by side: PNG, GIF, MP4",
-    "scene": "print the MuJoCo scene of a task (MJCF)",
+    "train": ("training", "train runs of an algorithm on tasks, evaluate them, print their table"),
+    "resume": ("training", "go on with runs that were interrupted"),
+    "evaluate": ("training", "play episodes with trained policies"),
+    "reproduce": ("training", "run the paper's experiments, or a part of them, and report"),
+    "report": ("showing", "write tables, training curves and heat maps of trained runs"),
+    "compare": ("showing", "put two sets of runs side by side, with their differences"),
+    "heatmap": ("showing", "draw which states were visited in training"),
+    "export": ("showing", "write trained policies as safetensors or ONNX files, with a card"),
+    "render": ("showing", "draw episodes of trained policies, side by side: PNG, GIF, MP4"),
+    "scene": ("showing", "print the MuJoCo scene of a task (MJCF)"),
 }
-"""Names of the files beside this one, and what each command does."""
+"""The file beside this one that has a function of each command's name, and what it does."""
 
 MEANT = {"help": "--help", "version": "--version", "-v": "--version", "-V": "--version"}
 """Other programs' names of what this one has."""
@@ -38,7 +41,7 @@ def usage() -> str:
     """Text of `circle2d --help`."""
     from agents.algorithms import ALGORITHMS
 
-    commands = "\n".join(f"  {name:<10} {text}" for name, text in COMMANDS.items())
+    commands = "\n".join(f"  {name:<10} {text}" for name, (_, text) in COMMANDS.items())
     return (
         f"usage: circle2d COMMAND ...\n\n{commands}\n\n"
         "circle2d COMMAND --help explains the options of a command; circle2d --version prints the\n"
@@ -62,8 +65,13 @@ def main(args: Sequence[str] | None = None) -> int:
                 return 0
             return _run(args[0], args[1:])
     except UserError as error:
+        if isinstance(error, OwnCodeError) and error.__cause__:
+            traceback.print_exception(error.__cause__)
         _say(error)
-        return 1 if isinstance(error, TaskFailure) else 2
+        return 1 if isinstance(error, (OwnCodeError, RunsFailed)) else 2
+    except BrokenPipeError:  # nobody reads on
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
     except (OSError, MemoryError) as error:
         _say(error or "out of memory")
         return 2
@@ -85,17 +93,29 @@ def _run(command: str, args: Sequence[str]) -> int:
         kind = "option" if command.startswith("-") else "command"
         valid = ["--help", "--version"] if kind == "option" else list(COMMANDS)
         hint = f"did you mean {MEANT[command]!r}?" if command in MEANT else nearest(command, valid)
-        raise UserError(f"unknown {kind} {command!r}: {hint}")
+        given = command if len(command) < 80 else f"{command[:80]}..."
+        raise UserError(f"unknown {kind} {given!r}: {hint}")
     with _current_folder_on_path(), warnings.catch_warnings():
         warnings.showwarning = _print_warning
         try:
+            _check_words(args)
             with signals.importing():
-                module = importlib.import_module(f"agents.cli.{command}")
-            return module.run(args)
+                module = importlib.import_module(f"agents.cli.{COMMANDS[command][0]}")
+            status = getattr(module, command)(args)
+            sys.stdout.flush()
+            return status
         except ModuleNotFoundError as error:
             if not (hint := extra_hint(error, command)):
                 raise
             raise UserError(hint) from None
+
+
+def _check_words(args: Sequence[str]) -> None:
+    """Raise UserError for an empty word, as an unset variable leaves it."""
+    for before, word in pairwise(("", *args)):
+        if not word.strip() or word.endswith("="):
+            name = word.removesuffix("=") if word.endswith("=") else before
+            raise UserError(f"{name or 'an argument'} is followed by an empty word")
 
 
 def _print_warning(message: object, *_: object) -> None:

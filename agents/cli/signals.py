@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the command line starts without torch
-    from agents.training.epochs import Epoch
+    from agents.training.callbacks import Epoch
 
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 """Not all of them are everywhere."""
@@ -98,7 +98,7 @@ class AfterEpoch:
 
     def __call__(self, epoch: Epoch) -> bool:
         """Note an epoch; False stops the training."""
-        taken = (int(of_run["step"]) for of_run in epoch.runs.values())
+        taken = (int(numbers["step"]) for numbers in epoch.runs.values())
         self.steps[epoch.folder] = (min(taken, default=epoch.steps), epoch.steps)
         if self.number is not None and not self.follows:
             raise Ended(self.number)
@@ -116,7 +116,7 @@ class AfterEpoch:
         assert self.number is not None
         name = signal.Signals(self.number).name
         taken, steps = min(self.steps.values())
-        folders = " ".join([*map(str, self.steps), *(f"--import {of}" for of in self._imports)])
+        folders = " ".join([*map(str, self.steps), *(f"--import {name}" for name in self._imports)])
         return (
             f"interrupted by {name} after {taken} of {steps} steps, with a checkpoint; "
             f"'circle2d resume {folders}' goes on"

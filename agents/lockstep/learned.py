@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.lockstep.rollout import Rollout
-from emcc.streak_cost import weighted
+from emcc.streaks import weighted
 
 
 def learned(rollout: Rollout, config: Any, costs: int) -> Rollout:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.errors import UserError
-from agents.paper.presets import PAPER_SEEDS, preset, usual_steps
+from agents.paper.presets import PAPER_SEEDS, PAPER_STEPS, preset, usual_steps
 from agents.paper.presets import ablations as ablations_of
 from agents.training.config import CONFIG, RESULTS, Device, TrainConfig, file_name
 from agents.training.files import Arrays
@@ -22,6 +22,8 @@ UNKNOWN_WORK = max(WORK.values())
 """Time of a step of an algorithm on Circle2D, in that of TRPO-Lag's; of one that is not listed the
 largest. Decides the order (what takes longest goes first) and the time left that is shown; no
 result."""
+SAFETY = tuple(task for task in PAPER_STEPS if "Safety" in task)
+"""The paper's tasks of Safety-Gymnasium."""
 MOST_RUNS = 12
 """In a training of several tasks; more make a step of each hardly cheaper."""
 

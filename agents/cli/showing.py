@@ -1,0 +1,261 @@
+"""`circle2d report`, `compare`, `heatmap`, `render`, `export` and `scene`: commands that show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from agents.algorithms import title
+from agents.cli.options import (
+    Folder,
+    Folders,
+    Imports,
+    check_size,
+    check_suffix,
+    check_width,
+    one_for_each,
+    parse,
+)
+from agents.cli.terminal import show
+from agents.errors import UserError
+from agents.export import Format
+from agents.training.callbacks import working
+from agents.training.config import TrainConfig
+from agents.training.policy import chosen_run
+from agents.training.pretrained import folder_of
+from circle2d_mj import Circle2DConfig
+from circle2d_mj.render.gl import NoOpenGL, check_backend
+from emcc.parts import ALPHA, PARTS
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Print the table of trained runs beside the paper's; write report.md, report.csv,
+    and index.html with training curves and heat maps as well."""
+
+    folders: Folders
+    """Folders of runs, folders above such folders, archives, or folders in archives. All go into
+    one report, such as your runs beside results/circle2d/runs.zip/Circle2D-1-v0."""
+    archive: Path | None = None
+    """Archive to write, with all that the report needs; `circle2d report FILE` makes the report
+    from it."""
+    out: Path | None = None
+    """Folder for the report; by default the folder of the runs, or a folder beside the archive with
+    its name. Required with several FOLDERs."""
+    width: int | None = None
+    """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
+    are printed as Markdown."""
+    imports: Imports = ()
+
+
+def report(args: Sequence[str]) -> int:
+    """Run `circle2d report`; returns the exit status: 1 where runs had to be left out."""
+    from agents.reporting.report import report as write_report
+
+    options = parse(ReportOptions, "report", args)
+    check_width(options.width)
+    with working("reading runs and drawing figures"):
+        blocks = write_report(*options.folders, archive=options.archive, out=options.out)
+    show(blocks, options.width)
+    return int(getattr(blocks, "left_out", False))
+
+
+@dataclass(frozen=True)
+class CompareOptions:
+    """Print the tables of two sets of runs, such as your algorithm's and a baseline's, with the
+    differences B - A, their 95 % intervals over seeds, and permutation tests, on each task and over
+    all tasks together."""
+
+    a: Folder
+    """Folder of runs, or one with several such folders below it, an archive, or a folder of an
+    archive, such as results/circle2d/runs.zip/Circle2D-1-v0/sac-lb."""
+    b: Folder
+    """Folder of the runs to compare with them."""
+    out: Path | None = None
+    """Folder for compare.md, compare.csv, and compare.html with the training curves of both; by
+    default nothing is written."""
+    width: int | None = None
+    """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
+    are printed as Markdown."""
+    imports: Imports = ()
+
+
+def compare(args: Sequence[str]) -> int:
+    """Run `circle2d compare`; returns the exit status."""
+    from agents.reporting.compare import compare as compare_runs
+
+    options = parse(CompareOptions, "compare", args)
+    check_width(options.width)
+    with working("reading runs and drawing figures"):
+        tables = compare_runs(options.a, options.b, options.out)
+    show(tables, options.width)
+    return 0
+
+
+@dataclass(frozen=True)
+class HeatmapOptions:
+    """Draw which states the agents visited in training, in the rollouts that dominate EMCC, of the
+    runs of a folder together: a PNG. Several folders are drawn beside each other."""
+
+    folders: Folders
+    """Folders of runs on tasks that offer positions."""
+    part: tuple[float, ...] = tuple(PARTS)
+    """Parts of training, named as EMCC names them: 0.33, 0.66, 0.99."""
+    alpha: float = ALPHA
+    """Share of a part's rollouts, those of the highest MCC; 1 draws all."""
+    task: str | None = None
+    """Task of the runs, where a folder has several."""
+    seeds: tuple[int, ...] | None = None
+    """Seeds of the runs; by default all but those that failed."""
+    names: tuple[str, ...] = ()
+    """Titles, one for each folder; by default the algorithm with its settings, and the task."""
+    out: Path | None = None
+    """File to write; by default heatmap.png in the first folder."""
+    size: int = 640
+    """Pixels along each side of a map."""
+    imports: Imports = ()
+
+
+def heatmap(args: Sequence[str]) -> int:
+    """Run `circle2d heatmap`; returns the exit status."""
+    from agents.reporting import pictures
+
+    options = parse(HeatmapOptions, "heatmap", args)
+    if not options.folders:
+        raise UserError("heatmap needs a folder of runs")
+    if not options.part or not set(options.part) <= set(PARTS):
+        raise UserError(f"part must be some of {list(PARTS)}, got {list(options.part)}")
+    check_size(options.size)
+    if not 0 < options.alpha <= 1:
+        raise UserError(f"alpha must be in (0, 1], got {options.alpha}")
+    out = options.out or options.folders[0] / "heatmap.png"
+    check_suffix(out, ".png")
+    names = one_for_each("names", options.names, options.folders)
+    how = (options.part, options.alpha, options.size, options.seeds, names, options.task)
+    pictures.write_picture(out, pictures.heatmap(options.folders, *how))
+    print(out)
+    return 0
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """Draw episodes of trained policies: all in one picture (.png), or as a film (.gif, .mp4).
+
+    Several folders are drawn side by side, each with its name and what it has cost so far.
+    """
+
+    folders: Folders
+    """Folders of runs on tasks that offer a view or, for films, frames of their own;
+    pretrained:ALGORITHM/TASK is a policy that comes with the package."""
+    out: Path | None = None
+    """File to write, its suffix the format; by default trajectories.png in the first folder, or
+    here for a policy of the package."""
+    episodes: int = 3
+    """The first episodes of the evaluation."""
+    task: str | None = None
+    """Task of the runs, where a folder has several."""
+    seed: tuple[int, ...] = ()
+    """Seed of the run: one for all folders, or one for each; by default a folder's first."""
+    names: tuple[str, ...] = ()
+    """Titles above the panels, one for each folder; by default the algorithm and the seed."""
+    stochastic: bool = False
+    """Draw the stochastic policy instead of the deterministic one."""
+    size: int = 640
+    """Pixels along each side of a panel."""
+    imports: Imports = ()
+
+
+def render(args: Sequence[str]) -> int:
+    """Run `circle2d render`; returns the exit status."""
+    from agents.reporting import pictures
+
+    options = parse(RenderOptions, "render", args)
+    folders = [folder_of(given) for given in options.folders]
+    if not folders:
+        raise UserError("render needs a folder of runs")
+    names = one_for_each("names", options.names, folders)
+    seeds = one_for_each("seed", options.seed * (1 if options.seed[1:] else len(folders)), folders)
+    check_size(options.size)
+    beside = folders[0] if folders[0] == options.folders[0] else Path()
+    out = options.out or beside / "trajectories.png"
+    check_suffix(out, ".png", ".gif", ".mp4")
+    panels = []
+    for folder, name, seed in zip(folders, names, seeds, strict=True):
+        config = TrainConfig.read(folder)
+        seed = config.seeds[0] if seed is None else seed
+        run = chosen_run(folder, config, seed, options.task)
+        shown = pictures.evaluation_episodes(folder, run, options.episodes, options.stochastic)
+        heading = name or f"{title(config.algorithm)}, seed {run.seed}"
+        panels.append(pictures.Panel(heading, *shown))
+    if out.suffix.lower() == ".png":
+        pictures.write_picture(out, pictures.picture(panels, options.size))
+    else:
+        pictures.write_film(out, panels, options.size)
+    print(out)
+    return 0
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Write trained policies, without their noise, as files that other programs read, and a model
+    card. Needs the extra [export]."""
+
+    folder: Folder
+    """Folder of the runs, or pretrained:ALGORITHM/TASK."""
+    format: Format
+    """safetensors: the network's arrays; onnx: a graph from observations to actions."""
+    out: Path | None = None
+    """Folder for the files; by default `exported` in the runs' own. Required for a policy that
+    comes with the package."""
+    seeds: tuple[int, ...] | None = None
+    """Seeds of the runs to export; by default all."""
+    task: str | None = None
+    """Task of the runs, where a folder has several."""
+    step: int | None = None
+    """Environment steps of the training at which the policy was kept, a multiple of its
+    --evaluate-every; by default the newest checkpoint's."""
+    imports: Imports = ()
+
+
+def export(args: Sequence[str]) -> int:
+    """Run `circle2d export`; returns the exit status."""
+    from agents.export import export as write
+
+    options = parse(ExportOptions, "export", args)
+    folder = folder_of(options.folder)
+    if folder != options.folder and options.out is None:
+        raise UserError(f"{options.folder} is in the package: give a folder for the files, --out")
+    which = (options.seeds, options.step, options.task)
+    for path in write(folder, options.format, options.out, *which):
+        print(path)
+    return 0
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """Print the MuJoCo scene of a task as MJCF, to be opened in MuJoCo's viewer."""
+
+    config: Annotated[Circle2DConfig, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=Circle2DConfig
+    )
+    actuation: str = "velocity"
+    """velocity: servos; force: motors against a damping."""
+
+
+def scene(args: Sequence[str]) -> int:
+    """Run `circle2d scene`; returns the exit status."""
+    options = parse(SceneOptions, "scene", args)
+    try:
+        check_backend()
+        from circle2d_mj.circle2d.scene import scene as build
+
+        spec = build(options.config, options.actuation)
+    except (ValueError, NoOpenGL) as error:
+        raise UserError(str(error)) from error
+    spec.compile()
+    print(spec.to_xml(), end="")
+    return 0

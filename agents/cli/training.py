@@ -1,0 +1,448 @@
+"""`circle2d train`, `resume`, `evaluate` and `reproduce`: commands that train or play."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import dataclasses
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium as gym
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from agents import api
+from agents.algorithms import ALGORITHMS
+from agents.cli import signals
+from agents.cli.options import (
+    BackendChoice,
+    Folder,
+    Folders,
+    Imports,
+    check_width,
+    import_modules,
+    parse,
+    values_of,
+)
+from agents.cli.terminal import show
+from agents.errors import UserError, nearest, one_line
+from agents.lockstep import backend as lockstep_backend
+from agents.paper import grid
+from agents.paper.presets import PAPER_ALGORITHMS, preset_with
+from agents.reporting.report import report, table
+from agents.training import callbacks, evaluation, trainer
+from agents.training.callbacks import duration, share_done, working
+from agents.training.config import RESULTS, Device, TrainConfig
+from agents.training.derive import write_results
+from agents.training.environments import Vectorization, check_task, registered, task_id
+from agents.training.files import Arrays, check_folder, locked
+from agents.training.launcher import EngineName, Launcher, launcher
+from circle2d_mj.circle2d.config import LEVELS
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """Train some runs of an algorithm, one for each task and seed, in step with each other."""
+
+    out: Path
+    """Folder that the runs are written to; made, and refused if it holds runs already."""
+    task: tuple[str, ...] = ("Circle2D-1-v0",)
+    """Ids of gymnasium tasks with info["cost"]; without its version the newest."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """A run on each task for each seed."""
+    steps: int = 1_000_000
+    """Environment steps of each run, rounded up to whole epochs."""
+    checkpoint_every: int = 50_000
+    """Environment steps of a run between checkpoints, from which a killed run goes on; more, where
+    writing them would take more than 2 % of the time."""
+    evaluate_every: int | None = None
+    """Environment steps of a run between evaluations, each of which keeps the policy too; by
+    default there is none but that at the end."""
+    task_parameters: dict[str, str] = field(default_factory=dict)
+    """Keyword arguments for the tasks, as NAME VALUE ..., e.g. optima_perturbation 1.0 0.5."""
+    costs: tuple[str, ...] = ("cost",)
+    """Names of costs in the tasks' info: all are recorded, and an algorithm limits the first."""
+    vectorization: Vectorization = "auto"
+    """How environments run side by side: the task's own vector environment or one process (auto),
+    gymnasium's SyncVectorEnv (sync), a process each, for slow tasks (async)."""
+    step_timeout: float | None = None
+    """Seconds that a step may take with async; if a process does not answer in time, the training
+    fails. By default there is no limit."""
+    tensorboard: bool = False
+    """Write TensorBoard event files too."""
+    backend: BackendChoice = "auto"
+    """How updates run. compiled: twice as fast as eager, after a minute of compilation the first
+    time and seconds from then on. eager: operation by operation. auto: compiled where there is a
+    C++ compiler."""
+    device: Device = "cpu"
+    """Where updates run: cuda on a GPU."""
+    imports: Imports = ()
+
+
+def train(args: Sequence[str]) -> int:
+    """Run `circle2d train ALGORITHM ...`; returns the exit status."""
+    import_modules(args)
+    name = next((arg for arg in args[:1] if not arg.startswith("-")), None)
+    if name is None:
+        names = ", ".join(ALGORITHMS)
+        if {"-h", "--help"} & set(args):
+            print(f"usage: circle2d train ALGORITHM [OPTIONS]\n\nAlgorithms: {names}.\n")
+            print("'circle2d train ALGORITHM --help' explains the options of one.")
+            return 0
+        raise UserError(f"train needs the algorithm first: one of {names}")
+    if name not in ALGORITHMS:
+        raise UserError(f"unknown algorithm {name!r}: {nearest(name, ALGORITHMS)}")
+    tasks = [task_id(task) for task in values_of("--task", args)] or [*TrainOptions.task]
+    hyperparameters = preset_with(name, tasks[0], {})
+    for task in tasks[1:]:
+        if preset_with(name, task, {}) != hyperparameters:
+            raise UserError(f"{tasks[0]} and {task} have other presets: train them apart")
+    options = parse(_train_options(hyperparameters), f"train {name}", args[1:])
+    values = {f.name: getattr(options, f.name) for f in dataclasses.fields(TrainOptions)}
+    del values["imports"]
+    values["task_parameters"] = {k: _literal(v) for k, v in options.task_parameters.items()}
+    own = options.hyperparameters
+    for task in tasks:
+        check_task(task, values["task_parameters"], options.costs)
+        check_enough_steps(task, values["task_parameters"], options.steps, own)
+    values |= {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
+    with signals.AfterEpoch(options.imports) as after_epoch:
+        runs = api.train(name, **values, progress=True, on_epoch=after_epoch)
+    return _finish(runs.folders, after_epoch)
+
+
+def _train_options(hyperparameters: Any) -> type:
+    """`TrainOptions` and the hyper-parameters of an algorithm, with their preset as defaults."""
+    annotation = Annotated[type(hyperparameters), tyro.conf.OmitArgPrefixes]
+    return dataclasses.make_dataclass(
+        "TrainOptions",
+        [("hyperparameters", annotation, field(default=hyperparameters))],
+        bases=(TrainOptions,),
+        frozen=True,
+        namespace={"__doc__": TrainOptions.__doc__},
+    )
+
+
+def _literal(text: str) -> Any:
+    """A task parameter as Python reads it (3.0, True, (1, 0.5)), else the text itself."""
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+
+
+def check_enough_steps(
+    task: str, parameters: Mapping[str, Any], steps: int, hyperparameters: Any
+) -> None:
+    """Raise UserError for a training after which there is no table, since EMCC needs a rollout in
+    each third of it.
+
+    A rollout is an epoch: its length is that of its episodes where those reach their time limit.
+    For a task without a limit nothing is checked.
+    """
+    limit = parameters.get("max_episode_steps") or gym.spec(registered(task)).max_episode_steps
+    episodes = getattr(hyperparameters, "episodes", 1)
+    if isinstance(limit, int) and 0 < steps <= 2 * episodes * limit:
+        words = f"{episodes} episodes" if episodes > 1 else "an episode"
+        raise UserError(
+            f"steps must be at least {2 * episodes * limit + 1} for a table, got {steps}: each "
+            f"third of training needs a rollout, which is {words} of up to {limit} steps"
+        )
+
+
+def _finish(folders: Sequence[Path], after_epoch: signals.AfterEpoch) -> int:
+    """Print the table of every folder, and the failures; returns the exit status.
+
+    after_epoch: says whether a signal stopped the training, of which one line is printed then.
+    """
+    if after_epoch.number is not None:
+        _say(after_epoch.words())
+        return 128 + after_epoch.number
+    for folder in folders:
+        try:
+            show(table(folder))
+        except UserError as error:  # the training itself is done
+            _say(f"no table: {error}")
+    return name_failures(folders)
+
+
+def name_failures(folders: Sequence[Path]) -> int:
+    """Name the runs that failed in training or evaluation; returns the exit status."""
+    status = 0
+    for folder in folders:
+        arrays = Arrays(folder / RESULTS)
+        for run in TrainConfig.read(folder, strict=False).runs:
+            if run.prefix + "failure" in arrays:
+                why = str(arrays[run.prefix + "failure"])
+            elif f"{run.prefix}evaluation/deterministic/returns" not in arrays:
+                why = "its evaluation met a number that is not finite"
+            else:
+                continue
+            _say(f"{folder}: {run}: {why}")
+            status = 1
+    return status
+
+
+def _say(words: str) -> None:
+    print(f"circle2d: {one_line(words)}", file=sys.stderr)
+
+
+@dataclass(frozen=True)
+class ResumeOptions:
+    """Go on with interrupted runs from their newest checkpoint; the results are bit for bit those
+    of runs that were never interrupted."""
+
+    folders: Folders
+    """Folders of runs, one after the other."""
+    imports: Imports = ()
+
+
+def resume(args: Sequence[str]) -> int:
+    """Run `circle2d resume`; returns the exit status."""
+    options = parse(ResumeOptions, "resume", args)
+    for folder in options.folders:
+        TrainConfig.read(folder)
+        if (note := callbacks.other_session(folder)) and not grid.finished(folder):
+            _say(f"{folder}: {note}")
+    done = [folder for folder in options.folders if grid.finished(folder)]
+    with signals.AfterEpoch(options.imports) as after_epoch:
+        api.resume(*options.folders, progress=True, on_epoch=after_epoch)
+    for folder in done:
+        _say(f"{folder}: was done already: evaluated again")
+    return _finish(options.folders, after_epoch)
+
+
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """Play episodes with the policies of a folder's newest checkpoint and print their means; of a
+    training that is done they replace those that reports show."""
+
+    folder: Folder
+    """Folder of the runs."""
+    episodes: int = evaluation.EPISODES
+    """Episodes of each run and policy (deterministic, stochastic)."""
+    imports: Imports = ()
+
+
+def evaluate(args: Sequence[str]) -> int:
+    """Run `circle2d evaluate`; returns the exit status."""
+    options = parse(EvaluateOptions, "evaluate", args)
+    folder, config = options.folder, TrainConfig.read(options.folder)
+    with locked(folder), working(f"playing {options.episodes} episodes of each run, by either way"):
+        trained = trainer.Trainer(folder, config)
+        trained.load()
+        policy, going = trained.learner.policy(), trained.failures == ""
+        if trained.done:
+            results = write_results(folder, config, policy, trained.failures, options.episodes)
+        else:
+            results = evaluation.evaluate_runs(config, policy, options.episodes, going)
+    taken = trained.steps[going] if going.any() else trained.steps
+    print(
+        f"{folder}, after {taken.min()} of {config.steps} steps: means over "
+        f"{options.episodes} episodes"
+    )
+    for name, result in results.items():
+        for k, run in enumerate(config.runs):
+            words = "no finite numbers"
+            if not result.void[k]:
+                words = f"J_R {np.mean(result.returns[k]):.2f}"
+                costs = zip(config.costs, result.costs[k].mean(axis=0), strict=True)
+                words += "".join(f", J_C {v:.2f}" + f" ({c})" * (c != "cost") for c, v in costs)
+            print(f"{run}, {name} policy: {words}")
+    return (
+        name_failures([folder])
+        if trained.done
+        else int(any(r.void.any() for r in results.values()))
+    )
+
+
+@dataclass(frozen=True)
+class ReproduceOptions:
+    """Run the paper's experiments, or a part of them, and write the report.
+
+    Given again, the same command goes on where it was interrupted.
+    """
+
+    out: Path
+    """Folder for the runs and the report."""
+    quick: bool = False
+    """A small version of everything: 2 seeds of 10 000 steps."""
+    algorithms: tuple[str, ...] = PAPER_ALGORITHMS
+    """Algorithms to run."""
+    levels: tuple[int, ...] = LEVELS
+    """Levels of Circle2D."""
+    mujoco: bool = False
+    """Run Circle2D with MuJoCo's physics instead of the kinematic mode."""
+    safety: bool = False
+    """Run the paper's Safety-Gymnasium tasks instead."""
+    tasks: tuple[str, ...] = ()
+    """Ids of other tasks to run instead, such as circle2d_mj/SafetyPointGoal1-v0."""
+    ablations: bool = False
+    """Also run other values of settings that the paper does not print: TRPO-Lag's multiplier
+    optimiser, bootstrapping at the time limit off-policy, observations in units of length, and
+    WCSAC as in a later library. For SAC-LB-Streak, leave out one part at a time."""
+    seeds: tuple[int, ...] | None = None
+    """Seeds of each algorithm and task; by default 0 1 2."""
+    steps: int | None = None
+    """Environment steps of each run; by default the paper's: 1 000 000 on Circle2D, 10 000 000 on
+    its Safety tasks."""
+    backend: BackendChoice | None = None
+    """How updates run: see `circle2d train ALGORITHM --help`. By default the backend that the runs
+    in out began with, else auto; with --quick eager, since it ends before updates would be
+    compiled."""
+    device: Device = "cpu"
+    """Where updates run: cuda on a GPU."""
+    workers: int | None = None
+    """Trainings at a time, each of one thread; by default one for each core that this process may
+    use, or that the Ray cluster has."""
+    engine: EngineName = "local"
+    """local: processes of this machine. ray: tasks of a Ray cluster, of one core each (and one GPU
+    with --device cuda); needs the extra [ray]."""
+    address: str | None = None
+    """Of the Ray cluster's head, HOST:PORT, or auto for one that runs on this machine; by default
+    RAY_ADDRESS, or else a cluster of this machine is started."""
+    shard: str | None = None
+    """I/N, such as 1/4: train the I-th of N equal parts, for job arrays. Writes no report."""
+    width: int | None = None
+    """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
+    are printed as Markdown."""
+    imports: Imports = ()
+
+
+def reproduce(args: Sequence[str]) -> int:
+    """Run `circle2d reproduce`; returns the exit status."""
+    options = parse(ReproduceOptions, "reproduce", args)
+    check_width(options.width)
+    check_folder(options.out)
+    configs = _configs(options)
+    if options.shard is not None:
+        configs = grid.shard(configs, *_shard(options.shard))
+    modules = [*dict.fromkeys([*options.imports, *api.modules_of(configs.values())])]
+    how = (options.engine, options.workers, modules, options.address, options.device)
+    # The engine first: one that refuses leaves no folder behind.
+    with launcher(*how) as trainings:
+        grid.prepare(configs)
+        for folder in configs:
+            if (note := callbacks.other_session(folder)) and not grid.finished(folder):
+                _say(f"{folder}: {note}")
+        # The parts of a grid train at the same time: there each folder has a lock alone.
+        with contextlib.nullcontext() if options.shard else locked(options.out):
+            failed = _train_all(configs, trainings)
+    for folder, why in failed.items():
+        _say(f"{folder} failed: {why}")
+    if options.shard is not None:
+        print(f"part {options.shard} is over; after all: circle2d report {options.out}")
+        return int(bool(failed))
+    try:
+        with working("drawing the report"):
+            blocks = report(options.out)
+        show(blocks, options.width)
+    except UserError as error:
+        _say(f"no report: {error}")
+        return 1
+    return int(bool(failed) or any(map(grid.has_failures, configs)))
+
+
+def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
+    """The grid's trainings by folder."""
+    if not options.algorithms:
+        raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
+    tasks = [task_id(task) for task in _tasks(options)]
+    for task in tasks:
+        check_task(task, {})
+    seeds, steps = options.seeds, options.steps
+    if seeds is None:
+        seeds = grid.QUICK_SEEDS if options.quick else grid.SEEDS
+    if steps is None and options.quick:
+        steps = grid.QUICK_STEPS
+    what = (tasks, options.algorithms, seeds, steps, options.device, options.ablations)
+    configs = grid.grid(options.out, *what)
+    for config in configs.values():
+        for task in config.tasks:
+            check_enough_steps(task, {}, config.steps, config.hyperparameters)
+    begun = (TrainConfig.read(f).backend for f in configs if (f / "config.json").exists())
+    usual = "eager" if options.quick else next(begun, "auto")
+    backend = lockstep_backend.choose(options.backend or usual)
+    lockstep_backend.require(backend == "compiled", options.device)
+    return {folder: replace(config, backend=backend) for folder, config in configs.items()}
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """I and N of "I/N". Raises UserError."""
+    part, _, count = text.partition("/")
+    if not (part.isdecimal() and count.isdecimal() and 1 <= int(part) <= int(count)):
+        raise UserError(f"shard must be I/N with I from 1 to N, such as 1/4, got {text!r}")
+    return int(part), int(count)
+
+
+def _tasks(options: ReproduceOptions) -> Sequence[str]:
+    own = bool(options.tasks) + options.safety + (options.mujoco or options.levels != LEVELS)
+    if own > 1:
+        raise UserError("give one of tasks, safety, and levels or mujoco, which choose the tasks")
+    if options.safety:
+        return grid.SAFETY
+    if not options.tasks:
+        return grid.circle2d_tasks(options.levels, options.mujoco)
+    if options.quick and options.steps is None:
+        raise UserError("quick is of Circle2D: give steps as well for other tasks")
+    return options.tasks
+
+
+def _train_all(configs: Mapping[Path, TrainConfig], trainings: Launcher) -> dict[Path, str]:
+    """Train what is not finished, showing it; returns the folders that failed, and why."""
+    left = [folder for folder in configs if not grid.finished(folder)]
+    work = {folder: grid.work(config) for folder, config in configs.items()}
+    for folder in left:
+        trainings.submit(folder)
+
+    def done() -> float:
+        shares = (
+            1.0 if folder not in left or trainings.jobs[folder].done() else share_done(folder)
+            for folder in work
+        )
+        return sum(share * of for share, of in zip(shares, work.values(), strict=True)) / sum(
+            work.values()
+        )
+
+    started, before, told = time.monotonic(), done(), set[Path]()
+    console = Console(stderr=True)
+    with Live(console=console, auto_refresh=False) as live:
+
+        def on_change() -> None:
+            share, seconds = done(), time.monotonic() - started
+            rest = seconds * (1 - share) / (share - before) if share > before else None
+            over = sum(folder not in left or trainings.jobs[folder].done() for folder in configs)
+            headline = f"{100 * share:.0f} % done, {over} of {len(configs)} trainings"
+            headline += "" if rest is None else f", {duration(rest)} left"
+            if console.is_terminal:
+                live.update(_table(headline, trainings.running), refresh=True)
+                return
+            for folder in (folder for folder in left if trainings.jobs[folder].done()):
+                if folder not in told:
+                    told.add(folder)
+                    how = "failed" if folder in trainings.failed else "done"
+                    words = f"{folder}: {how} after {seconds:.0f} s; {headline}"
+                    print(words, file=sys.stderr, flush=True)
+
+        trainings.wait(on_change)
+    return trainings.failed
+
+
+def _table(headline: str, running: Sequence[Path]) -> Table:
+    """A row for each training that runs now."""
+    shown = Table(title=headline)
+    for name, justify in (("training", "left"), ("done", "right"), ("steps/s", "right")):
+        shown.add_column(name, justify=justify)  # pyright: ignore[reportArgumentType]
+    for folder in running:
+        speed = callbacks.speed(folder)
+        words = "" if speed is None else f"{speed:,.0f}"
+        shown.add_row(str(folder), f"{100 * share_done(folder):.0f} %", words)
+    return shown
