@@ -9,11 +9,10 @@ from typing import Any, TypeVar
 import gymnasium as gym
 
 from agents.errors import UserError
+from agents.reporting.table import LEAST_WIDTH
 from agents.training.environments import registered
 
 T = TypeVar("T")
-LEAST_WIDTH = 40
-"""Characters of the narrowest terminal that tables are laid out for."""
 
 
 def check_width(width: int | None) -> None:

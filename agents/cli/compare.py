@@ -8,8 +8,8 @@ from pathlib import Path
 
 from agents.cli.checks import check_width
 from agents.cli.options import Folder, Imports, parse
-from agents.cli.terminal import show
 from agents.reporting.compare import compare
+from agents.reporting.table import show
 from agents.training.progress import working
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from agents.cli.checks import check_size, check_suffix, one_for_each
 from agents.cli.options import Folders, Imports, parse
 from agents.errors import UserError
-from agents.reporting import image_files, pictures
+from agents.reporting import pictures
 from emcc.parts import ALPHA, PARTS
 
 
@@ -50,6 +50,6 @@ def run(args: Sequence[str]) -> int:
     names = one_for_each("names", options.names, len(options.folders))
     of_file = (options.part, options.alpha, options.size, options.seeds, names)
     picture = pictures.heatmap(options.folders, *of_file)
-    image_files.write_picture(out, picture)
+    pictures.write_picture(out, picture)
     print(out)
     return 0

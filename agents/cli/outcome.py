@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 
 from agents.cli.signals import AfterEpoch
-from agents.cli.terminal import show
 from agents.errors import UserError, one_line
 from agents.reporting.report import table
+from agents.reporting.table import show
 from agents.runs import Runs
 from agents.training.config import FAILURE, run_folder
 from agents.training.files import read_json

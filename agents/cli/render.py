@@ -10,7 +10,7 @@ from agents.algorithms import title
 from agents.cli.checks import check_size, check_suffix, one_for_each
 from agents.cli.options import Folders, Imports, parse
 from agents.errors import UserError
-from agents.reporting import films, image_files, pictures
+from agents.reporting import pictures
 from agents.training.config import TrainConfig
 from agents.training.pretrained import folder_of
 
@@ -56,18 +56,20 @@ def run(args: Sequence[str]) -> int:
     of_each = zip(folders, names, seeds, strict=True)
     panels = [_panel(options, *of_folder) for of_folder in of_each]
     if out.suffix.lower() == ".png":
-        image_files.write_picture(out, films.picture(panels, options.size))
+        pictures.write_picture(out, pictures.picture(panels, options.size))
     else:
-        total = films.pictures_of(panels)
-        pictured = films.film(panels, options.size)
+        total = pictures.pictures_of(panels)
+        pictured = pictures.film(panels, options.size)
         if out.suffix.lower() == ".gif":
-            pictured = films.few_colours(pictured)
-        image_files.write_film(out, pictured, total)
+            pictured = pictures.few_colours(pictured)
+        pictures.write_film(out, pictured, total)
     print(out)
     return 0
 
 
-def _panel(options: RenderOptions, folder: Path, name: str | None, seed: int | None) -> films.Panel:
+def _panel(
+    options: RenderOptions, folder: Path, name: str | None, seed: int | None
+) -> pictures.Panel:
     """The episodes of a folder's run, below its name or one that is given."""
     episodes, view = pictures.evaluation_episodes(
         folder, seed, options.episodes, options.stochastic
@@ -75,4 +77,4 @@ def _panel(options: RenderOptions, folder: Path, name: str | None, seed: int | N
     if name is None:
         config = TrainConfig.read(folder)
         name = f"{title(config.algorithm)}, seed {config.seeds[0] if seed is None else seed}"
-    return films.Panel(name, view, episodes)
+    return pictures.Panel(name, view, episodes)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from agents.cli.checks import check_width
 from agents.cli.options import Folders, Imports, parse
-from agents.cli.terminal import show
 from agents.reporting.report import report
+from agents.reporting.table import show
 from agents.training.progress import working
 
 
@@ -34,10 +34,10 @@ class ReportOptions:
 
 
 def run(args: Sequence[str]) -> int:
-    """Run `circle2d report`; returns the exit status."""
+    """Run `circle2d report`; returns the exit status: 1 where runs had to be left out."""
     options = parse(ReportOptions, "report", args)
     check_width(options.width)
     with working("reading runs and drawing figures"):
-        blocks = report(*options.folders, archive=options.archive, out=options.out)
-    show(blocks, options.width)
-    return 0
+        written = report(*options.folders, archive=options.archive, out=options.out)
+    show(written.blocks, options.width)
+    return int(bool(written.left_out))

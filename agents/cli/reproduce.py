@@ -16,12 +16,12 @@ from rich.table import Table
 from agents.algorithms import ALGORITHMS
 from agents.cli.checks import check_enough_steps, check_width
 from agents.cli.options import BackendChoice, Imports, parse
-from agents.cli.terminal import show
 from agents.errors import UserError, one_line
 from agents.lockstep import backend as lockstep_backend
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
 from agents.reporting.report import report
+from agents.reporting.table import show
 from agents.sweeps import modules_of
 from agents.training.config import Device, TrainConfig
 from agents.training.engines import Engine, EngineName, engine
@@ -106,7 +106,7 @@ def run(args: Sequence[str]) -> int:
         return int(bool(failed))
     try:
         with working("drawing the report"):
-            blocks = report(options.out)
+            blocks = report(options.out).blocks
         show(blocks, options.width)
     except UserError as error:
         print(f"circle2d: no report: {one_line(error)}", file=sys.stderr)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from agents.errors import UserError
-from agents.results.measures import RunData, measures
+from agents.results.measures import RunData, measured
 from agents.results.source import DamagedSource, Source
 from agents.results.steps import Episode, Replay, Visits
 from agents.training.config import NO_RUNS, TrainConfig
@@ -223,7 +223,7 @@ def _read_run(source: Source, folder: str, config: TrainConfig, seed: int) -> Ru
     data = RunData(files.records, config.steps, files.evaluation)
     return Run(
         seed,
-        {measure.name: measure(data) for measure in measures()},
+        measured(data, f"{source.title(folder)}/seed-{seed}"),
         int(files.evaluation["episodes"]),
         files.ends,
         files.records,
