@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
 
 from agents.algorithms import title
 from agents.paper.evidence import (
@@ -32,9 +31,11 @@ from agents.paper.evidence import (
     opposite,
     short,
     some,
+    worded,
 )
 from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, preset
 from agents.paper.printed import choice_of
+from agents.reporting.page import Otherwise, Statement
 from agents.results.reading import Group, Run, one_place
 from agents.results.statistics import MARGIN, difference_of, equivalence_of, p_of
 from emcc.statistics import COST
@@ -292,26 +293,7 @@ CLAIMS = (STRAIGHT_THROUGH, TREND, CORRIDOR, LOW_COST, NOBODY, EQUAL_RATES, LOWE
 """In the order of the paper's sections Results and Analysis."""
 
 
-class Otherwise(NamedTuple):
-    """The verdict on a claim with another choice of what the paper does not print."""
-
-    choice: str
-    verdict: Verdict
-    findings: list[Finding]
-    """Those that it changes."""
-
-
-class Checked(NamedTuple):
-    """A claim with what was found; confirmed where all parts are, refuted where one is."""
-
-    claim: Claim
-    findings: list[Finding]
-    verdict: Verdict
-    otherwise: Sequence[Otherwise] = ()
-    """The other choices that change the verdict."""
-
-
-def check_claims(groups: Sequence[Group]) -> list[Checked]:
+def check_claims(groups: Sequence[Group]) -> list[Statement]:
     """Every claim against the runs of the paper's grid; nothing where no algorithm has any.
 
     Runs with other settings or task parameters decide nothing, and neither do runs of other length
@@ -337,7 +319,9 @@ def _other_choices(groups: Sequence[Group], evidence: Evidence) -> dict[str, Evi
     return others
 
 
-def _checked(claim: Claim, evidence: Evidence, others: Mapping[str, Evidence]) -> Checked:
+def _checked(claim: Claim, evidence: Evidence, others: Mapping[str, Evidence]) -> Statement:
+    """A claim, confirmed where all parts are, refuted where one is, with the other choices that
+    change the verdict and the parts that they change."""
     findings = claim.check(evidence)
     verdict = all_of(part.verdict for part in findings)
     otherwise = []
@@ -346,5 +330,5 @@ def _checked(claim: Claim, evidence: Evidence, others: Mapping[str, Evidence]) -
         other = all_of(part.verdict for part in parts)
         if other != verdict:
             changed = [part for part in parts if part not in findings]
-            otherwise.append(Otherwise(choice, other, changed))
-    return Checked(claim, findings, verdict, otherwise)
+            otherwise.append(Otherwise(choice, other, worded(changed)))
+    return Statement(claim.text, verdict, claim.rule, worded(findings), otherwise)

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 from agents.algorithms import algorithm
 from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, registered_id
 from agents.paper.printed import choice_of, paper_results
+from agents.reporting.table import Number, number, p_number
 from agents.results.measures import measure
 from agents.results.reading import Group, Run, one_place
 from agents.results.statistics import LEVEL, equivalence_of, known, mean_of, p_of
@@ -291,3 +292,31 @@ def finding(
 def short(task: str) -> str:
     """Circle2D-1 for Circle2D-1-v0, SafetyPointGoal1 for circle2d_mj/SafetyPointGoal1-v0."""
     return task.rpartition("/")[2].rpartition("-")[0]
+
+
+def worded(findings: Iterable[Finding]) -> list[tuple[str, str]]:
+    """Each finding in words, and its verdict."""
+    return [(_words(finding), finding.verdict) for finding in findings]
+
+
+def _words(finding: Finding) -> str:
+    """The place, the numbers, and the runs that are lacking."""
+    facts = ", ".join(map(_fact, finding.facts))
+    if facts and finding.about:
+        facts = f"{finding.about}: {facts} (claimed: {finding.claimed})"
+    lacking = [f"{why}: {', '.join(names)}" for why, names in finding.lacking.items()]
+    return f"{finding.where}: " + "; ".join([*([facts] if facts else []), *lacking])
+
+
+def _fact(fact: Fact) -> str:
+    value = fact.value
+    if isinstance(value, Share):
+        words = f"{value.count} of {value.runs} runs [{value.low:.2f}, {value.high:.2f}]"
+        return f"{fact.name} {words} {fact.does}".strip()
+    words, beside = str(number(value, signed=fact.signed)), []
+    if value is not None:
+        beside.append(f"n = {value.runs}")
+    if fact.printed is not None:
+        beside.append(f"paper {Number(fact.printed, signed=fact.signed)}")
+    beside += [f"{name}: {p_number(p)}" for name, p in fact.tests]
+    return f"{fact.name} {words} ({'; '.join(beside)})".lstrip()

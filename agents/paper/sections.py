@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 from agents.algorithms import ALGORITHMS, title
 from agents.paper.claims import LIMIT, check_claims
-from agents.paper.evidence import SEEDS, Fact, Finding
+from agents.paper.evidence import SEEDS
 from agents.paper.introduction import introduction
 from agents.paper.presets import MARGIN, PAPER_ALGORITHMS, ablations, is_circle2d, unprinted
 from agents.paper.printed import choice_of, paper_results, printed, split
 from agents.reporting.figures import Figure
-from agents.reporting.page import Otherwise, Section, Statement
-from agents.reporting.table import Number, Row, Table, number, p_number
+from agents.reporting.page import Section
+from agents.reporting.table import Number, Row, Table, number
 from agents.reporting.tables import (
     Reference,
     caption,
@@ -40,7 +40,7 @@ from agents.results.statistics import (
     summaries,
     two_sets,
 )
-from emcc import Share, emcc_by_part
+from emcc import emcc_by_part
 from emcc.parts import ALPHA, PARTS
 
 CLAIMS = "The paper's claims"
@@ -139,38 +139,8 @@ def _notes(groups: Sequence[Group]) -> list[str]:
 
 def claims_section(groups: Sequence[Group]) -> Section | None:
     """The paper's claims with their verdicts; None where no run can tell."""
-    statements = []
-    for claim, findings, verdict, otherwise in check_claims(groups):
-        others = [Otherwise(choice, v, _worded(changed)) for choice, v, changed in otherwise]
-        statements.append(Statement(claim.text, verdict, claim.rule, _worded(findings), others))
+    statements = check_claims(groups)
     return Section(CLAIMS, statements=statements, method=METHOD) if statements else None
-
-
-def _worded(findings: Sequence[Finding]) -> list[tuple[str, str]]:
-    return [(finding_words(finding), finding.verdict) for finding in findings]
-
-
-def finding_words(finding: Finding) -> str:
-    """The place, the numbers, and the runs that are lacking."""
-    facts = ", ".join(map(_fact, finding.facts))
-    if facts and finding.about:
-        facts = f"{finding.about}: {facts} (claimed: {finding.claimed})"
-    lacking = [f"{why}: {', '.join(names)}" for why, names in finding.lacking.items()]
-    return f"{finding.where}: " + "; ".join([*([facts] if facts else []), *lacking])
-
-
-def _fact(fact: Fact) -> str:
-    value = fact.value
-    if isinstance(value, Share):
-        words = f"{value.count} of {value.runs} runs [{value.low:.2f}, {value.high:.2f}]"
-        return f"{fact.name} {words} {fact.does}".strip()
-    words, beside = str(number(value, signed=fact.signed)), []
-    if value is not None:
-        beside.append(f"n = {value.runs}")
-    if fact.printed is not None:
-        beside.append(f"paper {Number(fact.printed, signed=fact.signed)}")
-    beside += [f"{name}: {p_number(p)}" for name, p in fact.tests]
-    return f"{fact.name} {words} ({'; '.join(beside)})".lstrip()
 
 
 def choices_table(pairs: Sequence[Pair]) -> Table | None:

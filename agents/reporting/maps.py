@@ -54,10 +54,11 @@ class Ground(NamedTuple):
 
 
 class Column(NamedTuple):
-    """Visited states of some runs, in several parts of training."""
+    """Visited states of some runs, in several parts of training or on several tasks."""
 
     title: str
-    view: View
+    views: Sequence[View]
+    """The task's view for each part."""
     parts: Sequence[Visits]
 
 
@@ -67,10 +68,12 @@ def heat_figure(columns: Sequence[Column], titles: Sequence[str], size: int) -> 
     titles: of the parts; size: pixels along the side of each map.
     """
     most = canvas.most_visits([part.counts for column in columns for part in column.parts])
-    grounds = [Ground(column.view, column.view.background(size)) for column in columns]
     pictures = [
-        [ground.heatmap(part, most) for part in column.parts]
-        for ground, column in zip(grounds, columns, strict=True)
+        [
+            Ground(view, view.background(size)).heatmap(part, most)
+            for view, part in zip(column.views, column.parts, strict=True)
+        ]
+        for column in columns
     ]
     captions = [[visits_words(part) for part in column.parts] for column in columns]
     names = [column.title for column in columns]

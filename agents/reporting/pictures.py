@@ -76,7 +76,8 @@ def _column(
     heading = name or f"{title_of(config, config.task)} on {config.task}"
     if name is None and set(config.seeds) != set(everyone):
         heading += f" (seeds: {', '.join(map(str, config.seeds))})"
-    return Column(heading, view, count_visits(folder, config, records, parts, alpha, view))
+    visits = count_visits(folder, config, records, parts, alpha, view)
+    return Column(heading, [view] * len(parts), visits)
 
 
 def _records(folder: Path) -> EpisodeRecords:

@@ -390,7 +390,7 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
         seeds = len(next(iter(values.values())))
         rows.append(Row(f"{name}, {seeds} seeds", cells, kind="mean"))
     tested = {
-        f"P({a} better than {b})": TwoSets(runs[b], runs[a], len(tasks)).differences()
+        f"P({a} better than {b})": TwoSets(runs[b], runs[a], len(tasks)).differences(gaps=False)
         for a, b in combinations(runs, 2)
     }
     p_values = holm(tested)
