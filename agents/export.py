@@ -14,6 +14,7 @@ from torch import nn
 
 from agents.algorithms import title
 from agents.errors import UserError
+from agents.paper.printed import printed
 from agents.reporting.provenance import command
 from agents.reporting.tables import task_table
 from agents.results.reading import read
@@ -170,7 +171,7 @@ def _card(folder: Path, config: TrainConfig, policies: Mapping[int, Policy], loa
         "environment steps": f"{_steps(policies.values(), ',')}; planned {config.steps:,}",
         "commit": _commit(folder),
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
-        "trained by": f"`{command(config, 'runs', content)}`",
+        "trained by": f"`{command(config, config.task, 'runs', content)}`",
         **_spaces(read_spaces(folder, config)),
     }
     return "\n".join(
@@ -201,7 +202,7 @@ def _results(folder: Path) -> str:
     except UserError as error:
         return f"None: {error}"
     words = [f"\nNote: {note}\n" for note in notes]
-    return "\n".join([task_table(groups).markdown(), *words])
+    return "\n".join([task_table(groups, printed).markdown(), *words])
 
 
 def _loading(format: Format, file: str, network: Exported) -> str:

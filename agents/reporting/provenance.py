@@ -8,7 +8,7 @@ from importlib.metadata import version
 from typing import Any
 
 from agents.algorithms import BUILT_IN, title
-from agents.paper.settings import hyperparameter_changes, in_order, title_of
+from agents.results.frame import hyperparameter_changes, in_order, title_of
 from agents.results.reading import Group
 from agents.training.config import TrainConfig
 from agents.training.machine import commit, sessions_of
@@ -22,19 +22,21 @@ def made(groups: Sequence[Group]) -> dict[str, str]:
     training time are those that the run folders hold, and left out where there are none.
     """
     groups = [part for group in groups for part in group.parts]
-    sessions = [of for group in groups for of in sessions_of(dict(group.recorded))]
+    sessions = [session for group in groups for session in sessions_of(dict(group.recorded))]
     versions = {
-        f"{name} {version}" for of in sessions for name, version in (of["versions"] or {}).items()
+        f"{name} {version}"
+        for session in sessions
+        for name, version in (session["versions"] or {}).items()
     }
     machines = {
-        f"{of['machine']['processor']}, {of['machine']['cores']} cores"
-        for of in sessions
-        if of["machine"]
+        f"{session['machine']['processor']}, {session['machine']['cores']} cores"
+        for session in sessions
+        if session["machine"]
     }
-    found = {
+    facts = {
         "program": program(),
         "command": "\n".join(
-            command(group.config, group.title, group.recorded) for group in groups
+            command(group.config, group.task, group.title, group.recorded) for group in groups
         ),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
@@ -43,16 +45,16 @@ def made(groups: Sequence[Group]) -> dict[str, str]:
         "seeds": _list(seed for group in groups for seed in group.config.seeds),
         "steps": _list(group.config.steps for group in groups),
     }
-    return {name: text for name, text in found.items() if text}
+    return {name: text for name, text in facts.items() if text}
 
 
 def program() -> str:
     """Name, version and, where it is known, commit."""
     words = f"circle2d-mj {version('circle2d-mj')}"
-    return f"{words}, commit {found}" if (found := commit()) else words
+    return f"{words}, commit {known}" if (known := commit()) else words
 
 
-def name_of_all(groups: Sequence[Group]) -> str:
+def common_name(groups: Sequence[Group]) -> str:
     """The name of the folder that holds all groups: the first part of every title."""
     return groups[0].title.partition(" + ")[0].partition("/")[0]
 
@@ -60,7 +62,7 @@ def name_of_all(groups: Sequence[Group]) -> str:
 def heading(groups: Sequence[Group]) -> str:
     """A title that names the runs: their algorithms and tasks."""
     names = list(dict.fromkeys(title(group.config.algorithm) for group in in_order(groups)))
-    tasks = list(dict.fromkeys(group.config.task for group in groups))
+    tasks = list(dict.fromkeys(group.task for group in groups))
     return f"{_few(names, 'algorithms')} on {_few(tasks, 'tasks')}"
 
 
@@ -68,10 +70,10 @@ def summary(groups: Sequence[Group]) -> str:
     """One line on the runs: how many, on how many tasks, for how long."""
     configs = [group.config for group in groups]
     names = {config.algorithm for config in configs}
-    settings = {title_of(config) for config in configs}
+    settings = {title_of(group.config, group.task) for group in groups}
     parts = [
         _count(sum(len(group.runs) for group in groups), "run"),
-        _count(len({config.task for config in configs}), "task"),
+        _count(len({group.task for group in groups}), "task"),
         _count(len(names), "algorithm"),
         *([f"{len(settings)} settings"] if len(settings) > len(names) else []),
         f"seeds {_seeds({seed for config in configs for seed in config.seeds})}",
@@ -98,16 +100,16 @@ def _count(number: int, name: str) -> str:
     return f"{number:,} {name}{'s' * (number != 1)}"
 
 
-def command(config: TrainConfig, out: str, recorded: Mapping[str, Any]) -> str:
+def command(config: TrainConfig, task: str, out: str, recorded: Mapping[str, Any]) -> str:
     """The command that trains some runs, with everything that decides their numbers.
 
     recorded: their `config.json`, which has the modules that register algorithm and task.
     """
     modules = [] if config.algorithm in BUILT_IN else [recorded.get("algorithm_module")]
-    modules += [] if ":" in config.task else [recorded.get("task_module")]
-    imports = [f"--import {of}" for of in dict.fromkeys(modules) if of and of != "__main__"]
-    options = {"algorithm": config.algorithm, "task": config.task, "seeds": config.seeds}
-    options |= {"steps": config.steps} | hyperparameter_changes(config)
+    modules += [] if ":" in task else [recorded.get("task_module")]
+    imports = [f"--import {m}" for m in dict.fromkeys(modules) if m and m != "__main__"]
+    options = {"algorithm": config.algorithm, "task": task, "seeds": config.seeds}
+    options |= {"steps": config.steps} | hyperparameter_changes(config, task)
     if config.task_parameters:
         pairs = (part for pair in config.task_parameters.items() for part in pair)
         options["task_parameters"] = tuple(pairs)
@@ -120,13 +122,13 @@ def command(config: TrainConfig, out: str, recorded: Mapping[str, Any]) -> str:
 
 
 def _training_time(sessions: Sequence[Mapping[str, float]]) -> str:
-    """Of all processes that trained. One that trained several folders counts once."""
-    timed = [of_folder for of_folder in sessions if of_folder]
+    """Time of all processes that trained. One that trained several folders counts once."""
+    timed = [folder for folder in sessions if folder]
     if not timed:
         return ""
-    seconds = {process: took for of_folder in timed for process, took in of_folder.items()}
-    of = "" if len(timed) == len(sessions) else f", of {len(timed)} of {len(sessions)} folders"
-    return f"{duration(sum(seconds.values()))}, all processes together{of}"
+    seconds = {process: took for folder in timed for process, took in folder.items()}
+    few = "" if len(timed) == len(sessions) else f", of {len(timed)} of {len(sessions)} folders"
+    return f"{duration(sum(seconds.values()))}, all processes together{few}"
 
 
 def _typed(value: Any) -> str:

@@ -19,7 +19,7 @@ from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
 
 @dataclass(frozen=True)
 class RunData:
-    """Data of a run that measures are computed from."""
+    """The data of a run that measures are computed from."""
 
     records: EpisodeRecords
     """A row per training episode."""
@@ -58,13 +58,20 @@ class Measure:
     """None where the run lacks what it takes. It may raise ValueError for damaged records."""
     of: Literal["training", "policy"] = "training"
     """Marks of the trained policy's measures go to the policy of the highest return within the cost
-    limit, whatever the single measure says: see `agents.reporting.marks`."""
+    limit, whatever the single measure says: see `agents.reporting.tables.best`."""
     word: str = ""
     """Its name in sentences, where that is not the title; measures may share one."""
     note: str = ""
     """How it is defined, for the legend of tables, where its title does not say it."""
     bounds: Bounds = UNBOUNDED
     """Where intervals of its mean end."""
+    part: float | None = None
+    """End of the third of training that it is of, which its name ends with; None of the whole."""
+
+    @property
+    def stem(self) -> str:
+        """The name without the part."""
+        return self.name if self.part is None else self.name.removesuffix(f"_{self.part:g}")
 
     @property
     def head(self) -> str:
@@ -75,12 +82,9 @@ class Measure:
         if not self.name or set(self.name) & set(' ,"\n'):
             raise ValueError(f"the name of a measure must be one word, got {self.name!r}")
 
-    def __call__(self, data: RunData) -> float | None:
-        """The measure of a run. ValueError where it is not finite."""
-        value = self.compute(data)
-        if value is not None and not math.isfinite(value):
-            raise ValueError(f"{self.name} is not finite: {value}")
-        return value
+
+class MeasureFailure(RuntimeError):
+    """A user's measure that raised: its own error is the cause."""
 
 
 _REGISTRY: dict[str, Measure] = {}
@@ -108,6 +112,25 @@ def measure(name: str) -> Measure:
     return _REGISTRY[name]
 
 
+def measured(data: RunData, run: str) -> dict[str, float | None]:
+    """All measures of a run by name.
+
+    run: its name. Raises MeasureFailure where a measure of the user's own raises; the ValueError
+    of a built-in one, and of one that is not finite, says that the run is damaged.
+    """
+    values = {}
+    for m in measures():
+        try:
+            values[m.name] = m.compute(data)
+        except Exception as error:
+            if m in BUILT_IN:
+                raise
+            raise MeasureFailure(f"measure {m.name!r} failed on run {run}") from error
+        if values[m.name] is not None and not math.isfinite(values[m.name]):
+            raise ValueError(f"{m.name} is not finite: {values[m.name]}")
+    return values
+
+
 def _emcc(part: float) -> Callable[[RunData], float | None]:
     return lambda run: run.emcc_by_part[part]
 
@@ -128,7 +151,7 @@ def _of_policy(
 
 for _part in PARTS:
     _name, _of_part = f"EMCC_{_part}", _emcc(_part)
-    register(Measure(_name, _name, "", 2, "lower", _of_part, word="EMCC", bounds=SHARE))
+    register(Measure(_name, _name, "", 2, "lower", _of_part, word="EMCC", bounds=SHARE, part=_part))
 register(Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate, bounds=COST))
 register(_of_policy("J_R", "higher", UNBOUNDED))
 register(_of_policy("J_C", "lower", COST))
@@ -145,3 +168,5 @@ register(
         bounds=COST,
     )
 )
+BUILT_IN = measures()
+"""The measures of every report: they raise where a run is damaged alone."""

@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from PIL import Image
 
-from agents.reporting.films import Panel, film
+from agents.reporting.pictures import Panel, film
 from agents.results.steps import Episode
 
 SIZE = 300

@@ -5,7 +5,10 @@ import json
 import numpy as np
 
 from agents.paper.presets import preset
+from agents.results.reading import Group, Run
+from agents.results.source import FolderSource
 from agents.training.config import TrainConfig
+from emcc import EpisodeRecords
 
 TASK = "Circle2D-3-v0"
 # Of 12 rollouts with two episodes of 5 steps each, 120 steps: the longest streaks.
@@ -65,3 +68,13 @@ def write_status(folder, share, speed=None, **sessions):
     """`status.json` of a training; sessions: seconds that each process took."""
     content = {"share": share, "steps_per_second": speed, "sessions": sessions}
     (folder / "status.json").write_text(json.dumps(content))
+
+
+def group_of(folder, config, seeds=None, measures=None, **more):
+    """The group of runs of a folder that were not evaluated, with the steps they recorded."""
+    seeds = config.seeds if seeds is None else seeds
+    records = [EpisodeRecords.load(folder / f"seed-{k}" / "episodes.csv") for k in seeds]
+    runs = [Run(k, measures or {}, 100, {}, r) for k, r in zip(seeds, records, strict=True)]
+    title = f"{folder.parent.name}/{folder.name}"
+    source = FolderSource(folder.parent)
+    return Group(folder.name, config, runs, title=title, source=source, **more)

@@ -7,7 +7,6 @@ import pytest
 from PIL import Image
 
 from agents.paper import introduction as example
-from agents.reporting import figures
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.envs import Circle2DEnv
 from circle2d_mj.circle2d.view import Circle2DView
@@ -87,6 +86,6 @@ def test_labels_stand_where_what_they_name_is():
 
 
 def test_files_hold_the_pictures_without_loss():
-    levels, trajectories = figures.introduction()
-    np.testing.assert_array_equal(image_of(levels), example.levels(figures.SIZE))
-    assert trajectories == figures.introduction()[1]  # byte for byte
+    levels, trajectories = example.introduction()
+    np.testing.assert_array_equal(image_of(levels), example.levels(example.SIZE))
+    assert trajectories == example.introduction()[1]  # byte for byte

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agents.reporting import films
-from agents.reporting.films import HELD, Panel
+from agents.reporting import pictures as films
+from agents.reporting.pictures import HELD, Panel
 from agents.results.steps import Episode
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView

@@ -73,7 +73,7 @@ def test_the_report_of_a_small_grid(tmp_path):
     prepare(configs)
     for folder in configs:
         train(folder)
-    words = markdown(report(tmp_path))
+    words = markdown(report(tmp_path).blocks)
     text = (tmp_path / "index.html").read_text()
     shown = Page(text)
     assert shown.fetched == []  # no network, no files beside it
@@ -104,5 +104,5 @@ def test_the_report_of_a_small_grid(tmp_path):
     report(tmp_path)
     assert (tmp_path / "index.html").read_text() == text
     shutil.rmtree(tmp_path / "Circle2D-1-v0" / "trpo-lag" / "seed-1")
-    assert "left out: " in markdown(report(tmp_path))
+    assert "left out: " in markdown(report(tmp_path).blocks)
     assert "left out: " in (tmp_path / "index.html").read_text()

@@ -12,8 +12,8 @@ from small_runs import TASK, write_runs
 from agents.cli.main import main
 from agents.errors import UserError
 from agents.paper.presets import preset
-from agents.reporting import pictures
-from agents.reporting.films import HELD
+from agents.reporting import maps, pictures
+from agents.reporting.pictures import HELD
 from agents.results.steps import count_visits
 from agents.training import pretrained
 from agents.training.config import TrainConfig
@@ -221,7 +221,7 @@ def test_columns_of_heat_maps_say_what_tells_them_apart(folder, tmp_path, monkey
     (copy / "config.json").write_text(json.dumps(content))
     (copy / "checksums.json").unlink()
     monkeypatch.setattr(
-        pictures,
+        maps,
         "figure",
         lambda rows, columns, **of: titles.append(columns) or figure(rows, columns),
     )

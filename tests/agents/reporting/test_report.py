@@ -140,7 +140,7 @@ def test_runs_left_out_for_one_reason_are_one_note(tmp_path):
 def test_a_title_for_each_table_and_one_legend(tmp_path):
     for level in (1, 2):
         write_evaluated(tmp_path / f"{level}", "cpo", (1, 2), task=f"Circle2D-{level}-v0")
-    words = markdown(report(tmp_path))
+    words = markdown(report(tmp_path).blocks)
     written = (tmp_path / "report.md").read_text()
     titles = [line[3:] for line in written.splitlines() if line.startswith("## ")]
     assert titles[:2] == ["Circle2D-1-v0", "Circle2D-2-v0"]
@@ -172,7 +172,7 @@ def test_equal_runs_of_several_folders_have_names_of_their_own(tmp_path):
     """In every table and legend; what is alone on its task keeps the short name."""
     for folder, name in {"first": "cpo", "second": "cpo", "alone": "trpo-lag"}.items():
         write_evaluated(tmp_path / "runs" / folder, name, costs=(1, 2))
-    text = markdown(report(tmp_path / "runs"))
+    text = markdown(report(tmp_path / "runs").blocks)
     names = [line.split("|")[1].strip() for line in text.splitlines() if line.startswith("| ")]
     ours = [name for name in names if "100 steps" in name]
     for folder in ("first", "second"):

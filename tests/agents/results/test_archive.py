@@ -6,6 +6,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from agents.reporting.scenes import Scenes
 from small_runs import write_evaluated, write_runs
 
 from agents.cli.main import main
@@ -13,7 +14,6 @@ from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.reporting.compare import compare
 from agents.reporting.maps import maps
-from agents.reporting.scenes import Scenes
 from agents.results import steps
 from agents.results.archive import ArchiveSource, open_source, write_archive
 from agents.results.columns import Arrays, pack_costs, pack_records, unpack_costs, unpack_records
