@@ -239,7 +239,7 @@ def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = N
 
     file = None if archive is None else Path(archive)
     folder = None if out is None else _to_write(out)
-    return markdown(write_report(*folders_of(*paths), archive=file, out=folder))
+    return markdown(write_report(*folders_of(*paths), archive=file, out=folder).blocks)
 
 
 def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:

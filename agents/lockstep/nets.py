@@ -44,7 +44,8 @@ class MLP:
     """
 
     def __init__(self, sizes: Sequence[int], activation: Activation = "tanh") -> None:
-        self.sizes, self.activation = tuple(sizes), activation
+        self.sizes = tuple(sizes)
+        self.activation: Activation = activation
         n_in, *hidden, n_out = self.sizes
         filled = (n_in, *(-(-n // LANES) * LANES for n in hidden), n_out)
         self._own, self._shapes = _shapes(self.sizes), _shapes(filled)

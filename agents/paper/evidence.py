@@ -141,7 +141,7 @@ def _cell(groups: Sequence[Group], task: str, name: str, choice: str) -> Cell:
     for group in groups:
         config = group.config
         same = registered_id(group.task) == task and config.algorithm == name
-        usual = not config.task_parameters
+        usual = not config.task_parameters and group.cost == config.costs[0]
         if same and usual and group.runs and choice_of(group) == choice:
             before = lengths.setdefault(config.steps, {})
             measured = {run.seed: run for run in group.runs if _has(run, task, name)}

@@ -12,7 +12,7 @@ from agents.errors import UserError
 from agents.reporting.figures import curves
 from agents.reporting.numbers import difference_lines, group_lines, numbers_csv
 from agents.reporting.page import Section, page
-from agents.reporting.provenance import common_name, made
+from agents.reporting.provenance import made
 from agents.reporting.table import Number, Row, Table, markdown, number
 from agents.reporting.tables import (
     PValues,
@@ -27,7 +27,7 @@ from agents.reporting.tables import (
 )
 from agents.results.frame import changes, in_order, name_of, with_distinct_titles
 from agents.results.measures import measures
-from agents.results.reading import Group, read
+from agents.results.reading import Group, name_of_all, read
 from agents.results.statistics import (
     LEVEL,
     Difference,
@@ -102,7 +102,7 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     sections = [Section(name, table, drawn.get(name, [])) for name, table in tables.items()]
     named = list(zip("AB", sides, strict=True))
     how = {f"{side}, {k}": text for side, groups in named for k, text in made(groups).items()}
-    title = " and ".join(f"{common_name(groups)} ({side})" for side, groups in named)
+    title = " and ".join(f"{name_of_all(groups)} ({side})" for side, groups in named)
     write_whole(out / "compare.html", page(title, sections, how))
     write_whole(out / "compare.md", markdown(list(tables.values())))
     lines = []

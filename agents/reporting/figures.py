@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from agents.algorithms import ALGORITHMS
 from agents.reporting.tables import Reference
-from agents.results.frame import by_task, cost_limit, in_order, name_of
+from agents.results.frame import by_task, in_order, name_of
 from agents.results.measures import Measure, measures
-from agents.results.precision import five_digits
 from agents.results.reading import Group
 from agents.results.statistics import (
     INTERVALS,
@@ -28,6 +27,7 @@ from agents.results.statistics import (
     thirds_of,
 )
 from agents.training.config import TrainConfig
+from agents.training.derive import five_digits
 from circle2d_mj.registration import CIRCLE2D
 from emcc import EpisodeRecords, emcc, emcc_by_part, iqm, profile
 from emcc.parts import ALPHA, PARTS
@@ -199,7 +199,7 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
     """Training curves of groups on one task, each with its name: return, cost return, running EMCC,
     and EMCC of the thirds. Equal input gives equal bytes."""
     groups = [group for _, group in named]
-    limits, task = {cost_limit(group.config) for group in groups}, groups[0].task
+    limits, task = {group.limit for group in groups}, groups[0].task
     limit = limits.pop() if len(limits) == 1 else None
     columns, height = legend([name for name, _ in named])
     looks = styles([group.config for group in groups])

@@ -17,9 +17,11 @@ from PIL import Image
 from agents.errors import UserError
 from agents.results.frame import in_order, name_of
 from agents.results.measures import measure
-from agents.results.reading import DamagedSource, Group, Run
-from agents.results.steps import DRAWN, DRAWN_POLICIES, Episode, Visits
+from agents.results.reading import Group, Run
+from agents.training.derive import DRAWN_POLICIES, Episode, Visits
 from agents.training.environments import view_of
+from agents.training.evaluation import DRAWN
+from agents.training.files import DamagedFile
 from circle2d_mj.core.view import Extent, Picture, View
 from circle2d_mj.render import canvas
 from circle2d_mj.render.figure import figure
@@ -216,7 +218,7 @@ def _visited(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     for group, scene in seen:
         try:
             parts = group.visits()
-        except DamagedSource:
+        except DamagedFile:
             raise
         except UserError as error:
             notes.append(f"no heat map of {group.title}: {error}")
@@ -253,7 +255,7 @@ def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
         runs = group.runs[:DRAWN_POLICIES]
         try:
             played = group.trained([run.seed for run in runs])
-        except DamagedSource:
+        except DamagedFile:
             raise
         except UserError as error:
             notes.append(f"no trajectories of {group.title}: {error}")

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from agents.algorithms import title
 from agents.reporting.tables import Reference, ends_words
-from agents.results.frame import cost_limit, name_of
+from agents.results.frame import name_of
 from agents.results.measures import measures
 from agents.results.reading import Group
 from agents.results.statistics import Difference, places, summaries, within_limit
@@ -57,7 +57,7 @@ def group_lines(groups: Sequence[Group], prefix: str = "") -> Iterator[Line]:
             yield _line(task, name, "iqm", middle, folder)
             for place, share in places(group).items():
                 yield _share_line(task, name, "ends in", share, folder, place)
-            if share := within_limit(group, cost_limit(group.config)):
+            if share := within_limit(group, group.limit):
                 yield _share_line(task, name, "within limit", share, folder)
         for run in group.runs:
             yield _line(task, name, "run", run.measures, folder, run.seed, ends_words(run))

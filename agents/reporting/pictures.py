@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
+import os
+import secrets
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageOps
 
 from agents.errors import UserError
+from agents.lockstep.rollout import Rollout
+from agents.reporting.frames import Filmed, film_episodes
 from agents.reporting.maps import Column, Ground, heat_figure
 from agents.results.frame import title_of
-from agents.results.frames import Filmed, film_trained
-from agents.results.steps import Episode, count_visits, play_trained, require_view
-from agents.training.config import FAILURE, TrainConfig, run_folder
+from agents.results.reading import results_of, run_records
+from agents.training.config import RunId, TrainConfig
+from agents.training.derive import Episode, Steps, count_visits
 from agents.training.environments import view_of
-from agents.training.files import unfinished, write_whole
-from agents.training.loop import EVALUATION_EPISODES
+from agents.training.evaluation import EPISODES, paths_of, play, runs_envs
+from agents.training.files import write_whole
+from agents.training.policy import chosen_run, load_policy
 from circle2d_mj.core.view import Picture, View
 from circle2d_mj.render import canvas
 from circle2d_mj.render.figure import figure
-from emcc import EpisodeRecords, longest_streak
+from emcc import longest_streak
 from emcc.parts import PARTS
 
 SIZE = 640
@@ -44,19 +51,20 @@ def heatmap(
     size: int = SIZE,
     seeds: tuple[int, ...] | None = None,
     names: Sequence[str | None] | None = None,
+    task: str | None = None,
 ) -> Picture:
     """Heat maps of parts of training: [height, width, 3].
 
     folders: each of runs of one algorithm, of which those of the seeds (by default all that have
     not failed) are taken together. The parts of a single folder stand side by side; several folders
     are the columns, the parts the rows, with one scale for all. parts and alpha: see
-    `steps.count_visits`; size: pixels along the side of each map. names: titles of the folders; by
-    default the algorithm, its settings and the task, and the seeds where they are not all. Raises
-    UserError for a folder without positions, or of another seed.
+    `derive.count_visits`; size: pixels along the side of each map. names: titles of the folders; by
+    default the algorithm, its settings and the task, and the seeds where they are not all. task:
+    where a folder has several. Raises UserError for a folder without positions, or another seed.
     """
     names = names or [None] * len(folders)
     columns = [
-        _column(folder, parts, alpha, seeds, name)
+        _column(folder, parts, alpha, seeds, name, task)
         for folder, name in zip(folders, names, strict=True)
     ]
     return heat_figure(columns, [f"{PARTS[part]} of training" for part in parts], size)
@@ -68,61 +76,62 @@ def _column(
     alpha: float,
     seeds: tuple[int, ...] | None,
     name: str | None,
+    task: str | None,
 ) -> Column:
     config = TrainConfig.read(folder)
-    view = require_view(config)
-    everyone, config = config.seeds, _of_seeds(folder, config, seeds)
-    records = [_records(run_folder(folder, seed)) for seed in config.seeds]
-    heading = name or f"{title_of(config, config.task)} on {config.task}"
-    if name is None and set(config.seeds) != set(everyone):
-        heading += f" (seeds: {', '.join(map(str, config.seeds))})"
-    visits = count_visits(folder, config, records, parts, alpha, view)
+    task = chosen_run(folder, config, config.seeds[0], task).task
+    view, arrays, steps = _view(config, task), results_of(folder, config), Steps(folder)
+    if seeds is None:
+        ids = {seed: RunId(task, seed) for seed in config.seeds}
+        seeds = tuple(seed for seed, run in ids.items() if run.prefix + "failure" not in arrays)
+    if not seeds or not set(seeds) <= set(config.seeds):
+        raise UserError(f"seeds must be some of {list(config.seeds)} not failed, got {list(seeds)}")
+    runs = []
+    for run in (RunId(task, seed) for seed in seeds):
+        positions = steps.get(run, "positions")
+        if positions is None:
+            raise UserError(f"{folder} has no positions of {run}")
+        runs.append((run_records(arrays, run, config.costs[0]), positions))
+    heading = name or f"{title_of(config, task)} on {task}"
+    if name is None and set(seeds) != set(config.seeds):
+        heading += f" (seeds: {', '.join(map(str, seeds))})"
+    visits = count_visits(view, runs, config.steps, parts, alpha)
     return Column(heading, [view] * len(parts), visits)
 
 
-def _records(folder: Path) -> EpisodeRecords:
-    try:
-        return EpisodeRecords.load(folder / "episodes.csv")
-    except FileNotFoundError:
-        raise UserError(f"{folder} has no records yet: no checkpoint was reached") from None
-    except (OSError, ValueError) as error:
-        raise UserError(str(error)) from None
-
-
-def _of_seeds(folder: Path, config: TrainConfig, seeds: tuple[int, ...] | None) -> TrainConfig:
-    if seeds is None:
-        failed = [(run_folder(folder, seed) / FAILURE).exists() for seed in config.seeds]
-        seeds = tuple(seed for seed, f in zip(config.seeds, failed, strict=True) if not f)
-        if not seeds:
-            raise UserError(f"no heat map: all runs of {folder} have failed")
-    if not seeds or not set(seeds) <= set(config.seeds):
-        raise UserError(f"seeds must be some of {list(config.seeds)}, got {list(seeds)}")
-    return replace(config, seeds=seeds)
+def _view(config: TrainConfig, task: str) -> View:
+    view = view_of(task, config.task_parameters)
+    if view is None:
+        raise UserError(f"task {task!r} has no positions to draw: it offers no view")
+    return view
 
 
 def evaluation_episodes(
-    folder: Path, seed: int | None, episodes: int, noisy: bool
+    folder: Path, run: RunId, episodes: int, noisy: bool
 ) -> tuple[list[Episode] | list[Filmed], View | None]:
-    """The first episodes of the evaluation of one run, and the view of their task.
+    """The first episodes of the evaluation of one run, and the view of its task.
 
-    Without a view the episodes are the task's own frames. seed: of the run, the folder's first by
-    default; noisy: of the stochastic policy. Raises UserError for a seed that the folder has not,
-    or a task without view and frames.
+    Without a view the episodes are the task's own frames. noisy: of the stochastic policy. Raises
+    UserError for a task without view and frames, and a policy that is not finite.
     """
     config = TrainConfig.read(folder)
-    seed = config.seeds[0] if seed is None else seed
-    if seed not in config.seeds:
-        raise UserError(f"{folder} has no run of seed {seed}: its seeds are {list(config.seeds)}")
-    if not 1 <= episodes <= EVALUATION_EPISODES:
-        raise UserError(f"episodes must be in [1, {EVALUATION_EPISODES}], got {episodes}")
-    view = view_of(config.task, config.task_parameters)
+    if not 1 <= episodes <= EPISODES:
+        raise UserError(f"episodes must be in [1, {EPISODES}], got {episodes}")
+    alone = replace(config, tasks=(run.task,), seeds=(run.seed,))
+    policy = load_policy(folder, run.seed, task=run.task).in_lockstep
+    view = view_of(run.task, config.task_parameters)
+
+    def played(envs: VectorEnv) -> Rollout:
+        rollout = play(envs, alone, policy, EPISODES, 0, episodes, np.ones(1, bool), noisy)
+        if rollout.diverged.any():
+            raise UserError(f"the policy of {run} gives numbers that are not finite")
+        return rollout
+
     if view is None:
-        found = film_trained(folder, config, seed, episodes, noisy)
-    else:
-        found = play_trained(folder, config, [seed], episodes, noisy, view)[seed]
-    if found is None:
-        raise UserError(f"the policy of seed {seed} gives numbers that are not finite")
-    return found, view
+        return film_episodes(alone, episodes, played), None
+    with contextlib.closing(runs_envs(alone, episodes)) as envs:
+        [paths] = paths_of(envs, played(envs), 1, episodes)
+    return [Episode(positions, costs) for positions, costs in paths], view
 
 
 @dataclass(frozen=True)
@@ -253,12 +262,16 @@ def _write_stream(path: Path, frames: Iterable[Picture]) -> None:
     """Write a file frame by frame."""
     import imageio.v2 as imageio
 
-    with unfinished(path) as temporary:
+    temporary = path.with_name(f".{secrets.token_hex(8)}.{path.name}")
+    try:
         # Blocks of two pixels: sizes are even, and would be changed to multiples of 16 otherwise.
         writer: Any = imageio.get_writer(temporary, fps=FRAMES_A_SECOND, macro_block_size=2)
         with writer:
             for frame in frames:
                 writer.append_data(frame)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _prepare(path: Path) -> None:

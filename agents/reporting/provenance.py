@@ -7,12 +7,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
-from agents.algorithms import BUILT_IN, title
+from agents.algorithms import title
 from agents.results.frame import hyperparameter_changes, in_order, title_of
 from agents.results.reading import Group
+from agents.training.callbacks import duration
+from agents.training.callbacks import sessions as sessions_of
 from agents.training.config import TrainConfig
-from agents.training.machine import commit, sessions_of
-from agents.training.status import duration
+from agents.training.machine import commit
 
 
 def made(groups: Sequence[Group]) -> dict[str, str]:
@@ -21,26 +22,28 @@ def made(groups: Sequence[Group]) -> dict[str, str]:
     program: this one, with its commit; command: a line for each folder. Versions, machine and
     training time are those that the run folders hold, and left out where there are none.
     """
-    groups = [part for group in groups for part in group.parts]
-    sessions = [session for group in groups for session in sessions_of(dict(group.recorded))]
+    parts = [*{part.folder: part for group in groups for part in group.parts}.values()]
+    by_part = [sessions_of(part.path) for part in parts]
+    sessions = {name: one for each in by_part for name, one in each.items()}
     versions = {
-        f"{name} {version}"
-        for session in sessions
-        for name, version in (session["versions"] or {}).items()
+        f"{name} {number}"
+        for session in sessions.values()
+        for name, number in (session.get("versions") or {}).items()
     }
     machines = {
         f"{session['machine']['processor']}, {session['machine']['cores']} cores"
-        for session in sessions
-        if session["machine"]
+        for session in sessions.values()
+        if session.get("machine")
     }
+    timed = sum(map(bool, by_part))
+    few = "" if timed == len(parts) else f", of {timed} of {len(parts)} folders"
+    seconds = sum(float(session.get("seconds") or 0.0) for session in sessions.values())
     facts = {
         "program": program(),
-        "command": "\n".join(
-            command(group.config, group.task, group.title, group.recorded) for group in groups
-        ),
+        "command": "\n".join(command(p.config, p.title, p.recorded) for p in parts),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
-        "training time": _training_time([group.sessions() for group in groups]),
+        "training time": f"{duration(seconds)}, all processes together{few}" if timed else "",
         "runs": str(sum(len(group.runs) for group in groups)),
         "seeds": _list(seed for group in groups for seed in group.config.seeds),
         "steps": _list(group.config.steps for group in groups),
@@ -52,11 +55,6 @@ def program() -> str:
     """Name, version and, where it is known, commit."""
     words = f"circle2d-mj {version('circle2d-mj')}"
     return f"{words}, commit {known}" if (known := commit()) else words
-
-
-def common_name(groups: Sequence[Group]) -> str:
-    """The name of the folder that holds all groups: the first part of every title."""
-    return groups[0].title.partition(" + ")[0].partition("/")[0]
 
 
 def heading(groups: Sequence[Group]) -> str:
@@ -100,35 +98,24 @@ def _count(number: int, name: str) -> str:
     return f"{number:,} {name}{'s' * (number != 1)}"
 
 
-def command(config: TrainConfig, task: str, out: str, recorded: Mapping[str, Any]) -> str:
+def command(config: TrainConfig, out: str, recorded: Mapping[str, Any]) -> str:
     """The command that trains some runs, with everything that decides their numbers.
 
-    recorded: their `config.json`, which has the modules that register algorithm and task.
+    recorded: their `config.json`, which has the modules that register algorithm and tasks.
     """
-    modules = [] if config.algorithm in BUILT_IN else [recorded.get("algorithm_module")]
-    modules += [] if ":" in task else [recorded.get("task_module")]
-    imports = [f"--import {m}" for m in dict.fromkeys(modules) if m and m != "__main__"]
-    options = {"algorithm": config.algorithm, "task": task, "seeds": config.seeds}
-    options |= {"steps": config.steps} | hyperparameter_changes(config, task)
+    modules = [name for name in recorded.get("modules") or () if name != "__main__"]
+    modules = [name for name in modules if not any(t.startswith(f"{name}:") for t in config.tasks)]
+    imports = [f"--import {name}" for name in modules]
+    options: dict[str, Any] = {"task": config.tasks, "seeds": config.seeds, "steps": config.steps}
+    options |= hyperparameter_changes(config, config.tasks[0])
     if config.task_parameters:
         pairs = (part for pair in config.task_parameters.items() for part in pair)
         options["task_parameters"] = tuple(pairs)
     options |= {"backend": config.backend}  # without it the machine decides
-    for name, usual in (("vectorization", "auto"), ("device", "cpu")):
-        if getattr(config, name) != usual:
-            options[name] = getattr(config, name)
+    usual = {"costs": ("cost",), "vectorization": "auto", "device": "cpu"}
+    options |= {k: getattr(config, k) for k, v in usual.items() if getattr(config, k) != v}
     typed = (f"--{k.replace('_', '-')} {_typed(v)}" for k, v in (options | {"out": out}).items())
-    return " ".join(["circle2d train", *imports, *typed])
-
-
-def _training_time(sessions: Sequence[Mapping[str, float]]) -> str:
-    """Time of all processes that trained. One that trained several folders counts once."""
-    timed = [folder for folder in sessions if folder]
-    if not timed:
-        return ""
-    seconds = {process: took for folder in timed for process, took in folder.items()}
-    few = "" if len(timed) == len(sessions) else f", of {len(timed)} of {len(sessions)} folders"
-    return f"{duration(sum(seconds.values()))}, all processes together{few}"
+    return " ".join(["circle2d train", config.algorithm, *imports, *typed])
 
 
 def _typed(value: Any) -> str:

@@ -18,8 +18,9 @@ from agents.errors import UserError
 from agents.reporting.figures import emcc_along
 from agents.reporting.maps import STATES, Scenes, shown_states
 from agents.results.frame import in_order, name_of
-from agents.results.reading import DamagedSource, Group, Run
-from agents.results.steps import LAST, WINDOWS, Replay
+from agents.results.reading import Group, Run
+from agents.training.derive import GRID_MAX, WINDOWS, Replay
+from agents.training.files import DamagedFile
 from emcc.parts import ALPHA, PARTS
 
 BITS = 10
@@ -42,7 +43,7 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
         for run in group.runs:
             try:
                 replay = group.replay(run)
-            except DamagedSource:
+            except DamagedFile:
                 raise
             except UserError as error:
                 notes.append(f"no replay of {group.title}: {error}")
@@ -90,7 +91,7 @@ def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
 
 def _packed(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """Points [N, 2] on the coarser grid: x and y of one after another, `BITS` bits each."""
-    coarse = np.round(points.astype(np.float64) * ((2**BITS - 1) / LAST)).astype(np.uint16)
+    coarse = np.round(points.astype(np.float64) * ((2**BITS - 1) / GRID_MAX)).astype(np.uint16)
     return np.packbits(coarse.reshape(-1, 1) >> np.arange(BITS)[::-1] & 1)
 
 

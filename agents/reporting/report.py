@@ -18,13 +18,12 @@ from agents.reporting.figures import (
 from agents.reporting.maps import Scenes, maps
 from agents.reporting.numbers import numbers_csv, report_lines
 from agents.reporting.page import Section, page
-from agents.reporting.provenance import common_name, heading, made, summary
+from agents.reporting.provenance import heading, made, summary
 from agents.reporting.replay import replay_data
 from agents.reporting.table import Block, Table, markdown, plain
 from agents.reporting.tables import over_tasks, panel_table, separated_table, task_table
-from agents.results.archive import archive_of
 from agents.results.frame import with_distinct_titles
-from agents.results.reading import Group, read, write_archive
+from agents.results.reading import Group, archive_of, name_of_all, read, write_archive
 from agents.training.files import write_whole
 
 RUNS, RATES, TASKS = "Every run", "Cost rate against EMCC", "All tasks together"
@@ -58,7 +57,8 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     if archive is not None:
         _check_archive(archive)
     notes: list[str] = []
-    everything = with_distinct_titles(read(paths, notes, out.resolve().name))
+    name = out.resolve().name if len(paths) > 1 else None
+    everything = with_distinct_titles(read(paths, notes, name))
     left_out = [note for note in notes if note.startswith("left out")]
     # Early, since later its pictures would add to the memory that all else holds.
     paper = sections(everything)
@@ -88,7 +88,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
         [Section("Circle2D and EMCC", figures=paper.introduction)] if paper.introduction else []
     )
     out.mkdir(parents=True, exist_ok=True)
-    title = f"{heading(paper.usual)} ({common_name(everything)})"
+    title = f"{heading(paper.usual)} ({name_of_all(everything)})"
     html = page(title, shown, made(everything), summary(paper.usual), scenes.all)
     write_whole(out / "index.html", html)
     verdicts = [paper.claims.statements_markdown()] if paper.claims else []

@@ -11,7 +11,7 @@ import numpy as np
 
 from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, count, number, p_number
-from agents.results.frame import by_task, changes, cost_limit, in_order, name_of, title_of
+from agents.results.frame import by_task, changes, in_order, name_of, title_of
 from agents.results.measures import Measure, measure, measures
 from agents.results.reading import Group, Run
 from agents.results.statistics import (
@@ -35,8 +35,7 @@ from agents.results.statistics import (
     within_limit,
 )
 from emcc import iqm, panel
-from emcc.measures import CostMeasures, cost_measures
-from emcc.panels import SEVERITY, WINDOW, Panel
+from emcc.panels import SEVERITY, WINDOW, CostMeasures, Panel, cost_measures
 from emcc.panels import rows as panel_rows
 from emcc.parts import ALPHA, PARTS
 from emcc.statistics import COST, FEWEST_RUNS, SHARE, Bounds
@@ -139,14 +138,14 @@ def means(summary: Mapping[str, Summary]) -> dict[str, float | None]:
 
 def within(group: Group) -> bool | None:
     """Whether all runs of a group keep its cost limit; None where that is not known."""
-    share = within_limit(group, cost_limit(group.config))
+    share = within_limit(group, group.limit)
     return share and share.count == share.runs
 
 
 def mean_row(group: Group, summary: Mapping[str, Summary], name: str = "") -> Row:
     """The row of the means of a group, with their intervals over seeds, and of its shares."""
     cells = [number(summary[m.name].mean, m.digits) for m in measures()]
-    cells.append(count(within_limit(group, cost_limit(group.config))))
+    cells.append(count(within_limit(group, group.limit)))
     ends = "; ".join(f"{place} {count(share)}" for place, share in places(group).items())
     return Row(f"{name or name_of(group)}, mean of {len(group.runs)}", cells, ends, kind="mean")
 
@@ -159,7 +158,7 @@ def printed_row(name: str, printed: Printed) -> Row:
 
 def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:
     """A row for each run of a group."""
-    limit = cost_limit(group.config)
+    limit = group.limit
     for run in group.runs:
         cells = [Number(run.measures.get(m.name), m.digits) for m in measures()]
         share = within_limit(replace(group, runs=[run]), limit)
@@ -267,7 +266,7 @@ def panel_table(groups: Sequence[Group]) -> Table:
     unconstrained algorithm by that of the others, where they have one.
     """
     groups = [group for group in in_order(groups) if group.runs]
-    own = [cost_limit(group.config) for group in groups]
+    own = [group.limit for group in groups]
     shared = {limit for limit in own if limit is not None}
     usual = shared.pop() if len(shared) == 1 else None
     limits = [usual if limit is None else limit for limit in own]

@@ -53,10 +53,13 @@ def by_run(tidy: pandas.DataFrame) -> pandas.DataFrame:
 
 def with_distinct_titles(groups: Sequence[Group]) -> list[Group]:
     """Groups of which those of one title on one task have their folders in their names."""
-    keys = [(group.task, title_of(group.config, group.task)) for group in groups]
+    keys = [(group.task, group.cost, title_of(group.config, group.task)) for group in groups]
     count = Counter(key for key, group in zip(keys, groups, strict=True) if group.runs)
     return [
-        dataclasses.replace(group, apart=f"in {group.title}" if count[key] > 1 else "")
+        dataclasses.replace(
+            group,
+            apart=", ".join(filter(None, [group.apart, f"in {group.title}" * (count[key] > 1)])),
+        )
         for key, group in zip(keys, groups, strict=True)
     ]
 
@@ -102,11 +105,6 @@ def hyperparameter_changes(config: TrainConfig, task: str) -> dict[str, Any]:
         return chosen
     usual = dataclasses.asdict(preset(config.algorithm, task))
     return {name: value for name, value in chosen.items() if value != usual[name]}
-
-
-def cost_limit(config: TrainConfig) -> float | None:
-    """The cost limit of an algorithm's hyper-parameters; None for one without constraints."""
-    return getattr(config.hyperparameters, "cost_limit", None)
 
 
 def in_order(groups: Iterable[Group]) -> list[Group]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
+from agents.errors import OwnCodeError, described
 from emcc import EpisodeRecords, cost_rate, emcc_by_part
 from emcc.parts import ALPHA, PARTS
 from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
@@ -83,10 +84,6 @@ class Measure:
             raise ValueError(f"the name of a measure must be one word, got {self.name!r}")
 
 
-class MeasureFailure(RuntimeError):
-    """A user's measure that raised: its own error is the cause."""
-
-
 _REGISTRY: dict[str, Measure] = {}
 
 
@@ -115,7 +112,7 @@ def measure(name: str) -> Measure:
 def measured(data: RunData, run: str) -> dict[str, float | None]:
     """All measures of a run by name.
 
-    run: its name. Raises MeasureFailure where a measure of the user's own raises; the ValueError
+    run: its name. Raises OwnCodeError where a measure of the user's own raises; the ValueError
     of a built-in one, and of one that is not finite, says that the run is damaged.
     """
     values = {}
@@ -125,7 +122,8 @@ def measured(data: RunData, run: str) -> dict[str, float | None]:
         except Exception as error:
             if m in BUILT_IN:
                 raise
-            raise MeasureFailure(f"measure {m.name!r} failed on run {run}") from error
+            words = f"measure {m.name!r} failed on run {run}: {described(error)}"
+            raise OwnCodeError(words) from error
         if values[m.name] is not None and not math.isfinite(values[m.name]):
             raise ValueError(f"{m.name} is not finite: {values[m.name]}")
     return values

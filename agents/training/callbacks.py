@@ -318,7 +318,7 @@ class _Display:
         recent = "return {:.2f}, cost {:.2f}".format(*trainer.recorder.recent)
         if done:  # an evaluation follows
             recent, left = f"{recent}, evaluating", ""
-        shown = {"speed": per_second, "recent": recent, "left": left}
+        shown: dict[str, Any] = {"speed": per_second, "recent": recent, "left": left}
         self.bar.update(self.task, completed=now.steps, **shown)
         if is_tenth or done:
             self.tenth = int(10 * now.share)

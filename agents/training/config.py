@@ -211,7 +211,7 @@ class TrainConfig(Settings):
         try:
             values = _tuples({k: v for k, v in content.items() if k not in RECORDED})
             own = _tuples(values.pop("hyperparameters"))
-            known = algorithm(name).config if strict or name in ALGORITHMS else None
+            known = algorithm(str(name)).config if strict or name in ALGORITHMS else None
             return cls(hyperparameters=_of(known, own) if known else _plain(own), **values)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise UserError(f"{folder}/{CONFIG} is damaged: {error}") from None

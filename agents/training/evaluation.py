@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 from gymnasium.spaces import Box
+from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from agents.errors import OwnCodeError, TaskFailure, UserError, described
@@ -99,17 +100,19 @@ def _all_parts(
     runs, columns, paths = len(config.runs), [], []
     for first in range(0, episodes, at_once):
         rollout = play(envs, config, policy, episodes, first, at_once, active, noisy)
-        paths = paths or _paths(envs, rollout, runs)
+        paths = paths or paths_of(envs, rollout, runs, DRAWN)
         values = (rollout.returns, rollout.cost_returns, rollout.length)
         values = (*values, rollout.final_observation, rollout.diverged)
         columns.append([column.reshape(runs, at_once, *column.shape[1:]) for column in values])
     joined = [np.concatenate(parts, axis=1)[:, :episodes] for parts in zip(*columns, strict=True)]
     *values, diverged = joined
-    return Episodes(*values, ~active | diverged.any(axis=1), paths)
+    returns, costs, lengths, last = values
+    void = ~active | diverged.any(axis=1)
+    return Episodes(returns, costs, lengths, last, void, paths)
 
 
 def play(
-    envs: SideBySide,
+    envs: VectorEnv,
     config: TrainConfig,
     policy: RunsPolicy,
     episodes: int,
@@ -137,16 +140,16 @@ def play(
     return collect(envs, seeds, act, np.repeat(active, count), config.costs)
 
 
-def _paths(
-    envs: SideBySide, rollout: Rollout, runs: int
+def paths_of(
+    envs: SideBySide, rollout: Rollout, runs: int, most: int
 ) -> list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]]:
-    """`Episodes.paths` of a rollout."""
+    """`Episodes.paths` of a rollout, `most` of each run."""
     each, column = envs.num_envs // runs, 0
     paths: list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]] = []
     for part in envs.parts:
         located = part.with_start if isinstance(part, RecordPositions) else None
         for start in range(0, part.num_envs, each):
-            drawn = range(start, start + min(each, DRAWN)) if located is not None else ()
+            drawn = range(start, start + min(each, most)) if located is not None else ()
             lengths = rollout.length[column : column + part.num_envs]
             costs = rollout.cost[:, column : column + part.num_envs, 0]
             paths.append(
