@@ -79,7 +79,7 @@ def import_modules(args: Sequence[str]) -> None:
 def _in_a_line(message: str) -> str:
     """An error that tyro has drawn as a box, without the hint to its help."""
     lines = [line.strip("│| ") for line in message.splitlines()]
-    inside = [line for line in lines if line and not set(line[:2]) & set("╭╰+─-")]
+    inside = [line for line in lines if not (set(line) <= set("─- ") or line[0] in "╭╰+")]
     words = takewhile(lambda line: not line.startswith(("For full help", "Argument help")), inside)
     return " ".join(words) or "the options cannot be understood"
 
