@@ -18,10 +18,9 @@ from rich.text import Text
 from agents.errors import UserError
 from agents.lockstep.compiling import CLOCK
 from agents.training import evaluation
-from agents.training.config import STATUS, TrainConfig
+from agents.training.config import STATUS, TrainConfig, is_of_policy, policy_path
 from agents.training.files import AnyPath, read_json, write_arrays, write_json
 from agents.training.machine import made_with
-from agents.training.policy import is_of_policy, policy_path
 
 if TYPE_CHECKING:
     from agents.training.trainer import Trainer

@@ -18,9 +18,17 @@ from agents.errors import UserError
 from agents.lockstep import tree
 from agents.lockstep.learner import Learner
 from agents.lockstep.rollout import Policy as RunsPolicy
-from agents.training.config import CHECKPOINTS, POLICIES, RunId, TrainConfig, read_spaces
+from agents.training.config import (
+    CHECKPOINTS,
+    POLICIES,
+    RunId,
+    TrainConfig,
+    is_of_policy,
+    policy_path,
+    read_spaces,
+)
 from agents.training.environments import Spaces
-from agents.training.files import Arrays, numbered, numbered_path
+from agents.training.files import Arrays, numbered
 from agents.training.pretrained import folder_of
 
 
@@ -130,16 +138,6 @@ class _Bounded(nn.Module):
     def forward(self, observation: Tensor) -> Tensor:
         share = (self.net(observation).clamp(-1.0, 1.0) + 1.0) / 2.0
         return self.low + (self.high - self.low) * share
-
-
-def is_of_policy(name: str) -> bool:
-    """Whether an array of a learner's state is one of its policy."""
-    return name == "actor" or name.startswith("actor.")
-
-
-def policy_path(folder: Path, run: RunId, step: int) -> Path:
-    """File of the policy of a run at a step."""
-    return numbered_path(folder / POLICIES, run.prefix, step)
 
 
 def load_policy(
