@@ -379,8 +379,9 @@ def _train(folder: Path, on_epoch: OnEpoch | None, progress: bool) -> trainer.Tr
     with contextlib.ExitStack() as stack:
         own: list[trainer.Callback] = []
         if progress:
-            display = callbacks.show_progress(TrainConfig.read(folder))
-            own.append(stack.enter_context(display))
+            from agents.training.progress import show_progress
+
+            own.append(stack.enter_context(show_progress(TrainConfig.read(folder))))
         if on_epoch:
             own.append(callbacks.follower(on_epoch))
         trained = trainer.train(folder, *own)

@@ -82,8 +82,8 @@ def _problem(value: Any, hint: Any, bounds: In | None = None) -> str:
 
 
 def _no_number(value: Any, kind: type, bounds: In) -> str:
-    is_number = isinstance(value, int if kind is int else Real)
-    if isinstance(value, bool) or not is_number:
+    kinds: Any = int if kind is int else Real  # Real has no comparisons for type checkers
+    if isinstance(value, bool) or not isinstance(value, kinds):
         return "an integer" if kind is int else "a finite number"
     try:
         finite = math.isfinite(value)

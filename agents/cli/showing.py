@@ -23,10 +23,10 @@ from agents.cli.options import (
 from agents.errors import UserError
 from agents.export import Format
 from agents.reporting.table import show
-from agents.training.callbacks import working
 from agents.training.config import TrainConfig
 from agents.training.policy import chosen_run
 from agents.training.pretrained import folder_of
+from agents.training.progress import working
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.render.gl import NoOpenGL, check_backend
 from emcc.parts import ALPHA, PARTS
