@@ -25,7 +25,7 @@ from agents.training.policy import Policy, load_policy
 
 Format = Literal["safetensors", "onnx"]
 OPSET, IR_VERSION = 17, 8
-"""Of ONNX files: of 2022, so that older runtimes read them too."""
+"""Versions of ONNX files, of 2022, so that older runtimes read them too."""
 
 
 class Exported(NamedTuple):

@@ -71,7 +71,7 @@ def _column(
 ) -> Column:
     config = TrainConfig.read(folder)
     view = require_view(config)
-    everyone, config = config.seeds, _of_seeds(folder, config, seeds)
+    everyone, config = config.seeds, _chosen(folder, config, seeds)
     records = [_records(run_folder(folder, seed)) for seed in config.seeds]
     heading = name or f"{title_of(config, config.task)} on {config.task}"
     if name is None and set(config.seeds) != set(everyone):
@@ -89,7 +89,7 @@ def _records(folder: Path) -> EpisodeRecords:
         raise UserError(str(error)) from None
 
 
-def _of_seeds(folder: Path, config: TrainConfig, seeds: tuple[int, ...] | None) -> TrainConfig:
+def _chosen(folder: Path, config: TrainConfig, seeds: tuple[int, ...] | None) -> TrainConfig:
     if seeds is None:
         failed = [(run_folder(folder, seed) / FAILURE).exists() for seed in config.seeds]
         seeds = tuple(seed for seed, f in zip(config.seeds, failed, strict=True) if not f)
@@ -117,12 +117,12 @@ def evaluation_episodes(
         raise UserError(f"episodes must be in [1, {EVALUATION_EPISODES}], got {episodes}")
     view = view_of(config.task, config.task_parameters)
     if view is None:
-        found = film_trained(folder, config, seed, episodes, noisy)
+        played = film_trained(folder, config, seed, episodes, noisy)
     else:
-        found = play_trained(folder, config, [seed], episodes, noisy, view)[seed]
-    if found is None:
+        played = play_trained(folder, config, [seed], episodes, noisy, view)[seed]
+    if played is None:
         raise UserError(f"the policy of seed {seed} gives numbers that are not finite")
-    return found, view
+    return played, view
 
 
 @dataclass(frozen=True)
