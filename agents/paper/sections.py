@@ -42,6 +42,7 @@ from agents.results.statistics import (
 )
 from emcc import emcc_by_part
 from emcc.parts import ALPHA, PARTS
+from emcc.statistics import SHARE
 
 CLAIMS = "The paper's claims"
 METHOD = (
@@ -272,7 +273,7 @@ def ties_table(groups: Sequence[Group]) -> Table:
         name = f"{group.task}, {name_of(group)}"
         values = paper_results(group.task, title(group.config.algorithm))
         kept = [group_mean(group, m.name) for m in columns]
-        divided = [mean_of(third, group.one_place) for third in _split(group)]
+        divided = [mean_of(third, group.one_place, SHARE) for third in _split(group)]
         cells: list[list[Number]] = [[], []]
         for m, pair in zip(columns, zip(kept, divided, strict=True), strict=True):
             goal = values.get(m.name)

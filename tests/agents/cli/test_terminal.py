@@ -68,7 +68,7 @@ def test_into_a_pipe_it_is_markdown(capsys):
 
 
 def test_lines_of_a_cell_by_hand():
-    within = [Number(1, low=0.01, high=0.91, of=3), Number(0, of=1)]
+    within = [Number(1, low=0.01, high=0.91, total=3), Number(0, total=1)]
     rows = [Row("SAC-LB-Streak, seed 0", within[:1], "corridor, round (80 %, 20 % through)")]
     rows += [Row("b", within[1:])]
     assert lines(terminal.parts(Table("", ["name", "within", "ends in"], rows), 80)) == [

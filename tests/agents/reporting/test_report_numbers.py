@@ -148,7 +148,7 @@ def table_after(out, start, head):
 
 def test_the_tables(raw):
     out, numbers = raw
-    rows = table_after(out, "EMCC with alpha", TASK)
+    rows = table_after(out, "EMCC: alpha", TASK)
     rows += table_after(out, "Other choices", "task, algorithm and choice")
     check_rows(rows, numbers)
     page = (out / "index.html").read_text()
