@@ -27,7 +27,7 @@ Format = Literal["safetensors", "onnx"]
 KINDS = {"Tanh": "np.tanh({0})", "ReLU": "np.maximum({0}, 0)", "SiLU": "{0} / (1 + np.exp(-{0}))"}
 """Functions between the layers, modules of torch.nn, in numpy."""
 OPSET, IR_VERSION = 17, 8
-"""Of ONNX files: of 2022, so that older runtimes read them too."""
+"""Versions of ONNX files, of 2022, so that older runtimes read them too."""
 
 
 class Exported(NamedTuple):

@@ -325,8 +325,8 @@ def _checked(claim: Claim, evidence: Evidence, others: Mapping[str, Evidence]) -
     findings = claim.check(evidence)
     verdict = all_of(part.verdict for part in findings)
     otherwise = []
-    for choice, evidence_of_it in others.items():
-        parts = claim.check(evidence_of_it)
+    for choice, other_evidence in others.items():
+        parts = claim.check(other_evidence)
         other = all_of(part.verdict for part in parts)
         if other != verdict:
             changed = [part for part in parts if part not in findings]

@@ -12,7 +12,7 @@ from agents.paper.printed import choice_of, paper_results
 from agents.reporting.table import Number, number, p_number
 from agents.results.measures import measure
 from agents.results.reading import Group, Run, one_place
-from agents.results.statistics import LEVEL, equivalence_of, known, mean_of, p_of
+from agents.results.statistics import LEVEL, Values, equivalence_of, known, mean_of, p_of
 from circle2d_mj.registration import KINEMATIC
 from emcc import Interval, Share, mean_interval, share
 from emcc.statistics import UNBOUNDED, Bounds
@@ -64,7 +64,7 @@ class Cell(NamedTuple):
     def mean(
         self,
         name: str,
-        values: Sequence[float | None],
+        values: Values,
         printed: float | None,
         bounds: Bounds = UNBOUNDED,
     ) -> list[Fact]:
@@ -220,7 +220,7 @@ def none(count: int, runs: int, parts: int) -> Verdict:
     return "refuted" if share(count, runs, refuting(parts)).low > RARE else "undecided"
 
 
-def about(values: Sequence[float | None], printed: float, parts: int) -> Verdict:
+def about(values: Values, printed: float, parts: int) -> Verdict:
     """The verdict on "the mean is about": its whole interval is within a fifth of the number;
     refuted where it lies wholly farther away."""
     numbers, near = known(values), (0.8 * printed, 1.2 * printed)
@@ -235,9 +235,7 @@ def about(values: Sequence[float | None], printed: float, parts: int) -> Verdict
     return "refuted" if mean.kind == "t" and farther else "undecided"
 
 
-def equal(
-    a: Sequence[float | None], b: Sequence[float | None], margin: float, parts: int
-) -> Verdict:
+def equal(a: Values, b: Values, margin: float, parts: int) -> Verdict:
     """The verdict on "the means are equal": equivalent within the margin; refuted where they are
     not and the permutation test tells them apart."""
     equivalence, p = equivalence_of(a, b, margin), p_of(a, b)
@@ -248,9 +246,7 @@ def equal(
     return "refuted" if p <= LEVEL / parts else "undecided"
 
 
-def apart(
-    a: Sequence[float | None], b: Sequence[float | None], margin: float, parts: int
-) -> Verdict:
+def apart(a: Values, b: Values, margin: float, parts: int) -> Verdict:
     """The verdict on "the means differ": the permutation test tells them apart; refuted where they
     are equivalent within the margin."""
     equivalence, p = equivalence_of(a, b, margin), p_of(a, b)
@@ -261,7 +257,7 @@ def apart(
     return "confirmed" if p <= LEVEL else "undecided"
 
 
-def lower(a: Sequence[float | None], b: Sequence[float | None], parts: int) -> Verdict:
+def lower(a: Values, b: Values, parts: int) -> Verdict:
     """The verdict on "the mean of a is below that of b": it is, and the permutation test tells them
     apart; refuted where it tells them apart the other way round."""
     first, second, p = known(a), known(b), p_of(a, b)

@@ -42,6 +42,7 @@ from agents.results.statistics import (
 )
 from emcc import emcc_by_part
 from emcc.parts import ALPHA, PARTS
+from emcc.statistics import SHARE
 
 CLAIMS = "The paper's claims"
 METHOD = (
@@ -197,7 +198,7 @@ def nearest_table(pairs: Sequence[Pair]) -> Table | None:
 
 def parts_table(pairs: Sequence[Pair]) -> Table | None:
     """For each task SAC-LB-Streak's means, and those without one of its parts; None without any."""
-    groups = [group for choices in _of_parts(pairs) for group in choices if group.runs]
+    groups = [group for choices in _streak_choices(pairs) for group in choices if group.runs]
     if not groups:
         return None
     words = f"{PARTS_TITLE}: {PARTS_MEANING}. {caption(groups)}"
@@ -208,7 +209,7 @@ def parts_table(pairs: Sequence[Pair]) -> Table | None:
 def parts_over_tasks(pairs: Sequence[Pair]) -> Table | None:
     """Differences, over all tasks, of SAC-LB-Streak's runs without each part; None of one task."""
     named: dict[str, list[Pair]] = {}
-    for usual, *others in _of_parts(pairs):
+    for usual, *others in _streak_choices(pairs):
         for other in others:
             apart = filter(None, [other.apart])
             words = [_choice(other), *unusual_steps(other.config, other.task), *apart]
@@ -217,7 +218,7 @@ def parts_over_tasks(pairs: Sequence[Pair]) -> Table | None:
     return differences_over_tasks({name: two for name, two in sets.items() if two})
 
 
-def _of_parts(pairs: Sequence[Pair]) -> list[list[Group]]:
+def _streak_choices(pairs: Sequence[Pair]) -> list[list[Group]]:
     return [c for c in _by_preset(pairs) if c[0].config.algorithm not in PAPER_ALGORITHMS]
 
 
@@ -240,9 +241,9 @@ def _nearer(
     told: Sequence[Mapping[str, Summary]], values: Mapping[str, float]
 ) -> Iterator[tuple[int, str]]:
     """Place and measure of the means that are nearest to the paper's numbers, as printed."""
-    of_groups = [means(summary) for summary in told]
+    known = [means(summary) for summary in told]
     for m in measures():
-        ours = [group[m.name] for group in of_groups]
+        ours = [group[m.name] for group in known]
         if m.name in values and None not in ours:
             off = [abs(round(mean, m.digits) - values[m.name]) for mean in ours if mean is not None]
             yield from ((row, m.name) for row, far in enumerate(off) if isclose(far, min(off)))
@@ -272,7 +273,7 @@ def ties_table(groups: Sequence[Group]) -> Table:
         name = f"{group.task}, {name_of(group)}"
         values = paper_results(group.task, title(group.config.algorithm))
         kept = [group_mean(group, m.name) for m in columns]
-        divided = [mean_of(third, group.one_place) for third in _split(group)]
+        divided = [mean_of(third, group.one_place, SHARE) for third in _split(group)]
         cells: list[list[Number]] = [[], []]
         for m, pair in zip(columns, zip(kept, divided, strict=True), strict=True):
             goal = values.get(m.name)
@@ -287,8 +288,8 @@ def ties_table(groups: Sequence[Group]) -> Table:
         for way, numbers in zip(("kept", "split"), cells, strict=True):
             rows.append(Row(f"{name}, ties {way}, mean of {len(group.runs)}", numbers, kind="mean"))
         if values:
-            of_paper = [Number(values.get(m.name), m.digits) for m in columns]
-            rows.append(Row(f"{name}, paper", of_paper, kind="paper"))
+            theirs = [Number(values.get(m.name), m.digits) for m in columns]
+            rows.append(Row(f"{name}, paper", theirs, kind="paper"))
     head = ["task, algorithm and ties", *(m.head for m in columns)]
     return Table(f"{TIES_MEANING}; mean {INTERVALS}", head, rows, marking=MARKING)
 

@@ -85,20 +85,20 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     notes = [f"A is {a}, B is {b}."]
     sides = [with_distinct_titles(read([side], notes)) for side in (a, b)]
     by_task = _by_task(a, b, sides, notes)
-    pairs = [pair for of_task in by_task.values() for pair in of_task.pairs]
+    pairs = [pair for both in by_task.values() for pair in both.pairs]
     tested = {_key(*pair): differences(*pair) for pair in pairs}
     p_values, sets = holm(tested), _over_tasks(pairs)
     *_, last = by_task
     tables = {
-        task: _table(task, of_task, tested, p_values, notes if task == last else [])
-        for task, of_task in by_task.items()
+        task: _table(task, both, tested, p_values, notes if task == last else [])
+        for task, both in by_task.items()
     }
     if (together := differences_over_tasks(sets)) is not None:
         tables[TOGETHER] = together
     if out is None:
         return list(tables.values())
     out.mkdir(parents=True, exist_ok=True)
-    drawn = {task: [curves(of_task.named)] for task, of_task in by_task.items()}
+    drawn = {task: [curves(both.named)] for task, both in by_task.items()}
     sections = [Section(name, table, drawn.get(name, [])) for name, table in tables.items()]
     named = list(zip("AB", sides, strict=True))
     how = {f"{side}, {k}": text for side, groups in named for k, text in made(groups).items()}
@@ -106,10 +106,10 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     write_whole(out / "compare.html", page(title, sections, how))
     write_whole(out / "compare.md", markdown(list(tables.values())))
     lines = []
-    for task, of_task in by_task.items():
-        for name, groups in zip("AB", of_task, strict=True):
+    for task, both in by_task.items():
+        for name, groups in zip("AB", both, strict=True):
             lines += group_lines(groups, f"{name}: ")
-        for pair in of_task.pairs:
+        for pair in both.pairs:
             lines += difference_lines(task, _name(*pair), tested[_key(*pair)])
     for name, two in sets.items():
         lines += difference_lines(f"{two.tasks} tasks", name, two.differences())

@@ -38,7 +38,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#000000", "#5
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)))
 DASHES = (*DASHES, (0, (9, 2)), (0, (2, 2.5)), (0, (9, 1.5, 3, 1.5)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-"""As many as dashes: what tells colours apart without colour."""
+"""One for each dash: what tells colours apart without colour."""
 CROWDED, PIXELS = 60, 120
 """Lines and areas of a panel beyond which they are pixels, and pixels of an inch. The page of very
 many runs would have many megabytes else."""
@@ -70,7 +70,7 @@ class Style(NamedTuple):
     dash: Any
     """One for each algorithm; another one for each further group of it in the same figure."""
     marker: str
-    """As dashes."""
+    """Chosen like the dash."""
 
 
 def styles(configs: Sequence[TrainConfig]) -> list[Style]:

@@ -122,7 +122,7 @@ class Scene(NamedTuple):
     number: int
     """Its place among the page's."""
     extent: Extent
-    """See `circle2d_mj.core.view.View`."""
+    """Left, right, bottom and top in the view's unit."""
     below: bytes
     """PNG."""
     above: bytes
@@ -175,10 +175,10 @@ class Map(NamedTuple):
     words: str
     """The line below it."""
     heat: bytes = b""
-    """See `heat_png`."""
+    """PNG of `heat_png`."""
     way: str = ""
     costs: str = ""
-    """See `paths`."""
+    """SVG paths of `paths`."""
 
 
 class Maps(NamedTuple):
@@ -307,8 +307,8 @@ def paths(extent: Extent, episodes: Sequence[Episode]) -> tuple[str, str]:
         points = _units(extent, positions[at])
         ways.append(f"M{_line(points)}")
         # The start has no cost; the steps between two drawn states count for the later one.
-        of_states = np.concatenate((np.zeros(len(positions) - len(costs)), costs)) > 0
-        cost = np.logical_or.reduceat(of_states, np.concatenate(([0], at[:-1] + 1)))
+        cost = np.concatenate((np.zeros(len(positions) - len(costs)), costs)) > 0
+        cost = np.logical_or.reduceat(cost, np.concatenate(([0], at[:-1] + 1)))
         costly += [f"M{x} {y}h0" for x, y in points[cost].tolist()]
     return "".join(ways), "".join(costly)
 

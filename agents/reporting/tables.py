@@ -133,7 +133,7 @@ def caption(groups: Sequence[Group]) -> str:
 
 def means(summary: Mapping[str, Summary]) -> dict[str, float | None]:
     """The mean of each measure; None where a run lacks it."""
-    return {name: of_runs.mean and of_runs.mean.value for name, of_runs in summary.items()}
+    return {name: told.mean and told.mean.value for name, told in summary.items()}
 
 
 def within(group: Group) -> bool | None:
@@ -285,11 +285,11 @@ def panel_table(groups: Sequence[Group]) -> Table:
         cells = [number(mean_of(v, group.one_place, bounds), digits) for group, v in runs]
         return Row(name, cells, kind="mean")
 
-    everyone = [of_run for column in panels for of_run in column]
-    limited = [of_run for of_run in everyone if of_run.limit is not None]
+    everyone = [run for column in panels for run in column]
+    limited = [run for run in everyone if run.limit is not None]
     rows = []
     for line in panel_rows((limited or everyone)[0]):
-        values = [[line.value(of_run) for of_run in column] for column in panels]
+        values = [[line.value(run) for run in column] for column in panels]
         rows.append(row(f"training: {line.title}", values, line.digits, line.bounds))
     for policy, words in POLICIES.items():
         measured = [
@@ -297,7 +297,7 @@ def panel_table(groups: Sequence[Group]) -> Table:
             for group, limit in zip(groups, limits, strict=True)
         ]
         for name, field, digits, bounds in PANEL_OF_POLICIES if any(map(any, measured)) else ():
-            values = [[of_run and getattr(of_run, field) for of_run in c] for c in measured]
+            values = [[run and getattr(run, field) for run in column] for column in measured]
             rows.append(row(f"{words}: {name}", values, digits, bounds))
     head = [groups[0].task, *map(name_of, groups), ""]  # the last is for places
     return Table(_panel_caption(groups, limits), head, rows)
@@ -327,7 +327,7 @@ SEPARATED = ("cost rate A", "cost rate B", "B - A", "p equal", "EMCC A", "EMCC B
 def separated_table(groups: Sequence[Group]) -> Table | None:
     """Pairs that EMCC tells apart and the cost rate does not, with the counts in a sentence; None
     where there is nothing to compare."""
-    pairs = comparisons([group for of_task in by_task(groups).values() for group in of_task])
+    pairs = comparisons([group for own in by_task(groups).values() for group in own])
     if not pairs:
         return None
     not_told = [pair for pair in pairs if pair.rate_p > LEVEL]

@@ -129,42 +129,49 @@ def measured(data: RunData, run: str) -> dict[str, float | None]:
     return values
 
 
-def _emcc(part: float) -> Callable[[RunData], float | None]:
-    return lambda run: run.emcc_by_part[part]
+def _evaluated(
+    name: str, better: Literal["lower", "higher"], bounds: Bounds, word: str = ""
+) -> Measure:
+    """A mean over the episodes of the trained policy."""
+
+    def compute(run: RunData) -> float | None:
+        return run.evaluated(name)
+
+    return Measure(name, name, "", 2, better, compute, "policy", word, bounds=bounds)
 
 
-def _evaluated(name: str) -> Callable[[RunData], float | None]:
-    return lambda run: run.evaluated(name)
+def _emcc(part: float) -> Measure:
+    """EMCC of a third of training."""
+
+    def compute(run: RunData) -> float:
+        return run.emcc_by_part[part]
+
+    name = f"EMCC_{part}"
+    return Measure(name, name, "", 2, "lower", compute, word="EMCC", bounds=SHARE, part=part)
 
 
 def _cost_rate(run: RunData) -> float:
     return cost_rate(run.records.cost, run.records.length)
 
 
-def _of_policy(
-    name: str, better: Literal["lower", "higher"], bounds: Bounds, word: str = ""
-) -> Measure:
-    return Measure(name, name, "", 2, better, _evaluated(name), "policy", word, bounds=bounds)
-
-
-for _part in PARTS:
-    _name, _of_part = f"EMCC_{_part}", _emcc(_part)
-    register(Measure(_name, _name, "", 2, "lower", _of_part, word="EMCC", bounds=SHARE, part=_part))
-register(Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate, bounds=COST))
-register(_of_policy("J_R", "higher", UNBOUNDED))
-register(_of_policy("J_C", "lower", COST))
-register(_of_policy("CVaR_0.5", "lower", COST, "CVaR"))
-register(
-    Measure(
-        "mean_streak",
-        "mean streak",
-        "steps",
-        2,
-        "neither",  # fewer and longer, or more and shorter: neither is better by itself
-        lambda run: run.records.mean_streak,
-        note="mean streak: the mean length of training's streaks of cost steps",
-        bounds=COST,
-    )
+MEAN_STREAK = Measure(
+    "mean_streak",
+    "mean streak",
+    "steps",
+    2,
+    "neither",  # fewer and longer, or more and shorter: neither is better by itself
+    lambda run: run.records.mean_streak,
+    note="mean streak: the mean length of training's streaks of cost steps",
+    bounds=COST,
 )
+for _measure in (
+    *map(_emcc, PARTS),
+    Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate, bounds=COST),
+    _evaluated("J_R", "higher", UNBOUNDED),
+    _evaluated("J_C", "lower", COST),
+    _evaluated("CVaR_0.5", "lower", COST, "CVaR"),
+    MEAN_STREAK,
+):
+    register(_measure)
 BUILT_IN = measures()
 """The measures of every report: they raise where a run is damaged alone."""

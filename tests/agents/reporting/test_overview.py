@@ -1,7 +1,6 @@
 """Figures and tables over all tasks, against counts and means worked out here."""
 
 import re
-from dataclasses import replace
 from itertools import product
 from statistics import fmean
 
@@ -183,18 +182,6 @@ def test_over_tasks_by_hand(groups):
     assert "corrected for the 12 comparisons of this table" in table.caption
 
 
-def test_a_shorter_trial_beside_the_runs_changes_nothing_over_tasks(groups):
-    """Nor does a second folder of equal settings with fewer runs; one with more takes its place."""
-    expected = over_tasks(groups)
-    trial = group(TASKS[0], "trpo-lag", [run(seed, 0, 0) for seed in range(6)])
-    shorter = replace(trial, config=replace(trial.config, steps=STEPS // 2))
-    fewer = group(TASKS[0], "trpo-lag", trial.runs[:5])
-    for more in (shorter, fewer):
-        assert over_tasks([more, *groups]).rows == over_tasks([*groups, more]).rows == expected.rows
-    longer = group(TASKS[0], "trpo-lag", [run(seed, 0, 0) for seed in range(7)])
-    assert over_tasks([longer, *groups]).rows != expected.rows
-
-
 def test_no_interval_of_a_difference_where_runs_end_in_different_places(groups):
     (row, *_) = separated_table(groups).rows
     assert row.numbers[2].low is not None
@@ -203,10 +190,3 @@ def test_no_interval_of_a_difference_where_runs_end_in_different_places(groups):
     mixed = group(TASKS[0], "wcsac", [*elsewhere[:3], *groups[2].runs[3:]])
     (row, *_) = separated_table([groups[1], mixed]).rows
     assert [row.numbers[k].low for k in (2, 6)] == [None, None]
-
-
-def test_one_task_has_no_table_over_tasks(groups):
-    assert over_tasks(groups[:3]) is None
-    # An algorithm without enough runs on one of the tasks is left out.
-    names = [row.name for row in over_tasks(groups[:5]).rows]
-    assert not any("WCSAC" in name for name in names)

@@ -5,7 +5,6 @@ import subprocess
 from dataclasses import asdict, replace
 from types import SimpleNamespace
 
-import pytest
 from small_runs import write_status
 
 from agents.cli.main import main
@@ -17,15 +16,6 @@ from agents.results.source import FolderSource
 from agents.training import machine
 from agents.training.config import TrainConfig
 from agents.training.files import read_json
-from agents.training.status import duration
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(40, "40 s"), (100, "2 min"), (3599, "1 h 0 min"), (10_920, "3 h 2 min")],
-)
-def test_duration(seconds, words):
-    assert duration(seconds) == words
 
 
 def test_the_command_trains_the_same(tmp_path):
