@@ -114,11 +114,11 @@ class Trainer:
         while not self.done and not self.stopped:
             before = self.steps.copy()
             self.run_epoch()
+            answers = [callback(self) for callback in own]  # written before a checkpoint
+            self.stopped = any(answer is False for answer in answers)
             saved = self._is_due(before)
             if saved:
                 self.save()
-            answers = [callback(self) for callback in own]
-            self.stopped = any(answer is False for answer in answers)
         if not saved:
             self.save()
 
