@@ -118,7 +118,7 @@ def collect(
     length = np.zeros(len(seeds), dtype=np.int64)
     failure = np.full(len(seeds), "", dtype="U64")
     steps: list[tuple] = []
-    while running.any():
+    while running.any() or not steps:  # at least once: arrays of no step have no shape
         if len(steps) == MAX_STEPS:
             raise TaskFailure(f"an episode of {envs} has not ended after {MAX_STEPS} steps")
         with np.errstate(over="ignore", invalid="ignore"):  # found by the next line
