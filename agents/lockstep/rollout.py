@@ -118,14 +118,15 @@ def collect(
     length = np.zeros(len(seeds), dtype=np.int64)
     failure = np.full(len(seeds), "", dtype="U64")
     steps: list[tuple] = []
-    while running.any():
+    while running.any() or not steps:  # at least once: arrays of no step have no shape
         if len(steps) == MAX_STEPS:
             raise TaskFailure(f"an episode of {envs} has not ended after {MAX_STEPS} steps")
         with np.errstate(over="ignore", invalid="ignore"):  # found by the next line
             action = act(observation)
         if not np.isfinite(action).all():
             finite = np.all(np.isfinite(action), axis=-1)
-            failure[running & ~finite] = "action"
+            seen = np.isfinite(observation).all(axis=-1)
+            failure[running & ~finite] = np.where(seen, "action", "observation")[running & ~finite]
             running &= finite
             action = np.where(finite[:, None], action, np.float32(0.0))
         clipped = np.minimum(np.maximum(action, -1.0), 1.0)  # `clip` takes twice as long

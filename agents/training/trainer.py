@@ -114,11 +114,11 @@ class Trainer:
         while not self.done and not self.stopped:
             before = self.steps.copy()
             self.run_epoch()
+            answers = [callback(self) for callback in own]  # written before a checkpoint
+            self.stopped = any(answer is False for answer in answers)
             saved = self._is_due(before)
             if saved:
                 self.save()
-            answers = [callback(self) for callback in own]
-            self.stopped = any(answer is False for answer in answers)
         if not saved:
             self.save()
 
@@ -211,7 +211,8 @@ class Trainer:
     def save(self) -> None:
         """Write what is new, then the checkpoint; of the older ones the newest stays."""
         began = time.monotonic()
-        number = self._number
+        # A run whose first action fails has taken no step since the last.
+        number = max(self._number, 1 + max(numbered(self.folder, CHECKPOINTS), default=-1))
         counters = {"epoch": np.array(self.epoch), "steps": self.steps, "failures": self.failures}
         for name, arrays in (
             (STEPS, self.recorder.take()),

@@ -218,8 +218,9 @@ class RecordPositions(VectorWrapper):
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Reset the environments, and forget the positions unless only some are reset."""
+        every = options is None or "reset_mask" not in options  # gymnasium's take it out
         observation, info = self.env.reset(seed=seed, options=options)
-        if options is None or "reset_mask" not in options:
+        if every:
             self._positions, self._start = [], self._of(observation, info)
         return observation, info
 

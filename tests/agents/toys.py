@@ -1,5 +1,8 @@
 """Small tasks that tests register and train in."""
 
+import os
+import time
+
 import gymnasium as gym
 import numpy as np
 from gymnasium.spaces import Box
@@ -65,8 +68,75 @@ class Walk(gym.Env):
         return given["observation"], float(given["reward"]), out, not out and self.t == 40, info
 
 
+class Broken(gym.Env):
+    """Episodes of 20 steps; step `at` of each environment, counted over its episodes, goes wrong.
+
+    `how` says in which way: "raise", "die", "hang", "reset" (the reset before that step raises), or
+    the name of what is odd: observation, reward, complex, cost, missing, negative. "init": it
+    cannot be made.
+    """
+
+    observation_space = Box(-1.0, 1.0, (2,))
+    action_space = Box(-1.0, 1.0, (1,))
+
+    def __init__(self, how="never", at=50):
+        if how == "init":
+            raise LookupError("no licence")
+        self.how, self.at, self.taken = how, at, 0
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.t = 0
+        if self.how == "reset" and self.taken >= self.at:
+            raise LookupError("door\nclosed")
+        return np.zeros(2, np.float32), {}
+
+    def step(self, action):
+        self.t, self.taken = self.t + 1, self.taken + 1
+        observation, reward, info = np.zeros(2, np.float32), float(action[0]), {"cost": 0.5}
+        if self.taken >= self.at:
+            if self.how == "raise":
+                raise LookupError("motor\nbroken")
+            if self.how == "die":
+                os._exit(3)
+            if self.how == "hang":
+                time.sleep(60)
+            observation = np.zeros(3, np.float32) if self.how == "observation" else observation
+            reward = {"reward": np.zeros(2), "complex": 1j}.get(self.how, reward)
+            info = {"cost": {"cost": "much", "negative": -1.0}.get(self.how, 0.5)}
+            info = {} if self.how == "missing" else info
+        return observation, reward, False, self.t == 20, info
+
+
+class TwoCosts(Walk):
+    """A walk with a second cost: a step with x < -0.25 costs a quarter."""
+
+    def step(self, action):
+        *others, info = super().step(action)
+        return *others, info | {"cost_2": 0.25 * (self.x < -0.25)}
+
+
+class Located:
+    """The view of a walk: where it is, and its time, as a point of the plane."""
+
+    extent = (-2.0, 2.0, 0.0, 1.0)
+    axes = ("x", "time")
+
+    def positions(self, observation, info):
+        return np.asarray(observation)[..., :2]
+
+    def places(self, positions):
+        return ["left" if x < 0 else "right" for x in positions[:, 0]]
+
+
+class Seen(Walk):
+    """A walk with a view."""
+
+    view = Located()
+
+
 def register():
-    """Make `Target-v0` and `Walk-v0` known to gymnasium."""
-    for cls in (Target, Walk):
+    """Make the tasks known to gymnasium, as `Target-v0` and so on."""
+    for cls in (Target, Walk, Broken, TwoCosts, Seen):
         if f"{cls.__name__}-v0" not in gym.registry:
             gym.register(f"{cls.__name__}-v0", entry_point=cls, disable_env_checker=True)

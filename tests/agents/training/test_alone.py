@@ -1,0 +1,102 @@
+"""A run is what it is alone, whatever trains beside it; equal trainings leave equal bytes."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from small_runs import SAC, TRPO, differing, results, run_of
+from toy_family import known
+from toys import Walk
+
+import agents
+from agents.errors import UserError
+from agents.results.reading import read, write_archive
+from agents.training.config import RunId, TrainConfig
+
+OPTIONS = {"steps": 200, "checkpoint_every": 50, "evaluate_every": 100}
+FAMILIES = {"trpo-lag": TRPO, "cpo": TRPO, "sac-lb": SAC}
+TASKS = ("Circle2D-1-v0", "Circle2D-2-v0")
+
+
+def trained(out, algorithm, tasks, seeds, **more):
+    own = FAMILIES.get(algorithm, {}) | {"cost_limit": 5.0} | OPTIONS | more
+    return agents.train(algorithm, tasks, seeds=seeds, out=out, **own).folder
+
+
+def policies(folder, run):
+    files = (folder / "policies" / run.prefix).iterdir()
+    return {path.name: path.read_bytes() for path in files}
+
+
+def assert_as_alone(together, alone, run):
+    ours, theirs = run_of(together, run), run_of(alone, run)
+    assert {"evaluation/deterministic/returns", "costs/cost/unsafe", "length"} <= ours.keys()
+    assert not differing(ours, theirs)
+    assert policies(together, run) == policies(alone, run)
+    both = (agents.load_policy(f, run.seed, task=run.task) for f in (together, alone))
+    observations = np.random.default_rng(0).normal(size=(20, 2))
+    np.testing.assert_array_equal(*(policy(observations) for policy in both))
+
+
+@pytest.mark.parametrize("algorithm", FAMILIES)
+def test_in_a_folder_of_several_tasks_and_seeds(tmp_path, algorithm):
+    together = trained(tmp_path / "all", algorithm, TASKS, (3, 4))
+    for run in (RunId(TASKS[0], 4), RunId(TASKS[1], 3)):
+        alone = trained(tmp_path / f"{run.prefix}".replace("/", "-"), algorithm, *run)
+        assert_as_alone(together, alone, run)
+    config = TrainConfig.read(together)
+    assert [str(run) for run in config.runs] == [f"{t}, seed {s}" for t in TASKS for s in (3, 4)]
+    starts = [run_of(together, run)["replay/points"][:2].tolist() for run in config.runs]
+    assert len(set(map(str, starts))) == 4  # tasks and seeds have random streams of their own
+
+
+@pytest.mark.parametrize("algorithm", ["trpo-lag", "sac-lb"])
+def test_while_others_end_earlier_or_fail(tmp_path, algorithm):
+    """Of runs whose episodes end early, of which bad luck ends some."""
+    luck = {"task_parameters": {"poison": 0.004}, "steps": 150}
+    together = trained(tmp_path / "all", algorithm, "Walk-v0", range(5), **luck)
+    arrays = np.load(together / "results.npz")
+    failed = {seed for seed in range(5) if f"Walk-v0/{seed}/failure" in arrays}
+    assert 0 < len(failed) < 5
+    for seed in sorted({*range(5)} - failed)[:2]:
+        alone = trained(tmp_path / str(seed), algorithm, "Walk-v0", seed, **luck)
+        assert_as_alone(together, alone, RunId("Walk-v0", seed))
+    seed = min(failed)
+    with pytest.raises(agents.UserError, match="every run"):
+        trained(tmp_path / "failing", algorithm, "Walk-v0", seed, **luck)
+    words = str(np.load(tmp_path / "failing" / "results.npz")[f"Walk-v0/{seed}/failure"])
+    assert words == str(arrays[f"Walk-v0/{seed}/failure"])
+
+
+@pytest.mark.parametrize(("algorithm", "how"), [("trpo-lag", "async"), ("sac-lb", "sync")])
+def test_equal_trainings_leave_equal_bytes_by_any_vectorization(tmp_path, algorithm, how):
+    """And their archives, written at other times."""
+    folders = [
+        trained(tmp_path / k / "x", algorithm, TASKS, (3, 4), steps=300, vectorization=vectorization)
+        for k, vectorization in (("a", "auto"), ("b", "auto"), ("c", how))
+    ]
+    first, again, other = map(results, folders)
+    assert first == again
+    del first["config.json"], other["config.json"]
+    assert first == other
+    archives = []
+    for folder in folders[:2]:
+        (folder / "status.json").unlink()  # times and machines go into the archive
+        write_archive(folder.with_suffix(".zip"), read([folder], []))
+        archives.append(folder.with_suffix(".zip").read_bytes())
+    assert archives[0] == archives[1]
+
+
+def test_tasks_that_do_not_fit_together_are_refused(tmp_path):
+    gym.register("Wide-v0", Walk, disable_env_checker=True, kwargs={"scale": 1.0})
+    gym.register("Four-v0", type("Four", (Walk,), {"action_space": gym.spaces.Box(-1, 1, (1,))}))
+    try:
+        with pytest.raises(UserError, match="equal observations and actions"):
+            trained(tmp_path / "x", "cpo", ("Walk-v0", "Four-v0"), 0)
+        assert not (tmp_path / "x").exists()
+        with pytest.raises(UserError, match=r"other presets for .*cost_limit"):
+            agents.train("sac-lb", ("Walk-v0", "Circle2D-1-v0"), out=tmp_path / "x")
+        with known():
+            trained(tmp_path / "y", "toy", ("Walk-v0", "Wide-v0"), 0)
+    finally:
+        del gym.registry["Wide-v0"], gym.registry["Four-v0"]
+    assert not (tmp_path / "x").exists()

@@ -1,0 +1,266 @@
+"""Trainings that end at any moment, by enumeration: of every operation on files, and every file.
+
+The operations of a small training are recorded. From every prefix of them a folder is made, with
+what was not flushed cut off, and the training goes on there: it must end as if never interrupted.
+"""
+
+import os
+import shutil
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_runs import SAC, TRPO, few_episodes, results
+from toy_family import known
+
+import agents
+from agents.api import configs_of
+from agents.errors import UserError
+from agents.results.reading import read
+from agents.training import trainer
+from agents.training.trainer import train
+
+SETTINGS = {"seeds": (0, 1), "steps": 120, "checkpoint_every": 30, "evaluate_every": 60}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def toy():
+    with known(), few_episodes(1):
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def often():
+    """A checkpoint whenever one is due by steps."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trainer, "WRITING_SHARE", 1e9)
+        yield
+
+
+def config(algorithm="toy", **more):
+    own = SETTINGS | more
+    hyperparameters = {k: own.pop(k) for k in list(own) if k not in SETTINGS and k != "backend"}
+    [made] = configs_of(algorithm, "Walk-v0", [hyperparameters], "eager", own)
+    return made
+
+
+class Operations:
+    """Operations on the files of a folder, in order: (kind, path, content).
+
+    A file counts as far as it was flushed when it got its name.
+    """
+
+    def __init__(self, folder, patch):
+        self.folder, self.all, self.flushed = folder, [], {}
+        fsync, replace = os.fsync, os.replace
+        unlink, mkdir = Path.unlink, Path.mkdir
+
+        def recorded_fsync(file):
+            fsync(file)
+            path = os.readlink(f"/proc/self/fd/{file}")
+            self.flushed[path] = Path(path).read_bytes()
+            self._note("write", path, self.flushed[path])
+
+        def recorded_replace(source, target):
+            replace(source, target)
+            content = self.flushed.get(str(source), b"")
+            self._note("remove", source)
+            self._note("write", target, content)
+
+        def recorded_unlink(path, **kwargs):
+            if path.exists():
+                self._note("remove", path)
+            unlink(path, **kwargs)
+
+        def recorded_mkdir(path, *args, **kwargs):
+            self._note("mkdir", path)
+            mkdir(path, *args, **kwargs)
+
+        patch.setattr(os, "fsync", recorded_fsync)
+        patch.setattr(os, "replace", recorded_replace)
+        patch.setattr(Path, "unlink", recorded_unlink)
+        patch.setattr(Path, "mkdir", recorded_mkdir)
+
+    def _note(self, kind, path, content=None):
+        if Path(path).is_relative_to(self.folder):
+            self.all.append((kind, str(Path(path).relative_to(self.folder)), content))
+
+    def states(self, before):
+        """The files after every prefix, each once; files that are being written also torn. before:
+        the files at first; the value of a folder is None."""
+        now, seen = dict(before), set()
+        for kind, path, content in [("mkdir", ".", None), *self.all]:
+            versions = []
+            if kind == "remove":
+                now.pop(path, None)
+            elif path.endswith(".unfinished"):
+                versions = [now | {path: content[: len(content) // 2]}]
+                now[path] = content
+            else:
+                now[path] = content
+            for state in (*versions, dict(now)):
+                key = frozenset(state.items())
+                if key not in seen and "config.json" in state:
+                    seen.add(key)
+                    yield state
+
+
+def files_of(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+def made(folder, state):
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for name, content in sorted(state.items()):
+        path = folder / name
+        if content is None:
+            path.mkdir(parents=True, exist_ok=True)
+        else:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+    return folder
+
+
+def recorded(folder, go):
+    before = files_of(folder) if folder.exists() else {}
+    with pytest.MonkeyPatch.context() as patch:
+        operations = Operations(folder, patch)
+        go(folder)
+    return list(operations.states(before))
+
+
+def assert_goes_on(folder, expected):
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*going on from the checkpoint before it.*")
+        train(folder)
+    assert results(folder) == expected
+    assert not list(folder.rglob("*unfinished*"))
+    assert len(list((folder / "checkpoints").iterdir())) <= 3  # of a kill before the oldest went
+
+
+CHOICES = {"toy": {}, "trpo-lag": TRPO, "sac-lag": SAC}
+
+
+@pytest.mark.parametrize(("algorithm", "every"), [("toy", 1), ("trpo-lag", 7), ("sac-lag", 7)])
+def test_every_prefix_of_the_operations_goes_on_to_the_same(tmp_path, algorithm, every):
+    folder, chosen = tmp_path / "whole", config(algorithm, **CHOICES[algorithm])
+
+    def go(folder):
+        chosen.write(folder)
+        train(folder)
+
+    states = recorded(folder, go)
+    flushed = {name: content for name, content in states[-1].items() if content is not None}
+    assert flushed == {n: c for n, c in files_of(folder).items() if c is not None and n != ".lock"}
+    expected = results(folder)
+    assert {name.split("/")[0] for name in expected} == {
+        *("config.json", "results.npz", "checkpoints", "policies")
+    }
+    assert len(states) > 45
+    for state in states[::every]:
+        assert_goes_on(made(tmp_path / "cut", state), expected)
+
+
+def test_a_training_that_goes_on_may_end_at_any_moment_too(tmp_path):
+    """It drops a damaged checkpoint, and what was written behind the one before."""
+    folder = tmp_path / "whole"
+    config().write(folder)
+    train(folder)
+    expected = results(folder)
+    newest = sorted((folder / "checkpoints").iterdir())[-1]
+    newest.write_bytes(newest.read_bytes()[:-30])
+    with pytest.warns(UserWarning, match="going on from the checkpoint before it"):
+        states = recorded(folder, train)
+    assert results(folder) == expected
+    assert len(states) > 10
+    for state in states:
+        assert_goes_on(made(tmp_path / "cut", state), expected)
+
+
+@pytest.fixture(scope="module", params=["finished", "interrupted"])
+def left(request, tmp_path_factory):
+    """A folder, and the results to which it leads."""
+    root = tmp_path_factory.mktemp("left")
+    config().write(root / "whole")
+    train(root / "whole")
+    if request.param == "finished":
+        return root / "whole", results(root / "whole")
+    config().write(root / "part")
+    train(root / "part", lambda trainer: trainer.epoch < 3)
+    return root / "part", results(root / "whole")
+
+
+DAMAGES = {
+    "removed": lambda data: None,
+    "empty": lambda data: b"",
+    "torn": lambda data: data[: len(data) // 2],
+    "JSON": lambda data: b"[" * 50_000,
+}
+DAMAGES |= {
+    f"bit at {share}": lambda data, share=share: (
+        data[: (at := min(int(share * len(data)), len(data) - 1))]
+        + bytes([data[at] ^ 16])
+        + data[at + 1 :]
+    )
+    for share in (0.0, 0.3, 0.7, 0.9, 0.97)
+}
+
+
+def test_every_damaged_file_gives_the_same_or_one_error_that_names_it(left, tmp_path):
+    """And what reads the folder meanwhile gives no other number."""
+    folder, expected = left
+    finished = (folder / "results.npz").exists()
+    names = [n for n, c in files_of(folder).items() if c is not None and not n.endswith(".lock")]
+    for name in names:
+        for kind, damage in DAMAGES.items():
+            shutil.rmtree(tmp_path / "x", ignore_errors=True)
+            copy = shutil.copytree(folder, tmp_path / "x")
+            content = damage((copy / name).read_bytes())
+            (copy / name).unlink()
+            if content is not None:
+                (copy / name).write_bytes(content)
+            if finished:
+                assert_reads_the_same(copy, folder)
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", ".*going on from the checkpoint before it.*")
+                try:
+                    train(copy)
+                except UserError as error:
+                    assert name.split("/")[0] in str(error) or str(copy) in str(error), (name, kind)
+                    continue
+            found = results(copy)
+            if name.startswith(("policies", "config", "checkpoints")) and name in found:
+                found[name] = expected[name]  # looked at when they are loaded, or loaded as equal
+            assert found == expected, (name, kind)
+
+
+def assert_reads_the_same(copy, whole):
+    """Or an error, or the run is left out with a note."""
+    notes = []
+    try:
+        groups = read([copy], notes)
+    except UserError:
+        return
+    [expected] = read([whole], [])
+    for run in groups[0].runs:
+        other = next(other for other in expected.runs if other.seed == run.seed)
+        assert run.measures == other.measures
+        for name, column in vars(other.records).items():
+            np.testing.assert_array_equal(getattr(run.records, name), column)
+    assert set(groups[0].seeds) | set(groups[0].missing) == {0, 1}
+
+
+def test_a_policy_on_the_way_that_is_damaged_is_named(tmp_path):
+    config("trpo-lag", **TRPO).write(tmp_path / "x")
+    train(tmp_path / "x")
+    paths = sorted((tmp_path / "x" / "policies").rglob("*.npz"))
+    assert paths
+    for path in paths[:1]:
+        path.write_bytes(path.read_bytes()[:-20])
+        with pytest.raises(UserError, match=f"{path.name} is damaged"):
+            agents.load_policy(tmp_path / "x", int(path.parent.name), step=int(path.stem))

@@ -1,0 +1,136 @@
+"""Trainings that stop or are killed go on as if never interrupted, bit for bit."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_runs import SAC, TRPO, results
+
+import agents
+from agents.errors import UserError
+from agents.training import trainer as module
+from agents.training.trainer import train
+
+OPTIONS = {"seeds": (3, 4), "steps": 240, "checkpoint_every": 60, "evaluate_every": 100}
+FAMILIES = {"trpo-lag": TRPO, "cpo": TRPO, "ppo-lag": TRPO, "sac-lag": SAC, "wcsac": SAC}
+
+
+def trained(out, algorithm, task="Walk-v0", **more):
+    return agents.train(algorithm, task, out=out, **OPTIONS, **FAMILIES[algorithm], **more).folder
+
+
+@pytest.mark.parametrize("algorithm", FAMILIES)
+def test_a_stop_after_any_epoch(tmp_path, algorithm):
+    """Episodes end early, observations are float64; the parameters are compared too."""
+    expected = results(trained(tmp_path / "whole", algorithm))
+    broken, stops = tmp_path / "broken", []
+
+    def stop(epoch):
+        stops.append(epoch.runs)
+        return np.bool_(False)
+
+    trained(broken, algorithm, on_epoch=stop)
+    while not (broken / "results.npz").exists():
+        agents.resume(broken, on_epoch=stop)
+        assert len(stops) < 50
+    assert len(stops) > 2
+    assert results(broken) == expected
+
+
+def test_a_stop_of_two_tasks_and_of_tasks_with_a_view(tmp_path):
+    tasks = ("Seen-v0", "Walk-v0")
+    expected = results(trained(tmp_path / "whole", "trpo-lag", tasks))
+    broken = tmp_path / "broken"
+    trained(broken, "trpo-lag", tasks, on_epoch=lambda epoch: False)
+    agents.resume(broken)
+    assert results(broken) == expected
+
+
+def test_what_was_reached_by_a_stop_is_kept(tmp_path):
+    seen = []
+
+    def stop(epoch):
+        seen.append(epoch)
+        return len(seen) < 3
+
+    runs = trained(tmp_path / "x", "sac-lag", "Circle2D-1-v0", on_epoch=stop)
+    records = agents.load_runs(runs).records[runs, 3]
+    assert records.total_steps == 150
+    assert seen[-1].runs[3]["return"] == records.reward[-1]
+    with pytest.raises(UserError, match="unfinished"):
+        _ = agents.load_runs(runs).results
+    assert agents.evaluate(runs, episodes=1).returns.shape == (2, 1)
+    resumed = agents.resume(runs, on_epoch=seen.append)
+    assert seen[3].runs[3]["step"] == 200
+    assert [run.seed for run in resumed.results[0].runs] == [3, 4]
+
+
+def test_an_error_of_a_callback_loses_no_checkpoint(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "WRITING_SHARE", 1e9)
+
+    def fail(epoch):
+        if epoch.runs[3]["step"] >= 180:
+            raise RuntimeError("in the middle")
+
+    with pytest.raises(RuntimeError, match="in the middle"):
+        trained(tmp_path / "x", "trpo-lag", on_epoch=fail)
+    assert 60 <= module_steps(tmp_path / "x") < 240
+    agents.resume(tmp_path / "x")
+    assert results(tmp_path / "x") == results(trained(tmp_path / "whole", "trpo-lag"))
+
+
+def module_steps(folder):
+    newest = sorted((folder / "checkpoints").iterdir())[-1]
+    return int(np.load(newest)["steps"].min())
+
+
+def test_a_finished_training_is_evaluated_again_and_stays_the_same(tmp_path):
+    folder = trained(tmp_path / "x", "trpo-lag")
+    expected = results(folder)
+    train(folder)
+    assert results(folder) == expected
+    (folder / "results.npz").write_text("torn")
+    train(folder)
+    assert results(folder) == expected
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+import toys
+from agents.training import trainer
+from small_runs import few_episodes
+toys.register()
+trainer.WRITING_SHARE = 1e9
+with few_episodes():
+    trainer.train(Path(sys.argv[2]))
+"""
+
+
+@pytest.mark.parametrize(
+    "algorithm", ["sac-lag", pytest.param("cpo", marks=pytest.mark.slow)]
+)
+def test_a_process_that_is_killed(tmp_path, algorithm):
+    """After its second checkpoint, wherever it is by then; a new process goes on."""
+    more = {"out": tmp_path / "whole", **OPTIONS, **FAMILIES[algorithm]} | {"steps": 1200}
+    whole = agents.train(algorithm, "Walk-v0", **more).folder
+    broken = tmp_path / "broken"
+    agents.train(algorithm, "Walk-v0", **(more | {"out": broken}), on_epoch=lambda epoch: False)
+    command = [sys.executable, "-c", PROGRAM, str(Path(__file__).parents[1]), str(broken)]
+    process = subprocess.Popen(command)
+    deadline = time.monotonic() + 300
+    while module_steps(broken) < 200:
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (broken / "results.npz").exists()
+    agents.resume(broken)
+    assert results(broken) == results(whole)
