@@ -33,9 +33,7 @@ def draw(archive: Path, picture: Path) -> None:
     columns, views = [], [Circle2DView(Circle2DConfig(level=level)) for level in LEVELS]
     for choice, title in COLUMNS.items():
         visits = [groups[f"Circle2D-{k}-v0-sac-lb-streak{choice}"].visits()[0] for k in LEVELS]
-        columns.append(
-            Column(title, views, visits)
-        )
+        columns.append(Column(title, views, visits))
     titles = [f"level {level}" for level in LEVELS]
     write_picture(picture, heat_figure(columns, titles, SIZE))
 
