@@ -6,7 +6,7 @@ import contextlib
 import importlib
 import io
 from collections.abc import Iterable, Sequence
-from itertools import takewhile
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -54,20 +54,23 @@ def parse(options: type[T], command: str, args: Sequence[str]) -> T:
         raise UserError("; ".join([_in_a_line(message.getvalue()), *meant])) from None
 
 
-def values_of(option: str, args: Sequence[str]) -> list[str]:
-    """The words behind an option, which others depend on, before the options are read."""
+def values_of(option: str, args: Sequence[str], most: int | None = None) -> list[str]:
+    """The words behind an option, which others depend on, before the options are read.
+
+    most: words that the option takes each time.
+    """
     words: list[str] = []
     for place, arg in enumerate(args):
         name, equals, value = arg.partition("=")
         if name == option:
             behind = takewhile(lambda word: not word.startswith("--"), args[place + 1 :])
-            words += [value] if equals else behind
+            words += [value] if equals else islice(behind, most)
     return words
 
 
 def import_modules(args: Sequence[str]) -> None:
     """Import the modules that `--import` names. Raises UserError where one cannot be imported."""
-    for name in values_of("--import", args):
+    for name in values_of("--import", args, most=1):
         if name.endswith(".py"):
             raise UserError(f"--import takes a module's name: {name.removesuffix('.py')!r}")
         try:
