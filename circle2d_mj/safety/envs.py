@@ -1,4 +1,4 @@
-"""The paper's other three tasks as gymnasium environments."""
+"""Safety-Gymnasium's tasks as gymnasium environments."""
 
 from __future__ import annotations
 
@@ -36,7 +36,10 @@ class SafetyVectorEnv(TaskVectorEnv):
     ) -> None:
         if task not in TASKS:
             raise ValueError(f"task must be one of {list(TASKS)}, got {task!r}")
-        simulation = pkgutil.resolve_name(TASKS[task].simulation)(num_envs, num_threads)
+        found = TASKS[task]
+        simulation = pkgutil.resolve_name(found.simulation)(
+            **found.arguments, num_envs=num_envs, num_threads=num_threads
+        )
         super().__init__(
             simulation,
             max_episode_steps=max_episode_steps,

@@ -1,6 +1,8 @@
-"""Layouts of SafetyPointGoal1-v0 (agent, goal, hazards, vase), by rejection sampling."""
+"""Layouts: places for an agent and its objects, by rejection sampling."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,61 +11,65 @@ from circle2d_mj.core.streams import Streams
 
 Floats = NDArray[np.float64]
 
-AGENT, GOAL, HAZARDS, VASE = 0, 1, slice(2, 10), 10
-"""Rows of a layout, in the order in which objects are placed"""
-KEEPOUT = np.array((0.4, 0.305, *[0.18] * 8, 0.15))
-"""Keepout of each object, m: two objects are at least the sum of theirs apart."""
-HALF_WIDTH = 1.5
-"""Half-width in m of the square that holds every object's keepout circle"""
-
 OBJECT_TRIES, LAYOUT_TRIES, GOAL_TRIES = 100, 10_000, 10_000
 _BLOCK = 10  # points that are tried at a time; more are seldom needed
+
+
+class Areas(NamedTuple):
+    """Where each of k objects may be placed, in the order in which they are."""
+
+    centre: Floats
+    """[k, 2] m"""
+    half: Floats
+    """[k, 2] m, half-widths of the rectangle that holds the object's centre"""
+    keepout: Floats
+    """[k] m; two objects are at least the sum of theirs apart."""
 
 
 def sample_layout(
     streams: Streams,
     index: NDArray[np.intp],
-    keepout: Floats = KEEPOUT,
+    areas: Areas,
     layout_tries: int = LAYOUT_TRIES,
 ) -> Floats:
     """Draw a place for each object of the environments `index`: [len(index), objects, 2] m.
 
-    One object after the other is drawn uniformly from the square less a border as wide as its
-    keepout, until it is far enough from those before it. Where 100 draws of one have failed, that
-    environment starts over. Raises RuntimeError where 10 000 attempts have failed.
+    One object after the other is drawn uniformly from its rectangle until it is far enough from
+    those before it. Where 100 draws of one have failed, that environment starts over. Raises
+    RuntimeError where 10 000 attempts have failed.
     """
-    layout = np.empty((len(index), len(keepout), 2))
+    layout = np.empty((len(index), len(areas.keepout), 2))
     waiting = np.arange(len(index))
     for _ in range(layout_tries):
-        attempt, complete = _attempt(streams, index[waiting], keepout)
+        attempt, complete = _attempt(streams, index[waiting], areas)
         layout[waiting] = attempt
         waiting = waiting[~complete]
         if not len(waiting):
             return layout
-    raise RuntimeError(f"no layout found in {layout_tries} attempts for keepouts {keepout}")
+    raise RuntimeError(f"no layout found in {layout_tries} attempts for keepouts {areas.keepout}")
 
 
-def sample_goal(
-    streams: Streams, index: NDArray[np.intp], layout: Floats
+def sample_again(
+    streams: Streams, index: NDArray[np.intp], areas: Areas, row: int, layout: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Draw a new place for the goal among the other objects, and return whether there was one.
+    """Draw a new place for one object among the others, and return whether there was one.
 
-    layout: [len(index), objects, 2] -> [len(index), 2], bool [len(index)]. The old goal does not
+    layout: [len(index), objects, 2] -> [len(index), 2], bool [len(index)]. The old place does not
     block. Where none of 10 000 points is free, the old place is returned.
     """
-    others, apart = np.delete(layout, GOAL, axis=1), KEEPOUT[GOAL] + np.delete(KEEPOUT, GOAL)
+    keepout = areas.keepout
+    others, apart = np.delete(layout, row, axis=1), keepout[row] + np.delete(keepout, row)
     first = _unit_points(streams, index, _BLOCK)
-    place, found = _first_free(
-        streams, index, first, HALF_WIDTH - KEEPOUT[GOAL], others, apart, GOAL_TRIES
-    )
-    return np.where(found[:, None], place, layout[:, GOAL]), found
+    area = areas.centre[row], areas.half[row]
+    place, found = _first_free(streams, index, first, area, others, apart, GOAL_TRIES)
+    return np.where(found[:, None], place, layout[:, row]), found
 
 
 def _attempt(
-    streams: Streams, index: NDArray[np.intp], keepout: Floats
+    streams: Streams, index: NDArray[np.intp], areas: Areas
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Draw layouts, and return which are complete: [len(index), objects, 2], [len(index)]."""
-    count = len(keepout)
+    count = len(areas.keepout)
     layout = np.empty((len(index), count, 2))
     complete = np.ones(len(index), dtype=bool)
     # One large draw for what all objects most likely need costs less than a draw for each.
@@ -73,9 +79,9 @@ def _attempt(
             streams,
             index,
             points[:, i],
-            HALF_WIDTH - keepout[i],
+            (areas.centre[i], areas.half[i]),
             layout[:, :i],
-            keepout[i] + keepout[:i],
+            areas.keepout[i] + areas.keepout[:i],
             OBJECT_TRIES,
         )
         complete &= found
@@ -86,22 +92,24 @@ def _first_free(
     streams: Streams,
     index: NDArray[np.intp],
     points: Floats,
-    half_width: float,
+    area: tuple[Floats, Floats],
     others: Floats,
     apart: Floats,
     tries: int,
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the first of `tries` points of each environment that is clear of the others.
 
-    points: the first block of them, in units of half_width, [n, block, 2]; others: [n, k, 2];
-    apart: [k], distances to keep -> [n, 2] (the first point where none is free), and bool [n].
+    points: the first block of them, in units of the area, [n, block, 2]; area: its centre and
+    half-widths, [2] each; others: [n, k, 2]; apart: [k], distances to keep -> [n, 2] (the first
+    point where none is free), and bool [n].
     """
-    place, found = _pick(points * half_width, others, apart)
+    centre, half = area
+    place, found = _pick(centre + points * half, others, apart)
     for _ in range(tries // _BLOCK - 1):
         waiting = np.flatnonzero(~found)
         if not len(waiting):
             break
-        points = _unit_points(streams, index[waiting], _BLOCK) * half_width
+        points = centre + _unit_points(streams, index[waiting], _BLOCK) * half
         place[waiting], found[waiting] = _pick(points, others[waiting], apart)
     return place, found
 
