@@ -29,14 +29,11 @@ class Point:
     """
 
     name = "Point"
-    nq, nv = 3, 3
+    nq, nv, bodies = 3, 3, 1
     sensors = 12
     height = 0.1
     radius = 0.18
     """Of a ball round its origin that holds it, m"""
-    stride = 0.1
-    """How far agent and what it pushes may move in a step, m: see `navigation.OutOfReach`"""
-    on_wheels = False
 
     def qpos(self, place: Floats, heading: Floats) -> Floats:
         """Return the state at rest at places [n, 2] with headings [n]: [n, 3]."""
@@ -48,17 +45,9 @@ class Point:
         position[:, :2] = qpos[:, :2]
         return position
 
-    def axes(self, qpos: Floats) -> Floats:
-        """Return the body's x and y axes in the world: [n, nq] -> [n, 2, 3]."""
-        heading = qpos[:, 2].copy()
-        axes = np.zeros((len(qpos), 2, 3))
-        axes[:, 0, 0] = axes[:, 1, 1] = np.cos(heading)
-        axes[:, 0, 1] = np.sin(heading)
-        axes[:, 1, 0] = -axes[:, 0, 1]
-        return axes
-
-    def observe(self, sensed: Floats) -> Floats:
-        """Return the observation's first numbers: MuJoCo's sensors [n, >= 12] -> [n, 12]."""
+    def observe(self, sensed: Floats, rotations: Floats) -> Floats:
+        """Return the observation's first numbers: MuJoCo's sensors [n, >= 12] and rotations of the
+        agent's bodies -> [n, 12]."""
         return sensed[:, : self.sensors]
 
 
@@ -80,12 +69,10 @@ class Car:
     """
 
     name = "Car"
-    nq, nv = 13, 11
+    nq, nv, bodies = 13, 11, 4
     sensors = 24
     height = 0.1
     radius = 0.22
-    stride = 0.1
-    on_wheels = True
 
     def qpos(self, place: Floats, heading: Floats) -> Floats:
         """Return the state at rest at places [n, 2] with headings [n]: [n, 13]."""
@@ -99,13 +86,12 @@ class Car:
         """Return where the agents' origins are in the world: [n, nq] -> [n, 3] m."""
         return qpos[:, :3].copy()
 
-    def axes(self, qpos: Floats) -> Floats:
-        """Return the body's x and y axes in the world: [n, nq] -> [n, 2, 3]."""
-        return np.swapaxes(rotation(qpos[:, 3:7]), 1, 2)[:, :2]
-
-    def observe(self, sensed: Floats) -> Floats:
-        """Return the observation's first numbers: MuJoCo's sensors [n, >= 19] -> [n, 24]."""
-        ball = rotation(sensed[:, 15:19]).reshape(-1, 9)
+    def observe(self, sensed: Floats, rotations: Floats) -> Floats:
+        """Return the observation's first numbers: MuJoCo's sensors [n, >= 15] and rotations of the
+        agent's bodies [n, 4, 3, 3], car first, ball last -> [n, 24]."""
+        # Sums of products, and no matrix product, whose order depends on the number of cars.
+        in_car = rotations[:, 0, :, :, None] * rotations[:, -1, :, None, :]
+        ball = np.add.reduce(in_car, axis=1).reshape(-1, 9)
         return np.concatenate((sensed[:, :15], ball), axis=1)
 
 
@@ -120,15 +106,3 @@ def action_space() -> Box:
     space keeps the original's type, so that its samples and those who compare are not rounded.
     """
     return Box(-1.0, 1.0, (2,), np.float64)
-
-
-def rotation(quaternion: Floats) -> Floats:
-    """Return the matrices of rotations given as quaternions of any length: [n, 4] -> [n, 3, 3]."""
-    w, x, y, z = quaternion.T.copy()
-    w, x, y, z = np.stack((w, x, y, z)) / np.sqrt(w * w + x * x + y * y + z * z)
-    rows = (
-        (w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

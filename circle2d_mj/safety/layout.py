@@ -12,7 +12,7 @@ from circle2d_mj.core.streams import Streams
 Floats = NDArray[np.float64]
 
 OBJECT_TRIES, LAYOUT_TRIES, GOAL_TRIES = 100, 10_000, 10_000
-_BLOCK = 10  # points that are tried at a time; more are seldom needed
+_BLOCK = 10  # points that are tried at first; more are seldom needed
 
 
 class Areas(NamedTuple):
@@ -75,16 +75,17 @@ def _attempt(
     # One large draw for what all objects most likely need costs less than a draw for each.
     points = _unit_points(streams, index, count * _BLOCK).reshape(-1, count, _BLOCK, 2)
     for i in range(count):
-        layout[:, i], found = _first_free(
+        layout[complete, i], complete[complete] = _first_free(
             streams,
-            index,
-            points[:, i],
+            index[complete],
+            points[complete, i],
             (areas.centre[i], areas.half[i]),
-            layout[:, :i],
+            layout[complete, :i],
             areas.keepout[i] + areas.keepout[:i],
             OBJECT_TRIES,
         )
-        complete &= found
+        if not complete.any():
+            break
     return layout, complete
 
 
@@ -105,12 +106,13 @@ def _first_free(
     """
     centre, half = area
     place, found = _pick(centre + points * half, others, apart)
-    for _ in range(tries // _BLOCK - 1):
+    tried = _BLOCK
+    while tried < tries and not found.all():
         waiting = np.flatnonzero(~found)
-        if not len(waiting):
-            break
-        points = centre + _unit_points(streams, index[waiting], _BLOCK) * half
+        block = min(9 * tried, tries - tried)
+        points = centre + _unit_points(streams, index[waiting], block) * half
         place[waiting], found[waiting] = _pick(points, others[waiting], apart)
+        tried += block
     return place, found
 
 

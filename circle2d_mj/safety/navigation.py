@@ -21,6 +21,12 @@ from circle2d_mj.safety.mujoco_task import MuJoCoTask
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 SUBSTEPS = 10
+AT_REST = 1e-8
+"""Speed in m/s and rad/s below which an object stands. At the start it is 0 exactly, and objects
+have yet to settle by micrometres."""
+STRIDE = 0.1
+"""How far an agent, or what it pushes, may move within a step, m: see the tests"""
+_QUIET = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 
 
 class NavigationTask(MuJoCoTask):
@@ -63,11 +69,16 @@ class NavigationTask(MuJoCoTask):
         self._mocap_pos = self.batch.bind("mocap_pos").reshape(n, -1, 3)
         self._mocap_quat = self.batch.bind("mocap_quat").reshape(n, -1, 4)
         self._time = self.batch.bind("time").reshape(n)
+        rotations = self.batch.bind("xmat").reshape(n, -1, 3, 3)
+        self._rotations = rotations[:, 1 : 1 + self.agent.bodies]
         rows = self.world.rows
         targets = [np.arange(len(self.world.areas.keepout))[rows[kind]] for kind in scene.lidars]
         self._targets = np.concatenate(targets) if targets else np.zeros(0, dtype=np.intp)
         self._groups = np.repeat(np.arange(len(targets)), [len(t) for t in targets])
         self._driven = "gremlins" in rows
+        self._first_gremlin = len(self.world.mocap) - free  # of the mocap bodies
+        self._flags = self.batch.expand("opt.disableflags")
+        self._rests = _Resting(self) if free and not self._driven else None
         # Where everything was placed, m: [num_envs, objects, 2]; a goal's place is the current one.
         self._layout = np.zeros((n, len(self.world.areas.keepout), 2))
         self._places = self._layout.copy()  # where everything is now
@@ -113,13 +124,14 @@ class NavigationTask(MuJoCoTask):
         self.batch.state[index] = self._initial
         self._mocap_pos[index, :, :2] = places[:, world.mocap]
         if self._driven:
-            first = len(world.mocap) - objects.shape[1]
-            self._mocap_quat[index, first:] = objects[:, :, 3:]
+            self._mocap_quat[index, self._first_gremlin :] = objects[:, :, 3:]
         self.qpos[index], self.qvel[index] = qpos, 0.0
         self.settle(index)
 
     def settle(self, index: NDArray[np.intp]) -> None:
         """Bring sensors and places in line with states that were just written."""
+        if self._rests:
+            self._rests.wake(index)
         self.batch.forward(index)
         self._sense(index)
         self._look()
@@ -130,10 +142,7 @@ class NavigationTask(MuJoCoTask):
 
     def put_gremlins(self, index: int, offset: Floats) -> None:
         """Set where gremlins aim, relative to their places: [gremlins, 3] m."""
-        rest = self._layout[index, self.world.rows["gremlins"]]
-        target = self._mocap_pos[index, len(self.world.mocap) - len(rest) :]
-        target[:, :2] = rest + offset[:, :2]
-        target[:, 2] = self.world.kinds["gremlins"].height + offset[:, 2]
+        self._mocap_pos[index, self._first_gremlin :] = self._gremlins_at_rest(index) + offset
 
     def step(self, action: Floats) -> Outcome:
         """Move all agents by their actions, [num_envs, 2], and renew the goals that they reach."""
@@ -160,11 +169,11 @@ class NavigationTask(MuJoCoTask):
 
     def observe(self) -> Floats:
         """Return the observations: [num_envs, observation size]."""
-        sensed = self.agent.observe(self.sensors)
+        sensed = self.agent.observe(self.sensors, self._rotations)
         if not len(self._targets):
             return sensed.copy()
-        axes, reach = self.agent.axes(self.qpos), self.world.scene.reach
-        targets = self._places[:, self._targets]
+        axes = self._rotations[:, 0, :, :2]
+        targets, reach = self._places[:, self._targets], self.world.scene.reach
         lidars = rules.lidar(self._position, axes, targets, reach, self._groups)
         return np.concatenate((sensed, lidars), axis=1)
 
@@ -179,6 +188,7 @@ class NavigationTask(MuJoCoTask):
         self._layout[:] = state["layout"]
         self._goals.keys[:] = state["goal_keys"]
         self._goals.counters[:] = state["goal_counters"]
+        self.batch.forward()  # rotations
         self._look()
 
     @property
@@ -246,18 +256,33 @@ class NavigationTask(MuJoCoTask):
         self._distance = rules.distance(self._position, self._places)
 
     def _take_substeps(self) -> None:
-        if not self._driven:
-            super()._take_substeps()
-            return
-        rest = self._layout[:, self.world.rows["gremlins"]]
-        target = self._mocap_pos[:, len(self.world.mocap) - rest.shape[1] :]
-        height = self.world.kinds["gremlins"].height
-        for _ in range(SUBSTEPS):
-            offset = rules.gremlin_offset(self._time)[:, None]
-            target[:, :, :2] = rest + offset[..., :2]
-            target[:, :, 2] = height + offset[..., 2]
-            self.batch.step(nstep=1)
+        # The sensors of all substeps but the last would take a tenth of the time.
+        self._flags |= _QUIET
+        if self._driven:
+            self._drive_gremlins()
+        elif self._rests:
+            self._rests.step(self._distance, self._places)
+        else:
+            self.batch.step(nstep=SUBSTEPS)
+        self._flags &= ~_QUIET
         self.batch.forward()
+
+    def _drive_gremlins(self) -> None:
+        """Take the substeps, before each of which the gremlins' targets move."""
+        clock = np.full((self.num_envs, SUBSTEPS), self.model.opt.timestep)
+        clock[:, 0] = self._time
+        offset = rules.gremlin_offset(np.add.accumulate(clock, axis=1))
+        aims = self._gremlins_at_rest(slice(None))[:, None] + offset[:, :, None]
+        target = self._mocap_pos[:, self._first_gremlin :]
+        for k in range(SUBSTEPS):
+            target[:] = aims[:, k]
+            self.batch.step(nstep=1)
+
+    def _gremlins_at_rest(self, index: int | slice) -> Floats:
+        """Where gremlins were placed: [..., gremlins, 3]."""
+        places = self._layout[index, self.world.rows["gremlins"]]
+        heights = np.full((*places.shape[:-1], 1), self.world.kinds["gremlins"].height)
+        return np.concatenate((places, heights), axis=-1)
 
     def _space(self) -> Box:
         """12 or 24 unbounded sensors, 16 bins in [0, 1] for each lidar."""
@@ -265,3 +290,60 @@ class NavigationTask(MuJoCoTask):
         low = np.concatenate((np.full(self.agent.sensors, -np.inf), np.zeros(bins)))
         high = np.concatenate((np.full(self.agent.sensors, np.inf), np.ones(bins)))
         return Box(low, high, dtype=np.float64)
+
+
+class _Resting:
+    """The free objects that rest out of reach: a step leaves them as they are.
+
+    Most of a step's time goes into contacts of objects with the floor. Those of objects that stand,
+    and that neither the agent nor an object that could move can touch within the step, are left
+    out, and the objects' states are put back after it. Which objects do is a function of the
+    state.
+    """
+
+    def __init__(self, task: NavigationTask) -> None:
+        world = task.world
+        (kind,) = (kind for kind in world.kinds.values() if kind.physics == "free")
+        self._batch, self._free = task.batch, world.free
+        self._qpos, self._qvel = task._free_qpos, task._free_qvel
+        self._of_agent = task.agent.radius + kind.radius + STRIDE
+        self._of_object = 2 * kind.radius + STRIDE
+        first = world.model.body(worlds.names(kind, 1)[0]).geomadr[0]
+        self._geoms = (world.model.ngeom - first) // self._qpos.shape[1]
+        self._collides = [
+            task.batch.expand(f"geom_{name}")[:, first:] for name in ("contype", "conaffinity")
+        ]
+
+    def wake(self, index: NDArray[np.intp]) -> None:
+        """Let all objects of the environments `index` collide."""
+        for collides in self._collides:
+            collides[index] = 1
+
+    def step(self, distance: Floats, places: Floats) -> None:
+        """Take the substeps. distance: [num_envs, objects], from the agent; places: [.., 2]."""
+        awake = self._awake(distance[:, self._free], places[:, self._free])
+        for collides in self._collides:
+            collides[:] = np.repeat(awake, self._geoms, axis=1)
+        if awake.all():
+            self._batch.step(nstep=SUBSTEPS)
+            return
+        qpos, qvel, asleep = self._qpos.copy(), self._qvel.copy(), ~awake[..., None]
+        self._batch.step(nstep=SUBSTEPS)
+        np.copyto(self._qpos, qpos, where=asleep)
+        np.copyto(self._qvel, qvel, where=asleep)
+
+    def _awake(self, distance: Floats, places: Floats) -> Flags:
+        """Which objects may move in this step: [num_envs, k]."""
+        speed = np.maximum.reduce(np.abs(self._qvel), axis=2)
+        awake = (speed == 0.0) | (speed >= AT_REST) | (distance < self._of_agent)
+        if awake.shape[1] == 1 or not awake.any():
+            return awake
+        # What is awake may push what it reaches, and that may push others.
+        dx = places[:, :, None, 0] - places[:, None, :, 0]
+        dy = places[:, :, None, 1] - places[:, None, :, 1]
+        near = dx * dx + dy * dy < self._of_object**2
+        while True:
+            reached = (near & awake[:, None, :]).any(axis=2)
+            if (reached <= awake).all():
+                return awake
+            awake |= reached

@@ -62,6 +62,12 @@ def load(env: gym.Env, state: Mapping[str, ArrayLike]) -> None:
         frame = np.array([*position[:2], 2.0 * np.arctan2(quat[3], quat[0])])
         _frames[task] = frame
         qpos, qvel = _into_world(frame, qpos, qvel)
+    if isinstance(task, ButtonTask):
+        button = given.array("goal_button", None)
+        if button not in range(4):
+            raise ValueError(f"state['goal_button'] must be in 0..3, got {button:g}")
+        task.goal_button[0] = button
+        task.timer[0] = given.array("timer", None)
     places = _places(task, given)
     free = qpos[task.agent.nq :].reshape(-1, 7)
     places[task.world.free] = free[:, :2]
@@ -71,12 +77,6 @@ def load(env: gym.Env, state: Mapping[str, ArrayLike]) -> None:
         places[task.world.free] = rest[:, :2]
         half_turns = np.arctan2(rest[:, 6], rest[:, 3])
     index = np.array([0])
-    if isinstance(task, ButtonTask):
-        button = given.array("goal_button", None)
-        if button not in range(4):
-            raise ValueError(f"state['goal_button'] must be in 0..3, got {button:g}")
-        task.goal_button[0] = button
-        task.timer[0] = given.array("timer", None)
     task.place(index, places[None], np.zeros(1), half_turns[None])
     task.qpos[0], task.qvel[0] = qpos, qvel
     task.put_clock(0, float(given.array("time", None)))

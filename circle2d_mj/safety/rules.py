@@ -35,7 +35,7 @@ def lidar(
 ) -> Floats:
     """Return the nearness of the nearest target in each of 16 directions, for each group.
 
-    position: [..., 3]; axes: [..., 2, 3], the body's x and y; targets: [..., k, 2], on the floor;
+    position: [..., 3]; axes: [..., 3, 2], the body's x and y; targets: [..., k, 2], on the floor;
     group: [k], the number of each target's group, ascending from 0 -> [..., 16 * groups] in [0, 1].
     All is measured in the body's plane. Bin b looks from b to b + 1 sixteenths of a turn left of
     the x axis. A target at distance d, a share a into its bin, shows there with
@@ -45,8 +45,8 @@ def lidar(
     dx = targets[..., 0] - position[..., None, 0]
     dy = targets[..., 1] - position[..., None, 1]
     dz = -position[..., None, 2]
-    ahead = dx * axes[..., None, 0, 0] + dy * axes[..., None, 0, 1] + dz * axes[..., None, 0, 2]
-    left = dx * axes[..., None, 1, 0] + dy * axes[..., None, 1, 1] + dz * axes[..., None, 1, 2]
+    ahead = dx * axes[..., None, 0, 0] + dy * axes[..., None, 1, 0] + dz * axes[..., None, 2, 0]
+    left = dx * axes[..., None, 0, 1] + dy * axes[..., None, 1, 1] + dz * axes[..., None, 2, 1]
     strength = np.maximum(reach - np.sqrt(ahead * ahead + left * left), 0.0)
     strength /= reach
     turn = np.arctan2(left, ahead)
