@@ -12,6 +12,7 @@ from circle2d_mj.core.streams import Streams
 Floats = NDArray[np.float64]
 
 OBJECT_TRIES, LAYOUT_TRIES, GOAL_TRIES = 100, 10_000, 10_000
+_AT_ONCE = 32  # attempts, where the first has failed
 _BLOCK = 10  # points that are tried at first; more are seldom needed
 
 
@@ -36,17 +37,31 @@ def sample_layout(
 
     One object after the other is drawn uniformly from its rectangle until it is far enough from
     those before it. Where 100 draws of one have failed, that environment starts over. Raises
-    RuntimeError where 10 000 attempts have failed.
+    RuntimeError where 10 000 attempts or a few more have failed.
     """
-    layout = np.empty((len(index), len(areas.keepout), 2))
-    waiting = np.arange(len(index))
-    for _ in range(layout_tries):
-        attempt, complete = _attempt(streams, index[waiting], areas)
-        layout[waiting] = attempt
-        waiting = waiting[~complete]
-        if not len(waiting):
-            return layout
-    raise RuntimeError(f"no layout found in {layout_tries} attempts for keepouts {areas.keepout}")
+    layout, complete = _attempt(streams, index, areas)
+    waiting, attempts = np.flatnonzero(~complete), 1
+    while len(waiting):
+        if attempts >= layout_tries:
+            raise RuntimeError(
+                f"no layout found in {layout_tries} attempts for keepouts {areas.keepout}"
+            )
+        # Crowded layouts fail often: many attempts at once, each with a stream of its own.
+        keys = stream_keys(streams, index[waiting], _AT_ONCE).ravel()
+        tried, complete = _attempt(Streams(keys), np.arange(len(keys)), areas)
+        complete = complete.reshape(-1, _AT_ONCE)
+        found, first = complete.any(axis=1), complete.argmax(axis=1)
+        tried = tried.reshape(-1, _AT_ONCE, *tried.shape[1:])
+        layout[waiting[found]] = tried[found, first[found]]
+        waiting, attempts = waiting[~found], attempts + _AT_ONCE
+    return layout
+
+
+def stream_keys(streams: Streams, index: NDArray[np.intp], count: int) -> NDArray[np.uint64]:
+    """Draw keys for `count` further streams of each environment: [len(index), count]."""
+    draw = streams.uniform(index, draws=(count + 1) // 2)[:, : 2 * count]
+    words = (draw * 2.0**32).astype(np.uint64).reshape(len(index), count, 2)
+    return words[..., 0] << np.uint64(32) | words[..., 1]
 
 
 def sample_again(

@@ -17,15 +17,10 @@ from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import layout, rules, views, worlds
 from circle2d_mj.safety.agents import action_space
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
+from circle2d_mj.safety.resting import SUBSTEPS, Resting
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-SUBSTEPS = 10
-AT_REST = 1e-8
-"""Speed in m/s and rad/s below which an object stands. At the start it is 0 exactly, and objects
-have yet to settle by micrometres."""
-STRIDE = 0.1
-"""How far an agent, or what it pushes, may move within a step, m: see the tests"""
 _QUIET = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 
 
@@ -78,7 +73,9 @@ class NavigationTask(MuJoCoTask):
         self._driven = "gremlins" in rows
         self._first_gremlin = len(self.world.mocap) - free  # of the mocap bodies
         self._flags = self.batch.expand("opt.disableflags")
-        self._rests = _Resting(self) if free and not self._driven else None
+        objects = self._free_qpos, self._free_qvel
+        sleeps = bool(free) and not self._driven
+        self._rests = Resting(self.batch, self.world, *objects) if sleeps else None
         # Where everything was placed, m: [num_envs, objects, 2]; a goal's place is the current one.
         self._layout = np.zeros((n, len(self.world.areas.keepout), 2))
         self._places = self._layout.copy()  # where everything is now
@@ -94,12 +91,11 @@ class NavigationTask(MuJoCoTask):
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
         """Lay the environments `index` out anew, everything at rest."""
         free = self._free_qpos.shape[1]
-        draw = streams.uniform(index, draws=1 + (free + 2) // 4)
-        words = (draw[:, :2] * 2.0**32).astype(np.uint64)
-        self._goals.reseed(index, words[:, 0] << np.uint64(32) | words[:, 1])
+        self._goals.reseed(index, layout.stream_keys(streams, index, 1)[:, 0])
+        draw = streams.uniform(index, draws=1 + free // 4)
         places = layout.sample_layout(streams, index, self.world.areas)
-        turns = np.pi * draw[:, 3 : 3 + free]  # half of each turn
-        self.place(index, places, 2.0 * np.pi * draw[:, 2], turns)
+        turns = np.pi * draw[:, 1 : 1 + free]  # half of each turn
+        self.place(index, places, 2.0 * np.pi * draw[:, 0], turns)
         self._begin_goals(index)
 
     def place(
@@ -290,60 +286,3 @@ class NavigationTask(MuJoCoTask):
         low = np.concatenate((np.full(self.agent.sensors, -np.inf), np.zeros(bins)))
         high = np.concatenate((np.full(self.agent.sensors, np.inf), np.ones(bins)))
         return Box(low, high, dtype=np.float64)
-
-
-class _Resting:
-    """The free objects that rest out of reach: a step leaves them as they are.
-
-    Most of a step's time goes into contacts of objects with the floor. Those of objects that stand,
-    and that neither the agent nor an object that could move can touch within the step, are left
-    out, and the objects' states are put back after it. Which objects do is a function of the
-    state.
-    """
-
-    def __init__(self, task: NavigationTask) -> None:
-        world = task.world
-        (kind,) = (kind for kind in world.kinds.values() if kind.physics == "free")
-        self._batch, self._free = task.batch, world.free
-        self._qpos, self._qvel = task._free_qpos, task._free_qvel
-        self._of_agent = task.agent.radius + kind.radius + STRIDE
-        self._of_object = 2 * kind.radius + STRIDE
-        first = world.model.body(worlds.names(kind, 1)[0]).geomadr[0]
-        self._geoms = (world.model.ngeom - first) // self._qpos.shape[1]
-        self._collides = [
-            task.batch.expand(f"geom_{name}")[:, first:] for name in ("contype", "conaffinity")
-        ]
-
-    def wake(self, index: NDArray[np.intp]) -> None:
-        """Let all objects of the environments `index` collide."""
-        for collides in self._collides:
-            collides[index] = 1
-
-    def step(self, distance: Floats, places: Floats) -> None:
-        """Take the substeps. distance: [num_envs, objects], from the agent; places: [.., 2]."""
-        awake = self._awake(distance[:, self._free], places[:, self._free])
-        for collides in self._collides:
-            collides[:] = np.repeat(awake, self._geoms, axis=1)
-        if awake.all():
-            self._batch.step(nstep=SUBSTEPS)
-            return
-        qpos, qvel, asleep = self._qpos.copy(), self._qvel.copy(), ~awake[..., None]
-        self._batch.step(nstep=SUBSTEPS)
-        np.copyto(self._qpos, qpos, where=asleep)
-        np.copyto(self._qvel, qvel, where=asleep)
-
-    def _awake(self, distance: Floats, places: Floats) -> Flags:
-        """Which objects may move in this step: [num_envs, k]."""
-        speed = np.maximum.reduce(np.abs(self._qvel), axis=2)
-        awake = (speed == 0.0) | (speed >= AT_REST) | (distance < self._of_agent)
-        if awake.shape[1] == 1 or not awake.any():
-            return awake
-        # What is awake may push what it reaches, and that may push others.
-        dx = places[:, :, None, 0] - places[:, None, :, 0]
-        dy = places[:, :, None, 1] - places[:, None, :, 1]
-        near = dx * dx + dy * dy < self._of_object**2
-        while True:
-            reached = (near & awake[:, None, :]).any(axis=2)
-            if (reached <= awake).all():
-                return awake
-            awake |= reached

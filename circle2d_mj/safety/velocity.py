@@ -56,7 +56,7 @@ class Body(NamedTuple):
     rim: bool = False
     """Whether the limits of the height belong to it"""
     measured: str = "qpos"
-    """What the speed comes from: "qpos", "torso" or "centre of mass" """
+    """Source of the speed: "qpos", "torso" or "centre of mass" """
 
 
 BODIES = {
