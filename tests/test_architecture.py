@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("agents", "circle2d_mj", "emcc")
 LONGER = {
     "tests/agents/reporting/test_report_numbers.py": "the paper's numbers, without our code",
-    "tests/circle2d_mj/safety/test_envs.py": "what three tasks have in common, likewise",
+    "tests/circle2d_mj/safety/test_envs.py": "all that the Safety tasks have in common",
 }
 """Files above 300 lines, and why they are not divided."""
 LAYERS = (

@@ -1,4 +1,4 @@
-"""What is in the navigation tasks: kinds of objects, and a scene for each row of the suite.
+"""Scenes of the navigation tasks, and the kinds of objects in them.
 
 Lengths in metres, densities in kg/m³. Source: safety-gymnasium 1.0.0; loads no MuJoCo.
 """

@@ -1,4 +1,4 @@
-"""Steps and model parameters recorded from safety-gymnasium 1.0.0 (mujoco 2.3.3): tests/golden/suite.
+"""Steps and models recorded from safety-gymnasium 1.0.0 (mujoco 2.3.3): tests/golden/suite.
 
 Each .npz holds segments of episodes: [segments, ...] for their constants, [segments, steps, ...]
 for what a step gave and [segments, steps + 1, ...] for states; what is at or beyond a segment's
@@ -34,7 +34,7 @@ class Step:
         return constants | {name: raw[name][at] for name in STATE if name in raw}
 
     def __getitem__(self, name):
-        """What the step gave; an absent cost is 0."""
+        """A value that the step gave; an absent cost is 0."""
         return np.nan_to_num(self._raw[name][self._segment, self._t])
 
     def seen(self):
