@@ -26,14 +26,15 @@ def register() -> None:
     """
     for level in LEVELS:
         kinematic, physics = "circle2d.envs:Circle2D", "circle2d.mujoco_envs:Circle2DMuJoCo"
-        _register(KINEMATIC[level], kinematic, MAX_EPISODE_STEPS, level=level)
-        _register(PHYSICS[level], physics, MAX_EPISODE_STEPS, level=level)
+        add(KINEMATIC[level], kinematic, MAX_EPISODE_STEPS, level=level)
+        add(PHYSICS[level], physics, MAX_EPISODE_STEPS, level=level)
     for name, task in safety.TASKS.items():
         for of_task in (safety.IDS[name], safety.NAMES[name]):
-            _register(of_task, "safety.envs:Safety", task.max_episode_steps, task=name)
+            add(of_task, "safety.envs:Safety", task.max_episode_steps, task=name)
 
 
-def _register(name: str, env: str, max_episode_steps: int, **parameters: Any) -> None:
+def add(name: str, env: str, max_episode_steps: int, **parameters: Any) -> None:
+    """Register a task with gymnasium, unless its name is taken. env: "module:class" of ours."""
     if name in gym.registry:
         return
     # By name, so that MuJoCo is imported only when an environment needs it.

@@ -88,6 +88,16 @@ class NavigationTask(MuJoCoTask):
         """Where everything is now, m: [num_envs, objects, 2]; rows: `world.rows`."""
         return self._places.copy()
 
+    def positions(self, kind: str) -> Floats:
+        """Where objects of a kind, or the agent, are now in space, m: [num_envs, k, 3]."""
+        if kind == "agent":
+            return self._position[:, None].copy()
+        if self.world.kinds[kind].physics in ("free", "driven"):
+            return self._free_qpos[:, :, :3].copy()
+        places = self._places[:, self.world.rows[kind]]
+        height = np.full((*places.shape[:-1], 1), self.world.kinds[kind].height)
+        return np.concatenate((places, height), axis=-1)
+
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
         """Lay the environments `index` out anew, everything at rest."""
         free = self._free_qpos.shape[1]

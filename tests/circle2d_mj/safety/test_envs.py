@@ -272,7 +272,7 @@ def test_resting_objects_are_as_in_plain_mujoco(cls, agent):
 
 
 def test_nothing_moves_farther_than_the_stride():
-    """What may rest is farther from what may move than both can go in a step."""
+    """Objects that may rest are farther from all that moves than both can go in a step."""
     farthest = 0.0
     for cls in (GoalTask, PushTask):
         for agent in ("Point", "Car"):

@@ -46,12 +46,12 @@ def test_the_humanoid_feels_contacts():
         plain.append(data)
     forces, rng = slice(-84, None), np.random.default_rng(0)
     np.testing.assert_array_equal(task.observe()[:, forces], 0)
-    for _ in range(25):
+    for _ in range(45):
         action = rng.uniform(-0.4, 0.4, (3, 17))
         task.step(action)
     for i, data in enumerate(plain):
         rng = np.random.default_rng(0)
-        for _ in range(25):
+        for _ in range(45):
             data.ctrl[:] = rng.uniform(-0.4, 0.4, (3, 17))[i]
             mujoco.mj_step(task.model, data, 5)
         mujoco.mj_rnePostConstraint(task.model, data)
