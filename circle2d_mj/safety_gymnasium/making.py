@@ -25,7 +25,7 @@ def make(
     camera_id: int | None = None,
     width: int = 640,
     height: int = 640,
-) -> gym.Wrapper:
+) -> SafetyGymnasiumEnv | SafeAutoResetWrapper:
     """Make a task of the suite, as in `make("SafetyPointGoal1-v0")`; `step` returns six values.
 
     autoreset: reset at once where an episode ends, see `wrappers.SafeAutoResetWrapper`. width and
@@ -39,7 +39,7 @@ def make(
         disable_env_checker=disable_env_checker,
         render_mode=render_mode,
     )
-    made: gym.Wrapper = SafetyGymnasiumEnv(env, width, height)
+    made = SafetyGymnasiumEnv(env, width, height)
     return SafeAutoResetWrapper(made) if autoreset else made
 
 

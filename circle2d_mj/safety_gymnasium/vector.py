@@ -84,6 +84,7 @@ class SafetySyncVectorEnv:
         self.envs = [SafeAutoResetWrapper(make_env()) for make_env in env_fns]
         first = self.envs[0]
         self.num_envs, self.metadata, self.spec = len(self.envs), first.metadata, first.spec
+        self.render_mode = first.render_mode
         self.single_observation_space = first.observation_space
         self.single_action_space = first.action_space
         self.observation_space = batch_space(first.observation_space, self.num_envs)
@@ -101,17 +102,19 @@ class SafetySyncVectorEnv:
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
         """Start new episodes; a whole seed stands for seed, seed + 1, ..."""
-        seeds = seed
+        seeds: list[Any]
         if seed is None or isinstance(seed, (int, np.integer)):
             seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
-        pairs = zip(self.envs, seeds, strict=True)  # pyright: ignore[reportArgumentType]
-        results = [env.reset(seed=one, options=options) for env, one in pairs]
-        return np.stack([result[0] for result in results]), {}
+        else:
+            seeds = list(seed)
+        pairs = zip(self.envs, seeds, strict=True)
+        observations = [env.reset(seed=one, options=options)[0] for env, one in pairs]
+        return np.stack(observations), {}
 
     def step(self, actions: Any) -> Six:
         """Return observations, rewards, costs, terminated, truncated, info."""
         results = [env.step(action) for env, action in zip(self.envs, actions, strict=True)]
-        values = [np.stack([result[k] for result in results]) for k in range(5)]
+        values = [np.stack([np.asarray(result[k]) for result in results]) for k in range(5)]
         info: dict[str, Any] = {}
         for i, result in enumerate(results):
             for key, value in result[5].items():

@@ -29,11 +29,12 @@ Gymnasium2SafetyGymnasium = SafetyGymnasiumAPI
 SafetyGymnasium2Gymnasium = FromSafetyGymnasium
 
 
-class _Wrapper:
+class _Wrapper(gym.Env):
     """A wrapper of single and vector environments; what it lacks, the environment inside has."""
 
     def __init__(self, env: Any) -> None:
         self.env = env
+        self.metadata, self.spec, self.render_mode = env.metadata, env.spec, env.render_mode
         self.num_envs: int = getattr(env, "num_envs", 1)
         self.is_vector_env = hasattr(env, "single_action_space")
 
@@ -41,9 +42,17 @@ class _Wrapper:
         """Start a new episode."""
         return self.env.reset(**arguments)
 
-    def step(self, action: Any) -> Six:
+    def step(self, action: Any) -> Six:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return observation, reward, cost, terminated, truncated, info."""
         return self.env.step(action)
+
+    def render(self) -> Any:
+        """Draw the environment."""
+        return self.env.render()
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.env.close()
 
     @property
     def unwrapped(self) -> Any:
