@@ -15,20 +15,26 @@ PHYSICS = {level: f"Circle2DMuJoCo-{level}-v0" for level in LEVELS}
 CIRCLE2D = (*KINEMATIC.values(), *PHYSICS.values())
 """Ids of the Circle2D tasks, by level and all together."""
 SAFETY = tuple(safety.IDS.values())
-"""Ids of the paper's other three tasks."""
+"""Safety-Gymnasium's tasks, under ids that are always ours."""
 
 
 def register() -> None:
-    """Register `CIRCLE2D` and `SAFETY` with gymnasium; calling it again changes nothing."""
+    """Register `CIRCLE2D` and `SAFETY` with gymnasium; calling it again changes nothing.
+
+    The Safety tasks get Safety-Gymnasium's own ids too, as in `SafetyPointGoal1-v0`, where no
+    other package has registered them.
+    """
     for level in LEVELS:
         kinematic, physics = "circle2d.envs:Circle2D", "circle2d.mujoco_envs:Circle2DMuJoCo"
-        _register(KINEMATIC[level], kinematic, MAX_EPISODE_STEPS, level=level)
-        _register(PHYSICS[level], physics, MAX_EPISODE_STEPS, level=level)
+        add(KINEMATIC[level], kinematic, MAX_EPISODE_STEPS, level=level)
+        add(PHYSICS[level], physics, MAX_EPISODE_STEPS, level=level)
     for name, task in safety.TASKS.items():
-        _register(safety.IDS[name], "safety.envs:Safety", task.max_episode_steps, task=name)
+        for of_task in (safety.IDS[name], safety.NAMES[name]):
+            add(of_task, "safety.envs:Safety", task.max_episode_steps, task=name)
 
 
-def _register(name: str, env: str, max_episode_steps: int, **parameters: Any) -> None:
+def add(name: str, env: str, max_episode_steps: int, **parameters: Any) -> None:
+    """Register a task with gymnasium, unless its name is taken. env: "module:class" of ours."""
     if name in gym.registry:
         return
     # By name, so that MuJoCo is imported only when an environment needs it.

@@ -11,6 +11,7 @@ from agents.algorithms import RESERVED, algorithm
 from agents.errors import OTHER_NAMES, UserError, nearest
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.registration import CIRCLE2D, KINEMATIC
+from circle2d_mj.safety.tasks import NAMES
 
 PAPER_ALGORITHMS = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac")
 """The algorithms that the paper compares, in the order of its tables."""
@@ -65,14 +66,13 @@ def _of_task(config: Any, off_policy: bool, task: str) -> dict[str, Any]:
         # Table Circle2DResults, caption; for the time limit see `unprinted`: on-policy bootstraps.
         found = {"cost_limit": 5.0} if hasattr(config, "cost_limit") else {}
         found |= {"time_limit": "terminal"} if off_policy else {}
-        return found | (
-            {"input_scale": length_scale(task)} if getattr(config, "in_lengths", False) else {}
-        )
-    if task.startswith("circle2d_mj/Safety"):
-        # Table HP_SafetyGymnasium; the cost limit, 25, is the default.
+        in_lengths = getattr(config, "in_lengths", False)
+        return found | ({"input_scale": length_scale(task)} if in_lengths else {})
+    if task.removeprefix("circle2d_mj/") in NAMES.values():
+        # Table HP_SafetyGymnasium, for the whole suite; the cost limit, 25, is the default.
         if off_policy:
             return {"random_steps": 50_000, "replay_size": 500_000}
-        if task.startswith("circle2d_mj/SafetyPointCircle1") and hasattr(config, "episodes"):
+        if "PointCircle1" in task and hasattr(config, "episodes"):
             return {"episodes": 20}
     return {}
 

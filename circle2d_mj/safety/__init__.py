@@ -1,5 +1,5 @@
-"""The paper's other three tasks, ported from Safety-Gymnasium 1.0: a point agent on a circle, the
-same agent among hazards, and a hopper with a speed limit.
+"""Safety-Gymnasium's tasks on current MuJoCo: agents among hazards, and bodies with a speed limit.
 
 `gymnasium.make` loads these modules, and MuJoCo with them; `import circle2d_mj` loads `tasks` only.
+`original` loads states recorded from safety-gymnasium 1.0.0, to compare step by step.
 """

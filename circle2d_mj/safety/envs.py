@@ -1,9 +1,9 @@
-"""The paper's other three tasks as gymnasium environments."""
+"""Safety-Gymnasium's tasks as gymnasium environments."""
 
 from __future__ import annotations
 
 import pkgutil
-from typing import Any
+from typing import Any, NamedTuple
 
 from gymnasium.vector import AutoresetMode
 
@@ -36,7 +36,10 @@ class SafetyVectorEnv(TaskVectorEnv):
     ) -> None:
         if task not in TASKS:
             raise ValueError(f"task must be one of {list(TASKS)}, got {task!r}")
-        simulation = pkgutil.resolve_name(TASKS[task].simulation)(num_envs, num_threads)
+        found = TASKS[task]
+        simulation = pkgutil.resolve_name(found.simulation)(
+            **found.arguments, num_envs=num_envs, num_threads=num_threads
+        )
         super().__init__(
             simulation,
             max_episode_steps=max_episode_steps,
@@ -44,6 +47,39 @@ class SafetyVectorEnv(TaskVectorEnv):
             render_mode=render_mode,
         )
         self.metadata["render_fps"] = round(1 / simulation.step_seconds)
+
+
+class Seen(NamedTuple):
+    """Objects of one kind, or the agent."""
+
+    pos: Any
+    """[3] m, or a list of such arrays where there may be several"""
+    size: float | None
+
+
+class TaskView:
+    """Places of a navigation task under safety-gymnasium's names: `task.agent.pos`,
+    `task.hazards.pos[0]`, `task.goal.size`, `task.goal_achieved`."""
+
+    def __init__(self, simulation: Any) -> None:
+        self._simulation = simulation
+        self.agent_name: str = simulation.agent.name
+
+    @property
+    def goal_achieved(self) -> bool:
+        """Whether the current state meets the current goal."""
+        return bool(self._simulation._met()[0])
+
+    def __getattr__(self, name: str) -> Seen:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        world = self._simulation.world
+        if name not in world.rows:
+            raise AttributeError(f"task has no {name!r}; it has {sorted(world.rows)}")
+        places = self._simulation.positions(name)[0]
+        several = name.endswith("s")
+        size = world.kinds[name].size[0] if name in world.kinds else None
+        return Seen(list(places) if several else places[0], size)
 
 
 class SafetyEnv(TaskEnv):
@@ -67,6 +103,13 @@ class SafetyEnv(TaskEnv):
             render_mode=render_mode,
         )
         super().__init__(envs)
+
+    @property
+    def task(self) -> TaskView | None:
+        """Places as code for safety-gymnasium reads them; None for bodies with a speed limit."""
+        simulation = self._envs.simulation
+        navigates = hasattr(simulation, "places")
+        return TaskView(simulation) if navigates else None
 
 
 for_gym_make = without_time_limit(SafetyEnv)

@@ -1,6 +1,8 @@
-"""Layouts of SafetyPointGoal1-v0 (agent, goal, hazards, vase), by rejection sampling."""
+"""Layouts: places for an agent and its objects, by rejection sampling."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,76 +11,96 @@ from circle2d_mj.core.streams import Streams
 
 Floats = NDArray[np.float64]
 
-AGENT, GOAL, HAZARDS, VASE = 0, 1, slice(2, 10), 10
-"""Rows of a layout, in the order in which objects are placed"""
-KEEPOUT = np.array((0.4, 0.305, *[0.18] * 8, 0.15))
-"""Keepout of each object, m: two objects are at least the sum of theirs apart."""
-HALF_WIDTH = 1.5
-"""Half-width in m of the square that holds every object's keepout circle"""
-
 OBJECT_TRIES, LAYOUT_TRIES, GOAL_TRIES = 100, 10_000, 10_000
-_BLOCK = 10  # points that are tried at a time; more are seldom needed
+_AT_ONCE = 32  # attempts, where the first has failed
+_BLOCK = 10  # points that are tried at first; more are seldom needed
+
+
+class Areas(NamedTuple):
+    """Where each of k objects may be placed, in the order in which they are."""
+
+    centre: Floats
+    """[k, 2] m"""
+    half: Floats
+    """[k, 2] m, half-widths of the rectangle that holds the object's centre"""
+    keepout: Floats
+    """[k] m; two objects are at least the sum of theirs apart."""
 
 
 def sample_layout(
     streams: Streams,
     index: NDArray[np.intp],
-    keepout: Floats = KEEPOUT,
+    areas: Areas,
     layout_tries: int = LAYOUT_TRIES,
 ) -> Floats:
     """Draw a place for each object of the environments `index`: [len(index), objects, 2] m.
 
-    One object after the other is drawn uniformly from the square less a border as wide as its
-    keepout, until it is far enough from those before it. Where 100 draws of one have failed, that
-    environment starts over. Raises RuntimeError where 10 000 attempts have failed.
+    One object after the other is drawn uniformly from its rectangle until it is far enough from
+    those before it. Where 100 draws of one have failed, that environment starts over. Raises
+    RuntimeError where 10 000 attempts or a few more have failed.
     """
-    layout = np.empty((len(index), len(keepout), 2))
-    waiting = np.arange(len(index))
-    for _ in range(layout_tries):
-        attempt, complete = _attempt(streams, index[waiting], keepout)
-        layout[waiting] = attempt
-        waiting = waiting[~complete]
-        if not len(waiting):
-            return layout
-    raise RuntimeError(f"no layout found in {layout_tries} attempts for keepouts {keepout}")
+    layout, complete = _attempt(streams, index, areas)
+    waiting, attempts = np.flatnonzero(~complete), 1
+    while len(waiting):
+        if attempts >= layout_tries:
+            raise RuntimeError(
+                f"no layout found in {layout_tries} attempts for keepouts {areas.keepout}"
+            )
+        # Crowded layouts fail often: many attempts at once, each with a stream of its own.
+        keys = stream_keys(streams, index[waiting], _AT_ONCE).ravel()
+        tried, complete = _attempt(Streams(keys), np.arange(len(keys)), areas)
+        complete = complete.reshape(-1, _AT_ONCE)
+        found, first = complete.any(axis=1), complete.argmax(axis=1)
+        tried = tried.reshape(-1, _AT_ONCE, *tried.shape[1:])
+        layout[waiting[found]] = tried[found, first[found]]
+        waiting, attempts = waiting[~found], attempts + _AT_ONCE
+    return layout
 
 
-def sample_goal(
-    streams: Streams, index: NDArray[np.intp], layout: Floats
+def stream_keys(streams: Streams, index: NDArray[np.intp], count: int) -> NDArray[np.uint64]:
+    """Draw keys for `count` further streams of each environment: [len(index), count]."""
+    draw = streams.uniform(index, draws=(count + 1) // 2)[:, : 2 * count]
+    words = (draw * 2.0**32).astype(np.uint64).reshape(len(index), count, 2)
+    return words[..., 0] << np.uint64(32) | words[..., 1]
+
+
+def sample_again(
+    streams: Streams, index: NDArray[np.intp], areas: Areas, row: int, layout: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Draw a new place for the goal among the other objects, and return whether there was one.
+    """Draw a new place for one object among the others, and return whether there was one.
 
-    layout: [len(index), objects, 2] -> [len(index), 2], bool [len(index)]. The old goal does not
+    layout: [len(index), objects, 2] -> [len(index), 2], bool [len(index)]. The old place does not
     block. Where none of 10 000 points is free, the old place is returned.
     """
-    others, apart = np.delete(layout, GOAL, axis=1), KEEPOUT[GOAL] + np.delete(KEEPOUT, GOAL)
+    keepout = areas.keepout
+    others, apart = np.delete(layout, row, axis=1), keepout[row] + np.delete(keepout, row)
     first = _unit_points(streams, index, _BLOCK)
-    place, found = _first_free(
-        streams, index, first, HALF_WIDTH - KEEPOUT[GOAL], others, apart, GOAL_TRIES
-    )
-    return np.where(found[:, None], place, layout[:, GOAL]), found
+    area = areas.centre[row], areas.half[row]
+    place, found = _first_free(streams, index, first, area, others, apart, GOAL_TRIES)
+    return np.where(found[:, None], place, layout[:, row]), found
 
 
 def _attempt(
-    streams: Streams, index: NDArray[np.intp], keepout: Floats
+    streams: Streams, index: NDArray[np.intp], areas: Areas
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Draw layouts, and return which are complete: [len(index), objects, 2], [len(index)]."""
-    count = len(keepout)
+    count = len(areas.keepout)
     layout = np.empty((len(index), count, 2))
     complete = np.ones(len(index), dtype=bool)
     # One large draw for what all objects most likely need costs less than a draw for each.
     points = _unit_points(streams, index, count * _BLOCK).reshape(-1, count, _BLOCK, 2)
     for i in range(count):
-        layout[:, i], found = _first_free(
+        layout[complete, i], complete[complete] = _first_free(
             streams,
-            index,
-            points[:, i],
-            HALF_WIDTH - keepout[i],
-            layout[:, :i],
-            keepout[i] + keepout[:i],
+            index[complete],
+            points[complete, i],
+            (areas.centre[i], areas.half[i]),
+            layout[complete, :i],
+            areas.keepout[i] + areas.keepout[:i],
             OBJECT_TRIES,
         )
-        complete &= found
+        if not complete.any():
+            break
     return layout, complete
 
 
@@ -86,23 +108,26 @@ def _first_free(
     streams: Streams,
     index: NDArray[np.intp],
     points: Floats,
-    half_width: float,
+    area: tuple[Floats, Floats],
     others: Floats,
     apart: Floats,
     tries: int,
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the first of `tries` points of each environment that is clear of the others.
 
-    points: the first block of them, in units of half_width, [n, block, 2]; others: [n, k, 2];
-    apart: [k], distances to keep -> [n, 2] (the first point where none is free), and bool [n].
+    points: the first block of them, in units of the area, [n, block, 2]; area: its centre and
+    half-widths, [2] each; others: [n, k, 2]; apart: [k], distances to keep -> [n, 2] (the first
+    point where none is free), and bool [n].
     """
-    place, found = _pick(points * half_width, others, apart)
-    for _ in range(tries // _BLOCK - 1):
+    centre, half = area
+    place, found = _pick(centre + points * half, others, apart)
+    tried = _BLOCK
+    while tried < tries and not found.all():
         waiting = np.flatnonzero(~found)
-        if not len(waiting):
-            break
-        points = _unit_points(streams, index[waiting], _BLOCK) * half_width
+        block = min(9 * tried, tries - tried)
+        points = centre + _unit_points(streams, index[waiting], block) * half
         place[waiting], found[waiting] = _pick(points, others[waiting], apart)
+        tried += block
     return place, found
 
 

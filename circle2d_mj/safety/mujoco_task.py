@@ -28,17 +28,24 @@ class MuJoCoTask:
 
     `qpos` and `qvel`, [num_envs, ...], are views of MuJoCo's own states: writing to them changes
     those. `begin` and `advance` update `sensors` [num_envs, ...]. num_threads: of MuJoCo's steps;
-    all give bit-identical results. Subclasses take num_envs and num_threads alone: copying and
-    pickling rely on it.
+    all give bit-identical results. persistent: whether MuJoCo keeps all that it computes, for
+    `batch.get_data`. `arguments` are those of the subclass, for copying and pickling.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, num_envs: int, num_threads: int, substeps: int
+        self,
+        model: mujoco.MjModel,
+        num_envs: int,
+        num_threads: int,
+        substeps: int,
+        persistent: bool = False,
+        **arguments: Any,
     ) -> None:
+        self._arguments = arguments
         self.num_envs = positive_integer("num_envs", num_envs)
         self.num_threads = positive_integer("num_threads", num_threads)
         self.model = model
-        self.batch = Batch(model, self.num_envs, self.num_threads)
+        self.batch = Batch(model, self.num_envs, self.num_threads, persistent=persistent)
         self.qpos: Floats = self.batch.bind("qpos")
         self.qvel: Floats = self.batch.bind("qvel")
         self.sensors = np.zeros((self.num_envs, model.nsensordata))
@@ -53,6 +60,11 @@ class MuJoCoTask:
         self._stage = int(stage.mjSTAGE_NONE if self._sensed is None else stage.mjSTAGE_ACC)
 
     @property
+    def picture_model(self) -> mujoco.MjModel:
+        """Model of `data` and of pictures: the task's own, unless more is drawn than collides."""
+        return self.model
+
+    @property
     def step_seconds(self) -> float:
         """Simulated time of a step of the task, s."""
         return self._substeps * self.model.opt.timestep
@@ -63,14 +75,20 @@ class MuJoCoTask:
         self.qpos[index], self.qvel[index] = qpos, qvel
         if self._sensed is not None:
             self.batch.forward(index)
-            self.sensors[index] = self._sensed[index]
+            self._sense(index)
 
     def advance(self, control: Floats) -> None:
         """Hold the controls, [num_envs, nu], for one step of the task."""
         self._control[:] = control
-        self.batch.step(nstep=self._substeps, stage=self._stage)
+        self._take_substeps()
+        self._sense(slice(None))
+
+    def _sense(self, index: NDArray[np.intp] | slice) -> None:
         if self._sensed is not None:
-            self.sensors[:] = self._sensed
+            self.sensors[index] = self._sensed[index]
+
+    def _take_substeps(self) -> None:
+        self.batch.step(nstep=self._substeps, stage=self._stage)
 
     def state_dict(self) -> State:
         """Return MuJoCo's states in full, warm starts included, and the sensors' values."""
@@ -90,7 +108,7 @@ class MuJoCoTask:
     def frame(self, index: int) -> NDArray[np.uint8]:
         """Draw environment `index` as a camera of its model sees it: [640, 640, 3]."""
         if self._offscreen is None:
-            self._offscreen = Offscreen(self.model, FRAME_SIZE)
+            self._offscreen = Offscreen(self.picture_model, FRAME_SIZE)
         return self._offscreen.draw(self.data(index), camera=0)
 
     def show(self, index: int) -> None:
@@ -98,7 +116,7 @@ class MuJoCoTask:
         if self._window is None:
             from circle2d_mj.render.window import Window
 
-            self._window = Window(self.model, self.step_seconds)
+            self._window = Window(self.picture_model, self.step_seconds)
         self._window.show(self.data(index))
 
     def close(self) -> None:
@@ -109,8 +127,8 @@ class MuJoCoTask:
         self._offscreen = self._window = None
 
     def __getstate__(self) -> dict[str, Any]:
-        arguments = {"num_envs": self.num_envs, "num_threads": self.num_threads}
-        return {"arguments": arguments, "state": self.state_dict()}
+        of_batch = {"num_envs": self.num_envs, "num_threads": self.num_threads}
+        return {"arguments": {**self._arguments, **of_batch}, "state": self.state_dict()}
 
     def __setstate__(self, pickled: dict[str, Any]) -> None:
         type(self).__init__(self, **pickled["arguments"])

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from circle2d_mj.core.view import Extent, Picture
+from circle2d_mj.core.view import Extent, Picture, View
 from circle2d_mj.render import canvas
 from circle2d_mj.render.canvas import FINER, FREE, REGION
 from circle2d_mj.safety import rules
+from circle2d_mj.safety.scenes import Scene
 
 _GOAL_COLOUR = (222, 238, 218)
 
@@ -44,11 +45,13 @@ class _MapView(ABC):
         return canvas.points_of_pixels(self.extent, len(picture) * FINER)
 
 
-class PointCircleView(_MapView):
-    """The plane from above, with the circle; beyond the two walls states cost."""
+class MapView(_MapView):
+    """The plane from above; beyond the walls states cost."""
 
-    extent = (-2.5, 2.5, -2.5, 2.5)
     axes = ("x (m)", "y (m)")
+
+    def __init__(self, extent: Extent, walls: tuple[float, ...], circle: float = 0.0) -> None:
+        self.extent, self._walls, self._circle = extent, walls, circle
 
     def positions(
         self, observation: NDArray[np.floating], info: Mapping[str, Any]
@@ -57,65 +60,118 @@ class PointCircleView(_MapView):
         return np.stack((info["x_position"], info["y_position"]), axis=-1)
 
     def overlay(self, picture: Picture) -> Picture:
-        """Add the walls and the circle."""
+        """Add the walls, and the circle if there is one."""
+        picture, circle = super().overlay(picture), self._circle
+        if not circle:
+            return picture
         radius = np.linalg.norm(self._fine_points(picture), axis=-1)
-        return canvas.with_outline(super().overlay(picture), radius < rules.CIRCLE_RADIUS)
+        return canvas.with_outline(picture, radius < circle)
 
     def _costs(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return rules.circle_cost(points) > 0
+        return rules.boundary_cost(points, self._walls) > 0
 
 
-class PointGoalView(_MapView):
-    """Distance to the nearest hazard over distance to the goal.
+class DistanceView(_MapView):
+    """Distance to the nearest hazard over distance to the target, which is the goal, or the box.
 
-    Goal and hazards lie elsewhere in each episode, so in a map of the world the visits of many
+    Targets and hazards lie elsewhere in each episode, so in a map of the world the visits of many
     episodes average out. These two distances are what reward and cost depend on: an episode runs
     from the right to the left, and it costs where it dips below the hazards' radius. Both come from
-    the lidars; beyond their reach of 3 m a distance shows as 3 m.
+    the lidars, `target` and `hazards` by their first number in the observation; beyond their reach
+    of 3 m a distance shows as 3 m.
     """
 
     extent = (0.0, 3.0, 0.0, 1.5)
-    axes = ("to the goal (m)", "to the nearest hazard (m)")
+
+    def __init__(self, name: str, target: int, hazards: int, radius: float, met: bool) -> None:
+        self.axes = (f"to the {name} (m)", "to the nearest hazard (m)")
+        self._first, self._radius, self._met = (target, hazards), radius, met
 
     def positions(
         self, observation: NDArray[np.floating], info: Mapping[str, Any]
     ) -> NDArray[np.floating]:
-        """Return the two distances: [..., 60] -> [..., 2] m."""
-        goal, hazards, _ = np.split(np.asarray(observation)[..., -3 * rules.LIDAR_BINS :], 3, -1)
-        nearest = np.stack((goal.max(axis=-1), hazards.max(axis=-1)), axis=-1)
-        return rules.GOAL_LIDAR_REACH * (1.0 - nearest)
+        """Return the two distances: [..., observation size] -> [..., 2] m."""
+        seen = np.asarray(observation)
+        nearest = [seen[..., k : k + rules.LIDAR_BINS].max(axis=-1) for k in self._first]
+        return 3.0 * (1.0 - np.stack(nearest, axis=-1))
 
     def background(self, size: int) -> Picture:
         """Paint the states that cost grey, the others in which the goal is reached green."""
         points, picture = canvas.points_of_pixels(self.extent, size), super().background(size)
-        reached = rules.goal_met(points[..., 0]) & ~self._costs(points)
+        reached = rules.goal_met(points[..., 0]) & ~self._costs(points) & self._met
         return np.where(reached[..., None], _GOAL_COLOUR, picture).astype(np.uint8)
 
     def overlay(self, picture: Picture) -> Picture:
         """Add the outline of the states that cost, and the axes."""
-        ticks = ((0.5, 1, 1.5, 2, 2.5), (0.2, 0.5, 1))
+        ticks = ((0.5, 1, 1.5, 2, 2.5), (self._radius, 0.5, 1))
         return canvas.with_ticks(super().overlay(picture), self.extent, self.axes, ticks)
 
     def _costs(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return rules.goal_cost(points[..., 1:]) > 0
+        return rules.hazard_cost(points[..., 1:], self._radius) > 0
 
 
-class HopperView(_MapView):
-    """Height of the torso over its forward velocity; the velocities that cost are grey."""
+class SpeedView(_MapView):
+    """The observation's first number (a height or an angle) over speed; speeds that cost are
+    grey."""
 
-    extent = (-1.5, 4.0, 0.6, 1.9)
-    axes = ("forward velocity (m/s)", "height (m)")
+    def __init__(
+        self,
+        extent: Extent,
+        name: str,
+        limit: float,
+        ticks: tuple[tuple[float, ...], tuple[float, ...]],
+        planar: bool,
+    ) -> None:
+        self.extent, self._limit, self._ticks, self._planar = extent, limit, ticks, planar
+        self.axes = ("forward velocity (m/s)" if planar else "speed (m/s)", name)
 
     def positions(
         self, observation: NDArray[np.floating], info: Mapping[str, Any]
     ) -> NDArray[np.floating]:
-        """Return velocity (the mean over the step) and height: [..., 2], m/s and m."""
-        return np.stack((info["x_velocity"], observation[..., 0]), axis=-1)
+        """Return speed (the mean over the step) and the first number: [..., 2]."""
+        speed = info["x_velocity"]
+        if not self._planar:
+            speed = np.hypot(speed, info["y_velocity"])
+        return np.stack((speed, observation[..., 0]), axis=-1)
 
     def overlay(self, picture: Picture) -> Picture:
-        """Add the outline of the velocities that cost, and the axes."""
-        ticks = ((-1, 0, 1, 2, 3), (0.7, 1, 1.3, 1.6))
-        return canvas.with_ticks(super().overlay(picture), self.extent, self.axes, ticks)
+        """Add the outline of the speeds that cost, and the axes."""
+        return canvas.with_ticks(super().overlay(picture), self.extent, self.axes, self._ticks)
 
     def _costs(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return rules.hopper_cost(points[..., 0]) > 0
+        return rules.velocity_cost(points[..., 0], self._limit) > 0
+
+
+_FROM_ABOVE = {"Circle": ((-2.5, 2.5, -2.5, 2.5), rules.CIRCLE_RADIUS)}
+_FROM_ABOVE["Run"] = ((-1.5, 1.5, -17.5, 17.5), 0.0)
+_HEIGHTS = ((-1.0, 0.0, 1.0, 2.0, 3.0), (0.7, 1.0, 1.3, 1.6))
+_SPEEDS: dict[str, tuple[Extent, str, tuple[tuple[float, ...], tuple[float, ...]]]] = {
+    "HalfCheetah": ((-2.0, 8.0, -0.8, 0.4), "height (m)", ((0, 2, 4, 6), (-0.4, 0))),
+    "Hopper": ((-1.5, 4.0, 0.6, 1.9), "height (m)", _HEIGHTS),
+    "Swimmer": ((-0.6, 0.6, -3.2, 3.2), "angle (rad)", ((-0.4, 0, 0.4), (-2, 0, 2))),
+    "Walker2d": ((-1.5, 6.0, 0.7, 1.9), "height (m)", ((0, 2, 4), (1, 1.3, 1.6))),
+    "Ant": ((0.0, 6.0, 0.1, 1.1), "height (m)", ((1, 2, 3, 4, 5), (0.2, 0.5, 0.8))),
+    "Humanoid": ((0.0, 4.0, 0.9, 2.1), "height (m)", ((1, 2, 3), (1, 1.3, 1.6))),
+}
+
+
+def of_scene(family: str, scene: Scene, radius: float, sensors: int) -> View | None:
+    """Return the view of a scene; None where there are no hazards or walls to show.
+
+    radius: of its hazards, m; sensors: numbers in front of the lidars in the observation.
+    """
+    if family in _FROM_ABOVE:
+        extent, circle = _FROM_ABOVE[family]
+        return MapView(extent, scene.walls, circle)
+    if "hazards" not in scene.lidars:
+        return None
+    first = {kind: sensors + rules.LIDAR_BINS * i for i, kind in enumerate(scene.lidars)}
+    target = "push_box" if family == "Push" else "goal"
+    name = "box" if family == "Push" else "goal"
+    return DistanceView(name, first[target], first["hazards"], radius, met=family == "Goal")
+
+
+def of_body(body: str, limit: float, planar: bool) -> View:
+    """Return the view of a body with a speed limit, m/s."""
+    extent, name, ticks = _SPEEDS[body]
+    return SpeedView(extent, name, limit, ticks, planar)

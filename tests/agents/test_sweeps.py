@@ -9,9 +9,9 @@ import gymnasium as gym
 import pytest
 import torch
 import toys
+from agents.sweeps import sweep_configs
 
 import agents
-from agents.sweeps import sweep_configs
 
 
 def test_every_combination_has_a_name():

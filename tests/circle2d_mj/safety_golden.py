@@ -1,7 +1,8 @@
-"""Episodes and model parameters recorded from safety-gymnasium 1.0.0 (mujoco 2.3.3): tests/golden.
+"""Steps and models recorded from safety-gymnasium 1.0.0 (mujoco 2.3.3): tests/golden/suite.
 
-Each .npz holds 12 episodes of at most 200 steps, [12, 200, ...] for what a step gave and
-[12, 201, ...] for states; steps at or beyond an episode's `length` hold nothing.
+Each .npz holds segments of episodes: [segments, ...] for their constants, [segments, steps, ...]
+for what a step gave and [segments, steps + 1, ...] for states; what is at or beyond a segment's
+`length` is padding.
 """
 
 import json
@@ -9,51 +10,41 @@ from pathlib import Path
 
 import numpy as np
 
-FOLDER = Path(__file__).parents[1] / "golden"
+FOLDER = Path(__file__).parents[1] / "golden" / "suite"
+CONSTANT = ("agent_body_pos0", "agent_body_quat0", "qpos0")
+CONSTANT += ("hazards_pos", "pillars_pos", "buttons_pos")
+STATE = ("qpos", "qvel", "time", "goal_pos", "mocap_pos", "goal_button", "timer")
+STATE += ("torso_xpos", "mass_center")
 
 
-class Golden:
-    """The recorded steps in one row each: `before(name)`, `after(name)`, `of_step(name)`."""
+class Step:
+    """One recorded step."""
 
-    def __init__(self, task):
-        with np.load(FOLDER / f"{task}.npz") as file:
-            self.raw = dict(file)
-        self.during = np.arange(self.raw["reward"].shape[1]) < self.raw["length"][:, None]
+    def __init__(self, raw, segment, t):
+        self._raw, self._segment, self._t = raw, segment, t
+        self.first = raw["start"][segment] + t == 0
 
-    def before(self, name):
-        return self.raw[name][:, :-1][self.during]
+    def __contains__(self, name):
+        return name in self._raw
 
-    def after(self, name):
-        return self.raw[name][:, 1:][self.during]
+    def state(self, after=False):
+        """The state before or after, as `original.load` takes it."""
+        raw, at = self._raw, (self._segment, self._t + after)
+        constants = {name: raw[name][self._segment] for name in CONSTANT if name in raw}
+        return constants | {name: raw[name][at] for name in STATE if name in raw}
 
-    def of_step(self, name):
-        return self.raw[name][self.during]
+    def __getitem__(self, name):
+        """A value that the step gave; an absent cost is 0."""
+        return np.nan_to_num(self._raw[name][self._segment, self._t])
 
-    def of_episode(self, name):
-        """Constants of an episode, repeated for each of its steps."""
-        steps = self.during.shape[1]
-        return np.repeat(self.raw[name][:, None], steps, axis=1)[self.during]
+    def seen(self):
+        return self._raw["obs"][self._segment, self._t + 1]
 
 
-def world(golden, when):
-    """The Point agent's qpos and qvel in the world, [steps, 3] each.
-
-    The original's joints act in the frame of the pose at the start: world xy = p0 + R(h0) qpos.
-    """
-    quat = golden.of_episode("agent_body_quat0")
-    heading = 2 * np.arctan2(quat[:, 3], quat[:, 0])
-    cos, sin = np.cos(heading), np.sin(heading)
-
-    def turned(v):
-        return np.stack((cos * v[:, 0] - sin * v[:, 1], sin * v[:, 0] + cos * v[:, 1]), axis=1)
-
-    read = golden.before if when == "before" else golden.after
-    qpos, qvel = read("qpos")[:, :3], read("qvel")[:, :3]
-    position = golden.of_episode("agent_body_pos0")[:, :2] + turned(qpos)
-    return (
-        np.column_stack((position, heading + qpos[:, 2])),
-        np.column_stack((turned(qvel), qvel[:, 2])),
-    )
+def steps(task):
+    with np.load(FOLDER / f"{task}.npz") as file:
+        raw = dict(file)
+    return [Step(raw, i, t) for i, length in enumerate(raw["length"]) for t in range(length)]
 
 
 def parameters(task):

@@ -8,6 +8,7 @@ import signal
 import sys
 
 import numpy as np
+from agents.results.archive import open_source
 from fault_common import (
     SAC,
     SMALL,
@@ -24,7 +25,6 @@ from fault_common import (
 import agents
 from agents.cli.main import main
 from agents.errors import UserError
-from agents.results.archive import open_source
 from agents.results.reading import read_groups
 
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
+from agents.training.loop import load_training
 from fault_common import SAC, SMALL, Tally, difference, forked, leftovers, results
 from gymnasium.spaces import Box
 
 from agents.cli.main import main
-from agents.training.loop import load_training
 
 HOW = ("observation", "reward", "cost", "raise", "exit", "die", "hang", "nan", "negative")
 

@@ -5,6 +5,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from agents.training.loop import Training, train
+from agents.training.records import COLUMNS
 from gymnasium.vector import AsyncVectorEnv
 from toys import register
 
@@ -16,8 +18,6 @@ from agents.training.config import TrainConfig
 from agents.training.environments import make_envs
 from agents.training.evaluation import evaluate
 from agents.training.files import read_json
-from agents.training.loop import Training, train
-from agents.training.records import COLUMNS
 from emcc import EpisodeRecords, longest_streak
 
 register()

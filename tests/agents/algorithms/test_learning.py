@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from agents.training.loop import Training
 from toys import register
 
 from agents.algorithms import algorithm
@@ -13,7 +14,6 @@ from agents.paper.presets import preset
 from agents.sac import OffPolicy
 from agents.training.config import TrainConfig
 from agents.training.environments import make_envs
-from agents.training.loop import Training
 
 pytestmark = pytest.mark.slow
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass, fields, make_dataclass, replace
 
 import numpy as np
 import pytest
+from agents.cli.train import TrainOptions
+from agents.training.loop import Training
 from toys import register as register_tasks
 
 import agents
@@ -23,13 +25,11 @@ from agents.algorithms import (
     register,
     title,
 )
-from agents.cli.train import TrainOptions
 from agents.errors import UserError
 from agents.lockstep import tree
 from agents.lockstep.learner import Learner
 from agents.paper.presets import preset
 from agents.training.config import TrainConfig
-from agents.training.loop import Training
 
 register_tasks()
 

@@ -6,12 +6,12 @@ import sys
 
 import numpy as np
 import pytest
+from agents.training.status import share_done
 
 import agents
 from agents.cli.main import main
 from agents.training import loop as train_module
 from agents.training.files import locked
-from agents.training.status import share_done
 
 TRAIN = ["train", "--algorithm", "sac-lag", "--seeds", "0", "1", "--steps", "600"]
 

@@ -11,12 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from agents.training.loop import train
 
 from agents.cli.main import main
 from agents.paper import grid
 from agents.paper.presets import preset
 from agents.training.config import TrainConfig
-from agents.training.loop import train
 
 COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3", "4"]
 COMMAND += ["--steps", "2000", "--workers", "2", "--out"]

@@ -8,10 +8,10 @@ import time
 from pathlib import Path
 
 import pytest
+from agents.training.epochs import Epoch
 
 from agents.cli import signals
 from agents.cli.main import main
-from agents.training.epochs import Epoch
 
 
 def test_ctrl_c_while_modules_are_imported():

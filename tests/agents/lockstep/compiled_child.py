@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from agents.training.loop import Training
 from test_families import arrays_of, assert_same, config, finished
 
 from agents.algorithms import learner
@@ -13,7 +14,6 @@ from agents.lockstep import backend
 from agents.lockstep.compiling import CLOCK
 from agents.lockstep.rollout import collect
 from agents.training.environments import make_envs
-from agents.training.loop import Training
 
 UPDATES, SEEDS = 20, (0, 1, 2)
 

@@ -6,6 +6,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from agents.training.loop import Training
+from agents.training.records import COLUMNS
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from toys import Walk, register
 
@@ -14,8 +16,6 @@ from agents.algorithms import algorithm
 from agents.lockstep.learned import learned, streaks
 from agents.lockstep.rollout import collect
 from agents.training.config import TrainConfig
-from agents.training.loop import Training
-from agents.training.records import COLUMNS
 from emcc import StreakCost
 
 register()

@@ -3,12 +3,12 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from agents.training.side_by_side import SideBySide
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from agents.errors import UserError
 from agents.lockstep.rollout import collect
-from agents.training.side_by_side import SideBySide
 from circle2d_mj import Circle2DEnv, Circle2DVectorEnv
 
 

@@ -3,11 +3,11 @@
 from dataclasses import dataclass, fields
 
 import pytest
+from agents.cli.hyperparameters import explain_all, texts
 
 import agents
 from agents import algorithms
 from agents.algorithms import ALGORITHMS, BUILT_IN
-from agents.cli.hyperparameters import explain_all, texts
 from agents.paper.presets import PAPER_ALGORITHMS, preset, unprinted
 
 SHARED = {"batch_size": 256, "discount": 0.99, "learning_rate": 3e-4, "cost_limit": 5}

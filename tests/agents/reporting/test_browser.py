@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from agents.training.loop import train
 from small_runs import write_evaluated
 
 from agents.paper.grid import grid, prepare
 from agents.reporting.report import report
-from agents.training.loop import train
 
 WIDTHS, SCHEMES = (1280, 768, 400), ("light", "dark")
 pytestmark = pytest.mark.slow

@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from agents.training.loop import train
 
 from agents.paper.grid import grid, prepare
-from agents.training.loop import train
 
 FOLDERS = 150
 MEASURED = """

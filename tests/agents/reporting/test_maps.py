@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import gymnasium as gym
 import numpy as np
 import pytest
+from agents.results.source import FolderSource
+from agents.results.steps import Episode
 from PIL import Image
 from small_runs import group_of, write_runs
 
 from agents.reporting.figures import task_figures
 from agents.reporting.maps import SIZE, STATES, Map, Scenes, heat_png, maps, paths, shown_states
-from agents.results.source import FolderSource
-from agents.results.steps import Episode
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.render import canvas

@@ -4,13 +4,14 @@ import re
 import shutil
 from html.parser import HTMLParser
 
+from agents.training.loop import train
+
 from agents.cli.main import main
 from agents.paper.grid import grid, prepare
 from agents.reporting.figures import Figure
 from agents.reporting.page import Section, page
 from agents.reporting.report import report
 from agents.reporting.table import Number, Row, Table, markdown
-from agents.training.loop import train
 
 
 class Page(HTMLParser):

@@ -5,6 +5,7 @@ import subprocess
 from dataclasses import asdict, replace
 from types import SimpleNamespace
 
+from agents.results.source import FolderSource
 from small_runs import write_status
 
 from agents.cli.main import main
@@ -12,7 +13,6 @@ from agents.paper.presets import preset
 from agents.reporting import provenance
 from agents.reporting.provenance import command, heading, made, summary
 from agents.results.reading import Group
-from agents.results.source import FolderSource
 from agents.training import machine
 from agents.training.config import TrainConfig
 from agents.training.files import read_json

@@ -7,6 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from agents.results.archive import ArchiveSource, open_source, write_archive
+from agents.results.columns import Arrays, pack_costs, pack_records, unpack_costs, unpack_records
+from agents.results.precision import five_digits, from_planes, to_planes
+from agents.results.source import FolderSource
+from agents.training.loop import train
 from small_runs import write_evaluated, write_runs
 
 from agents.cli.main import main
@@ -15,13 +20,8 @@ from agents.paper.presets import preset
 from agents.reporting.compare import compare
 from agents.reporting.maps import Scenes, maps
 from agents.results import steps
-from agents.results.archive import ArchiveSource, open_source, write_archive
-from agents.results.columns import Arrays, pack_costs, pack_records, unpack_costs, unpack_records
-from agents.results.precision import five_digits, from_planes, to_planes
 from agents.results.reading import read_groups
-from agents.results.source import FolderSource
 from agents.training.config import TrainConfig
-from agents.training.loop import train
 from emcc import EpisodeRecords, count_streaks, longest_streaks
 
 WRITTEN = ("report.md", "report.csv", "index.html")

@@ -4,6 +4,7 @@ import shutil
 from dataclasses import replace
 
 import pytest
+from agents.results.joined import JoinedSource
 from small_runs import write_evaluated
 
 import agents
@@ -11,7 +12,6 @@ from agents.cli.main import main
 from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.paper.printed import split
-from agents.results.joined import JoinedSource
 from agents.results.reading import read_groups
 
 TASK = "Circle2D-1-v0"

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import gymnasium as gym
 import pytest
+from agents.results.source import FolderSource
 from small_runs import write_evaluated
 from toys import Walk
 
@@ -11,7 +12,6 @@ from agents.paper.presets import preset
 from agents.reporting.report import report
 from agents.reporting.table import markdown
 from agents.results.reading import read_groups
-from agents.results.source import FolderSource
 
 
 @pytest.mark.parametrize("given", [".", "../runs", "../r", "{here}"])

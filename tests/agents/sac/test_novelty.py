@@ -6,11 +6,11 @@ import sys
 
 import numpy as np
 import pytest
+from agents.training.loop import Training
 
 from agents.algorithms import algorithm
 from agents.sac.novelty import FEATURES, Novelty
 from agents.training.config import TrainConfig
-from agents.training.loop import Training
 
 
 def seen(*places):

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from agents.training.loop import Training
 
 from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.training.config import TrainConfig
-from agents.training.loop import Training
 
 
 def training(**changes):

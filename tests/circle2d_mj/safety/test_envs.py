@@ -1,4 +1,4 @@
-"""The three tasks as gymnasium environments, and their physics beside plain MuJoCo."""
+"""The tasks as gymnasium environments, and their physics beside plain MuJoCo."""
 
 import copy
 import pickle
@@ -8,21 +8,21 @@ import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode
+from safety_golden import parameters
 
 from circle2d_mj.assets import asset
 from circle2d_mj.core.streams import Streams
-from circle2d_mj.safety import goal, models
-from circle2d_mj.safety.circle import SafetyPointCircle
+from circle2d_mj.safety import worlds
 from circle2d_mj.safety.envs import SafetyEnv, SafetyVectorEnv
-from circle2d_mj.safety.goal import SafetyPointGoal
+from circle2d_mj.safety.families import GoalTask, PushTask
+from circle2d_mj.safety.resting import STRIDE
+from circle2d_mj.safety.tasks import IDS, NAMES, TASKS
 
-IDS = {
-    "circle2d_mj/SafetyPointCircle1-v0": (28, 2, 500, np.float64),
-    "circle2d_mj/SafetyPointGoal1-v0": (60, 2, 1000, np.float64),
-    "circle2d_mj/SafetyHopperVelocity-v1": (11, 3, 1000, np.float32),
-}
-TASKS = ["SafetyPointCircle1", "SafetyPointGoal1", "SafetyHopperVelocity"]
+# One of each kind of state: free objects, gremlins with timers, a box, none, a body, forces.
+SOME = ["SafetyPointGoal2", "SafetyCarButton1", "SafetyPointPush1", "SafetyCarCircle2"]
+SOME += ["SafetyHopperVelocity", "SafetyHumanoidVelocity"]
 equal = np.testing.assert_array_equal
 
 
@@ -36,25 +36,33 @@ def assert_alike(mine, its):
 
 # Unbounded observations are the original's.
 @pytest.mark.filterwarnings("ignore:.*A Box observation space m..imum value is -?infinity")
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", TASKS)
 def test_ids(name):
-    size, actions, steps, dtype = IDS[name]
-    env = gym.make(name)
+    """Sizes, bounds and lengths are those of the original's recorded models."""
+    recorded = parameters(NAMES[name])
+    env = gym.make(IDS[name])
     check_env(env.unwrapped, skip_render_check=True)
     observation, info = env.reset(seed=0)
-    assert (observation.shape, observation.dtype) == ((size,), np.float64)
+    assert (observation.shape, observation.dtype) == ((recorded["observation_size"],), np.float64)
     assert info["cost"] == 0.0
-    assert env.action_space == gym.spaces.Box(-1, 1, (actions,), dtype)
-    assert env.spec.max_episode_steps == steps
-    assert gym.make(name, max_episode_steps=7).spec.max_episode_steps == 7
-    envs = gym.make_vec(name, num_envs=3, vectorization_mode="vector_entry_point")
+    assert str(env.action_space) == recorded["action_space"]
+    assert env.spec.max_episode_steps == recorded["max_episode_steps"]
+    assert gym.make(NAMES[name], max_episode_steps=7).spec.max_episode_steps == 7
+    envs = gym.make_vec(IDS[name], num_envs=3, vectorization_mode="vector_entry_point")
     assert isinstance(envs, SafetyVectorEnv)
-    assert envs.max_episode_steps == steps
-    assert envs.observation_space.shape == (3, size)
+    assert envs.max_episode_steps == recorded["max_episode_steps"]
+    check_environments_match(
+        env, gym.make(NAMES[name]), num_steps=10, info_comparison="equivalence"
+    )
+
+
+def test_there_are_32_tasks():
+    assert len(TASKS) == 32
+    assert {f"{name}-v0" for name in TASKS if "Velocity" not in name} <= set(NAMES.values())
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-@pytest.mark.parametrize("task", TASKS[:2])
+@pytest.mark.parametrize("task", ["SafetyPointCircle1", "SafetyCarGoal1"])
 def test_positions_of_the_point_are_those_that_mujoco_has(task, mode):
     """In resets, steps, autoresets of either kind and the info of the final state."""
     envs = vector(task, 3, steps=4, mode=mode)
@@ -85,7 +93,7 @@ def test_observation_bounds():
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", SOME)
 def test_native_equals_gymnasiums_own_vector_env(task, mode):
     """Every value of 60 steps of 5 environments, bit for bit; infos but for same-step costs.
 
@@ -119,7 +127,7 @@ def test_native_equals_gymnasiums_own_vector_env(task, mode):
     assert ends >= 15
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", SOME)
 def test_neighbours_and_threads_change_nothing(task):
     """Environment i of 40, on two threads, is environment i of 3, bit for bit."""
     few, many = vector(task, 3), vector(task, 40, num_threads=2)
@@ -134,10 +142,10 @@ def test_neighbours_and_threads_change_nothing(task):
             equal(mine[4][key], its[4][key][:3])
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", SOME)
 def test_two_seeded_runs_are_equal_and_others_are_not(name):
     def run(seed):
-        env = gym.make(name)
+        env = gym.make(IDS[name])
         env.action_space.seed(0)
         results = [env.reset(seed=seed)]
         results += [env.step(env.action_space.sample()) for _ in range(30)]
@@ -150,7 +158,7 @@ def test_two_seeded_runs_are_equal_and_others_are_not(name):
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", SOME)
 def test_copies_go_on_alike_and_apart(task, copied):
     env = vector(task, 3)
     env.reset(seed=1)
@@ -170,7 +178,7 @@ def test_copies_go_on_alike_and_apart(task, copied):
     )
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", SOME)
 def test_state_and_restore(task):
     """Into a used environment and into one that was never reset: resets and new goals included."""
     env, used, new = (vector(task, 4, steps=30) for _ in range(3))
@@ -195,28 +203,8 @@ def test_state_and_restore(task):
         used.load_state_dict({**state, "mujoco": state["mujoco"][:, :-1]})
 
 
-def test_new_goals_follow_the_restored_streams():
-    env = vector("SafetyPointGoal1", 2)
-    env.reset(seed=0)
-    state = env.state_dict()
-    width = env.simulation.model.nq
-    state["places"][:, 0] = state["places"][:, 1]  # agents on their goals
-    state["mujoco"][:, 1:3] = state["places"][:, 1]  # after the time, qpos
-    assert width == 10
-    goals = []
-    for seed in (1, 2):
-        other = vector("SafetyPointGoal1", 2)
-        other.reset(seed=seed)
-        other.load_state_dict(state)
-        info = other.step(np.zeros((2, 2)))[4]
-        equal(info["goal_met"], 1.0)
-        goals.append(other.state_dict()["places"][:, 1])
-    equal(*goals)
-    assert (goals[0] != state["places"][:, 1]).all()
-
-
 def test_actions_are_clipped():
-    for task in TASKS[:2]:
+    for task in ("SafetyPointCircle1", "SafetyCarGoal1"):
         results = []
         for scale in (1.0, 50.0):
             env = SafetyEnv(task, max_episode_steps=None)
@@ -234,89 +222,117 @@ def test_actions_are_clipped():
     assert rewards[0] - rewards[1] == pytest.approx(0.001 * (12 - 3))
 
 
-def plain_step(model, qpos, qvel, control, substeps=10):
-    """One environment step by mj_step on an MjData of its own."""
-    data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:], data.ctrl[:] = qpos, qvel, control
-    mujoco.mj_step(model, data, substeps)
-    return data.qpos.copy(), data.qvel.copy()
-
-
-def test_the_agent_pushes_the_vase_as_in_plain_mujoco():
-    """Agents driven at the vase from afar, every step beside mj_step with all its contacts."""
-    n = 8
-    task = SafetyPointGoal(n)
+def scattered(cls, agent, level, n):
+    """Agents that drive straight at free objects from a short way off."""
+    task = cls(agent, level, n)
     task.start(Streams(np.arange(n, dtype=np.uint64)), np.arange(n))
-    places = task.state_dict()["places"]
-    angle = np.arange(n) * 2 * np.pi / n
-    aim = np.stack((np.cos(angle), np.sin(angle)), axis=1)
-    task.qpos[:, :2] = places[:, 10] - 0.9 * aim
-    task.qpos[:, 2] = angle + np.linspace(-0.1, 0.1, n)
-    places[:, 0] = task.qpos[:, :2]
-    task.load_state_dict({**task.state_dict(), "places": places})
-    model, stood, touched = models.point_goal(), 0, 0
-    control = np.tile([0.05, 0.0], (n, 1))
+    for _ in range(40):  # what is placed settles
+        task.step(np.zeros((n, 2)))
+    places, first = task.places, task.world.free.start
+    turns = np.arange(16) * 2 * np.pi / 16
+    ways = np.stack((np.cos(turns), np.sin(turns)), axis=1)
+    starts = places[:, first, None] - 0.9 * ways
+    others = np.delete(places[:, None], [0, first], axis=2)
+    room = np.linalg.norm(starts[:, :, None] - others, axis=-1).min(axis=2)
+    angle, place = turns[room.argmax(axis=1)], starts[np.arange(n), room.argmax(axis=1)]
+    pose = task.agent.qpos(place, angle + CAR_TURN[agent])
+    task.qpos[:, : task.agent.nq] = pose
+    task.qvel[:, : task.agent.nv] = 0.0
+    task.load_state_dict(task.state_dict())
+    return task
+
+
+CAR_TURN = {"Point": 0.0, "Car": np.pi / 2}  # its front is its -y axis
+FORWARD = {"Point": [0.3, 0.0], "Car": [0.5, 0.5]}
+
+
+@pytest.mark.parametrize("cls", [GoalTask, PushTask])
+@pytest.mark.parametrize("agent", ["Point", "Car"])
+def test_resting_objects_are_as_in_plain_mujoco(cls, agent):
+    """Every step beside ten of mj_step with all contacts in, while agents run into objects."""
+    n = 4
+    task = scattered(cls, agent, 2, n)
+    model, stood, pushed, worst = task.model, 0, 0, []
+    control = np.tile(FORWARD[agent], (n, 1))
     for _ in range(90):
-        qpos, qvel = task.qpos.copy(), task.qvel.copy()
+        plain = [task.batch.get_data(i) for i in range(n)]
+        before = task.qpos[:, task.agent.nq :].copy()
         task.step(control)
-        for i in range(n):
-            expected = plain_step(model, qpos[i], qvel[i], control[i])
-            np.testing.assert_allclose(task.qpos[i], expected[0], atol=1e-6)
-            np.testing.assert_allclose(task.qvel[i], expected[1], atol=2e-5)
-        stood += (task.qpos[:, 3:] == qpos[:, 3:]).all(axis=1).sum()
-        touched += (np.abs(task.qpos[:, 3:5] - qpos[:, 3:5]).max(axis=1) > 1e-3).sum()
-    assert stood > 20 * n / 2
-    assert touched > 5 * n
-    assert (np.linalg.norm(task.qpos[:, 3:5] - places[:, 10], axis=1) > 0.1).all()
-    equal(task.state_dict()["places"][:, 10], task.qpos[:, 3:5])
+        same = (task.qpos[:, task.agent.nq :] == before).reshape(n, -1, 7).all(axis=2)
+        stood += same.sum()
+        pushed += (np.abs(task.qpos[:, task.agent.nq :] - before).max(axis=1) > 1e-3).sum()
+        for i, data in enumerate(plain):
+            data.ctrl[:] = control[i]
+            mujoco.mj_step(model, data, 10)
+            worst.append(np.abs(task.qpos[i] - data.qpos).max())
+    assert stood > 40
+    assert pushed > 20
+    assert np.median(worst) < 1e-9
+    assert max(worst) < 1e-5
 
 
-def test_out_of_reach():
-    """No contact between agent and vase beyond 0.31 m, and no agent faster than 1.6 m/s."""
-    model, rng = models.point_goal(), np.random.default_rng(0)
-    data, farthest = mujoco.MjData(model), 0.0
-    vase = model.geom("vase0").id
-    for _ in range(3000):
-        distance, angle = rng.uniform(0.2, 0.5), rng.uniform(0, 2 * np.pi)
-        data.qpos[2] = rng.uniform(0, 2 * np.pi)
-        data.qpos[3:6] = distance * np.cos(angle), distance * np.sin(angle), 0.1
-        data.qpos[6:] = rng.normal(size=4)
-        mujoco.mj_forward(model, data)
-        if any(vase in pair and 0 not in pair for pair in data.contact.geom):
-            farthest = max(farthest, distance)
-    task = SafetyPointCircle(64)
-    task.start(Streams(np.arange(64, dtype=np.uint64)), np.arange(64))
-    turn, fastest = np.where(np.arange(64) < 32, 0.0, rng.uniform(-1, 1, 64)), 0.0
-    for _ in range(300):
-        task.step(np.stack((np.ones(64), turn), axis=1))
-        fastest = max(fastest, np.linalg.norm(task.qvel[:, :2], axis=1).max())
-    assert 0.25 < farthest < 0.35
-    assert 1.3 < fastest < 1.6
-    assert farthest + 0.02 * fastest < goal.OUT_OF_REACH
+def test_nothing_moves_farther_than_the_stride():
+    """Objects that may rest are farther from all that moves than both can go in a step."""
+    farthest = 0.0
+    for cls in (GoalTask, PushTask):
+        for agent in ("Point", "Car"):
+            task, n = scattered(cls, agent, 2, 16), 16
+            rng, action = np.random.default_rng(0), np.tile(FORWARD[agent], (16, 1))
+            action[n // 2 :] += rng.uniform(-0.3, 0.3, (n // 2, 2))
+            rows = [0, *range(task.world.free.start, task.world.free.stop)]
+            for _ in range(60):
+                before = task.places
+                pushed = task.qvel[:, task.agent.nv :].reshape(n, -1, 6)
+                way = np.linalg.norm(pushed[:, :, :2], axis=2) * task.step_seconds
+                task.step(action)
+                moved = np.linalg.norm(task.places[:, rows] - before[:, rows], axis=-1)
+                moved[:, 1:] -= way
+                farthest = max(farthest, moved.max())
+    assert 0.02 < farthest < STRIDE
+
+
+def test_gremlins_and_timers_go_on_from_a_state():
+    """In the middle of a gremlin's round and of a button's timer, into a new environment."""
+    env, other = (vector("SafetyPointButton2", 6, steps=None) for _ in range(2))
+    env.reset(seed=0)
+    task = env.simulation
+    state = env.state_dict()
+    button = state["layout"][np.arange(6), 1 + state["goal_button"]]
+    state["mujoco"][:, 1:3] = button - [0.15, 0.0]  # beside their buttons, behind the time
+    env.load_state_dict(state)
+    met = np.zeros(6)
+    for _ in range(8):
+        met += env.step(np.tile([1.0, 0.0], (6, 1)))[4]["goal_met"]
+    assert met.any()
+    assert ((task.timer > 0) & (task.timer < 10)).any()
+    other.load_state_dict(env.state_dict())
+    for k in range(60):
+        action = np.tile([1.0, (-1.0) ** k], (6, 1))
+        assert_alike(env.step(action), other.step(action))
+    assert_alike(env.state_dict(), other.state_dict())
 
 
 def test_data_shows_the_world():
-    env = vector("SafetyPointGoal1", 3)
-    env.reset(seed=0)
-    task = env.simulation
-    before = env.state_dict()
-    data, places = task.data(1), task.state_dict()["places"][1]
-    names = ["agent", "goal", *[f"hazard{i}" for i in range(8)], "vase0"]
-    for name, place in zip(names, places, strict=True):
-        np.testing.assert_allclose(data.geom(name).xpos[:2], place, atol=1e-12)
-    equal(data.qpos, task.qpos[1])
-    equal(data.sensordata, task.sensors[1])
-    assert_alike(env.state_dict(), before)
     for name in TASKS:
-        assert (
-            vector(name, 2).simulation.data(1).qpos.shape
-            == vector(name, 2).simulation.qpos[1].shape
-        )
+        env = vector(name, 2)
+        env.reset(seed=0)
+        before, task = env.state_dict(), env.simulation
+        data = task.data(1)
+        equal(data.qpos, task.qpos[1])
+        if hasattr(task, "places"):
+            for kind, rows in task.world.rows.items():
+                number = rows.stop - rows.start
+                bodies = (
+                    ["agent"] if kind == "agent" else worlds.names(task.world.kinds[kind], number)
+                )
+                for body, place in zip(bodies, task.places[1, rows], strict=True):
+                    np.testing.assert_allclose(data.body(body).xpos[:2], place, atol=1e-12)
+        assert_alike(env.state_dict(), before)
 
 
 def test_bad_arguments():
-    with pytest.raises(ValueError, match=r"task must be one of \['SafetyPointCircle1'"):
-        SafetyVectorEnv("SafetyCarGoal1", max_episode_steps=None)
+    with pytest.raises(ValueError, match=r"task must be one of \['SafetyPointGoal0'"):
+        SafetyVectorEnv("SafetyCarGoal3", max_episode_steps=None)
     for name, value, error in [
         ("num_envs", 0, ValueError),
         ("num_envs", 1.5, TypeError),

@@ -1,28 +1,65 @@
-"""Where SafetyPointGoal1-v0 puts things, beside plain loops that sample as the original does."""
+"""Where things are put: the suite's rules, and PointGoal1 beside loops as the original's."""
 
 import numpy as np
 import pytest
+from safety_golden import parameters
 from scipy import stats
 
 from circle2d_mj.core.streams import Streams
-from circle2d_mj.safety import layout, rules
-from circle2d_mj.safety.circle import SafetyPointCircle
-from circle2d_mj.safety.goal import SafetyPointGoal
+from circle2d_mj.safety import layout, worlds
+from circle2d_mj.safety.families import ButtonTask, CircleTask, GoalTask, PushTask, RunTask
 
-N = 10_000
+FAMILIES = {c.family: c for c in (GoalTask, ButtonTask, PushTask, CircleTask, RunTask)}
 NAMES = ["agent", "goal", *[f"hazard{i}" for i in range(8)], "vase0"]
 KEEPOUT = dict.fromkeys(NAMES, 0.18) | {"agent": 0.4, "goal": 0.305, "vase0": 0.15}
 
 
-def started(make, n=N, seed=0):
-    task = make(n)
+def started(family, agent="Point", level=1, n=200, seed=0):
+    task = FAMILIES[family](agent, level, n)
     task.start(Streams(np.arange(seed, seed + n, dtype=np.uint64)), np.arange(n))
     return task
 
 
-@pytest.fixture(scope="module")
-def ours():
-    return started(SafetyPointGoal)
+def apart(places):
+    return np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
+
+
+def names(task):
+    """The original's name of each row of the layout."""
+    found = ["agent"]
+    for placed in task.world.scene.placed:
+        found += worlds.names(task.world.kinds[placed.kind], placed.number)
+    return found
+
+
+@pytest.mark.parametrize("agent", ["Point", "Car"])
+@pytest.mark.parametrize("family", ["Goal", "Button", "Push", "Circle", "Run"])
+def test_placements(family, agent):
+    """Keepouts and extents are those that the original's task had; the agent's start costs 0."""
+    for level in range(1 if family == "Run" else 3):
+        recorded = parameters(f"Safety{agent}{family}{level}-v0")
+        task = started(family, agent, level, n=60)
+        placed = {k: v for k, v in recorded["placements"].items() if "sigwall" not in k}
+        assert names(task) == list(placed)
+        places, half = task.places, recorded["extents"][2]
+        goal = names(task).index("goal") if "goal" in placed else None
+        for i, (rectangles, keepout) in enumerate(placed.values()):
+            if family == "Button" and i == goal:
+                continue  # on its button by now
+            if rectangles is None:
+                assert (np.abs(places[:, i]) <= half - keepout).all()
+            else:
+                left, bottom, right, top = rectangles[0]
+                assert (places[:, i] >= np.array([left, bottom]) - 2e-9).all()
+                assert (places[:, i] <= np.array([right, top]) + 2e-9).all()
+            for k, (_, other) in enumerate(list(placed.values())[:i]):
+                if not (family == "Button" and k == goal):
+                    distance = np.linalg.norm(places[:, i] - places[:, k], axis=1)
+                    assert (distance >= keepout + other).all()
+        assert all((cost == 0).all() for cost in task._costs().values())
+        assert task.observation_space.shape == (recorded["observation_size"],)
+        shown = [key for key in recorded["obs_layout"] if "lidar" in key]
+        assert [f"{kind}_lidar" for kind in task.world.scene.lidars] == shown
 
 
 def draw(rng, name, others):
@@ -51,25 +88,9 @@ def plain_layouts(n):
     return np.array(layouts)
 
 
-def apart(places):
-    return np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
-
-
-def test_keepouts_and_ranges(ours):
-    places = ours.state_dict()["places"]
-    keepout = np.array([KEEPOUT[name] for name in NAMES])
-    needed = keepout[:, None] + keepout
-    np.fill_diagonal(needed, 0)
-    assert (apart(places) >= needed).all()
-    assert (np.abs(places) <= 1.5 - keepout[:, None]).all()
-    assert (np.abs(places).max(axis=(0, 2)) > 1.49 - keepout).all()
-    assert (rules.goal_cost(rules.sight(places[:, 0], places[:, 2:10]).distance) == 0).all()
-    assert len(np.unique(places.reshape(N, -1), axis=0)) == N
-
-
-def test_layouts_are_distributed_like_the_originals(ours):
+def test_layouts_are_distributed_like_the_originals():
     """Two-sample Kolmogorov-Smirnov tests of places and of distances."""
-    places, plain = ours.state_dict()["places"], plain_layouts(1500)
+    places, plain = started("Goal", n=6000).places, plain_layouts(1500)
     near, plain_near = apart(places), apart(plain)
     values = [
         (places[:, i, 0] + places[:, i, 1], plain[:, i, 0] + plain[:, i, 1]) for i in range(11)
@@ -81,61 +102,68 @@ def test_layouts_are_distributed_like_the_originals(ours):
     assert min(stats.ks_2samp(*pair).pvalue for pair in values) > 1e-3 / len(values)
 
 
-def test_start_poses(ours):
-    """Headings and the vase's are uniform; all is at rest; sensors show gravity alone."""
+def test_start_poses():
+    """Headings and turns are uniform; all is at rest; sensors show gravity alone."""
+    ours = started("Goal", n=6000)
     turn = 2 * np.arctan2(ours.qpos[:, 9], ours.qpos[:, 6])
     for angle in (ours.qpos[:, 2], turn):
         assert stats.kstest(angle, stats.uniform(0, 2 * np.pi).cdf).pvalue > 1e-3
-    np.testing.assert_allclose(np.linalg.norm(ours.qpos[:, 6:], axis=1), 1, atol=1e-12)
-    np.testing.assert_array_equal(
-        ours.qpos[:, 3:6], np.c_[ours.state_dict()["places"][:, 10], [0.09996] * N]
-    )
+    np.testing.assert_array_equal(ours.qpos[:, 3:6], np.c_[ours.places[:, 10], [0.09996] * 6000])
     np.testing.assert_array_equal(ours.qvel, 0)
-    np.testing.assert_allclose(ours.observe()[:, :9], [[0, 0, 9.81] + [0] * 6] * N, atol=1e-12)
+    np.testing.assert_allclose(ours.observe()[:, :9], [[0, 0, 9.81] + [0] * 6] * 6000, atol=1e-12)
+    car = started("Button", "Car", n=300)
+    heading = 2 * np.arctan2(car.qpos[:, 6], car.qpos[:, 3])
+    assert stats.kstest(heading, stats.uniform(0, 2 * np.pi).cdf).pvalue > 1e-3
+    np.testing.assert_array_equal(car.qpos[:, 2], 0.1)
+    assert np.bincount(car.goal_button, minlength=4).min() > 40
+    place = car.places[np.arange(300), 1 + car.goal_button]
+    np.testing.assert_array_equal(car.places[:, 5], place)
 
 
 def test_circle_starts():
-    task = started(SafetyPointCircle)
+    task = started("Circle", n=6000)
     for column, law in enumerate([stats.uniform(-0.8, 1.6)] * 2 + [stats.uniform(0, 2 * np.pi)]):
         assert stats.kstest(task.qpos[:, column], law.cdf).pvalue > 1e-3
-    assert np.abs(np.corrcoef(task.qpos.T) - np.eye(3)).max() < 0.03
-    np.testing.assert_array_equal(task.qvel, 0)
-    np.testing.assert_allclose(task.observe()[:, :3], [[0, 0, 9.81]] * N, atol=1e-12)
+    assert np.abs(np.corrcoef(task.qpos.T) - np.eye(3)).max() < 0.04
 
 
-def test_a_reached_goal_moves():
-    n = 500
-    task = started(SafetyPointGoal, n)
-    before = task.state_dict()["places"]
-    task.qpos[:, :2] = before[:, 1] + [0.1, 0.0]  # the agents stand in their goals
-    task.qpos[::2, 3:5] = [2.0, 2.0]  # and half of the vases have left the arena
-    places = before.copy()
-    places[:, 0], places[:, 10] = task.qpos[:, :2], task.qpos[:, 3:5]
-    task.load_state_dict({**task.state_dict(), "places": places})
+def at_goals(task):
+    """Put the agents, or the boxes, on their goals."""
+    state, goal = task.state_dict(), task.world.rows["goal"].start
+    first = 1 + (3 if task.family == "Push" else 0)  # behind the time
+    state["mujoco"][:, first : first + 2] = state["layout"][:, goal] + [0.1, 0.0]
+    task.load_state_dict(state)
+
+
+@pytest.mark.parametrize("family", ["Goal", "Push"])
+def test_a_reached_goal_moves(family):
+    n = 200
+    task = started(family, n=n)
+    at_goals(task)
+    before, goal = task.places, task.world.rows["goal"].start
     reward, terminated, info = task.step(np.zeros((n, 2)))
-    np.testing.assert_allclose(reward, 1.0, atol=1e-9)
     assert not terminated.any()
     np.testing.assert_array_equal(info["goal_met"], 1.0)
-    after = task.state_dict()["places"]
-    np.testing.assert_array_equal(np.delete(after, 1, 1)[:, 1:9], np.delete(before, 1, 1)[:, 1:9])
-    assert (after[:, 1] != before[:, 1]).all()
-    keepout = np.array([KEEPOUT[name] for name in NAMES])
-    room = apart(after)[:, 1] - keepout - keepout[1]
-    assert (np.delete(room, 1, 1) >= 0).all()
-    assert (np.abs(after[:, 1]) <= 1.5 - 0.305).all()
-    # The observation shows the new goal, and the next reward counts from it.
-    ahead = rules.lidar(rules.sight(after[:, 0], after[:, 1:2]), task.qpos[:, 2], 3.0)
-    np.testing.assert_array_equal(task.observe()[:, 12:28], ahead)
+    np.testing.assert_allclose(reward, 1.0, atol=1e-2)  # the box may settle
+    after = task.places
+    kept = [i for i, name in enumerate(names(task)) if name[:6] in ("hazard", "pillar")]
+    np.testing.assert_array_equal(after[:, kept], before[:, kept])
+    assert (after[:, goal] != before[:, goal]).all()
+    keepout = task.world.areas.keepout
+    room = apart(after)[:, goal] - keepout - keepout[goal]
+    assert (np.delete(room, goal, 1) >= -1e-3).all()
+    assert (np.abs(after[:, goal]) <= 1.5 - keepout[goal]).all()
     reward, _, info = task.step(np.zeros((n, 2)))
-    assert np.abs(reward).max() < 1e-6
+    assert np.abs(reward).max() < 1e-2
     assert not info["goal_met"].any()
 
 
 def test_new_goals_are_distributed_like_the_originals():
     """Many goals among the same other objects, which stand where the agent could push them."""
-    n = 4000
+    n, areas = 4000, worlds.world("Point", "Goal", 1).areas
     places = np.repeat(plain_layouts(1), n, axis=0)
-    goals, found = layout.sample_goal(Streams(np.arange(n, dtype=np.uint64)), np.arange(n), places)
+    streams, index = Streams(np.arange(n, dtype=np.uint64)), np.arange(n)
+    goals, found = layout.sample_again(streams, index, areas, 1, places)
     assert found.all()
     rng = np.random.default_rng(1)
     others = {name: places[0, i] for i, name in enumerate(NAMES) if name != "goal"}
@@ -144,56 +172,36 @@ def test_new_goals_are_distributed_like_the_originals():
         assert stats.ks_2samp(goals @ direction, plain @ direction).pvalue > 1e-3
 
 
-def test_an_episode_terminates_where_no_goal_can_be_placed(monkeypatch):
-    task = started(SafetyPointGoal, 3)
-    places = task.state_dict()["places"]
-    task.qpos[1, :2] = places[1, 1]
-    monkeypatch.setattr(layout, "KEEPOUT", layout.KEEPOUT + 9)
+def test_an_episode_terminates_where_no_goal_can_be_placed():
+    task = started("Goal", n=3)
+    before = task.places
+    task.qpos[1, :2] = before[1, 1]
+    task.load_state_dict(task.state_dict())
+    task.world = task.world._replace(
+        areas=task.world.areas._replace(keepout=task.world.areas.keepout + 9)
+    )
     _, terminated, info = task.step(np.zeros((3, 2)))
     np.testing.assert_array_equal(terminated, [False, True, False])
     np.testing.assert_array_equal(info["goal_met"], [0, 1, 0])
-    np.testing.assert_array_equal(task.state_dict()["places"][:, 1], places[:, 1])
+    np.testing.assert_array_equal(task.places[:, 1], before[:, 1])
 
 
 def test_crowded_layouts_start_over():
     """Six objects that need more than half of the square: many attempts end in a dead end."""
-    keepout, index = np.full(6, 0.42), np.arange(30)
+
+    def areas(keepout):
+        half = np.full((6, 2), 1.5 - keepout)
+        return layout.Areas(np.zeros((6, 2)), half, np.full(6, keepout))
+
+    index = np.arange(30)
     streams = Streams(index.astype(np.uint64))
-    places = layout.sample_layout(streams, index, keepout)
+    places = layout.sample_layout(streams, index, areas(0.42))
     near = apart(places) + 9 * np.eye(6)
     assert near.min() >= 0.84
     assert streams.counters.max() > 3 * streams.counters.min()  # some took several attempts
     alone = Streams(np.array([17], dtype=np.uint64))
     np.testing.assert_array_equal(
-        layout.sample_layout(alone, np.array([0]), keepout), places[17:18]
+        layout.sample_layout(alone, np.array([0]), areas(0.42)), places[17:18]
     )
     with pytest.raises(RuntimeError, match="no layout found in 3 attempts"):
-        layout.sample_layout(streams, index, np.full(6, 0.6), layout_tries=3)
-
-
-def test_lidar_against_a_plain_loop():
-    """The specification, one target at a time."""
-    rng = np.random.default_rng(0)
-    position, heading = rng.uniform(-2, 2, (50, 2)), rng.uniform(-9, 9, 50)
-    targets = rng.uniform(-2, 2, (50, 10, 2))
-    groups = np.array((0, *[1] * 8, 2))
-    expected = np.zeros((50, 3, 16))
-    size = 2 * np.pi / 16
-    for i in range(50):
-        cos, sin = np.cos(heading[i]), np.sin(heading[i])
-        for k in range(10):
-            dx, dy = targets[i, k] - position[i]
-            x, y = cos * dx + sin * dy, cos * dy - sin * dx
-            angle = np.arctan2(y, x) % (2 * np.pi)
-            b = int(angle / size)
-            s = max(0, 3.0 - np.hypot(x, y)) / 3.0
-            share = (angle - b * size) / size
-            row = expected[i, groups[k]]
-            for at, value in [(b, s), (b + 1, share * s), (b - 1, (1 - share) * s)]:
-                row[at % 16] = max(row[at % 16], value)
-    seen = rules.lidar(rules.sight(position, targets), heading, 3.0, groups)
-    np.testing.assert_allclose(seen, expected.reshape(50, 48), atol=1e-12)
-    one = rules.lidar(
-        rules.sight(position[3], targets[3]), heading[3], 3.0, groups
-    )  # no leading axes
-    np.testing.assert_array_equal(one, seen[3])
+        layout.sample_layout(streams, index, areas(0.6), layout_tries=3)

@@ -10,6 +10,7 @@ GOAL, CIRCLE, HOPPER = (
     f"circle2d_mj/{name}"
     for name in ("SafetyPointGoal1-v0", "SafetyPointCircle1-v0", "SafetyHopperVelocity-v1")
 )
+BUTTON, PUSH = "circle2d_mj/SafetyCarButton2-v0", "circle2d_mj/SafetyPointPush2-v0"
 HALF_HEIGHT = 2.5  # of the top camera's view, m
 
 
@@ -31,10 +32,10 @@ def test_goal_and_vase_are_drawn_where_they_are(opengl, seed):
         picture = env.render()
         assert (picture.shape, picture.dtype) == ((640, 640, 3), np.uint8)
         goal = centre(picture, lambda r, g, b: (g > r + 40) & (g > b + 40))
-        np.testing.assert_allclose(goal, task._places[0, 1], atol=0.02)
+        np.testing.assert_allclose(goal, task.places[0, 1], atol=0.02)
         vase = centre(picture, lambda r, g, b: (b > r + 60) & (g > r + 60))
         np.testing.assert_allclose(vase, task.qpos[0, 3:5], atol=0.03)
-        task._move_goals(np.array([0]))
+        task._draw_goals(np.array([0]))
     env.close()
 
 
@@ -51,7 +52,7 @@ def test_the_agent_is_drawn_where_it_is(opengl):
     env.close()
 
 
-@pytest.mark.parametrize("task", [GOAL, CIRCLE, HOPPER])
+@pytest.mark.parametrize("task", [GOAL, CIRCLE, HOPPER, BUTTON, PUSH])
 def test_pictures_change_nothing(opengl, task):
     env = gym.make(task, render_mode="rgb_array")
     env.reset(seed=1)
@@ -73,9 +74,9 @@ def test_pictures_change_nothing(opengl, task):
 
 @pytest.mark.parametrize(
     ("task", "fps"),
-    [("SafetyPointCircle1-v0", 50), ("SafetyPointGoal1-v0", 50), ("SafetyHopperVelocity-v1", 125)],
+    [("SafetyPointCircle1-v0", 50), ("SafetyCarGoal1-v0", 25), ("SafetyHopperVelocity-v1", 125)],
 )
 def test_films_run_as_fast_as_the_task(task, fps):
-    """Ten steps of 2 ms, or Hopper's four."""
+    """Ten steps of 2 or 4 ms, or Hopper's four of 2 ms."""
     assert gym.make(f"circle2d_mj/{task}").metadata["render_fps"] == fps
     assert gym.make_vec(f"circle2d_mj/{task}", 2).metadata["render_fps"] == fps

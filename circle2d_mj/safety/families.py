@@ -1,0 +1,165 @@
+"""The families of navigation tasks: what is rewarded, and what a goal is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from circle2d_mj.core.simulation import State
+from circle2d_mj.safety import layout, rules
+from circle2d_mj.safety.navigation import Flags, Floats, NavigationTask
+
+BUTTON_DELAY = 10
+"""Steps after a press during which buttons are not seen and wrong ones do not cost"""
+
+
+class _WithGoal(NavigationTask):
+    """A goal that is drawn anew among the other objects; no place for one ends the episode."""
+
+    has_goals = True
+
+    def _begin_goals(self, index: NDArray[np.intp]) -> None:
+        # The original draws the goal a second time before anyone sees it.
+        self._draw_goals(index)
+
+    def _renew_goals(self, met: Flags) -> Flags:
+        terminated = np.zeros(self.num_envs, dtype=bool)
+        if met.any():
+            terminated[met] = ~self._draw_goals(np.flatnonzero(met))
+        return terminated
+
+    def _draw_goals(self, index: NDArray[np.intp]) -> Flags:
+        """Move the goals of the environments `index`; return where a place was found."""
+        row = self.world.rows["goal"].start
+        areas, places = self.world.areas, self._places[index]
+        place, found = layout.sample_again(self._goals, index, areas, row, places)
+        self._layout[index, row] = place
+        self._look()
+        return found
+
+
+class GoalTask(_WithGoal):
+    """Go from goal to goal. The reward is the way made towards it, m, and 1 for reaching it: the
+    agent's origin within 0.3 m of the goal's. A goal that is reached moves at once."""
+
+    family = "Goal"
+
+    def _lengths(self) -> Floats:
+        return self._distance[:, self.world.rows["goal"]]
+
+    def _met(self) -> Flags:
+        return rules.goal_met(self._distance[:, self.world.rows["goal"].start])
+
+
+class PushTask(_WithGoal):
+    """Push a box from goal to goal. The reward is the way made by the agent towards the box and by
+    the box towards the goal, m, both in space, and 1 for the box within 0.3 m of the goal."""
+
+    family = "Push"
+
+    def _lengths(self) -> Floats:
+        box = self._free_qpos[:, 0, :3]
+        goal = np.empty_like(box)
+        goal[:, :2] = self._places[:, self.world.rows["goal"].start]
+        goal[:, 2] = self.world.kinds["goal"].height
+        return np.stack((_length(box - self._position), _length(goal - box)), axis=1)
+
+    def _met(self) -> Flags:
+        return rules.goal_met(self._lengths()[:, 1])
+
+
+class ButtonTask(NavigationTask):
+    """Press one of four buttons, then the next. The reward is the way made towards it, m, and 1
+    for touching it. The next is drawn from all four; for ten steps after a press buttons are not
+    seen, and touching a wrong one does not cost."""
+
+    family = "Button"
+    has_goals = True
+
+    def __init__(self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1) -> None:
+        self.goal_button = np.zeros(num_envs, dtype=np.int64)
+        self.timer = np.zeros(num_envs, dtype=np.int64)
+        super().__init__(agent, level, num_envs, num_threads)
+
+    def _lengths(self) -> Floats:
+        return self._distance[:, self.world.rows["goal"]]
+
+    def _met(self) -> Flags:
+        return self._touched()[np.arange(self.num_envs), self.goal_button]
+
+    def _costs(self) -> dict[str, Floats]:
+        costs = super()._costs()
+        if "buttons" in costs:
+            wrong = self._touched()
+            wrong[np.arange(self.num_envs), self.goal_button] = False
+            costs["buttons"] = rules.touch_cost(wrong) * (self.timer == 0)
+        return costs
+
+    def _begin_goals(self, index: NDArray[np.intp]) -> None:
+        self._draw_buttons(index)
+        self.timer[index] = 0
+
+    def _renew_goals(self, met: Flags) -> Flags:
+        self.timer = np.where(met, BUTTON_DELAY, np.maximum(self.timer - 1, 0))
+        if met.any():
+            self._draw_buttons(np.flatnonzero(met))
+        return np.zeros(self.num_envs, dtype=bool)
+
+    def _draw_buttons(self, index: NDArray[np.intp]) -> None:
+        draw = self._goals.uniform(index)[:, 0]
+        self.goal_button[index] = (4 * draw).astype(np.int64)
+        self._mark_goals()
+
+    def _mark_goals(self) -> None:
+        """Move the goal onto the goal button."""
+        buttons = self._layout[:, self.world.rows["buttons"]]
+        chosen = buttons[np.arange(self.num_envs), self.goal_button]
+        self._layout[:, self.world.rows["goal"].start] = chosen
+        self._look()
+
+    def _touched(self) -> Flags:
+        """Which buttons the agent touches: [num_envs, 4]."""
+        return self.sensors[:, self.world.touch["buttons"]] > 0
+
+    def observe(self) -> Floats:
+        """Return the observations; buttons are not seen while the timer runs."""
+        observation = super().observe()
+        first = self.agent.sensors
+        observation[self.timer != 0, first : first + rules.LIDAR_BINS] = 0.0
+        return observation
+
+    def state_dict(self) -> State:
+        """Return all that steps depend on."""
+        buttons = {"goal_button": self.goal_button.copy(), "timer": self.timer.copy()}
+        return {**super().state_dict(), **buttons}
+
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
+        self.goal_button[:], self.timer[:] = state["goal_button"], state["timer"]
+        super().load_state_dict(state)
+
+
+class CircleTask(NavigationTask):
+    """Run round a circle, anticlockwise: see `rules.circle_reward`. Beyond the walls it costs."""
+
+    family = "Circle"
+
+    def _reward(self, before: Floats, met: Flags) -> Floats:
+        return rules.clipped(rules.circle_reward(self._position, self.qvel))
+
+
+class RunTask(NavigationTask):
+    """Run south, about 60 a metre, between two walls; beyond them it costs."""
+
+    family = "Run"
+
+    def _lengths(self) -> Floats:
+        return rules.run_distance(self._position)[:, None]
+
+    def _reward(self, before: Floats, met: Flags) -> Floats:
+        return (before - self._lengths())[:, 0]
+
+
+def _length(vectors: Floats) -> Floats:
+    x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+    return np.sqrt(x * x + y * y + z * z)

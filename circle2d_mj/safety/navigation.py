@@ -1,0 +1,298 @@
+"""Agents among objects: the common part of the navigation tasks. What a goal is: `families`."""
+
+# pyright: reportAttributeAccessIssue=false
+# mujoco's names are compiled in, where pyright does not see them.
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from circle2d_mj.core.simulation import Outcome, State
+from circle2d_mj.core.streams import Streams
+from circle2d_mj.safety import layout, rules, views, worlds
+from circle2d_mj.safety.agents import action_space
+from circle2d_mj.safety.mujoco_task import MuJoCoTask
+from circle2d_mj.safety.resting import SUBSTEPS, Resting
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+_QUIET = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+
+
+class NavigationTask(MuJoCoTask):
+    """`num_envs` copies of a task: an agent ("Point", "Car") in a scene of the family.
+
+    | info | meaning | unit |
+    | --- | --- | --- |
+    | cost | 1.0 where any kind of cost is, else 0.0 | |
+    | cost_... | the same for one kind: see `scenes` | |
+    | goal_met | 1.0 where the step reached the goal, else 0.0; of families with goals | |
+    | x_position, y_position | where the agent is in the world | m |
+
+    The observation is the agent's sensors, then 16 numbers for each lidar. Starts: a layout, all
+    headings and turns of objects uniform, everything at rest. Source: safety-gymnasium 1.0.0.
+    """
+
+    family: ClassVar[str]
+    has_goals: ClassVar[bool] = False
+
+    def __init__(self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1) -> None:
+        self.world = worlds.world(agent, self.family, level)
+        model, scene = self.world.model, self.world.scene
+        super().__init__(model, num_envs, num_threads, SUBSTEPS, agent=agent, level=level)
+        self.agent = self.world.agent
+        self.action_space = action_space()
+        self.observation_space = self._space()
+        hazard = self.world.kinds.get("hazards")
+        radius = hazard.size[0] if hazard else 0.0
+        self.view = views.of_scene(self.family, scene, radius, self.agent.sensors)
+        self.info_keys = (
+            "cost",
+            *(f"cost_{kind}" for kind in scene.costs),
+            *(["goal_met"] if self.has_goals else []),
+            "x_position",
+            "y_position",
+        )
+        n, free = self.num_envs, self.world.free.stop - self.world.free.start
+        self._free_qpos = self.qpos[:, self.agent.nq :].reshape(n, free, 7)
+        self._free_qvel = self.qvel[:, self.agent.nv :].reshape(n, free, 6)
+        self._mocap_pos = self.batch.bind("mocap_pos").reshape(n, -1, 3)
+        self._mocap_quat = self.batch.bind("mocap_quat").reshape(n, -1, 4)
+        self._time = self.batch.bind("time").reshape(n)
+        rotations = self.batch.bind("xmat").reshape(n, -1, 3, 3)
+        self._rotations = rotations[:, 1 : 1 + self.agent.bodies]
+        rows = self.world.rows
+        targets = [np.arange(len(self.world.areas.keepout))[rows[kind]] for kind in scene.lidars]
+        self._targets = np.concatenate(targets) if targets else np.zeros(0, dtype=np.intp)
+        self._groups = np.repeat(np.arange(len(targets)), [len(t) for t in targets])
+        self._driven = "gremlins" in rows
+        self._first_gremlin = len(self.world.mocap) - free  # of the mocap bodies
+        self._flags = self.batch.expand("opt.disableflags")
+        objects = self._free_qpos, self._free_qvel
+        sleeps = bool(free) and not self._driven
+        self._rests = Resting(self.batch, self.world, *objects) if sleeps else None
+        # Where everything was placed, m: [num_envs, objects, 2]; a goal's place is the current one.
+        self._layout = np.zeros((n, len(self.world.areas.keepout), 2))
+        self._places = self._layout.copy()  # where everything is now
+        self._look()
+        # New goals are drawn in the middle of an episode, from streams which `start` seeds.
+        self._goals = Streams(np.zeros(n, dtype=np.uint64))
+
+    @property
+    def places(self) -> Floats:
+        """Where everything is now, m: [num_envs, objects, 2]; rows: `world.rows`."""
+        return self._places.copy()
+
+    def positions(self, kind: str) -> Floats:
+        """Where objects of a kind, or the agent, are now in space, m: [num_envs, k, 3]."""
+        if kind == "agent":
+            return self._position[:, None].copy()
+        if self.world.kinds[kind].physics in ("free", "driven"):
+            return self._free_qpos[:, :, :3].copy()
+        places = self._places[:, self.world.rows[kind]]
+        height = np.full((*places.shape[:-1], 1), self.world.kinds[kind].height)
+        return np.concatenate((places, height), axis=-1)
+
+    def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
+        """Lay the environments `index` out anew, everything at rest."""
+        free = self._free_qpos.shape[1]
+        self._goals.reseed(index, layout.stream_keys(streams, index, 1)[:, 0])
+        draw = streams.uniform(index, draws=1 + free // 4)
+        places = layout.sample_layout(streams, index, self.world.areas)
+        turns = np.pi * draw[:, 1 : 1 + free]  # half of each turn
+        self.place(index, places, 2.0 * np.pi * draw[:, 0], turns)
+        self._begin_goals(index)
+
+    def place(
+        self, index: NDArray[np.intp], places: Floats, heading: Floats, half_turns: Floats
+    ) -> None:
+        """Put agents and objects of the environments `index` down, at rest.
+
+        places: [len(index), objects, 2]; heading: [len(index)]; half_turns: [len(index), free
+        objects], half of each one's rotation about the vertical.
+        """
+        world, n = self.world, len(index)
+        self._layout[index] = places
+        qpos = np.empty((n, self.model.nq))
+        qpos[:, : self.agent.nq] = self.agent.qpos(places[:, 0], heading)
+        objects = qpos[:, self.agent.nq :].reshape(n, -1, 7)
+        objects[:, :, :2] = places[:, world.free]
+        for kind in world.kinds.values():
+            if kind.physics in ("free", "driven"):
+                objects[:, :, 2] = kind.height
+        objects[:, :, 3:] = 0.0
+        objects[:, :, 3], objects[:, :, 6] = np.cos(half_turns), np.sin(half_turns)
+        self.batch.state[index] = self._initial
+        self._mocap_pos[index, :, :2] = places[:, world.mocap]
+        if self._driven:
+            self._mocap_quat[index, self._first_gremlin :] = objects[:, :, 3:]
+        self.qpos[index], self.qvel[index] = qpos, 0.0
+        self.settle(index)
+
+    def settle(self, index: NDArray[np.intp]) -> None:
+        """Bring sensors and places in line with states that were just written."""
+        if self._rests:
+            self._rests.wake(index)
+        self.batch.forward(index)
+        self._sense(index)
+        self._look()
+
+    def put_clock(self, index: int, time: float) -> None:
+        """Set the time since the reset, s."""
+        self._time[index] = time
+
+    def put_gremlins(self, index: int, offset: Floats) -> None:
+        """Set where gremlins aim, relative to their places: [gremlins, 3] m."""
+        self._mocap_pos[index, self._first_gremlin :] = self._gremlins_at_rest(index) + offset
+
+    def step(self, action: Floats) -> Outcome:
+        """Move all agents by their actions, [num_envs, 2], and renew the goals that they reach."""
+        before = self._lengths()
+        self.advance(action)
+        self._look()
+        met = self._met()
+        reward = self._reward(before, met)
+        of_kind = self._costs()
+        cost = np.zeros(self.num_envs)
+        for value in of_kind.values():
+            np.maximum(cost, value, out=cost)
+        info = {"cost": cost, **{f"cost_{kind}": value for kind, value in of_kind.items()}}
+        if self.has_goals:
+            info["goal_met"] = met.astype(np.float64)
+        return Outcome(reward, self._renew_goals(met), info)
+
+    def state_info(self) -> dict[str, Floats]:
+        """Return the agents' positions."""
+        return {
+            "x_position": self._position[:, 0].copy(),
+            "y_position": self._position[:, 1].copy(),
+        }
+
+    def observe(self) -> Floats:
+        """Return the observations: [num_envs, observation size]."""
+        sensed = self.agent.observe(self.sensors, self._rotations)
+        if not len(self._targets):
+            return sensed.copy()
+        axes = self._rotations[:, 0, :, :2]
+        targets, reach = self._places[:, self._targets], self.world.scene.reach
+        lidars = rules.lidar(self._position, axes, targets, reach, self._groups)
+        return np.concatenate((sensed, lidars), axis=1)
+
+    def state_dict(self) -> State:
+        """Return all that steps depend on."""
+        goals = {"goal_keys": self._goals.keys.copy(), "goal_counters": self._goals.counters.copy()}
+        return {**super().state_dict(), "layout": self._layout.copy(), **goals}
+
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
+        super().load_state_dict(state)
+        self._layout[:] = state["layout"]
+        self._goals.keys[:] = state["goal_keys"]
+        self._goals.counters[:] = state["goal_counters"]
+        self.batch.forward()  # rotations
+        self._look()
+
+    @property
+    def picture_model(self) -> mujoco.MjModel:
+        """The model with all that is drawn."""
+        return worlds.picture_model(self.agent.name, self.family, self._arguments["level"])
+
+    def data(self, index: int) -> Any:
+        """Return environment `index` as an MjData of `picture_model`."""
+        world, data = self.world, mujoco.MjData(self.picture_model)
+        data.qpos[:], data.qvel[:] = self.qpos[index], self.qvel[index]
+        data.ctrl[:], data.time = self._control[index], self._time[index]
+        count = len(world.mocap)
+        data.mocap_pos[:count] = self._mocap_pos[index]
+        data.mocap_quat[:count] = self._mocap_quat[index]
+        for kind, rows in world.rows.items():
+            if kind != "agent" and world.kinds[kind].physics == "none":
+                for place in self._places[index, rows]:
+                    data.mocap_pos[count, :2] = place
+                    count += 1
+        mujoco.mj_forward(self.picture_model, data)
+        return data
+
+    # What a family may have of its own.
+
+    def _lengths(self) -> Floats:
+        """Lengths whose decrease is the reward: [num_envs, any]."""
+        return np.zeros((self.num_envs, 0))
+
+    def _met(self) -> Flags:
+        """Whether the step reached the goal: [num_envs]."""
+        return np.zeros(self.num_envs, dtype=bool)
+
+    def _reward(self, before: Floats, met: Flags) -> Floats:
+        return rules.way_made(before, self._lengths(), met)
+
+    def _begin_goals(self, index: NDArray[np.intp]) -> None:
+        """Choose the goals of the environments `index`, which just started."""
+
+    def _renew_goals(self, met: Flags) -> Flags:
+        """Choose new goals where they were met; return where there is none: [num_envs]."""
+        return np.zeros(self.num_envs, dtype=bool)
+
+    def _costs(self) -> dict[str, Floats]:
+        """Costs of each kind: [num_envs]."""
+        return {kind: self._cost(kind) for kind in self.world.scene.costs}
+
+    def _cost(self, kind: str) -> Floats:
+        world = self.world
+        if kind == "hazards":
+            radius = world.kinds[kind].size[0]
+            return rules.hazard_cost(self._distance[:, world.rows[kind]], radius)
+        if kind == "out_of_boundary":
+            return rules.boundary_cost(self._position, world.scene.walls)
+        if kind == "vases_velocity":
+            return rules.speed_cost(self._free_qvel[:, :, :3])
+        return rules.touch_cost(self.sensors[:, world.touch[kind.removesuffix("_contact")]])
+
+    def _look(self) -> None:
+        """Update where everything is."""
+        self._position = self.agent.position(self.qpos)
+        self._places[:] = self._layout
+        self._places[:, 0] = self._position[:, :2]
+        self._places[:, self.world.free] = self._free_qpos[:, :, :2]
+        self._distance = rules.distance(self._position, self._places)
+
+    def _take_substeps(self) -> None:
+        # The sensors of all substeps but the last would take a tenth of the time.
+        self._flags |= _QUIET
+        if self._driven:
+            self._drive_gremlins()
+        elif self._rests:
+            self._rests.step(self._distance, self._places)
+        else:
+            self.batch.step(nstep=SUBSTEPS)
+        self._flags &= ~_QUIET
+        self.batch.forward()
+
+    def _drive_gremlins(self) -> None:
+        """Take the substeps, before each of which the gremlins' targets move."""
+        clock = np.full((self.num_envs, SUBSTEPS), self.model.opt.timestep)
+        clock[:, 0] = self._time
+        offset = rules.gremlin_offset(np.add.accumulate(clock, axis=1))
+        aims = self._gremlins_at_rest(slice(None))[:, None] + offset[:, :, None]
+        target = self._mocap_pos[:, self._first_gremlin :]
+        for k in range(SUBSTEPS):
+            target[:] = aims[:, k]
+            self.batch.step(nstep=1)
+
+    def _gremlins_at_rest(self, index: int | slice) -> Floats:
+        """Where gremlins were placed: [..., gremlins, 3]."""
+        places = self._layout[index, self.world.rows["gremlins"]]
+        heights = np.full((*places.shape[:-1], 1), self.world.kinds["gremlins"].height)
+        return np.concatenate((places, heights), axis=-1)
+
+    def _space(self) -> Box:
+        """12 or 24 unbounded sensors, 16 bins in [0, 1] for each lidar."""
+        bins = len(self.world.scene.lidars) * rules.LIDAR_BINS
+        low = np.concatenate((np.full(self.agent.sensors, -np.inf), np.zeros(bins)))
+        high = np.concatenate((np.full(self.agent.sensors, np.inf), np.ones(bins)))
+        return Box(low, high, dtype=np.float64)

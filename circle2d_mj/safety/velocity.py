@@ -1,0 +1,244 @@
+"""The velocity tasks: gymnasium's bodies, v4, with a speed limit."""
+
+# pyright: reportAttributeAccessIssue=false
+# mujoco's names are compiled in, where pyright does not see them.
+
+from __future__ import annotations
+
+import functools
+import importlib.resources
+import re
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from circle2d_mj.core.simulation import Outcome, State
+from circle2d_mj.core.streams import Streams
+from circle2d_mj.safety import rules, views
+from circle2d_mj.safety.mujoco_task import MuJoCoTask
+from circle2d_mj.safety.worlds import as_the_original
+
+Floats = NDArray[np.float64]
+INFINITE = (-np.inf, np.inf)
+
+
+class Body(NamedTuple):
+    """A body and its task."""
+
+    xml: str
+    """Of the installed gymnasium"""
+    substeps: int
+    max_speed: float
+    """Above it a step costs, m/s."""
+    noise: float
+    """Of the start: uniform within it, on each number of qpos and qvel"""
+    control_cost: float
+    alive: float = 0.0
+    forward: float = 1.0
+    """The reward is forward * speed + alive - control_cost * |action|²."""
+    hidden: int = 1
+    """Numbers of qpos that are not observed: x, or x and y"""
+    normal: bool = False
+    """Whether the noise of qvel is normal, with that deviation"""
+    clipped: float = np.inf
+    """Bound on observed velocities"""
+    planar: bool = True
+    """Whether it moves in a plane; otherwise its speed is that of x and y"""
+    height: tuple[float, float] = INFINITE
+    """An episode ends where the torso's height leaves this,"""
+    tilt: tuple[float, float] = INFINITE
+    """or its tilt this,"""
+    rest: float = np.inf
+    """or another number of the state is as large as this."""
+    rim: bool = False
+    """Whether the limits of the height belong to it"""
+    measured: str = "qpos"
+    """Source of the speed: "qpos", "torso" or "centre of mass" """
+
+
+BODIES = {
+    "HalfCheetah": Body("half_cheetah", 5, 3.2096, 0.1, 0.1, normal=True),
+    "Hopper": Body(
+        *("hopper", 4, 0.7402, 0.005, 1e-3, 1.0),
+        clipped=10.0,
+        height=(0.7, np.inf),
+        tilt=(-0.2, 0.2),
+        rest=100.0,
+    ),
+    "Swimmer": Body("swimmer", 4, 0.2282, 0.1, 1e-4, hidden=2),
+    "Walker2d": Body(
+        *("walker2d", 4, 2.3415, 0.005, 1e-3, 1.0),
+        clipped=10.0,
+        height=(0.8, 2.0),
+        tilt=(-1.0, 1.0),
+    ),
+    "Ant": Body(
+        *("ant", 5, 2.6222, 0.1, 0.5, 1.0),
+        hidden=2,
+        normal=True,
+        planar=False,
+        height=(0.2, 1.0),
+        rim=True,
+        measured="torso",
+    ),
+    "Humanoid": Body(
+        *("humanoid", 5, 1.4149, 0.01, 0.1, 5.0, 1.25),
+        hidden=2,
+        planar=False,
+        height=(1.0, 2.0),
+        measured="centre of mass",
+    ),
+}
+HUMANOID_EXTRA = ("cinert", "cvel", "qfrc_actuator")
+"""Fields of MuJoCo that the Humanoid observes; the last is cfrc_ext, the forces of contacts."""
+
+
+@functools.cache
+def model(body: str) -> mujoco.MjModel:
+    """Return a body's model, from the installed gymnasium. It is shared: nobody writes to it."""
+    folder = importlib.resources.files("gymnasium").joinpath("envs/mujoco/assets")
+    xml = folder.joinpath(f"{BODIES[body].xml}.xml").read_text()
+    total = re.search(r'\s*settotalmass="([\d.]+)"', xml)
+    # HalfCheetah's, of which MuJoCo 4.0 warns.
+    spec = mujoco.MjSpec.from_string(xml.replace(total[0], "") if total else xml)
+    as_the_original(spec.option)
+    # One tree of bodies is one island: the search for others takes a tenth of a step's time.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+    for geom in spec.geoms:
+        # Since MuJoCo 3.5 the margins of two geoms add up; the greater one counted before.
+        geom.margin *= 0.5
+    compiled = spec.compile()
+    if total:
+        mujoco.mj_setTotalmass(compiled, float(total[1]))
+        mujoco.mj_setConst(compiled, mujoco.MjData(compiled))
+    return compiled
+
+
+class VelocityTask(MuJoCoTask):
+    """`num_envs` copies of a body of `BODIES` with a speed limit; 1000 steps an episode.
+
+    The observation is qpos without x (and y), then qvel, cut where `Body.clipped` says; of the
+    Humanoid also MuJoCo's cinert, cvel, qfrc_actuator and cfrc_ext. Actions are torques over the
+    actuator's gear; MuJoCo clips them, the reward's control cost does not.
+    `info["x_velocity"]`, and of Ant and Humanoid `info["y_velocity"]`, is the mean over the step,
+    m/s. Where the original reads positions that are those of the last stage of MuJoCo's
+    integrator (Ant, Humanoid), so does this. Source: safety-gymnasium 1.0.0 on gymnasium's v4.
+    """
+
+    def __init__(self, body: str, num_envs: int = 1, num_threads: int = 1) -> None:
+        self.body = BODIES[body]
+        observes_forces = body == "Humanoid"
+        super().__init__(
+            model(body), num_envs, num_threads, self.body.substeps, observes_forces, body=body
+        )
+        lead = self.model.nq - self.body.hidden + self.model.nv
+        self._extra = [self.batch.bind(name) for name in HUMANOID_EXTRA] * observes_forces
+        size = lead + sum(array[0].size for array in self._extra)
+        size += 6 * self.model.nbody if observes_forces else 0
+        self.view = views.of_body(body, self.body.max_speed, self.body.planar)
+        self.observation_space = Box(-np.inf, np.inf, (size,), np.float64)
+        low, high = self.model.actuator_ctrlrange.T.astype(np.float32)
+        self.action_space = Box(low, high, dtype=np.float32)
+        of_speed = ("x_velocity",) if self.body.planar else ("x_velocity", "y_velocity")
+        self.info_keys = ("cost", *of_speed)
+        measured = {"torso": "xpos", "centre of mass": "xipos"}.get(self.body.measured)
+        self._bodies = None if measured is None else self.batch.bind(measured)
+        self._scratch = mujoco.MjData(self.model)
+        self._seen = np.zeros((self.num_envs, size - lead))  # what else is observed
+        self._place = np.zeros((self.num_envs, 2))  # where the body is, for its speed
+
+    def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
+        """Put the bodies `index` near their rest."""
+        nq, nv, noise = self.model.nq, self.model.nv, self.body.noise
+        draw = streams.uniform(index, draws=(nq + (2 if self.body.normal else 1) * nv + 3) // 4)
+        qpos = self.model.qpos0 + noise * (2.0 * draw[:, :nq] - 1.0)
+        if self.body.normal:
+            radius = np.sqrt(-2.0 * np.log(draw[:, nq : nq + nv].copy()))
+            qvel = noise * radius * np.cos(2.0 * np.pi * draw[:, nq + nv : nq + 2 * nv])
+        else:
+            qvel = noise * (2.0 * draw[:, nq : nq + nv] - 1.0)
+        if not self.body.planar:
+            # MuJoCo 2.3.3 did so itself.
+            qpos[:, 3:7] /= np.sqrt((qpos[:, 3:7] ** 2).sum(axis=1, keepdims=True))
+        self.place(index, qpos, qvel)
+
+    def place(self, index: NDArray[np.intp], qpos: Floats, qvel: Floats) -> None:
+        """Put the bodies `index` into states: [len(index), nq], [len(index), nv]."""
+        self.begin(index, qpos, qvel)
+        if self._bodies is not None:
+            self.batch.forward(index)
+        self._place[index] = self._where()[index]
+        self._see(index, forces=False)
+
+    def put_measured(self, index: int, place: Floats) -> None:
+        """Set where the body was as its next speed is measured: [2] m."""
+        self._place[index] = place
+
+    def step(self, action: Floats) -> Outcome:
+        """Move all bodies by their actions, [num_envs, nu]."""
+        before = self._place
+        self.advance(action)
+        self._place = self._where()
+        velocity = (self._place - before) / self.step_seconds
+        self._see(np.arange(self.num_envs))
+        of = self.body
+        x_velocity = velocity[:, 0].copy()
+        reward = rules.velocity_reward(x_velocity, action, of.forward, of.alive, of.control_cost)
+        speed = x_velocity if of.planar else np.hypot(x_velocity, velocity[:, 1])
+        info = {"cost": rules.velocity_cost(speed, of.max_speed), "x_velocity": x_velocity}
+        if not of.planar:
+            info["y_velocity"] = velocity[:, 1].copy()
+        return Outcome(reward, self._fell(), info)
+
+    def state_info(self) -> dict[str, Floats]:
+        """Return nothing: velocities belong to the step."""
+        return {}
+
+    def observe(self) -> Floats:
+        """Return the observations: [num_envs, observation size]."""
+        qvel = np.clip(self.qvel, -self.body.clipped, self.body.clipped)
+        return np.concatenate((self.qpos[:, self.body.hidden :], qvel, self._seen), axis=1)
+
+    def state_dict(self) -> State:
+        """Return all that steps and observations depend on."""
+        return {**super().state_dict(), "place": self._place.copy(), "seen": self._seen.copy()}
+
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
+        super().load_state_dict(state)
+        self._place, self._seen = state["place"].copy(), state["seen"].copy()
+
+    def _where(self) -> Floats:
+        """Where the bodies are, as their speeds are measured: [num_envs, 2] m."""
+        if self._bodies is None:
+            return self.qpos[:, :2].copy()
+        if self.body.measured == "torso":
+            return self._bodies[:, 1, :2].copy()
+        mass = self.model.body_mass
+        return (mass[:, None] * self._bodies[:, :, :2]).sum(axis=1) / mass.sum()
+
+    def _fell(self) -> NDArray[np.bool_]:
+        of = self.body
+        height = self.qpos[:, 1 if of.planar else 2]
+        tilt = self.qpos[:, 2] if of.planar else np.zeros(self.num_envs)
+        rest = np.concatenate((self.qpos[:, 2:], self.qvel), axis=1)
+        return rules.fell(height, tilt, rest, of.height, of.tilt, of.rest, of.rim)
+
+    def _see(self, index: NDArray[np.intp], forces: bool = True) -> None:
+        """Update what the Humanoid observes besides qpos and qvel; forces are 0 at the start."""
+        if not self._extra:
+            return
+        n = len(index)
+        parts = [array[index].reshape(n, -1) for array in self._extra]
+        self._seen[index] = 0.0
+        self._seen[index, : self._seen.shape[1] - 6 * self.model.nbody] = np.hstack(parts)
+        if not forces:
+            return
+        for i in index:
+            # The batch does not compute these forces, and a sensor would see another stage's.
+            self.batch.get_data(i, self._scratch)
+            mujoco.mj_rnePostConstraint(self.model, self._scratch)
+            self._seen[i, -6 * self.model.nbody :] = self._scratch.cfrc_ext.ravel()

@@ -1,0 +1,258 @@
+"""The MuJoCo models of the navigation tasks, each compiled once in a process."""
+
+# pyright: reportAttributeAccessIssue=false
+# mujoco's names are compiled in, where pyright does not see them.
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from circle2d_mj.assets import asset
+from circle2d_mj.safety import scenes
+from circle2d_mj.safety.agents import AGENTS, Agent
+from circle2d_mj.safety.layout import Areas
+from circle2d_mj.safety.scenes import Kind, Scene
+
+# The original ran MuJoCo 2.3.3. What its results need on current MuJoCo:
+TOLERANCE = 1e-12
+"""Newton's: since 3.11 it stops earlier at the same tolerance."""
+WELD_TORQUE_SCALE = np.sqrt(150.0)
+"""Ratio of a gremlin's inverse weights, rotation over translation, under the root: since 3.0 a
+weld's rotation has its own."""
+WITHOUT = ("nativeccd", "multiccd")
+"""Collision detection of later versions; flags of MJCF."""
+
+
+def as_the_original(option: mujoco.MjOption) -> None:
+    """Set the options under which current MuJoCo gives the numbers of 2.3.3."""
+    if option.solver == mujoco.mjtSolver.mjSOL_NEWTON:
+        option.tolerance = TOLERANCE
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
+
+
+class World(NamedTuple):
+    """A scene with an agent, and where its parts are in arrays.
+
+    Objects are the rows of the layout: the agent, then the scene's objects as they are placed.
+    """
+
+    agent: Agent
+    scene: Scene
+    family: str
+    model: mujoco.MjModel
+    """Physics alone: what nothing touches is not in it."""
+    areas: Areas
+    """Where objects may be placed"""
+    rows: dict[str, slice]
+    """Kind -> its rows of the layout"""
+    kinds: dict[str, Kind]
+    mocap: NDArray[np.intp]
+    """Rows of the layout that are mocap bodies, in MuJoCo's order: all static and driven objects"""
+    free: slice
+    """Rows of the layout that are free bodies behind the agent in qpos and qvel"""
+    touch: dict[str, slice]
+    """Kind -> its part of MuJoCo's sensors: > 0 where the agent touches the object"""
+
+
+def names(kind: Kind, count: int) -> list[str]:
+    """Return the bodies' names: "goal", or "hazard0", "hazard1", ..."""
+    alone = kind.name in ("goal", "push_box", "circle")
+    return [kind.name] if alone else [f"{kind.name}{i}" for i in range(count)]
+
+
+@functools.cache
+def world(agent_name: str, family: str, level: int) -> World:
+    """Return the world of a task. Its model is shared: nobody writes to it."""
+    agent, scene = AGENTS[agent_name], scenes.scene(f"{family}{level}", agent_name)
+    kinds = {p.kind: scenes.kind(p.kind, family, agent_name) for p in scene.placed}
+    spec = _spec(agent, scene)
+    rows, mocap, free = {"agent": slice(0, 1)}, [], []
+    start = 1
+    for placed in scene.placed:
+        kind, stop = kinds[placed.kind], start + placed.number
+        rows[placed.kind] = slice(start, stop)
+        here = list(range(start, stop))
+        mocap += here if kind.physics in ("static", "driven") else []
+        free += here if kind.physics in ("free", "driven") else []
+        if kind.physics != "none":
+            for name in names(kind, placed.number):
+                _add_object(spec, name, kind)
+        start = stop
+    touch = _add_touch_sensors(spec, scene, family, kinds)
+    return World(
+        agent,
+        scene,
+        family,
+        spec.compile(),
+        _areas(scene),
+        rows,
+        kinds,
+        np.array(mocap, dtype=np.intp),
+        slice(free[0], free[-1] + 1) if free else slice(0, 0),
+        touch,
+    )
+
+
+@functools.cache
+def picture_model(agent_name: str, family: str, level: int) -> mujoco.MjModel:
+    """Return the world's model with all that is drawn: goal, hazards and circle as mocap bodies
+    behind the others, walls, a light and a camera."""
+    agent, scene = AGENTS[agent_name], scenes.scene(f"{family}{level}", agent_name)
+    kinds = {p.kind: scenes.kind(p.kind, family, agent_name) for p in scene.placed}
+    spec = _spec(agent, scene)
+    for drawn in (False, True):
+        for placed in scene.placed:
+            if (kinds[placed.kind].physics == "none") is drawn:
+                for name in names(kinds[placed.kind], placed.number):
+                    _add_object(spec, name, kinds[placed.kind])
+    _add_scenery(spec, scene)
+    return spec.compile()
+
+
+def _areas(scene: Scene) -> Areas:
+    """Where the agent and each object may be placed."""
+    square = scene.half_width
+    keepout = [0.0 if scene.start else scenes.AGENT_KEEPOUT]
+    for placed in scene.placed:
+        keepout += [placed.keepout] * placed.number
+    half = np.repeat(square - np.array(keepout)[:, None], 2, axis=1)
+    centre = np.zeros_like(half)
+    if scene.start:
+        left, bottom, right, top = scene.start
+        half[0] = (right - left) / 2, (top - bottom) / 2
+        centre[0] = (left + right) / 2, (bottom + top) / 2
+        half[1:] = 0.0  # the circle
+    return Areas(centre, half, np.array(keepout))
+
+
+def _spec(agent: Agent, scene: Scene) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec.from_file(str(asset(f"xml/safety_{agent.name.lower()}.xml")))
+    as_the_original(spec.option)
+    extent = 17.5 if scene.start and scene.start[3] > 2 else 3.5
+    spec.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[extent, extent, 0.1],
+        condim=6,
+        rgba=[0.93, 0.93, 0.90, 1.0],
+    )
+    return spec
+
+
+def _add_object(spec: mujoco.MjSpec, name: str, kind: Kind) -> None:
+    """Add an object: a mocap body, a free body, or a free body welded to a mocap body."""
+    place = [0.0, 0.0, kind.height]
+    if kind.physics == "driven":
+        spec.worldbody.add_body(name=f"{name}mocap", mocap=True, pos=place)
+        spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=f"{name}mocap",
+            name2=name,
+            data=[*[0] * 6, 1, 0, 0, 0, WELD_TORQUE_SCALE, 0],
+            solref=[0.02, 1.5],
+        )
+    moves = kind.physics in ("free", "driven")
+    body = spec.worldbody.add_body(name=name, mocap=not moves, pos=place)
+    if moves:
+        body.add_freejoint(name=name)
+    _add_geom(body, kind, name, kind.size, place=(0.0, 0.0, 0.0))
+    if kind.name == "push_box":
+        half = kind.size[0]
+        for i, (x, y) in enumerate(((1, 1), (-1, 1), (1, -1), (-1, -1)), start=1):
+            size = (half / 2, half / 2, half)
+            _add_geom(body, kind, f"col{i}", size, place=(x * half, y * half, 0.0))
+
+
+def _add_geom(
+    body: mujoco.MjsBody,
+    kind: Kind,
+    name: str,
+    size: tuple[float, ...],
+    place: tuple[float, float, float],
+) -> None:
+    collides = int(kind.physics != "none")
+    body.add_geom(
+        name=name,
+        type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind.shape.upper()}"),
+        size=[*size, 0.0, 0.0][:3],
+        pos=list(place),
+        density=kind.density,
+        condim=6,
+        contype=collides,
+        conaffinity=collides,
+        rgba=list(kind.colour),
+    )
+
+
+def _add_touch_sensors(
+    spec: mujoco.MjSpec, scene: Scene, family: str, kinds: dict[str, Kind]
+) -> dict[str, slice]:
+    """Add a sensor for each object whose touch is asked for; return where they are in the data."""
+    asked = {cost.removesuffix("_contact") for cost in scene.costs}
+    asked |= {"buttons"} if family == "Button" else set()
+    touch: dict[str, slice] = {}
+    start = 3 * len(spec.sensors)  # the agent's have three numbers each
+    for placed in scene.placed:
+        kind = kinds[placed.kind]
+        if placed.kind not in asked or kind.physics == "none":
+            continue
+        for name in names(kind, placed.number):
+            spec.add_sensor(
+                name=f"touch_{name}",
+                type=mujoco.mjtSensor.mjSENS_CONTACT,
+                objtype=mujoco.mjtObj.mjOBJ_BODY,
+                objname=name,
+                reftype=mujoco.mjtObj.mjOBJ_XBODY,  # a body with all that hangs on it
+                refname="agent",
+                intprm=[1, 0, 1],  # data "found", no reduction, of one contact
+            )
+        touch[placed.kind] = slice(start, start + placed.number)
+        start += placed.number
+    return touch
+
+
+def _add_scenery(spec: mujoco.MjSpec, scene: Scene) -> None:
+    size = spec.visual.global_
+    size.offwidth = size.offheight = 640
+    spec.visual.quality.numslices = 64
+    spec.visual.headlight.ambient = [0.35] * 3
+    spec.visual.headlight.diffuse = [0.3] * 3
+    spec.visual.headlight.specular = [0.0] * 3
+    spec.worldbody.add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[0, 0, 5],
+        dir=[0.2, 0.2, -1],
+        diffuse=[0.3] * 3,
+        castshadow=False,
+    )
+    long = 17.5 if len(scene.walls) == 1 and not scene.placed else 3.5
+    for axis, bound in enumerate(scene.walls):
+        for sign in (1, -1):
+            size = [0.05, long, 0.3] if axis == 0 else [long, 0.05, 0.3]
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=[sign * bound, 0, 0.25] if axis == 0 else [0, sign * bound, 0.25],
+                size=size,
+                contype=0,
+                conaffinity=0,
+                rgba=list(scenes.WALL_COLOUR),
+            )
+    follows = long > 3.5
+    parent = spec.body("agent") if follows else spec.worldbody
+    parent.add_camera(
+        name="top",
+        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK
+        if follows
+        else mujoco.mjtCamLight.mjCAMLIGHT_FIXED,
+        pos=[0, 0, 5],
+        proj=mujoco.mjtProjection.mjPROJ_ORTHOGRAPHIC,
+        fovy=2 * (scene.half_width + 1),
+    )

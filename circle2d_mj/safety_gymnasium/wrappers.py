@@ -1,0 +1,202 @@
+"""Wrappers of environments with six values, single or vector, by safety-gymnasium's names."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.wrappers import RescaleAction
+from gymnasium.wrappers.utils import RunningMeanStd
+from numpy.typing import NDArray
+
+from circle2d_mj.core.wrappers import FromSafetyGymnasium, SafetyGymnasiumAPI
+
+__all__ = [
+    "Gymnasium2SafetyGymnasium",
+    "SafeAutoResetWrapper",
+    "SafeNormalizeCost",
+    "SafeNormalizeObservation",
+    "SafeNormalizeReward",
+    "SafeRescaleAction",
+    "SafeTimeLimit",
+    "SafeUnsqueeze",
+    "SafetyGymnasium2Gymnasium",
+]
+Six = tuple[Any, Any, Any, Any, Any, dict[str, Any]]
+
+Gymnasium2SafetyGymnasium = SafetyGymnasiumAPI
+SafetyGymnasium2Gymnasium = FromSafetyGymnasium
+
+
+class _Wrapper(gym.Env):
+    """A wrapper of single and vector environments; what it lacks, the environment inside has."""
+
+    def __init__(self, env: Any) -> None:
+        self.env = env
+        self.metadata, self.spec, self.render_mode = env.metadata, env.spec, env.render_mode
+        self.num_envs: int = getattr(env, "num_envs", 1)
+        self.is_vector_env = hasattr(env, "single_action_space")
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode."""
+        return self.env.reset(**arguments)
+
+    def step(self, action: Any) -> Six:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Return observation, reward, cost, terminated, truncated, info."""
+        return self.env.step(action)
+
+    def render(self) -> Any:
+        """Draw the environment."""
+        return self.env.render()
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.env.close()
+
+    @property
+    def unwrapped(self) -> Any:
+        """The environment inside all wrappers."""
+        return self.env.unwrapped
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "env":
+            raise AttributeError(name)
+        return getattr(self.env, name)
+
+
+class SafeAutoResetWrapper(_Wrapper):
+    """Resets at once where an episode ends: the observation is the next episode's first, the
+    info holds `final_observation` and `final_info`."""
+
+    def step(self, action: Any) -> Six:
+        """Return observation, reward, cost, terminated, truncated, info."""
+        observation, reward, cost, terminated, truncated, info = self.env.step(action)
+        if terminated or truncated:
+            final = {"final_observation": observation, "final_info": info}
+            observation, info = self.env.reset()
+            info = {**info, **final}
+        return observation, reward, cost, terminated, truncated, info
+
+
+class SafeRescaleAction(_Wrapper):
+    """Actions within [min_action, max_action] instead of the space's own bounds."""
+
+    def __init__(self, env: Any, min_action: Any, max_action: Any) -> None:
+        super().__init__(env)
+        space = gym.spaces.Box(env.action_space.low, env.action_space.high, dtype=np.float64)
+        inner = gym.Env()
+        inner.action_space = space
+        rescaled = RescaleAction(inner, np.float64(min_action), np.float64(max_action))
+        self._inside, self.action_space = rescaled.func, rescaled.action_space
+
+    def step(self, action: Any) -> Six:
+        """Return observation, reward, cost, terminated, truncated, info."""
+        return self.env.step(self._inside(np.asarray(action, dtype=np.float64)))
+
+
+class SafeTimeLimit(_Wrapper):
+    """Truncates after a number of steps."""
+
+    def __init__(self, env: Any, max_episode_steps: int) -> None:
+        super().__init__(env)
+        self._limit, self._steps = max_episode_steps, 0
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode."""
+        self._steps = 0
+        return self.env.reset(**arguments)
+
+    def step(self, action: Any) -> Six:
+        """Return observation, reward, cost, terminated, truncated, info."""
+        *values, truncated, info = self.env.step(action)
+        self._steps += 1
+        return *values, truncated or self._steps >= self._limit, info  # pyright: ignore
+
+
+class SafeNormalizeObservation(_Wrapper):
+    """Observations less their running mean, over their running deviation: `obs_rms`."""
+
+    def __init__(self, env: Any, epsilon: float = 1e-8) -> None:
+        super().__init__(env)
+        space = env.single_observation_space if self.is_vector_env else env.observation_space
+        self.obs_rms, self._epsilon = RunningMeanStd(shape=space.shape), epsilon
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode."""
+        observation, info = self.env.reset(**arguments)
+        return self._normalized(observation), info
+
+    def step(self, action: Any) -> Six:
+        """Return observation, reward, cost, terminated, truncated, info."""
+        observation, *values, info = self.env.step(action)
+        if "final_observation" in info:
+            final = info["final_observation"]
+            if self.is_vector_env:
+                shown = [None if one is None else self._scaled(one) for one in final]
+                final = np.array([*shown, None], dtype=object)[:-1]
+            else:
+                final = self._scaled(final)
+            info = {**info, "original_observation": observation, "final_observation": final}
+        return self._normalized(observation), *values, info  # pyright: ignore[reportReturnType]
+
+    def _normalized(self, observation: Any) -> NDArray[np.float64]:
+        self.obs_rms.update(observation if self.is_vector_env else np.array([observation]))
+        return self._scaled(observation)
+
+    def _scaled(self, observation: Any) -> NDArray[np.float64]:
+        return (observation - self.obs_rms.mean) / np.sqrt(self.obs_rms.var + self._epsilon)
+
+
+class _NormalizeReturn(_Wrapper):
+    """Rewards or costs over the running deviation of their discounted sum."""
+
+    _place: int
+
+    def __init__(self, env: Any, gamma: float = 0.99, epsilon: float = 1e-8) -> None:
+        super().__init__(env)
+        self.return_rms, self._sum = RunningMeanStd(shape=()), np.zeros(self.num_envs)
+        self._gamma, self._epsilon = gamma, epsilon
+
+    def step(self, action: Any) -> Six:
+        """Return observation, reward, cost, terminated, truncated, info."""
+        values = list(self.env.step(action))
+        self._sum = self._sum * self._gamma + values[self._place]
+        self.return_rms.update(self._sum)
+        self._sum = np.where(np.logical_or(values[3], values[4]), 0.0, self._sum)
+        values[self._place] = values[self._place] / np.sqrt(self.return_rms.var + self._epsilon)
+        return tuple(values)  # pyright: ignore[reportReturnType]
+
+
+class SafeNormalizeReward(_NormalizeReturn):
+    """Rewards over the running deviation of their discounted sum."""
+
+    _place = 1
+
+
+class SafeNormalizeCost(_NormalizeReturn):
+    """Costs over the running deviation of their discounted sum."""
+
+    _place = 2
+
+
+class SafeUnsqueeze(_Wrapper):
+    """A leading axis of size 1 on all that `step` and `reset` return, as of a vector
+    environment; actions have it, too."""
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode."""
+        observation, info = self.env.reset(**arguments)
+        return np.expand_dims(observation, 0), self._unsqueezed(info)
+
+    def step(self, action: Any) -> Six:
+        """Return observation, reward, cost, terminated, truncated, info."""
+        *values, info = self.env.step(np.asarray(action)[0])
+        shown = (np.expand_dims(np.asarray(value), 0) for value in values)
+        return *shown, self._unsqueezed(info)  # pyright: ignore[reportReturnType]
+
+    def _unsqueezed(self, info: dict[str, Any]) -> dict[str, Any]:
+        return {
+            key: np.expand_dims(value, 0) if isinstance(value, np.ndarray) else value
+            for key, value in info.items()
+        }

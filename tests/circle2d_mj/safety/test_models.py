@@ -1,0 +1,93 @@
+"""The compiled models beside the parameters of the original's: see safety_golden.py."""
+
+import mujoco
+import numpy as np
+import pytest
+from safety_golden import parameters
+
+from circle2d_mj.safety import velocity, worlds
+from circle2d_mj.safety.tasks import NAMES, TASKS
+
+SPHERE = 2
+BODY = ("mass", "ipos")
+JOINT = ("type", "axis", "pos", "limited", "range", "stiffness", "margin", "solref", "solimp")
+DOF = ("damping", "armature", "frictionloss", "invweight0")
+GEOM = ("type", "size", "friction", "condim", "contype", "conaffinity", "margin", "gap", "solref")
+GEOM += ("solimp", "solmix", "priority", "pos", "quat")
+ACTUATOR = ("trntype", "gear", "ctrlrange", "ctrllimited", "forcerange", "forcelimited")
+ACTUATOR += ("gaintype", "gainprm", "biastype", "biasprm", "dyntype")
+OPTION = ("timestep", "integrator", "solver", "iterations", "cone", "jacobian", "gravity", "wind")
+OPTION += ("magnetic", "density", "viscosity", "impratio", "enableflags")
+
+
+def model_of(task):
+    family = TASKS[task].simulation.rpartition(":")[2].removesuffix("Task")
+    arguments = TASKS[task].arguments
+    if family == "Velocity":
+        return velocity.model(**arguments)
+    return worlds.world(arguments["agent"], family, arguments["level"]).model
+
+
+def inertia(principal, quaternion):
+    """The tensor in the body's frame: the principal axes of a round one may be any."""
+    axes = np.empty(9)
+    mujoco.mju_quat2Mat(axes, np.asarray(quaternion))
+    axes = axes.reshape(3, 3)
+    return axes @ np.diag(principal) @ axes.T
+
+
+def check(ours, recorded, names, what):
+    for name in names:
+        mine = np.asarray(getattr(ours, name), dtype=float).ravel()
+        its = np.asarray(recorded[name], dtype=float).ravel()
+        mine = mine[: its.size]  # gainprm and biasprm: the rest is unused
+        if name == "quat" and mine @ its < 0:
+            mine = -mine
+        np.testing.assert_allclose(mine, its, rtol=1e-9, atol=1e-12, err_msg=f"{what} {name}")
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_physical_parameters(task):
+    """All that acts: what is only drawn, and the masses of what never moves, is not in ours."""
+    recorded, model = parameters(NAMES[task]), model_of(task)
+    for row in recorded["body"] + recorded["geom"] + recorded["joint"]:
+        row["name"] = row["name"] and row["name"].removesuffix("obj")  # gremlin0obj
+        if row.get("type") == SPHERE and "size" in row:
+            row["size"] = row["size"][:1]
+    # The bodies of gymnasium's own files have the original's numbers, and some no name.
+    key = "id" if "Velocity" in task else "name"
+    moving = [row for row in recorded["body"] if row["invweight0"][0] > 0]
+    geoms = [row for row in recorded["geom"] if row["contype"] or row["conaffinity"]]
+    check(model.opt, recorded["opt"], OPTION, "option")
+    assert (model.nq, model.nv, model.nu) == tuple(recorded["sizes"][k] for k in ("nq", "nv", "nu"))
+    assert len(moving) == (model.body_invweight0[:, 0] > 0).sum()
+    for row in moving:
+        body = model.body(row[key])
+        check(body, row, BODY, row["name"])
+        tensors = inertia(body.inertia, body.iquat), inertia(row["inertia"], row["iquat"])
+        np.testing.assert_allclose(*tensors, rtol=1e-9, atol=1e-12)
+    for row in recorded["joint"]:
+        check(model.joint(row[key]), row, JOINT, row["name"])
+    for name in DOF:
+        mine = getattr(model, f"dof_{name}")
+        np.testing.assert_allclose(mine, recorded["dof"][name], rtol=1e-8, atol=1e-12)
+    if task == "SafetySwimmerVelocity":  # nothing collides: here by contype, there by an option
+        geoms = [row | {"contype": 0, "conaffinity": 0} for row in geoms]
+    for row in geoms:
+        # Later versions add the margins of two geoms, the original took the larger.
+        halved = row | {"margin": row["margin"] / 2}
+        check(model.geom(row[key]), halved, GEOM, row["name"])
+    colliding = (model.geom_contype > 0) | (model.geom_conaffinity > 0)
+    assert colliding.sum() == sum(row["contype"] or row["conaffinity"] for row in geoms)
+    for row in recorded["actuator"]:
+        names = set(ACTUATOR) - ({"biasprm"} if row["biastype"] == 0 else set())
+        check(model.actuator(row["id"]), row, sorted(names), f"actuator {row['id']}")
+    for row in recorded["equality"]:
+        assert "gremlin" in row["name"]
+        np.testing.assert_allclose(model.eq_solref[row["id"]], row["solref"])
+    assert model.neq == len(recorded["equality"])
+
+
+def test_a_model_is_compiled_once():
+    assert worlds.world("Car", "Goal", 2) is worlds.world("Car", "Goal", 2)
+    assert velocity.model("Ant") is velocity.model("Ant")

@@ -1,0 +1,220 @@
+"""Every recorded step of the original, taken here from the same state: see safety_golden.py.
+
+Rewards, costs, goals and ends are functions of states, and agree at rounding in every step. Next
+states do where the engines do: steps are grouped by the shapes that touched in them, because
+later versions of MuJoCo have other colliders (docs/parity.md).
+"""
+
+import functools
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+from safety_golden import steps
+
+from circle2d_mj.safety import original
+from circle2d_mj.safety.tasks import IDS, NAMES, VELOCITY
+
+NAVIGATION = [name for name in NAMES if "Velocity" not in name]
+SHAPES = {2: "sphere", 5: "cylinder", 6: "box"}
+# Largest error of the agent's speeds, its 99 % quantile and its median, and the largest of all
+# speeds, m/s and rad/s. Mixed touches are those of several pairs of shapes in one step.
+ERRORS = {
+    ("Point", "floor"): (6e-10, 4e-12, 1e-14, 3e-5),
+    ("Point", "sphere-sphere"): (8e-13, 8e-13, 6e-15, 8e-13),
+    ("Point", "box-sphere"): (3e-5, 2e-7, 1e-14, 3e-5),
+    ("Point", "box-cylinder"): (8e-2, 2e-2, 1e-6, 8e-2),
+    ("Point", "cylinder-sphere"): (3e-2, 3e-2, 1e-2, 3e-2),
+    ("Point", "box-box"): (0.8, 0.5, 1e-3, 1.2),
+    ("Car", "floor"): (3e-7, 2e-13, 1e-14, 7e-5),
+    ("Car", "first"): (7.0, 7.0, 2e-14, 7.0),
+    ("Car", "box-sphere"): (1e-13, 1e-13, 1e-14, 1e-13),
+    ("Car", "cylinder-cylinder"): (2e-13, 2e-13, 1e-14, 2e-13),
+    ("Car", "box-cylinder"): (2e-2, 4e-4, 6e-7, 0.3),
+    ("Car", "cylinder-sphere"): (3.0, 2.0, 1e-3, 3.0),
+    ("Car", "box-box"): (11.0, 4.0, 3e-4, 11.0),
+}
+
+
+def simulation(env):
+    return env.unwrapped._envs.simulation
+
+
+def made(name):
+    env = gym.make(IDS[name], max_episode_steps=10**6)
+    env.reset(seed=0)
+    return env
+
+
+def touched(task, action):
+    """Pairs of shapes, without the floor's, that touch in a step from the task's state."""
+    model, found = task.model, set()
+    data = task.batch.get_data(0)
+    data.ctrl[:] = np.clip(action, -1, 1)
+    for _ in range(11):  # the contacts of all substeps, and of the state after them
+        mujoco.mj_step(model, data)
+        for a, b in data.contact.geom:
+            if a and b:
+                found.add("-".join(sorted(SHAPES[model.geom_type[k]] for k in (a, b))))
+    return found
+
+
+@functools.cache
+def errors(name):
+    """One row a step: its group, and errors of the next state."""
+    env, rows = made(name), []
+    task = simulation(env)
+    nv, sensors = task.agent.nv, task.agent.sensors
+    for step in steps(NAMES[name]):
+        original.load(env, step.state())
+        pairs = touched(task, step["actions"])
+        group = "first" if step.first and task.agent.name == "Car" else "floor"
+        if pairs and group == "floor":
+            group = pairs.pop() if len(pairs) == 1 else "mixed"
+        seen, reward, terminated, truncated, info = env.step(step["actions"])
+        of_kind = [value for key, value in info.items() if key.startswith("cost_")]
+        assert info["cost"] == max(of_kind, default=0.0)
+        after, expected = original.state(env), step.state(after=True)
+        qvel = np.abs(after["qvel"] - expected["qvel"])
+        met = "goal_met" in step and bool(step["goal_met"])
+        lidars = slice(sensors, sensors if met else None)  # a new goal is drawn anew
+        rows.append(
+            {
+                "group": (task.agent.name, group),
+                "agent": qvel[:nv].max(),
+                "all": qvel.max(),
+                "qpos": np.abs(after["qpos"] - expected["qpos"]).max(),
+                "reward": abs(reward - step["reward"]),
+                "sensors": np.abs(seen - step.seen())[3:sensors].max(),
+                "accelerometer": np.abs(seen - step.seen())[:3].max(),
+                "lidars": np.abs(seen - step.seen())[lidars].max(initial=0.0),
+                "cost": info["cost"] != step["cost"],
+                "met": info.get("goal_met", 0.0) != met,
+                "timer": "timer" in step and task.timer[0] != expected["timer"],
+                "end": terminated != step["terminated"],
+            }
+        )
+        assert not truncated
+    env.close()
+    return rows
+
+
+def of_group(group, key):
+    return np.array([row[key] for n in NAVIGATION for row in errors(n) if row["group"] == group])
+
+
+@pytest.mark.parametrize("group", ERRORS, ids="-".join)
+def test_next_states_by_touch(group):
+    largest, quantile, median, of_all = ERRORS[group]
+    found = of_group(group, "agent")
+    assert found.max() <= largest
+    assert np.quantile(found, 0.99) <= quantile
+    assert np.median(found) <= median
+    assert of_group(group, "all").max() <= of_all
+    if largest < 1e-3:  # the engines agree
+        assert of_group(group, "qpos").max() <= 2e-6
+        assert of_group(group, "sensors").max() <= max(5e-6, largest)
+        assert of_group(group, "lidars").max() <= 1e-5
+        assert of_group(group, "reward").max() <= 1e-7
+        for what in ("cost", "met", "timer", "end"):
+            assert not of_group(group, what).any()
+    if group[1] == "floor":
+        assert of_group(group, "accelerometer").max() <= 1e-5
+
+
+def test_every_step_is_in_a_group():
+    """Mixed touches have no bounds of their own; there are few of them."""
+    rows = [row for name in NAVIGATION for row in errors(name)]
+    found = [row["group"] for row in rows]
+    assert len(found) == 13_737
+    assert {group for group in found if group[1] != "mixed"} == set(ERRORS)
+    assert sum(group[1] == "mixed" for group in found) < 400
+    assert not any(row["end"] for row in rows)
+    assert sum(row["met"] for row in rows) <= 2  # where a box that is pushed ends up elsewhere
+    assert sum(row["cost"] for row in rows) <= 3
+
+
+@pytest.mark.parametrize("name", NAVIGATION)
+def test_rewards_costs_and_observations_of_recorded_states(name):
+    """As functions of the states before and after, for all steps, whatever touched in them."""
+    env, met_steps = made(name), 0
+    task = simulation(env)
+    for step in steps(NAMES[name]):
+        before, after = step.state(), step.state(after=True)
+        aims = ("goal_pos", "goal_button", "timer")
+        original.load(env, before)
+        lengths = task._lengths()
+        original.load(env, after | {key: before[key] for key in aims if key in before})
+        met = task._met()
+        # Contacts found of two boxes may differ where they touch by less than a micrometre.
+        assert met[0] == ("goal_met" in step and step["goal_met"])
+        assert task._reward(lengths, met)[0] == pytest.approx(step["reward"], abs=3e-11)
+        for kind, value in task._costs().items():
+            assert value[0] == step[f"cost_{kind}"], kind
+        met_steps += met[0]
+        original.load(env, after)
+        difference = np.abs(task.observe()[0] - step.seen())
+        assert difference[3:].max() < 1e-7
+    if task.has_goals:
+        assert met_steps > 0
+    env.close()
+
+
+# Largest errors of speeds and reward, and of the observation.
+BODIES = {
+    "HalfCheetah": (3e-12, 1e-13, 3e-12),
+    "Hopper": (1e-14, 1e-14, 1e-14),
+    "Swimmer": (1e-14, 1e-14, 1e-14),
+    "Walker2d": (1e-12, 5e-14, 1e-12),
+    "Ant": (0.25, 3e-2, 0.25),
+    "Humanoid": (1e-4, 3e-4, 5e-2),
+}
+MEDIANS = {"Ant": 3e-5, "Humanoid": 6e-7}
+
+
+@pytest.mark.parametrize("body", VELOCITY)
+def test_bodies(body):
+    name = f"Safety{body}Velocity"
+    env, speeds, costs = made(name), [], 0
+    of_speed, of_reward, of_observation = BODIES[body]
+    for step in steps(NAMES[name]):
+        original.load(env, step.state())
+        seen, reward, terminated, _, info = env.step(step["actions"])
+        speeds.append(np.abs(original.state(env)["qvel"] - step.state(after=True)["qvel"]).max())
+        assert abs(reward - step["reward"]) <= of_reward
+        assert np.abs(seen - step.seen()).max() <= of_observation
+        assert info["cost"] == step["cost"]
+        assert terminated == step["terminated"]
+        assert info["x_velocity"] == pytest.approx(step["x_velocity"], abs=of_reward)
+        if "y_velocity" in info:
+            assert info["y_velocity"] == pytest.approx(step["y_velocity"], abs=2 * of_reward)
+        costs += info["cost"]
+    assert max(speeds) <= of_speed
+    assert np.median(speeds) <= MEDIANS.get(body, 3e-14)
+    assert 10 < costs < len(speeds)
+    env.close()
+
+
+def test_states_come_back():
+    for name in ("SafetyPointPush1", "SafetyCarButton1", "SafetyAntVelocity"):
+        env, step = made(name), steps(NAMES[name])[5]
+        original.load(env, step.state())
+        for key, value in original.state(env).items():
+            np.testing.assert_allclose(value, step.state()[key], atol=1e-14)
+
+
+def test_bad_states():
+    env, state = made("SafetyPointButton1"), steps("SafetyPointButton1-v0")[0].state()
+    for change, message in [
+        ({"qpos": state["qpos"][:-1]}, r"state\['qpos'\] must have shape \(31,\), got \(30,\)"),
+        ({"buttons_pos": np.zeros((3, 3))}, r"state\['buttons_pos'\] must be 4 places"),
+        ({"goal_button": 4}, r"state\['goal_button'\] must be in 0..3, got 4"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            original.load(env, state | change)
+    del state["timer"]
+    with pytest.raises(ValueError, match="state must hold 'timer', got"):
+        original.load(env, state)
+    with pytest.raises(TypeError, match="env must be one of this package's Safety tasks"):
+        original.load(gym.make("CartPole-v1"), state)

@@ -1,0 +1,192 @@
+"""The face of safety-gymnasium, used as public code uses that package."""
+
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.wrappers.utils import RunningMeanStd
+
+import circle2d_mj.safety_gymnasium as safety_gymnasium
+from circle2d_mj.safety.tasks import NAMES
+from circle2d_mj.safety_gymnasium.vector import SafetyAsyncVectorEnv
+from circle2d_mj.safety_gymnasium.wrappers import (
+    Gymnasium2SafetyGymnasium,
+    SafeAutoResetWrapper,
+    SafeNormalizeCost,
+    SafeNormalizeObservation,
+    SafeNormalizeReward,
+    SafeRescaleAction,
+    SafetyGymnasium2Gymnasium,
+    SafeUnsqueeze,
+)
+
+equal = np.testing.assert_array_equal
+
+
+@pytest.mark.parametrize(
+    "name", ["SafetyPointButton1-v0", "SafetyCarGoal2-v0", "SafetyAntVelocity-v1"]
+)
+def test_six_values_are_the_environments(name):
+    """Those of `gymnasium.make`, with the cost apart, and infos by the original's rules."""
+    env, five = safety_gymnasium.make(name), gym.make(f"circle2d_mj/{name}")
+    observation, info = env.reset(seed=3)
+    equal(observation, five.reset(seed=3)[0])
+    assert info == {}
+    env.action_space.seed(0)
+    for _ in range(20):
+        action = env.action_space.sample()
+        got, expected = env.step(action), five.step(action)
+        equal(got[0], expected[0])
+        assert (got[1], got[3], got[4]) == (expected[1], expected[2], expected[3])
+        assert got[2] == got[5]["cost_sum"] == expected[4]["cost"]
+        assert got[5].get("goal_met", False) in (True, bool(expected[4].get("goal_met", 0)))
+    assert env.env.spec.max_episode_steps == env.spec.max_episode_steps == 1000
+    assert set(safety_gymnasium.registry) == set(NAMES.values())
+
+
+def test_the_task_inside():
+    env = safety_gymnasium.make("SafetyPointPush1-v0")
+    env.reset(seed=0)
+    task, simulation = env.unwrapped.task, env.unwrapped._envs.simulation
+    assert env.task.agent_name == task.agent_name == "Point"
+    equal(task.agent.pos, [*simulation.qpos[0, :2], 0.1])
+    equal(task.push_box.pos, simulation.qpos[0, 3:6])
+    assert [len(place) for place in task.hazards.pos] == [3, 3]
+    assert (task.goal.pos[2], task.goal.size, task.goal_achieved) == (0.16, 0.3, False)
+    with pytest.raises(AttributeError, match="task has no 'vases'; it has"):
+        _ = task.vases
+
+
+def test_bad_ids():
+    for make in (safety_gymnasium.make, safety_gymnasium.vector.make):
+        with pytest.raises(ValueError, match=r"id must be one of \['SafetyAntVelocity-v1', "):
+            make("SafetyDoggoGoal1-v0")
+
+
+def test_a_single_environment_in_safepos_wrappers():
+    env = safety_gymnasium.make("SafetyPointGoal1-v0", max_episode_steps=5)
+    env.reset(seed=0)
+    env = SafeAutoResetWrapper(env)
+    env = SafeRescaleAction(env, -2.0, 2.0)
+    env = SafeNormalizeObservation(env)
+    env = SafeUnsqueeze(env)
+    equal(env.action_space.high, [2, 2])
+    observations = [env.reset(seed=1)[0]]
+    for _ in range(5):
+        result = env.step(np.array([[2.0, 0.0]]))
+        assert [value.shape for value in result[:5]] == [(1, 60), (1,), (1,), (1,), (1,)]
+        observations.append(result[0])
+    assert result[4].all()
+    assert result[5]["final_observation"].shape == (1, 60)
+    plain, rms = safety_gymnasium.make("SafetyPointGoal1-v0"), RunningMeanStd(shape=(60,))
+    seen = [plain.reset(seed=1)[0]]
+    seen += [plain.step(np.array([1.0, 0.0]))[0] for _ in range(5)]
+    for one in seen[:-1]:
+        rms.update(one[None])
+    expected = (seen[-1] - rms.mean) / np.sqrt(rms.var + 1e-8)  # before the next episode's first
+    np.testing.assert_allclose(result[5]["final_observation"][0], expected, rtol=1e-12)
+    assert env.obs_rms.count == pytest.approx(6, abs=1e-3)
+
+
+def test_a_vector_environment_as_omnisafe_uses_it():
+    envs = safety_gymnasium.vector.make(
+        env_id="SafetyPointGoal1-v0", num_envs=3, max_episode_steps=4
+    )
+    single = [safety_gymnasium.make("SafetyPointGoal1-v0") for _ in range(3)]
+    observation, _ = envs.reset(seed=7)
+    equal(observation, [env.reset(seed=7 + i)[0] for i, env in enumerate(single)])
+    for _ in range(4):
+        actions = np.full((3, 2), 0.3)
+        observation, reward, cost, terminated, truncated, info = envs.step(actions)
+        results = [env.step(action) for env, action in zip(single, actions, strict=True)]
+        equal(reward, [result[1] for result in results])
+        equal(cost, [result[2] for result in results])
+        equal(info["cost_hazards"], [result[5]["cost_hazards"] for result in results])
+    assert truncated.all()
+    assert not terminated.any()
+    equal(np.stack(info["final_observation"]), [result[0] for result in results])
+    assert (observation != np.stack(info["final_observation"])).any()
+    assert info["final_info"][2]["cost"] == results[2][2]
+    assert envs.single_action_space == single[0].action_space
+
+
+def test_a_vector_of_wrapped_environments_as_safepo_makes_it():
+    def make():
+        return SafeRescaleAction(safety_gymnasium.make("SafetyCarGoal1-v0", 6), -1.0, 1.0)
+
+    envs = SafeNormalizeObservation(SafetyAsyncVectorEnv([make, make]))
+    made = safety_gymnasium.vector.make(
+        "SafetyCarGoal1-v0", 2, wrappers=lambda e: SafeRescaleAction(e, -1, 1), max_episode_steps=6
+    )
+    assert envs.reset(seed=0)[0].shape == (2, 72)
+    made.reset(seed=0)
+    for _ in range(6):
+        observation, reward, cost, _, truncated, info = envs.step(np.full((2, 2), 0.5))
+        result = made.step(np.full((2, 2), 0.5))
+        equal(reward, result[1])
+        equal(cost, result[2])
+    assert observation.shape == (2, 72)
+    assert truncated.all()
+    assert info["final_observation"][1].shape == (72,)
+    assert info["_final_observation"].all()
+    envs.close()
+
+
+def test_normalized_rewards_and_costs():
+    """Over the deviation of the discounted sum."""
+    env = SafeNormalizeReward(SafeNormalizeCost(safety_gymnasium.make("SafetyPointRun0-v0")), 0.5)
+    env.reset(seed=0)
+    plain = safety_gymnasium.make("SafetyPointRun0-v0")
+    plain.reset(seed=0)
+    sums, total = [], 0.0
+    for _ in range(5):
+        reward = env.step(np.array([1.0, 0.0]))[1]
+        expected = plain.step(np.array([1.0, 0.0]))[1]
+        total = 0.5 * total + expected
+        sums.append(total)
+        assert reward == pytest.approx(expected / np.sqrt(env.return_rms.var + 1e-8))
+    assert env.return_rms.mean == pytest.approx(np.mean(sums), rel=1e-3)
+
+
+def test_conversions_and_five_values():
+    env = SafetyGymnasium2Gymnasium(safety_gymnasium.make("SafetyPointGoal1-v0"))
+    env.reset(seed=0)
+    assert len(env.step(env.action_space.sample())) == 5
+    five = gym.make("SafetyPointGoal1Gymnasium-v0")
+    five.reset(seed=0)
+    assert five.step(five.action_space.sample())[4]["cost"] == 0.0
+    six = Gymnasium2SafetyGymnasium(five)
+    six.reset(seed=0)
+    assert len(six.step(five.action_space.sample())) == 6
+
+
+def test_pictures_have_the_size_asked_for(opengl):
+    env = safety_gymnasium.make(
+        "SafetyPointGoal1-v0", render_mode="rgb_array", camera_name="track", width=256, height=128
+    )
+    env.reset(seed=0)
+    assert env.render().shape == (128, 256, 3)
+    env.close()
+
+
+def test_install():
+    """In a process of its own, and refused where the package itself has been imported."""
+    code = """
+import importlib.util, sys
+import circle2d_mj.safety_gymnasium as ours
+ours.install(); ours.install()
+import safety_gymnasium
+from safety_gymnasium.vector.async_vector_env import SafetyAsyncVectorEnv
+from safety_gymnasium.wrappers import SafeAutoResetWrapper
+assert safety_gymnasium is ours and importlib.util.find_spec("safety_gymnasium")
+assert len(safety_gymnasium.make("SafetyCarButton2-v0").reset()[0]) == 88
+sys.modules["safety_gymnasium"] = importlib.util
+try:
+    ours.install()
+except RuntimeError as error:
+    print(error)
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.startswith("safety_gymnasium has been imported already, from ")
