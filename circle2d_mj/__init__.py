@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.circle2d.envs import Circle2DEnv, Circle2DVectorEnv
 from circle2d_mj.circle2d.region import CostRegion
-from circle2d_mj.core.wrappers import FromSafetyGymnasium, SafetyGymnasiumAPI
 from circle2d_mj.registration import register
 
 if TYPE_CHECKING:
     from circle2d_mj import render
+    from circle2d_mj.core.wrappers import FromSafetyGymnasium, SafetyGymnasiumAPI
 
     __version__: str
 
@@ -40,6 +40,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name == "render":
         return importlib.import_module("circle2d_mj.render")
+    if name in ("FromSafetyGymnasium", "SafetyGymnasiumAPI"):
+        return getattr(importlib.import_module("circle2d_mj.core.wrappers"), name)
     if name == "__version__":
         from importlib.metadata import PackageNotFoundError, version
 
