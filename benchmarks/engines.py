@@ -20,7 +20,7 @@ from pathlib import Path
 
 ENGINES = ("local", "ray")
 TASKS = 10
-NAME, MEGABYTES = "checkpoint.npz", 50
+NAME, MEGABYTES = "checkpoints/000050000.npz", 50
 """Of a message: about what ten runs of a long off-policy training come to at a checkpoint."""
 
 
@@ -53,20 +53,17 @@ def grids(turns, options):
 
 def messages(content):
     """A task that does nothing but send one message."""
-    from agents.training.transfer import HEAD, File, Message
-
-    yield Message([File(0, NAME, content[:HEAD], content[HEAD:])], {(0, NAME)}, 0)
+    yield {NAME: content}, [NAME], 0
 
 
 def tasks():
     """Seconds, by what they are of."""
     import ray
 
-    from agents.training.engines import engine
-    from agents.training.transfer import take_in
+    from agents.training.launcher import launcher, take_in
 
     found, started = {}, time.perf_counter()
-    with engine("ray", 1), tempfile.TemporaryDirectory() as folder:
+    with launcher("ray", 1), tempfile.TemporaryDirectory() as folder:
         found["start of a cluster of this machine"] = [time.perf_counter() - started]
         task = ray.remote(num_cpus=1, max_retries=0)(messages).options(num_returns="streaming")
 
@@ -82,7 +79,7 @@ def tasks():
             seconds, message = first_message(os.urandom(MEGABYTES * 10**6))
             there.append(seconds)
             started = time.perf_counter()
-            take_in((Path(folder),), message)
+            take_in(Path(folder), *message[:2])
             written.append(time.perf_counter() - started)
         found[f"a task with {MEGABYTES} MB on the way there and back"] = there
         found[f"writing {MEGABYTES} MB in the driver's folder"] = written

@@ -9,7 +9,9 @@ python benchmarks/references.py --algorithms sac ppo --seeds 0 1 2
 
 import argparse
 import sys
+import tempfile
 import warnings
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -19,7 +21,7 @@ from torch import nn
 from agents.algorithms import algorithm
 from agents.lockstep import backend
 from agents.training.config import TrainConfig
-from agents.training.loop import Training
+from agents.training.trainer import train
 from emcc import mean_interval
 
 TASK, EPISODE, QUARTERS = "FreePendulum-v0", 200, 4
@@ -45,12 +47,16 @@ def ours(name, seeds, steps):
     """Returns of the episodes of each seed."""
     settings = {"hidden": HIDDEN, "learning_rate": RATE} | (SAC if name == "sac" else PPO)
     config = algorithm(name).config(**settings)
-    training = Training(TrainConfig(name, TASK, tuple(seeds), steps, config))
-    while not training.done:
-        training.run_epoch()
-        print(f"{name} {training.steps.min()} of {steps}", file=sys.stderr, end="\r")
-    training.close()
-    return [training.log.episodes[:, run, :, 2].ravel() for run in range(len(seeds))]
+    it = TrainConfig(name, (TASK,), tuple(seeds), steps, config)
+
+    def show(trainer):
+        print(f"{name} {trainer.steps.min()} of {steps}", file=sys.stderr, end="\r")
+
+    with tempfile.TemporaryDirectory() as folder:
+        it.write(Path(folder))
+        train(Path(folder), show)
+        with np.load(Path(folder) / "results.npz") as results:
+            return [results[run.prefix + "return"] for run in it.runs]
 
 
 def theirs(name, seeds, steps):
@@ -113,8 +119,8 @@ def main():
     print("| algorithm | steps | implementation | seeds |", " | ".join("1234"), "|")
     for name in options.algorithms:
         steps = options.steps or STEPS[name]
-        for title, train in (("ours", ours), ("Stable-Baselines3", theirs)):
-            curves = quarters(train(name, options.seeds, steps), steps)
+        for title, trained in (("ours", ours), ("Stable-Baselines3", theirs)):
+            curves = quarters(trained(name, options.seeds, steps), steps)
             cells = []
             for values in curves.T:
                 it = mean_interval(values)

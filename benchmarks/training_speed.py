@@ -14,7 +14,11 @@ import os
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
 
 TASK, WARM_UP = "Circle2D-1-v0", 1_000
 ON_POLICY = ("trpo-lag", "cpo")
@@ -50,39 +54,37 @@ def plain(algorithm):
     return (steps - before) / (time.perf_counter() - start)
 
 
+@contextmanager
 def prepared(algorithm, runs):
-    """Runs as `circle2d train` trains them, but that none acts at random."""
-    from dataclasses import replace
-
+    """Runs as `circle2d train` trains them, but that none acts at random, after the warm-up."""
     from agents.paper.presets import preset
     from agents.training.config import TrainConfig
-    from agents.training.loop import Training
+    from agents.training.trainer import Trainer
 
     config = preset(algorithm, TASK)
     if algorithm not in ON_POLICY:
         config = replace(config, random_steps=0)
     seeds, steps = tuple(range(runs)), WARM_UP + STEPS[algorithm]
-    return Training(TrainConfig(algorithm, TASK, seeds, steps, config))
+    with tempfile.TemporaryDirectory() as folder:
+        it = TrainConfig(algorithm, (TASK,), seeds, steps, config)
+        it.write(Path(folder))
+        with closing(Trainer(Path(folder), it)) as trainer:
+            while trainer.steps[0] < WARM_UP:
+                trainer.run_epoch()
+            yield trainer
 
 
 def lockstep(algorithm, runs, how):
     """Speed of all runs together; how: "compiled" or "eager"."""
-    import tempfile
-    from pathlib import Path
-
     from agents.lockstep import backend
 
     backend.configure(how == "compiled")
-    training = prepared(algorithm, runs)
-    with tempfile.TemporaryDirectory() as folder:
-        training.config.write(Path(folder))
-        while training.steps[0] < WARM_UP:
-            training.run_epoch()
-        before, start = training.steps.sum(), time.perf_counter()
-        while not training.done:
-            training.run_epoch()
-        training.save(Path(folder))
-        return (training.steps.sum() - before) / (time.perf_counter() - start)
+    with prepared(algorithm, runs) as trainer:
+        before, start = trainer.steps.sum(), time.perf_counter()
+        while not trainer.done:
+            trainer.run_epoch()
+        trainer.save()
+        return (trainer.steps.sum() - before) / (time.perf_counter() - start)
 
 
 def limit(algorithm):
@@ -94,13 +96,11 @@ def limit(algorithm):
     from agents.lockstep import backend
 
     backend.configure()
-    training = prepared(algorithm, 1)
-    while training.steps[0] < WARM_UP:
-        training.run_epoch()
-    before = training.steps[0]
-    with FlopCounterMode(display=False) as counter:
-        training.run_epoch()
-    operations = counter.get_total_flops() / (training.steps[0] - before)
+    with prepared(algorithm, 1) as trainer, FlopCounterMode(display=False) as counter:
+        before = trainer.steps[0]
+        trainer.run_epoch()
+        steps = trainer.steps[0] - before
+    operations = counter.get_total_flops() / steps
     a, b = torch.randn(48, 256, 64), torch.randn(48, 64, 64)
     best = 0.0
     for _ in range(50):
