@@ -5,8 +5,8 @@ import pytest
 import torch
 from modules import ACTIVATIONS, flat, module, plain
 from small_trainings import trained
-from toys import register
 from torch import nn
+from toys import register
 
 from agents.lockstep.modules import mlp
 from agents.lockstep.nets import LANES, MLP, forward_numpy
