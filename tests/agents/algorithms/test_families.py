@@ -21,7 +21,7 @@ WITH_PID = ("trpo-lag pid", "sac-lag pid", "wcsac pid")
 EVERYTHING = (*BUILT_IN, *WITH_PID)
 
 
-def config(name, seeds=(0, 1, 2), steps=900, **parameters):
+def config(name, seeds=(0, 1, 2), steps=450, **parameters):
     """name: of an algorithm, and its multiplier's optimiser if it is not the default."""
     name, _, optimizer = name.partition(" ")
     own = small(name, **({"multiplier_optimizer": optimizer} if optimizer else {}))
@@ -43,7 +43,7 @@ def test_a_run_is_what_it_is_alone_and_without_a_stop(name, tmp_path):
     assert_same(of_run(alone, 0), of_run(whole, 1))
     whole.save()
     stopped = trainer(config(name), tmp_path / "stopped")
-    while stopped.steps.min() < 400:
+    while stopped.steps.min() < 200:
         stopped.run_epoch()
     stopped.save()
     resumed = trainer(config(name), tmp_path / "stopped")
@@ -58,7 +58,7 @@ def test_a_run_is_what_it_is_alone_and_without_a_stop(name, tmp_path):
 def test_a_poisoned_run_fails_alone(name, tmp_path):
     """NaN in the first weight of the second run's actor, after some epochs."""
     healthy, poisoned = finished(trainer(config(name))), trainer(config(name), tmp_path / "run")
-    while poisoned.steps[1] < 300:
+    while poisoned.steps[1] < 200:
         poisoned.run_epoch()
     step = int(poisoned.steps[1])
     poisoned.learner._state.actor[1, 0] = np.nan
