@@ -150,7 +150,7 @@ def test_arrays_without_emcc_are_named(tmp_path):
 
 def arrays_of(costs, name="cost"):
     """The arrays of a run of one episode a rollout, as a run folder has them; name: of its cost."""
-    joined = np.concatenate(costs).astype(float)
+    joined = np.concatenate([*costs, []]).astype(float)
     length = np.array([len(episode) for episode in costs])
     arrays = {"rollouts": np.ones(len(costs), int), "length": length, "return": -0.5 * length}
     arrays[f"costs/{name}/steps"] = np.array(len(joined))
