@@ -121,6 +121,8 @@ def _read_run_folder(folder: Any, threshold: float) -> Iterator[Run]:
 def _records(arrays: Any, prefix: str, cost: str, threshold: float) -> EpisodeRecords:
     """The records of one run: its costs are a bit for each step that costs, and the values where
     some are not 1."""
+    if prefix + "failure" in arrays and prefix + "length" not in arrays:
+        return EpisodeRecords(*[[]] * 8)  # it failed in its first epoch
     packed = f"{prefix}costs/{cost}/"
     unsafe = np.unpackbits(arrays[packed + "unsafe"], count=int(arrays[packed + "steps"]))
     costs = unsafe.astype(np.float64)

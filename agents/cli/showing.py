@@ -28,7 +28,6 @@ from agents.training.policy import chosen_run
 from agents.training.pretrained import folder_of
 from agents.training.progress import working
 from circle2d_mj import Circle2DConfig
-from circle2d_mj.render.gl import NoOpenGL, check_backend
 from emcc.parts import ALPHA, PARTS
 
 
@@ -252,13 +251,12 @@ class SceneOptions:
 
 def scene(args: Sequence[str]) -> int:
     """Run `circle2d scene`; returns the exit status."""
+    from circle2d_mj.circle2d.scene import scene as build
+
     options = parse(SceneOptions, "scene", args)
     try:
-        check_backend()
-        from circle2d_mj.circle2d.scene import scene as build
-
         spec = build(options.config, options.actuation)
-    except (ValueError, NoOpenGL) as error:
+    except ValueError as error:
         raise UserError(str(error)) from error
     spec.compile()
     print(spec.to_xml(), end="")

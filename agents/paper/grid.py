@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from agents.errors import UserError
 from agents.paper.presets import PAPER_SEEDS, PAPER_STEPS, preset, usual_steps
 from agents.paper.presets import ablations as ablations_of
 from agents.training.config import CONFIG, RESULTS, Device, TrainConfig, file_name
+from agents.training.environments import spaces_of
 from agents.training.files import Arrays
 from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.registration import KINEMATIC, PHYSICS
@@ -49,10 +51,10 @@ def grid(
     first.
 
     The folder of an algorithm is `out/ALGORITHM` where all tasks train in it together: they have
-    equal presets and are few. Otherwise each task has its own, `out/TASK/ALGORITHM`. steps: of each
-    run; by default the usual ones of its task. ablations: those with other choices of what the
-    paper does not print as well, in folders like trpo-lag-sgd. Raises UserError for what is
-    unknown. Of eager updates, until a backend is chosen.
+    equal presets and spaces, and are few. Otherwise each task has its own, `out/TASK/ALGORITHM`.
+    steps: of each run; by default the usual ones of its task. ablations: those with other choices
+    of what the paper does not print as well, in folders like trpo-lag-sgd. Raises UserError for
+    what is unknown. Of eager updates, until a backend is chosen.
     """
     tasks = list(dict.fromkeys(tasks))
     order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, UNKNOWN_WORK))
@@ -67,7 +69,8 @@ def grid(
         for folder, by_task in choices.items():
             lengths = {task: steps or usual_steps(task) for task in by_task}
             alike = len({repr((by_task[task], lengths[task])) for task in by_task}) == 1
-            if alike and len(by_task) > 1 and len(by_task) * len(seeds) <= MOST_RUNS:
+            few = len(by_task) > 1 and len(by_task) * len(seeds) <= MOST_RUNS
+            if alike and few and _equal_spaces(tuple(by_task)):
                 parts = {out / folder: list(by_task)}
             else:
                 parts = {out / file_name(task) / folder: [task] for task in by_task}
@@ -77,6 +80,16 @@ def grid(
                     name, tuple(together), tuple(seeds), length, own, device=device
                 )
     return trainings
+
+
+@functools.cache
+def _equal_spaces(tasks: tuple[str, ...]) -> bool:
+    """Whether tasks can train together."""
+    try:
+        spaces_of(tasks, {})
+    except UserError:  # for one that cannot be made, too, which its training says
+        return False
+    return True
 
 
 def shard(folders: Mapping[Path, TrainConfig], part: int, count: int) -> dict[Path, TrainConfig]:

@@ -8,9 +8,7 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from circle2d_mj.circle2d import task
@@ -19,6 +17,7 @@ from circle2d_mj.circle2d.pieces import OVERHANG
 from circle2d_mj.circle2d.scene import SUBSTEPS, Actuation, scene
 from circle2d_mj.circle2d.simulation import Move
 from circle2d_mj.circle2d.start import StartArea
+from circle2d_mj.core.engine import Batch, mujoco
 from circle2d_mj.core.simulation import State, positive_integer
 
 

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-import mujoco
 import numpy as np
 
 from circle2d_mj.assets import asset
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.circle2d.pieces import convex_pieces
+from circle2d_mj.core.engine import mujoco
 
 Actuation = Literal["velocity", "force"]
 BASE = "xml/circle2d.xml"

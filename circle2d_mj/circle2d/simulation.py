@@ -134,7 +134,7 @@ class Circle2D:
 
     def show(self, index: int) -> None:
         """Show the agent `index` in MuJoCo's viewer."""
-        import mujoco
+        from circle2d_mj.core.engine import mujoco
 
         if self._window is None:
             from circle2d_mj.circle2d.scene import SUBSTEPS, scene

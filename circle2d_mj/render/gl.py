@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+VARIABLE = "MUJOCO_GL"
 LIBRARIES = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
 """Library of each backend, in the order in which they are tried"""
-VARIABLE = "MUJOCO_GL"
 # Other values that MuJoCo accepts.
 _OFF = ("disable", "disabled", "off", "false", "0")
 _ON = ("", "enable", "enabled", "on", "true", "1", "glfw", "glx", "wgl", "cgl")
@@ -49,10 +49,7 @@ def render_modes() -> list[str]:
 
 
 def check_backend() -> None:
-    """Raise NoOpenGL where MUJOCO_GL names a backend that is missing or unknown, or none.
-
-    To be called before `import mujoco`, which ends in an AttributeError or RuntimeError then.
-    """
+    """Raise NoOpenGL where MUJOCO_GL names a backend that is missing or unknown, or none."""
     named = _named()
     if named in LIBRARIES:
         _load(named)
@@ -71,8 +68,10 @@ class Offscreen:
     """
 
     def __init__(self, model: Any, size: int) -> None:
+        check_backend()
+        from circle2d_mj.core.engine import mujoco
+
         context = _gl_context(size)
-        import mujoco
 
         self._model, self._context = model, context
         buffer = model.vis.global_

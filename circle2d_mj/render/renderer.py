@@ -36,7 +36,7 @@ class Renderer:
     def __init__(self, config: Circle2DConfig, size: int = SIZE) -> None:
         size = positive_integer("size", size)
         check_backend()
-        import mujoco
+        from circle2d_mj.core.engine import mujoco
 
         self.config, self.size, self._view = config, size, Circle2DView(config)
         self._ground = self._view.background(size)
@@ -54,7 +54,7 @@ class Renderer:
         floor: picture to paint on the floor, [size, size, 3] uint8; by default the task's
         background. Raises ValueError where either is something else.
         """
-        import mujoco
+        from circle2d_mj.core.engine import mujoco
 
         if position is not None:
             self._data.qpos[:] = _checked(position) / self.config.arena
@@ -126,9 +126,8 @@ def _model(config: Circle2DConfig, size: int) -> Any:
     Lengths are in units of the arena's half-width, so that tasks too large, small or narrow for the
     physics can be drawn too.
     """
-    import mujoco
-
     from circle2d_mj.circle2d.scene import BASE, BASE_RADIUS
+    from circle2d_mj.core.engine import mujoco
 
     spec = mujoco.MjSpec.from_file(str(asset(BASE)))
     floor, agent, top = spec.geom("floor"), spec.geom("agent"), spec.camera("top")

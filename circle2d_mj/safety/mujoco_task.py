@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from circle2d_mj.core.engine import Batch, mujoco
 from circle2d_mj.core.simulation import State, positive_integer
 from circle2d_mj.render.gl import Offscreen
 

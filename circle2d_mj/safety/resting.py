@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from circle2d_mj.core.engine import Batch
 from circle2d_mj.safety import worlds
 from circle2d_mj.safety.worlds import World
 

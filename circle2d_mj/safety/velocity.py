@@ -10,11 +10,11 @@ import importlib.resources
 import re
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from circle2d_mj.core.engine import mujoco
 from circle2d_mj.core.simulation import Outcome, State
 from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import rules, views

@@ -8,11 +8,11 @@ from __future__ import annotations
 import functools
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj.assets import asset
+from circle2d_mj.core.engine import mujoco
 from circle2d_mj.safety import scenes
 from circle2d_mj.safety.agents import AGENTS, Agent
 from circle2d_mj.safety.layout import Areas

@@ -28,7 +28,7 @@ def module(net, vector):
 
 
 def flat(net, module, of=lambda parameter: parameter.grad):
-    """The gradients of a module, or what else `of` gives, in our order, 0 in the padding: [size]."""
+    """A module's gradients, or what else `of` gives, in our order, 0 in the padding: [size]."""
     vector = np.zeros((1, net.size))
     for parameter, array in zip(module.parameters(), net.layers(vector), strict=True):
         array[0] = of(parameter).detach().numpy().T

@@ -23,14 +23,22 @@ TEN = [0.1, 0.2, 0.6, 0.2, 0.3, 0.3, 0.0, 0.1, 0.9, 0.0]  # of 10 rollouts, at 0
 # [0, 33 %) has four, [33 %, 66 %) three, [66 %, 99 %] three of them.
 
 
-def records_of(mcc_values):
+FAILED = {"failure": np.array("failed at step 40: its reward is not finite")}
+
+
+def costs_of(mcc_values):
     """One episode of 10 steps per rollout, with one streak and nothing else."""
-    costs = [np.arange(10) < round(10 * value) for value in mcc_values]
-    return emcc.EpisodeRecords.from_costs(costs) if costs else emcc.EpisodeRecords(*[[]] * 8)
+    return [np.arange(10) < round(10 * value) for value in mcc_values]
+
+
+def records_of(mcc_values):
+    return emcc.EpisodeRecords.from_costs(costs_of(mcc_values))
 
 
 def write_run(folder, by_seed, steps=100, task="A-v0"):
-    runs = {(task, seed): sources.arrays_of(records_of(m)) for seed, m in by_seed.items()}
+    runs = {
+        (task, seed): sources.arrays_of(costs_of(m)) if m else FAILED for seed, m in by_seed.items()
+    }
     return sources.write_run(folder, runs, steps=steps)
 
 
@@ -94,9 +102,10 @@ def test_without_scipy_an_interval_is_refused_and_a_range_is_not(tmp_path, capsy
 def test_folders_tasks_and_costs_are_apart(tmp_path, capsys):
     write_run(tmp_path / "a", {0: TEN})
     write_run(tmp_path / "b", {0: TEN}, task="B-v0")
-    arrays = sources.arrays_of(records_of(TEN))
-    other = sources.arrays_of(records_of([0.5] * 10), "cost_2")
-    sources.write_run(tmp_path / "c", {("A-v0", 1): arrays | other}, steps=100)
+    arrays = sources.arrays_of(costs_of(TEN))
+    other = sources.arrays_of(costs_of([0.5] * 10), "cost_2")
+    runs = {("A-v0", 1): arrays | other}
+    sources.write_run(tmp_path / "c", runs, steps=100, costs=["cost", "cost_2"])
     rows, _ = table(capsys, tmp_path)
     assert [row["task"] for row in rows] == ["A-v0", "B-v0", "A-v0", "A-v0 (cost_2)"]
     assert [row["EMCC_0.33"] for row in rows] == ["0.600"] * 3 + ["0.500"]
@@ -169,7 +178,6 @@ def test_as_a_command(tmp_path):
         (["a", "--alpha", "0"], "alpha must be in (0, 1], got 0.0"),
         (["a", "--ties", "some"], "invalid choice: 'some'"),
         (["a", "--limit", "-1"], "limit must be >= 0"),
-        (["a", "--threshold", "1"], "leave the threshold out"),
         (["a", "--total-steps", "50"], "start_steps must be finite and in [0, 49]"),
         (["a", "--total-steps", "0"], "total_steps must be >= 1, got 0"),
         ([], "the following arguments are required: PATH"),

@@ -148,38 +148,40 @@ def test_arrays_without_emcc_are_named(tmp_path):
             emcc.read(path)
 
 
-COLUMNS = dict(
-    zip(emcc.records.COLUMNS, emcc.records.fields(emcc.EpisodeRecords), strict=True)
-)  # of a run folder, and their fields
-
-
-def arrays_of(records, name=""):
-    """The arrays of a run, as a run folder has them; name: of another cost than the first."""
-    own = ("cost", "longest_streak", "cost_steps", "streaks")
-    arrays = {column: getattr(records, field.name) for column, field in COLUMNS.items()}
-    if name:
-        return {f"episodes.{name}.{column}": arrays[column] for column in own}
-    return {f"episodes.{column}": array for column, array in arrays.items()}
+def arrays_of(costs, name="cost"):
+    """The arrays of a run of one episode a rollout, as a run folder has them; name: of its cost."""
+    joined = np.concatenate([*costs, []]).astype(float)
+    length = np.array([len(episode) for episode in costs])
+    arrays = {"rollouts": np.ones(len(costs), int), "length": length, "return": -0.5 * length}
+    arrays[f"costs/{name}/steps"] = np.array(len(joined))
+    arrays[f"costs/{name}/unsafe"] = np.packbits(joined != 0)
+    if (joined > 1).any():
+        arrays[f"costs/{name}/values"] = joined[joined != 0]
+    return arrays
 
 
 def write_run(folder, runs, **config):
     """A run folder. runs: (task, seed) -> arrays."""
     folder.mkdir(parents=True)
     tasks, seeds = (list(dict.fromkeys(key[k] for key in runs)) for k in (0, 1))
-    steps = 10_000
-    config = {"algorithm": "cpo", "tasks": tasks, "seeds": seeds, "steps": steps} | config
-    (folder / "config.json").write_text(json.dumps(config))
+    settings = {"algorithm": "cpo", "tasks": tasks, "seeds": seeds, "steps": 10_000}
+    (folder / "config.json").write_text(json.dumps(settings | {"costs": ["cost"]} | config))
     arrays = {
         f"{task.replace('/', '-')}/{seed}/{name}": array
         for (task, seed), named in runs.items()
-        for name, array in {**named, "updates.loss": np.zeros(3)}.items()
+        for name, array in {**named, "updates": np.zeros(3)}.items()
     }
     np.savez(folder / "results.npz", **arrays)
     return folder
 
 
+def records_of(costs, threshold=0.0):
+    rewards = [np.full(len(episode), -0.5) for episode in costs]
+    return emcc.EpisodeRecords.from_costs(costs, rewards=rewards, threshold=threshold)
+
+
 def made(seed):
-    return emcc.EpisodeRecords.from_costs(episodes(50, seed))
+    return episodes(50, seed)
 
 
 def described(runs):
@@ -196,8 +198,8 @@ def two_tasks(tmp_path):
     runs = {key: made(number) for number, key in enumerate(keys)}
     folder = write_run(tmp_path / "runs" / "first", {key: arrays_of(runs[key]) for key in runs})
     expected = [
-        (task, "cpo", str(seed), "cost", 10_000, records.to_csv())
-        for (task, seed), records in runs.items()
+        (task, "cpo", str(seed), "cost", 10_000, records_of(costs).to_csv())
+        for (task, seed), costs in runs.items()
     ]
     return folder, expected
 
@@ -225,23 +227,33 @@ def test_one_run_is_read_as_records(two_tasks, tmp_path):
     with pytest.raises(ValueError, match="one run is needed, but there are 4"):
         emcc.read(folder)
     write_run(tmp_path / "one", {("A-v0", 5): arrays_of(made(5))})
-    assert emcc.read(tmp_path / "one").to_csv() == made(5).to_csv()
+    assert emcc.read(tmp_path / "one").to_csv() == records_of(made(5)).to_csv()
 
 
 def test_every_named_cost_has_records_of_its_own(tmp_path):
-    first, second = made(1), made(1)
-    second = emcc.EpisodeRecords.from_costs([costs[::-1] > 0 for costs in episodes(50, 2)])
-    length = {"length": second.length, "start_step": second.start_step}
-    first = emcc.EpisodeRecords(**{**vars(first), **length, **{
-        name: np.zeros(50, int) for name in ("cost", "longest_streak", "cost_steps", "streaks")
-    }})  # fmt: skip
-    folder = write_run(
-        tmp_path / "run", {("A-v0", 0): arrays_of(first) | arrays_of(second, "cost_2")}
-    )
+    """Of any size, as values beside the bits; a threshold counts the steps that cost more."""
+    first = made(1)
+    second = [4.0 * episode[::-1] + 2.0 * (episode > 0) for episode in first]
+    arrays = arrays_of(first) | arrays_of(second, "cost_2")
+    arrays |= arrays_of([0 * episode for episode in first], "never")
+    costs = ["cost", "cost_2", "never"]
+    folder = write_run(tmp_path / "run", {("A-v0", 0): arrays}, costs=costs)
     runs = {run.cost: run.records for run in read_runs(folder)}
-    assert list(runs) == ["cost", "cost_2"]
-    assert runs["cost"].longest_streak.max() == 0
-    assert runs["cost_2"].to_csv() == second.to_csv()
+    assert list(runs) == costs
+    assert runs["cost"].to_csv() == records_of(first).to_csv()
+    assert runs["cost_2"].to_csv() == records_of(second).to_csv()
+    assert runs["never"].longest_streak.max() == 0
+    above = {run.cost: run.records for run in read_runs(folder, 3.0)}
+    assert above["cost"].longest_streak.max() == 0
+    assert above["cost_2"].to_csv() == records_of(second, 3.0).to_csv()
+    assert above["cost_2"].cost_steps.sum() < runs["cost_2"].cost_steps.sum()
+
+
+def test_episodes_of_a_rollout_count_as_one(tmp_path):
+    costs = [[0, 1, 1, 0], [1, 0], [0, 0], [1, 1, 1, 0]]
+    arrays = arrays_of([np.array(c) for c in costs]) | {"rollouts": np.array([2, 1, 1])}
+    records = emcc.read(write_run(tmp_path / "run", {("A-v0", 0): arrays}))
+    assert records.mcc_per_rollout()[0].tolist() == [0.5, 0.0, 0.75]
 
 
 def test_folders_that_are_no_runs_are_named(two_tasks, tmp_path):
@@ -251,8 +263,6 @@ def test_folders_that_are_no_runs_are_named(two_tasks, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match=r"empty: no run folder"):
         emcc.read(tmp_path / "empty")
-    with pytest.raises(ValueError, match="leave the threshold out"):
-        emcc.read(folder, threshold=1.0)
     (tmp_path / "bad.zip").write_text("nothing")
     with pytest.raises(ValueError, match=r"bad\.zip: File is not a zip"):
         emcc.read(tmp_path / "bad.zip")
@@ -268,7 +278,7 @@ def test_folders_that_are_no_runs_are_named(two_tasks, tmp_path):
         with pytest.raises(ValueError, match=r"first/config\.json: "):
             emcc.read(folder)
     (folder / "config.json").write_text(json.dumps(config | {"seeds": [0, 4]}))
-    with pytest.raises(ValueError, match=r"missing: A-v0/4/episodes\.rollout"):
+    with pytest.raises(ValueError, match=r"missing: A-v0/4/"):
         emcc.read(folder)
     (folder / "config.json").write_text(json.dumps(config))
     (folder / "results.npz").write_bytes((folder / "results.npz").read_bytes()[:-100])
@@ -277,6 +287,6 @@ def test_folders_that_are_no_runs_are_named(two_tasks, tmp_path):
     (folder / "results.npz").unlink()
     with pytest.raises(ValueError, match=r"first: no results\.npz"):
         emcc.read(folder)
-    arrays = arrays_of(made(0)) | {"episodes.length": np.zeros(50, int)}
-    with pytest.raises(ValueError, match=r"run/results\.npz: .*length .* got 0"):
+    arrays = arrays_of(made(0)) | {"length": np.zeros(50, int)}
+    with pytest.raises(ValueError, match=r"run/results\.npz: "):
         emcc.read(write_run(tmp_path / "run", {("A-v0", 0): arrays}))

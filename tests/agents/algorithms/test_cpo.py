@@ -1,4 +1,5 @@
-"""CPO's step against geometry and a general solver, in each of its cases; then a policy's step.
+"""CPO's step against geometry and a general solver, in each of its cases; the step of a
+policy is in `tests/benchmarks`, beside a plain loop.
 
 In coordinates where H is the identity the trust region is a ball of radius √(2δ) and `c + b·x = 0`
 a plane. In radii the centre lies `share = c / √(2δ s)` beyond it, and the plain step, to the
@@ -11,15 +12,10 @@ import numpy as np
 import pytest
 import torch
 from scipy.optimize import minimize
-from small_policy import NETS, normal, policy
-from small_policy import SIZE as PARAMETERS
-from torch.distributions import kl_divergence
+from small_policy import normal
 
 from agents.algorithms import cpo
 from agents.algorithms.cpo import INSIDE, PARTLY, RECOVERABLE, RECOVERY, CPOConfig
-from agents.on_policy.packing import BLOCK
-from agents.on_policy.state import Epoch, OnPolicyState
-from agents.trust_region import policy_step as trpo
 from agents.trust_region.natural_gradient import Problem
 
 DELTA, SIZE = 0.01, 8
@@ -179,55 +175,3 @@ def test_nothing_to_gain():
         u = torch.linalg.solve(root, b)
         expected = torch.linalg.solve(root.T, -back * RADIUS * u / u.norm())
         assert close(x[run], expected)
-
-
-def test_a_policy_of_each_case():
-    """The step of a policy is the solution of its problem, written out: dense Hessian of the mean
-    KL plus damping, gradient of the surrogate, that of the cost times the episodes' length."""
-    shares, n = torch.tensor([-1.5, -0.5, 0.5, 1.5]), 200
-    length = torch.tensor([50.0, 20.0, 120.0, 7.0], dtype=torch.float64)
-    actor, columns = 0.5 * normal(4, PARAMETERS, seed=0), normal(4, BLOCK, 6, seed=1)
-    observation, action, reward, other = columns.split((2, 2, 1, 1), dim=-1)
-    cost = reward + other  # what is good costs, so that the limit is felt
-    runs, surrogates = [], []
-    for run in range(4):
-        old = policy(actor[run], observation[run, :n])
-
-        def surrogate(params, gain, run=run, old=old):
-            new = policy(params, observation[run, :n]).log_prob(action[run, :n])
-            ratio = (new - old.log_prob(action[run, :n])).exp()
-            return (ratio * gain[run, :n, 0]).mean()
-
-        def mean_kl(params, run=run, old=old):
-            return kl_divergence(old, policy(params, observation[run, :n])).mean()
-
-        hessian = torch.autograd.functional.hessian(mean_kl, actor[run])
-        root = torch.linalg.cholesky(hessian + 0.1 * torch.eye(PARAMETERS))
-        g = torch.autograd.functional.jacobian(lambda p, f=surrogate: f(p, reward), actor[run])
-        b = torch.autograd.functional.jacobian(lambda p, f=surrogate: f(p, cost), actor[run])
-        b = length[run] * b
-        c = shares[run] * RADIUS * torch.linalg.solve(root, b).norm()
-        runs.append((g, b, c, root))
-        surrogates.append((surrogate, mean_kl))
-
-    weight = ((torch.arange(BLOCK) < n) / n).double().expand(4, -1)
-    excess = torch.stack([c for _, _, c, _ in runs])
-    targets = torch.zeros(4, 2, BLOCK)
-    state = OnPolicyState(actor, None, None, ())
-    config = CPOConfig(target_kl=DELTA, cg_iterations=200)
-    costs = excess[:, None] + config.cost_limit
-    gains = reward[..., 0], cost.mT
-    epoch = Epoch(observation, action, weight, *gains, targets, length, costs)
-    params, records = trpo.policy_step(NETS, config, cpo.RULE, state, epoch)
-    assert records["case"].tolist() == [INSIDE, PARTLY, RECOVERABLE, RECOVERY]
-    for run, (surrogate, mean_kl) in enumerate(surrogates):
-        step, scale = params[run] - actor[run], records["step_scale"][run]
-        expected = expected_step(*runs[run])
-        assert (step / scale - expected).norm() <= 1e-3 * expected.norm()
-        assert mean_kl(params[run]) <= DELTA
-        gain, spent = (
-            surrogate(params[run], advantage) - surrogate(actor[run], advantage)
-            for advantage in (reward, cost)
-        )
-        assert (spent < 0) if shares[run] > 0 else (gain > 0)
-        assert length[run] * spent <= max(0.0, -excess[run])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from agents.training.loop import Training
+from small_trainings import finished, trainer
 from toys import register
 
 from agents.algorithms import algorithm
@@ -61,7 +61,8 @@ def test_comes_close_to_the_optimum_within_the_limit(name):
     if algorithm(name).family is OffPolicy:
         config = replace(config, random_steps=100, gradient_steps=1, replay_size=1000)
         config = replace(config, temperature_lr=SHARED["learning_rate"])
-    training = Training(TrainConfig(name, "Target-v0", SEEDS[name], steps, config, parameters))
+    it = TrainConfig(name, ("Target-v0",), SEEDS[name], steps, config, parameters)
+    training = trainer(it)
     actions, nothing = [], np.zeros((2, 1, 1), np.float32)
     untrained = training.learner.policy()(nothing, None)
     assert np.abs(untrained - OPTIMUM[name]).max() > DISTANCE[name]
@@ -80,9 +81,7 @@ def test_comes_close_to_the_optimum_within_the_limit(name):
 def test_improves_over_a_random_policy_on_circle2d(name, steps):
     """With the paper's presets."""
     task = "Circle2D-1-v0"
-    training = Training(TrainConfig(name, task, (0,), steps, preset(name, task)))
-    while not training.done:
-        training.run_epoch()
+    training = finished(trainer(TrainConfig(name, (task,), (0,), steps, preset(name, task))))
     envs, policy = make_envs(task, 200, {}), training.learner.policy()
     noise = steps_of_noise(uniform, (0,), Purpose.EVALUATION, 0, (200, 2))
     at_random = collect(envs, range(200), lambda observation: next(noise)[0])

@@ -6,8 +6,8 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from agents.training.loop import Training
-from test_families import arrays_of, assert_same, config, finished
+from small_trainings import assert_same, finished, trainer
+from test_families import arrays_of, config
 
 from agents.algorithms import learner
 from agents.lockstep import backend
@@ -20,7 +20,7 @@ UPDATES, SEEDS = 20, (0, 1, 2)
 
 def rollout_of(one, episodes):
     """Episodes of a policy that knows nothing, of different lengths."""
-    envs = make_envs(one.task, len(SEEDS) * episodes, {})
+    envs = make_envs(one.tasks[0], len(SEEDS) * episodes, {})
     rng = np.random.default_rng(0)
     return collect(
         envs,
@@ -54,21 +54,23 @@ def copied(state):
 def difference(a, b):
     """The largest of parameters."""
     assert a.keys() == b.keys()
-    learned = ("actor", "critics", "multiplier.parameter", "multiplier.value")
+    learned = ("actor", "critics", "multipliers.0.parameter", "multipliers.0.value")
     names = [name for name in a if name in learned]
     return max(float(np.abs(a[name] - b[name]).max()) for name in names)
 
 
 def resumed_is_as_never_stopped(name):
     backend.configure(True)
-    whole, stopped, resumed = (Training(config(name, SEEDS)) for _ in range(3))
-    while stopped.steps.min() < 400:
-        stopped.run_epoch()
-    with tempfile.TemporaryDirectory() as folder:
-        stopped.config.write(Path(folder))
-        stopped.save(Path(folder))
-        resumed.load(Path(folder))
-    assert_same(arrays_of(finished(resumed)), arrays_of(finished(whole)))
+    whole = finished(trainer(config(name, SEEDS)))
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "run"
+        stopped = trainer(config(name, SEEDS), folder)
+        while stopped.steps.min() < 400:
+            stopped.run_epoch()
+        stopped.save()
+        resumed = trainer(config(name, SEEDS), folder)
+        resumed.load()
+    assert_same(arrays_of(finished(resumed)), arrays_of(whole))
 
 
 def main(names):

@@ -42,15 +42,15 @@ ON_POLICY = [name for name in BUILT_IN if issubclass(family(name), OnPolicy)]
 @pytest.mark.parametrize("name", OFF_POLICY)
 def test_off_policy_updates(name, elsewhere):
     config, rule = ALGORITHMS[name].config(batch_size=B), ALGORITHMS[name].rule
-    nets = sac.make_nets(config, 3, 2)
+    nets = sac.make_nets(config, 3, 2, 1)
     state = sac.initial_state(nets, config, rule, range(R))
-    seen = (R, B, critic_inputs(config, 3))
-    shapes = seen, (R, B, 2), (R, B), (R, B), seen, (R, B), (R, B)
+    seen = (R, B, critic_inputs(config, 3, 1))
+    shapes = seen, (R, B, 2), (R, B), (R, 1, B), seen, (R, B), (R, B)
     batch, noise = Batch(*map(elsewhere, shapes)), elsewhere(R, B, 2)
     after, metrics = sac.update(nets, config, rule, state, batch, sac.UpdateNoise(noise, noise))
     assert after.actor.shape == state.actor.shape
     assert after.critics.is_meta
-    assert all(value.is_meta and value.shape == (R,) for value in metrics.values())
+    assert all(value.is_meta and len(value) == R for value in metrics.values())
 
 
 @pytest.mark.parametrize("name", ON_POLICY)
@@ -59,7 +59,7 @@ def test_on_policy_updates(name, elsewhere, monkeypatch):
     no: a line search then goes through all of its tries."""
     config, rule = ALGORITHMS[name].config(batch_size=B), ALGORITHMS[name].rule
     it = family(name)(config, rule, range(R), 3, 2)
-    shapes = (R, 512, 3), (R, 512, 2), (R, 512), (R, 512), (R, 512), (R, 2, 512), (R,), (R,)
+    shapes = (R, 512, 3), (R, 512, 2), (R, 512), (R, 512), (R, 1, 512), (R, 2, 512), (R,), (R, 1)
     epoch, steps = Epoch(*map(elsewhere, shapes)), np.array([500, 70, 0])
     monkeypatch.setattr(torch.Tensor, "__bool__", lambda tensor: False)
     after, records = it.improve(epoch, steps, [np.random.default_rng(seed) for seed in range(R)])
@@ -75,9 +75,9 @@ def test_on_policy_updates(name, elsewhere, monkeypatch):
 @pytest.mark.parametrize("optimizer", ["adam", "sgd", "pid"])
 def test_multipliers(optimizer, elsewhere):
     config = ALGORITHMS["trpo-lag"].config(multiplier_optimizer=optimizer)
-    state = lagrange.initial(lagrange.PROJECTED, config, R)
-    state = lagrange.follow(lagrange.PROJECTED, config, state, elsewhere(R, 1))
-    assert lagrange.value(lagrange.PROJECTED, state, R).is_meta
+    rule = ALGORITHMS["trpo-lag"].rule.multipliers
+    states = lagrange.follow(rule, config, lagrange.initial(rule, config, R), elsewhere(R, 1))
+    assert lagrange.values(rule, states, R).is_meta
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

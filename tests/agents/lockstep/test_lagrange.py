@@ -5,12 +5,8 @@ from dataclasses import dataclass, replace
 import pytest
 import torch
 
-from agents.algorithms.cpo import CPOConfig
-from agents.algorithms.sac_lb import SACLBConfig
-from agents.algorithms.trpo_lag import TRPOLagConfig
-from agents.errors import UserError
 from agents.lockstep import lagrange
-from agents.lockstep.lagrange import EXP, PROJECTED, SOFTPLUS, MultiplierConfig
+from agents.lockstep.lagrange import EXP, PROJECTED, SOFTPLUS, Multiplier, MultiplierConfig
 from agents.lockstep.nets import LANES
 
 FORMS = {"softplus": SOFTPLUS, "exp": EXP, "projected": PROJECTED}
@@ -18,9 +14,26 @@ FORMS = {"softplus": SOFTPLUS, "exp": EXP, "projected": PROJECTED}
 
 @dataclass(frozen=True)
 class Config(MultiplierConfig):
-    """As a family's config that has a limit."""
+    """Hyper-parameters of multipliers with two limits."""
 
     cost_limit: float = 4.0
+    second_limit: float = 7.0
+
+
+class One:
+    """The multiplier of some runs."""
+
+    def __init__(self, form, config, runs):
+        self.rule, self.config, self.runs = (Multiplier(form),), config, runs
+        (self.state,) = lagrange.initial(self.rule, config, runs)
+
+    @property
+    def value(self):
+        return lagrange.values(self.rule, (self.state,), self.runs).flatten().tolist()
+
+    def follow(self, cost):
+        (self.state,) = lagrange.follow(self.rule, self.config, (self.state,), cost)
+        return self
 
 
 COST = 4.0 + torch.tensor([[2.0], [-3.0], [0.0], [1e-3]])
@@ -30,10 +43,10 @@ COST = 4.0 + torch.tensor([[2.0], [-3.0], [0.0], [1e-3]])
 @pytest.mark.parametrize("optimizer", ["adam", "sgd"])
 def test_rises_exactly_when_the_cost_is_above_the_limit(name, optimizer):
     config = Config(initial_multiplier=1.5, multiplier_lr=1e-2, multiplier_optimizer=optimizer)
-    form, before = FORMS[name], lagrange.initial(FORMS[name], config, 4)
-    after = lagrange.follow(form, config, before, COST)
-    change = lagrange.value(form, after, 4) - lagrange.value(form, before, 4)
-    assert change.sign().flatten().tolist() == [1.0, -1.0, 0.0, 1.0]
+    one = One(FORMS[name], config, 4)
+    before = torch.tensor(one.value)
+    change = torch.tensor(one.follow(COST).value) - before
+    assert change.sign().tolist() == [1.0, -1.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize("name", FORMS)
@@ -51,7 +64,7 @@ def test_steps_by_hand():
     config = Config(initial_multiplier=0.5, multiplier_lr=0.1, multiplier_optimizer="sgd")
 
     def step(form, config):
-        state = lagrange.follow(form, config, lagrange.initial(form, config, 4), COST)
+        state = One(form, config, 4).follow(COST).state
         assert (state.parameter == state.parameter[:, :1]).all()
         assert state.parameter.shape == (4, LANES)
         return state.parameter[:, 0].tolist()
@@ -76,28 +89,23 @@ def test_ten_steps_of_pid_by_hand():
     config = Config(0.5, 0.1, 2.0, initial_multiplier=0.3, multiplier_optimizer="pid")
     costs = [4.0, 8.0, 0.0, 6.0, 20.0, 20.0, 3.0, 0.0, 0.0, 10.0]
     expected = [0.7, 3.48, 0.0, 2.04395, 12.016753, 13.520915, 3.129869, 1.2, 0.8, 7.154859]
-    state, found = lagrange.initial(PROJECTED, config, 2), []
-    assert lagrange.value(PROJECTED, state, 2).tolist() == [[pytest.approx(0.3)]] * 2
+    one, found = One(PROJECTED, config, 2), []
+    assert one.value == [pytest.approx(0.3)] * 2
     for cost in costs:
         # The second run's costs are always 0: its integral falls to 0 and no further.
-        state = lagrange.follow(PROJECTED, config, state, torch.tensor([[cost], [0.0]]))
-        found.append(lagrange.value(PROJECTED, state, 2).flatten().tolist())
+        found.append(one.follow(torch.tensor([[cost], [0.0]])).value)
     assert [value for value, _ in found] == pytest.approx(expected, abs=1e-5)
     assert [value for _, value in found] == [0.0] * 10
-    assert state.integral[:, 0].tolist() == [pytest.approx(3.4), 0.0]
-    assert state.smoothed_cost[0].tolist() == [pytest.approx(2.828839)] * LANES
+    assert one.state.integral[:, 0].tolist() == [pytest.approx(3.4), 0.0]
+    assert one.state.smoothed_cost[0].tolist() == [pytest.approx(2.828839)] * LANES
 
 
 @pytest.mark.parametrize("name", FORMS)
 def test_every_optimizer_starts_from_the_same_multiplier(name):
-    values = {
-        lagrange.value(FORMS[name], lagrange.initial(FORMS[name], config, 1), 1).item()
-        for config in (
-            Config(initial_multiplier=0.7, multiplier_lr=0.1, multiplier_optimizer=optimizer)
-            for optimizer in ("adam", "sgd", "pid")
-        )
-    }
-    assert len(values) == 1
+    settings = {"initial_multiplier": 0.7, "multiplier_lr": 0.1}
+    optimizers = ("adam", "sgd", "pid")
+    configs = [Config(multiplier_optimizer=optimizer, **settings) for optimizer in optimizers]
+    assert len({*(One(FORMS[name], config, 1).value[0] for config in configs)}) == 1
 
 
 def test_a_law_by_hand():
@@ -113,28 +121,36 @@ def test_a_law_by_hand():
         return parameter * (1.0 + 0.1 * (cost - config.cost_limit))
 
     form, cost = PROJECTED._replace(law=law), torch.tensor([[6.0], [1.0], [-8.0]])
-    state = lagrange.follow(form, Limited(), lagrange.initial(form, Limited(), 3), cost)
-    assert lagrange.value(form, state, 3).flatten().tolist() == pytest.approx([0.6, 0.35, 0.0])
-    assert state.parameter.shape == (3, LANES)
-    with pytest.raises(TypeError, match=r"the multiplier has a law: .* must not have an optimizer"):
-        lagrange.initial(form, Config(), 3)
+    one = One(form, Limited(), 3).follow(cost)
+    assert one.value == pytest.approx([0.6, 0.35, 0.0])
+    assert one.state.parameter.shape == (3, LANES)
+    with pytest.raises(TypeError, match="must not have an optimizer"):
+        One(form, Config(), 3)
+
+
+def test_several_follow_their_own_costs_and_limits():
+    """Plain gradients at lr 0.1 from 0.5. The first follows cost 1 above 7, the second cost 0 above
+    4 through softplus, the third cost 1 above 4: 0.5 + 0.1·(10 - 7) = 0.8, 0.5 + 0.1·σ(0.5)·(5 - 4)
+    = 0.5622459, 0.5 + 0.1·6 = 1.1; in the second run, of costs 2 and 6, 0.4, 0.3755081 and 0.7."""
+    rule = (
+        Multiplier(PROJECTED, 1, "second_limit"),
+        Multiplier(SOFTPLUS),
+        Multiplier(PROJECTED, 1),
+    )
+    config = Config(initial_multiplier=0.5, multiplier_lr=0.1, multiplier_optimizer="sgd")
+    states = lagrange.initial(rule, config, 2)
+    after = lagrange.follow(rule, config, states, torch.tensor([[5.0, 10.0], [2.0, 6.0]]))
+    found = torch.stack([state.parameter[:, 0] for state in after], dim=1)
+    by_hand = torch.tensor([[0.8, 0.5622459, 1.1], [0.4, 0.3755081, 0.7]])
+    torch.testing.assert_close(found, by_hand)
+    values = lagrange.values(rule, after, 2)
+    torch.testing.assert_close(values[:, 1], (1 + by_hand[:, 1].exp()).log())
+    torch.testing.assert_close(values[:, ::2], by_hand[:, ::2])
+    assert lagrange.names(rule) == ("multiplier", "multiplier_2", "multiplier_3")
 
 
 def test_an_algorithm_without_one():
-    assert lagrange.initial(None, None, 3) is None
-    assert lagrange.value(None, None, 3).tolist() == [[0.0]] * 3
-    assert lagrange.follow(None, None, None, COST) is None
-
-
-def test_what_is_not_allowed():
-    with pytest.raises(
-        UserError, match="multiplier_optimizer must be adam or sgd or pid, got 'rms'"
-    ):
-        TRPOLagConfig(multiplier_optimizer="rms")
-    with pytest.raises(UserError, match="initial_multiplier must be at least 0, got -1"):
-        TRPOLagConfig(initial_multiplier=-1)
-    with pytest.raises(UserError, match=r"pid_ki must be at least 0 and .*, got -1"):
-        TRPOLagConfig(pid_ki=-1)
-    for config in (CPOConfig, SACLBConfig):
-        with pytest.raises(TypeError, match="multiplier_optimizer"):
-            config(multiplier_optimizer="pid")
+    assert lagrange.initial((), None, 3) == ()
+    assert lagrange.values((), (), 3).shape == (3, 0)
+    assert lagrange.follow((), None, (), COST) == ()
+    assert lagrange.names(()) == ()

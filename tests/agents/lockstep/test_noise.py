@@ -32,13 +32,6 @@ def test_a_run_does_not_see_the_others():
     assert many[4:8] == environment_seeds([1], Purpose.ENVIRONMENT, 7, 4)
 
 
-def test_runs_at_epochs_of_their_own():
-    together = take(normal, [3, 3, 2], Purpose.EXPLORATION, np.array([7, 8, 9]))
-    for run, (seed, epoch) in enumerate([(3, 7), (3, 8), (2, 9)]):
-        alone = take(normal, [seed], Purpose.EXPLORATION, epoch)
-        np.testing.assert_array_equal(together[:, run], alone[:, 0])
-
-
 def test_streams_differ_by_seed_purpose_and_epoch():
     draws = [
         stream(seed, purpose, epoch).integers(2**62)

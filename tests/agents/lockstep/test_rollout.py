@@ -3,17 +3,18 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from agents.training.side_by_side import SideBySide
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from agents.errors import UserError
 from agents.lockstep.rollout import collect
+from agents.training.wrappers import SideBySide
 from circle2d_mj import Circle2DEnv, Circle2DVectorEnv
 
 
 class Countdown(gym.Env):
-    """Lasts `seed` steps; observation: steps taken; reward 10 + step, cost = step taken so far."""
+    """Lasts `seed` steps; observation: steps taken; reward 10 + step; costs: steps taken so far,
+    and 2 where that is even."""
 
     observation_space = Box(-np.inf, np.inf, (1,))
     action_space = Box(-1.0, 1.0, (1,))
@@ -30,7 +31,7 @@ class Countdown(gym.Env):
         assert self.t < self.length, "stepped beyond its end"
         self.t += 1
         end = self.t == self.length
-        info = {"cost": float(self.t)} if self.gives_cost else {}
+        info = {"cost": float(self.t), "jerk": 2.0 * (self.t % 2 == 0)} if self.gives_cost else {}
         observation = np.full(1, self.t, np.float32)
         return observation, 10.0 + self.t, end and not self.truncates, end and self.truncates, info
 
@@ -43,7 +44,7 @@ def test_side_by_side():
     """As 3 and 3 environments of their own; scripted ones refuse steps beyond their end."""
     parts = [scripted(), scripted(truncates=True)]
     seeds, active = [2, 7, 4, 3, 3, 9], np.array([True] * 5 + [False])
-    rollout = collect(SideBySide(parts), seeds, lambda obs: -0.1 * obs, active)
+    rollout = collect(SideBySide(parts, ("cost",)), seeds, lambda obs: -0.1 * obs, active)
     assert rollout.length.tolist() == [2, 7, 4, 3, 3, 0]
     for k, truncates in enumerate((False, True)):
         own = slice(3 * k, 3 * k + 3)
@@ -57,16 +58,20 @@ def test_side_by_side():
             during = alone.during
             np.testing.assert_array_equal(ours[:end][during], theirs[during])
     with pytest.raises(UserError, match="gives no info"):
-        collect(SideBySide([scripted(), scripted(gives_cost=False)]), seeds, lambda obs: obs)
+        collect(
+            SideBySide([scripted(), scripted(gives_cost=False)], ("cost",)), seeds, lambda obs: obs
+        )
 
 
 @pytest.mark.parametrize("truncates", [False, True])
 def test_lengths_sums_and_ends(truncates):
-    rollout = collect(scripted(truncates=truncates), [2, 7, 4], lambda obs: -0.1 * obs)
+    envs = scripted(truncates=truncates)
+    rollout = collect(envs, [2, 7, 4], lambda obs: -0.1 * obs, costs=("cost", "jerk"))
     assert rollout.length.tolist() == [2, 7, 4]
-    # Σ (10 + t) = 10 n + n (n + 1) / 2: 23, 98, 50; costs Σ t: 3, 28, 10
+    # Σ (10 + t) = 10 n + n (n + 1) / 2: 23, 98, 50; costs Σ t: 3, 28, 10;
+    # even numbers up to n: 1, 3, 2
     assert rollout.returns.tolist() == [23.0, 98.0, 50.0]
-    assert rollout.cost_returns.tolist() == [3.0, 28.0, 10.0]
+    assert rollout.cost_returns.tolist() == [[3.0, 2.0], [28.0, 6.0], [10.0, 4.0]]
     assert rollout.final_observation[:, 0].tolist() == [2.0, 7.0, 4.0]
     ends = rollout.truncated if truncates else rollout.terminated
     other = rollout.terminated if truncates else rollout.truncated
@@ -97,9 +102,40 @@ def test_native_and_sync_environments_give_the_same():
         np.testing.assert_array_equal(mine[ours.during], its[theirs.during])
 
 
-def test_without_costs():
-    with pytest.raises(UserError, match=r"gives no info\['cost'\]; it gives nothing"):
+def test_a_cost_that_is_not_there_is_named():
+    with pytest.raises(UserError, match=r"info\['cost'\]"):
         collect(scripted(gives_cost=False), [1, 2, 3], lambda obs: obs)
+    with pytest.raises(UserError, match=r"info\['speed'\]; it gives \['cost', 'jerk'\]"):
+        collect(scripted(), [1, 2, 3], lambda obs: obs, costs=("cost", "speed"))
+
+
+@pytest.mark.parametrize("bad", ["action", "observation", "reward", "jerk"])
+def test_an_episode_with_a_number_that_is_not_finite_is_void_and_says_which(bad):
+    """In the second step of the second of three; the others are as they are without."""
+
+    class Bad(Countdown):
+        def step(self, action):
+            observation, reward, *ends, info = super().step(action)
+            if self.length == 7 and self.t == 2:
+                observation = observation * (np.nan if bad == "observation" else 1)
+                reward = np.inf if bad == "reward" else reward
+                info["jerk"] = np.nan if bad == "jerk" else info["jerk"]
+            return observation, reward, *ends, info
+
+    def act(observation):
+        chosen = -0.1 * observation
+        chosen[1] = np.nan if bad == "action" and observation[1] == 1 else chosen[1]
+        return chosen
+
+    envs = SyncVectorEnv([Bad] * 3, autoreset_mode=AutoresetMode.DISABLED)
+    found = collect(envs, [2, 7, 4], act, costs=("cost", "jerk"))
+    plain = collect(scripted(), [2, 7, 4], lambda obs: -0.1 * obs, costs=("cost", "jerk"))
+    assert found.failure.tolist() == ["", bad, ""]
+    assert found.diverged.tolist() == [False, True, False]
+    for run in (0, 2):
+        for ours, theirs in zip(found[:7], plain[:7], strict=True):
+            end = plain.length[run]
+            np.testing.assert_array_equal(ours[:end, run], theirs[:end, run])
 
 
 def test_actions_are_kept_as_chosen_and_taken_clipped():

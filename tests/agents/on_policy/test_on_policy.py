@@ -14,7 +14,7 @@ from agents.trust_region.learner import TrustRegion
 
 METRICS = ("kl", "step_scale", "critic_loss", "cost_critic_loss", "std")
 
-OBSERVATION, ACTION = 3, 2
+OBSERVATION, ACTION, COSTS = 3, 2, 1
 SMALL = {"hidden": (32,), "episodes": 2, "critic_iterations": 2}
 
 
@@ -28,23 +28,24 @@ def episodes(lengths, draw):
     Episodes of even number end in a terminal state, the others are cut off.
     """
     steps, n = max(lengths), len(lengths)
-    widths = (OBSERVATION, ACTION, None, None, OBSERVATION)
+    widths = (OBSERVATION, ACTION, None, COSTS, OBSERVATION)
     shapes = [(steps, n) if width is None else (steps, n, width) for width in widths]
-    columns = [np.full(shape, np.nan, np.float32 if len(shape) > 2 else float) for shape in shapes]
+    columns = [np.full(shape, np.nan) for shape in shapes]
+    for k in (0, 1, 4):
+        columns[k] = columns[k].astype(np.float32)
     for k, length in enumerate(lengths):
         for column, values in zip(columns, draw(k, length), strict=True):
             column[:length, k] = values
     ends = np.arange(steps)[:, None] == np.array(lengths) - 1
     even = np.arange(n) % 2 == 0
-    return Rollout(*columns, ends & even, ends & ~even, np.array(lengths), np.zeros(n, bool))
+    return Rollout(*columns, ends & even, ends & ~even, np.array(lengths), np.full(n, ""))
 
 
 def saying(critic, values):
     """Parameters of critics that say a constant each, [1, 2, size]."""
-    params = torch.zeros(1, 2, critic.size)
-    last = sum(a * b + b for a, b in zip(critic.sizes[:-1], critic.sizes[1:], strict=True)) - 1
-    params[0, :, last] = torch.tensor(values)
-    return params
+    params = np.zeros((2, critic.size), np.float32)
+    critic.layers(params)[-1][:, 0, 0] = values
+    return torch.from_numpy(params)[None]
 
 
 @pytest.mark.parametrize("time_limit", ["bootstrap", "terminal"])
@@ -58,7 +59,7 @@ def test_an_epoch_by_hand(time_limit):
     config = TRPOLagConfig(time_limit=time_limit, discount=0.5, gae_lambda=0.0, **SMALL)
     it = learner(trpo_lag.RULE, config)
     it._state = it._state._replace(critics=saying(it.nets.critic, [2.0, 4.0]))
-    signals = [([5.0], [2.0]), ([1.0, 3.0], [1.0, 0.0])]
+    signals = [([5.0], [[2.0]]), ([1.0, 3.0], [[1.0], [0.0]])]
     rollout = episodes([1, 2], lambda k, length: (0.5, 0.5, *signals[k], 0.5))
     epoch = it._epoch(rollout, Packing(rollout.during, 1))
     bootstraps = time_limit == "bootstrap"
@@ -68,9 +69,9 @@ def test_an_epoch_by_hand(time_limit):
     reward, cost = targets[0] - 2.0, targets[1] - 4.0
     expected = (reward - reward.mean()) / reward.std()
     np.testing.assert_allclose(epoch.reward_advantage[0, :3], expected, rtol=1e-6)
-    np.testing.assert_allclose(epoch.cost_advantage[0, :3], cost - cost.mean(), rtol=1e-6)
+    np.testing.assert_allclose(epoch.cost_advantage[0, 0, :3], cost - cost.mean(), rtol=1e-6)
     assert epoch.length.tolist() == [1.5]
-    assert epoch.cost.tolist() == [(2.0 + 1.0) / 2]
+    assert epoch.cost.tolist() == [[(2.0 + 1.0) / 2]]
 
 
 @pytest.mark.parametrize("optimizer", ["adam", "sgd"])
@@ -99,7 +100,7 @@ def noisy(seed, epoch):
         rng = np.random.default_rng((seed, epoch, k))
         observation, following = rng.normal(size=(2, length, OBSERVATION))
         action, reward = rng.normal(size=(length, ACTION)), rng.normal(size=length)
-        return observation, action, reward, 2.0 / length * (action[:, 0] > 0), following
+        return observation, action, reward, 2.0 / length * (action[:, :1] > 0), following
 
     return draw
 
@@ -162,7 +163,7 @@ def test_learns_what_pays():
 
         def draw(k, length, actions=actions):
             action = actions[:, k]
-            cost = (action[:, 1] > 0).astype(float)
+            cost = (action[:, 1:] > 0).astype(float)
             return 0.0, action, -((action[:, 0] - 0.5) ** 2), cost, 0.0
 
         metrics = it.learn(episodes([100] * 4, draw), epoch, np.ones(2, bool))

@@ -6,11 +6,9 @@ import sys
 
 import numpy as np
 import pytest
-from agents.training.loop import Training
+from small_trainings import trained
 
-from agents.algorithms import algorithm
 from agents.sac.novelty import FEATURES, Novelty
-from agents.training.config import TrainConfig
 
 
 def seen(*places):
@@ -126,13 +124,8 @@ def test_the_number_of_threads_does_not_matter():
 
 def test_the_bonus_joins_the_learned_reward_alone():
     """The batch has the reward of the replay and the weighted novelty; records have the plain."""
-    config = algorithm("sac-lb").config(
-        novelty_bonus=3.0, batch_size=32, hidden=(32, 32), random_steps=100
-    )
-    training = Training(TrainConfig("sac-lb", "Circle2D-1-v0", (0, 1), 300, config, {}, 300))
-    while not training.done:
-        training.run_epoch()
-    learner = training.learner
+    it = trained("sac-lb", "Circle2D-1-v0", steps=300, novelty_bonus=3.0, random_steps=100)
+    learner = it.learner
     index = np.tile(np.arange(32), (2, 1))
     plain = learner._replay.gather(index)
     with_bonus = learner._with_bonus(plain)

@@ -1,11 +1,11 @@
-"""The SAC family's losses against hand arithmetic and against one autograd run at a time."""
+"""The SAC family's losses against hand arithmetic; `tests/benchmarks` has whole updates beside a
+plain loop, `test_stable_baselines` beside another library's."""
 
 import math
 
 import numpy as np
 import pytest
 import torch
-from modules import flat, module
 
 from agents.algorithms.sac_lag import RULE, SACLagConfig
 from agents.lockstep import tree
@@ -124,43 +124,6 @@ def test_squashed_gaussian_against_torch_distributions(scale):
     np.testing.assert_allclose(deterministic, torch.tanh(mean).numpy())
 
 
-class Separate:
-    """One run of SAC-Lag with PyTorch modules, from the same parameters: losses and gradients."""
-
-    def __init__(self, nets, state, run):
-        self.nets, self.actor = nets, module(nets.actor, state.actor[run])
-        self.critics = [module(nets.critic, p) for p in state.critics[run]]
-        self.targets = [module(nets.critic, p) for p in state.targets[run]]
-
-    def policy(self, observation, noise):
-        mean, log_std = self.actor(observation).chunk(2, dim=-1)
-        u = mean + log_std.clamp(-20, 2).exp() * noise
-        normal = torch.distributions.Normal(mean, log_std.clamp(-20, 2).exp())
-        slope = torch.log(1 - torch.tanh(u) ** 2)
-        return torch.tanh(u), (normal.log_prob(u) - slope).sum(dim=-1)
-
-    def critic_gradients(self, b, noise):
-        with torch.no_grad():
-            action, log_prob = self.policy(b.next_observation, noise)
-            q = [t(torch.cat([b.next_observation, action], -1))[:, 0] for t in self.targets]
-            going_on = CONFIG.discount * (1 - b.terminal)
-            reward_target = b.reward + going_on * (torch.minimum(q[0], q[1]) - log_prob)
-            costs_go_on = CONFIG.discount * (1 - b.cost_terminal)
-            cost_target = b.cost[0] + costs_go_on * torch.maximum(q[2], q[3])
-        for k, critic in enumerate(self.critics):
-            target = reward_target if k < 2 else cost_target
-            q_k = critic(torch.cat([b.observation, b.action], -1))[:, 0]
-            (0.5 * ((q_k - target) ** 2).mean()).backward()
-        return [flat(self.nets.critic, critic) for critic in self.critics]
-
-    def actor_gradient(self, b, noise):
-        action, log_prob = self.policy(b.observation, noise)
-        q = [c(torch.cat([b.observation, action], -1))[:, 0] for c in self.critics]
-        penalty = math.log(2.0) * torch.maximum(q[2], q[3])
-        (log_prob - torch.minimum(q[0], q[1]) + penalty).mean().backward()
-        return flat(self.nets.actor, self.actor)
-
-
 def random_batch(runs, size=64, seed=0):
     generator = torch.Generator().manual_seed(seed)
 
@@ -171,34 +134,6 @@ def random_batch(runs, size=64, seed=0):
     cost = normal().abs()[:, None]
     batch = Batch(normal(2), normal(2).tanh(), normal(), cost, normal(2), *ends)
     return batch, sac.UpdateNoise(normal(2), normal(2))
-
-
-def test_gradients_against_separate_runs():
-    """The first update of 4 runs in lockstep moves every parameter as separate runs would."""
-    nets = sac.make_nets(CONFIG, 2, 2, 1)
-    state = sac.initial_state(nets, CONFIG, RULE, range(4))
-    state = state._replace(targets=state.targets + 0.01)
-    batch, noise = random_batch(4)
-    after, _ = sac.update(nets, CONFIG, RULE, state, batch, noise)
-    # Adam's first mean is (1 - β₁) times the gradient.
-    critic_gradient = after.critic_moments.mean / 0.1
-    actor_gradient = after.actor_moments.mean / 0.1
-    for run in range(4):
-        b = Batch(*(part[run].double() for part in batch))
-        separate = Separate(nets, state, run)
-        expected = separate.critic_gradients(b, noise.next_action[run].double())
-        for k, gradient in enumerate(expected):
-            torch.testing.assert_close(
-                critic_gradient[run, k].double(), gradient, rtol=1e-3, atol=1e-6
-            )
-        separate = Separate(nets, state._replace(critics=after.critics), run)
-        gradient = separate.actor_gradient(b, noise.new_action[run].double())
-        torch.testing.assert_close(actor_gradient[run].double(), gradient, rtol=1e-3, atol=1e-6)
-    # Targets follow the critics after their step, not before it.
-    followed = state.targets.double().lerp(after.critics.double(), 0.005)
-    torch.testing.assert_close(after.targets.double(), followed, rtol=0, atol=1e-7)
-    before = state.targets.double().lerp(state.critics.double(), 0.005)
-    assert (after.targets.double() - before).abs().max() > 1e-6
 
 
 @pytest.mark.parametrize("runs", [12, 20])

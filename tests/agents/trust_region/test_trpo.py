@@ -1,19 +1,17 @@
-"""Nets, surrogates and critics against PyTorch's own modules, one run at a time; TRPO-Lag."""
+"""Policies and surrogates against PyTorch's own modules, one run at a time; TRPO-Lag."""
 
 import math
 
-import numpy as np
 import pytest
 import torch
-from modules import data, flat, module
+from modules import flat, module
 from small_policy import normal
 from torch.distributions import Independent, Normal, kl_divergence
 
 from agents.algorithms import trpo_lag
-from agents.algorithms.cpo import CPOConfig
 from agents.algorithms.trpo_lag import TRPOLagConfig
 from agents.lockstep.nets import MLP
-from agents.on_policy import comparison, critics
+from agents.on_policy import comparison
 from agents.on_policy import state as on_policy
 from agents.on_policy.gaussian import GaussianPolicy
 from agents.on_policy.packing import BLOCK
@@ -115,37 +113,6 @@ def test_compared_and_its_gradient_against_separate_runs(steps, size):
             torch.testing.assert_close(moved[run, : ACTOR.net.size], expected)
             log_std = moved[run, ACTOR.net.size : ACTOR.net.size + ACTION]
             torch.testing.assert_close(log_std, after.log_std.grad)
-
-
-def test_critics_against_separate_runs():
-    """Four steps of Adam; the second run has no rows in the third minibatch, and waits."""
-    config, epoch = CPOConfig(**SMALL), random_epoch((200, 40), BLOCK)
-    epoch = epoch._replace(observation=epoch.observation.float())
-    state = on_policy.initial_state(NETS, config, (), 1, [0, 1])
-    theirs = [[module(NETS.critic, vector) for vector in run] for run in state.critics]
-    optimizers = [[torch.optim.Adam(net.parameters(), lr=3e-4) for net in run] for run in theirs]
-    rng = np.random.default_rng(0)
-    for held in torch.tensor([[32, 9], [32, 9], [32, 0], [7, 32]]):
-        rows = torch.from_numpy(rng.integers((200, 40), size=(32, 2)).T.copy())
-        weight = (torch.arange(32) < held[:, None]) / held[:, None].clamp(min=1)
-        state, losses = critics.critic_step(NETS, config, state, epoch, rows, weight)
-        for run, n in enumerate(held):
-            if n == 0:
-                assert (losses[run] == 0).all()
-                continue
-            for of in range(2):
-                net, optimizer, row = theirs[run][of], optimizers[run][of], rows[run, :n]
-                said = net(epoch.observation[run, row].double())[:, 0]
-                loss = 0.5 * ((said - epoch.value_targets[run, of, row]) ** 2).mean()
-                optimizer.zero_grad()
-                loss.backward()
-                optimizer.step()
-                assert losses[run, of].item() == pytest.approx(loss.item(), rel=1e-5)
-    for run in range(2):
-        for of in range(2):
-            expected = flat(NETS.critic, theirs[run][of], data)
-            found = state.critics[run, of].double()
-            torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
 
 
 def test_advantage_by_hand():

@@ -1,0 +1,187 @@
+"""Algorithms of several costs and multipliers, each in one file from outside."""
+
+import sys
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from small_trainings import assert_same, finished, of_run, results, small, trainer
+from toys import Walk
+
+import agents
+from agents import algorithms
+from agents.algorithms import algorithm
+from agents.errors import UserError
+from agents.lockstep import lagrange
+from agents.training.config import TrainConfig
+
+TWO_LIMITS = '''
+"""SAC, TRPO and PPO with a second multiplier, on a second cost."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from agents import register
+from agents.algorithms import Algorithm, ppo_lag, sac_lag, trpo_lag
+from agents.checks import In
+from agents.first_order import FirstOrder, Objective
+from agents.lockstep.lagrange import PROJECTED, SOFTPLUS, Multiplier
+from agents.sac import CostRule, OffPolicy
+from agents.trust_region.learner import TrustRegion
+from agents.trust_region.policy_step import StepRule
+
+
+def with_second(base):
+    @dataclass(frozen=True)
+    class Config(base):
+        """Hyper-parameters with a second limit."""
+
+        cost_limit_2: Annotated[float, In(0, 1e9)] = 1.0
+        """Limit of the second cost."""
+
+    return Config
+
+
+def multipliers(form):
+    return Multiplier(form), Multiplier(form, signal=1, limit="cost_limit_2")
+
+
+SAC = CostRule(sac_lag.risk, sac_lag.critic_loss, sac_lag.penalty, multipliers(SOFTPLUS), costs=2)
+TRPO = StepRule(trpo_lag.advantage, trpo_lag.step, multipliers(PROJECTED), costs=2)
+PPO = Objective(trpo_lag.advantage, multipliers(PROJECTED), costs=2)
+register("sac-two", Algorithm("", with_second(sac_lag.SACLagConfig), SAC, OffPolicy))
+register("trpo-two", Algorithm("", with_second(trpo_lag.TRPOLagConfig), TRPO, TrustRegion))
+register("ppo-two", Algorithm("", with_second(ppo_lag.PPOLagConfig), PPO, FirstOrder))
+'''
+TWO = {"sac-two": "sac-lag", "trpo-two": "trpo-lag", "ppo-two": "ppo-lag"}
+COSTS = ("cost", "left")
+
+
+class Both(Walk):
+    """Walk, whose steps with x < 0.2 also cost 2 of another kind."""
+
+    def step(self, action):
+        *rest, info = super().step(action)
+        return (*rest, info | {"left": 2.0 * (self.x < 0.2)})
+
+
+if "Both-v0" not in gym.registry:
+    gym.register("Both-v0", entry_point=Both, disable_env_checker=True)
+
+
+@pytest.fixture(autouse=True)
+def two_limits(tmp_path, monkeypatch):
+    (tmp_path / "two_limits.py").write_text(TWO_LIMITS)
+    monkeypatch.setattr(algorithms._algorithms, "registered", {})
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "two_limits", raising=False)
+    __import__("two_limits")
+
+
+def config(name, seeds=(0, 1), costs=COSTS, **changes):
+    own = small(name, multiplier_optimizer="sgd", multiplier_lr=0.1, **changes)
+    return TrainConfig(name, ("Both-v0",), seeds, 300, own, costs=costs)
+
+
+def multiplier_values(it):
+    states = it.learner._state.multipliers
+    return lagrange.values(it.learner.rule.multipliers, states, len(it.config.seeds)).numpy()
+
+
+def test_penalties_by_hand():
+    """Off-policy each risk times its multiplier: 2·(1, 3) and 5·(4, 0). On-policy
+    (A_r - Σ λ_k A_k) / (1 + Σ λ_k): (7 - 2·1 - 5·4) / 8 = -15/8, (2 - 2·3 - 0) / 8 = -1/2. With one
+    multiplier (7 - 2) / 3 and (2 - 6) / 3; with none the advantages."""
+    both, multipliers = torch.tensor([[[1.0, 3.0], [4.0, 0.0]]]), torch.tensor([[2.0, 5.0]])
+    penalty = algorithm("sac-two").rule.penalty(None, both, multipliers)
+    assert penalty.tolist() == [[[2.0, 6.0], [20.0, 0.0]]]
+    reward = torch.tensor([[7.0, 2.0]])
+    for name in ("trpo-two", "ppo-two"):
+        advantage = algorithm(name).rule.advantage
+        assert advantage(None, reward, both, multipliers).tolist() == [[-15 / 8, -1 / 2]]
+        one = advantage(None, reward, both[:, :1], multipliers[:, :1])
+        torch.testing.assert_close(one, torch.tensor([[5 / 3, -4 / 3]]))
+    for name in ("ppo", "cpo"):
+        assert algorithm(name).rule.advantage(None, reward, both, torch.zeros(1, 0)) is reward
+
+
+def test_off_policy_each_follows_the_risk_of_its_cost():
+    """Plain gradients through softplus: a parameter rises by 0.1·σ(5)·(risk - d), of the risk that
+    the records say; σ(5) = 0.9933071."""
+    changes = {"gradient_steps": 1, "initial_multiplier": 5.0}
+    it = trainer(config("sac-two", cost_limit=0.5, cost_limit_2=7.0, **changes))
+    it.run_epoch()
+    while "risk" not in it.recorder.latest[it.config.runs[0]]:
+        assert all((s.parameter[0] == 5.0).all() for s in it.learner._state.multipliers)
+        it.run_epoch()
+    it.recorder.latest = {run: it.recorder.latest[run] for run in it.config.runs[:1]}
+    for run, numbers in enumerate(it.recorder.latest.values()):
+        for k, (risk, limit) in enumerate((("risk", 0.5), ("risk_2", 7.0))):
+            moved = it.learner._state.multipliers[k].parameter[run, 0].item() - 5.0
+            assert moved == pytest.approx(0.09933071 * (numbers[risk] - limit), rel=1e-4)
+    assert numbers["risk"] != numbers["risk_2"]
+
+
+@pytest.mark.parametrize("name", ["trpo-two", "ppo-two"])
+def test_on_policy_each_follows_the_mean_cost_of_its_episodes(name):
+    """Plain gradients: λ rises by 0.1 (J_C - d), of costs counted here from what was recorded."""
+    it = trainer(config(name, initial_multiplier=5.0, cost_limit=3.0, cost_limit_2=7.0))
+    it.run_epoch()
+    for run in (0, 1):
+        rows, count = of_run(it, run), it.learner.episodes
+        for k, limit in enumerate((3.0, 7.0)):
+            mean = rows[f"costs/{COSTS[k]}"].sum() / count
+            expected = max(5.0 + 0.1 * (mean - limit), 0.0)
+            assert multiplier_values(it)[run, k] == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", TWO)
+def test_with_a_second_multiplier_of_0_it_is_the_algorithm_of_one(name):
+    """Networks that both have are drawn alike; on-policy so are the trained policy and the first
+    multiplier. Off-policy softplus is never 0."""
+    limits = {"cost_limit": 1.0, "initial_multiplier": 0.0}
+    two = trainer(config(name, cost_limit_2=1e9, **limits))
+    one = trainer(config(TWO[name], **limits))
+    critics = one.learner._state.critics
+    np.testing.assert_array_equal(two.learner._state.critics[:, : critics.shape[1]], critics)
+    np.testing.assert_array_equal(two.learner._state.actor, one.learner._state.actor)
+    if name != "sac-two":
+        actors = [finished(it).learner.state_dict()["actor"] for it in (two, one)]
+        np.testing.assert_allclose(*actors, rtol=0, atol=1e-5)
+        values = [multiplier_values(it)[:, 0] for it in (two, one)]
+        np.testing.assert_allclose(*values, rtol=1e-4)
+        assert values[0].max() > 0
+
+
+@pytest.mark.parametrize("name", TWO)
+@pytest.mark.parametrize("optimizer", ["adam", "pid"])
+def test_a_run_is_what_it_is_alone(name, optimizer):
+    """Bit for bit; and both costs are recorded and learned, by critics of their own."""
+    changes = {"multiplier_optimizer": optimizer, "streak_weight": 0.5, "hidden": (17, 40)}
+    both, alone = (
+        finished(trainer(replace(it, hyperparameters=replace(it.hyperparameters, **changes))))
+        for it in (config(name), config(name, (1,)))
+    )
+    assert_same(of_run(alone, 0), of_run(both, 1))
+    rows, metrics = of_run(both, 0), both.learner.metrics
+    assert {*rows["costs/left"]} == {0.0, 2.0}
+    assert {"multiplier", "multiplier_2"} <= {*metrics}
+    learned = both.learner._state.critics
+    assert learned.shape[1] == (6 if name == "sac-two" else 3)
+    assert both.learner.nets.critic.sizes[0] == 2 + 2 + (name == "sac-two")
+
+
+def test_a_run_folder_has_both(tmp_path):
+    """Trained by name and costs alone; one cost is too few."""
+    settings = {**vars(small("trpo-two")), "cost_limit_2": 2.0, "steps": 300, "seeds": 0}
+    agents.train("trpo-two", "Both-v0", costs=COSTS, out=tmp_path / "run", **settings)
+    arrays = results(tmp_path / "run")
+    for name in COSTS:
+        assert f"Both-v0/0/costs/{name}/unsafe" in arrays
+    assert arrays["Both-v0/0/evaluation/deterministic/costs"].shape[1] == 2
+    with pytest.raises(UserError, match="limits 2 costs"):
+        agents.train("trpo-two", "Both-v0", costs=("cost",), out=tmp_path / "one", **settings)
+    with pytest.raises(UserError, match="'jerk'"):
+        agents.train("trpo-two", "Both-v0", costs=("cost", "jerk"), out=tmp_path / "x", **settings)
