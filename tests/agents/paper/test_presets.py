@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import pytest
-from agents.cli.hyperparameters import explain_all, texts
 
 import agents
 from agents import algorithms
