@@ -12,6 +12,7 @@ import struct
 import time
 import warnings
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -27,7 +28,8 @@ UNFINISHED = ".unfinished"
 """Ends the name of a file that is being written."""
 UNREADABLE = (
     *(OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, Warning),
-    *(zipfile.BadZipFile, lzma.LZMAError, struct.error, NotImplementedError, SyntaxError),
+    *(zipfile.BadZipFile, lzma.LZMAError, zlib.error, struct.error, NotImplementedError),
+    SyntaxError,
 )
 """Errors that damaged files have zipfile, json and numpy raise."""
 
