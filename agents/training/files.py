@@ -131,8 +131,10 @@ class Arrays(Mapping[str, NDArray]):
             # One in an archive is read as a whole: it is compressed there.
             source = path if isinstance(path, Path) else io.BytesIO(path.read_bytes())
             self._file = zipfile.ZipFile(source)
-            for name in self._file.namelist():  # an array whose name is damaged would be missing
-                self._file.open(name).close()
+            for member in self._file.infolist():
+                self._file.open(member).close()  # an array whose name is damaged would be missing
+                if b"PK\1\2" in member.comment + member.extra:  # so would be what that holds
+                    raise zipfile.BadZipFile("its directory is damaged")
         except UNREADABLE as error:
             raise self._damaged(error) from None
         self._names = {name.removesuffix(".npy"): name for name in self._file.namelist()}
