@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from agents.training.loop import Training, train
 
 from agents.algorithms import algorithm
 from agents.paper.presets import PAPER_ALGORITHMS, preset
 from agents.sac import OffPolicy
 from agents.training.config import TrainConfig
 from agents.training.files import read_arrays
-from agents.training.loop import Training, train
 
 TASKS = ("Circle2DMuJoCo-0-v0", "Circle2DMuJoCo-1-v0")
 
