@@ -1,5 +1,5 @@
 # make demo: film two trained policies, train two algorithms for two minutes, report.
-# make test: run the tests, eight minutes on two cores.
+# make test: run the tests.
 # make check: run the slow tests, among them installations in environments of their own; make docs.
 # make docs: build the documentation: docs/_build/html/index.html.
 # make integrate: install [integrations] as well, and run the tests against other libraries.

@@ -20,18 +20,17 @@ agents` imports none of this: names are looked up when they are first used, and 
 
 The subpackages and modules, lowest layer first; each imports only those before it:
 
-- `errors`: mistakes of a caller, and checks of values
+- `errors`, `checks`: mistakes of a caller, errors of their code, values that settings allow
 - `lockstep`: many runs of one algorithm as one batch: networks, Adam, noise, replay, rollouts
 - `on_policy`, `trust_region`, `first_order`, `sac`: the families of algorithms
 - `algorithms`: the part that each algorithm's paper adds, a file each, and the registry
-- `training`: configuration, loop, checkpoints, records, policies
-- `results`: measures of the runs on disk
-- `paper`: its presets, grid and claims
+- `training`: configuration, the trainer and its files, what is derived from them, policies
+- `results`: reading of trained runs, their measures, and one tidy frame of them
+- `paper`: its presets, grid, printed numbers and claims
 - `reporting`: tables, figures, page
 - `export`: policies as files for other programs
-- `sweeps`: combinations of hyper-parameters, and the engines that train them
 - `runs`: runs on disk as Python objects
-- `api`: the functions above
+- `api`: the functions that train and report
 - `cli`: the command `circle2d`
 """
 
@@ -40,24 +39,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from agents.api import (
-        Algorithm,
-        Epoch,
-        Evaluation,
-        Policy,
-        Runs,
-        UserError,
-        compare,
-        evaluate,
-        load_policy,
-        load_runs,
-        pretrained,
-        register,
-        report,
-        resume,
-        sweep,
-        train,
-    )
+    from agents.algorithms import Algorithm, register
+    from agents.api import compare, report, resume, sweep, train
+    from agents.errors import UserError
+    from agents.runs import Runs, load_runs
+    from agents.training.callbacks import Epoch
+    from agents.training.playing import Evaluation, evaluate
+    from agents.training.policy import Policy, load_policy
+    from agents.training.pretrained import pretrained
 
 __all__ = (
     "Algorithm",
@@ -77,13 +66,17 @@ __all__ = (
     "sweep",
     "train",
 )
-_LIGHT = {
-    "Algorithm": "agents.algorithms",
-    "register": "agents.algorithms",
-    "UserError": "agents.errors",
-    "pretrained": "agents.training.pretrained",
+_HOMES = {
+    "agents.algorithms": ("Algorithm", "register"),
+    "agents.api": ("compare", "report", "resume", "sweep", "train"),
+    "agents.errors": ("UserError",),
+    "agents.runs": ("Runs", "load_runs"),
+    "agents.training.callbacks": ("Epoch",),
+    "agents.training.playing": ("Evaluation", "evaluate"),
+    "agents.training.policy": ("Policy", "load_policy"),
+    "agents.training.pretrained": ("pretrained",),
 }
-"""Names that need less than all of `agents.api`."""
+"""Names by the module that has them, which is imported when one is first asked for."""
 
 
 def __getattr__(name: str) -> Any:
@@ -93,12 +86,13 @@ def __getattr__(name: str) -> Any:
 
     from agents.errors import extra_hint
 
+    home = next(module for module, names in _HOMES.items() if name in names)
     try:
-        value = getattr(importlib.import_module(_LIGHT.get(name, "agents.api")), name)
+        value = getattr(importlib.import_module(home), name)
     except ModuleNotFoundError as error:
         if not (hint := extra_hint(error, f"agents.{name}")):
             raise
-        raise ImportError(hint) from None
+        raise ImportError(hint) from error
     globals()[name] = value
     return value
 

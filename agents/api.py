@@ -32,41 +32,18 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar
 
-from agents.algorithms import BUILT_IN, Algorithm, module_of, register
+from agents.algorithms import BUILT_IN, module_of
 from agents.errors import RunsFailed, UserError
 from agents.lockstep import backend as lockstep_backend
-from agents.paper import grid as grids
 from agents.paper.presets import preset_with
-from agents.runs import Runs, folders_of, load_runs
+from agents.runs import Runs, folders_of
 from agents.training import callbacks, trainer
 from agents.training.callbacks import Epoch
 from agents.training.config import CONFIG, Backend, Device, TrainConfig
 from agents.training.environments import Vectorization, check_task, module_of_task, task_id
-from agents.training.evaluation import Evaluation, evaluate
 from agents.training.files import check_folder
-from agents.training.launcher import EngineName, launcher
-from agents.training.policy import Policy, load_policy
-from agents.training.pretrained import pretrained
 
-__all__ = (
-    "Algorithm",
-    "Epoch",
-    "Evaluation",
-    "Policy",
-    "Runs",
-    "UserError",
-    "compare",
-    "evaluate",
-    "load_policy",
-    "load_runs",
-    "pretrained",
-    "register",
-    "report",
-    "resume",
-    "sweep",
-    "train",
-)
-
+EngineName = Literal["local", "ray"]
 OnEpoch = Callable[[Epoch], object]
 """Called after every epoch; returning False stops the training."""
 Folder = str | os.PathLike[str]
@@ -239,7 +216,7 @@ def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = N
 
     file = None if archive is None else Path(archive)
     folder = None if out is None else _to_write(out)
-    return markdown(write_report(*folders_of(*paths), archive=file, out=folder))
+    return markdown(write_report(*folders_of(*paths), archive=file, out=folder).blocks)
 
 
 def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:
@@ -347,6 +324,9 @@ def _launch(
     Raises UserError where one holds other runs, and where the training of a folder fails; the
     others are done by then.
     """
+    from agents.paper import grid as grids
+    from agents.training.launcher import launcher
+
     first = next(iter(configs.values()))
     modules = modules_of(configs.values())
     with launcher(engine, workers, modules, address, first.device) as trainings:
@@ -399,8 +379,9 @@ def _train(folder: Path, on_epoch: OnEpoch | None, progress: bool) -> trainer.Tr
     with contextlib.ExitStack() as stack:
         own: list[trainer.Callback] = []
         if progress:
-            display = callbacks.show_progress(TrainConfig.read(folder))
-            own.append(stack.enter_context(display))
+            from agents.training.progress import show_progress
+
+            own.append(stack.enter_context(show_progress(TrainConfig.read(folder))))
         if on_epoch:
             own.append(callbacks.follower(on_epoch))
         trained = trainer.train(folder, *own)

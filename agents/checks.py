@@ -82,7 +82,8 @@ def _problem(value: Any, hint: Any, bounds: In | None = None) -> str:
 
 
 def _no_number(value: Any, kind: type, bounds: In) -> str:
-    if isinstance(value, bool) or not isinstance(value, int if kind is int else Real):
+    kinds: Any = int if kind is int else Real  # Real has no comparisons for type checkers
+    if isinstance(value, bool) or not isinstance(value, kinds):
         return "an integer" if kind is int else "a finite number"
     try:
         finite = math.isfinite(value)

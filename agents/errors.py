@@ -88,7 +88,17 @@ def one_line(text: object) -> str:
     )
 
 
-EXTRA = ("filelock", "jinja2", "matplotlib", "rich", "scipy", "threadpoolctl", "torch", "tyro")
+EXTRA = (
+    "filelock",
+    "jinja2",
+    "matplotlib",
+    "pandas",
+    "rich",
+    "scipy",
+    "threadpoolctl",
+    "torch",
+    "tyro",
+)
 """Packages that training and reports need, and that an installation without [train] lacks."""
 
 

@@ -14,6 +14,7 @@ from torch import nn
 
 from agents.algorithms import title
 from agents.errors import UserError
+from agents.paper.printed import printed
 from agents.reporting.provenance import command
 from agents.reporting.tables import task_table
 from agents.results.reading import read
@@ -23,17 +24,19 @@ from agents.training.files import read_json, write_whole
 from agents.training.policy import Policy, load_policy
 
 Format = Literal["safetensors", "onnx"]
+KINDS = {"Tanh": "np.tanh({0})", "ReLU": "np.maximum({0}, 0)", "SiLU": "{0} / (1 + np.exp(-{0}))"}
+"""Functions between the layers, modules of torch.nn, in numpy."""
 OPSET, IR_VERSION = 17, 8
-"""Of ONNX files: of 2022, so that older runtimes read them too."""
+"""Versions of ONNX files, of 2022, so that older runtimes read them too."""
 
 
 class Exported(NamedTuple):
-    """A policy's network: linear layers with tanh between them, then the bounds of actions."""
+    """A policy's network: linear layers with functions between them, then the actions' bounds."""
 
     arrays: Mapping[str, NDArray[np.float32]]
     """By name: "net.0.weight" [out, in], "net.0.bias" [out], ..., "low" and "high" [action]."""
-    layers: Sequence[tuple[str, bool]]
-    """Name of each linear layer, such as "net.0", and whether tanh follows it."""
+    layers: Sequence[tuple[str, str]]
+    """Name of each linear layer, such as "net.0", and the function behind it, one of `KINDS`."""
 
 
 def export(
@@ -42,11 +45,12 @@ def export(
     out: Path | None = None,
     seeds: Sequence[int] | None = None,
     step: int | None = None,
+    task: str | None = None,
 ) -> list[Path]:
     """Write the deterministic policies of a folder of runs, a file each, and a model card.
 
     The actions of a file equal the policy's up to rounding in float32. out: folder to write to,
-    by default `exported` in the runs' own. seeds: of the runs, by default all. step: as in
+    by default `exported` in the runs' own. seeds: of the runs, by default all. step, task: as in
     `load_policy`. Returns the files, the card last. Raises UserError where there is no policy, or
     one that diverged, and where the library of the format is missing.
     """
@@ -54,9 +58,10 @@ def export(
     if write is None:
         raise UserError(f"format must be safetensors or onnx, got {format!r}")
     config = TrainConfig.read(folder)
-    policies = {seed: load_policy(folder, seed, step) for seed in seeds or config.seeds}
+    policies = {seed: load_policy(folder, seed, step, task) for seed in seeds or config.seeds}
+    task = next(iter(policies.values())).task
     networks = {seed: _network(policy, seed) for seed, policy in policies.items()}
-    about = {"task": config.task, "algorithm": config.algorithm, "commit": _commit(folder)}
+    about = {"task": task, "algorithm": config.algorithm, "commit": _commit(folder)}
     out = folder / "exported" if out is None else out
     files = {seed: out / f"seed-{seed}.{format}" for seed in networks}
     contents = {
@@ -68,7 +73,7 @@ def export(
         write_whole(path, content)
     network = next(iter(networks.values()))
     loading = _loading(format, next(iter(files.values())).name, network)
-    card = _card(folder, config, policies, loading)
+    card = _card(folder, config, task, policies, loading)
     write_whole(out / "README.md", card)
     return [*files.values(), out / "README.md"]
 
@@ -79,15 +84,16 @@ def _network(policy: Policy, seed: int) -> Exported:
     arrays = {name: value.numpy() for name, value in module.state_dict().items()}
     if not all(np.isfinite(array).all() for array in arrays.values()):
         raise UserError(f"the policy of seed {seed} diverged: choose other seeds")
-    layers: list[tuple[str, bool]] = []
+    layers: list[tuple[str, str]] = []
     parts = [(name, part) for name, part in module.named_modules() if not list(part.children())]
     for name, part in parts:
         if isinstance(part, nn.Linear):
-            layers.append((name, False))
-        elif isinstance(part, nn.Tanh) and layers:
-            layers[-1] = layers[-1][0], True
+            layers.append((name, ""))
+        elif type(part).__name__ in KINDS and layers:
+            layers[-1] = layers[-1][0], type(part).__name__
         else:
-            raise UserError(f"export knows nn.Linear and nn.Tanh, and the policy has {part}")
+            known = ", ".join(["Linear", *KINDS])
+            raise UserError(f"export knows {known} of torch.nn, and the policy has {part}")
     return Exported(arrays, layers)
 
 
@@ -120,10 +126,15 @@ def _write_onnx(network: Exported, about: Mapping[str, str]) -> bytes:
         nodes.append(helper.make_node(kind, inputs, [output], **attributes))
         return output
 
-    for name, tanh in network.layers:
+    for name, kind in network.layers:
         weights = (f"{name}.weight", f"{name}.bias")
         last = add("Gemm", last, *weights, output=f"{name}.linear", transB=1)
-        last = add("Tanh", last, output=f"{name}.tanh") if tanh else last
+        if kind == "SiLU":
+            share = add("Sigmoid", last, output=f"{name}.sigmoid")
+            last = add("Mul", last, share, output=f"{name}.silu")
+        elif kind:
+            node = {"Tanh": "Tanh", "ReLU": "Relu"}[kind]
+            last = add(node, last, output=f"{name}.{node.lower()}")
     last = add("Clip", last, "-1", "1", output="clipped")
     last = add("Div", add("Add", last, "1", output="above"), "2", output="share")
     add("Add", "low", add("Mul", "range", last, output="scaled"), output="action")
@@ -158,25 +169,27 @@ def _commit(folder: Path) -> str:
     return content.get("commit") or f"not recorded (version {version})"
 
 
-def _card(folder: Path, config: TrainConfig, policies: Mapping[int, Policy], loading: str) -> str:
+def _card(
+    folder: Path, config: TrainConfig, task: str, policies: Mapping[int, Policy], loading: str
+) -> str:
     """The model card. policies: by seed. loading: code that reads a file."""
     content = read_json(folder / "config.json")
     versions = content.get("versions") or {}
     parameters = f" with {config.task_parameters}" if config.task_parameters else ""
     facts = {
         "algorithm": f"{title(config.algorithm)} (`{config.algorithm}`)",
-        "task": f"`{config.task}`{parameters}",
+        "task": f"`{task}`{parameters}",
         "seeds": ", ".join(map(str, policies)),
         "environment steps": f"{_steps(policies.values(), ',')}; planned {config.steps:,}",
         "commit": _commit(folder),
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
         "trained by": f"`{command(config, 'runs', content)}`",
-        **_spaces(read_spaces(folder, config)),
+        **_spaces(read_spaces(folder)),
     }
     return "\n".join(
         [
             *("---", "library_name: circle2d-mj", "pipeline_tag: reinforcement-learning", "---"),
-            *("", f"# {title(config.algorithm)} on {config.task}", "", "| | |", "| --- | --- |"),
+            *("", f"# {title(config.algorithm)} on {task}", "", "| | |", "| --- | --- |"),
             *(f"| {name} | {text} |" for name, text in facts.items() if text),
             *("", "## Results", "", _results(folder).strip()),
             *("", "## Loading", "", "```python", loading.strip(), "```", ""),
@@ -201,7 +214,7 @@ def _results(folder: Path) -> str:
     except UserError as error:
         return f"None: {error}"
     words = [f"\nNote: {note}\n" for note in notes]
-    return "\n".join([task_table(groups).markdown(), *words])
+    return "\n".join([task_table(groups, printed).markdown(), *words])
 
 
 def _loading(format: Format, file: str, network: Exported) -> str:
@@ -221,9 +234,10 @@ def _load_safetensors(file: str, network: Exported) -> Iterator[str]:
     yield from ("import numpy as np", "from safetensors.numpy import load_file", "")
     yield f'net = load_file("{file}")'
     yield from ("", "", "def policy(observation):", "    x = np.asarray(observation, np.float32)")
-    for name, tanh in network.layers:
-        linear = f'x @ net["{name}.weight"].T + net["{name}.bias"]'
-        yield f"    x = np.tanh({linear})" if tanh else f"    x = {linear}"
+    for name, kind in network.layers:
+        yield f'    x = x @ net["{name}.weight"].T + net["{name}.bias"]'
+        if kind:
+            yield f"    x = {KINDS[kind].format('x')}"
     yield "    share = (np.clip(x, -1, 1) + 1) / 2"
     yield '    return net["low"] + (net["high"] - net["low"]) * share'
 

@@ -109,9 +109,9 @@ class Runs:
         except ImportError as error:
             raise ImportError("to_pandas needs pandas: pip install 'circle2d-mj[train]'") from error
         if rows == "measures":
-            from agents.results.frame import tidy
+            from agents.results.frame import frame
 
-            return tidy(self.results)
+            return frame(self.results)
         about, frames, columns_of = self._about(), [], _episodes if rows == "episodes" else _updates
         for folder, config, arrays in self._arrays():
             for run in config.runs:

@@ -3,8 +3,8 @@
 Every grid is a command of its own, so that its time holds all that a user waits for: imports, the
 start of Ray's own cluster on this machine, trainings, report. Both use as many processes at a time.
 The reports' numbers must be the same, byte for byte. A ratio is of neighbours; ratios and times are
-medians over turns. Of the tasks, what `docs/ray.md` reckons with is measured: a message is as big
-as a checkpoint, sent and written as the engine does.
+medians over turns. Of the tasks, what `docs/ray.md` tells is measured: a message is as big as a
+checkpoint, sent and written as the launcher does.
 
 python benchmarks/engines.py --turns 2 -- --levels 1 --steps 3000
 """
@@ -20,7 +20,7 @@ from pathlib import Path
 
 ENGINES = ("local", "ray")
 TASKS = 10
-NAME, MEGABYTES = "checkpoint.npz", 50
+NAME, MEGABYTES = "checkpoints/000050000.npz", 50
 """Of a message: about what ten runs of a long off-policy training come to at a checkpoint."""
 
 
@@ -53,36 +53,33 @@ def grids(turns, options):
 
 def messages(content):
     """A task that does nothing but send one message."""
-    from agents.training.transfer import HEAD, File, Message
-
-    yield Message([File(0, NAME, content[:HEAD], content[HEAD:])], {(0, NAME)}, 0)
+    yield {NAME: content}, [NAME], 0
 
 
 def tasks():
     """Seconds, by what they are of."""
     import ray
 
-    from agents.training.engines import engine
-    from agents.training.transfer import take_in
+    from agents.training.launcher import launcher, take_in
 
     found, started = {}, time.perf_counter()
-    with engine("ray", 1), tempfile.TemporaryDirectory() as folder:
+    with launcher("ray", 1), tempfile.TemporaryDirectory() as folder:
         found["start of a cluster of this machine"] = [time.perf_counter() - started]
         task = ray.remote(num_cpus=1, max_retries=0)(messages).options(num_returns="streaming")
 
         def first_message(content):
             started = time.perf_counter()
-            message = ray.get(next(task.remote(content)))
-            return time.perf_counter() - started, message
+            files, names, _ = ray.get(next(task.remote(content)))
+            return time.perf_counter() - started, files, names
 
         found["first task: a process starts, and imports"] = [first_message(b"")[0]]
         found["a task more"] = [first_message(b"")[0] for _ in range(TASKS)]
         there, written = [], []
         for _ in range(TASKS):
-            seconds, message = first_message(os.urandom(MEGABYTES * 10**6))
+            seconds, *message = first_message(os.urandom(MEGABYTES * 10**6))
             there.append(seconds)
             started = time.perf_counter()
-            take_in((Path(folder),), message)
+            take_in(Path(folder), *message)
             written.append(time.perf_counter() - started)
         found[f"a task with {MEGABYTES} MB on the way there and back"] = there
         found[f"writing {MEGABYTES} MB in the driver's folder"] = written

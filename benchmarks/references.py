@@ -8,8 +8,11 @@ python benchmarks/references.py --algorithms sac ppo --seeds 0 1 2
 """
 
 import argparse
+import contextlib
 import sys
+import tempfile
 import warnings
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -19,7 +22,7 @@ from torch import nn
 from agents.algorithms import algorithm
 from agents.lockstep import backend
 from agents.training.config import TrainConfig
-from agents.training.loop import Training
+from agents.training.trainer import Trainer
 from emcc import mean_interval
 
 TASK, EPISODE, QUARTERS = "FreePendulum-v0", 200, 4
@@ -45,12 +48,15 @@ def ours(name, seeds, steps):
     """Returns of the episodes of each seed."""
     settings = {"hidden": HIDDEN, "learning_rate": RATE} | (SAC if name == "sac" else PPO)
     config = algorithm(name).config(**settings)
-    training = Training(TrainConfig(name, TASK, tuple(seeds), steps, config))
-    while not training.done:
-        training.run_epoch()
-        print(f"{name} {training.steps.min()} of {steps}", file=sys.stderr, end="\r")
-    training.close()
-    return [training.log.episodes[:, run, :, 2].ravel() for run in range(len(seeds))]
+    training = TrainConfig(name, (TASK,), tuple(seeds), steps, config)
+    with tempfile.TemporaryDirectory() as folder:
+        training.write(Path(folder))
+        with contextlib.closing(Trainer(Path(folder), training)) as trainer:
+            while not trainer.done:
+                trainer.run_epoch()
+                print(f"{name} {trainer.steps.min()} of {steps}", file=sys.stderr, end="\r")
+            recorded = trainer.recorder.take()
+    return [recorded[f"{run.prefix}return"] for run in training.runs]
 
 
 def theirs(name, seeds, steps):

@@ -10,11 +10,14 @@ python benchmarks/training_speed.py --algorithms cpo wcsac --runs 3 12 --turns 3
 """
 
 import argparse
+import contextlib
 import os
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 TASK, WARM_UP = "Circle2D-1-v0", 1_000
 ON_POLICY = ("trpo-lag", "cpo")
@@ -50,39 +53,39 @@ def plain(algorithm):
     return (steps - before) / (time.perf_counter() - start)
 
 
+@contextlib.contextmanager
 def prepared(algorithm, runs):
-    """Runs as `circle2d train` trains them, but that none acts at random."""
+    """Trainer of runs as `circle2d train` trains them, but that none acts at random."""
     from dataclasses import replace
 
     from agents.paper.presets import preset
     from agents.training.config import TrainConfig
-    from agents.training.loop import Training
+    from agents.training.trainer import Trainer
 
     config = preset(algorithm, TASK)
     if algorithm not in ON_POLICY:
         config = replace(config, random_steps=0)
     seeds, steps = tuple(range(runs)), WARM_UP + STEPS[algorithm]
-    return Training(TrainConfig(algorithm, TASK, seeds, steps, config))
+    training = TrainConfig(algorithm, (TASK,), seeds, steps, config)
+    with tempfile.TemporaryDirectory() as folder:
+        training.write(Path(folder))
+        with contextlib.closing(Trainer(Path(folder), training)) as trainer:
+            yield trainer
 
 
 def lockstep(algorithm, runs, how):
     """Speed of all runs together; how: "compiled" or "eager"."""
-    import tempfile
-    from pathlib import Path
-
     from agents.lockstep import backend
 
     backend.configure(how == "compiled")
-    training = prepared(algorithm, runs)
-    with tempfile.TemporaryDirectory() as folder:
-        training.config.write(Path(folder))
-        while training.steps[0] < WARM_UP:
-            training.run_epoch()
-        before, start = training.steps.sum(), time.perf_counter()
-        while not training.done:
-            training.run_epoch()
-        training.save(Path(folder))
-        return (training.steps.sum() - before) / (time.perf_counter() - start)
+    with prepared(algorithm, runs) as trainer:
+        while trainer.steps[0] < WARM_UP:
+            trainer.run_epoch()
+        before, start = trainer.steps.sum(), time.perf_counter()
+        while not trainer.done:
+            trainer.run_epoch()
+        trainer.save()
+        return (trainer.steps.sum() - before) / (time.perf_counter() - start)
 
 
 def limit(algorithm):
@@ -94,13 +97,13 @@ def limit(algorithm):
     from agents.lockstep import backend
 
     backend.configure()
-    training = prepared(algorithm, 1)
-    while training.steps[0] < WARM_UP:
-        training.run_epoch()
-    before = training.steps[0]
-    with FlopCounterMode(display=False) as counter:
-        training.run_epoch()
-    operations = counter.get_total_flops() / (training.steps[0] - before)
+    with prepared(algorithm, 1) as trainer:
+        while trainer.steps[0] < WARM_UP:
+            trainer.run_epoch()
+        before = trainer.steps[0]
+        with FlopCounterMode(display=False) as counter:
+            trainer.run_epoch()
+        operations = counter.get_total_flops() / (trainer.steps[0] - before)
     a, b = torch.randn(48, 256, 64), torch.randn(48, 64, 64)
     best = 0.0
     for _ in range(50):

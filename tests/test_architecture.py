@@ -1,4 +1,4 @@
-"""The shape of the house: which way imports go, and how long files and functions are."""
+"""The shape of the house: which way imports go, and how long functions are."""
 
 import ast
 from graphlib import CycleError, TopologicalSorter
@@ -8,11 +8,6 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("agents", "circle2d_mj", "emcc")
-LONGER = {
-    "tests/agents/reporting/test_report_numbers.py": "the paper's numbers, without our code",
-    "tests/circle2d_mj/safety/test_envs.py": "what three tasks have in common, likewise",
-}
-"""Files above 300 lines, and why they are not divided."""
 LAYERS = (
     "lockstep",
     "on_policy",
@@ -22,8 +17,8 @@ LAYERS = (
     "algorithms",
     "training",
     "results",
-    "paper",
     "reporting",
+    "paper",
     "export",
     "sweeps",
     "runs",
@@ -31,6 +26,12 @@ LAYERS = (
     "cli",
 )
 """Of agents, the lowest first."""
+PLUG_IN = {
+    "agents/results/frame.py": "agents.paper.presets",
+    "agents/reporting/report.py": "agents.paper.sections",
+}
+"""The two places that ask the paper, which is a plug-in: for the settings that runs are named
+against, and for its part of a report."""
 MODULES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
 
@@ -60,8 +61,9 @@ def test_imports_go_one_way(path):
     if parts[0] == "agents" and layer in LAYERS:
         above = LAYERS[LAYERS.index(layer) + 1 :]
         forbidden = tuple(f"agents.{part}" for part in above)
+    hook = PLUG_IN.get(path.relative_to(ROOT).as_posix())
     for package in forbidden:
-        assert not within(names, package)
+        assert {name for name in within(names, package) if name != hook} <= within(names, str(hook))
 
 
 def needs(path, files):
@@ -84,14 +86,6 @@ def test_imports_go_in_no_circle():
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(" -> ".join(error.args[1]))
-
-
-def test_files_are_short():
-    files = [
-        path for part in (*PACKAGES, "tests", "benchmarks") for path in (ROOT / part).rglob("*.py")
-    ]
-    lines = {str(path.relative_to(ROOT)): path.read_text().count("\n") for path in files}
-    assert {name for name, count in lines.items() if count > 300} == LONGER.keys()
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))

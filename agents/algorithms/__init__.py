@@ -21,9 +21,10 @@ BUILT_IN = (
 
 
 RESERVED = (
-    *("algorithm", "task", "seeds", "steps", "out", "task_parameters", "checkpoint_every"),
-    *("evaluate_every", "vectorization", "step_timeout", "backend", "device", "tensorboard"),
-    *("on_epoch", "progress", "engine", "address", "grid", "workers", "imports"),
+    *("algorithm", "task", "seeds", "steps", "out", "task_parameters", "costs"),
+    *("checkpoint_every", "evaluate_every", "vectorization", "step_timeout", "backend"),
+    *("device", "tensorboard", "on_epoch", "progress", "engine", "address", "grid", "workers"),
+    *("imports",),
 )
 """Parameters of `agents.train` and `agents.sweep` and options of `circle2d train`, which no
 hyper-parameter can be named like."""

@@ -6,7 +6,7 @@ import contextlib
 import importlib
 import io
 from collections.abc import Iterable, Sequence
-from itertools import takewhile
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -54,20 +54,23 @@ def parse(options: type[T], command: str, args: Sequence[str]) -> T:
         raise UserError("; ".join([_in_a_line(message.getvalue()), *meant])) from None
 
 
-def values_of(option: str, args: Sequence[str]) -> list[str]:
-    """The words behind an option, which others depend on, before the options are read."""
+def values_of(option: str, args: Sequence[str], most: int | None = None) -> list[str]:
+    """The words behind an option, which others depend on, before the options are read.
+
+    most: words that the option takes each time.
+    """
     words: list[str] = []
     for place, arg in enumerate(args):
         name, equals, value = arg.partition("=")
         if name == option:
             behind = takewhile(lambda word: not word.startswith("--"), args[place + 1 :])
-            words += [value] if equals else behind
+            words += [value] if equals else islice(behind, most)
     return words
 
 
 def import_modules(args: Sequence[str]) -> None:
     """Import the modules that `--import` names. Raises UserError where one cannot be imported."""
-    for name in values_of("--import", args):
+    for name in values_of("--import", args, most=1):
         if name.endswith(".py"):
             raise UserError(f"--import takes a module's name: {name.removesuffix('.py')!r}")
         try:
@@ -79,7 +82,7 @@ def import_modules(args: Sequence[str]) -> None:
 def _in_a_line(message: str) -> str:
     """An error that tyro has drawn as a box, without the hint to its help."""
     lines = [line.strip("│| ") for line in message.splitlines()]
-    inside = [line for line in lines if line and not set(line[:2]) & set("╭╰+─-")]
+    inside = [line for line in lines if not (set(line) <= set("─- ") or line[0] in "╭╰+")]
     words = takewhile(lambda line: not line.startswith(("For full help", "Argument help")), inside)
     return " ".join(words) or "the options cannot be understood"
 

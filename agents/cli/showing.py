@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -20,13 +20,13 @@ from agents.cli.options import (
     one_for_each,
     parse,
 )
-from agents.cli.terminal import show
 from agents.errors import UserError
 from agents.export import Format
-from agents.training.callbacks import working
+from agents.reporting.table import show
 from agents.training.config import TrainConfig
 from agents.training.policy import chosen_run
 from agents.training.pretrained import folder_of
+from agents.training.progress import working
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.render.gl import NoOpenGL, check_backend
 from emcc.parts import ALPHA, PARTS
@@ -59,9 +59,9 @@ def report(args: Sequence[str]) -> int:
     options = parse(ReportOptions, "report", args)
     check_width(options.width)
     with working("reading runs and drawing figures"):
-        blocks = write_report(*options.folders, archive=options.archive, out=options.out)
-    show(blocks, options.width)
-    return int(getattr(blocks, "left_out", False))
+        written = write_report(*options.folders, archive=options.archive, out=options.out)
+    show(written.blocks, options.width)
+    return int(bool(written.left_out))
 
 
 @dataclass(frozen=True)
@@ -190,11 +190,15 @@ def render(args: Sequence[str]) -> int:
         run = chosen_run(folder, config, seed, options.task)
         shown = pictures.evaluation_episodes(folder, run, options.episodes, options.stochastic)
         heading = name or f"{title(config.algorithm)}, seed {run.seed}"
-        panels.append(pictures.Panel(heading, *shown))
+        episodes, view = shown
+        panels.append(pictures.Panel(heading, view, episodes))
     if out.suffix.lower() == ".png":
         pictures.write_picture(out, pictures.picture(panels, options.size))
     else:
-        pictures.write_film(out, panels, options.size)
+        frames, total = pictures.film(panels, options.size), pictures.pictures_of(panels)
+        if out.suffix.lower() == ".gif":
+            frames = pictures.few_colours(frames)
+        pictures.write_film(out, frames, total)
     print(out)
     return 0
 
@@ -242,7 +246,7 @@ class SceneOptions:
     config: Annotated[Circle2DConfig, tyro.conf.OmitArgPrefixes] = field(
         default_factory=Circle2DConfig
     )
-    actuation: str = "velocity"
+    actuation: Literal["velocity", "force"] = "velocity"
     """velocity: servos; force: motors against a damping."""
 
 

@@ -32,19 +32,20 @@ from agents.cli.options import (
     parse,
     values_of,
 )
-from agents.cli.terminal import show
 from agents.errors import UserError, nearest, one_line
 from agents.lockstep import backend as lockstep_backend
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS, preset_with
 from agents.reporting.report import report, table
+from agents.reporting.table import show
 from agents.training import callbacks, evaluation, trainer
-from agents.training.callbacks import duration, share_done, working
+from agents.training.callbacks import duration, share_done
 from agents.training.config import RESULTS, Device, TrainConfig
 from agents.training.derive import write_results
 from agents.training.environments import Vectorization, check_task, registered, task_id
 from agents.training.files import Arrays, check_folder, locked
 from agents.training.launcher import EngineName, Launcher, launcher
+from agents.training.progress import working
 from circle2d_mj.circle2d.config import LEVELS
 
 
@@ -343,12 +344,12 @@ def reproduce(args: Sequence[str]) -> int:
         return int(bool(failed))
     try:
         with working("drawing the report"):
-            blocks = report(options.out)
-        show(blocks, options.width)
+            written = report(options.out)
+        show(written.blocks, options.width)
     except UserError as error:
         _say(f"no report: {error}")
         return 1
-    return int(bool(failed) or any(map(grid.has_failures, configs)))
+    return int(bool(failed or written.left_out) or any(map(grid.has_failures, configs)))
 
 
 def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
@@ -369,7 +370,7 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
         for task in config.tasks:
             check_enough_steps(task, {}, config.steps, config.hyperparameters)
     begun = (TrainConfig.read(f).backend for f in configs if (f / "config.json").exists())
-    usual = "eager" if options.quick else next(begun, "auto")
+    usual: BackendChoice = "eager" if options.quick else next(begun, "auto")  # pyright: ignore[reportAssignmentType]
     backend = lockstep_backend.choose(options.backend or usual)
     lockstep_backend.require(backend == "compiled", options.device)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}

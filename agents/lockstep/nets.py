@@ -44,7 +44,8 @@ class MLP:
     """
 
     def __init__(self, sizes: Sequence[int], activation: Activation = "tanh") -> None:
-        self.sizes, self.activation = tuple(sizes), activation
+        self.sizes = tuple(sizes)
+        self.activation: Activation = activation
         n_in, *hidden, n_out = self.sizes
         filled = (n_in, *(-(-n // LANES) * LANES for n in hidden), n_out)
         self._own, self._shapes = _shapes(self.sizes), _shapes(filled)
@@ -65,7 +66,8 @@ class MLP:
         """The outputs of networks params [N, size] for inputs x [N, B, in]: [N, B, out]."""
         parts = params.split(self._splits, dim=-1)
         # view: torch 2.11 cannot compile unflatten for a GPU.
-        layers = [p.view(len(p), *shape) for p, shape in zip(parts, self._shapes, strict=False)]
+        shapes = zip(parts, self._shapes, self._own, strict=False)
+        layers = [_without_gradient(p.view(len(p), *shape), own) for p, shape, own in shapes]
         # tanh(z) = 2σ(2z) - 1, with the factors folded into the weights: torch's tanh kernel on
         # CPU is six times slower than its sigmoid, and weights are smaller than activations.
         folded = self.activation == "tanh"
@@ -94,6 +96,18 @@ class MLP:
         parts = np.split(params, np.cumsum(self._splits[:-1]), axis=-1)
         filled = (p.reshape(-1, *shape) for p, shape in zip(parts, self._shapes, strict=False))
         return [p[:, :rows, :columns] for p, (rows, columns) in zip(filled, self._own, strict=True)]
+
+
+def _without_gradient(layer: Tensor, own: tuple[int, int]) -> Tensor:
+    """The layer [N, in, out] with zeros beyond its own shape, which get no gradient.
+
+    With tanh, folded as above, theirs would be a difference of equal sums, 0 but for rounding; and
+    Adam makes a whole step of that.
+    """
+    if layer.shape[1:] == own:
+        return layer
+    beyond = (0, layer.shape[2] - own[1], 0, layer.shape[1] - own[0])
+    return torch.nn.functional.pad(layer[:, : own[0], : own[1]], beyond)
 
 
 def _shapes(sizes: Sequence[int]) -> list[tuple[int, int]]:

@@ -155,11 +155,12 @@ def _checked(rollout: Rollout, envs: VectorEnv, costs: Sequence[str]) -> Rollout
     negative = (rollout.cost[rollout.during] < 0).any(axis=0)
     if negative.any():
         raise TaskFailure(f"{envs} gives a negative {costs[int(negative.argmax())]}")
-    failure = rollout.failure.copy()
+    failure = np.full_like(rollout.failure, "")
     columns = {"observation": rollout.next_observation, "reward": rollout.reward[..., None]}
     columns |= {name: rollout.cost[..., [k]] for k, name in enumerate(costs)}
     for name, values in columns.items():
         if not (finite := np.isfinite(values).all(axis=-1)).all():
             void = (~finite & rollout.during).any(axis=0)
             failure[void & (failure == "")] = name
+    failure = np.where(failure == "", rollout.failure, failure)  # else the last action
     return rollout._replace(failure=failure)

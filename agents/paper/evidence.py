@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from agents.algorithms import algorithm
-from agents.paper.ablations import choice_of
 from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, registered_id
-from agents.paper.printed import paper_results
+from agents.paper.printed import choice_of, paper_results
+from agents.reporting.table import Number, number, p_number
 from agents.results.measures import measure
 from agents.results.reading import Group, Run, one_place
-from agents.results.statistics import LEVEL, equivalence_of, known, mean_of, p_of
+from agents.results.statistics import LEVEL, Values, equivalence_of, known, mean_of, p_of
 from circle2d_mj.registration import KINEMATIC
 from emcc import Interval, Share, mean_interval, share
 from emcc.statistics import UNBOUNDED, Bounds
@@ -44,7 +44,7 @@ class Cell(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Of the algorithm, with the other choice."""
+        """The algorithm, with the other choice."""
         return self.named(algorithm(self.algorithm).title)
 
     def named(self, name: str) -> str:
@@ -64,7 +64,7 @@ class Cell(NamedTuple):
     def mean(
         self,
         name: str,
-        values: Sequence[float | None],
+        values: Values,
         printed: float | None,
         bounds: Bounds = UNBOUNDED,
     ) -> list[Fact]:
@@ -75,18 +75,18 @@ class Cell(NamedTuple):
 
     def means(self, *measures: str) -> list[Fact]:
         """Means of measures."""
-        found = []
+        facts = []
         for name in measures:
             values = [run.measures[name] for run in self.runs]
-            found += self.mean(name, values, self.printed[name], measure(name).bounds)
-        return found
+            facts += self.mean(name, values, self.printed[name], measure(name).bounds)
+        return facts
 
 
 class Fact(NamedTuple):
     """A number measured, beside the paper's."""
 
     name: str
-    """Of what: a measure, an algorithm, a task."""
+    """A measure, an algorithm, a task."""
     value: Share | Interval | None
     """None where a run lacks it."""
     printed: float | None = None
@@ -137,26 +137,26 @@ def gather(groups: Sequence[Group], choice: str = "") -> Evidence:
 def _cell(groups: Sequence[Group], task: str, name: str, choice: str) -> Cell:
     """Runs of the paper's length, one for each seed; where there are none, the longest of the
     others, which decide nothing."""
-    found: dict[int, dict[int, Run]] = {}  # by steps and seed
+    lengths: dict[int, dict[int, Run]] = {}  # by steps and seed
     for group in groups:
         config = group.config
-        same = registered_id(config.task) == task and config.algorithm == name
-        usual = not config.task_parameters
-        if same and usual and group.runs and choice_of(config) == choice:
-            of_length = found.setdefault(config.steps, {})
+        same = registered_id(group.task) == task and config.algorithm == name
+        usual = not config.task_parameters and group.cost == config.costs[0]
+        if same and usual and group.runs and choice_of(group) == choice:
+            before = lengths.setdefault(config.steps, {})
             measured = {run.seed: run for run in group.runs if _has(run, task, name)}
-            found[config.steps] = measured | of_length
-    found = {steps: runs for steps, runs in found.items() if runs}
-    if not found:
+            lengths[config.steps] = measured | before
+    lengths = {steps: runs for steps, runs in lengths.items() if runs}
+    if not lengths:
         return Cell(task, name, (), "no runs", choice=choice)
     full = PAPER_STEPS[task]
-    steps = full if full in found else max(found)
+    steps = full if full in lengths else max(lengths)
     lacking = ""
     if steps != full:
         lacking = f"{steps:,} of {full:,} steps"
-    elif len(found[steps]) < SEEDS:
-        lacking = f"{len(found[steps])} of {SEEDS} runs"
-    return Cell(task, name, tuple(found[steps].values()), lacking, steps == full, choice)
+    elif len(lengths[steps]) < SEEDS:
+        lacking = f"{len(lengths[steps])} of {SEEDS} runs"
+    return Cell(task, name, tuple(lengths[steps].values()), lacking, steps == full, choice)
 
 
 def _has(run: Run, task: str, name: str) -> bool:
@@ -166,21 +166,21 @@ def _has(run: Run, task: str, name: str) -> bool:
 
 
 def all_of(verdicts: Iterable[Verdict]) -> Verdict:
-    """Of a claim that holds where all its parts hold: one that does not refutes it."""
-    found = set(verdicts)
-    return "refuted" if "refuted" in found else "undecided" if "undecided" in found else "confirmed"
+    """The verdict on a claim that holds where all its parts hold: one that does not refutes it."""
+    parts = set(verdicts)
+    return "refuted" if "refuted" in parts else "undecided" if "undecided" in parts else "confirmed"
 
 
 def any_of(verdicts: Iterable[Verdict]) -> Verdict:
-    """Of a claim that holds where one of its parts holds: one that does confirms it."""
-    found = set(verdicts)
-    return (
-        "confirmed" if "confirmed" in found else "undecided" if "undecided" in found else "refuted"
-    )
+    """The verdict on a claim that holds where one of its parts holds: one that does confirms it."""
+    parts = set(verdicts)
+    if "confirmed" in parts:
+        return "confirmed"
+    return "undecided" if "undecided" in parts else "refuted"
 
 
 def opposite(verdict: Verdict) -> Verdict:
-    """Of the claim that it is not so."""
+    """The verdict on the claim that it is not so."""
     opposites: dict[Verdict, Verdict] = {"confirmed": "refuted", "refuted": "confirmed"}
     return opposites.get(verdict, "undecided")
 
@@ -196,37 +196,37 @@ def refuting(parts: int) -> float:
     return 1 - 2 * LEVEL / parts
 
 
-def mostly(count: int, of: int, parts: int) -> Verdict:
-    """Of "the runs do": the share's interval is above a half; refuted where it is below."""
-    if share(count, of).low > HALF:
+def mostly(count: int, runs: int, parts: int) -> Verdict:
+    """The verdict on "the runs do": the share's interval is above a half; refuted where below."""
+    if share(count, runs).low > HALF:
         return "confirmed"
-    return "refuted" if share(count, of, refuting(parts)).high < HALF else "undecided"
+    return "refuted" if share(count, runs, refuting(parts)).high < HALF else "undecided"
 
 
-def some(count: int, of: int, parts: int) -> Verdict:
-    """Of "there are runs that do": the share's interval is above `RARE`; refuted where no run does
-    and the interval is below a half."""
-    if share(count, of).low > RARE:
+def some(count: int, runs: int, parts: int) -> Verdict:
+    """The verdict on "there are runs that do": the share's interval is above `RARE`; refuted where
+    no run does and the interval is below a half."""
+    if share(count, runs).low > RARE:
         return "confirmed"
-    nobody = count == 0 and share(count, of, refuting(parts)).high < HALF
+    nobody = count == 0 and share(count, runs, refuting(parts)).high < HALF
     return "refuted" if nobody else "undecided"
 
 
-def none(count: int, of: int, parts: int) -> Verdict:
-    """Of "no run does": none does and the share's interval is below a half; refuted where the
-    interval is above `RARE`."""
-    if count == 0 and share(count, of).high < HALF:
+def none(count: int, runs: int, parts: int) -> Verdict:
+    """The verdict on "no run does": none does and the share's interval is below a half; refuted
+    where the interval is above `RARE`."""
+    if count == 0 and share(count, runs).high < HALF:
         return "confirmed"
-    return "refuted" if share(count, of, refuting(parts)).low > RARE else "undecided"
+    return "refuted" if share(count, runs, refuting(parts)).low > RARE else "undecided"
 
 
-def about(values: Sequence[float | None], printed: float, parts: int) -> Verdict:
-    """Of "the mean is about": its whole interval is within a fifth of the number; refuted where it
-    lies wholly farther away."""
-    found, near = known(values), (0.8 * printed, 1.2 * printed)
-    if found is None:
+def about(values: Values, printed: float, parts: int) -> Verdict:
+    """The verdict on "the mean is about": its whole interval is within a fifth of the number;
+    refuted where it lies wholly farther away."""
+    numbers, near = known(values), (0.8 * printed, 1.2 * printed)
+    if numbers is None:
         return "undecided"
-    mean, wide = mean_interval(found), mean_interval(found, refuting(parts))
+    mean, wide = mean_interval(numbers), mean_interval(numbers, refuting(parts))
     if mean.low is None or mean.high is None or wide.low is None or wide.high is None:
         return "undecided"
     if mean.kind == "t" and near[0] <= mean.low and mean.high <= near[1]:
@@ -235,11 +235,9 @@ def about(values: Sequence[float | None], printed: float, parts: int) -> Verdict
     return "refuted" if mean.kind == "t" and farther else "undecided"
 
 
-def equal(
-    a: Sequence[float | None], b: Sequence[float | None], margin: float, parts: int
-) -> Verdict:
-    """Of "the means are equal": equivalent within the margin; refuted where they are not and the
-    permutation test tells them apart."""
+def equal(a: Values, b: Values, margin: float, parts: int) -> Verdict:
+    """The verdict on "the means are equal": equivalent within the margin; refuted where they are
+    not and the permutation test tells them apart."""
     equivalence, p = equivalence_of(a, b, margin), p_of(a, b)
     if equivalence is None or p is None:
         return "undecided"
@@ -248,11 +246,9 @@ def equal(
     return "refuted" if p <= LEVEL / parts else "undecided"
 
 
-def apart(
-    a: Sequence[float | None], b: Sequence[float | None], margin: float, parts: int
-) -> Verdict:
-    """Of "the means differ": the permutation test tells them apart; refuted where they are
-    equivalent within the margin."""
+def apart(a: Values, b: Values, margin: float, parts: int) -> Verdict:
+    """The verdict on "the means differ": the permutation test tells them apart; refuted where they
+    are equivalent within the margin."""
     equivalence, p = equivalence_of(a, b, margin), p_of(a, b)
     if equivalence is None or p is None:
         return "undecided"
@@ -261,9 +257,9 @@ def apart(
     return "confirmed" if p <= LEVEL else "undecided"
 
 
-def lower(a: Sequence[float | None], b: Sequence[float | None], parts: int) -> Verdict:
-    """Of "the mean of a is below that of b": it is, and the permutation test tells them apart;
-    refuted where it tells them apart the other way round."""
+def lower(a: Values, b: Values, parts: int) -> Verdict:
+    """The verdict on "the mean of a is below that of b": it is, and the permutation test tells them
+    apart; refuted where it tells them apart the other way round."""
     first, second, p = known(a), known(b), p_of(a, b)
     if first is None or second is None or p is None:
         return "undecided"
@@ -292,3 +288,31 @@ def finding(
 def short(task: str) -> str:
     """Circle2D-1 for Circle2D-1-v0, SafetyPointGoal1 for circle2d_mj/SafetyPointGoal1-v0."""
     return task.rpartition("/")[2].rpartition("-")[0]
+
+
+def worded(findings: Iterable[Finding]) -> list[tuple[str, str]]:
+    """Each finding in words, and its verdict."""
+    return [(_words(finding), finding.verdict) for finding in findings]
+
+
+def _words(finding: Finding) -> str:
+    """The place, the numbers, and the runs that are lacking."""
+    facts = ", ".join(map(_fact, finding.facts))
+    if facts and finding.about:
+        facts = f"{finding.about}: {facts} (claimed: {finding.claimed})"
+    lacking = [f"{why}: {', '.join(names)}" for why, names in finding.lacking.items()]
+    return f"{finding.where}: " + "; ".join([*([facts] if facts else []), *lacking])
+
+
+def _fact(fact: Fact) -> str:
+    value = fact.value
+    if isinstance(value, Share):
+        words = f"{value.count} of {value.runs} runs [{value.low:.2f}, {value.high:.2f}]"
+        return f"{fact.name} {words} {fact.does}".strip()
+    words, beside = str(number(value, signed=fact.signed)), []
+    if value is not None:
+        beside.append(f"n = {value.runs}")
+    if fact.printed is not None:
+        beside.append(f"paper {Number(fact.printed, signed=fact.signed)}")
+    beside += [f"{name}: {p_number(p)}" for name, p in fact.tests]
+    return f"{fact.name} {words} ({'; '.join(beside)})".lstrip()

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.reporting.figures import Figure
+from agents.reporting.maps import Ground, png
+from agents.training.derive import Episode
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import LEVELS
@@ -21,6 +23,8 @@ from circle2d_mj.render.figure import figure, labelled
 from emcc import cost_rate, emcc, longest_streak, mcc
 
 Point = tuple[float, float]
+SIZE = 320
+"""Pixels along the side of a picture."""
 
 LEVEL_TITLES = {
     0: "Level 0: cannot be entered",
@@ -39,6 +43,15 @@ LABELS: dict[str, tuple[int, Sequence[Point]]] = {
 """Words in a picture of a level: from which level on, and where, in multiples of the radius."""
 
 
+def introduction() -> list[Figure]:
+    """The tasks and the metric, which are the same in every report on Circle2D."""
+    picture, about_trajectories = two_trajectories(SIZE)
+    return [
+        Figure("levels", "png", png(levels(SIZE)), "The four levels", about_levels()),
+        Figure("trajectories", "png", png(picture), "Why EMCC", about_trajectories),
+    ]
+
+
 def levels(size: int) -> Picture:
     """The tasks as they are registered, side by side, with names for what they consist of.
 
@@ -49,11 +62,11 @@ def levels(size: int) -> Picture:
         config = Circle2DConfig(level=level)
         view = Circle2DView(config)
         labels = []
-        for words, (first, places) in LABELS.items():
+        for name, (first, places) in LABELS.items():
             for place in places if level >= first else ():
                 point = np.array(place) * config.constraint_radius
                 at = canvas.pixels(view.extent, point, size)
-                labels.append((words.strip(), *at.tolist()))
+                labels.append((name.strip(), *at.tolist()))
         pictures.append(labelled(view.overlay(view.background(size)), labels))
     return figure([pictures], [LEVEL_TITLES[level] for level in LEVELS])
 
@@ -88,21 +101,12 @@ ROUTES: dict[str, list[Point]] = {
 """Two ways to the goal, in multiples of the radius, with as many cost steps on either."""
 
 
-class Episode(NamedTuple):
-    """An episode, with its costs in words."""
-
-    path: NDArray[np.float64]
-    """[T + 1, 2], world units"""
-    costs: NDArray[np.float64]
-    """[T]"""
-
-    @property
-    def words(self) -> str:
-        """Cost steps, longest chain and EMCC. Of a single rollout EMCC is its MCC."""
-        return (
-            f"{self.costs.sum():.0f} cost steps, longest chain {longest_streak(self.costs)}, "
-            f"EMCC {emcc([mcc([self.costs])]):.2f}"
-        )
+def words(costs: NDArray[np.float64]) -> str:
+    """Cost steps, longest chain and EMCC of an episode. Of a single rollout EMCC is its MCC."""
+    return (
+        f"{costs.sum():.0f} cost steps, longest chain {longest_streak(costs)}, "
+        f"EMCC {emcc([mcc([costs])]):.2f}"
+    )
 
 
 def walk(config: Circle2DConfig, route: Sequence[Point]) -> Episode:
@@ -133,14 +137,12 @@ def two_trajectories(size: int) -> tuple[Picture, str]:
     config = Circle2DConfig(level=1)
     episodes = [walk(config, route) for route in ROUTES.values()]
     view = Circle2DView(config)
-    ground = view.background(size)
-    pictures = []
-    for path, costs in episodes:
-        painted = canvas.with_trajectories(ground, view.extent, [path], [costs])
-        pictures.append(view.overlay(painted))
-    picture = figure([pictures], list(ROUTES), captions=[[e.words for e in episodes]])
-    rates = dict.fromkeys(f"{cost_rate(e.costs, [len(e.costs)]):.2f}" for e in episodes)
-    left, right = (e.words for e in episodes)
+    ground = Ground(view, view.background(size))
+    pictures = [ground.trajectories([episode], True) for episode in episodes]
+    captions = [[words(costs) for _, costs in episodes]]
+    picture = figure([pictures], list(ROUTES), captions=captions)
+    rates = dict.fromkeys(f"{cost_rate(costs, [len(costs)]):.2f}" for _, costs in episodes)
+    left, right = captions[0]
     return picture, (
         f"Two scripted episodes of {MAX_EPISODE_STEPS} steps on level 1, from the right to the "
         f"goal: a dot for each state, chains of consecutive cost steps in orange boxes. Left: "

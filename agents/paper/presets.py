@@ -55,7 +55,7 @@ def preset(name: str, task: str) -> Any:
     """
     config = algorithm(name).config()
     kind = type(config)
-    of_task = _of_task(config, _is_off_policy(name), registered_id(task))
+    of_task = _of_task(config, _is_off_policy(config), registered_id(task))
     return replace(config, **{of: v for of, v in of_task.items() if not _redefines(kind, of)})
 
 
@@ -65,7 +65,9 @@ def _of_task(config: Any, off_policy: bool, task: str) -> dict[str, Any]:
         # Table Circle2DResults, caption; for the time limit see `unprinted`: on-policy bootstraps.
         found = {"cost_limit": 5.0} if hasattr(config, "cost_limit") else {}
         found |= {"time_limit": "terminal"} if off_policy else {}
-        return found | ({"input_scale": length_scale(task)} if _is_streak(config) else {})
+        return found | (
+            {"input_scale": length_scale(task)} if getattr(config, "in_lengths", False) else {}
+        )
     if task.startswith("circle2d_mj/Safety"):
         # Table HP_SafetyGymnasium; the cost limit, 25, is the default.
         if off_policy:
@@ -78,12 +80,6 @@ def _of_task(config: Any, off_policy: bool, task: str) -> dict[str, Any]:
 def _redefines(kind: type, name: str) -> bool:
     """Whether a class has a default of its own for a hyper-parameter that it inherits."""
     return sum(name in get_annotations(base) for base in kind.__mro__) > 1
-
-
-def _is_streak(config: Any) -> bool:
-    from agents.algorithms.sac_lb_streak import SACLBStreakConfig  # here, since it imports torch
-
-    return isinstance(config, SACLBStreakConfig)
 
 
 def preset_with(name: str, task: str, given: Mapping[str, Any]) -> Any:
@@ -99,11 +95,8 @@ def preset_with(name: str, task: str, given: Mapping[str, Any]) -> Any:
     return replace(config, **{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
 
 
-def _is_off_policy(name: str) -> bool:
-    from agents.sac import OffPolicy  # here, since it imports torch
-
-    family = algorithm(name).family
-    return isinstance(family, type) and issubclass(family, OffPolicy)
+def _is_off_policy(config: Any) -> bool:
+    return hasattr(config, "replay_size")
 
 
 def usual_steps(task: str) -> int:
@@ -145,7 +138,8 @@ def unprinted(name: str) -> Unprinted | None:
     """
     if name == "trpo-lag":
         return MULTIPLIER
-    return TIME_LIMIT if name in PAPER_ALGORITHMS and _is_off_policy(name) else None
+    off_policy = name in PAPER_ALGORITHMS and _is_off_policy(algorithm(name).config)
+    return TIME_LIMIT if off_policy else None
 
 
 LIBRARY = {"variance_target": "unsquared", "damping_gradient": "through"}

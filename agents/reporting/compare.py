@@ -3,40 +3,51 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from agents.errors import UserError
-from agents.paper.settings import changes, in_order, name_of, with_distinct_titles
-from agents.reporting.csv_table import (
-    Line,
-    difference_lines,
-    group_lines,
-    numbers_csv,
-    two_sets_lines,
-)
 from agents.reporting.figures import curves
-from agents.reporting.over_tasks import differences_over_tasks
+from agents.reporting.numbers import difference_lines, group_lines, numbers_csv
 from agents.reporting.page import Section, page
-from agents.reporting.provenance import made, name_of_all
-from agents.reporting.table import Number, Row, Table, markdown, number_of, p_number
-from agents.reporting.tables import caption, mean_row, measures_table, run_rows
-from agents.reporting.together import TASKS
+from agents.reporting.provenance import made
+from agents.reporting.table import Number, Row, Table, markdown, number
+from agents.reporting.tables import (
+    PValues,
+    caption,
+    differences_over_tasks,
+    holm,
+    mean_row,
+    measures_table,
+    p_row,
+    run_rows,
+    tests,
+)
+from agents.results.frame import changes, in_order, name_of, with_distinct_titles
 from agents.results.measures import measures
-from agents.results.over_tasks import TwoSets, two_sets
-from agents.results.reading import Group, read
-from agents.results.statistics import LEVEL, corrected, group_difference, improvement_of, p_of
+from agents.results.reading import Group, name_of_all, read
+from agents.results.statistics import (
+    LEVEL,
+    Difference,
+    Pair,
+    TwoSets,
+    differences,
+    summaries,
+    two_sets,
+)
 from agents.training.files import write_whole
 
+TOGETHER = "All tasks together"
 METHOD = (
-    "B - A: difference of the means [Welch's 95 % t interval, where both sides have five seeds or "
-    "more that end in one place]; p: two-sided permutation test of Welch's t, corrected for the "
-    "{} comparisons made here (Holm); P(B better): probability that a run of B is better than one "
-    "of A, equal ones half [95 % bootstrap interval]"
+    "B - A: difference of the means [Welch's 95 % t interval, of five seeds or more on both sides "
+    "that end in one place]; p: two-sided permutation test of Welch's t, corrected for the {} "
+    "comparisons made here (Holm); P(B better): probability that a run of B is better than one of "
+    "A, equal ones half [95 % bootstrap interval]"
 )
-Pair = tuple[Group, Group]
-PValues = Mapping[tuple[str, str, str], float | None]
+Tested = Mapping[tuple[str, str, str], Mapping[str, Difference]]
+"""The differences of pairs, by their task and the folders of A and of B."""
 
 
 class Sides(NamedTuple):
@@ -48,8 +59,17 @@ class Sides(NamedTuple):
     @property
     def named(self) -> list[tuple[str, Group]]:
         """Every group with its name."""
-        of_sides = zip(("A", "B"), self, strict=True)
-        return [(f"{k}: {name_of(g)}", g) for k, groups in of_sides for g in groups]
+        sides = zip(("A", "B"), self, strict=True)
+        return [(f"{k}: {name_of(g)}", g) for k, groups in sides for g in groups]
+
+    @property
+    def pairs(self) -> list[Pair]:
+        """Each group of B with the one of A of its algorithm and settings, or with all."""
+        pairs = []
+        for b in self.b:
+            same = [a for a in self.a if _settings(a) == _settings(b)]
+            pairs += [(a, b) for a in same or self.a]
+        return pairs
 
 
 def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
@@ -62,137 +82,125 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     training curves, both sides in one figure. Raises UserError where a side has no complete run, or
     the two have no task in common.
     """
-    notes: list[str] = []
+    notes = [f"A is {a}, B is {b}."]
     sides = [with_distinct_titles(read([side], notes)) for side in (a, b)]
-    found = [[g for g in side if g.runs] for side in sides]
-    tasks = [list(dict.fromkeys(group.config.task for group in groups)) for groups in found]
+    by_task = _by_task(a, b, sides, notes)
+    pairs = [pair for both in by_task.values() for pair in both.pairs]
+    tested = {_key(*pair): differences(*pair) for pair in pairs}
+    p_values, sets = holm(tested), _over_tasks(pairs)
+    *_, last = by_task
+    tables = {
+        task: _table(task, both, tested, p_values, notes if task == last else [])
+        for task, both in by_task.items()
+    }
+    if (together := differences_over_tasks(sets)) is not None:
+        tables[TOGETHER] = together
+    if out is None:
+        return list(tables.values())
+    out.mkdir(parents=True, exist_ok=True)
+    drawn = {task: [curves(both.named)] for task, both in by_task.items()}
+    sections = [Section(name, table, drawn.get(name, [])) for name, table in tables.items()]
+    named = list(zip("AB", sides, strict=True))
+    how = {f"{side}, {k}": text for side, groups in named for k, text in made(groups).items()}
+    title = " and ".join(f"{name_of_all(groups)} ({side})" for side, groups in named)
+    write_whole(out / "compare.html", page(title, sections, how))
+    write_whole(out / "compare.md", markdown(list(tables.values())))
+    lines = []
+    for task, both in by_task.items():
+        for name, groups in zip("AB", both, strict=True):
+            lines += group_lines(groups, f"{name}: ")
+        for pair in both.pairs:
+            lines += difference_lines(task, _name(*pair), tested[_key(*pair)])
+    for name, two in sets.items():
+        lines += difference_lines(f"{two.tasks} tasks", name, two.differences())
+    write_whole(out / "compare.csv", numbers_csv(lines))
+    return list(tables.values())
+
+
+def _by_task(
+    a: Path, b: Path, sides: Sequence[Sequence[Group]], notes: list[str]
+) -> dict[str, Sides]:
+    """The runs of the tasks that both sides have; the others go into the notes."""
+    complete = [[group for group in side if group.runs] for side in sides]
+    tasks = [list(dict.fromkeys(group.task for group in groups)) for groups in complete]
     common = [task for task in tasks[0] if task in tasks[1]]
     if not common:
         raise UserError(
             f"{a} and {b} have no task in common: {', '.join(tasks[0])} against "
             f"{', '.join(tasks[1])}"
         )
-    for name, of_side in zip("AB", tasks, strict=True):
-        alone = [task for task in of_side if task not in common]
+    for name, own in zip("AB", tasks, strict=True):
+        alone = [task for task in own if task not in common]
         notes += [f"only {name} has runs on {', '.join(alone)}."] if alone else []
-    by_task = {
-        task: Sides(*([g for g in groups if g.config.task == task] for groups in found))
+    return {
+        task: Sides(*([group for group in side if group.task == task] for side in complete))
         for task in common
     }
-    notes.insert(0, f"A is {a}, B is {b}.")
-    p_values, sets = _p_values(by_task.values()), _over_tasks(by_task.values())
-    tables = {
-        task: _table(task, sides, p_values, notes if task == common[-1] else [])
-        for task, sides in by_task.items()
-    }
-    if (together := differences_over_tasks(sets)) is not None:
-        tables[TASKS] = together
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        drawn = {task: [curves(sides.named)] for task, sides in by_task.items()}
-        sections = [Section(of, table, drawn.get(of, [])) for of, table in tables.items()]
-        how = {
-            f"{name}, {k}": text
-            for name, side in zip("AB", sides, strict=True)
-            for k, text in made(side).items()
-        }
-        title = f"{name_of_all(sides[0])} (A) and {name_of_all(sides[1])} (B)"
-        write_whole(out / "compare.html", page(title, sections, how))
-        write_whole(out / "compare.md", markdown(list(tables.values())))
-        lines = [line for sides in by_task.values() for line in _lines(sides)]
-        lines += [line for name, of in sets.items() for line in two_sets_lines(of, name)]
-        write_whole(out / "compare.csv", numbers_csv(lines))
-    return list(tables.values())
 
 
-def _table(task: str, sides: Sides, p_values: PValues, notes: Sequence[str]) -> Table:
+def _table(
+    task: str, sides: Sides, tested: Tested, p_values: PValues, notes: Sequence[str]
+) -> Table:
     """Means of both sides, the differences, then every run."""
     named = list(zip(("A: ", "B: "), sides, strict=True))
-    rows = [mean_row(group, prefix) for prefix, groups in named for group in groups]
-    rows += [row for pair in _pairs(sides) for row in _difference_rows(*pair, p_values)]
+    rows = [
+        mean_row(group, summary, prefix + name_of(group))
+        for prefix, groups in named
+        for group, summary in zip(groups, summaries(groups), strict=True)
+    ]
+    for pair in sides.pairs:
+        told, empty = tested[_key(*pair)], [Number(None)]
+        gaps = [number(told[m.name].gap, m.digits, signed=True) for m in measures()]
+        better = [number(told[m.name].better) for m in measures()]
+        rows.append(Row(_name(*pair), gaps + empty, kind="difference"))
+        p = p_row(_key(*pair), measures(), p_values)
+        rows.append(replace(p, numbers=[*p.numbers, *empty]))
+        rows.append(Row("P(B better)", better + empty, kind="test"))
     for prefix, groups in named:
         rows += [row for group in in_order(groups) for row in run_rows(group, prefix)]
-    count = sum(p is not None for p in p_values.values())
-    notes = [*notes, *_notes(task, sides, count)]
-    words = f"{caption([*sides.a, *sides.b])}; {METHOD.format(count)}"
-    return measures_table(words, task, rows, notes)
+    number_of_tests = tests(p_values)
+    words = f"{caption([*sides.a, *sides.b])}; {METHOD.format(number_of_tests)}"
+    return measures_table(words, task, rows, [*notes, *_too_few(task, sides, number_of_tests)])
 
 
-def _pairs(sides: Sides) -> list[Pair]:
-    pairs = []
-    for of_b in sides.b:
-        same = [of_a for of_a in sides.a if _settings(of_a) == _settings(of_b)]
-        pairs += [(of_a, of_b) for of_a in same or sides.a]
-    return pairs
+def _key(a: Group, b: Group) -> tuple[str, str, str]:
+    return a.task, a.folder, b.folder
 
 
 def _settings(group: Group) -> tuple[str, dict[str, Any]]:
-    return group.config.algorithm, changes(group.config)
+    return group.config.algorithm, changes(group.config, group.task)
 
 
-def _over_tasks(of_tasks: Iterable[Sides]) -> dict[str, TwoSets]:
+def _name(a: Group, b: Group) -> str:
+    titles = [name_of(group) for group in (b, a)]
+    return f"B - A: {titles[0] if titles[0] == titles[1] else ' - '.join(titles)}"
+
+
+def _over_tasks(pairs: Iterable[Pair]) -> dict[str, TwoSets]:
     """Pairs that stand against each other on two tasks or more, by their name."""
-    by_name: dict[str, list[Pair]] = {}
-    for a, b in (pair for sides in of_tasks for pair in _pairs(sides)):
-        by_name.setdefault(_difference_name(a, b), []).append((a, b))
-    found = {name: two_sets(pairs) for name, pairs in by_name.items()}
-    return {name: sets for name, sets in found.items() if sets}
+    named: dict[str, list[Pair]] = {}
+    for pair in pairs:
+        named.setdefault(_name(*pair), []).append(pair)
+    sets = {name: two_sets(same) for name, same in named.items()}
+    return {name: two for name, two in sets.items() if two}
 
 
-def _p_values(of_tasks: Iterable[Sides]) -> PValues:
-    """Corrected p values of every pair, by the folders of its runs and the measure."""
-    pairs = [pair for sides in of_tasks for pair in _pairs(sides)]
-    return corrected(
-        {
-            (a.folder, b.folder, m.name): p_of(a.values(m.name), b.values(m.name))
-            for a, b in pairs
-            for m in measures()
-        }
-    )
-
-
-def _difference_rows(a: Group, b: Group, p_values: PValues) -> Iterator[Row]:
-    name, empty = _difference_name(a, b), Number(None)
-    gaps = [(group_difference(a, b, m.name), m.digits) for m in measures()]
-    cells = [number_of(*of_measure, signed=True) for of_measure in gaps]
-    yield Row(name, [*cells, empty], kind="difference")
-    cells = [p_number(p_values[a.folder, b.folder, m.name]) for m in measures()]
-    yield Row("p", [*cells, empty], kind="test")
-    better = [improvement_of(a.values(m.name), b.values(m.name), m) for m in measures()]
-    yield Row("P(B better)", [*map(number_of, better), empty], kind="test")
+def _too_few(task: str, sides: Sides, number_of_tests: int) -> list[str]:
+    """Notes on runs too few for an interval or a test."""
+    sizes = {(len(a.runs), len(b.runs)) for a, b in sides.pairs}
+    notes = []
+    for a, b in sorted(sizes):
+        least = min(1.0, number_of_tests * _lowest_p(a, b))
+        if min(a, b) > 1 and least > LEVEL:
+            notes.append(
+                f"{task}: of {a} runs against {b} no p here can be below {least:.3g}, however far "
+                "they differ: they decide nothing."
+            )
+    single = [name for name, group in sides.named if len(group.runs) == 1]
+    return notes + [f"{task}, {name} has one seed: no interval, and no test." for name in single]
 
 
 def _lowest_p(a: int, b: int) -> float:
     """Least p value of a two-sided permutation test of a runs against b: where all of one side lie
     above the other's, only that division and, of equal numbers, its mirror are as extreme."""
     return (2 if a == b else 1) / math.comb(a + b, a)
-
-
-def _difference_name(a: Group, b: Group) -> str:
-    titles = [name_of(group) for group in (b, a)]
-    return f"B - A: {titles[0] if titles[0] == titles[1] else ' - '.join(titles)}"
-
-
-def _lines(sides: Sides) -> Iterator[Line]:
-    """Every number of both sides, for a program."""
-    for name, groups in zip("AB", sides, strict=True):
-        for group in groups:
-            yield from group_lines(group, f"{name}: ")
-    for of_a, of_b in _pairs(sides):
-        yield from difference_lines(of_a, of_b, _difference_name(of_a, of_b))
-
-
-def _notes(task: str, sides: Sides, tests: int) -> list[str]:
-    """Runs too few for an interval or a test; tests: how many p values are corrected for."""
-    sizes = {(len(a.runs), len(b.runs)) for a, b in _pairs(sides)}
-    lowest = {(a, b): min(1.0, tests * _lowest_p(a, b)) for a, b in sorted(sizes) if min(a, b) > 1}
-    notes = [
-        f"{task}: of {a} runs against {b} no p here can be below {p:.3g}, however far they differ: "
-        "they decide nothing."
-        for (a, b), p in lowest.items()
-        if p > LEVEL
-    ]
-    for name, group in sides.named:
-        if len(group.runs) == 1:
-            notes.append(f"{task}, {name} has one seed: no interval, and no test.")
-    return notes

@@ -1,96 +1,421 @@
-"""The figures of a report: picture files, with the words below them."""
+"""The figures of a report as SVG: training curves of a task, and figures over all tasks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Literal, NamedTuple
+import contextlib
+import gc
+import io
+import math
+import re
+from collections.abc import Callable, Collection, Iterator, Sequence
+from typing import Any, Literal, NamedTuple
 
-from agents.paper import introduction as example
-from agents.paper.settings import cost_limit, in_order, name_of
-from agents.reporting.curves import Line, curves_svg
-from agents.reporting.image_files import png
-from agents.reporting.style import styles
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.algorithms import ALGORITHMS
+from agents.reporting.tables import Reference
+from agents.results.frame import by_task, in_order, name_of
+from agents.results.measures import Measure, measures
 from agents.results.reading import Group
-from agents.results.statistics import INTERVALS
-from agents.results.steps import Episode, Visits
-from circle2d_mj.core.view import Picture, View
-from circle2d_mj.render import canvas
-from emcc.parts import ALPHA
+from agents.results.statistics import (
+    INTERVALS,
+    Third,
+    group_mean,
+    known,
+    mean_of,
+    thirds_of,
+)
+from agents.training.config import TrainConfig
+from agents.training.derive import five_digits
+from circle2d_mj.registration import CIRCLE2D
+from emcc import EpisodeRecords, emcc, emcc_by_part, iqm, profile
+from emcc.parts import ALPHA, PARTS
+from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
 
-SIZE = 320
-"""Pixels along the side of a picture in a figure."""
+# Okabe and Ito's palette, which people with any colour vision can tell apart.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#000000", "#56B4E9")
+DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)))
+DASHES = (*DASHES, (0, (9, 2)), (0, (2, 2.5)), (0, (9, 1.5, 3, 1.5)))
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+"""One for each dash: what tells colours apart without colour."""
+CROWDED, PIXELS = 60, 120
+"""Lines and areas of a panel beyond which they are pixels, and pixels of an inch. The page of very
+many runs would have many megabytes else."""
+DOT: dict[str, Any] = {"linestyle": "", "alpha": 0.55, "markeredgewidth": 0}
+POINTS = 50
+"""Points of a curve along the training."""
+WINDOW = 0.1
+"""Width of the running EMCC's window, as a share of the training."""
+THRESHOLDS = np.linspace(0, 1, 51)
+"""Thresholds of MCC, of the profiles."""
 
 
 class Figure(NamedTuple):
     """A picture file and its words."""
 
     name: str
-    """Of the file, without its suffix."""
+    """Name of the file, without its suffix."""
     kind: Literal["png", "svg"]
     content: bytes
     title: str
     caption: str
 
 
-class Ground(NamedTuple):
-    """A task's view with its background, to draw on."""
+class Style(NamedTuple):
+    """The look of a group's runs."""
 
-    view: View
-    background: Picture
-
-    def heatmap(self, visits: Visits, most: int) -> Picture:
-        """Visited states. most: visits of the last colour."""
-        return self.view.overlay(canvas.with_counts(self.background, visits.counts, most))
-
-    def trajectories(self, episodes: Sequence[Episode], boxed: bool) -> Picture:
-        """Episodes, a dot for each state. boxed: see `canvas.with_trajectories`."""
-        paths, costs = zip(*episodes, strict=True)
-        extent = self.view.extent
-        picture = canvas.with_trajectories(self.background, extent, paths, costs, boxed=boxed)
-        return self.view.overlay(picture)
+    colour: str
+    """One for each algorithm."""
+    dash: Any
+    """One for each algorithm; another one for each further group of it in the same figure."""
+    marker: str
+    """Chosen like the dash."""
 
 
-def introduction() -> list[Figure]:
-    """The tasks and the metric, which are the same in every report on Circle2D."""
-    picture, about_trajectories = example.two_trajectories(SIZE)
-    levels = png(example.levels(SIZE))
-    return [
-        Figure("levels", "png", levels, "The four levels", example.about_levels()),
-        Figure("trajectories", "png", png(picture), "Why EMCC", about_trajectories),
+def styles(configs: Sequence[TrainConfig]) -> list[Style]:
+    """Styles of the groups of one figure, by the place of their algorithm among all."""
+    order = {name: index for index, name in enumerate(ALGORITHMS)}
+    places = [order.get(config.algorithm, len(order)) for config in configs]
+    taken, chosen = set(), []
+    for k, place in enumerate(places):
+        wanted = place % len(DASHES)
+        if place in places[:k]:
+            free = set(range(len(DASHES))) - taken - {p % len(DASHES) for p in places}
+            wanted = min(free, default=wanted)
+        taken.add(wanted)
+        chosen.append(Style(COLOURS[place % len(COLOURS)], DASHES[wanted], MARKERS[wanted]))
+    return chosen
+
+
+@contextlib.contextmanager
+def drawing(font_size: int = 10) -> Iterator[Any]:
+    """pyplot without a display, in a style whose files are equal for equal input."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    gc.collect()  # the figure before this one is a cycle of references, of tens of megabytes
+    with pyplot.rc_context({"svg.hashsalt": "circle2d", "font.size": font_size}):
+        yield pyplot
+
+
+def svg_of(figure: Any) -> bytes:
+    """A figure of matplotlib as SVG, which is closed. Crowded panels hold their lines as pixels."""
+    from matplotlib import pyplot
+
+    for axis in figure.axes:
+        if len(axis.lines) + len(axis.collections) > CROWDED:
+            axis.set_rasterization_zorder(2.1)  # lines and areas, but not axes and words
+    image = io.StringIO()
+    figure.savefig(image, format="svg", dpi=PIXELS, metadata={"Date": None})
+    pyplot.close(figure)
+
+    # Places to a hundredth of a point: half the size, and nothing that an eye could see.
+    def hundredths(attribute: re.Match[str]) -> str:
+        return re.sub(r"-?\d+\.\d{3,}", lambda x: f"{float(x.group()):.2f}", attribute.group())
+
+    return re.sub(r' (?:d|x|y)="[^"]*"', hundredths, image.getvalue()).encode()
+
+
+def legend(names: Collection[str]) -> tuple[int, float]:
+    """Columns of a legend below a figure of nine inches, at most six, and the inches that the
+    figure needs for its further lines."""
+    columns = min(max(1, 110 // (8 + max(map(len, names)))), 6)
+    return columns, 0.2 * max(math.ceil(len(names) / columns) - 2, 0)
+
+
+class Curve(NamedTuple):
+    """The mean over some runs at points of training, with its interval or range as in tables. NaN
+    where a run has nothing, low and high also of a single run."""
+
+    mean: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+def midpoints(total_steps: int) -> NDArray[np.float64]:
+    """The environment steps that the points stand for: [POINTS], the middles of equal parts."""
+    return (np.arange(POINTS) + 0.5) / POINTS * total_steps
+
+
+def episode_means(group: Group, column: Literal["reward", "cost"]) -> Curve:
+    """The mean of a column of the episodes that start in each part; NaN where none does.
+
+    column: "reward" (the return) or "cost".
+    """
+    rows, total_steps = [], group.config.steps
+    for records in (run.records for run in group.runs):
+        part = np.minimum(records.start_step * POINTS // total_steps, POINTS - 1)
+        values = records.cost
+        if column == "reward":  # as archives keep it, so that a report from one has the same bytes
+            values = five_digits(records.reward)
+        sums = np.bincount(part, values, minlength=POINTS)
+        count = np.bincount(part, minlength=POINTS)
+        rows.append(np.where(count > 0, sums / np.maximum(count, 1), np.nan))
+    return _over_runs(rows, group.one_place, COST if column == "cost" else UNBOUNDED)
+
+
+def emcc_along(records: EpisodeRecords, total_steps: int, alpha: float) -> list[float]:
+    """EMCC of the rollouts of a run that start within half a window of each of `midpoints`; NaN
+    where none does."""
+    mcc, starts = records.mcc_per_rollout()
+    near = (np.abs(starts - at) <= WINDOW / 2 * total_steps for at in midpoints(total_steps))
+    return [emcc(mcc[chosen], alpha) if chosen.any() else np.nan for chosen in near]
+
+
+def running_emcc(group: Group, alpha: float = ALPHA) -> Curve:
+    """`emcc_along` of each run."""
+    rows = [emcc_along(run.records, group.config.steps, alpha) for run in group.runs]
+    return _over_runs(rows, group.one_place, SHARE)
+
+
+def thirds_emcc(group: Group, alpha: float = ALPHA) -> Curve:
+    """EMCC of the thirds of training: [3]."""
+    rows = [
+        list(emcc_by_part(*run.records.mcc_per_rollout(), group.config.steps, alpha).values())
+        for run in group.runs
     ]
+    return _over_runs(rows, group.one_place, SHARE)
 
 
-def figures(groups: Sequence[Group]) -> list[Figure]:
+def _over_runs(rows: Sequence[Sequence[float] | NDArray], one_place: bool, bounds: Bounds) -> Curve:
+    points = np.full((3, len(rows[0])), np.nan)
+    for k, values in enumerate(np.array(rows).T):
+        mean = mean_of(values.tolist(), one_place, bounds) if np.isfinite(values).all() else None
+        if mean is not None:
+            points[:, k] = [np.nan if v is None else v for v in (mean.value, mean.low, mean.high)]
+    return Curve(*points)
+
+
+def task_figures(groups: Sequence[Group]) -> list[Figure]:
     """The figures of one task, by its runs."""
     groups = [group for group in in_order(groups) if group.runs]
     return [curves([(name_of(group), group) for group in groups])] if groups else []
 
 
-def _file(kind: str, group: Group) -> str:
-    return f"{kind}-{group.config.task.replace('/', '-')}"
-
-
 def curves(named: Sequence[tuple[str, Group]]) -> Figure:
-    """Training curves of groups on one task, each with its name."""
+    """Training curves of groups on one task, each with its name: return, cost return, running EMCC,
+    and EMCC of the thirds. Equal input gives equal bytes."""
     groups = [group for _, group in named]
-    limits = {cost_limit(group.config) for group in groups}
+    limits, task = {group.limit for group in groups}, groups[0].task
     limit = limits.pop() if len(limits) == 1 else None
-    lines = []
-    for (name, group), style in zip(named, styles([g.config for g in groups]), strict=True):
-        records = [run.records for run in group.runs]
-        lines.append(Line(name, style, records, group.config.steps, group.one_place))
-    svg = curves_svg(groups[0].config.task, lines, limit, ALPHA)
+    columns, height = legend([name for name, _ in named])
+    looks = styles([group.config for group in groups])
+    with drawing() as pyplot:
+        size = (9, 6 + height)
+        figure, axes = pyplot.subplots(2, 2, figsize=size, layout="constrained")
+        (returns, costs), (running, thirds) = axes
+        figure.suptitle(task)
+        for k, ((name, group), style) in enumerate(zip(named, looks, strict=True)):
+            at = midpoints(group.config.steps)
+            _draw(returns, name, style, at, episode_means(group, "reward"))
+            _draw(costs, name, style, at, episode_means(group, "cost"))
+            _draw(running, name, style, at, running_emcc(group))
+            _draw_thirds(thirds, style, (k - (len(named) - 1) / 2) / len(named), thirds_emcc(group))
+        if limit is not None:
+            costs.axhline(limit, label="cost limit", color="#888888", linewidth=0.9)
+        _label(axes, max(group.config.steps for group in groups))
+        handles, labels = costs.get_legend_handles_labels()
+        below = {"loc": "outside lower center", "frameon": False, "handlelength": 3.2}
+        figure.legend(handles, labels, ncols=columns, **below)
+        svg = svg_of(figure)
     words = (
-        f"Of training's episodes. Lines and markers: the mean over seeds. Faint areas and bars: "
-        f"{INTERVALS}, at each point; of costs and EMCC they are cut off at 0. EMCC with "
-        f"α = {ALPHA:g}: of the rollouts in a window of a tenth of training around each point, and "
-        "of the thirds of training, whose borders are dotted."
+        f"Training's episodes. Lines and markers: mean over seeds; areas and bars: {INTERVALS}. "
+        f"EMCC: α = {ALPHA:g}, in a window of a tenth of training, and of the thirds."
     )
     if limit is not None:
         words += f" Thin line: the cost limit, {limit:g}."
-    return Figure(_file("curves", groups[0]), "svg", svg, "Training curves", words)
+    return Figure(f"curves-{task.replace('/', '-')}", "svg", svg, "Training curves", words)
 
 
-def visits_words(visits: Visits) -> str:
-    """The line below a heat map."""
-    return f"EMCC {visits.emcc:.2f} ({visits.rollouts:,} of {visits.of:,} rollouts)"
+def _draw(axis: Any, name: str, style: Style, at: NDArray, curve: Curve) -> None:
+    look = {"color": style.colour, "linestyle": style.dash}
+    axis.plot(at, curve.mean, linewidth=1.5, label=name, **look)
+    axis.fill_between(at, curve.low, curve.high, color=style.colour, alpha=0.15, linewidth=0)
+
+
+def _draw_thirds(axis: Any, style: Style, offset: float, curve: Curve) -> None:
+    """offset: of the group beside the others, in [-0.5, 0.5]."""
+    at = np.arange(len(curve.mean)) + 0.6 * offset
+    axis.vlines(at, curve.low, curve.high, color=style.colour, linewidth=1.5)
+    look = {"marker": style.marker, "color": style.colour}
+    axis.plot(at, curve.mean, linestyle="", markersize=5, **look)
+
+
+def _label(axes: Any, total_steps: int) -> None:
+    from matplotlib.ticker import EngFormatter
+
+    (returns, costs), (running, thirds) = axes
+    names = ("return of an episode", "cost of an episode", "EMCC, running", "EMCC of the thirds")
+    for axis, name in zip((returns, costs, running, thirds), names, strict=True):
+        axis.set_ylabel(name)
+        axis.spines[["top", "right"]].set_visible(False)
+        if axis is not thirds:
+            axis.set_xlabel("environment steps")
+            axis.set_xlim(0, total_steps)
+            axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+    for part in PARTS:
+        running.axvline(part * total_steps, color="grey", linestyle=":", linewidth=0.9)
+    for axis in (running, thirds):
+        axis.set_ylim(0, 1.02)
+    thirds.set_xticks(range(len(PARTS)), list(PARTS.values()))
+    thirds.set_xlabel("part of training")
+    thirds.set_xlim(-0.5, 2.5)
+
+
+def intervals_figure(groups: Sequence[Group], printed: Reference) -> Figure:
+    """Every measure of every run, with the mean and the interval of each algorithm.
+
+    A row of panels for each task, a column for each measure.
+    """
+    tasks, columns = by_task(groups), measures()
+    heights = [max(len(own), 5) for own in tasks.values()]  # the task's name stands beside
+    one_scale = all(task.rpartition(":")[2] in CIRCLE2D for task in tasks)
+    with drawing(8) as pyplot:
+        figure, axes = pyplot.subplots(
+            len(tasks),
+            len(columns),
+            figsize=(1.2 * len(columns) + 1.2, 0.22 * sum(heights) + 0.45 * len(tasks) + 0.7),
+            layout="constrained",
+            squeeze=False,
+            height_ratios=heights,
+            sharex="col" if one_scale else False,
+        )
+        for row, (task, own) in zip(axes, tasks.items(), strict=True):
+            drawn = list(zip(own, styles([group.config for group in own]), strict=True))
+            for axis, m in zip(row, columns, strict=True):
+                _draw_runs(axis, drawn, m, printed)
+                _frame(axis, len(own), m)
+            names = [name_of(group).replace(" (", "\n(") for group in own]
+            row[0].set_yticks(range(len(own)), names)
+            row[0].set_ylabel(task.removeprefix("circle2d_mj/"), fontweight="bold")
+        for axis, m in zip(axes[0], columns, strict=True):
+            axis.set_title(m.head.replace(" (", "\n("), fontsize=9)
+        content = svg_of(figure)
+    words = (
+        "A dot for each run. Black bar: mean over seeds, its line the 95 % t interval of five "
+        "seeds or more that end in one place; grey bar: interquartile mean; cross: the paper."
+    )
+    return Figure("intervals", "svg", content, "Every run", words)
+
+
+def _draw_runs(
+    axis: Any, drawn: Sequence[tuple[Group, Style]], m: Measure, printed: Reference
+) -> None:
+    """A row for each group. The bars and crosses of all rows are one artist each, for speed."""
+    means, middles, crosses = [], [], []
+    for place, (group, style) in enumerate(drawn):
+        values, mean = known(group.values(m.name)), group_mean(group, m.name)
+        if values is not None and mean is not None:
+            at = place + 0.3 * np.linspace(-1, 1, len(values)) * (len(values) > 1)
+            axis.plot(values, at, marker="o", markersize=3.5, color=style.colour, **DOT)
+            if mean.kind == "t":
+                axis.plot([mean.low, mean.high], [place, place], color=style.colour, linewidth=1.6)
+            means.append((mean.value, place))
+            middles.append((iqm(values), place))
+        reference = printed(group.task, group.config.algorithm)
+        if reference and m.name in reference.values:
+            crosses.append((reference.values[m.name], place))
+    looks = ("|", 11, "#999999"), ("|", 11, "black"), ("x", 5, "black")
+    for points, (marker, size, colour) in zip((middles, means, crosses), looks, strict=True):
+        if points:
+            look = {"marker": marker, "markersize": size, "color": colour, "linestyle": ""}
+            axis.plot(*np.array(points).T, **look)
+
+
+def _frame(axis: Any, rows: int, m: Measure) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    axis.set_ylim(rows - 0.5, -0.5)
+    axis.set_yticks([])
+    axis.grid(axis="x", color="#dddddd", linewidth=0.6)
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right", "left"]].set_visible(False)
+    axis.tick_params(labelsize=7, length=2)
+    axis.xaxis.set_major_locator(MaxNLocator(2))
+    across = {"transform": axis.get_yaxis_transform(), "color": "#eeeeee", "linewidth": 0.6}
+    axis.hlines(np.arange(1, rows) - 0.5, 0, 1, **across)
+    if m.stem == "EMCC":
+        axis.set_xlim(-0.03, 1.03)
+
+
+def rates_figure(groups: Sequence[Group]) -> Figure:
+    """Cost rate against EMCC, a dot for each run: a row for each task, a column for each third."""
+
+    def draw(axis: Any, runs: Sequence[Third], style: Style, group: Group) -> None:
+        points = np.array([(run.cost_rate, run.emcc) for run in runs])
+        look = {"marker": style.marker, "color": style.colour, "markersize": 5}
+        axis.plot(*points.T, label=name_of(group), **look, **DOT)
+
+    labels = ("cost rate of the third", f"EMCC (α = {ALPHA:g})")
+    words = (
+        "A marker for each run in a third of its training. Runs above each other have equal cost "
+        "rates and different EMCC."
+    )
+    content = _facets(groups, labels, draw)
+    return Figure("cost-rate-against-emcc", "svg", content, "Cost rate against EMCC", words)
+
+
+def profiles_figure(groups: Sequence[Group]) -> Figure:
+    """Share of rollouts whose MCC is above each threshold, by task and third."""
+
+    def draw(axis: Any, runs: Sequence[Third], style: Style, group: Group) -> None:
+        shares = np.array([profile(run.mcc, THRESHOLDS) for run in runs])
+        means = [mean_of(values.tolist(), group.one_place, SHARE) for values in shares.T]
+        look = {"color": style.colour, "linestyle": style.dash, "linewidth": 1.4}
+        axis.plot(THRESHOLDS, [mean.value for mean in means if mean], label=name_of(group), **look)
+        ends = [(mean.low, mean.high) for mean in means if mean and mean.low is not None]
+        if ends:
+            band = np.array(ends, dtype=float).T
+            axis.fill_between(THRESHOLDS, *band, color=style.colour, alpha=0.13, linewidth=0)
+
+    words = (
+        "Share of a third's rollouts whose MCC, the longest chain of cost steps over the episode's "
+        f"length, is above τ. Lines: mean over seeds; areas: {INTERVALS}. EMCC is the mean of the "
+        f"MCC right of where a run's line crosses {ALPHA:g} (dotted)."
+    )
+    content = _facets(groups, ("τ", "P(MCC > τ)"), draw, level=ALPHA)
+    return Figure("profiles", "svg", content, "Profiles of MCC", words)
+
+
+def _facets(
+    groups: Sequence[Group],
+    labels: tuple[str, str],
+    draw: Callable[[Any, Sequence[Third], Style, Group], None],
+    level: float | None = None,
+) -> bytes:
+    """Panels by task (rows) and third (columns), with one legend. level: of a dotted line."""
+    tasks = by_task(groups)
+    legend_columns, height = legend({name_of(group) for group in groups})
+    with drawing(9) as pyplot:
+        figure, axes = pyplot.subplots(
+            len(tasks),
+            len(PARTS),
+            figsize=(9.5, 2.1 * len(tasks) + 1.0 + height),
+            layout="constrained",
+            squeeze=False,
+            sharex=True,
+            sharey=True,
+        )
+        handles: dict[str, Any] = {}
+        for row, (task, own) in zip(axes, tasks.items(), strict=True):
+            for group, style in zip(own, styles([group.config for group in own]), strict=True):
+                for axis, runs in zip(row, thirds_of(group).values(), strict=True):
+                    draw(axis, runs, style, group)
+                    handles.setdefault(name_of(group), axis.lines[-1])
+            row[0].set_ylabel(f"{task.removeprefix('circle2d_mj/')}\n{labels[1]}")
+            for axis in row:
+                axis.spines[["top", "right"]].set_visible(False)
+                axis.grid(color="#e5e5e5", linewidth=0.6)
+                if level is not None:
+                    axis.axhline(level, color="#666666", linestyle=":", linewidth=1)
+        for axis, words in zip(axes[0], PARTS.values(), strict=True):
+            axis.set_title(f"{words} of training", fontsize=9)
+        for axis in axes[-1]:
+            axis.set_xlabel(labels[0])
+        axes[0][0].set_ylim(-0.03, 1.03)
+        below = {"loc": "outside lower center", "frameon": False, "handlelength": 3}
+        figure.legend(handles.values(), handles, ncols=legend_columns, **below)
+        return svg_of(figure)

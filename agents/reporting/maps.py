@@ -1,22 +1,171 @@
-"""Maps of runs: where agents were in training, and the paths of trained policies."""
+"""Maps of runs: heat of visited states in training, and the paths of trained policies.
+
+On the page the picture below and the one on top are there once for each task; what lies between is
+an image of a pixel for each cell, or an SVG path in thousandths of the picture's side.
+"""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
 
 from agents.errors import UserError
-from agents.paper.settings import in_order, name_of
-from agents.reporting.figures import visits_words
-from agents.reporting.scenes import STATES, Scene, Scenes, heat_png, paths
+from agents.results.frame import in_order, name_of
 from agents.results.measures import measure
-from agents.results.reading import DamagedSource, Group, Run
-from agents.results.steps import DRAWN, DRAWN_POLICIES, Episode
+from agents.results.reading import Group, Run
+from agents.training.derive import DRAWN_POLICIES, Episode, Visits
+from agents.training.environments import view_of
+from agents.training.evaluation import DRAWN
+from agents.training.files import DamagedFile
+from circle2d_mj.core.view import Extent, Picture, View
 from circle2d_mj.render import canvas
+from circle2d_mj.render.figure import figure
 from emcc.parts import ALPHA, PARTS
+
+SIZE = 360
+"""Pixels along the side of the pictures below and on top."""
+SIDE = 1000
+"""Side of a picture in the units of its paths."""
+STATES = 128
+"""States of an episode, at most, that are drawn: of a longer one every second, third, ... one."""
+SHADES = 31
+"""Colours of a heat map."""
+
+
+class Ground(NamedTuple):
+    """A task's view with its background, to draw on."""
+
+    view: View
+    background: Picture
+
+    def heatmap(self, visits: Visits, most: int) -> Picture:
+        """Visited states. most: visits of the last colour."""
+        return self.view.overlay(canvas.with_counts(self.background, visits.counts, most))
+
+    def trajectories(self, episodes: Sequence[Episode], boxed: bool) -> Picture:
+        """Episodes, a dot for each state. boxed: see `canvas.with_trajectories`."""
+        paths, costs = zip(*episodes, strict=True)
+        extent = self.view.extent
+        picture = canvas.with_trajectories(self.background, extent, paths, costs, boxed=boxed)
+        return self.view.overlay(picture)
+
+
+class Column(NamedTuple):
+    """Visited states of some runs, in several parts of training or on several tasks."""
+
+    title: str
+    views: Sequence[View]
+    """The task's view for each part."""
+    parts: Sequence[Visits]
+
+
+def heat_figure(columns: Sequence[Column], titles: Sequence[str], size: int) -> Picture:
+    """Heat maps with one scale: those of a single column side by side, else a row for each part.
+
+    titles: of the parts; size: pixels along the side of each map.
+    """
+    most = canvas.most_visits([part.counts for column in columns for part in column.parts])
+    pictures = [
+        [
+            Ground(view, view.background(size)).heatmap(part, most)
+            for view, part in zip(column.views, column.parts, strict=True)
+        ]
+        for column in columns
+    ]
+    captions = [[visits_words(part) for part in column.parts] for column in columns]
+    names = [column.title for column in columns]
+    if len(columns) == 1:
+        return figure(pictures, titles, title=names[0], captions=captions, most_visits=most)
+    return figure(
+        list(zip(*pictures, strict=True)),
+        names,
+        row_titles=titles,
+        captions=list(zip(*captions, strict=True)),
+        most_visits=most,
+    )
+
+
+def visits_words(visits: Visits) -> str:
+    """The line below a heat map."""
+    return f"EMCC {visits.emcc:.2f} ({visits.rollouts:,} of {visits.of:,} rollouts)"
+
+
+def png(picture: Picture) -> bytes:
+    """The picture as a PNG, as small as can be without loss."""
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "PNG", optimize=True)
+    return file.getvalue()
+
+
+def heat_png(counts: NDArray[np.int64], most: int) -> bytes:
+    """The heat of visits, a pixel for each cell; cells without a visit are transparent.
+
+    counts: [cells, cells]; most: see `canvas.with_counts`.
+    """
+    shade = 1 + np.round(canvas.heat_share(counts, most) * (SHADES - 1))
+    image = Image.fromarray(np.where(counts > 0, shade, 0).astype(np.uint8), "P")
+    colours = canvas.heat_colours(np.linspace(0.0, 1.0, SHADES))
+    image.putpalette([0, 0, 0, *colours.ravel().tolist()])
+    file = io.BytesIO()
+    image.save(file, "PNG", optimize=True, transparency=0)
+    return file.getvalue()
+
+
+class Scene(NamedTuple):
+    """The part that all pictures of one task share."""
+
+    number: int
+    """Its place among the page's."""
+    extent: Extent
+    """Left, right, bottom and top in the view's unit."""
+    below: bytes
+    """PNG."""
+    above: bytes
+    """PNG with transparency."""
+
+
+class Scenes:
+    """The scenes of tasks, each made when it is first asked for."""
+
+    def __init__(self) -> None:
+        self._made: dict[str, Scene | None] = {}
+
+    def get(self, group: Group, notes: list[str]) -> Scene | None:
+        """The scene of the task of some runs; None of a task without a view, and of one that cannot
+        be made, which goes into the notes."""
+        task, parameters = group.task, group.config.task_parameters
+        key = repr((task, parameters))
+        if key not in self._made:
+            self._made[key] = None
+            try:
+                view = view_of(task, parameters)
+            except UserError as error:
+                notes.append(f"no pictures of {task}: {error}")
+            else:
+                self._made[key] = None if view is None else _scene(len(self.all), view)
+        return self._made[key]
+
+    @property
+    def all(self) -> list[Scene]:
+        """Those that were asked for, by number."""
+        return [scene for scene in self._made.values() if scene]
+
+
+def _scene(number: int, view: View) -> Scene:
+    # What lies on top covers light and dark alike, so their difference tells how much it covers.
+    light, dark = (
+        view.overlay(np.full((SIZE, SIZE, 3), shade, np.uint8)).astype(np.float64)
+        for shade in (255, 0)
+    )
+    cover = 1.0 - np.clip(light - dark, 0, 255).mean(axis=-1, keepdims=True) / 255
+    colour = np.clip(dark / np.maximum(cover, 1 / 255), 0, 255)
+    above = np.concatenate((colour, 255 * cover), axis=-1).round().astype(np.uint8)
+    return Scene(number, view.extent, png(view.background(SIZE)), png(above))
 
 
 class Map(NamedTuple):
@@ -24,12 +173,12 @@ class Map(NamedTuple):
 
     scene: Scene
     words: str
-    """Below it."""
+    """The line below it."""
     heat: bytes = b""
-    """See `scenes.heat_png`."""
+    """PNG of `heat_png`."""
     way: str = ""
     costs: str = ""
-    """See `scenes.paths`."""
+    """SVG paths of `paths`."""
 
 
 class Maps(NamedTuple):
@@ -50,11 +199,10 @@ def maps(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> list[Maps
 
     groups: its runs. What cannot be drawn goes into the notes.
     """
-    seen = [
-        (g, scene) for g in in_order(groups) if g.runs and (scene := scenes.of(g.config, notes))
-    ]
-    found = [_visited(seen, notes), _trained(seen, notes)]
-    return [_turned(shown) if len(shown.columns) == 1 else shown for shown in found if shown]
+    complete = [group for group in in_order(groups) if group.runs]
+    seen = [(g, scene) for g in complete if (scene := scenes.get(g, notes))]
+    drawn = [_visited(seen, notes), _trained(seen, notes)]
+    return [_turned(shown) if len(shown.columns) == 1 else shown for shown in drawn if shown]
 
 
 def _turned(shown: Maps) -> Maps:
@@ -70,13 +218,13 @@ def _visited(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     for group, scene in seen:
         try:
             parts = group.visits()
-        except DamagedSource:
+        except DamagedFile:
             raise
         except UserError as error:
             notes.append(f"no heat map of {group.title}: {error}")
             continue
         names.append(name_of(group))
-        columns.append([(scene, visits_words(of), _coarser(of.counts)) for of in parts])
+        columns.append([(scene, visits_words(part), _coarser(part.counts)) for part in parts])
     if not columns:
         return None
     most = canvas.most_visits([counts for column in columns for *_, counts in column])
@@ -86,9 +234,8 @@ def _visited(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     ]
     words = (
         "States visited in the rollouts that dominate EMCC in each third of training (the share "
-        f"α = {ALPHA:g} with the highest MCC, and all that equal the last of them), of all seeds "
-        "together. One scale for all maps; its darkest colour stands for as many visits as "
-        f"{100 * canvas.QUANTILE:.0f} % of the visited cells do not exceed. EMCC: mean over seeds."
+        f"α = {ALPHA:g} with the highest MCC), all seeds together, on one scale. EMCC: mean over "
+        "seeds."
     )
     rows = [f"{part} of training" for part in PARTS.values()]
     return Maps("Visited states", words, names, rows, cells, most)
@@ -108,7 +255,7 @@ def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
         runs = group.runs[:DRAWN_POLICIES]
         try:
             played = group.trained([run.seed for run in runs])
-        except DamagedSource:
+        except DamagedFile:
             raise
         except UserError as error:
             notes.append(f"no trajectories of {group.title}: {error}")
@@ -121,9 +268,8 @@ def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     rows = zip(*(column + [""] * (most - len(column)) for column in columns), strict=True)
     words = (
         f"The first {DRAWN} episodes of each trained policy's evaluation (deterministic): a dot "
-        "for each state, an orange square where the step there cost. Of episodes above "
-        f"{STATES} steps every second, third, ... state is drawn. J_R, J_C: return and cost of an "
-        "episode, means of the whole evaluation."
+        f"for each state (of more than {STATES}, every second, third, ...), an orange square where "
+        "the step there cost. J_R, J_C: means of the whole evaluation."
     )
     heads = [f"run {k + 1}" for k in range(most)]
     return Maps("Trained policies", words, names, heads, list(rows))
@@ -132,8 +278,46 @@ def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
 def _map(run: Run, episodes: Sequence[Episode] | None, scene: Scene) -> Map | str:
     """The episodes of a run's policy; words for one that diverged."""
     named = [(measure(name), run.measures[name]) for name in ("J_R", "J_C")]
-    words = ", ".join(f"{of.title} {value:.1f}" for of, value in named if value is not None)
+    words = ", ".join(f"{m.title} {value:.1f}" for m, value in named if value is not None)
     if episodes is None:
         return f"seed {run.seed}: {words}; its numbers are not finite"
-    way, costs = paths(scene, episodes)
+    way, costs = paths(scene.extent, episodes)
     return Map(scene, f"seed {run.seed}: {words}", way=way, costs=costs)
+
+
+def shown_states(steps: int) -> NDArray[np.int64]:
+    """The states of an episode that are drawn: all of `STATES` or fewer, else every k-th, and the
+    last.
+
+    The page's script has the same rule.
+    """
+    every = -(-steps // STATES)
+    return np.append(np.arange(0, steps - 1, every), steps - 1)
+
+
+def paths(extent: Extent, episodes: Sequence[Episode]) -> tuple[str, str]:
+    """SVG paths of episodes: their lines, a drawn state at each point; and a point for each drawn
+    state that cost, or stands for one that did.
+
+    A step's cost is that of the state it ends in.
+    """
+    ways, costly = [], []
+    for positions, costs in episodes:
+        at = shown_states(len(positions))
+        points = _units(extent, positions[at])
+        ways.append(f"M{_line(points)}")
+        # The start has no cost; the steps between two drawn states count for the later one.
+        cost = np.concatenate((np.zeros(len(positions) - len(costs)), costs)) > 0
+        cost = np.logical_or.reduceat(cost, np.concatenate(([0], at[:-1] + 1)))
+        costly += [f"M{x} {y}h0" for x, y in points[cost].tolist()]
+    return "".join(ways), "".join(costly)
+
+
+def _units(extent: Extent, positions: ArrayLike) -> NDArray[np.int64]:
+    return np.round(canvas.pixels(extent, positions, SIDE)).astype(np.int64)
+
+
+def _line(points: NDArray[np.int64]) -> str:
+    """Points as a path relative from one to the next, which takes half the letters."""
+    (x, y), *steps = [points[0].tolist(), *np.diff(points, axis=0).tolist()]
+    return f"{x} {y}l" + " ".join(f"{dx} {dy}" for dx, dy in steps) if steps else f"{x} {y}h0"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -13,12 +14,8 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from agents.paper.claims import Checked
-from agents.reporting import claims_text
 from agents.reporting.figures import Figure
-from agents.reporting.maps import Map, Maps
-from agents.reporting.replay import replay_json
-from agents.reporting.scenes import SIDE, Scene
+from agents.reporting.maps import SIDE, Map, Maps, Scene
 from agents.reporting.table import Number, Table
 from circle2d_mj.render import canvas
 
@@ -27,21 +24,57 @@ URL = " !$()*+,-./:;=?@[]^_`{|}~'"
 MEDIA = {"png": "image/png", "svg": "image/svg+xml"}
 
 
+class Otherwise(NamedTuple):
+    """The verdict on a statement with other runs."""
+
+    choice: str
+    verdict: str
+    findings: Sequence[tuple[str, str]]
+    """Words and verdicts of the parts that it changes."""
+
+
+class Statement(NamedTuple):
+    """A statement and the verdict that runs give."""
+
+    text: str
+    verdict: str
+    rule: str
+    findings: Sequence[tuple[str, str]]
+    """Words and verdict of each part."""
+    otherwise: Sequence[Otherwise] = ()
+
+
 class Section(NamedTuple):
-    """A part of the page: a task with its table, figures and maps, the claims, or the replay."""
+    """A part of the page: a task with its table, figures and maps, statements, or the replay."""
 
     title: str
     table: Table | None = None
     figures: Sequence[Figure] = ()
-    claims: Sequence[Checked] = ()
+    statements: Sequence[Statement] = ()
+    method: str = ""
+    """How the statements are decided."""
     maps: Sequence[Maps] = ()
     replay: Mapping[str, Any] | None = None
-    """See `replay.replay_data`."""
+    """Data of `replay.replay_data`."""
 
     @property
     def anchor(self) -> str:
         """The target of links to it. Titles differ in more than punctuation."""
         return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
+
+    def statements_markdown(self) -> str:
+        """The statements, each below a heading."""
+        lines = [f"## {self.title}", "", self.method, ""]
+        for number, (text, verdict, rule, findings, otherwise) in enumerate(self.statements, 1):
+            lines += [f"### {number}. {text} **{verdict.capitalize()}**", "", f"Rule: {rule}", ""]
+            lines += _listed(findings)
+            for other in otherwise:
+                lines += [f"With {other.choice}: {other.verdict}", "", *_listed(other.findings)]
+        return "\n".join(lines)
+
+
+def _listed(findings: Sequence[tuple[str, str]]) -> list[str]:
+    return [*(f"- {words}: {verdict}" for words, verdict in findings), ""]
 
 
 def page(
@@ -80,20 +113,21 @@ def _template() -> Template:
     )
     environment.filters["embedded"] = _embedded
     environment.filters["png"] = lambda content: _data(MEDIA["png"], content)
-    environment.filters["finding"] = claims_text.finding_words
-    environment.filters["json"] = replay_json
+    environment.filters["json"] = script_json
     environment.tests["number"] = lambda cell: isinstance(cell, Number)
     environment.tests["map"] = lambda cell: isinstance(cell, Map)
+    colours = {"line": canvas.LINE, "dot": canvas.DOT, "cost": canvas.BOX}
     environment.globals.update(
-        method=claims_text.METHOD,
         side=SIDE,
         heat=_gradient(),
-        colours={
-            name: f"rgb{colour}"
-            for name, colour in (("line", canvas.LINE), ("dot", canvas.DOT), ("cost", canvas.BOX))
-        },
+        colours={name: f"rgb{colour}" for name, colour in colours.items()},
     )
     return environment.get_template("page.html")
+
+
+def script_json(data: Mapping[str, Any]) -> str:
+    """JSON that can stand in a script element."""
+    return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _embedded(figure: Figure) -> str:
@@ -107,8 +141,8 @@ def _embedded(figure: Figure) -> str:
 def _shorter(svg: bytes) -> bytes:
     """The drawing with its paths' coordinates, in points, to a tenth: a third of the letters go."""
 
-    def path(found: re.Match[bytes]) -> bytes:
-        tenths = re.sub(rb"(\.\d)\d+", rb"\1", found[0])
+    def path(match: re.Match[bytes]) -> bytes:
+        tenths = re.sub(rb"(\.\d)\d+", rb"\1", match[0])
         return re.sub(rb"\s*([A-Zz])\s*", rb"\1", tenths)
 
     svg = re.sub(rb'(?<= d=")[^"]*', path, svg)

@@ -1,27 +1,47 @@
-"""Pictures of runs on demand: heat maps of training, episodes of trained policies."""
+"""Pictures and films on demand, and their files: heat of training, episodes of trained policies."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import contextlib
+import io
+import os
+import secrets
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageOps
 
 from agents.errors import UserError
-from agents.paper.settings import title_of
-from agents.reporting.figures import Ground, visits_words
-from agents.results.frames import Filmed, film_trained
-from agents.results.steps import Episode, Visits, count_visits, play_trained, require_view
-from agents.training.config import FAILURE, TrainConfig, run_folder
+from agents.lockstep.rollout import Rollout
+from agents.reporting.frames import Filmed, film_episodes
+from agents.reporting.maps import Column, Ground, heat_figure
+from agents.results.frame import title_of
+from agents.results.reading import results_of, run_records
+from agents.training.config import RunId, TrainConfig
+from agents.training.derive import Episode, Steps, count_visits
 from agents.training.environments import view_of
-from agents.training.loop import EVALUATION_EPISODES
+from agents.training.evaluation import EPISODES, paths_of, play, runs_envs
+from agents.training.files import write_whole
+from agents.training.policy import chosen_run, load_policy
 from circle2d_mj.core.view import Picture, View
 from circle2d_mj.render import canvas
 from circle2d_mj.render.figure import figure
-from emcc import EpisodeRecords
+from emcc import longest_streak
 from emcc.parts import PARTS
 
 SIZE = 640
+"""Pixels along the side of a map."""
+AGENT = (200, 30, 30)
+"""Colour of the agent."""
+HELD = 8
+"""Pictures for which an episode's last one stays."""
+FRAMES_A_SECOND = 10
+"""A step of the task takes 0.1 s."""
 
 
 def heatmap(
@@ -31,105 +51,230 @@ def heatmap(
     size: int = SIZE,
     seeds: tuple[int, ...] | None = None,
     names: Sequence[str | None] | None = None,
+    task: str | None = None,
 ) -> Picture:
     """Heat maps of parts of training: [height, width, 3].
 
     folders: each of runs of one algorithm, of which those of the seeds (by default all that have
     not failed) are taken together. The parts of a single folder stand side by side; several folders
     are the columns, the parts the rows, with one scale for all. parts and alpha: see
-    `steps.count_visits`; size: pixels along the side of each map. names: titles of the folders; by
-    default the algorithm, its settings and the task, and the seeds where they are not all. Raises
-    UserError for a folder without positions, or of another seed.
+    `derive.count_visits`; size: pixels along the side of each map. names: titles of the folders; by
+    default the algorithm, its settings and the task, and the seeds where they are not all. task:
+    where a folder has several. Raises UserError for a folder without positions, or another seed.
     """
     names = names or [None] * len(folders)
     columns = [
-        _maps_of(folder, parts, alpha, seeds, name)
+        _column(folder, parts, alpha, seeds, name, task)
         for folder, name in zip(folders, names, strict=True)
     ]
-    most = canvas.most_visits([part.counts for column in columns for part in column.parts])
-    grounds = [Ground(column.view, column.view.background(size)) for column in columns]
-    pictures = [
-        [ground.heatmap(part, most) for part in column.parts]
-        for column, ground in zip(columns, grounds, strict=True)
-    ]
-    captions = [[visits_words(part) for part in column.parts] for column in columns]
-    thirds, titles = [f"{PARTS[part]} of training" for part in parts], [of.title for of in columns]
-    if len(columns) == 1:
-        return figure(pictures, thirds, title=titles[0], captions=captions, most_visits=most)
-    return figure(
-        list(zip(*pictures, strict=True)),
-        titles,
-        row_titles=thirds,
-        captions=list(zip(*captions, strict=True)),
-        most_visits=most,
-    )
+    return heat_figure(columns, [f"{PARTS[part]} of training" for part in parts], size)
 
 
-class _MapsOf(NamedTuple):
-    """A folder's title, view, and visits in each part."""
-
-    title: str
-    view: View
-    parts: list[Visits]
-
-
-def _maps_of(
+def _column(
     folder: Path,
     parts: Sequence[float],
     alpha: float,
     seeds: tuple[int, ...] | None,
     name: str | None,
-) -> _MapsOf:
+    task: str | None,
+) -> Column:
     config = TrainConfig.read(folder)
-    view = require_view(config)
-    everyone, config = config.seeds, _of_seeds(folder, config, seeds)
-    records = [_records(run_folder(folder, seed)) for seed in config.seeds]
-    heading = name or f"{title_of(config)} on {config.task}"
-    if name is None and set(config.seeds) != set(everyone):
-        heading += f" (seeds: {', '.join(map(str, config.seeds))})"
-    return _MapsOf(heading, view, count_visits(folder, config, records, parts, alpha, view))
-
-
-def _records(folder: Path) -> EpisodeRecords:
-    try:
-        return EpisodeRecords.load(folder / "episodes.csv")
-    except FileNotFoundError:
-        raise UserError(f"{folder} has no records yet: no checkpoint was reached") from None
-    except (OSError, ValueError) as error:
-        raise UserError(str(error)) from None
-
-
-def _of_seeds(folder: Path, config: TrainConfig, seeds: tuple[int, ...] | None) -> TrainConfig:
+    task = chosen_run(folder, config, config.seeds[0], task).task
+    view, arrays, steps = _view(config, task), results_of(folder, config), Steps(folder)
     if seeds is None:
-        failed = [(run_folder(folder, seed) / FAILURE).exists() for seed in config.seeds]
-        seeds = tuple(seed for seed, f in zip(config.seeds, failed, strict=True) if not f)
-        if not seeds:
-            raise UserError(f"no heat map: all runs of {folder} have failed")
+        ids = {seed: RunId(task, seed) for seed in config.seeds}
+        seeds = tuple(seed for seed, run in ids.items() if run.prefix + "failure" not in arrays)
     if not seeds or not set(seeds) <= set(config.seeds):
-        raise UserError(f"seeds must be some of {list(config.seeds)}, got {list(seeds)}")
-    return replace(config, seeds=seeds)
+        raise UserError(f"seeds must be some of {list(config.seeds)} not failed, got {list(seeds)}")
+    runs = []
+    for run in (RunId(task, seed) for seed in seeds):
+        positions = steps.get(run, "positions")
+        if positions is None:
+            raise UserError(f"{folder} has no positions of {run}")
+        runs.append((run_records(arrays, run, config.costs[0]), positions))
+    heading = name or f"{title_of(config, task)} on {task}"
+    if name is None and set(seeds) != set(config.seeds):
+        heading += f" (seeds: {', '.join(map(str, seeds))})"
+    visits = count_visits(view, runs, config.steps, parts, alpha)
+    return Column(heading, [view] * len(parts), visits)
+
+
+def _view(config: TrainConfig, task: str) -> View:
+    view = view_of(task, config.task_parameters)
+    if view is None:
+        raise UserError(f"task {task!r} has no positions to draw: it offers no view")
+    return view
 
 
 def evaluation_episodes(
-    folder: Path, seed: int | None, episodes: int, noisy: bool
+    folder: Path, run: RunId, episodes: int, noisy: bool
 ) -> tuple[list[Episode] | list[Filmed], View | None]:
-    """The first episodes of the evaluation of one run, and the view of their task.
+    """The first episodes of the evaluation of one run, and the view of its task.
 
-    Without a view the episodes are the task's own frames. seed: of the run, the folder's first by
-    default; noisy: of the stochastic policy. Raises UserError for a seed that the folder has not,
-    or a task without view and frames.
+    Without a view the episodes are the task's own frames. noisy: of the stochastic policy. Raises
+    UserError for a task without view and frames, and a policy that is not finite.
     """
     config = TrainConfig.read(folder)
-    seed = config.seeds[0] if seed is None else seed
-    if seed not in config.seeds:
-        raise UserError(f"{folder} has no run of seed {seed}: its seeds are {list(config.seeds)}")
-    if not 1 <= episodes <= EVALUATION_EPISODES:
-        raise UserError(f"episodes must be in [1, {EVALUATION_EPISODES}], got {episodes}")
-    view = view_of(config.task, config.task_parameters)
+    if not 1 <= episodes <= EPISODES:
+        raise UserError(f"episodes must be in [1, {EPISODES}], got {episodes}")
+    alone = replace(config, tasks=(run.task,), seeds=(run.seed,))
+    policy = load_policy(folder, run.seed, task=run.task).in_lockstep
+    view = view_of(run.task, config.task_parameters)
+
+    def played(envs: VectorEnv) -> Rollout:
+        rollout = play(envs, alone, policy, EPISODES, 0, episodes, np.ones(1, bool), noisy)
+        if rollout.diverged.any():
+            raise UserError(f"the policy of {run} gives numbers that are not finite")
+        return rollout
+
     if view is None:
-        found = film_trained(folder, config, seed, episodes, noisy)
+        return film_episodes(alone, episodes, played), None
+    with contextlib.closing(runs_envs(alone, episodes)) as envs:
+        [paths] = paths_of(envs, played(envs), 1, episodes)
+    return [Episode(positions, costs) for positions, costs in paths], view
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Episodes of one policy, in the order in which a film shows them."""
+
+    title: str
+    view: View | None
+    """None for episodes that the task itself draws."""
+    episodes: Sequence[Episode | Filmed]
+
+
+def picture(panels: Sequence[Panel], size: int) -> Picture:
+    """All episodes of each panel in one picture, chains of cost steps boxed: [height, width, 3].
+
+    size: pixels along each side of a panel. Raises UserError for a panel without a view.
+    """
+    drawn = []
+    for panel in panels:
+        if panel.view is None:
+            raise UserError(
+                f"the task of {panel.title!r} offers no view to draw whole episodes on: give --out "
+                "a film, .gif or .mp4"
+            )
+        episodes = [episode for episode in panel.episodes if isinstance(episode, Episode)]
+        ground = Ground(panel.view, panel.view.background(size))
+        drawn.append(ground.trajectories(episodes, True))
+    captions = [[f"mean cost {np.mean([e.costs.sum() for e in p.episodes]):.1f}" for p in panels]]
+    return figure([drawn], [panel.title for panel in panels], captions=captions)
+
+
+def film(panels: Sequence[Panel], size: int) -> Iterator[Picture]:
+    """The episodes one after another, those of all panels at once: [height, width, 3] for each
+    state, with the way that led there. An episode that is over waits for the others.
+
+    size: pixels along each side of a panel; height and width are even, as video needs them.
+    """
+    grounds = [Ground(p.view, p.view.background(size)) if p.view else None for p in panels]
+    for number, episodes in enumerate(zip(*(p.episodes for p in panels), strict=True), 1):
+        for step in range(_length(episodes)):
+            shown = [min(step, len(episode.costs)) for episode in episodes]
+            drawn = [
+                _state(ground, episode, k, size)
+                for ground, episode, k in zip(grounds, episodes, shown, strict=True)
+            ]
+            words = [_words(number, e, k) for e, k in zip(episodes, shown, strict=True)]
+            yield _even(figure([drawn], [panel.title for panel in panels], captions=[words]))
+
+
+def few_colours(pictures: Iterator[Picture]) -> Iterator[Picture]:
+    """The pictures of a film in the colours that a GIF holds well: it is then half as large."""
+    for shown in pictures:
+        few = Image.fromarray(shown).quantize(64, dither=Image.Dither.NONE)
+        yield np.asarray(few.convert("RGB"))
+
+
+def pictures_of(panels: Sequence[Panel]) -> int:
+    """Number of pictures of a film."""
+    return sum(map(_length, zip(*(panel.episodes for panel in panels), strict=True)))
+
+
+def _length(episodes: Sequence[Episode | Filmed]) -> int:
+    """Pictures of episodes that are shown at once."""
+    return max(len(episode.costs) for episode in episodes) + 1 + HELD
+
+
+def _words(number: int, episode: Episode | Filmed, steps: int) -> str:
+    """Number, step, cost and longest streak of an episode after some steps."""
+    costs = episode.costs[:steps]
+    streak = longest_streak(costs) if steps else 0
+    return f"episode {number}, step {steps}: cost {costs.sum():g}, longest streak {streak}"
+
+
+def _state(ground: Ground | None, episode: Episode | Filmed, steps: int, size: int) -> Picture:
+    """The task after some steps of an episode: the way there, and a disc where the agent is; or the
+    task's own frame in the middle of the panel."""
+    if isinstance(episode, Filmed):
+        with Image.open(io.BytesIO(episode.frames[steps])) as frame:
+            return np.asarray(ImageOps.pad(frame, (size, size), color=(255, 255, 255)))
+    assert ground is not None
+    view, path = ground.view, episode.positions
+    way, costs = path[: steps + 1], episode.costs[:steps]
+    painted = canvas.with_trajectories(ground.background, view.extent, [way], [costs])
+    return _with_agent(view.overlay(painted), view, path[steps])
+
+
+def _with_agent(picture: Picture, view: View, position: NDArray[np.floating]) -> Picture:
+    """The picture with a disc where the agent is."""
+    image, radius = Image.fromarray(picture), max(len(picture) / 60, 2.5)
+    column, row = canvas.pixels(view.extent, position, len(picture))
+    corners = (column - radius, row - radius, column + radius, row + radius)
+    ImageDraw.Draw(image).ellipse(corners, fill=AGENT, outline=(255, 255, 255))
+    return np.asarray(image)
+
+
+def _even(picture: Picture) -> Picture:
+    """The picture without its last row and column where their number is odd."""
+    height, width, _ = picture.shape
+    return picture[: height - height % 2, : width - width % 2]
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write an image file, whole or not at all."""
+    import imageio.v3 as imageio
+
+    _prepare(path)
+    write_whole(path, imageio.imwrite("<bytes>", picture, extension=path.suffix))
+
+
+def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:
+    """Write `total` frames into a .gif or .mp4 file, whole or not at all, showing progress."""
+    _prepare(path)
+    from rich.console import Console
+    from rich.progress import track
+
+    shown = track(frames, "drawing", total, console=Console(stderr=True), transient=True)
+    if path.suffix.lower() == ".gif":
+        import imageio.v3 as imageio
+
+        pictures = np.array(list(shown))
+        timing: dict[str, Any] = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0}
+        write_whole(path, imageio.imwrite("<bytes>", pictures, extension=".gif", **timing))
     else:
-        found = play_trained(folder, config, [seed], episodes, noisy, view)[seed]
-    if found is None:
-        raise UserError(f"the policy of seed {seed} gives numbers that are not finite")
-    return found, view
+        _write_stream(path, shown)
+
+
+def _write_stream(path: Path, frames: Iterable[Picture]) -> None:
+    """Write a file frame by frame."""
+    import imageio.v2 as imageio
+
+    temporary = path.with_name(f".{secrets.token_hex(8)}.{path.name}")
+    try:
+        # Blocks of two pixels: sizes are even, and would be changed to multiples of 16 otherwise.
+        writer: Any = imageio.get_writer(temporary, fps=FRAMES_A_SECOND, macro_block_size=2)
+        with writer:
+            for frame in frames:
+                writer.append_data(frame)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _prepare(path: Path) -> None:
+    if path.is_dir():
+        raise UserError(f"{path} is a folder; a file is to be written")
+    path.parent.mkdir(parents=True, exist_ok=True)

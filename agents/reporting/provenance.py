@@ -7,12 +7,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
-from agents.algorithms import BUILT_IN, title
-from agents.paper.settings import hyperparameter_changes, in_order, title_of
+from agents.algorithms import title
+from agents.results.frame import hyperparameter_changes, in_order, title_of
 from agents.results.reading import Group
+from agents.training.callbacks import duration
+from agents.training.callbacks import sessions as sessions_of
 from agents.training.config import TrainConfig
-from agents.training.machine import commit, sessions_of
-from agents.training.status import duration
+from agents.training.machine import commit
 
 
 def made(groups: Sequence[Group]) -> dict[str, str]:
@@ -21,46 +22,45 @@ def made(groups: Sequence[Group]) -> dict[str, str]:
     program: this one, with its commit; command: a line for each folder. Versions, machine and
     training time are those that the run folders hold, and left out where there are none.
     """
-    groups = [part for group in groups for part in group.parts]
-    sessions = [of for group in groups for of in sessions_of(dict(group.recorded))]
+    parts = [*{part.folder: part for group in groups for part in group.parts}.values()]
+    by_part = [sessions_of(part.path) for part in parts]
+    sessions = {name: one for each in by_part for name, one in each.items()}
     versions = {
-        f"{name} {version}" for of in sessions for name, version in (of["versions"] or {}).items()
+        f"{name} {number}"
+        for session in sessions.values()
+        for name, number in (session.get("versions") or {}).items()
     }
     machines = {
-        f"{of['machine']['processor']}, {of['machine']['cores']} cores"
-        for of in sessions
-        if of["machine"]
+        f"{session['machine']['processor']}, {session['machine']['cores']} cores"
+        for session in sessions.values()
+        if session.get("machine")
     }
-    found = {
+    timed = sum(map(bool, by_part))
+    few = "" if timed == len(parts) else f", of {timed} of {len(parts)} folders"
+    seconds = sum(float(session.get("seconds") or 0.0) for session in sessions.values())
+    facts = {
         "program": program(),
-        "command": "\n".join(
-            command(group.config, group.title, group.recorded) for group in groups
-        ),
+        "command": "\n".join(command(p.config, p.title, p.recorded) for p in parts),
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
-        "training time": _training_time([group.sessions() for group in groups]),
+        "training time": f"{duration(seconds)}, all processes together{few}" if timed else "",
         "runs": str(sum(len(group.runs) for group in groups)),
         "seeds": _list(seed for group in groups for seed in group.config.seeds),
         "steps": _list(group.config.steps for group in groups),
     }
-    return {name: text for name, text in found.items() if text}
+    return {name: text for name, text in facts.items() if text}
 
 
 def program() -> str:
     """Name, version and, where it is known, commit."""
     words = f"circle2d-mj {version('circle2d-mj')}"
-    return f"{words}, commit {found}" if (found := commit()) else words
-
-
-def name_of_all(groups: Sequence[Group]) -> str:
-    """The name of the folder that holds all groups: the first part of every title."""
-    return groups[0].title.partition(" + ")[0].partition("/")[0]
+    return f"{words}, commit {known}" if (known := commit()) else words
 
 
 def heading(groups: Sequence[Group]) -> str:
     """A title that names the runs: their algorithms and tasks."""
     names = list(dict.fromkeys(title(group.config.algorithm) for group in in_order(groups)))
-    tasks = list(dict.fromkeys(group.config.task for group in groups))
+    tasks = list(dict.fromkeys(group.task for group in groups))
     return f"{_few(names, 'algorithms')} on {_few(tasks, 'tasks')}"
 
 
@@ -68,10 +68,10 @@ def summary(groups: Sequence[Group]) -> str:
     """One line on the runs: how many, on how many tasks, for how long."""
     configs = [group.config for group in groups]
     names = {config.algorithm for config in configs}
-    settings = {title_of(config) for config in configs}
+    settings = {title_of(group.config, group.task) for group in groups}
     parts = [
         _count(sum(len(group.runs) for group in groups), "run"),
-        _count(len({config.task for config in configs}), "task"),
+        _count(len({group.task for group in groups}), "task"),
         _count(len(names), "algorithm"),
         *([f"{len(settings)} settings"] if len(settings) > len(names) else []),
         f"seeds {_seeds({seed for config in configs for seed in config.seeds})}",
@@ -101,32 +101,21 @@ def _count(number: int, name: str) -> str:
 def command(config: TrainConfig, out: str, recorded: Mapping[str, Any]) -> str:
     """The command that trains some runs, with everything that decides their numbers.
 
-    recorded: their `config.json`, which has the modules that register algorithm and task.
+    recorded: their `config.json`, which has the modules that register algorithm and tasks.
     """
-    modules = [] if config.algorithm in BUILT_IN else [recorded.get("algorithm_module")]
-    modules += [] if ":" in config.task else [recorded.get("task_module")]
-    imports = [f"--import {of}" for of in dict.fromkeys(modules) if of and of != "__main__"]
-    options = {"algorithm": config.algorithm, "task": config.task, "seeds": config.seeds}
-    options |= {"steps": config.steps} | hyperparameter_changes(config)
+    modules = [name for name in recorded.get("modules") or () if name != "__main__"]
+    modules = [name for name in modules if not any(t.startswith(f"{name}:") for t in config.tasks)]
+    imports = [f"--import {name}" for name in modules]
+    options: dict[str, Any] = {"task": config.tasks, "seeds": config.seeds, "steps": config.steps}
+    options |= hyperparameter_changes(config, config.tasks[0])
     if config.task_parameters:
         pairs = (part for pair in config.task_parameters.items() for part in pair)
         options["task_parameters"] = tuple(pairs)
     options |= {"backend": config.backend}  # without it the machine decides
-    for name, usual in (("vectorization", "auto"), ("device", "cpu")):
-        if getattr(config, name) != usual:
-            options[name] = getattr(config, name)
+    usual = {"costs": ("cost",), "vectorization": "auto", "device": "cpu"}
+    options |= {k: getattr(config, k) for k, v in usual.items() if getattr(config, k) != v}
     typed = (f"--{k.replace('_', '-')} {_typed(v)}" for k, v in (options | {"out": out}).items())
-    return " ".join(["circle2d train", *imports, *typed])
-
-
-def _training_time(sessions: Sequence[Mapping[str, float]]) -> str:
-    """Of all processes that trained. One that trained several folders counts once."""
-    timed = [of_folder for of_folder in sessions if of_folder]
-    if not timed:
-        return ""
-    seconds = {process: took for of_folder in timed for process, took in of_folder.items()}
-    of = "" if len(timed) == len(sessions) else f", of {len(timed)} of {len(sessions)} folders"
-    return f"{duration(sum(seconds.values()))}, all processes together{of}"
+    return " ".join(["circle2d train", config.algorithm, *imports, *typed])
 
 
 def _typed(value: Any) -> str:

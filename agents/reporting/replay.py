@@ -8,7 +8,6 @@ digits; all else is exact. The page's script, `templates/replay.js`, reads it.
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,15 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import UserError
-from agents.paper.settings import in_order, name_of
-from agents.reporting.curves import emcc_along
-from agents.reporting.scenes import STATES, Scenes, shown_states
-from agents.results.reading import DamagedSource, Group, Run
-from agents.results.steps import LAST, WINDOWS, Replay
+from agents.reporting.figures import emcc_along
+from agents.reporting.maps import STATES, Scenes, shown_states
+from agents.results.frame import in_order, name_of
+from agents.results.reading import Group, Run
+from agents.training.derive import GRID_MAX, WINDOWS, Replay
+from agents.training.files import DamagedFile
 from emcc.parts import ALPHA, PARTS
 
 BITS = 10
-"""Of a coordinate: the last of the grid's points along a side is 2**BITS - 1."""
+"""Bits of a coordinate: the last of the grid's points along a side is 2**BITS - 1."""
 DIGITS = 1000
 """EMCC is stored as a multiple of 1 / DIGITS."""
 
@@ -36,14 +36,14 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
     """
     runs = []
     for group in in_order(groups):
-        scene = scenes.of(group.config, notes) if group.runs else None
+        scene = scenes.get(group, notes) if group.runs else None
         if scene is None:
             continue
-        named = {"task": group.config.task, "algorithm": name_of(group)}
+        named = {"task": group.task, "algorithm": name_of(group)}
         for run in group.runs:
             try:
                 replay = group.replay(run)
-            except DamagedSource:
+            except DamagedFile:
                 raise
             except UserError as error:
                 notes.append(f"no replay of {group.title}: {error}")
@@ -51,8 +51,8 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
             if not all(len(episode.points) for episode in replay.episodes):
                 notes.append(f"no replay of {group.title}: it has no positions")
                 break
-            of_run = _run(run, replay, group.config.steps)
-            runs.append({**named, "scene": scene.number, **of_run})
+            numbers = _run(run, replay, group.config.steps)
+            runs.append({**named, "scene": scene.number, **numbers})
     extents = [list(scene.extent) for scene in scenes.all]
     return {
         "windows": WINDOWS,
@@ -63,11 +63,6 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
         "extents": extents,
         "runs": runs,
     }
-
-
-def replay_json(data: dict[str, Any]) -> str:
-    """The data as JSON that can stand in a script element."""
-    return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
@@ -96,7 +91,7 @@ def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
 
 def _packed(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """Points [N, 2] on the coarser grid: x and y of one after another, `BITS` bits each."""
-    coarse = np.round(points.astype(np.float64) * ((2**BITS - 1) / LAST)).astype(np.uint16)
+    coarse = np.round(points.astype(np.float64) * ((2**BITS - 1) / GRID_MAX)).astype(np.uint16)
     return np.packbits(coarse.reshape(-1, 1) >> np.arange(BITS)[::-1] & 1)
 
 

@@ -2,51 +2,50 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from agents.errors import UserError
-from agents.paper import ablations
-from agents.paper.claims import check_claims
-from agents.paper.presets import is_circle2d
-from agents.paper.settings import with_distinct_titles
-from agents.reporting import claims_text, together
-from agents.reporting.ablations import (
-    NEAREST,
-    PARTS_TITLE,
-    PARTS_TOGETHER,
-    TIES,
-    TITLE,
-    ablation_table,
-    nearest_table,
-    parts_over_tasks,
-    parts_table,
-    ties_table,
+from agents.paper.sections import Paper, sections
+from agents.reporting.figures import (
+    Figure,
+    intervals_figure,
+    profiles_figure,
+    rates_figure,
+    task_figures,
 )
-from agents.reporting.csv_table import numbers_csv, report_lines
-from agents.reporting.figures import figures, introduction
-from agents.reporting.maps import maps
+from agents.reporting.maps import Scenes, maps
+from agents.reporting.numbers import numbers_csv, report_lines
 from agents.reporting.page import Section, page
-from agents.reporting.panel_table import panel_table, panel_title
-from agents.reporting.provenance import heading, made, name_of_all, summary
+from agents.reporting.provenance import heading, made, summary
 from agents.reporting.replay import replay_data
-from agents.reporting.scenes import Scenes
 from agents.reporting.table import Block, Table, markdown, plain
-from agents.reporting.tables import task_table
-from agents.results.archive import archive_of
-from agents.results.reading import Group, read, write_archive
+from agents.reporting.tables import over_tasks, panel_table, separated_table, task_table
+from agents.results.frame import with_distinct_titles
+from agents.results.reading import Group, archive_of, name_of_all, read, write_archive
 from agents.training.files import write_whole
 
+RUNS, RATES, TASKS = "Every run", "Cost rate against EMCC", "All tasks together"
 
-def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -> list[Block]:
+
+class Report(NamedTuple):
+    """A report that was written."""
+
+    blocks: list[Block]
+    """Its main tables, and the verdicts on the paper's claims."""
+    left_out: list[str]
+    """Folders and runs that it had to leave out, and why."""
+
+
+def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -> Report:
     """Write the report of every folder of runs at or below some folders, or in archives.
 
     Writes `report.md`, `report.csv` for a program, and `index.html`, which holds everything, with
-    all figures. Returns the main tables and the paper's claims; `report.md` has the details
-    too: EMCC with ties split, and each task's panel. Runs that are missing, damaged or
-    unfinished are named below the table and left out of its means; figures that cannot be drawn are
-    named too. Folders that differ in their seeds alone count as one, which is named as well.
+    all figures. `report.md` has the details too: EMCC with ties split, and each task's panel. Runs
+    that are missing, damaged or unfinished are named below the table and left out of its means;
+    figures that cannot be drawn are named too. Folders that differ in their seeds alone count as
+    one, which is named as well.
 
     archive: a file to pack all that the report needs into; a report on it has the same bytes.
     A path may lead into an archive, such as `runs.zip/Circle2D-1-v0`: to the runs of that folder.
@@ -58,45 +57,60 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     if archive is not None:
         _check_archive(archive)
     notes: list[str] = []
-    everything = with_distinct_titles(read(paths, notes, out.resolve().name))
-    groups, ablated = ablations.split(everything)
-    by_task = _by_task(groups)
-    # Early, since later it would add to the memory that all else holds.
-    on_circle2d = any(is_circle2d(group.config.task) and group.runs for group in groups)
-    about = introduction() if on_circle2d else []
+    name = out.resolve().name if len(paths) > 1 else None
+    everything = with_distinct_titles(read(paths, notes, name))
+    left_out = [note for note in notes if note.startswith("left out")]
+    # Early, since later its pictures would add to the memory that all else holds.
+    paper = sections(everything)
+    by_task = _by_task(paper.usual)
     scenes = Scenes()
-    replay = replay_data(groups, scenes, notes)
+    replay = replay_data(paper.usual, scenes, notes)
     drawn = {
-        task: Section(task, figures=figures(of_task), maps=maps(of_task, scenes, notes))
-        for task, of_task in by_task.items()
+        task: Section(task, figures=task_figures(groups), maps=maps(groups, scenes, notes))
+        for task, groups in by_task.items()
     }
-    shown, common = together.figures(groups), together.tables(groups)
-    main = _tables(by_task, ablated, notes) | common
-    details = _details(by_task)
-    tables = main | details
-    checked = check_claims(everything)
-    verdicts = [claims_text.markdown(checked)] if checked else []
+    together = _figures_together(paper)
+    common = {RATES: separated_table(paper.usual), TASKS: over_tasks(paper.usual)}
+    main = _task_tables(by_task, paper, notes) | paper.tables
+    main |= {name: table for name, table in common.items() if table is not None}
+    tables = main | paper.details | _panels(by_task)
     if archive is not None:
         write_archive(archive, everything)
-    sections = [Section(claims_text.TITLE, claims=checked)] if checked else []
-    sections += [Section(name, common.get(name), of) for name, of in shown.items()]
-    sections += [Section("Replay of training", replay=replay)] if replay["runs"] else []
-    sections += [
-        drawn.get(name, Section(name))._replace(table=of_task)
-        for name, of_task in tables.items()
-        if name not in shown
+    shown = [paper.claims] if paper.claims else []
+    shown += [Section(name, common.get(name), figures) for name, figures in together.items()]
+    shown += [Section("Replay of training", replay=replay)] if replay["runs"] else []
+    shown += [
+        drawn.get(name, Section(name))._replace(table=table)
+        for name, table in tables.items()
+        if name not in together
     ]
-    if about:
-        sections.append(Section("Circle2D and EMCC", figures=about))
+    shown += (
+        [Section("Circle2D and EMCC", figures=paper.introduction)] if paper.introduction else []
+    )
     out.mkdir(parents=True, exist_ok=True)
-    title = f"{heading(groups)} ({name_of_all(everything)})"
-    html = page(title, sections, made(everything), summary(groups), scenes.all)
+    title = f"{heading(paper.usual)} ({name_of_all(everything)})"
+    html = page(title, shown, made(everything), summary(paper.usual), scenes.all)
     write_whole(out / "index.html", html)
+    verdicts = [paper.claims.statements_markdown()] if paper.claims else []
+    titled = [block for name, table in tables.items() for block in (f"## {plain(name)}\n", table)]
     ending = "Figures, heat maps and replay: index.html\n"
-    titled = [block for name, of in tables.items() for block in (f"## {plain(name)}\n", of)]
     write_whole(out / "report.md", markdown([*verdicts, *titled, ending]))
-    write_whole(out / "report.csv", numbers_csv(report_lines(everything)))
-    return [*main.values(), *verdicts]
+    write_whole(out / "report.csv", numbers_csv(report_lines(everything, paper.printed)))
+    return Report([*main.values(), *verdicts], left_out)
+
+
+def table(folder: Path) -> list[Table]:
+    """Write the tables of every folder of runs at or below a folder, without figures.
+
+    Writes `report.md` and `report.csv`. Otherwise as `report`.
+    """
+    notes: list[str] = []
+    everything = with_distinct_titles(read([folder], notes))
+    paper = sections(everything)
+    tables = _task_tables(_by_task(paper.usual), paper, notes) | paper.tables
+    write_whole(folder / "report.md", markdown(tables.values()))
+    write_whole(folder / "report.csv", numbers_csv(report_lines(everything, paper.printed)))
+    return list(tables.values())
 
 
 def _output_folder(paths: Sequence[Path], out: Path | None) -> Path:
@@ -124,48 +138,39 @@ def _check_archive(path: Path) -> None:
         raise UserError(f"archive cannot be written: {error}") from None
 
 
-def table(folder: Path) -> list[Table]:
-    """Write the tables of every folder of runs at or below a folder, without figures.
-
-    Writes `report.md` and `report.csv`. Otherwise as `report`.
-    """
-    notes: list[str] = []
-    everything = with_distinct_titles(read([folder], notes))
-    groups, ablated = ablations.split(everything)
-    found = list(_tables(_by_task(groups), ablated, notes).values())
-    write_whole(folder / "report.md", markdown(found))
-    write_whole(folder / "report.csv", numbers_csv(report_lines(everything)))
-    return found
-
-
 def _by_task(groups: Sequence[Group]) -> dict[str, list[Group]]:
-    tasks = dict.fromkeys(group.config.task for group in groups)
-    return {task: [g for g in groups if g.config.task == task] for task in tasks}
+    tasks = dict.fromkeys(group.task for group in groups)
+    return {task: [group for group in groups if group.task == task] for task in tasks}
 
 
-def _details(by_task: dict[str, list[Group]]) -> dict[str, Table]:
-    """EMCC with ties split, and the panel of each task, by title."""
-    everyone = [group for groups in by_task.values() for group in groups]
-    return {TIES: ties_table(everyone)} | {
-        panel_title(task): panel_table(groups)
-        for task, groups in by_task.items()
-        if any(group.runs for group in groups)
+def _figures_together(paper: Paper) -> dict[str, list[Figure]]:
+    """Every run with its mean, and what EMCC shows that the cost rate does not, by the title of
+    their sections; nothing where no run is complete."""
+    groups = paper.usual
+    if not any(group.runs for group in groups):
+        return {}
+    return {
+        RUNS: [intervals_figure(groups, paper.printed)],
+        RATES: [rates_figure(groups), profiles_figure(groups)],
     }
 
 
-def _tables(
-    by_task: dict[str, list[Group]],
-    ablated: Sequence[tuple[Group, Group]],
-    notes: Sequence[str],
+def _task_tables(
+    by_task: dict[str, list[Group]], paper: Paper, notes: Sequence[str]
 ) -> dict[str, Table]:
-    """The tables of the tasks and the ablations, by title; the notes below the last task's."""
-    tables = {task: task_table(of_task) for task, of_task in by_task.items()}
+    """The table of each task; the notes below the last one."""
     *_, last = by_task
-    tables[last] = dataclasses.replace(tables[last], notes=[*tables[last].notes, *notes])
-    of_ablations = {
-        TITLE: ablation_table(ablated),
-        NEAREST: nearest_table(ablated),
-        PARTS_TITLE: parts_table(ablated),
-        PARTS_TOGETHER: parts_over_tasks(ablated),
+    return {
+        task: task_table(
+            groups,
+            paper.printed,
+            [*paper.notes.get(task, []), *(notes if task == last else [])],
+        )
+        for task, groups in by_task.items()
     }
-    return tables | {name: table for name, table in of_ablations.items() if table is not None}
+
+
+def _panels(by_task: dict[str, list[Group]]) -> dict[str, Table]:
+    """The panel of cost measures of each task, by title."""
+    complete = {task: groups for task, groups in by_task.items() if any(g.runs for g in groups)}
+    return {f"{task}: panel of cost measures": panel_table(g) for task, g in complete.items()}

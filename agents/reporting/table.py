@@ -1,16 +1,23 @@
-"""Tables of typed cells. They become text only where they are rendered."""
+"""Tables of typed cells, and their one renderer: Markdown, LaTeX, a terminal's lines; the page's
+template takes the same cells."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from agents.errors import one_line
 from emcc import Interval, Share
 
 MISSING = "\N{EN DASH}"
+LEAST_WIDTH = 40
+"""Characters of the narrowest terminal that tables are laid out for."""
+HEAD, WORDS = 12, 20
+"""Characters to which a column's head and the intervals in it, and its words, are broken."""
+GAP = 3
+"""Characters between a terminal's columns."""
 
 
 @dataclass(frozen=True)
@@ -20,13 +27,13 @@ class Number:
     value: float | None
     """None where it is unknown, which is printed as a dash."""
     digits: int = 2
-    """After the decimal point."""
+    """Digits behind the decimal point."""
     low: float | None = None
     high: float | None = None
     """Ends of the interval or of the range, where there is one."""
     is_range: bool = False
     """Whether they are the lowest and the highest run, and no interval."""
-    of: int | None = None
+    total: int | None = None
     """The number of runs that it is a count of."""
     is_p: bool = False
     """Whether it is a p value, which is never written as 0."""
@@ -38,8 +45,8 @@ class Number:
     @property
     def text(self) -> str:
         """The number, without its interval."""
-        if self.value is not None and self.of is not None:
-            return f"{self.value:.0f} of {self.of}"
+        if self.value is not None and self.total is not None:
+            return f"{self.value:.0f} of {self.total}"
         return MISSING if self.value is None else self._written(self.value)
 
     @property
@@ -60,14 +67,12 @@ class Number:
         return f"{value:{'+' if self.signed else ''}.{self.digits}f}"
 
 
-def number_of(
-    found: Interval | None, digits: int = 2, marked: bool = False, signed: bool = False
-) -> Number:
+def number(mean: Interval | None, digits: int = 2, signed: bool = False) -> Number:
     """The cell of a mean, or of a difference, which is signed."""
-    if found is None:
+    if mean is None:
         return Number(None)
-    ends = {"low": found.low, "high": found.high, "is_range": found.kind == "range"}
-    return Number(found.value, digits, **ends, signed=signed, marked=marked)
+    is_range = mean.kind == "range"
+    return Number(mean.value, digits, mean.low, mean.high, is_range, signed=signed)
 
 
 def p_number(p: float | None) -> Number:
@@ -75,11 +80,11 @@ def p_number(p: float | None) -> Number:
     return Number(p, 3, is_p=True)
 
 
-def count_of(share: Share | None) -> Number:
+def count(share: Share | None) -> Number:
     """The cell of a share of runs."""
     if share is None:
         return Number(None)
-    return Number(share.count, low=share.low, high=share.high, of=share.runs)
+    return Number(share.count, low=share.low, high=share.high, total=share.runs)
 
 
 Cell = str | Number
@@ -113,7 +118,7 @@ class Table:
 
     @property
     def columns(self) -> int:
-        """Those shown: the last one, where runs end, only where a run's task has places."""
+        """Columns shown: the last one, where runs end, only where a run's task has places."""
         without = max((1 + len(row.numbers) for row in self.rows), default=len(self.head))
         return without + any(row.ends for row in self.rows)
 
@@ -136,6 +141,15 @@ class Table:
         notes = [part for note in self.notes for part in ("", f"Note: {plain(note)}")]
         legend = [plain(self.legend), ""] if self.legend else []
         return "\n".join([*legend, *(f"| {line} |" for line in padded), *notes, ""])
+
+    def latex(self) -> str:
+        """The rows as a tabular with the rules of booktabs."""
+        lines = [[_latex(cell) for cell in row.cells][: self.columns] for row in self.rows]
+        head = [_latex(cell) for cell in self.head][: self.columns]
+        body = [f"{' & '.join(line)} \\\\" for line in lines]
+        first = f"\\begin{{tabular}}{{l{'r' * (self.columns - 1)}}}\n\\toprule"
+        rules = [first, f"{' & '.join(head)} \\\\", "\\midrule", *body, "\\bottomrule"]
+        return "\n".join([*rules, "\\end{tabular}", ""])
 
 
 Block = Table | str
@@ -160,6 +174,12 @@ def without_repeats(blocks: Iterable[Block]) -> Iterator[Block]:
         yield replace(block, caption="", marking="") if repeated else block
 
 
+def plain(text: str) -> str:
+    """Text that is no HTML in Markdown and no control sequence on a terminal: names come from
+    other people's files."""
+    return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", one_line(text))
+
+
 def _markdown(cell: Cell) -> str:
     if isinstance(cell, str):
         return plain(cell).replace("|", "\\|")
@@ -168,7 +188,110 @@ def _markdown(cell: Cell) -> str:
     return f"**{cell.text}** {cell.interval}".rstrip()
 
 
-def plain(text: str) -> str:
-    """Text that is no HTML in Markdown and no control sequence on a terminal: names come from
-    other people's files."""
-    return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", one_line(text))
+def _latex(cell: Cell) -> str:
+    if isinstance(cell, Number):
+        text = f"\\textbf{{{cell.text}}}" if cell.marked else cell.text
+        written = f"{text} {cell.interval}".rstrip()
+    else:
+        escaped = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+        escaped |= {sign: f"\\{sign}" for sign in "&%$#_{}"}
+        written = "".join(escaped.get(letter, letter) for letter in one_line(cell))
+    return written.replace(MISSING, "--")
+
+
+def show(blocks: Sequence[Block], width: int | None = None) -> None:
+    """Print the blocks of a report: laid out on a terminal, or where a width is given; as Markdown
+    into a file or a pipe, for programs.
+
+    width: characters of a line, by default the terminal's.
+    """
+    from rich.console import Console
+
+    console = Console(highlight=False, width=width)
+    if width is None and not console.is_terminal:
+        print(markdown(blocks))
+        return
+    for block in without_repeats(blocks):
+        for shown in _laid_out(block, max(console.width, LEAST_WIDTH)):
+            console.print(shown)
+            console.print()
+
+
+def _laid_out(block: Block, width: int) -> Iterator[Any]:
+    """Paragraphs, and the parts of a table that fit the width."""
+    from rich import box
+    from rich.markdown import Markdown
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    if isinstance(block, str):
+        yield from map(Markdown, re.split(r"\n\s*\n", block.strip()))
+        return
+    if block.legend:
+        yield Markdown(plain(block.legend))
+    look = {"box": box.SIMPLE_HEAD, "padding": (0, GAP - 1, 0, 0)}
+    for part in parts(block, width):
+        grid = Grid(**look, pad_edge=False, show_edge=False)
+        for place, (head, *_) in enumerate(part):
+            grid.add_column(Text(head[0]), justify="right" if place else "left", no_wrap=True)
+        for row in list(zip(*part, strict=True))[1:]:
+            grid.add_row(*(Text(words, "bold" if bold else "") for words, bold in row))
+        yield grid
+    yield from (Markdown(f"Note: {plain(note)}") for note in block.notes)
+
+
+Column = list[tuple[str, bool]]
+"""The words of each cell in lines, its head first, and whether they are bold."""
+
+
+def parts(table: Table, width: int) -> list[list[Column]]:
+    """Divide the columns of a table so that each part fits the width; every part begins with the
+    first column, and cells have line breaks where they may break.
+
+    A column that alone is wider than the width gets a part of its own.
+    """
+    first = (table.head[0], *(row.name for row in table.rows))
+    names = [(_name(plain(name), max(width // 3, 16)), False) for name in first]
+    divided, used = [[names]], _width(names)
+    columns = zip(table.head, *(row.cells for row in table.rows), strict=False)
+    for head, *cells in list(columns)[1 : table.columns]:
+        column = [(_broken(plain(head), HEAD), False), *map(_in_lines, cells)]
+        more = GAP + _width(column)
+        if used + more > width and len(divided[-1]) > 1:
+            divided.append([names])
+            used = _width(names)
+        divided[-1].append(column)
+        used += more
+    return divided
+
+
+def _name(name: str, width: int) -> str:
+    """The name of a row; where it is too long, what follows the last comma has its own line."""
+    first, comma, last = name.rpartition(", ")
+    if len(name) <= width or not comma:
+        return _broken(name, width)
+    return f"{_broken(first + ',', width)}\n{_broken(last, width)}"
+
+
+def _in_lines(cell: Cell) -> tuple[str, bool]:
+    """A number or a count above its interval; words in lines of some width."""
+    if isinstance(cell, str):
+        return _broken(plain(cell), WORDS), False
+    lines = filter(None, (cell.text, _broken(cell.interval, HEAD)))
+    return "\n".join(lines), cell.marked
+
+
+def _broken(cell: str, width: int) -> str:
+    """A cell in lines of at most the width, where words allow it; brackets stay together."""
+    lines: list[str] = []
+    for word in re.findall(r"(?:\[[^\]]*\]|\([^)]*\)|\S)+", cell):
+        joined = f"{lines[-1]} {word}" if lines else word
+        if lines and len(joined) <= width:
+            lines[-1] = joined
+        else:
+            lines.append(word)
+    return "\n".join(lines)
+
+
+def _width(column: Column) -> int:
+    return max(len(line) for words, _ in column for line in words.split("\n"))

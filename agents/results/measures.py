@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
+from agents.errors import OwnCodeError, described
 from emcc import EpisodeRecords, cost_rate, emcc_by_part
 from emcc.parts import ALPHA, PARTS
 from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
@@ -19,7 +20,7 @@ from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
 
 @dataclass(frozen=True)
 class RunData:
-    """Data of a run that measures are computed from."""
+    """The data of a run that measures are computed from."""
 
     records: EpisodeRecords
     """A row per training episode."""
@@ -58,13 +59,20 @@ class Measure:
     """None where the run lacks what it takes. It may raise ValueError for damaged records."""
     of: Literal["training", "policy"] = "training"
     """Marks of the trained policy's measures go to the policy of the highest return within the cost
-    limit, whatever the single measure says: see `agents.reporting.marks`."""
+    limit, whatever the single measure says: see `agents.reporting.tables.best`."""
     word: str = ""
     """Its name in sentences, where that is not the title; measures may share one."""
     note: str = ""
     """How it is defined, for the legend of tables, where its title does not say it."""
     bounds: Bounds = UNBOUNDED
     """Where intervals of its mean end."""
+    part: float | None = None
+    """End of the third of training that it is of, which its name ends with; None of the whole."""
+
+    @property
+    def stem(self) -> str:
+        """The name without the part."""
+        return self.name if self.part is None else self.name.removesuffix(f"_{self.part:g}")
 
     @property
     def head(self) -> str:
@@ -74,13 +82,6 @@ class Measure:
     def __post_init__(self) -> None:
         if not self.name or set(self.name) & set(' ,"\n'):
             raise ValueError(f"the name of a measure must be one word, got {self.name!r}")
-
-    def __call__(self, data: RunData) -> float | None:
-        """The measure of a run. ValueError where it is not finite."""
-        value = self.compute(data)
-        if value is not None and not math.isfinite(value):
-            raise ValueError(f"{self.name} is not finite: {value}")
-        return value
 
 
 _REGISTRY: dict[str, Measure] = {}
@@ -108,40 +109,69 @@ def measure(name: str) -> Measure:
     return _REGISTRY[name]
 
 
-def _emcc(part: float) -> Callable[[RunData], float | None]:
-    return lambda run: run.emcc_by_part[part]
+def measured(data: RunData, run: str) -> dict[str, float | None]:
+    """All measures of a run by name.
+
+    run: its name. Raises OwnCodeError where a measure of the user's own raises; the ValueError
+    of a built-in one, and of one that is not finite, says that the run is damaged.
+    """
+    values = {}
+    for m in measures():
+        try:
+            values[m.name] = m.compute(data)
+        except Exception as error:
+            if m in BUILT_IN:
+                raise
+            words = f"measure {m.name!r} failed on run {run}: {described(error)}"
+            raise OwnCodeError(words) from error
+        if values[m.name] is not None and not math.isfinite(values[m.name]):
+            raise ValueError(f"{m.name} is not finite: {values[m.name]}")
+    return values
 
 
-def _evaluated(name: str) -> Callable[[RunData], float | None]:
-    return lambda run: run.evaluated(name)
+def _evaluated(
+    name: str, better: Literal["lower", "higher"], bounds: Bounds, word: str = ""
+) -> Measure:
+    """A mean over the episodes of the trained policy."""
+
+    def compute(run: RunData) -> float | None:
+        return run.evaluated(name)
+
+    return Measure(name, name, "", 2, better, compute, "policy", word, bounds=bounds)
+
+
+def _emcc(part: float) -> Measure:
+    """EMCC of a third of training."""
+
+    def compute(run: RunData) -> float:
+        return run.emcc_by_part[part]
+
+    name = f"EMCC_{part}"
+    return Measure(name, name, "", 2, "lower", compute, word="EMCC", bounds=SHARE, part=part)
 
 
 def _cost_rate(run: RunData) -> float:
     return cost_rate(run.records.cost, run.records.length)
 
 
-def _of_policy(
-    name: str, better: Literal["lower", "higher"], bounds: Bounds, word: str = ""
-) -> Measure:
-    return Measure(name, name, "", 2, better, _evaluated(name), "policy", word, bounds=bounds)
-
-
-for _part in PARTS:
-    _name, _of_part = f"EMCC_{_part}", _emcc(_part)
-    register(Measure(_name, _name, "", 2, "lower", _of_part, word="EMCC", bounds=SHARE))
-register(Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate, bounds=COST))
-register(_of_policy("J_R", "higher", UNBOUNDED))
-register(_of_policy("J_C", "lower", COST))
-register(_of_policy("CVaR_0.5", "lower", COST, "CVaR"))
-register(
-    Measure(
-        "mean_streak",
-        "mean streak",
-        "steps",
-        2,
-        "neither",  # fewer and longer, or more and shorter: neither is better by itself
-        lambda run: run.records.mean_streak,
-        note="mean streak: the mean length of training's streaks of cost steps",
-        bounds=COST,
-    )
+MEAN_STREAK = Measure(
+    "mean_streak",
+    "mean streak",
+    "steps",
+    2,
+    "neither",  # fewer and longer, or more and shorter: neither is better by itself
+    lambda run: run.records.mean_streak,
+    note="mean streak: the mean length of training's streaks of cost steps",
+    bounds=COST,
 )
+for _measure in (
+    *map(_emcc, PARTS),
+    Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate, bounds=COST),
+    _evaluated("J_R", "higher", UNBOUNDED),
+    _evaluated("J_C", "lower", COST),
+    _evaluated("CVaR_0.5", "lower", COST, "CVaR"),
+    MEAN_STREAK,
+):
+    register(_measure)
+BUILT_IN = measures()
+"""The measures of every report: they raise where a run is damaged alone."""

@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.errors import OwnCodeError, UserError, described
-from agents.results.measures import RunData, measures
+from agents.errors import OwnCodeError, UserError
+from agents.results.measures import RunData, measured
 from agents.training import derive
-from agents.training.callbacks import sessions
 from agents.training.config import (
     CHECKPOINTS,
     CONFIG,
@@ -91,7 +90,18 @@ class Part:
     """The folder as seen from beside the report's."""
     arrays: Mapping[str, NDArray] = field(repr=False)
     """`results.npz`, or what it would hold by now: see `derive`."""
-    seeds: Sequence[int]
+    config: TrainConfig
+    """Of the folder."""
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Seeds of its runs."""
+        return self.config.seeds
+
+    @property
+    def recorded(self) -> Mapping[str, Any]:
+        """`config.json`."""
+        return read_json(self.path / CONFIG)
 
 
 @dataclass(frozen=True)
@@ -132,13 +142,9 @@ class Group:
         return [run.measures.get(measure) for run in self.runs]
 
     @property
-    def recorded(self) -> Mapping[str, Any]:
-        """`config.json`."""
-        return read_json(self.parts[0].path / CONFIG)
-
-    def sessions(self) -> Mapping[str, Mapping[str, Any]]:
-        """Seconds, versions and machine of each process that trained; empty where nothing says."""
-        return {name: one for part in self.parts for name, one in sessions(part.path).items()}
+    def limit(self) -> float | None:
+        """The limit of its cost; None where the algorithm does not limit it."""
+        return self.config.limits.get(self.cost)
 
     def visits(self) -> list[Visits]:
         """States visited in each third of training, of all complete runs. Raises UserError."""
@@ -341,7 +347,7 @@ def results_of(path: AnyPath, config: TrainConfig) -> Mapping[str, NDArray]:
 def _groups(path: AnyPath, folder: str, title: str) -> list[Group]:
     """The runs of a folder: a group for each task and cost."""
     config = TrainConfig.parse(read_json(path / CONFIG), title, strict=False)
-    part = Part(path, folder, title, results_of(path, config), config.seeds)
+    part = Part(path, folder, title, results_of(path, config), config)
     groups = []
     for task, cost in itertools.product(config.tasks, config.costs):
         runs, missing = [], {}
@@ -402,18 +408,12 @@ def _read_run(
     evaluation = _evaluation(arrays, run, config.costs.index(cost))
     if not evaluation:
         raise UserError("its evaluation met a number that is not finite")
-    data = RunData(records, config.steps, evaluation)
     try:
-        _ = data.emcc_by_part
+        values = measured(RunData(records, config.steps, evaluation), f"{title}, {run}")
+    except OwnCodeError:
+        raise
     except ValueError as error:
         raise UserError(str(error)) from None
-    values = {}
-    for measure in measures():
-        try:
-            values[measure.name] = measure(data)
-        except Exception as error:
-            where = f"measure {measure.name!r} failed on {title}, {run}"
-            raise OwnCodeError(f"{where}: {described(error)}") from error
     ends, ways = _places(arrays, f"{run.prefix}evaluation/deterministic/")
     episodes = len(evaluation["deterministic"]["returns"])
     return Run(run.seed, values, episodes, ends, records, evaluation, ways)

@@ -1,39 +1,47 @@
-"""Statistics over the runs of a group, and of two groups, as numbers.
+"""Statistics of runs: group-bys of the tidy frame that call `emcc`.
 
-A measure that one of the runs lacks (None) has no mean over them: it is None too. Each number has a
-random generator of its own: none depends on which others are asked for.
+A measure that one of the runs lacks has no mean over them. Each number has a random generator of
+its own: none depends on which others are asked for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import replace
-from typing import TypeVar
+import math
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 import emcc
-from agents.results.measures import Measure, measure
-from agents.results.reading import Group
-from emcc import Interval, Share
+from agents.results.frame import by_run, frame
+from agents.results.measures import Measure, measure, measures
+from agents.results.reading import Group, one_place
+from emcc import EpisodeRecords, Interval, Share
+from emcc.parts import ALPHA, PARTS, rollouts_by_part
 from emcc.statistics import FEWEST_RUNS, UNBOUNDED, Bounds
 
 Key = TypeVar("Key", bound=Hashable)
 Values = Sequence[float | None]
+Pair = tuple[Group, Group]
 
 LEVEL = 0.05
-"""Of every test: p values up to it tell a difference."""
+"""Level of every test: p values up to it tell a difference."""
+MARGIN = 0.02
+"""Cost per step. Cost rates are printed to two digits; two of the last ones are taken as equal."""
 INTERVALS = (
-    "[95 % t interval over seeds], or the range of the seeds where there are fewer than "
-    f"{FEWEST_RUNS} or they end in different places, since no interval of such a mean holds"
+    f"[95 % t interval over seeds], or the range of fewer than {FEWEST_RUNS} seeds and of seeds "
+    "that end in different places"
 )
 """The intervals of means in words. They end where no value can be beyond: a cost at 0."""
 
 
 def known(values: Values) -> list[float] | None:
-    """The values, or None where there are none or one is unknown."""
-    found = [value for value in values if value is not None]
-    return found if found and len(found) == len(values) else None
+    """The values, or None where there are none or one is unknown (None or NaN)."""
+    numbers = [value for value in values if value is not None and not math.isnan(value)]
+    return numbers if numbers and len(numbers) == len(values) else None
 
 
 def mean_of(values: Values, one_place: bool = True, bounds: Bounds = UNBOUNDED) -> Interval | None:
@@ -42,19 +50,13 @@ def mean_of(values: Values, one_place: bool = True, bounds: Bounds = UNBOUNDED) 
     one_place: whether all end in the same place; the mean of others has its range too. bounds: see
     `emcc.mean_interval`.
     """
-    found = known(values)
-    if found is None:
+    numbers = known(values)
+    if numbers is None:
         return None
-    mean = emcc.mean_interval(found, bounds=bounds)
+    mean = emcc.mean_interval(numbers, bounds=bounds)
     if one_place or mean.kind == "range":
         return mean
-    return replace(mean, low=min(found), high=max(found), kind="range")
-
-
-def iqm_of(values: Values) -> float | None:
-    """Interquartile mean over runs."""
-    found = known(values)
-    return None if found is None else emcc.iqm(found)
+    return replace(mean, low=min(numbers), high=max(numbers), kind="range")
 
 
 def difference_of(a: Values, b: Values, one_place: bool = True) -> Interval | None:
@@ -63,11 +65,11 @@ def difference_of(a: Values, b: Values, one_place: bool = True) -> Interval | No
     None for its ends where a side has fewer than five runs, or not one_place: not all runs of
     either side end in one place.
     """
-    of_a, of_b = known(a), known(b)
-    if of_a is None or of_b is None:
+    first, second = known(a), known(b)
+    if first is None or second is None:
         return None
-    found = emcc.mean_difference(of_a, of_b)
-    return found if one_place else replace(found, low=None, high=None, kind="range")
+    gap = emcc.mean_difference(first, second)
+    return gap if one_place else replace(gap, low=None, high=None, kind="range")
 
 
 def p_of(a: Values, b: Values) -> float | None:
@@ -83,41 +85,36 @@ def equivalence_of(a: Values, b: Values, margin: float) -> float | None:
 
 
 def _two_sides(a: Values, b: Values) -> tuple[list[float], list[float]] | None:
-    of_a, of_b = known(a), known(b)
-    if of_a is None or of_b is None or min(len(of_a), len(of_b)) < 2:
+    first, second = known(a), known(b)
+    if first is None or second is None or min(len(first), len(second)) < 2:
         return None
-    return of_a, of_b
-
-
-def improvement_of(a: Values, b: Values, of: Measure) -> Interval | None:
-    """Probability that a run of `b` is better than one of `a`, with its bootstrap interval.
-
-    None for a measure of which neither direction is better.
-    """
-    of_a, of_b = known(a), known(b)
-    if of_a is None or of_b is None or of.better == "neither":
-        return None
-    sides = (of_a, of_b) if of.better == "lower" else (of_b, of_a)
-    rng = np.random.default_rng(0)
-    return emcc.bootstrap(emcc.probability_of_improvement, *sides, rng=rng)
+    return first, second
 
 
 def corrected(p_values: Mapping[Key, float | None]) -> dict[Key, float | None]:
     """P values corrected for their number by Holm's method; those not known stay so."""
-    keys = [key for key, p in p_values.items() if p is not None]
-    found = emcc.holm([p for p in p_values.values() if p is not None]) if keys else ()
-    return dict(p_values) | {key: float(p) for key, p in zip(keys, found, strict=True)}
+    tested = {key: p for key, p in p_values.items() if p is not None}
+    adjusted = emcc.holm(list(tested.values())) if tested else ()
+    return dict(p_values) | {key: float(p) for key, p in zip(tested, adjusted, strict=True)}
 
 
-def group_mean(group: Group, name: str) -> Interval | None:
-    """Mean of a measure over a group's runs: see `mean_of`."""
-    return mean_of(group.values(name), group.one_place, measure(name).bounds)
+class Summary(NamedTuple):
+    """A measure over the runs of a group; None where a run lacks it."""
+
+    mean: Interval | None
+    iqm: float | None
 
 
-def group_difference(a: Group, b: Group, name: str) -> Interval | None:
-    """Difference of the means of a measure, B - A: see `difference_of`."""
-    one_place = a.one_place and b.one_place
-    return difference_of(a.values(name), b.values(name), one_place)
+def summaries(groups: Sequence[Group]) -> list[dict[str, Summary]]:
+    """For each group its measures by name; none of a group without runs."""
+    told: list[dict[str, Summary]] = [{} for _ in groups]
+    runs: Any = by_run(frame(groups))
+    for number, own in runs.groupby(level="group"):
+        for m in measures():
+            values = known(own[m.name].tolist())
+            mean = mean_of(values or [], groups[number].one_place, m.bounds)
+            told[number][m.name] = Summary(mean, emcc.iqm(values) if values else None)
+    return told
 
 
 def places(group: Group) -> dict[str, Share]:
@@ -134,3 +131,202 @@ def within_limit(group: Group, limit: float | None) -> Share | None:
     if costs is None or limit is None:
         return None
     return emcc.share(sum(cost <= limit for cost in costs), len(costs))
+
+
+class Difference(NamedTuple):
+    """A measure of two groups A and B; None for what is not known."""
+
+    gap: Interval | None
+    """B - A: see `difference_of`."""
+    p: float | None
+    """Permutation test, not corrected."""
+    better: Interval | None
+    """Probability that a run of B is better than one of A, with its bootstrap interval; None for a
+    measure of which neither direction is better."""
+
+
+def differences(a: Group, b: Group) -> dict[str, Difference]:
+    """The measures of two groups by name."""
+    told = {}
+    for m in measures():
+        sides = a.values(m.name), b.values(m.name)
+        gap = difference_of(*sides, a.one_place and b.one_place)
+        told[m.name] = Difference(gap, p_of(*sides), _better(m, *map(known, sides)))
+    return told
+
+
+def _better(m: Measure, a: list[float] | None, b: list[float] | None) -> Interval | None:
+    if a is None or b is None or m.better == "neither":
+        return None
+    # `emcc` has the probability that the second is lower.
+    sides = (a, b) if m.better == "lower" else (b, a)
+    rng = np.random.default_rng(0)
+    return emcc.bootstrap(emcc.probability_of_improvement, *sides, rng=rng)
+
+
+class Third(NamedTuple):
+    """A run in a third of its training: the rollouts that start in it."""
+
+    cost_rate: float
+    """Cost per step."""
+    emcc: float
+    """EMCC with `ALPHA`."""
+    mcc: NDArray[np.float64]
+    """MCC by rollout."""
+
+
+def thirds(records: EpisodeRecords, steps: int) -> dict[float, Third]:
+    """The thirds of a training by their end, as in `emcc.parts.PARTS`.
+
+    steps: of the whole training. ValueError where no rollout starts in a third.
+    """
+    mcc, starts = records.mcc_per_rollout()
+    _, rollout = np.unique(records.rollout, return_inverse=True)
+    told = {}
+    for part, chosen in rollouts_by_part(starts, steps).items():
+        episodes = chosen[rollout]
+        rate = emcc.cost_rate(records.cost[episodes], records.length[episodes])
+        told[part] = Third(rate, emcc.emcc(mcc[chosen], ALPHA), mcc[chosen])
+    return told
+
+
+def thirds_of(group: Group) -> dict[float, list[Third]]:
+    """The thirds of each run of a group."""
+    runs = [thirds(run.records, group.config.steps) for run in group.runs]
+    return {part: [run[part] for run in runs] for part in PARTS}
+
+
+class Comparison(NamedTuple):
+    """Two algorithms on a task in a third of training."""
+
+    a: Group
+    b: Group
+    part: float
+    """The third, as in `emcc.parts.PARTS`."""
+    rates: tuple[list[float], list[float]]
+    """Cost rates of the runs of A and of B."""
+    emccs: tuple[list[float], list[float]]
+    rate_p: float
+    """Permutation test of the cost rates."""
+    equivalence_p: float
+    """Equivalence test of the cost rates with `MARGIN`."""
+    emcc_p: float
+    """Permutation test of EMCC, corrected for all comparisons (Holm)."""
+
+    @property
+    def equal_rates(self) -> bool:
+        """Whether the cost rates are not told apart and equivalent."""
+        return self.rate_p > LEVEL >= self.equivalence_p
+
+    @property
+    def separated(self) -> bool:
+        """Whether EMCC tells them apart and the cost rate does not."""
+        return self.equal_rates and self.emcc_p <= LEVEL
+
+    @property
+    def one_place(self) -> bool:
+        """Whether all runs of either end in one place."""
+        return self.a.one_place and self.b.one_place
+
+
+def comparisons(groups: Sequence[Group]) -> list[Comparison]:
+    """All pairs of groups on a task, in each third. Groups of fewer than five runs are in none."""
+    pairs = list(_compared(groups))
+    p_values = corrected({k: p_of(*pair.emccs) for k, pair in enumerate(pairs)})
+    return [pair._replace(emcc_p=p_values[k]) for k, pair in enumerate(pairs)]
+
+
+def _compared(groups: Sequence[Group]) -> Iterator[Comparison]:
+    enough = [group for group in groups if len(group.runs) >= FEWEST_RUNS]
+    by_third = {id(group): thirds_of(group) for group in enough}
+    for a, b in combinations(enough, 2):
+        for part in PARTS if a.task == b.task else ():
+            sides = by_third[id(a)][part], by_third[id(b)][part]
+            rates, emccs = (
+                ([getattr(run, name) for run in sides[0]], [getattr(run, name) for run in sides[1]])
+                for name in ("cost_rate", "emcc")
+            )
+            rate_p, equivalence_p = p_of(*rates), equivalence_of(*rates, MARGIN)
+            assert rate_p is not None
+            assert equivalence_p is not None
+            yield Comparison(a, b, part, rates, emccs, rate_p, equivalence_p, 1.0)
+
+
+Matrices = Mapping[str, NDArray[np.float64]]
+"""Values [seeds, tasks] by the measure's name."""
+
+
+def common_measures() -> list[Measure]:
+    """Measures with a scale that tasks share, and a better direction: of training, not of the
+    trained policy, whose returns and costs have no common scale."""
+    return [m for m in measures() if m.of == "training" and m.better != "neither"]
+
+
+def matrices(groups: Sequence[Group], fewest: int) -> Matrices:
+    """Values of the seeds that the groups, one of each task, have in common; those known alone.
+
+    Empty where these are fewer than `fewest`.
+    """
+    runs: Any = by_run(frame(groups))
+    tasks = runs.groupby(level="seed").size()
+    seeds = tasks.index[tasks == len(groups)]
+    if len(seeds) < fewest:
+        return {}
+    values = {m.name: runs[m.name].unstack("group").loc[seeds] for m in common_measures()}
+    complete = {name: table for name, table in values.items() if not table.isna().any(axis=None)}
+    return {name: np.ascontiguousarray(table) for name, table in complete.items()}
+
+
+def bootstrapped(
+    statistic: Callable[..., float], *sets: NDArray[np.float64] | None
+) -> Interval | None:
+    """A statistic of values [seeds, tasks] with its stratified interval; None where some lack."""
+    there = [values for values in sets if values is not None]
+    if len(there) < len(sets):
+        return None
+    return emcc.bootstrap(statistic, *there, rng=np.random.default_rng(0), resamples=1_000)
+
+
+@dataclass(frozen=True)
+class TwoSets:
+    """Values of two sets of runs on the same tasks. What a side does not know is None."""
+
+    a: Matrices
+    b: Matrices
+    tasks: int
+
+    @property
+    def size(self) -> str:
+        """Tasks, and seeds of either side, in words."""
+        seeds = [len(next(iter(side.values()))) for side in (self.b, self.a)]
+        return f"{self.tasks} tasks, {seeds[0]} seeds against {seeds[1]}"
+
+    def differences(self, gaps: bool = True) -> dict[str, Difference]:
+        """B - A of the means over seeds and tasks, by the measures that tasks share.
+
+        gaps: whether the differences themselves are asked for, besides the test.
+        """
+        told = {}
+        for m in common_measures():
+            a, b = self.a.get(m.name), self.b.get(m.name)
+            gap = bootstrapped(lambda a, b: float(b.mean() - a.mean()), a, b) if gaps else None
+            rng = np.random.default_rng(0)
+            p = None if a is None or b is None else emcc.permutation_test(a, b, rng=rng)
+            sides = (b, a) if m.better == "higher" else (a, b)
+            better = bootstrapped(emcc.probability_of_improvement, *sides)
+            told[m.name] = Difference(gap, p, better)
+        return told
+
+
+def two_sets(pairs: Sequence[Pair]) -> TwoSets | None:
+    """The values of groups A and B, a pair for each task; None of fewer than two tasks, or where a
+    side has fewer than two seeds that all tasks have."""
+    if len(pairs) < 2:
+        return None
+    a, b = (matrices(groups, 2) for groups in zip(*pairs, strict=True))
+    return TwoSets(a, b, len(pairs)) if a and b else None
+
+
+def group_mean(group: Group, name: str) -> Interval | None:
+    """Mean of a measure over a group's runs: see `mean_of`."""
+    return mean_of(group.values(name), one_place(group.runs), measure(name).bounds)

@@ -28,7 +28,14 @@ from agents.checks import In, Settings
 from agents.errors import UserError
 from agents.lockstep.noise import stream_seed
 from agents.training.environments import Spaces, Vectorization, module_of_task, spaces_of
-from agents.training.files import AnyPath, check_folder, locked, read_json, write_json
+from agents.training.files import (
+    AnyPath,
+    check_folder,
+    locked,
+    numbered_path,
+    read_json,
+    write_json,
+)
 from agents.training.machine import commit, machine_memory, made_with
 
 Backend = Literal["compiled", "eager"]
@@ -60,6 +67,16 @@ class RunId(NamedTuple):
 def file_name(task: str) -> str:
     """A task's id as a part of a path."""
     return re.sub(r"[/:]", "-", task)
+
+
+def is_of_policy(name: str) -> bool:
+    """Whether an array of a learner's state is one of its policy."""
+    return name == "actor" or name.startswith("actor.")
+
+
+def policy_path(folder: Path, run: RunId, step: int) -> Path:
+    """File of the policy of a run at a step."""
+    return numbered_path(folder / POLICIES, run.prefix, step)
 
 
 class UnregisteredHyperparameters:
@@ -211,7 +228,7 @@ class TrainConfig(Settings):
         try:
             values = _tuples({k: v for k, v in content.items() if k not in RECORDED})
             own = _tuples(values.pop("hyperparameters"))
-            known = algorithm(name).config if strict or name in ALGORITHMS else None
+            known = algorithm(str(name)).config if strict or name in ALGORITHMS else None
             return cls(hyperparameters=_of(known, own) if known else _plain(own), **values)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise UserError(f"{folder}/{CONFIG} is damaged: {error}") from None

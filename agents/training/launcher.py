@@ -126,7 +126,11 @@ def launcher(
         raise UserError(f"engine must be local or ray, got {engine!r}")
     if address is not None:
         raise UserError("address is of a Ray cluster: it needs the engine ray")
-    with Launcher(count or cores(), lambda *job: _train_here(*job, imports)) as made:
+
+    def train_here(folder: Path, ending: threading.Event) -> str:
+        return _train_here(folder, ending, imports)
+
+    with Launcher(count or cores(), train_here) as made:
         yield made
 
 

@@ -17,9 +17,18 @@ from agents.algorithms import learner as make_learner
 from agents.errors import UserError
 from agents.lockstep import tree
 from agents.lockstep.learner import Learner
-from agents.training.config import CHECKPOINTS, POLICIES, RunId, TrainConfig, read_spaces
+from agents.lockstep.rollout import Policy as RunsPolicy
+from agents.training.config import (
+    CHECKPOINTS,
+    POLICIES,
+    RunId,
+    TrainConfig,
+    is_of_policy,
+    policy_path,
+    read_spaces,
+)
 from agents.training.environments import Spaces
-from agents.training.files import Arrays, numbered, numbered_path
+from agents.training.files import Arrays, numbered
 from agents.training.pretrained import folder_of
 
 
@@ -40,6 +49,8 @@ class Policy:
     """Environment steps of its run by then, of a policy kept on the way those it is named by."""
     spaces: Spaces
     """Sizes, and bounds of actions."""
+    in_lockstep: RunsPolicy
+    """The policy as training calls it, with actions in [-1, 1]."""
 
     def __init__(
         self, config: TrainConfig, run: RunId, step: int, spaces: Spaces, learner: Learner
@@ -47,7 +58,7 @@ class Policy:
         """learner: holds the one run."""
         self.task, self.task_parameters = run.task, config.task_parameters
         self.seed, self.step = run.seed, step
-        self.spaces, self._act = spaces, learner.policy()
+        self.spaces, self.in_lockstep = spaces, learner.policy()
         module = getattr(learner, "module", None)
         self._module = module(0) if module else None
         self._rng = np.random.default_rng()
@@ -78,7 +89,7 @@ class Policy:
         if not deterministic:
             shape = (1, len(observations), len(self._low))
             noise = (rng or self._rng).standard_normal(shape, dtype=np.float32)
-        action = np.clip(self._act(observations[None], noise)[0], -1.0, 1.0)
+        action = np.clip(self.in_lockstep(observations[None], noise)[0], -1.0, 1.0)
         action = action.astype(self._low.dtype)
         if self._rescales:
             action = np.clip((action - self._intercept) / self._gradient, self._low, self._high)
@@ -129,16 +140,6 @@ class _Bounded(nn.Module):
         return self.low + (self.high - self.low) * share
 
 
-def is_of_policy(name: str) -> bool:
-    """Whether an array of a learner's state is one of its policy."""
-    return name == "actor" or name.startswith("actor.")
-
-
-def policy_path(folder: Path, run: RunId, step: int) -> Path:
-    """File of the policy of a run at a step."""
-    return numbered_path(folder / POLICIES, run.prefix, step)
-
-
 def load_policy(
     folder: str | os.PathLike[str],
     seed: int | None = None,
@@ -179,15 +180,17 @@ def chosen_run(
     folder: object, config: TrainConfig, seed: int | None = None, task: str | None = None
 ) -> RunId:
     """The run of a seed and a task, or the only one. Raises UserError where there is none such."""
-    tasks = [known for known in config.tasks if task in (None, known, known.rpartition(":")[2])]
+    given = config.tasks
+    tasks = [known for known in given if task in (None, known, known.rpartition(":")[2])]
     if not tasks:
         raise UserError(f"{folder} has no run on task {task!r}: its tasks are {config.tasks}")
     if len(tasks) > 1:
         raise UserError(f"{folder} has several tasks: give the task, one of {config.tasks}")
     if seed is None and len(config.seeds) > 1:
         raise UserError(f"{folder} has several runs: give the seed, one of {config.seeds}")
-    seed = config.seeds[0] if seed is None else seed
-    if seed not in config.seeds:
+    seeds = list(config.seeds)
+    seed = seeds[0] if seed is None else seed
+    if seed not in seeds:
         raise UserError(f"{folder} has no run of seed {seed!r}: there are {config.seeds}")
     return RunId(tasks[0], seed)
 

@@ -52,7 +52,7 @@ class Recorder:
         costs = rollout.cost.reshape(len(rollout.cost), *shape, -1)
         totals = rollout.cost_returns.reshape(*shape, -1)
         self.latest = {}
-        for k in np.flatnonzero(active):
+        for k in np.flatnonzero(active).tolist():
             run = self.runs[k]
             during = [slice(0, n) for n in lengths[k]]
             for c, name in enumerate(self.costs):

@@ -12,7 +12,7 @@ import re
 import typing
 from types import ModuleType
 
-from agents.cli.hyperparameters import texts
+from hyperparameters import texts
 
 PACKAGES = ("agents", "circle2d_mj", "emcc")
 _NOT_SHOWN = {"__version__", "render", "sb3"}

@@ -8,8 +8,8 @@ import gymnasium as gym
 import numpy as np
 from PIL import Image
 
-from agents.reporting.films import Panel, film
-from agents.results.steps import Episode
+from agents.reporting.pictures import Panel, film
+from agents.training.derive import Episode
 
 SIZE = 300
 WAY = ((1.05, 0.6), (0.6, 1.1), (-0.6, 1.15), (-1.25, 0.5), (-1.15, 0.0), (-0.1, 0.0))

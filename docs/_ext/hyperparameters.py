@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
+import inspect
+import itertools
+from textwrap import dedent
 
 from agents.algorithms import ALGORITHMS
-from agents.cli.hyperparameters import texts
 from agents.paper.presets import preset
 
 
@@ -25,6 +28,16 @@ def _table(name: str) -> str:
         other = "" if here == default else _words(here)
         lines.append(f"| {option} | {_words(default)} | {other} | {explained[field.name]} |")
     return "\n".join([*lines, ""])
+
+
+def texts(cls: type) -> dict[str, str]:
+    """The text below each field that a class itself declares, by name."""
+    (definition,) = ast.parse(dedent(inspect.getsource(cls))).body
+    return {
+        ast.unparse(field.target): " ".join(ast.literal_eval(text.value).split())
+        for field, text in itertools.pairwise(definition.body)
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr)
+    }
 
 
 def _texts(cls: type) -> dict[str, str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 from agents.algorithms import ALGORITHMS
-from agents.reporting.style import COLOURS, MARKERS
+from agents.reporting.figures import COLOURS, MARKERS
 
 RESULTS = Path(__file__).parents[2] / "results"
 REPORTS = tuple(RESULTS / grid / "report.csv" for grid in ("circle2d", "solve"))

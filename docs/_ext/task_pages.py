@@ -10,8 +10,8 @@ from pathlib import Path
 import circle2d_films
 import gymnasium as gym
 from gymnasium.spaces import Box
+from hyperparameters import texts
 
-from agents.cli.hyperparameters import texts
 from agents.paper.presets import PAPER_STEPS
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
 from circle2d_mj.circle2d.config import LEVELS

@@ -7,7 +7,8 @@ from agents.lockstep.nets import MLP
 from agents.on_policy.gaussian import GaussianPolicy
 from agents.on_policy.state import Nets
 
-NETS = Nets(GaussianPolicy(MLP((2, 3, 2))), MLP((2, 3, 1)))
+NETS = Nets(GaussianPolicy(MLP((2, 32, 2))), MLP((2, 32, 1)))
+SIZE = NETS.actor.size
 
 
 def normal(*shape, seed=0):
@@ -18,6 +19,6 @@ def normal(*shape, seed=0):
 
 def policy(params, observation):
     """One run's distribution, from the layout of its parameters."""
-    w1, b1, w2, b2, _, log_std, _ = params.split((6, 3, 6, 2, 15, 2, 30))
-    mean = torch.tanh(observation @ w1.view(2, 3) + b1) @ w2.view(3, 2) + b2
+    w1, b1, w2, b2, _, log_std, _ = params.split((64, 32, 64, 2, 30, 2, 30))
+    mean = torch.tanh(observation @ w1.view(2, 32) + b1) @ w2.view(32, 2) + b2
     return Independent(Normal(mean, log_std.exp().expand_as(mean)), 1)

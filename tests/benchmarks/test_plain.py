@@ -38,7 +38,7 @@ plain_sac, plain_trpo = plain_module("plain_sac"), plain_module("plain_trpo")
 def double(tree):
     if tree is None or isinstance(tree, Tensor):
         return tree if tree is None else tree.double()
-    return type(tree)(*map(double, tree))
+    return type(tree)(*map(double, tree)) if hasattr(tree, "_fields") else tuple(map(double, tree))
 
 
 def views(module, vector):
@@ -87,7 +87,7 @@ def test_off_policy_updates(name):
     both branches of the barrier are met."""
     rule, runs = ALGORITHMS[name].rule, 2
     config = replace(preset(name, TASK), cost_limit=0.1)
-    nets = sac.make_nets(config, 2, 2)
+    nets = sac.make_nets(config, 2, 2, 1)
     state = double(sac.initial_state(nets, config, rule, range(runs)))
     generator = torch.Generator().manual_seed(0)
     shift = 0.1 * torch.randn(state.targets.shape, generator=generator).double()
@@ -98,7 +98,7 @@ def test_off_policy_updates(name):
         rows[..., [5, 8]] = rows[..., [5, 8]].round()  # cost and end
         obs, action, reward, cost, obs2, end = rows.split([2, 2, 1, 1, 2, 1], dim=-1)
         ends = end[..., 0], end[..., 0]
-        batch = Batch(obs, action, reward[..., 0], cost[..., 0], obs2, *ends)
+        batch = Batch(obs, action, reward[..., 0], cost.mT, obs2, *ends)
         noises, losses = [], []
         for run, agent in enumerate(agents):
             torch.manual_seed(100 * k + run)
@@ -114,9 +114,9 @@ def test_off_policy_updates(name):
         for network, flat in networks(agent, state, run):
             assert_same(network, flat, rtol=0, atol=1e-9)
         numbers = [(agent.log_alpha, state.log_temperature)]
-        assert agent.has_multiplier == (state.multiplier is not None)
+        assert agent.has_multiplier == len(state.multipliers)
         if agent.has_multiplier:
-            numbers.append((agent.raw_multiplier, state.multiplier.parameter))
+            numbers.append((agent.raw_multiplier, state.multipliers[0].parameter))
         for plain, ours in numbers:
             torch.testing.assert_close(plain.data, ours[run, 0], rtol=0, atol=1e-9)
             assert plain.abs() > 1e-4  # it has moved
@@ -131,7 +131,8 @@ def invented_rollout(runs):
     reward = (action[..., 0] - np.abs(path[1:]).sum(axis=-1)).astype(np.float64)
     cost = (path[1:, :, 0] + 0.3 * action[..., 0] > 0.3).astype(np.float64)
     never, ends = np.zeros((50, n), dtype=bool), np.arange(50)[:, None] == length - 1
-    return Rollout(path[:-1], action, reward, cost, path[1:], never, ends, length, never[0])
+    columns = path[:-1], action, reward, cost[..., None], path[1:], never, ends
+    return Rollout(*columns, length, np.full(n, ""))
 
 
 def on_policy_agent(name, it, run):
@@ -161,8 +162,8 @@ def test_policy_steps(name, target_kl):
     epoch = double(it._epoch(rollout, packing))
     excess = torch.tensor([-20, -1, 1, 20, 1, 1, -1]).double() * (100 * target_kl) ** 0.5
     for run, factor in ((4, 0.0), (5, 1.0), (6, -1.0)):
-        epoch.cost_advantage[run] = factor * epoch.reward_advantage[run]
-    cost = excess + it.config.cost_limit
+        epoch.cost_advantage[run, 0] = factor * epoch.reward_advantage[run]
+    cost = excess[:, None] + it.config.cost_limit
     epoch, state = epoch._replace(cost=cost), double(it._state)
     params, records = trpo.policy_step(it.nets, it.config, it.rule, state, epoch)
     if name == "cpo":
@@ -173,7 +174,8 @@ def test_policy_steps(name, target_kl):
         agent = on_policy_agent(name, it, run)
         agent.target_kl = target_kl
         agent.actor.double()
-        data = (epoch.observation, epoch.action, epoch.reward_advantage, epoch.cost_advantage)
+        gains = epoch.reward_advantage, epoch.cost_advantage[:, 0]
+        data = (epoch.observation, epoch.action, *gains)
         agent.policy_step(
             *(column[run, :steps] for column in data), excess[run].item(), steps / EPISODES
         )
@@ -191,12 +193,13 @@ def test_on_policy_epoch(name):
         for k in range(run * EPISODES, (run + 1) * EPISODES):
             steps = slice(rollout.length[k])
             path = [rollout.observation[steps, k], rollout.final_observation[k : k + 1]]
-            others = (part[steps, k] for part in (rollout.action, rollout.reward, rollout.cost))
+            columns = rollout.action, rollout.reward, rollout.cost[..., 0]
+            others = (part[steps, k] for part in columns)
             episodes.append((np.concatenate(path), *others))
         agent.learn(episodes)
         assert_same_actor(agent, it, it._state.actor[run], rtol=0, atol=1e-5)
         for k, critic in enumerate(agent.critics):
             assert_same(critic, it._state.critics[run, k], rtol=0, atol=1e-6)
         if agent.has_multiplier:
-            found = it._state.multiplier.parameter[run, 0]
+            found = it._state.multipliers[0].parameter[run, 0]
             torch.testing.assert_close(agent.multiplier.data, found)

@@ -12,6 +12,7 @@ import pytest
 import torch
 from scipy.optimize import minimize
 from small_policy import NETS, normal, policy
+from small_policy import SIZE as PARAMETERS
 from torch.distributions import kl_divergence
 
 from agents.algorithms import cpo
@@ -185,7 +186,7 @@ def test_a_policy_of_each_case():
     KL plus damping, gradient of the surrogate, that of the cost times the episodes' length."""
     shares, n = torch.tensor([-1.5, -0.5, 0.5, 1.5]), 200
     length = torch.tensor([50.0, 20.0, 120.0, 7.0], dtype=torch.float64)
-    actor, columns = 0.5 * normal(4, 64, seed=0), normal(4, BLOCK, 6, seed=1)
+    actor, columns = 0.5 * normal(4, PARAMETERS, seed=0), normal(4, BLOCK, 6, seed=1)
     observation, action, reward, other = columns.split((2, 2, 1, 1), dim=-1)
     cost = reward + other  # what is good costs, so that the limit is felt
     runs, surrogates = [], []
@@ -201,7 +202,7 @@ def test_a_policy_of_each_case():
             return kl_divergence(old, policy(params, observation[run, :n])).mean()
 
         hessian = torch.autograd.functional.hessian(mean_kl, actor[run])
-        root = torch.linalg.cholesky(hessian + 0.1 * torch.eye(64))
+        root = torch.linalg.cholesky(hessian + 0.1 * torch.eye(PARAMETERS))
         g = torch.autograd.functional.jacobian(lambda p, f=surrogate: f(p, reward), actor[run])
         b = torch.autograd.functional.jacobian(lambda p, f=surrogate: f(p, cost), actor[run])
         b = length[run] * b
@@ -212,10 +213,11 @@ def test_a_policy_of_each_case():
     weight = ((torch.arange(BLOCK) < n) / n).double().expand(4, -1)
     excess = torch.stack([c for _, _, c, _ in runs])
     targets = torch.zeros(4, 2, BLOCK)
-    state = OnPolicyState(actor, *[None] * 3)
-    config = CPOConfig(target_kl=DELTA, cg_iterations=60)
-    costs = excess + config.cost_limit
-    epoch = Epoch(observation, action, weight, reward[..., 0], cost[..., 0], targets, length, costs)
+    state = OnPolicyState(actor, None, None, ())
+    config = CPOConfig(target_kl=DELTA, cg_iterations=200)
+    costs = excess[:, None] + config.cost_limit
+    gains = reward[..., 0], cost.mT
+    epoch = Epoch(observation, action, weight, *gains, targets, length, costs)
     params, records = trpo.policy_step(NETS, config, cpo.RULE, state, epoch)
     assert records["case"].tolist() == [INSIDE, PARTLY, RECOVERABLE, RECOVERY]
     for run, (surrogate, mean_kl) in enumerate(surrogates):

@@ -82,7 +82,7 @@ def assert_agree(found, expected, gradient, their_gradient):
 def test_sac(monkeypatch):
     rates = {"learning_rate": RATE, "temperature_lr": RATE}
     config = sac.ALGORITHM.config(batch_size=ROWS, hidden=HIDDEN, **rates)
-    nets = update.make_nets(config, OBSERVATION, ACTION)
+    nets = update.make_nets(config, OBSERVATION, ACTION, 1)
     state = update.initial_state(nets, config, sac.RULE, [3])
     state = state._replace(targets=state.targets + 0.01)
     rng = torch.Generator().manual_seed(0)
@@ -92,7 +92,8 @@ def test_sac(monkeypatch):
 
     terminal = (normal() > 1.5).float()
     ends = terminal, torch.zeros_like(terminal)  # the second counts for costs, which SAC has not
-    batch = Batch(normal(3), normal(2).tanh(), normal(), normal().abs(), normal(3), *ends)
+    cost = normal().abs()[:, None]
+    batch = Batch(normal(3), normal(2).tanh(), normal(), cost, normal(3), *ends)
     noise = update.UpdateNoise(normal(ACTION), normal(ACTION))
     settings = {"net_arch": list(HIDDEN), "activation_fn": nn.Tanh}
     model = silent(
@@ -136,10 +137,10 @@ def episodes(rng):
     observation, following = rng.normal(size=(2, *shape, OBSERVATION)).astype(np.float32)
     following[:-1] = observation[1:]
     action = rng.normal(size=(*shape, ACTION)).astype(np.float32)
-    reward, cost = rng.normal(size=shape), rng.random(size=shape)
+    reward, cost = rng.normal(size=shape), rng.random(size=(*shape, 1))
     ones, never = np.full(2, ROWS // 2), np.zeros_like(ends)
     columns = observation, action, reward, cost, following, ends, never
-    return Rollout(*columns, ones, np.zeros(2, bool))
+    return Rollout(*columns, ones, np.full(2, ""))
 
 
 def test_ppo():

@@ -146,7 +146,7 @@ def test_report_names_what_it_leaves_out(folder, tmp_path, capsys):
     shutil.copytree(folder, copy)
     episodes = copy / "seed-0" / "episodes.csv"
     episodes.write_text(episodes.read_text()[:-100])
-    assert main(["report", str(copy)]) == 0
+    assert main(["report", str(copy)]) == 1
     out = capsys.readouterr().out
     assert "(random_steps 300, 600 steps), mean of 1" in out
     assert "seed 0 |" not in out
@@ -169,7 +169,7 @@ def test_one_damaged_folder_does_not_hide_the_others(folder, tmp_path, capsys):
     (tmp_path / "elsewhere" / "checksums.json").unlink()
     config = tmp_path / "elsewhere" / "config.json"
     config.write_text(config.read_text().replace("Circle2D-1-v0", "no_such_module:Mine-v0"))
-    assert main(["report", str(tmp_path)]) == 0
+    assert main(["report", str(tmp_path)]) == 1
     out = capsys.readouterr().out
     assert "mean of 2" in out
     assert len(re.findall("left out", out)) == 2

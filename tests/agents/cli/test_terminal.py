@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from agents.cli import terminal
+from agents.reporting import table as terminal
 from agents.reporting.table import Number, Row, Table
 
 NAMES = ["TRPO-Lag (250,000 steps), mean of 3", "TRPO-Lag, paper (3 seeds)", "CPO | \x1b[1m2"]
@@ -42,7 +42,7 @@ def test_tables_fit_and_lose_nothing(width, capsys):
 
 def lines(parts):
     """The cells of each part, row by row."""
-    return [[[str(cell) for cell in row] for row in zip(*part, strict=True)] for part in parts]
+    return [[[words for words, _ in row] for row in zip(*part, strict=True)] for part in parts]
 
 
 def test_parts_by_hand():
@@ -50,7 +50,7 @@ def test_parts_by_hand():
     table = Table("", ["name", "first", "second"], [Row("a", numbers)])
     # name 4, then gap 3 and 6, then gap 3 and 6: 22 in all.
     [whole] = terminal.parts(table, 22)
-    assert [column[1].style for column in whole] == ["", "bold", ""]
+    assert [column[1][1] for column in whole] == [False, True, False]
     assert lines(terminal.parts(table, 21)) == [
         [["name", "first"], ["a", "1\n[0, 2]"]],
         [["name", "second"], ["a", "22"]],
@@ -68,7 +68,7 @@ def test_into_a_pipe_it_is_markdown(capsys):
 
 
 def test_lines_of_a_cell_by_hand():
-    within = [Number(1, low=0.01, high=0.91, of=3), Number(0, of=1)]
+    within = [Number(1, low=0.01, high=0.91, total=3), Number(0, total=1)]
     rows = [Row("SAC-LB-Streak, seed 0", within[:1], "corridor, round (80 %, 20 % through)")]
     rows += [Row("b", within[1:])]
     assert lines(terminal.parts(Table("", ["name", "within", "ends in"], rows), 80)) == [
@@ -84,3 +84,14 @@ def test_lines_of_a_cell_by_hand():
     ]
     [part] = lines(terminal.parts(Table("", ["name", "within"], rows), 40))
     assert part[1][0] == "SAC-LB-Streak,\nseed 0"
+
+
+def test_latex_by_hand():
+    rows = [Row("a_1 & b", [Number(0.5, low=0.25, high=1, marked=True), Number(None)])]
+    words = Table("", ["100 %", "x", "y", "ends in"], rows).latex()
+    assert words.splitlines()[2:5] == [
+        r"100 \% & x & y \\",
+        r"\midrule",
+        r"a\_1 \& b & \textbf{0.50} [0.25, 1.00] & -- \\",
+    ]
+    assert words.startswith("\\begin{tabular}{lrr}")

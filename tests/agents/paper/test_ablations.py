@@ -1,14 +1,12 @@
 """Both choices of settings that the paper does not print: their runs, and their table."""
 
 import json
-import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from agents.cli.main import main
 from agents.paper.grid import grid
 from agents.paper.presets import ablations, preset, unprinted
 from agents.reporting.report import table
@@ -224,25 +222,3 @@ def test_parts_over_all_tasks(tmp_path):
         ["P(B better)", *["0.50"] * 4],
     ]
     assert "without-share, 100 steps - preset" not in words
-
-
-def test_runs_of_other_steps_are_no_pair(folder):
-    other = ablations("trpo-lag", TASK)["sgd"]
-    write_runs(folder / "longer", "trpo-lag", [-1.0], other, steps=200)
-    assert "TRPO-Lag (multiplier_optimizer sgd, 200 steps), mean of 1" in markdown(table(folder))
-
-
-@pytest.mark.slow
-def test_reproduce_with_ablations(tmp_path, capsys):
-    out = tmp_path / "grid"
-    command = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3"]
-    command += ["--steps", "2000", "--workers", "1", "--ablations", "--out", str(out)]
-    assert main(command) == 0
-    folders = {path.parent.name for path in out.glob("*/*/config.json")}
-    assert folders == {"trpo-lag", "trpo-lag-sgd", "trpo-lag-units", "cpo", "cpo-units"}
-    printed = capsys.readouterr().out
-    assert "TRPO-Lag, sgd, 2,000 steps, mean of 1" in printed
-    page = (out / "index.html").read_text()
-    assert "Other choices of what the paper does not print" in page
-    assert len(re.findall(r"circle2d train .*--multiplier-optimizer sgd", page)) == 1
-    assert (out / "report.md").read_text().count("TRPO-Lag, sgd,") == 1

@@ -8,8 +8,8 @@ import pytest
 
 from agents.paper.claims import CLAIMS, check_claims
 from agents.paper.presets import PAPER_STEPS, preset
-from agents.reporting import claims_text
-from agents.reporting.page import Section, page
+from agents.paper.sections import claims_section
+from agents.reporting.page import page
 from agents.results.reading import Group, Run
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
@@ -196,9 +196,10 @@ def test_another_choice_that_changes_a_verdict(world):
         "in the corridor: SAC-Lag with bootstrap 0 of 10 runs [0.00, 0.31], SAC-LB 10 of 10 runs "
         "[0.69, 1.00] (claimed: each has some)"
     )
-    text = claims_text.markdown(checked)
+    section = claims_section([ten, *groups])
+    text = section.statements_markdown()
     assert f"With bootstrap: refuted\n\n- Circle2D-0: {words}: refuted\n" in text
-    html = unescape(page("x", [Section("The paper's claims", claims=checked)], {}))
+    html = unescape(page("x", [section], {}))
     assert 'With bootstrap: <span class="refuted">refuted</span>' in html
     assert html.count(words) == 1
 
@@ -216,18 +217,19 @@ def test_what_is_missing_is_named(world):
     del world[SAFETY[2], "cpo"]
     world[LEVEL[3], "wcsac"] = world[LEVEL[3], "wcsac"][:3]
     groups = [group(task, name, runs) for (task, name), runs in world.items()]
-    text = claims_text.markdown(check_claims(groups))
+    text = claims_section(groups).statements_markdown()
     assert "; no runs: SafetyHopperVelocity: undecided" in text
     assert "; 3 of 10 runs: WCSAC: undecided" in text
 
 
 def test_the_page_says_the_same(world):
-    checked = check_claims([group(task, name, runs) for (task, name), runs in world.items()])
-    text = claims_text.markdown(checked)
-    html = unescape(page("x", [Section("The paper's claims", claims=checked)], {}))
+    groups = [group(task, name, runs) for (task, name), runs in world.items()]
+    checked, section = check_claims(groups), claims_section(groups)
+    text = section.statements_markdown()
+    html = unescape(page("x", [section], {}))
     assert text.count("**Confirmed**") == html.count("Confirmed</span>") == 7
-    for claim, findings, *_ in checked:
-        for part in (claim.text, claim.rule, *map(claims_text.finding_words, findings)):
+    for claim, _, rule, findings, _ in checked:
+        for part in (claim, rule, *(words for words, _ in findings)):
             assert part in text
             assert part in html
     # By hand: 9.40 to 9.49 and .200 to .227 with t of 9 degrees of freedom, 2.262; of 10 of 10 the
@@ -249,4 +251,4 @@ def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
     groups = [group(task, name, runs) for (task, name), runs in world.items()]
     checked = check_claims([*others, *groups])[0]
     assert checked.verdict == "undecided"
-    assert any("2,000,000 of 1,000,000 steps" in part.lacking for part in checked.findings)
+    assert any("2,000,000 of 1,000,000 steps" in words for words, _ in checked.findings)

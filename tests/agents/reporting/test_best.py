@@ -5,7 +5,7 @@ from importlib.resources import files
 
 from agents.paper.presets import preset
 from agents.paper.printed import paper_results
-from agents.reporting.marks import best
+from agents.reporting.tables import best
 
 MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
 NAMES = {"TRPO-Lag": 0, "CPO": 1, "SAC-Lag": 2, "SAC-LB": 3, "WCSAC": 4}

@@ -8,24 +8,23 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from agents.algorithms import ALGORITHMS
 from agents.paper.presets import preset
-from agents.reporting.curves import (
+from agents.reporting.figures import (
+    COLOURS,
     POINTS,
     WINDOW,
-    Line,
-    curves_svg,
+    curves,
     episode_means,
     midpoints,
     running_emcc,
+    styles,
     thirds_emcc,
 )
-from agents.reporting.style import COLOURS, DASHES, MARKERS, Style, styles
+from agents.results.reading import Group, Run
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords, emcc
 
 TOTAL = 4000
-STYLE = Style(COLOURS[1], DASHES[1], MARKERS[1])
 
 
 def records(seed):
@@ -41,8 +40,18 @@ def records(seed):
 
 
 RUNS = [records(seed) for seed in range(5)]
-THREE = Line("three", STYLE, RUNS[:3], TOTAL)
-FIVE = Line("five", STYLE, RUNS, TOTAL)
+TASK = "Circle2D-1-v0"
+
+
+def group(records, places=("",)):
+    """Runs of CPO that end in some places in turn."""
+    config = TrainConfig("cpo", TASK, tuple(range(len(records))), TOTAL, preset("cpo", TASK))
+    ends = [{places[k % len(places)]: 1} for k in range(len(records))]
+    runs = [Run(k, {}, 1, ends[k], of_run) for k, of_run in enumerate(records)]
+    return Group("a", config, runs)
+
+
+THREE, FIVE = group(RUNS[:3]), group(RUNS)
 T_OF_4 = 2.7764451
 """Student's t of 4 degrees of freedom, 97.5 %."""
 
@@ -51,7 +60,7 @@ T_OF_4 = 2.7764451
 def test_episode_means_by_a_loop(column):
     """Of three runs with their range, of five with the t interval, and of five that end in
     different places with their range."""
-    other_places = FIVE._replace(one_place=False)
+    other_places = group(RUNS, ("here", "there"))
     found = [episode_means(line, column) for line in (THREE, FIVE, other_places)]
     lowest = 0.0 if column == "cost" else -math.inf
     for k in range(POINTS):
@@ -109,21 +118,22 @@ def test_emcc_of_the_thirds():
 
 
 def test_one_run_has_a_line_alone():
-    curve = thirds_emcc(THREE._replace(records=RUNS[:1]), 0.3)
+    curve = thirds_emcc(group(RUNS[:1]), 0.3)
     assert np.isfinite(curve.mean).all()
     assert np.isnan(curve.low).all()
 
 
 def test_curves_are_the_same_bytes_and_keep_an_algorithms_colour():
-    lines = [Line("A", STYLE, RUNS, TOTAL), THREE._replace(style=STYLE._replace(dash=DASHES[2]))]
-    svg = curves_svg("Task", lines, 5.0, 0.1)
-    assert svg == curves_svg("Task", lines, 5.0, 0.1)
+    named = [("A", FIVE), ("three", THREE)]
+    svg = curves(named).content
+    assert svg == curves(named).content
     text = svg.decode()
     assert text.lstrip().startswith("<?xml")
     drawn = {c: len(re.findall(f"stroke: {c.lower()}", text)) for c in COLOURS if c != "#000000"}
-    assert [c for c, count in drawn.items() if count] == [COLOURS[1]]
+    (colour,) = {style.colour for style in styles([FIVE.config])}
+    assert [c for c, count in drawn.items() if count] == [colour]
     dashes = set(re.findall("stroke-dasharray: ([^;]+)", text))
-    assert len(dashes) >= 3  # of either line, and the thirds' borders
+    assert len(dashes) == 2  # of one line, and the thirds' borders; the other is solid
 
 
 def test_no_band_below_a_cost_of_zero(monkeypatch):
@@ -134,7 +144,7 @@ def test_no_band_below_a_cost_of_zero(monkeypatch):
         EpisodeRecords(of_ten, of_ten * 400, none + 400, none - 1.0, none + c, none)
         for c in (0, 0, 0, 9, 9)
     ]
-    line = Line("A", STYLE, runs, TOTAL)
+    line = group(runs)
     half = T_OF_4 * 9 * math.sqrt(0.3 / 5)
     assert 3.6 - half < -1
     assert np.nanmin(episode_means(line, "cost").low) == 0
@@ -146,21 +156,8 @@ def test_no_band_below_a_cost_of_zero(monkeypatch):
         return fill(self, x, low, high, **options)
 
     monkeypatch.setattr(Axes, "fill_between", noted)
-    curves_svg("Task", [line], None, 0.1)
+    curves([("A", line)])
     returns, costs, running = drawn
     assert returns == (-1, -1)
     assert costs == (0, pytest.approx(3.6 + half))
     assert running == (0, 0)
-
-
-def test_styles_by_algorithm():
-    def config(name):
-        return TrainConfig(name, "Circle2D-1-v0", (0,), 100, preset(name, "Circle2D-1-v0"))
-
-    everyone = styles([config(name) for name in ALGORITHMS])
-    for of_all in zip(*everyone, strict=True):
-        assert len(set(of_all[:7])) == 7
-    alone = styles([config("wcsac"), config("wcsac"), config("cpo")])
-    assert alone[0] == everyone[list(ALGORITHMS).index("wcsac")]
-    assert alone[0].colour == alone[1].colour
-    assert len({(of.dash, of.marker) for of in alone}) == 3

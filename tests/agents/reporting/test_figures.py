@@ -7,7 +7,6 @@ import pytest
 from PIL import Image
 
 from agents.paper import introduction as example
-from agents.reporting import figures
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.envs import Circle2DEnv
 from circle2d_mj.circle2d.view import Circle2DView
@@ -69,24 +68,7 @@ def test_the_levels_show_the_tasks(monkeypatch):
         left = places[0][1] + size
 
 
-def test_labels_stand_where_what_they_name_is():
-    for words, (first, places) in example.LABELS.items():
-        config = Circle2DConfig(level=max(first, 1))
-        at = np.array(places) * config.constraint_radius
-        if words == "start":
-            assert ((at >= config.start_rectangle[0]) & (at <= config.start_rectangle[1])).all()
-        elif words in ("corridor", "cost region"):
-            assert config.region.places(at) == [words]
-        elif words == "goal":
-            assert np.hypot(*at[0]) < 4
-        else:  # just outside the rim, beside the cut-out of the level
-            inwards = at / np.hypot(*at.T)[:, None] * 0.9 * config.constraint_radius
-            assert {place.split(" ", 1)[1] for place in config.region.places(inwards)} == {
-                "cut-out" if first == 2 else "diagonal cut-out"
-            }
-
-
 def test_files_hold_the_pictures_without_loss():
-    levels, trajectories = figures.introduction()
-    np.testing.assert_array_equal(image_of(levels), example.levels(figures.SIZE))
-    assert trajectories == figures.introduction()[1]  # byte for byte
+    levels, trajectories = example.introduction()
+    np.testing.assert_array_equal(image_of(levels), example.levels(example.SIZE))
+    assert trajectories == example.introduction()[1]  # byte for byte

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agents.reporting import films
-from agents.reporting.films import HELD, Panel
+from agents.reporting import pictures as films
+from agents.reporting.pictures import HELD, Panel
 from agents.results.steps import Episode
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
@@ -49,10 +49,3 @@ def test_a_film_shows_every_state_and_waits_for_the_longer_episode():
 )
 def test_the_running_cost_by_hand(steps, words):
     assert films._words(2, episode(5), steps) == words
-
-
-def test_a_picture_has_a_panel_for_each_policy():
-    panels = [Panel(name, VIEW, [episode(5)]) for name in ("a", "b", "c")]
-    one, three = films.picture(panels[:1], 96), films.picture(panels, 96)
-    assert three.shape[0] == one.shape[0]
-    assert three.shape[1] > 2.9 * 96

@@ -9,18 +9,15 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from PIL import Image
-from small_runs import write_runs
+from small_runs import group_of, write_runs
 
-from agents.reporting.figures import figures
-from agents.reporting.maps import Map, maps
-from agents.reporting.scenes import SIZE, STATES, Scenes, heat_png, paths, shown_states
-from agents.results.reading import Group, Run
+from agents.reporting.figures import task_figures
+from agents.reporting.maps import SIZE, STATES, Map, Scenes, heat_png, maps, paths, shown_states
 from agents.results.source import FolderSource
 from agents.results.steps import Episode
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.render import canvas
-from emcc import EpisodeRecords
 
 MEASURES = {"J_R": -5.25, "J_C": 3.0}
 TITLE = "SAC-Lag (120 steps)"
@@ -31,9 +28,7 @@ def image_of(content):
 
 
 def group(folder, config, seeds=(0, 1)):
-    records = [EpisodeRecords.load(folder / f"seed-{k}" / "episodes.csv") for k in seeds]
-    runs = [Run(k, MEASURES, 100, {}, of) for k, of in zip(seeds, records, strict=True)]
-    return Group(folder.name, config, runs)
+    return group_of(folder, config, seeds, MEASURES)
 
 
 @pytest.fixture
@@ -51,9 +46,9 @@ def groups(tmp_path):
 def test_the_layers_are_those_of_the_view():
     """Put together in another way, they give the view's picture."""
     scenes = Scenes()
-    config = of_task("Circle2D-3-v0")
-    scene = scenes.of(config, [])
-    assert scenes.of(config, []) is scene
+    task = of_task("Circle2D-3-v0")
+    scene = scenes.get(task, [])
+    assert scenes.get(task, []) is scene
     assert scenes.all == [scene]
     view = Circle2DView(Circle2DConfig(level=3))
     below, above = image_of(scene.below)[..., :3], image_of(scene.above)
@@ -66,7 +61,7 @@ def test_the_layers_are_those_of_the_view():
 
 
 def of_task(task):
-    return SimpleNamespace(task=task, task_parameters={})
+    return SimpleNamespace(task=task, config=SimpleNamespace(task_parameters={}))
 
 
 def test_heat_by_hand():
@@ -80,7 +75,7 @@ def test_heat_by_hand():
 
 def test_heat_maps_by_algorithm_and_third(groups, tmp_path):
     notes = []
-    shown, *_ = maps(FolderSource(tmp_path), groups, Scenes(), notes)
+    shown, *_ = maps(groups, Scenes(), notes)
     assert f"no heat map of {tmp_path.name}/b: {tmp_path.name}/b/seed-1/visited.npy" in notes[0]
     assert not any(str(tmp_path) in note for note in notes)
     assert shown.columns == [TITLE] * 2
@@ -107,10 +102,14 @@ def test_heat_maps_by_algorithm_and_third(groups, tmp_path):
 
 
 class Played(FolderSource):
-    """A source whose policies' episodes are given."""
+    """Runs whose policies' episodes are given."""
 
     def trained(self, folder, config, seeds):
         return {seed: EPISODES[seed] for seed in seeds}
+
+
+def played(groups, tmp_path):
+    return [replace(group, source=Played(tmp_path)) for group in groups]
 
 
 PATH = np.linspace((12.0, 1.5), (2.0, 1.5), 11).astype(np.float32)
@@ -118,7 +117,7 @@ EPISODES = {0: None, 1: [Episode(PATH, np.array([0.0, 1, 1, 0, 0, 0, 0, 0, 0, 1]
 
 
 def test_paths_of_trained_policies(groups, tmp_path):
-    _, shown = maps(Played(tmp_path), groups[::2], Scenes(), [])
+    _, shown = maps(played(groups[::2], tmp_path), Scenes(), [])
     (diverged, one), (two, gap) = shown.cells
     assert diverged == "seed 0: J_R -5.2, J_C 3.0; its numbers are not finite"
     assert gap == ""
@@ -130,7 +129,7 @@ def test_paths_of_trained_policies(groups, tmp_path):
 
 
 def test_maps_of_one_algorithm_stand_side_by_side(groups, tmp_path):
-    visited, trained = maps(Played(tmp_path), groups[:1], Scenes(), [])
+    visited, trained = maps(played(groups[:1], tmp_path), Scenes(), [])
     assert (len(visited.columns), visited.rows) == (3, [TITLE])
     assert (list(trained.columns), len(trained.cells)) == (["run 1", "run 2"], 1)
 
@@ -147,11 +146,11 @@ def test_states_of_long_episodes(steps):
 
 def test_a_cost_between_two_drawn_states_is_shown():
     """Of 1000 steps every eighth is drawn; the one that cost is the 500th."""
-    scene = Scenes().of(of_task("Circle2D-1-v0"), [])
+    scene = Scenes().get(of_task("Circle2D-1-v0"), [])
     costs = np.zeros(1000)
     costs[499] = 1.0
     positions = np.linspace((0, 0), (10, 0), 1001)
-    way, costly = paths(scene, [Episode(positions, costs)])
+    way, costly = paths(scene.extent, [Episode(positions, costs)])
     assert costly.count("M") == 1
     # State 500 lies between the drawn states 496 and 504, at x = 5.04.
     assert re.fullmatch(r"M668 500h0", costly)
@@ -163,14 +162,14 @@ def test_tasks_without_a_view_have_curves_alone(groups, tmp_path):
     try:
         other = [replace(g, config=replace(g.config, task="NoView-v0")) for g in groups]
         notes = []
-        assert maps(FolderSource(tmp_path), other, Scenes(), notes) == []
+        assert maps(other, Scenes(), notes) == []
     finally:
         del gym.registry["NoView-v0"]
-    (curves,) = figures(other)
+    (curves,) = task_figures(other)
     assert "the cost limit, 5." in curves.caption
     assert notes == []
     nobody = [replace(g, runs=[]) for g in other]
-    assert figures(nobody) == maps(FolderSource(tmp_path), nobody, Scenes(), notes) == []
+    assert task_figures(nobody) == maps(nobody, Scenes(), notes) == []
 
 
 class NoView(gym.Env):
@@ -184,6 +183,6 @@ def test_the_safety_tasks_have_heat_maps(tmp_path):
         positions = rng.uniform(-1, 1, (120, 2)).astype(np.float32)
         np.save(tmp_path / "a" / f"seed-{seed}" / "visited.npy", positions)
     notes = []
-    (shown,) = maps(FolderSource(tmp_path), [group(tmp_path / "a", config)], Scenes(), notes)
+    (shown,) = maps([group(tmp_path / "a", config)], Scenes(), notes)
     assert [note.partition(" of ")[0] for note in notes] == ["no trajectories"]
     assert all((image_of(cell.heat)[..., 3] > 0).sum() > 15 for cell in shown.cells[0])

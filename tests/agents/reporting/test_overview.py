@@ -1,7 +1,6 @@
 """Figures and tables over all tasks, against counts and means worked out here."""
 
 import re
-from dataclasses import replace
 from itertools import product
 from statistics import fmean
 
@@ -10,14 +9,12 @@ import pytest
 from matplotlib.axes import Axes
 
 from agents.paper.presets import preset
-from agents.reporting import together
-from agents.reporting.over_tasks import over_tasks
-from agents.reporting.overview import intervals_figure, profiles_figure, rates_figure
-from agents.reporting.separated import separated_table
-from agents.results.measures import RunData, measures
+from agents.paper.printed import printed
+from agents.reporting.figures import intervals_figure, profiles_figure, rates_figure
+from agents.reporting.tables import over_tasks, separated_table
+from agents.results.measures import RunData, measured
 from agents.results.reading import Group, Run
-from agents.results.separation import comparisons
-from agents.results.thirds import thirds
+from agents.results.statistics import comparisons, thirds
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
 
@@ -35,7 +32,7 @@ def run(seed, cost, streak, end="corridor"):
     records = EpisodeRecords(np.arange(EPISODES), start, length, -1.0 * length, costs, streaks)
     evaluation = {"deterministic": {"J_R": -9.0 - seed, "J_C": 1.0, "CVaR_0.5": 1.0}}
     data = RunData(records, STEPS, evaluation)
-    return Run(seed, {m.name: m(data) for m in measures()}, 100, {end: 100}, records)
+    return Run(seed, measured(data, ""), 100, {end: 100}, records)
 
 
 def group(task, name, runs):
@@ -82,7 +79,7 @@ def test_rollouts_of_several_episodes_stay_together():
 
 
 def test_a_dot_for_each_run_and_a_cross_for_each_printed_value(groups):
-    text = intervals_figure(groups).content.decode()
+    text = intervals_figure(groups, printed).content.decode()
     columns = 7  # no run has a mean streak here
     for colour in ("#0072b2", "#d55e00", "#e69f00"):
         uses = re.findall(f"<use [^>]*fill: {colour}", text)
@@ -90,7 +87,7 @@ def test_a_dot_for_each_run_and_a_cross_for_each_printed_value(groups):
     # A cross is one path with four strokes, defined once.
     (cross,) = set(re.findall(r'<path id="(\w+)" d="M -2.5 2.5 \nL 2.5 -2.5 \nM', text))
     assert len(re.findall(f'<use xlink:href="#{cross}"', text)) == len(groups) * columns
-    assert text == intervals_figure(groups).content.decode()
+    assert text == intervals_figure(groups, printed).content.decode()
 
 
 def test_a_dot_for_each_run_and_third(groups):
@@ -119,10 +116,8 @@ def test_profiles_are_shares_of_rollouts(groups, monkeypatch):
 
 def test_pairs_of_equal_cost_rates_and_different_emcc(groups):
     """In the first two thirds of both tasks CPO and WCSAC are; in the last one nobody costs."""
-    found = [of for of in comparisons(groups) if of.separated]
-    named = [
-        (of.a.config.task, of.part, of.a.config.algorithm, of.b.config.algorithm) for of in found
-    ]
+    found = [pair for pair in comparisons(groups) if pair.separated]
+    named = [(x.a.task, x.part, x.a.config.algorithm, x.b.config.algorithm) for x in found]
     assert named == [(task, part, "cpo", "wcsac") for task in TASKS for part in (0.33, 0.66)]
     table = separated_table(groups)
     # 2 tasks x 3 thirds x 3 pairs; of the last thirds all six have equal rates, and equal EMCC.
@@ -154,7 +149,6 @@ def test_fewer_than_five_runs_are_in_no_comparison(groups):
     few = [group(of.config.task, of.config.algorithm, of.runs[:4]) for of in groups]
     assert comparisons(few) == []
     assert separated_table(few) is over_tasks(few) is None
-    assert together.tables(few) == {}
 
 
 def test_over_tasks_by_hand(groups):
@@ -188,18 +182,6 @@ def test_over_tasks_by_hand(groups):
     assert "corrected for the 12 comparisons of this table" in table.caption
 
 
-def test_a_shorter_trial_beside_the_runs_changes_nothing_over_tasks(groups):
-    """Nor does a second folder of equal settings with fewer runs; one with more takes its place."""
-    expected = over_tasks(groups)
-    trial = group(TASKS[0], "trpo-lag", [run(seed, 0, 0) for seed in range(6)])
-    shorter = replace(trial, config=replace(trial.config, steps=STEPS // 2))
-    fewer = group(TASKS[0], "trpo-lag", trial.runs[:5])
-    for more in (shorter, fewer):
-        assert over_tasks([more, *groups]).rows == over_tasks([*groups, more]).rows == expected.rows
-    longer = group(TASKS[0], "trpo-lag", [run(seed, 0, 0) for seed in range(7)])
-    assert over_tasks([longer, *groups]).rows != expected.rows
-
-
 def test_no_interval_of_a_difference_where_runs_end_in_different_places(groups):
     (row, *_) = separated_table(groups).rows
     assert row.numbers[2].low is not None
@@ -208,10 +190,3 @@ def test_no_interval_of_a_difference_where_runs_end_in_different_places(groups):
     mixed = group(TASKS[0], "wcsac", [*elsewhere[:3], *groups[2].runs[3:]])
     (row, *_) = separated_table([groups[1], mixed]).rows
     assert [row.numbers[k].low for k in (2, 6)] == [None, None]
-
-
-def test_one_task_has_no_table_over_tasks(groups):
-    assert over_tasks(groups[:3]) is None
-    # An algorithm without enough runs on one of the tasks is left out.
-    names = [row.name for row in over_tasks(groups[:5]).rows]
-    assert not any("WCSAC" in name for name in names)

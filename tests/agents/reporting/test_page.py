@@ -4,6 +4,7 @@ import re
 import shutil
 from html.parser import HTMLParser
 
+from agents.cli.main import main
 from agents.paper.grid import grid, prepare
 from agents.reporting.figures import Figure
 from agents.reporting.page import Section, page
@@ -73,7 +74,7 @@ def test_the_report_of_a_small_grid(tmp_path):
     prepare(configs)
     for folder in configs:
         train(folder)
-    words = markdown(report(tmp_path))
+    words = markdown(report(tmp_path).blocks)
     text = (tmp_path / "index.html").read_text()
     shown = Page(text)
     assert shown.fetched == []  # no network, no files beside it
@@ -90,8 +91,7 @@ def test_the_report_of_a_small_grid(tmp_path):
     assert "2 runs, 1 task, 1 algorithm, seeds 0, 1, 2,000 steps each" in text
     assert [image["alt"] for image in shown.images] == [
         "Every run: A dot for each run",
-        "Cost rate against EMCC: A marker for each run in a third of its training: cost per step, "
-        "and EMCC, both of the rollouts that start in the third",
+        "Cost rate against EMCC: A marker for each run in a third of its training",
         "Profiles of MCC: Cost rate against EMCC",
         "Training curves: Circle2D-1-v0",
         "The four levels: Circle2D and EMCC",
@@ -104,5 +104,8 @@ def test_the_report_of_a_small_grid(tmp_path):
     report(tmp_path)
     assert (tmp_path / "index.html").read_text() == text
     shutil.rmtree(tmp_path / "Circle2D-1-v0" / "trpo-lag" / "seed-1")
-    assert "left out: " in markdown(report(tmp_path))
+    written = report(tmp_path)
+    assert "left out: " in markdown(written.blocks)
+    assert len(written.left_out) == 1
+    assert main(["report", str(tmp_path)]) == 1
     assert "left out: " in (tmp_path / "index.html").read_text()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.paper.presets import preset
-from agents.reporting.panel_table import panel_table
+from agents.reporting.tables import panel_table
 from agents.results.reading import Group, Run
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords

@@ -13,9 +13,8 @@ from agents.cli.main import main
 from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.reporting import pictures
-from agents.reporting.films import HELD
+from agents.reporting.pictures import HELD
 from agents.results.steps import count_visits
-from agents.training import pretrained
 from agents.training.config import TrainConfig
 from agents.training.loop import train
 from circle2d_mj import Circle2DConfig
@@ -94,22 +93,6 @@ def test_commands_write_pictures_and_films(folder, tmp_path, capsys):
         assert shape is None or len(image) == shape
         assert image.std() > 10
         assert [p.name for p in out.parent.iterdir() if "unfinished" in p.name] == []
-
-
-def test_policies_of_the_package_side_by_side(folder, tmp_path, monkeypatch, capsys):
-    """A folder and a policy alone; the picture is written here, not into the package."""
-    monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "policies")
-    pretrained.write_policy(folder, 6, tmp_path / "policies" / "trpo-lag" / TASK)
-    monkeypatch.chdir(tmp_path)
-    of_package = f"pretrained:trpo-lag/{TASK}"
-    assert main(["render", of_package, str(folder), "--size", "64", "--seed", "6", "6"]) == 0
-    assert capsys.readouterr().out == "trajectories.png\n"
-    both = imageio.imread("trajectories.png")
-    left, right = both[:, : both.shape[1] // 2], both[:, both.shape[1] // 2 :]
-    # The same policy, whichever folder it is read from: panels differ by their margins only.
-    assert abs(int((left < 200).sum()) - int((right < 200).sum())) < 0.02 * (left < 200).sum()
-    assert main(["render", "pretrained:cpo/x"]) == 2
-    assert "no policy of 'cpo' comes with the package" in capsys.readouterr().err
 
 
 def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
@@ -212,44 +195,6 @@ def test_heat_maps_of_several_folders_side_by_side(folder, tmp_path):
     assert (left != right).any()
 
 
-def test_columns_of_heat_maps_say_what_tells_them_apart(folder, tmp_path, monkeypatch):
-    """The titles are those of the settings, or those given."""
-    copy, out, titles = tmp_path / "x", str(tmp_path / "both.png"), []
-    shutil.copytree(folder, copy)
-    content = json.loads((copy / "config.json").read_text())
-    content["hyperparameters"]["cost_limit"] = 6.0
-    (copy / "config.json").write_text(json.dumps(content))
-    (copy / "checksums.json").unlink()
-    monkeypatch.setattr(
-        pictures,
-        "figure",
-        lambda rows, columns, **of: titles.append(columns) or figure(rows, columns),
-    )
-    command = ["heatmap", str(folder), str(copy), "--size", "96", "--out", out]
-    for names in ([], ["--names", "left", "right"]):
-        assert main([*command, *names]) == 0
-    assert titles == [
-        [
-            f"TRPO-Lag (2,000 steps) on {TASK}",
-            f"TRPO-Lag (cost_limit 6.0, 2,000 steps) on {TASK}",
-        ],
-        ["left", "right"],
-    ]
-
-
-def test_scene_prints_a_whole_model(capsys):
-    import mujoco
-
-    assert main(["scene", "--level", "2", "--constraint-radius", "3"]) == 0
-    model = mujoco.MjModel.from_xml_string(capsys.readouterr().out)
-    assert {model.geom(k).name for k in range(model.ngeom)} == {
-        "floor",
-        "agent",
-        *(f"region{k}" for k in range(7)),
-    }
-    assert model.geom("agent").size[0] == pytest.approx(3 * 0.025)
-
-
 def test_a_figure_puts_pictures_where_they_belong():
     colours = [[(255, 0, 0), (0, 255, 0)], [(0, 0, 255), None]]
     rows = [[c and np.full((64, 64, 3), c, np.uint8) for c in row] for row in colours]
@@ -264,13 +209,3 @@ def test_a_figure_puts_pictures_where_they_belong():
                 places[row, column] = found.min(axis=0)
     assert places[0, 0][0] == places[0, 1][0] < places[1, 0][0]
     assert places[0, 0][1] == places[1, 0][1] < places[0, 1][1]
-
-
-def test_titles_of_columns_stay_above_their_pictures():
-    """Above the gap between two pictures, a 24th of their side, nothing is written."""
-    rows = [[np.full((240, 240, 3), 200, np.uint8)] * 2]
-    for words in ("a", "SAC-LB-Streak on Circle2DMuJoCo-0-v0", "W" * 60):
-        image = figure(rows, [words] * 2)
-        gap = slice(10 + 240, 10 + 240 + 10)
-        assert (image[:25, gap] == 255).all()
-        assert (image[:25] != 255).any()

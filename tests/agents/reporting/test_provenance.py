@@ -5,7 +5,6 @@ import subprocess
 from dataclasses import asdict, replace
 from types import SimpleNamespace
 
-import pytest
 from small_runs import write_status
 
 from agents.cli.main import main
@@ -17,15 +16,6 @@ from agents.results.source import FolderSource
 from agents.training import machine
 from agents.training.config import TrainConfig
 from agents.training.files import read_json
-from agents.training.status import duration
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(40, "40 s"), (100, "2 min"), (3599, "1 h 0 min"), (10_920, "3 h 2 min")],
-)
-def test_duration(seconds, words):
-    assert duration(seconds) == words
 
 
 def test_the_command_trains_the_same(tmp_path):
@@ -33,7 +23,7 @@ def test_the_command_trains_the_same(tmp_path):
     parameters = {"constraint_radius": 3.0, "optima_perturbation": (1.0, 0.5)}
     config = TrainConfig("sac-lag", "Circle2D-3-v0", (4, 7), 150, hyperparameters, parameters)
     config = replace(config, vectorization="sync")
-    said = command(config, str(tmp_path / "with a space"), {})
+    said = command(config, config.task, str(tmp_path / "with a space"), {})
     program, *arguments = shlex.split(said)
     assert program == "circle2d"
     assert main(arguments) == 0
@@ -44,15 +34,19 @@ def test_the_command_trains_the_same(tmp_path):
     assert "--discount" not in said  # as the preset has it
     assert "--device" not in said
     on_gpu = replace(config, device="cuda", backend="compiled")
-    assert "--backend compiled --vectorization sync --device cuda" in command(on_gpu, "x", {})
+    assert "--backend compiled --vectorization sync --device cuda" in command(
+        on_gpu, config.task, "x", {}
+    )
 
 
 def test_the_command_imports_what_registers_algorithm_and_task():
     config = TrainConfig("sac-lag", "Circle2D-3-v0", (4,), 150, preset("sac-lag", "Circle2D-3-v0"))
     own_task = {"algorithm_module": "agents.algorithms.sac_lag", "task_module": "my_tasks"}
-    assert command(config, "x", own_task).startswith("circle2d train --import my_tasks --algorithm")
+    assert command(config, config.task, "x", own_task).startswith(
+        "circle2d train --import my_tasks --algorithm"
+    )
     by_prefix = replace(config, task="circle2d_mj:Circle2D-3-v0")
-    assert "--import" not in command(by_prefix, "x", own_task)
+    assert "--import" not in command(by_prefix, by_prefix.task, "x", own_task)
     content = asdict(config) | {"algorithm": "mine"}
     own = TrainConfig.parse(content, "x", strict=False)  # not registered here
     for recorded, imports in (
@@ -61,47 +55,46 @@ def test_the_command_imports_what_registers_algorithm_and_task():
         ({"algorithm_module": "__main__", "task_module": "__main__"}, ""),
         ({}, ""),  # a folder of before they were recorded
     ):
-        said = command(own, "x", recorded).partition(" --algorithm")[0]
+        said = command(own, own.task, "x", recorded).partition(" --algorithm")[0]
         assert said == " ".join(["circle2d train", *(f"--import {m}" for m in imports.split())])
 
 
-def test_what_is_told(tmp_path):
+def unfinished(folder, *names):
+    """Groups of folders without a complete run."""
     groups = []
+    for name in names:
+        path = folder / name
+        config, recorded = TrainConfig.read(path), read_json(path / "config.json")
+        title, source = f"{folder.name}/{name}", FolderSource(folder)
+        groups.append(Group(name, config, [], title=title, recorded=recorded, source=source))
+    return groups
+
+
+def test_what_is_told(tmp_path):
     for name in ("cpo", "wcsac"):
         task = "Circle2D-1-v0"
         config = TrainConfig(name, task, (0, 1), 1000, preset(name, task))
         config.write(tmp_path / name)
         write_status(tmp_path / name, 1.0, **{name: 300.4})
-        groups.append(Group(name, config, []))
-    of = machine.machine()
-    assert (
-        made(FolderSource(tmp_path), groups)["machine"] == f"{of['processor']}, {of['cores']} cores"
-    )
-    assert made(FolderSource(tmp_path), groups)["training time"] == "10 min, all processes together"
-    assert made(FolderSource(tmp_path), groups)["program"].startswith("circle2d-mj ")
-    first, second = made(FolderSource(tmp_path), groups)["command"].splitlines()
+    told, here = made(unfinished(tmp_path, "cpo", "wcsac")), machine.machine()
+    assert told["machine"] == f"{here['processor']}, {here['cores']} cores"
+    assert told["training time"] == "10 min, all processes together"
+    assert told["program"].startswith("circle2d-mj ")
+    first, second = told["command"].splitlines()
     assert first == (
         "circle2d train --algorithm cpo --task Circle2D-1-v0 --seeds 0 1 --steps 1000 "
         f"--backend eager --out {tmp_path.name}/cpo"
     )
     assert "wcsac" in second
-    assert made(FolderSource(tmp_path), groups)["steps"] == "1,000"
-    assert read_json(tmp_path / "cpo" / "seed-0" / "config.json")["machine"] == of
+    assert told["steps"] == "1,000"
     # Runs of before these were recorded.
     content = (tmp_path / "cpo" / "config.json").read_text().replace('"machine"', '"versions"')
     (tmp_path / "cpo" / "config.json").write_text(content)
     (tmp_path / "cpo" / "checksums.json").unlink()
     (tmp_path / "cpo" / "status.json").unlink()
-    told = made(FolderSource(tmp_path), groups)["training time"]
-    assert told == "5 min, all processes together, of 1 of 2 folders"
-    assert made(FolderSource(tmp_path), groups[:1]).keys() == {
-        "program",
-        "command",
-        "versions",
-        "runs",
-        "seeds",
-        "steps",
-    }
+    groups = unfinished(tmp_path, "cpo", "wcsac")
+    assert made(groups)["training time"] == "5 min, all processes together, of 1 of 2 folders"
+    assert not {"machine", "training time"} & made(groups[:1]).keys()
 
 
 def test_who_went_on_is_recorded_and_told(tmp_path, monkeypatch):
@@ -122,7 +115,7 @@ def test_who_went_on_is_recorded_and_told(tmp_path, monkeypatch):
     assert said.startswith("trained so far with other versions {'python'")
     machine.note_session(tmp_path)
     assert TrainConfig.read(tmp_path) == config
-    told = made(FolderSource(tmp_path), [Group(".", config, [])])
+    told = made(unfinished(tmp_path, "."))
     assert told["machine"].count(" cores") == 2
     assert "A Chip, 9 cores" in told["machine"]
     assert "torch 9.9" in told["versions"]

@@ -6,19 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_runs import STREAKS, write_runs
+from small_runs import STREAKS, group_of, write_runs
 
-from agents.reporting.replay import replay_data, replay_json
-from agents.reporting.scenes import Scenes
-from agents.results.reading import Group, Run
-from agents.results.source import FolderSource
-from emcc import EpisodeRecords
-
-
-def group(folder, config):
-    records = [EpisodeRecords.load(folder / f"seed-{k}" / "episodes.csv") for k in config.seeds]
-    runs = [Run(k, {}, 100, {}, of) for k, of in zip(config.seeds, records, strict=True)]
-    return Group(folder.name, config, runs)
+from agents.reporting.maps import Scenes
+from agents.reporting.page import script_json
+from agents.reporting.replay import replay_data
 
 
 @pytest.fixture
@@ -30,7 +22,7 @@ def runs(tmp_path):
     for seed in config.seeds:
         np.save(tmp_path / "a" / f"seed-{seed}" / "costs.npy", costs)
     return SimpleNamespace(
-        folder=tmp_path, group=group(tmp_path / "a", config), streaks=streaks, costs=costs
+        folder=tmp_path, group=group_of(tmp_path / "a", config), streaks=streaks, costs=costs
     )
 
 
@@ -40,7 +32,7 @@ def bits(text):
 
 def test_every_number(runs):
     notes = []
-    data = replay_data(FolderSource(runs.folder), [runs.group], Scenes(), notes)
+    data = replay_data([runs.group], Scenes(), notes)
     assert notes == []
     assert (data["windows"], data["extents"]) == (60, [[-15.0, 15.0, -15.0, 15.0]])
     assert [run["seed"] for run in data["runs"]] == [0, 1]
@@ -69,9 +61,7 @@ def test_costs_and_lengths_that_differ(runs):
     rollout, start, length, *others = lines[-1].split(",")
     merged = ",".join([rollout, str(int(start) - 5), str(int(length) + 5), *others])
     (folder / "episodes.csv").write_text("\n".join([*lines[:-2], merged, ""]))
-    data = replay_data(
-        FolderSource(runs.folder), [group(runs.folder / "a", runs.group.config)], Scenes(), []
-    )
+    data = replay_data([group_of(runs.folder / "a", runs.group.config)], Scenes(), [])
     run = data["runs"][1]
     assert run["length"] == [5] * 22 + [10]
     assert run["cost"] == [2.5 * k for k in runs.streaks[:22]] + [2.5 * sum(runs.streaks[22:])]
@@ -79,10 +69,10 @@ def test_costs_and_lengths_that_differ(runs):
 
 def test_runs_that_cannot_be_replayed(runs):
     config = write_runs(runs.folder / "b")
-    groups = [group(runs.folder / "b", config), runs.group]
+    groups = [group_of(runs.folder / "b", config), runs.group]
     (runs.folder / "a" / "seed-1" / "visited.npy").unlink()
     notes = []
-    data = replay_data(FolderSource(runs.folder), groups, Scenes(), notes)
+    data = replay_data(groups, Scenes(), notes)
     assert [run["seed"] for run in data["runs"]] == [0]
     name = runs.folder.name
     assert notes == [
@@ -93,5 +83,5 @@ def test_runs_that_cannot_be_replayed(runs):
 
 
 def test_names_cannot_end_the_script():
-    assert json.loads(replay_json({"a": "</script><b>"})) == {"a": "</script><b>"}
-    assert "<" not in replay_json({"a": "</script><b>"})
+    assert json.loads(script_json({"a": "</script><b>"})) == {"a": "</script><b>"}
+    assert "<" not in script_json({"a": "</script><b>"})

@@ -26,7 +26,7 @@ from agents.paper import presets
 from agents.reporting.report import report
 from circle2d_mj.core.single_env import TaskEnv
 
-TASK, SEEDS, STEPS, EVALUATED, LIMIT = "Circle2D-3-v0", (3, 4, 5, 6, 7), 3000, 100, 5
+TASK, SEEDS, STEPS, EVALUATED, LIMIT = "Circle2D-3-v0", (3, 4, 5, 6, 7), 1500, 100, 5
 EPISODES = {"cpo": 10, "wcsac": 1}  # an epoch
 PRINTED = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
 MEASURES = (*PRINTED, "mean_streak")
@@ -148,7 +148,7 @@ def table_after(out, start, head):
 
 def test_the_tables(raw):
     out, numbers = raw
-    rows = table_after(out, "EMCC with alpha", TASK)
+    rows = table_after(out, "EMCC: alpha", TASK)
     rows += table_after(out, "Other choices", "task, algorithm and choice")
     check_rows(rows, numbers)
     page = (out / "index.html").read_text()
@@ -288,20 +288,6 @@ def test_what_is_best_is_marked(raw):
         for name, value in safe.items():
             best[name] |= set(PRINTED[4:]) if value == max(safe.values()) else set()
         assert {name: marks[name] for name in compared} == best
-
-
-def test_of_both_choices_the_nearer_to_the_paper_is_marked(raw):
-    out, numbers = raw
-    _, _, text = (out / "report.md").read_text().partition("task, algorithm and choice")
-    preset, other, paper = (line.split("|") for line in text.splitlines()[2:5])
-    assert paper[1].strip() == f"{TASK}, WCSAC, paper (3 seeds)"
-    for k, measure in enumerate(PRINTED):
-        off = [
-            abs(round(fmean(column(numbers[name], measure)), 2) - PAPER["wcsac"][k])
-            for name in ("wcsac", "wcsacb")
-        ]
-        marked = [row[2 + k].strip().startswith("**") for row in (preset, other)]
-        assert marked == [far <= min(off) + 1e-9 for far in off], measure
 
 
 def test_the_numbers_of_the_claims(raw):

@@ -9,7 +9,7 @@ from seen import SEEN, lab
 
 from agents.algorithms import ALGORITHMS
 from agents.paper.presets import PAPER_ALGORITHMS
-from agents.reporting.style import COLOURS, styles
+from agents.reporting.figures import COLOURS, styles
 from agents.training.config import TrainConfig
 
 

@@ -9,8 +9,8 @@ from small_runs import write_evaluated
 import agents
 from agents.cli.main import main
 from agents.errors import UserError
-from agents.paper import ablations
 from agents.paper.presets import preset
+from agents.paper.printed import split
 from agents.results.joined import JoinedSource
 from agents.results.reading import read_groups
 
@@ -81,7 +81,7 @@ def test_the_ablation_of_one_source_stands_beside_the_preset_of_most_runs(tmp_pa
         hyperparameters = replace(preset_of, **changes)
         write_evaluated(tmp_path / folder, "trpo-lag", costs, hyperparameters, task=TASK)
     source = JoinedSource([tmp_path / "mine", tmp_path / "grid"], "all")
-    _, pairs = ablations.split(read_groups(source, []))
+    _, pairs = split(read_groups(source, []))
     assert [(a.folder, b.folder) for a, b in pairs] == [("trpo-lag", "trpo-lag-sgd")]
 
 

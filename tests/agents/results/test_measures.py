@@ -12,7 +12,15 @@ from agents.paper.presets import ablations
 from agents.reporting.compare import compare
 from agents.reporting.report import report
 from agents.reporting.table import markdown
-from agents.results.measures import Measure, RunData, measure, measures, register, unregister
+from agents.results.measures import (
+    Measure,
+    MeasureFailure,
+    RunData,
+    measure,
+    measures,
+    register,
+    unregister,
+)
 from agents.results.statistics import difference_of, mean_of
 from emcc import EpisodeRecords
 
@@ -91,14 +99,14 @@ def test_an_evaluation_without_a_measure(tmp_path):
     content = json.loads(path.read_text())
     del content["deterministic"]["CVaR_0.5"]
     path.write_text(json.dumps(content))
-    of = rows(markdown(report(tmp_path)))
+    of = rows(markdown(report(tmp_path).blocks))
     assert of["CPO (100 steps), mean of 2"]["CVaR_0.5"] == "–"
     assert of["CPO (100 steps), seed 0"]["CVaR_0.5"] == "6.50"
     assert of["CPO (100 steps), seed 1"]["CVaR_0.5"] == "–"
     assert ">–</td>" in html.unescape((tmp_path / "index.html").read_text())
     content["deterministic"]["J_R"] = float("nan")
     path.write_text(json.dumps(content))
-    assert "cpo/seed-1: J_R is not finite: nan" in markdown(report(tmp_path))
+    assert "cpo/seed-1: J_R is not finite: nan" in markdown(report(tmp_path).blocks)
 
 
 def test_the_mean_streak_by_hand():
@@ -107,9 +115,9 @@ def test_the_mean_streak_by_hand():
     records = EpisodeRecords(
         [0, 1, 2], [0, 10, 20], zero + 10, zero, [6, 2, 0], [4, 1, 0], [6, 2, 0], [2, 2, 0]
     )
-    assert measure("mean_streak")(RunData(records, 30, {})) == 2.0
+    assert measure("mean_streak").compute(RunData(records, 30, {})) == 2.0
     safe = EpisodeRecords([0], [0], [10], [0], [0], [0], [0], [0])
-    assert measure("mean_streak")(RunData(safe, 10, {})) == 0.0
+    assert measure("mean_streak").compute(RunData(safe, 10, {})) == 0.0
 
 
 def test_names_are_single_and_single_words():
@@ -126,3 +134,15 @@ def test_a_mean_of_what_is_not_known_is_not_known():
     assert difference_of([1.0, 2.0], [None]) is None
     found = difference_of([1.0, 2.0], [5.0, 5.0])
     assert (found.value, found.low, found.high) == (3.5, None, None)
+
+
+def test_a_measure_that_raises_is_named_and_the_run_is_not_blamed(tmp_path):
+    write_evaluated(tmp_path / "cpo", "cpo", costs=(4, 4))
+    register(Measure("mine", "mine", "", 2, "lower", lambda run: [][0]))
+    try:
+        with pytest.raises(MeasureFailure, match=r"'mine' failed on run .*cpo/seed-0") as raised:
+            report(tmp_path)
+    finally:
+        unregister("mine")
+    assert isinstance(raised.value.__cause__, IndexError)
+    assert not (tmp_path / "report.csv").exists()

@@ -55,7 +55,7 @@ def test_complete_runs_are_reported_where_their_task_cannot_be_made(tmp_path, li
     write_evaluated(folder, "sac-lag", [2, 4], hyperparameters, task="Mine-v0")
     licences.clear()
     archive = tmp_path / "packed.zip"
-    words = markdown(report(folder, archive=archive))
+    words = markdown(report(folder, archive=archive).blocks)
     [row] = [line for line in words.splitlines() if "mean of 2" in line]
     assert "0.30 range 0.20 to 0.40" in row  # the cost rate of steps: 2 and 4 of 10
     note = "Note: no pictures of Mine-v0: cannot make task 'Mine-v0': no licence"

@@ -22,7 +22,7 @@ def two_transitions():
         observation=torch.zeros(1, 2, 2),
         action=torch.zeros(1, 2, 2),
         reward=torch.tensor([[1.0, -2.0]]),
-        cost=torch.tensor([[0.0, 1.0]]),
+        cost=torch.tensor([[[0.0, 1.0]]]),
         next_observation=torch.zeros(1, 2, 2),
         terminal=torch.tensor([[0.0, 1.0]]),
         cost_terminal=torch.tensor([[0.0, 1.0]]),
@@ -31,7 +31,7 @@ def two_transitions():
 
 def constant_nets(config, values, targets):
     """Nets whose weights are 0: each critic says its last bias, the actor mean 0 and log-std 0."""
-    nets = sac.make_nets(config, 2, 2)
+    nets = sac.make_nets(config, 2, 2, 1)
     state = sac.initial_state(nets, config, RULE, [0])
     critics, slow = torch.zeros(2, 1, 4, nets.critic.size)
     last = sum(a * b + b for a, b in ((4, 64), (64, 64))) + 64  # where the output's bias lies
@@ -49,13 +49,13 @@ def test_losses_by_hand():
     nets, state = constant_nets(CONFIG, [3.0, 4.0, 6.0, 7.0], [2.0, 1.5, 8.0, 9.0])
     batch, noise = two_transitions(), torch.zeros(1, 2, 2)
     log_prob = -math.log(2 * math.pi)
-    target, next_costs = sac.targets_of(nets, CONFIG, state, batch, noise)
+    target, next_values = sac.targets_of(nets, CONFIG, state, batch, noise)
     # 1 + 0.9 (min(2, 1.5) + 1.8378771) = 4.0040894; the terminal one keeps its reward
     assert target[0].tolist() == pytest.approx([1 + 0.9 * (1.5 - log_prob), -2.0], rel=1e-6)
     assert target[0, 0].item() == pytest.approx(4.0040894, rel=1e-6)
-    assert next_costs[0].tolist() == [[8.0, 8.0], [9.0, 9.0]]
+    assert next_values[0, 2:].tolist() == [[8.0, 8.0], [9.0, 9.0]]
 
-    _, parts = sac.critic_loss(nets, CONFIG, RULE, state.critics, batch, target, next_costs)
+    _, parts = sac.critic_loss(nets, CONFIG, RULE, state.critics, batch, target, next_values)
     # ½ mean[(3 - 4.0040894)², (3 + 2)²] + ½ mean[(4 - 4.0040894)², (4 + 2)²]
     # = ½ (1.0081955 + 25) / 2 + ½ (0.0000167 + 36) / 2 = 6.5020489 + 9.0000042
     assert parts["critic_loss"].item() == pytest.approx(15.5020531, rel=1e-6)
@@ -67,7 +67,7 @@ def test_losses_by_hand():
     loss, (_, risk, found) = sac.actor_loss(
         nets, CONFIG, RULE, state.actor, state.critics, state, batch, noise
     )
-    assert risk.tolist() == [[7.0, 7.0]]
+    assert risk.tolist() == [[[7.0, 7.0]]]
     assert found[0].tolist() == pytest.approx([log_prob] * 2, rel=1e-6)
     # α log π - min Q + β max Q_c = -1.8378771 - 3 + 0.6931472 · 7 = 0.0141533
     assert loss.item() == pytest.approx(0.0141533, abs=1e-6)
@@ -82,13 +82,13 @@ def test_temperature_moves_towards_the_target_entropy():
     torch.testing.assert_close(after.log_temperature, torch.full((1, LANES), -3e-4))
     assert metrics["temperature"].item() == 1.0
     # all costs are 0 < 5: the multiplier falls as well
-    torch.testing.assert_close(after.multiplier.parameter, torch.full((1, LANES), -2e-3))
+    torch.testing.assert_close(after.multipliers[0].parameter, torch.full((1, LANES), -2e-3))
 
 
 def test_the_target_entropy_is_minus_the_number_of_action_components():
     """Of 3 observations and 2 actions: the gradient along log α is -α (log π - 2). At α = 1 Adam's
     first mean is a tenth of it; by hand log π = -1.8378771, as above."""
-    nets = sac.make_nets(CONFIG, 3, 2)
+    nets = sac.make_nets(CONFIG, 3, 2, 1)
     state = sac.initial_state(nets, CONFIG, RULE, [0])
     state = state._replace(actor=torch.zeros_like(state.actor))
     batch = two_transitions()._replace(
@@ -128,7 +128,7 @@ class Separate:
     """One run of SAC-Lag with PyTorch modules, from the same parameters: losses and gradients."""
 
     def __init__(self, nets, state, run):
-        self.actor = module(nets.actor, state.actor[run])
+        self.nets, self.actor = nets, module(nets.actor, state.actor[run])
         self.critics = [module(nets.critic, p) for p in state.critics[run]]
         self.targets = [module(nets.critic, p) for p in state.targets[run]]
 
@@ -146,19 +146,19 @@ class Separate:
             going_on = CONFIG.discount * (1 - b.terminal)
             reward_target = b.reward + going_on * (torch.minimum(q[0], q[1]) - log_prob)
             costs_go_on = CONFIG.discount * (1 - b.cost_terminal)
-            cost_target = b.cost + costs_go_on * torch.maximum(q[2], q[3])
+            cost_target = b.cost[0] + costs_go_on * torch.maximum(q[2], q[3])
         for k, critic in enumerate(self.critics):
             target = reward_target if k < 2 else cost_target
             q_k = critic(torch.cat([b.observation, b.action], -1))[:, 0]
             (0.5 * ((q_k - target) ** 2).mean()).backward()
-        return [flat(critic) for critic in self.critics]
+        return [flat(self.nets.critic, critic) for critic in self.critics]
 
     def actor_gradient(self, b, noise):
         action, log_prob = self.policy(b.observation, noise)
         q = [c(torch.cat([b.observation, action], -1))[:, 0] for c in self.critics]
         penalty = math.log(2.0) * torch.maximum(q[2], q[3])
         (log_prob - torch.minimum(q[0], q[1]) + penalty).mean().backward()
-        return flat(self.actor)
+        return flat(self.nets.actor, self.actor)
 
 
 def random_batch(runs, size=64, seed=0):
@@ -168,13 +168,14 @@ def random_batch(runs, size=64, seed=0):
         return torch.randn(runs, size, *shape, generator=generator)
 
     ends = (normal() > 1.5).float(), (normal() > 1).float()
-    batch = Batch(normal(2), normal(2).tanh(), normal(), normal().abs(), normal(2), *ends)
+    cost = normal().abs()[:, None]
+    batch = Batch(normal(2), normal(2).tanh(), normal(), cost, normal(2), *ends)
     return batch, sac.UpdateNoise(normal(2), normal(2))
 
 
 def test_gradients_against_separate_runs():
     """The first update of 4 runs in lockstep moves every parameter as separate runs would."""
-    nets = sac.make_nets(CONFIG, 2, 2)
+    nets = sac.make_nets(CONFIG, 2, 2, 1)
     state = sac.initial_state(nets, CONFIG, RULE, range(4))
     state = state._replace(targets=state.targets + 0.01)
     batch, noise = random_batch(4)
@@ -187,12 +188,12 @@ def test_gradients_against_separate_runs():
         separate = Separate(nets, state, run)
         expected = separate.critic_gradients(b, noise.next_action[run].double())
         for k, gradient in enumerate(expected):
-            found = critic_gradient[run, k, : len(gradient)].double()
-            torch.testing.assert_close(found, gradient, rtol=1e-3, atol=1e-6)
+            torch.testing.assert_close(
+                critic_gradient[run, k].double(), gradient, rtol=1e-3, atol=1e-6
+            )
         separate = Separate(nets, state._replace(critics=after.critics), run)
         gradient = separate.actor_gradient(b, noise.new_action[run].double())
-        found = actor_gradient[run, : len(gradient)].double()
-        torch.testing.assert_close(found, gradient, rtol=1e-3, atol=1e-6)
+        torch.testing.assert_close(actor_gradient[run].double(), gradient, rtol=1e-3, atol=1e-6)
     # Targets follow the critics after their step, not before it.
     followed = state.targets.double().lerp(after.critics.double(), 0.005)
     torch.testing.assert_close(after.targets.double(), followed, rtol=0, atol=1e-7)
@@ -202,7 +203,7 @@ def test_gradients_against_separate_runs():
 
 @pytest.mark.parametrize("runs", [12, 20])
 def test_a_run_is_bitwise_the_same_alone(runs):
-    nets = sac.make_nets(CONFIG, 2, 2)
+    nets = sac.make_nets(CONFIG, 2, 2, 1)
 
     def train(chosen):
         state = sac.initial_state(nets, CONFIG, RULE, [100 + run for run in chosen])

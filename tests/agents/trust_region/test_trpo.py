@@ -5,14 +5,13 @@ import math
 import numpy as np
 import pytest
 import torch
-from modules import flat, module
+from modules import data, flat, module
 from small_policy import normal
 from torch.distributions import Independent, Normal, kl_divergence
 
 from agents.algorithms import trpo_lag
 from agents.algorithms.cpo import CPOConfig
 from agents.algorithms.trpo_lag import TRPOLagConfig
-from agents.lockstep.lagrange import PROJECTED
 from agents.lockstep.nets import MLP
 from agents.on_policy import comparison, critics
 from agents.on_policy import state as on_policy
@@ -25,6 +24,7 @@ OBSERVATION, ACTION = 3, 2
 SMALL = {"hidden": (32,), "episodes": 2, "critic_iterations": 2}
 ACTOR = GaussianPolicy(MLP((OBSERVATION, 32, ACTION)))
 NETS = on_policy.Nets(ACTOR, MLP((OBSERVATION, 32, 1)))
+LAG = trpo_lag.RULE.multipliers
 
 
 class Separate:
@@ -54,10 +54,10 @@ def random_epoch(steps, size):
         action=action,
         weight=(torch.arange(size) < steps[:, None]) / steps[:, None].double(),
         reward_advantage=advantages[..., 0],
-        cost_advantage=advantages[..., 1],
+        cost_advantage=advantages[..., 1:].mT,
         value_targets=normal(runs, 2, size, seed=2),
         length=torch.full((runs,), 50.0),
-        cost=torch.zeros(runs),
+        cost=torch.zeros(runs, 1),
     )
 
 
@@ -80,12 +80,12 @@ def test_distribution_against_torch():
 
 def test_initial_deviation():
     config = TRPOLagConfig(initial_log_std=-0.5, **SMALL)
-    state = on_policy.initial_state(NETS, config, PROJECTED, [3, 4])
+    state = on_policy.initial_state(NETS, config, LAG, 1, [3, 4])
     policy = ACTOR.distribution(state.actor, torch.zeros(2, 1, OBSERVATION))
     torch.testing.assert_close(policy.std, torch.full((2, 1, ACTION), math.exp(-0.5)))
     assert (state.actor[:, ACTOR.net.size + ACTION :] == 0).all()
     assert (state.actor[0] != state.actor[1]).any()
-    again = on_policy.initial_state(NETS, config, PROJECTED, [4])
+    again = on_policy.initial_state(NETS, config, LAG, 1, [4])
     assert torch.equal(again.actor[0], state.actor[1])
     assert torch.equal(again.critics[0], state.critics[1])
     assert (state.critics[:, 0] != state.critics[:, 1]).any()
@@ -97,7 +97,7 @@ def test_compared_and_its_gradient_against_separate_runs(steps, size):
     old, new, epoch = random_actor(2), random_actor(2, seed=3), random_epoch(steps, size)
     blocks = comparison.blocks_of(NETS, old, epoch, epoch.reward_advantage)
     found, kl = comparison.compared(NETS, new, blocks)
-    for of, advantage in enumerate((epoch.reward_advantage, epoch.cost_advantage)):
+    for of, advantage in enumerate((epoch.reward_advantage, epoch.cost_advantage[:, 0])):
         gradient = torch.func.grad(
             lambda p, of=of: comparison.compared(NETS, p, blocks)[0][:, of].sum()
         )
@@ -111,9 +111,8 @@ def test_compared_and_its_gradient_against_separate_runs(steps, size):
             surrogate.backward()
             torch.testing.assert_close(found[run, of].double(), surrogate.detach())
             torch.testing.assert_close(kl[run].double(), kl_divergence(theirs, ours).mean())
-            expected = flat(after.net)
-            torch.testing.assert_close(moved[run, : len(expected)], expected)
-            assert (moved[run, len(expected) : ACTOR.net.size] == 0).all()
+            expected = flat(ACTOR.net, after.net)
+            torch.testing.assert_close(moved[run, : ACTOR.net.size], expected)
             log_std = moved[run, ACTOR.net.size : ACTOR.net.size + ACTION]
             torch.testing.assert_close(log_std, after.log_std.grad)
 
@@ -122,7 +121,7 @@ def test_critics_against_separate_runs():
     """Four steps of Adam; the second run has no rows in the third minibatch, and waits."""
     config, epoch = CPOConfig(**SMALL), random_epoch((200, 40), BLOCK)
     epoch = epoch._replace(observation=epoch.observation.float())
-    state = on_policy.initial_state(NETS, config, None, [0, 1])
+    state = on_policy.initial_state(NETS, config, (), 1, [0, 1])
     theirs = [[module(NETS.critic, vector) for vector in run] for run in state.critics]
     optimizers = [[torch.optim.Adam(net.parameters(), lr=3e-4) for net in run] for run in theirs]
     rng = np.random.default_rng(0)
@@ -144,14 +143,17 @@ def test_critics_against_separate_runs():
                 assert losses[run, of].item() == pytest.approx(loss.item(), rel=1e-5)
     for run in range(2):
         for of in range(2):
-            expected = flat(theirs[run][of], of=lambda parameter: parameter.data)
-            found = state.critics[run, of, : len(expected)].double()
+            expected = flat(NETS.critic, theirs[run][of], data)
+            found = state.critics[run, of].double()
             torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
 
 
 def test_advantage_by_hand():
     """(A_r - λ A_c) / (1 + λ): (2 - ½·1) / 1.5 = 1, (-1 - ½·4) / 1.5 = -2; (2 - 3) / 4 = -¼."""
-    reward, cost = torch.tensor([[2.0, -1.0], [2.0, 0.0]]), torch.tensor([[1.0, 4.0], [1.0, 0.0]])
+    reward, cost = (
+        torch.tensor([[2.0, -1.0], [2.0, 0.0]]),
+        torch.tensor([[[1.0, 4.0]], [[1.0, 0.0]]]),
+    )
     found = trpo_lag.advantage(TRPOLagConfig(), reward, cost, torch.tensor([[0.5], [3.0]]))
     torch.testing.assert_close(found, torch.tensor([[1.0, -2.0], [-0.25, 0.0]]))
 
@@ -181,7 +183,7 @@ def test_step_of_a_policy(multiplier):
     config = TRPOLagConfig(initial_multiplier=multiplier, multiplier_lr=0.0, **SMALL)
     epoch = random_epoch((300, 120), BLOCK)
     actor = random_actor(2)
-    state = on_policy.initial_state(NETS, config, PROJECTED, [0, 1])._replace(actor=actor)
+    state = on_policy.initial_state(NETS, config, LAG, 1, [0, 1])._replace(actor=actor)
     found, records = trpo.policy_step(NETS, config, trpo_lag.RULE, state, epoch)
     for run, n in enumerate((300, 120)):
         observation, action = epoch.observation[run, :n], epoch.action[run, :n]
@@ -192,7 +194,7 @@ def test_step_of_a_policy(multiplier):
         ratio = (new.log_prob(action) - old.log_prob(action)).exp() - 1
         reward, cost = (
             (ratio * advantage[run, :n]).mean()
-            for advantage in (epoch.reward_advantage, epoch.cost_advantage)
+            for advantage in (epoch.reward_advantage, epoch.cost_advantage[:, 0])
         )
         assert reward - multiplier * cost > 0
         assert (cost < 0) if multiplier > 10 else (reward > 0)
@@ -215,10 +217,10 @@ def test_rows_of_weight_zero_do_not_change_a_sharp_policy():
             action=there[..., None].expand(1, size, ACTION).contiguous(),
             weight=there / 500,
             reward_advantage=there,
-            cost_advantage=zeros,
+            cost_advantage=zeros[None],
             value_targets=torch.zeros(1, 2, size),
             length=torch.ones(1),
-            cost=torch.zeros(1),
+            cost=torch.zeros(1, 1),
         )
         steps = comparison.blocks_of(NETS, actor, epoch, epoch.reward_advantage)
         at_padding = NETS.actor.distribution(nearer, epoch.observation).log_prob(epoch.action)

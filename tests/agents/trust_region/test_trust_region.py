@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from small_policy import NETS, normal, policy
+from small_policy import NETS, SIZE, normal, policy
 from torch.distributions import kl_divergence
 
 from agents.algorithms.cpo import CPOConfig
@@ -39,10 +39,10 @@ def random_epoch(steps, size, seed=0):
         action=columns[..., 2:4],
         weight=weight,
         reward_advantage=columns[..., 4],
-        cost_advantage=columns[..., 5],
+        cost_advantage=columns[..., 5][:, None],
         value_targets=torch.zeros(runs, 2, size),
         length=torch.full((runs,), 50.0, dtype=torch.float64),
-        cost=torch.zeros(runs, dtype=torch.float64),
+        cost=torch.zeros(runs, 1, dtype=torch.float64),
     )
 
 
@@ -87,7 +87,7 @@ def test_fisher_product_against_the_hessian_of_kl(steps, size):
     actor, epoch = random_actor(2), random_epoch(torch.tensor(steps), size)
     blocks = blocks_of(NETS, actor, epoch, epoch.reward_advantage)
     product = trpo.fisher_product(NETS, actor, blocks, 0.3)
-    columns = [product(unit.expand(2, -1)) for unit in torch.eye(64, dtype=torch.float64)]
+    columns = [product(unit.expand(2, -1)) for unit in torch.eye(SIZE, dtype=torch.float64)]
     found = torch.stack(columns, dim=-1)
     for run, n in enumerate(steps):
         observation = epoch.observation[run, :n]
@@ -96,7 +96,7 @@ def test_fisher_product_against_the_hessian_of_kl(steps, size):
         def mean_kl(params, old=old, observation=observation):
             return kl_divergence(old, policy(params, observation)).mean()
 
-        expected = torch.autograd.functional.hessian(mean_kl, actor[run]) + 0.3 * torch.eye(64)
+        expected = torch.autograd.functional.hessian(mean_kl, actor[run]) + 0.3 * torch.eye(SIZE)
         torch.testing.assert_close(found[run], expected)
 
 
@@ -157,16 +157,16 @@ def test_no_step_beyond_the_trust_region_gets_through(seed):
         cost_bound=torch.tensor([0.0, 0.05, torch.inf, 0.0]).repeat(runs // 4),
         case=torch.zeros(runs),
     )
-    chosen.displacement[-2, 3] = epoch.cost_advantage[-1, 5] = torch.nan
-    rule = trpo.StepRule(lambda config, reward, cost, multiplier: reward, lambda *_: chosen)
-    state = OnPolicyState(actor, *[None] * 3)
+    chosen.displacement[-2, 3] = epoch.cost_advantage[-1, 0, 5] = torch.nan
+    rule = trpo.StepRule(lambda config, reward, *_: reward, lambda *_: chosen)
+    state = OnPolicyState(actor, None, None, ())
     params, records = trpo.policy_step(NETS, config, rule, state, epoch)
 
     def judged(run, candidate):
         old, new = (policy(p, epoch.observation[run, :60]) for p in (actor[run], candidate))
         action = epoch.action[run, :60]
         ratio = (new.log_prob(action) - old.log_prob(action)).exp() - 1
-        gains = (epoch.reward_advantage, epoch.cost_advantage)
+        gains = (epoch.reward_advantage, epoch.cost_advantage[:, 0])
         growth, costs = ((ratio * gain[run, :60]).mean() for gain in gains)
         kl = kl_divergence(old, new).mean()
         better = growth > 0 or not chosen.must_improve[run]

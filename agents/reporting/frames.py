@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from agents.errors import UserError
-from agents.results.steps import play_first
+from agents.lockstep.rollout import Rollout
 from agents.training.config import TrainConfig
 from agents.training.environments import make_envs, registered
 
@@ -27,27 +27,25 @@ class Filmed(NamedTuple):
     """[T]"""
 
 
-def film_trained(
-    folder: Path, config: TrainConfig, seed: int, episodes: int, noisy: bool
-) -> list[Filmed] | None:
-    """The first episodes of the evaluation of a run; None of a policy that diverged.
+def film_episodes(
+    config: TrainConfig, episodes: int, played: Callable[[VectorEnv], Rollout]
+) -> list[Filmed]:
+    """Episodes of one run as its task draws them.
 
-    Arguments as those of `steps.play_trained`. Raises UserError for a task without frames.
+    config: of the run alone; played: its episodes in the environments given. Raises UserError for a
+    task without frames.
     """
-    name = registered(config.task)
+    [task] = config.tasks
     parameters = config.task_parameters | {"render_mode": "rgb_array"}
     try:
-        made = make_envs(name, episodes, parameters, "sync")
+        made = make_envs(registered(task), episodes, parameters, "sync", costs=config.costs)
     except UserError as error:
-        raise _without_frames(config.task, error) from None
-    with contextlib.closing(_KeepFrames(made, config.task)) as envs:
-        rollout = play_first(envs, folder, config, [seed], episodes, noisy)
-        frames = envs.frames
-    if rollout.diverged.any():
-        return None
-    costs = rollout.cost.astype(np.float64)
+        raise _without_frames(task, error) from error
+    with contextlib.closing(_KeepFrames(made, task)) as envs:
+        rollout, frames = played(envs), envs.frames
+    costs = rollout.cost[..., 0].astype(np.float64)
     return [
-        Filmed([of_state[k] for of_state in frames[: steps + 1]], costs[:steps, k])
+        Filmed([state[k] for state in frames[: steps + 1]], costs[:steps, k])
         for k, steps in enumerate(rollout.length)
     ]
 
@@ -78,7 +76,7 @@ class _KeepFrames(VectorWrapper):
         try:
             return [_png(env.render()) for env in envs.envs]
         except Exception as error:  # of the task's own code
-            raise _without_frames(self._task, error) from None
+            raise _without_frames(self._task, error) from error
 
 
 def _png(frame: Any) -> bytes:
