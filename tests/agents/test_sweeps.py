@@ -12,8 +12,8 @@ import toys
 from small_runs import results
 
 import agents
-from agents.errors import RunsFailed
 from agents.api import combinations_of
+from agents.errors import RunsFailed
 
 
 def test_every_combination_has_a_name():

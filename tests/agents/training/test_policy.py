@@ -11,9 +11,9 @@ from small_runs import SAC, TRPO, results
 from toys import Target
 
 import agents
-from agents.training.environments import make_envs
 from agents.training import trainer as training
 from agents.training.config import TrainConfig
+from agents.training.environments import make_envs
 from agents.training.trainer import Trainer
 
 SMALL = {"sac-lb": SAC, "sac-lag": SAC, "trpo-lag": TRPO, "cpo": TRPO}
@@ -151,7 +151,7 @@ def test_a_policy_of_other_nets_is_refused(folder, tmp_path):
         agents.load_policy(copy, seed=0)
 
 
-def test_the_checkpoint_before_takes_the_place_of_a_damaged_one(folder, tmp_path, monkeypatch):
+def test_the_checkpoint_before_takes_the_place_of_a_damaged_one(tmp_path, monkeypatch):
     monkeypatch.setattr(training, "WRITING_SHARE", 1e9)
     copy = trained(tmp_path / "x", "trpo-lag", checkpoint_every=50)
     before, newest = sorted((copy / "checkpoints").iterdir())
@@ -261,16 +261,9 @@ def test_an_evaluation_that_is_refused_closes_the_environment(folder, monkeypatc
 
 def test_evaluations_that_cannot_be(folder):
     policy = agents.load_policy(folder, seed=0)
-    with pytest.raises(
-        agents.UserError,
-        match=r"from \[-2.0\] to \[2.0\]; task 'Circle2D-1-v0' has observations \[2\] and actions "
-        r"from \[-1.0, -1.0\] to \[1.0, 1.0\]$",
-    ):
-        agents.evaluate(policy, "Circle2D-1-v0")
-    with pytest.raises(
-        agents.UserError, match=r"has observations \[4\] and actions Discrete\(2\)$"
-    ):
-        agents.evaluate(policy, "CartPole-v1")
+    for task in ("Circle2D-1-v0", "CartPole-v1"):
+        with pytest.raises(agents.UserError, match=rf"from \[-2.0\] to \[2.0\]; task '{task}' has"):
+            agents.evaluate(policy, task)
     with pytest.raises(agents.UserError, match="needs the task"):
         agents.evaluate(lambda observation: observation)
     with pytest.raises(agents.UserError, match="episodes must be an integer of at least 1, got 0"):
