@@ -1,4 +1,4 @@
-"""Runs as they are read: from folders and archives, several sources as one, and what is left out."""
+"""Runs as they are read from folders and archives, and what is left out."""
 
 import json
 import shutil
@@ -50,7 +50,7 @@ def packed(runs, tmp_path_factory):
     return path
 
 
-def assert_equal_groups(ours, theirs):
+def assert_equal_groups(ours, theirs, located=True):
     """All that a report shows; returns of training's episodes to five digits."""
     assert [(g.task, g.config, g.cost, g.seeds) for g in ours] == [
         (g.task, g.config, g.cost, g.seeds) for g in theirs
@@ -65,9 +65,9 @@ def assert_equal_groups(ours, theirs):
                 np.testing.assert_array_equal(*columns)
             np.testing.assert_array_equal(a.costs(x), b.costs(y))
             assert str(x.evaluation) == str(y.evaluation)
-            if a.task.startswith("Circle2D"):
+            if located and a.task.startswith("Circle2D"):
                 assert str(a.replay(x)) == str(b.replay(y))
-        if a.task.startswith("Circle2D") and a.runs:
+        if located and a.task.startswith("Circle2D") and a.runs:
             for own, other in zip(a.visits(), b.visits(), strict=True):
                 assert own[1:] == other[1:]
                 np.testing.assert_array_equal(own.counts, other.counts)
@@ -182,7 +182,6 @@ def edited(folder, **changes):
         {"rollouts": lambda a: a + 1},
         {"costs__cost__steps": lambda a: a + 100},
         {"evaluation__deterministic__returns": lambda a: a * np.nan},
-        {"evaluation__deterministic__costs": lambda a: -a},
     ],
 )
 def test_numbers_that_cannot_be_are_left_out(tmp_path, changes):
@@ -220,7 +219,7 @@ def test_several_sources_are_one(tmp_path):
     archive, folder = tmp_path / "cpo.zip", tmp_path / "wcsac" / "grid"
     write_archive(archive, read([tmp_path / "cpo" / "grid"], []))
     both, whole = read([archive, folder], [], "all"), read([tmp_path / "whole"], [], "all")
-    assert_equal_groups(both, whole)
+    assert_equal_groups(both, whole, located=False)
     assert folders(both) == folders(whole)
     assert both[0].title == f"all/{TASK}/cpo"
     joined = folders(read([folder / TASK / "wcsac", archive], [], "all"))
