@@ -149,7 +149,7 @@ class Readers:
         changed = ""
         if done.status == 0:
             changed = difference(*map(without_report, (results(self.folder), self.expected)))
-        if changed in ("", self.name) and not self.name.startswith("results"):
+        if not changed or (changed == self.name and not self.name.startswith("results")):
             return ""  # what is not written again is looked at when it is loaded
         return f"resume: differs: {changed}"
 
