@@ -43,7 +43,7 @@ from agents.training.callbacks import duration, share_done
 from agents.training.config import RESULTS, Device, TrainConfig
 from agents.training.derive import write_results
 from agents.training.environments import Vectorization, check_task, registered, task_id
-from agents.training.files import Arrays, check_folder, locked
+from agents.training.files import Arrays, check_folder, locked, remove_unfinished
 from agents.training.launcher import EngineName, Launcher, launcher
 from agents.training.progress import working
 from circle2d_mj.circle2d.config import LEVELS
@@ -238,6 +238,7 @@ def evaluate(args: Sequence[str]) -> int:
     options = parse(EvaluateOptions, "evaluate", args)
     folder, config = options.folder, TrainConfig.read(options.folder)
     with locked(folder), working(f"playing {options.episodes} episodes of each run, by either way"):
+        remove_unfinished(folder)
         trained = trainer.Trainer(folder, config)
         trained.load()
         policy, going = trained.learner.policy(), trained.failures == ""

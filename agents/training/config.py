@@ -236,14 +236,14 @@ class TrainConfig(Settings):
 
 def read_spaces(folder: AnyPath) -> Spaces:
     """Spaces of the tasks of a folder, as they were when it was made. UserError where damaged."""
+    content = read_json(folder / CONFIG).get("spaces")
     try:
-        content = read_json(folder / CONFIG)["spaces"]
         low, high = (tuple(map(float, content[name])) for name in ("low", "high"))
         spaces = Spaces(int(content["observation_size"]), low, high, str(content["dtype"]))
         if len(low) != len(high) or not all(a < b for a, b in zip(low, high, strict=True)):
             raise ValueError(f"bounds of actions must be increasing, got {content}")
         return spaces
-    except (KeyError, TypeError, OverflowError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise UserError(f"{folder / CONFIG} is damaged: spaces: {error}") from None
 
 

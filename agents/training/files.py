@@ -12,6 +12,7 @@ import struct
 import time
 import warnings
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -27,7 +28,8 @@ UNFINISHED = ".unfinished"
 """Ends the name of a file that is being written."""
 UNREADABLE = (
     *(OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, Warning),
-    *(zipfile.BadZipFile, lzma.LZMAError, struct.error, NotImplementedError, SyntaxError),
+    *(zipfile.BadZipFile, lzma.LZMAError, zlib.error, struct.error, NotImplementedError),
+    SyntaxError,
 )
 """Errors that damaged files have zipfile, json and numpy raise."""
 
@@ -133,8 +135,10 @@ class Arrays(Mapping[str, NDArray]):
             # One in an archive is read as a whole: it is compressed there.
             source = path if isinstance(path, Path) else io.BytesIO(path.read_bytes())
             self._file = zipfile.ZipFile(source)
-            for name in self._file.namelist():  # an array whose name is damaged would be missing
-                self._file.open(name).close()
+            for member in self._file.infolist():
+                self._file.open(member).close()  # an array whose name is damaged would be missing
+                if b"PK\1\2" in member.comment + member.extra:  # so would be what that holds
+                    raise zipfile.BadZipFile("its directory is damaged")
         except UNREADABLE as error:
             raise self._damaged(error) from None
         self._names = {name.removesuffix(".npy"): name for name in self._file.namelist()}

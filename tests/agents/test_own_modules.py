@@ -28,7 +28,7 @@ def test_an_algorithm_and_a_task_from_outside(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     import my_algorithm  # noqa: F401
 
-    options = {"my_factor": 0.25, "random_steps": 20, "gradient_steps": 1}
+    options = {"my_factor": 0.25, "random_steps": 20, "gradient_steps": 1, "backend": "eager"}
     out = tmp_path / "x"
     try:
         runs = agents.train("sac-mine", "my_task:Mine-v0", seeds=0, steps=60, out=out, **options)

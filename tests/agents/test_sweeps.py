@@ -9,13 +9,15 @@ import gymnasium as gym
 import pytest
 import torch
 import toys
-from agents.sweeps import sweep_configs
+from small_runs import results
 
 import agents
+from agents.api import combinations_of
+from agents.errors import RunsFailed
 
 
 def test_every_combination_has_a_name():
-    found = sweep_configs({"cost_limit": (1.0, 5.0), "hidden": ((8, 8), (16,))})
+    found = combinations_of({"cost_limit": (1.0, 5.0), "hidden": ((8, 8), (16,))})
     assert list(found) == [
         "cost_limit=1.0,hidden=8x8",
         "cost_limit=1.0,hidden=16",
@@ -58,6 +60,10 @@ def test_settings_of_a_sweep(tmp_path):
     for config in runs.configs:
         assert {name: getattr(config, name) for name in settings} == settings
         assert agents.load_policy(runs.folders[0], step=100).step == 100
+    words = r"other settings: .*algorithm cpo \(now sac-lb\).*episodes 1 \(now absent\)"
+    with pytest.raises(agents.UserError, match=words) as raised:
+        agents.sweep("sac-lb", grid={"cost_limit": (1.0, 2.0)}, steps=100, seeds=0, out=more["out"])
+    assert "replay_size absent (now 50000)" in str(raised.value)
 
 
 MODULE = """
@@ -106,14 +112,6 @@ def test_a_sweep_on_a_task_of_the_running_script(tmp_path, monkeypatch):
     assert not (tmp_path / "x").exists()
 
 
-def test_an_unknown_engine(tmp_path):
-    with pytest.raises(agents.UserError, match="engine must be local or ray, got 'cloud'"):
-        agents.train("cpo", steps=1000, out=tmp_path / "x", engine="cloud")
-    with pytest.raises(agents.UserError, match="on_epoch and progress are of the engine local"):
-        agents.train("cpo", steps=1000, out=tmp_path / "x", engine="ray", on_epoch=print)
-    assert not (tmp_path / "x").exists()
-
-
 def test_a_machine_that_cannot_is_found_out_first(tmp_path):
     """The tests switch compiling off."""
     without_gpu = () if torch.cuda.is_available() else ({"device": "cuda"},)
@@ -123,41 +121,51 @@ def test_a_machine_that_cannot_is_found_out_first(tmp_path):
     assert not (tmp_path / "x").exists()
 
 
-def test_another_algorithm_in_the_folder_of_a_sweep(tmp_path):
-    """Settings that only one of the two has are named."""
-    agents.sweep("cpo", grid={"cost_limit": (1.0,)}, steps=100, episodes=1, seeds=0, out=tmp_path)
-    message = r"other settings: .*algorithm cpo \(now sac-lb\).*episodes 1 \(now absent\)"
-    with pytest.raises(agents.UserError, match=message) as raised:
-        agents.sweep("sac-lb", grid={"cost_limit": (1.0,)}, steps=100, seeds=0, out=tmp_path)
-    assert "replay_size absent (now 50000)" in str(raised.value)
+def test_a_sweep_in_which_a_training_fails(tmp_path, monkeypatch):
+    """The error of its process is told, with its place."""
+    (tmp_path / "poisoned.py").write_text(
+        "import gymnasium\nfrom toys import Walk\n"
+        "class Poisoned(Walk):\n"
+        "    def step(self, action):\n"
+        "        raise LookupError('motor')\n"
+        "gymnasium.register('Poison-v0', Poisoned, disable_env_checker=True)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    path = os.pathsep.join([str(tmp_path), str(Path(toys.__file__).parent)])
+    monkeypatch.setenv("PYTHONPATH", path, prepend=os.pathsep)
+    more = {"grid": {"cost_limit": (1.0,)}, "steps": 50, "episodes": 1, "seeds": 0}
+    more |= {"backend": "eager", "out": tmp_path / "x"}
+    try:
+        with pytest.raises(
+            RunsFailed, match=r"cost_limit=1.0 failed: .*LookupError: motor .*line 5"
+        ):
+            agents.sweep("cpo", "poisoned:Poison-v0", **more)
+    finally:
+        gym.registry.pop("Poison-v0", None)
 
 
 @pytest.mark.slow
-def test_a_sweep_is_its_trainings(tmp_path):
+@pytest.mark.parametrize("engine", ["local", "ray"])
+def test_a_sweep_is_its_trainings(tmp_path, engine):
+    if engine == "ray":
+        pytest.importorskip("ray")
     options = {"seeds": (0, 1), "steps": 1500, "backend": "eager"}
-    runs = agents.sweep("trpo-lag", grid={"cost_limit": (1.0, 9.0)}, out=tmp_path / "s", **options)
+    more = {"grid": {"cost_limit": (1.0, 9.0)}, "out": tmp_path / "s", "engine": engine} | options
+    runs = agents.sweep("trpo-lag", **more)
     assert [folder.name for folder in runs.folders] == ["cost_limit=1.0", "cost_limit=9.0"]
     alone = agents.train("trpo-lag", cost_limit=9.0, out=tmp_path / "alone", **options)
-    for seed in (0, 1):
-        for name in ("episodes.csv", "updates.csv", "evaluation.json"):
-            a, b = (of / f"seed-{seed}" / name for of in (runs.folders[1], alone.folder))
-            assert a.read_bytes() == b.read_bytes()
-    table = agents.report(tmp_path / "s")
-    assert "cost_limit 1.0" in table
-    assert "cost_limit 9.0" in table
-    before = (runs.folders[0] / "checkpoint.npz").stat().st_mtime_ns
-    agents.sweep("trpo-lag", grid={"cost_limit": (1.0, 9.0)}, out=tmp_path / "s", **options)
-    assert (runs.folders[0] / "checkpoint.npz").stat().st_mtime_ns == before
+    assert results(runs.folders[1]) == results(alone.folder)
+    before = (runs.folders[0] / "results.npz").stat().st_mtime_ns
+    agents.sweep("trpo-lag", **more)
+    assert (runs.folders[0] / "results.npz").stat().st_mtime_ns == before
 
 
 @pytest.mark.slow
 def test_training_on_ray(tmp_path):
     pytest.importorskip("ray")
     options = {"seeds": (0,), "steps": 1500, "backend": "eager"}
-    runs = {
-        name: agents.train("trpo-lag", out=tmp_path / name, engine=name, **options)
+    local, ray = (
+        agents.train("trpo-lag", out=tmp_path / name, engine=name, **options).folder
         for name in ("local", "ray")
-    }
-    for name in ("episodes.csv", "updates.csv", "evaluation.json"):
-        a, b = (of.folder / "seed-0" / name for of in runs.values())
-        assert a.read_bytes() == b.read_bytes()
+    )
+    assert results(ray) == results(local)

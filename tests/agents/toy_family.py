@@ -1,6 +1,6 @@
 """A family of algorithms of one's own: linear policies in numpy, trained by a made-up rule.
 
-It is deterministic, has noise by seed and epoch, and a state that every step changes; rules go wrong
+It is deterministic, has noise by seed and epoch, and a state that every step changes; it goes wrong
 in several ways. No run depends on the others.
 """
 

@@ -18,7 +18,7 @@ import circle2d_mj  # noqa: F401  # registers the tasks
 import emcc
 from agents import api
 from agents.algorithms import ALGORITHMS
-from agents.cli import train as train_command
+from agents.cli import training as train_command
 from agents.training.config import TrainConfig
 
 NUMBERS = ["0", "-1", "1", "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "1e400", "1_0", "٣",
@@ -50,12 +50,12 @@ def options_of(algorithm):
 @contextlib.contextmanager
 def without_training():
     """Have `train` do all but train."""
-    train, finish = api._train, train_command.finish
-    api._train, train_command.finish = (lambda *_: None), (lambda *_: 0)
+    train, finish = api._train, train_command._finish
+    api._train, train_command._finish = (lambda *_: None), (lambda *_: 0)
     try:
         yield
     finally:
-        api._train, train_command.finish = train, finish
+        api._train, train_command._finish = train, finish
 
 
 def try_options(tally: Tally, count, rng, root):
@@ -77,7 +77,7 @@ def try_options(tally: Tally, count, rng, root):
             tally.note("options of other commands", here(command).problem((0, 1, 2)))
             return
         algorithm = data.draw(st.sampled_from(sorted(ALGORITHMS)))
-        command = ["train", "--algorithm", algorithm, "--out", str(out), "--backend", "eager"]
+        command = ["train", algorithm, "--out", str(out), "--backend", "eager"]
         for name in data.draw(
             st.lists(st.sampled_from(options_of(algorithm)), min_size=1, max_size=2)
         ):

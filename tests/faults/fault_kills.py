@@ -7,8 +7,6 @@ import shutil
 import signal
 import sys
 
-import numpy as np
-from agents.results.archive import open_source
 from fault_common import (
     SAC,
     SMALL,
@@ -19,13 +17,13 @@ from fault_common import (
     fresh,
     here,
     leftovers,
-    results,
 )
+from small_runs import results
 
 import agents
 from agents.cli.main import main
 from agents.errors import UserError
-from agents.results.reading import read_groups
+from agents.results.reading import read
 
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 EVENTS = ("open", "os.rename", "os.mkdir", "os.remove")
@@ -147,7 +145,7 @@ class Scene:
 def measures(folder):
     """Measures of the runs that a report takes for complete, by seed."""
     try:
-        groups = read_groups(open_source(folder), [])
+        groups = read([folder], [])
     except UserError:
         return {}
     return {run.seed: run.measures for group in groups for run in group.runs}
@@ -158,8 +156,8 @@ def scenes(root, backend="eager", names=()):
     compiled updates those that train."""
     options = [*SMALL, "--backend", backend]
     whole, stopped = root / "whole", root / "stopped"
-    sac = ["train", "--algorithm", "sac-lag", "--evaluate-every", "100", *SAC, *options]
-    cpo = ["train", "--algorithm", "cpo", "--episodes", "1", *options]
+    sac = ["train", "sac-lag", "--evaluate-every", "100", *SAC, *options]
+    cpo = ["train", "cpo", "--episodes", "1", *options]
     assert here([*sac, "--out", str(whole)]).status == 0
     settings = {"random_steps": 50, "gradient_steps": 1, "batch_size": 32, "evaluate_every": 100}
     settings |= {"seeds": (0, 1), "steps": 150, "checkpoint_every": 50, "backend": backend}
@@ -192,22 +190,10 @@ def kill_of(rng):
     def act(file):
         if file is not None and rng.random() < 0.5:
             size = os.fstat(file).st_size
-            os.ftruncate(file, max(least(file), size - rng.randrange(1, 200)))
+            os.ftruncate(file, max(0, size - rng.randrange(1, 200)))
         os.kill(os.getpid(), signal.SIGKILL)
 
     return act
-
-
-def least(file):
-    """The least length of a file in the midst of a write: one that grows keeps its old rows."""
-    path = os.readlink(f"/proc/self/fd/{file}")
-    if not path.endswith(".npy"):
-        return 0
-    try:
-        rows = np.load(path, mmap_mode="r")
-    except ValueError:  # new, and still without its header
-        return 0
-    return rows.offset + rows.nbytes
 
 
 def no_space(file):

@@ -11,11 +11,12 @@ from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
-from agents.training.loop import load_training
-from fault_common import SAC, SMALL, Tally, difference, forked, leftovers, results
+from fault_common import SAC, SMALL, Tally, difference, forked, leftovers
 from gymnasium.spaces import Box
+from small_runs import results
 
 from agents.cli.main import main
+from agents.training.files import numbered
 
 HOW = ("observation", "reward", "cost", "raise", "exit", "die", "hang", "nan", "negative")
 
@@ -62,16 +63,15 @@ def try_environments(tally: Tally, count, rng, root):
         how, at, apart = rng.choice(HOW), rng.randrange(11, 140), rng.random() < 0.4
         apart = apart or how in ("die", "hang")
         shutil.rmtree(out, ignore_errors=True)
-        command = ["train", "--algorithm", "sac-lag", "--task", "Faulty-v0", *SMALL, *SAC]
+        command = ["train", "sac-lag", "--task", "Faulty-v0", *SMALL, *SAC]
         command += ["--backend", "eager", "--task-parameters", "how", how, "at", str(at)]
         command += ["--vectorization", "async", "--step-timeout", "1.5"] if apart else []
         done = forked(lambda command=command: main([*command, "--out", str(out)]))
         problem = done.problem((1,))
         steps = at // 50 * 50  # checkpoints
         if not problem and steps and how != "nan" and at % 10 != 1:
-            begun = (out / "checkpoint.npz").exists()
-            found = load_training(out).steps.tolist() if begun else [0, 0]
-            problem = "" if found in ([steps] * 2, [steps - 50] * 2) else f"checkpoint at {found}"
+            newest = max(numbered(out, "checkpoints"), default=0)
+            problem = "" if newest in (steps, steps - 50) else f"checkpoint at {newest}"
         if not problem and (left := processes_of(str(out))):
             problem = f"processes are left: {left}"
         tally.note("failing environments", f"{how} at {at}: {problem}" if problem else "")
@@ -119,7 +119,7 @@ def try_reproduce(tally: Tally, count, rng, root):
 def _changed(out, whole):
     """Files of trainings that differ; reports tell times."""
     found, expected = (
-        {k: v for k, v in results(folder).items() if "seed-" in k or "checkpoint" in k}
+        {k: v for k, v in results(folder).items() if "results.npz" in k or "checkpoint" in k}
         for folder in (out, whole)
     )
     return difference(found, expected)

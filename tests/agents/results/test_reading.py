@@ -1,0 +1,283 @@
+"""Runs as they are read from folders and archives, and what is left out."""
+
+import json
+import shutil
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import toys
+from small_runs import TRPO, few_episodes, results, write_evaluated, write_runs
+
+import agents
+from agents.errors import UserError
+from agents.paper.presets import preset
+from agents.results.reading import (
+    folders_below,
+    name_of_source,
+    read,
+    read_folder,
+    write_archive,
+)
+from agents.training.files import write_arrays
+
+TASK = "Circle2D-1-v0"
+toys.register()
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Two trainings of which one holds two tasks and a run that failed, one that has not ended."""
+    folder = tmp_path_factory.mktemp("runs") / "grid"
+    more = TRPO | {"seeds": (0, 3), "steps": 300}
+    with few_episodes():
+        tasks = (TASK, "Circle2D-3-v0")
+        agents.train("cpo", tasks, out=folder / "both", cost_limit=5.0, **more)
+        poison = {"task_parameters": {"poison": 0.002}, "seeds": range(5)}
+        agents.train("trpo-lag", "Walk-v0", out=folder / "Walk" / "trpo-lag", **more | poison)
+        stop = {"on_epoch": lambda epoch: False}
+        agents.train("ppo-lag", TASK, out=folder / "part", **more, **stop)
+        agents.train("cpo", "TwoCosts-v0", out=folder / "two", costs=("cost", "cost_2"), **more)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def packed(runs, tmp_path_factory):
+    path = tmp_path_factory.mktemp("packed") / "runs.zip"
+    write_archive(path, read([runs], []))
+    return path
+
+
+def assert_equal_groups(ours, theirs, located=True):
+    """All that a report shows; returns of training's episodes to five digits."""
+    assert [(g.task, g.config, g.cost, g.seeds) for g in ours] == [
+        (g.task, g.config, g.cost, g.seeds) for g in theirs
+    ]
+    for a, b in zip(ours, theirs, strict=True):
+        assert a.missing == b.missing
+        for x, y in zip(a.runs, b.runs, strict=True):
+            assert (x.measures, x.ends, x.ways, x.place) == (y.measures, y.ends, y.ways, y.place)
+            np.testing.assert_allclose(x.records.reward, y.records.reward, rtol=2**-16)
+            for name in ("rollout", "start_step", "length", "cost", "longest_streak", "streaks"):
+                columns = (getattr(run.records, name) for run in (x, y))
+                np.testing.assert_array_equal(*columns)
+            np.testing.assert_array_equal(a.costs(x), b.costs(y))
+            assert str(x.evaluation) == str(y.evaluation)
+            if located and a.task.startswith("Circle2D"):
+                assert str(a.replay(x)) == str(b.replay(y))
+        if located and a.task.startswith("Circle2D") and a.runs:
+            for own, other in zip(a.visits(), b.visits(), strict=True):
+                assert own[1:] == other[1:]
+                np.testing.assert_array_equal(own.counts, other.counts)
+            assert str(a.trained(a.seeds)) == str(b.trained(a.seeds))
+
+
+def test_an_archive_gives_what_the_folders_gave(runs, packed, tmp_path):
+    notes, again = [], []
+    groups, archived = read([runs], notes), read([packed], again)
+    assert_equal_groups(archived, groups)
+    assert notes == again
+    assert sum("is not finite" in note for note in notes) > 0
+    assert any("grid/part, seeds 0, 3: is unfinished: 100 of 300 steps" in n for n in notes)
+    assert {(g.task, g.cost) for g in groups} == {
+        *((TASK, "cost"), ("Circle2D-3-v0", "cost"), ("Walk-v0", "cost")),
+        *(("TwoCosts-v0", "cost"), ("TwoCosts-v0", "cost_2")),
+    }
+    write_archive(tmp_path / "again.zip", archived)
+    assert (tmp_path / "again.zip").read_bytes() == packed.read_bytes()
+    with zipfile.ZipFile(packed) as file:
+        names = file.namelist()
+    assert "both/config.json" in names
+    assert not any("checkpoints" in name or "steps/" in name for name in names)
+
+
+def test_a_path_into_an_archive(runs, packed):
+    for part in ("both", "Walk", "Walk/trpo-lag"):
+        assert_equal_groups(read([packed / part], []), read([runs / part], []))
+        assert name_of_source(packed / part) == Path(part).name
+    assert name_of_source(packed) == "grid"
+    for part, words in (
+        ("nothing", "no folder nothing; it has Walk, both"),
+        ("both/x", "no folder"),
+    ):
+        with pytest.raises(UserError, match=words):
+            folders_below(packed / part)
+
+
+def test_a_folder_is_read_as_it_is_by_now(runs):
+    """A training that goes on has records, and no results."""
+    part = agents.load_runs(runs / "part")
+    assert part.records[runs / "part", 3].total_steps == 100
+    with pytest.raises(UserError, match="unfinished: 100 of 300"):
+        read_folder(runs / "part", "part")
+
+
+def test_reading_changes_nothing_and_imports_nothing(runs, tmp_path):
+    copy = shutil.copytree(runs, tmp_path / "grid")
+    path = copy / "both" / "config.json"
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(content | {"algorithm": "mine", "modules": ["no_such_module"]}))
+    before = results(copy)
+    groups = read([copy], [])
+    assert [g.config.algorithm for g in groups].count("mine") == 2
+    assert results(copy) == before
+
+
+def without(archive, path, name, content=None):
+    with zipfile.ZipFile(archive) as old, zipfile.ZipFile(path, "w") as new:
+        for other in old.namelist():
+            if other != name:
+                new.writestr(other, old.read(other))
+            elif content is not None:
+                new.writestr(other, content)
+    return path
+
+
+def test_files_that_are_no_archives_or_damaged(packed, tmp_path):
+    data = packed.read_bytes()
+    foreign, cut = tmp_path / "foreign.zip", tmp_path / "cut.zip"
+    foreign.write_text("a,b\n1,2\n")
+    cut.write_bytes(data[: len(data) // 2])
+    with zipfile.ZipFile(tmp_path / "none.zip", "w") as file:
+        file.writestr("readme", "")
+    for name in ("foreign", "cut", "none"):
+        with pytest.raises(UserError, match=f"{name}.zip is no archive that circle2d report wrote"):
+            read([tmp_path / f"{name}.zip"], [])
+    for name, content in (("both/results.npz", None), ("both/config.json", "{")):
+        notes = []
+        path = without(packed, tmp_path / "less.zip", name, content)
+        assert read([path], notes)
+        assert any("results.npz is missing" in n or "config.json is damaged" in n for n in notes)
+
+
+def test_objects_are_refused(tmp_path):
+    write_evaluated(tmp_path, "cpo", costs=(3, 4))
+    with np.load(tmp_path / "results.npz") as file:
+        arrays = dict(file)
+    arrays[f"{TASK}/1/return"] = np.array([{}] * 10, dtype=object)
+    np.savez(tmp_path / "results.npz", **arrays)
+    notes = []
+    [group] = read([tmp_path], notes)
+    assert group.seeds == [0]
+    assert "results.npz is damaged: Object arrays cannot be loaded" in notes[0]
+
+
+def edited(folder, **changes):
+    with np.load(folder / "results.npz") as file:
+        arrays = dict(file)
+    for name, change in changes.items():
+        name = f"{TASK}/1/{name.replace('__', '/')}"
+        arrays[name] = change(arrays[name])
+    write_arrays(folder / "results.npz", arrays)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"length": lambda a: a[:-1]},
+        {"length": lambda a: a * 0},
+        {"return": lambda a: a * np.nan},
+        {"rollouts": lambda a: a + 1},
+        {"costs__cost__steps": lambda a: a + 100},
+        {"evaluation__deterministic__returns": lambda a: a * np.nan},
+    ],
+)
+def test_numbers_that_cannot_be_are_left_out(tmp_path, changes):
+    write_evaluated(tmp_path, "cpo", costs=(3, 4))
+    edited(tmp_path, **changes)
+    notes = []
+    [group] = read([tmp_path], notes)
+    assert group.seeds == [0]
+    assert len(notes) == 1
+    assert "seed 1" in notes[0]
+
+
+def test_measures_by_hand(tmp_path):
+    config = write_runs(tmp_path / "open")
+    assert config.tasks == ("Circle2D-3-v0",)
+    records = agents.load_runs(tmp_path / "open").records[tmp_path / "open", 0]
+    assert records.longest_streak[:4].tolist() == [0, 4, 5, 1]
+    write_evaluated(tmp_path / "done", "cpo", costs=(3, 4))
+    [group] = read([tmp_path / "done"], [])
+    assert group.values("cost_rate") == [0.3, 0.4]
+    assert group.values("EMCC_0.33") == [0.3, 0.4]
+    assert group.values("J_R") == [-9.0, -9.0]
+    assert group.values("J_C") == [4.25, 4.25]
+
+
+def folders(groups):
+    return [group.folder for group in groups]
+
+
+def test_several_sources_are_one(tmp_path):
+    """An archive of one algorithm and a folder of the other are as a folder of both."""
+    for name, costs in (("cpo", (2, 4, 3)), ("wcsac", (7, 9))):
+        write_evaluated(tmp_path / "whole" / TASK / name, name, costs=costs)
+        shutil.copytree(tmp_path / "whole" / TASK / name, tmp_path / name / "grid" / TASK / name)
+    archive, folder = tmp_path / "cpo.zip", tmp_path / "wcsac" / "grid"
+    write_archive(archive, read([tmp_path / "cpo" / "grid"], []))
+    both, whole = read([archive, folder], [], "all"), read([tmp_path / "whole"], [], "all")
+    assert_equal_groups(both, whole, located=False)
+    assert folders(both) == folders(whole)
+    assert both[0].title == f"all/{TASK}/cpo"
+    joined = folders(read([folder / TASK / "wcsac", archive], [], "all"))
+    assert set(joined) == {"wcsac", f"{TASK}/cpo"}
+    same = read([tmp_path / "whole", folder], [], "all")
+    assert set(folders(same)) == {f"{TASK}/cpo", f"whole/{TASK}/wcsac", f"grid/{TASK}/wcsac"}
+    for inner in (tmp_path / "whole" / TASK, tmp_path / "whole" / ".." / "whole"):
+        with pytest.raises(UserError, match=r"is in .*whole: its runs would count twice"):
+            read([inner, tmp_path / "whole"], [], "all")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UserError, match="empty holds no runs"):
+        read([tmp_path / "empty", archive], [], "all")
+
+
+def test_folders_that_differ_in_their_seeds_count_as_one(tmp_path):
+    """The same numbers as of one training with all seeds."""
+    more = TRPO | {"steps": 300}
+    with few_episodes():
+        for name, seeds in (("whole", (0, 1, 2)), ("p/first", (0, 1)), ("p/later", (2,))):
+            agents.train("trpo-lag", TASK, seeds=seeds, out=tmp_path / name, **more)
+    notes = []
+    [pooled], [whole] = read([tmp_path / "p"], notes), read([tmp_path / "whole"], [])
+    assert pooled.seeds == [0, 1, 2]
+    assert pooled.folder == "first + later"
+    assert "counted as one: p/first (seeds 0, 1); p/later (seeds 2)" in notes[0]
+    assert [run.measures for run in pooled.runs] == [run.measures for run in whole.runs]
+    for own, other in zip(pooled.visits(), whole.visits(), strict=True):
+        np.testing.assert_array_equal(own.counts, other.counts)
+        assert own.emcc == pytest.approx(other.emcc)
+    assert str(pooled.trained([2])) == str(whole.trained([2]))
+    assert str(pooled.replay(pooled.runs[2])) == str(whole.replay(whole.runs[2]))
+    write_archive(tmp_path / "p.zip", [pooled])
+    assert_equal_groups(read([tmp_path / "p.zip"], []), [pooled])
+
+
+def test_what_stays_apart(tmp_path):
+    """A seed that was trained twice, and other settings."""
+    for name, seeds in (("a", (0, 1)), ("b", (2, 3)), ("c", (3, 4))):
+        write_evaluated(tmp_path / "x" / name, "cpo", seeds, seeds=seeds)
+    assert folders(read([tmp_path / "x"], [])) == ["a", "b", "c"]
+    usual = preset("trpo-lag", TASK)
+    for name, seeds, discount in (("a", (0, 1), 0.99), ("b", (2, 3), 0.9)):
+        chosen = replace(usual, discount=discount)
+        write_evaluated(tmp_path / "y" / name, "trpo-lag", seeds, chosen, seeds=seeds)
+    assert folders(read([tmp_path / "y"], [])) == ["a", "b"]
+
+
+@pytest.mark.parametrize("given", [".", "../runs", "../r", "{here}"])
+def test_notes_name_the_folder_however_it_is_given(tmp_path, monkeypatch, given):
+    folder = tmp_path / "runs"
+    write_evaluated(folder, "sac-lag", [2, 4])
+    (folder / "broken").mkdir()
+    (folder / "broken" / "config.json").write_text("{")
+    (tmp_path / "r").symlink_to(folder)
+    monkeypatch.chdir(folder)
+    edited(folder, rollouts=lambda a: a + 1)
+    notes = []
+    read([Path(given.format(here=folder))], notes)
+    assert notes[0].startswith("left out: runs/broken/config.json is damaged: ")
+    assert notes[1].startswith("left out: runs, seed 1: ")
+    assert str(tmp_path) not in "".join(notes)

@@ -1,0 +1,168 @@
+"""When checkpoints are written; status and progress, by a clock made by hand."""
+
+from io import StringIO
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rich.console import Console
+from small_runs import TRPO, write_status
+from toy_family import known
+
+import agents
+from agents.paper.presets import preset
+from agents.training import callbacks, progress, trainer
+from agents.training.callbacks import StatusFile, sessions, share_done, speed
+from agents.training.config import TrainConfig
+from agents.training.files import read_json
+from agents.training.progress import show_progress
+
+TASK, STEPS = "Circle2D-1-v0", 1000
+
+
+class Clock:
+    def __init__(self):
+        self.now = 100.0
+
+    def monotonic(self):
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Whose `now` is the time; the compiler took none of it."""
+    own = Clock()
+    for module in (callbacks, progress, trainer):
+        monkeypatch.setattr(module, "time", own)
+    monkeypatch.setattr(callbacks.CLOCK, "seconds", 0.0)
+    return own
+
+
+@pytest.mark.parametrize(("writing", "each"), [(0.0, 1), (1.0, 5), (0.25, 2)])
+def test_writing_takes_2_percent_of_the_time_at_most(tmp_path, monkeypatch, clock, writing, each):
+    """Epochs of 10 s, after each of which a checkpoint is due by steps; the last is written."""
+    saved, save = [], trainer.Trainer.save
+
+    def slowly(it):
+        write = trainer.write_arrays
+
+        def slow(*args):
+            clock.now += writing / 2
+            write(*args)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(trainer, "write_arrays", slow)
+            save(it)
+        saved.append(it.epoch)
+
+    def passes(epoch):
+        clock.now += 10.0
+
+    monkeypatch.setattr(trainer.Trainer, "save", slowly)
+    with known():
+        more = {"checkpoint_every": 50, "steps": 1000, "seeds": 0, "on_epoch": passes}
+        runs = agents.train("toy", TASK, out=tmp_path / "x", **more)
+    assert saved[0] == 1
+    assert saved[-1] == 20
+    assert set(np.diff(saved[:-1])) == {each}
+    kept = sorted(path.name for path in (runs.folder / "checkpoints").iterdir())
+    assert len(kept) == 2
+    assert kept[-1] == "000001000.npz"
+    assert len(list((runs.folder / "steps").iterdir())) == len(saved)
+
+
+def test_due_by_steps_too(tmp_path, clock):
+    def passes(epoch):
+        clock.now += 10.0
+
+    more = TRPO | {"checkpoint_every": 300, "steps": 1000, "seeds": (0, 1), "on_epoch": passes}
+    runs = agents.train("cpo", TASK, out=tmp_path / "x", **more)
+    names = sorted(path.stem for path in (runs.folder / "steps").iterdir())
+    assert names == ["000000300", "000000600", "000000900", "000001000"]
+
+
+def reading(*steps, failed=(), folder=None):
+    failures = np.where(np.isin(np.arange(len(steps)), failed), "failed", "")
+    config = TrainConfig("cpo", (TASK,), tuple(range(len(steps))), STEPS, preset("cpo", TASK))
+    return SimpleNamespace(
+        steps=np.array(steps),
+        failures=failures,
+        done=min(steps) >= STEPS,
+        recorder=SimpleNamespace(recent=(-4.0, 2.5)),
+        config=config,
+        folder=folder,
+    )
+
+
+def test_the_status_of_a_training(tmp_path, clock):
+    status = StatusFile(reading(0, 0, folder=tmp_path))
+    clock.now = 110.0
+    status(reading(100, 100))
+    assert read_json(tmp_path / "status.json")["steps_per_second"] is None
+    assert share_done(tmp_path) == 0.1
+    clock.now, callbacks.CLOCK.seconds = 120.0, 5.0  # of these ten
+    status(reading(300, 300))
+    assert speed(tmp_path) == (600 - 200) / 5
+    clock.now = 120.9
+    status(reading(400, 400))  # less than a second after the last
+    assert share_done(tmp_path) == 0.3
+    clock.now = 130.0
+    status(reading(600, 410, failed=[1]))
+    assert share_done(tmp_path) == 0.6
+    assert [one["seconds"] for one in sessions(tmp_path).values()] == [30.0]
+    later = StatusFile(reading(600, 410, folder=tmp_path))
+    clock.now = 141.0
+    later(reading(1000, 1000))
+    assert [one["seconds"] for one in sessions(tmp_path).values()] == [30.0, 11.0]
+    assert "torch" in [*sessions(tmp_path).values()][1]["versions"]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *("", "[]", "{}", '{"share": 1', "[" * 100_000),
+        '{"share": "1", "steps_per_second": null, "sessions": {}}',
+        '{"share": 1.5, "steps_per_second": [1], "sessions": [1]}',
+        '{"share": NaN, "steps_per_second": null}',
+    ],
+)
+def test_a_status_of_another_form_says_nothing(tmp_path, content):
+    (tmp_path / "status.json").write_text(content)
+    assert (share_done(tmp_path), speed(tmp_path), sessions(tmp_path)) == (0.0, None, {})
+    write_status(tmp_path, 0.25, 34, one=3)
+    assert (share_done(tmp_path), speed(tmp_path)) == (0.25, 34)
+    assert sessions(tmp_path) == {"one": {"seconds": 3}}
+
+
+def test_progress_by_a_clock(capsys, clock):
+    with show_progress(reading(0, 0).config) as on_epoch:
+        clock.now = 110.0  # the first epoch, of 100 steps of either run, takes 10 s
+        on_epoch(reading(100, 100))
+        clock.now, callbacks.CLOCK.seconds = 120.0, 5.0  # 200 more of each, half of it compiling
+        on_epoch(reading(300, 300))
+        clock.now = 120.1
+        on_epoch(reading(304, 304))  # no new tenth, and just shown
+        clock.now = 135.0
+        on_epoch(reading(900, 1000))  # 1500 more of both together in 15 s, the slower one 600
+        clock.now = 140.0
+        on_epoch(reading(1000, 1000))
+    told, recent = "cpo Circle2D-1-v0 x 2:", "return -4.00, cost 2.50"
+    assert capsys.readouterr().err.splitlines() == [
+        f"{told} 10 % after 10 s, {recent}",
+        f"{told} compiled in 5 s",
+        f"{told} 30 % after 20 s, 80 steps/s, {recent}, 18 s left",  # 5 s for 20 %, so for 70 %
+        f"{told} 90 % after 35 s, 85 steps/s, {recent}, 2 s left",  # 20 s for 80 %, so for 10 %
+        f"{told} 100 % after 40 s, 72 steps/s, {recent}, evaluating",
+    ]
+
+
+def test_a_terminal_shows_the_same(monkeypatch, clock):
+    shown = StringIO()
+    console = Console(file=shown, force_terminal=True, width=150)
+    monkeypatch.setattr(progress, "Console", lambda stderr: console)
+    with show_progress(reading(0, 0).config) as on_epoch:
+        clock.now = 110.0
+        on_epoch(reading(500, 500))
+        clock.now = 140.0
+        on_epoch(reading(800, 800))
+    assert "20 steps/s return -4.00, cost 2.50 20 s left" in shown.getvalue()

@@ -1,0 +1,298 @@
+"""Errors of a task or an algorithm, with their place and cause; numbers that are not finite."""
+
+import contextlib
+import multiprocessing
+import os
+import pickle
+import re
+import time
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import toy_family
+import toys
+from small_runs import SAC, TRPO
+from toy_family import Linear, Numbers, Rule, known
+
+import agents
+from agents.algorithms import Algorithm
+from agents.errors import OwnCodeError, RunsFailed, TaskFailure, UserError
+from agents.sac import OffPolicy
+from agents.training import trainer
+from agents.training.environments import make_envs
+
+OPTIONS = {"seeds": (0, 1), "steps": 100, "checkpoint_every": 20}
+
+
+@pytest.fixture(autouse=True)
+def often(monkeypatch):
+    monkeypatch.setattr(trainer, "WRITING_SHARE", 1e9)
+
+
+def line(function, words):
+    """The place of some words in the source of a class."""
+    path = Path(function)
+    [number] = [k for k, text in enumerate(path.read_text().splitlines(), 1) if words in text]
+    return re.escape(f"({path}, line {number})")
+
+
+RAISES = r"failed in step 10 of an episode: LookupError: .*" + line(toys.__file__, "motor")
+
+
+RESETS = "failed in a reset: LookupError: .*" + line(toys.__file__, "door")
+
+
+@pytest.mark.parametrize(
+    ("how", "words", "vectorization"),
+    [
+        ("raise", RAISES, "sync"),
+        ("raise", RAISES, "async"),
+        ("reset", RESETS, "sync"),
+        ("reset", RESETS, "async"),
+        ("observation", r"an observation must be \[2\], as its space says, got \[3\]", "sync"),
+        ("reward", r"reward = array\(\[0., 0.\]\), which is no number", "sync"),
+        ("complex", "reward = 1j, which is no number", "sync"),
+        ("cost", r"info\['cost'\] = 'much', which is no number", "async"),
+        ("missing", r"gives no info\['cost'\]", "sync"),
+        ("negative", "gives a negative cost", "sync"),
+    ],
+)
+def test_a_task_that_fails(tmp_path, how, vectorization, words):
+    """The checkpoint before it is there, and training goes on from it."""
+    at = 40 if how == "reset" else 50
+    parameters = {"how": how, "at": at}
+    more = OPTIONS | SAC | {"task_parameters": parameters, "vectorization": vectorization}
+    with pytest.raises(TaskFailure, match="(?s)'Broken-v0'.*" + words) as raised:
+        agents.train("sac-lag", "Broken-v0", out=tmp_path / "x", **more)
+    if how in ("raise", "reset"):
+        assert type(raised.value.__cause__) is LookupError
+    assert not multiprocessing.active_children()
+    newest = sorted((tmp_path / "x" / "checkpoints").iterdir())[-1]
+    assert newest.stem == "000000040" if how != "reset" else "000000020"
+    assert not (tmp_path / "x" / "results.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ("die", "a process of its environments ended"),
+        ("hang", "a process did not answer within step_timeout, 0.5 s"),
+    ],
+)
+def test_a_process_of_an_environment_that_fails(tmp_path, how, words):
+    more = OPTIONS | TRPO | {"vectorization": "async", "step_timeout": 0.5}
+    with pytest.raises(TaskFailure, match=f"'Broken-v0' failed in step 10 .*{words}"):
+        more["task_parameters"] = {"how": how}
+        agents.train("cpo", "Broken-v0", out=tmp_path / "x", **more)
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize("vectorization", ["auto", "async"])
+def test_a_task_that_cannot_be_made_leaves_nothing(tmp_path, vectorization):
+    more = {"task_parameters": {"how": "init"}, "vectorization": vectorization}
+    words = "cannot make task 'Broken-v0': LookupError: no licence " + line(
+        toys.__file__, "no licence"
+    )
+    with pytest.raises(OwnCodeError, match=words) as raised:
+        agents.train("cpo", "Broken-v0", out=tmp_path / "x", **more)
+    assert type(raised.value.__cause__) is LookupError
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_task_that_fails_where_a_policy_is_evaluated():
+    with pytest.raises(
+        TaskFailure, match=r"'Broken-v0' failed in step 5 of an episode: Lookup"
+    ) as e:
+        agents.evaluate(
+            lambda observation: np.zeros(1, np.float32),
+            "Broken-v0",
+            episodes=2,
+            task_parameters={"how": "raise", "at": 5},
+        )
+    assert type(e.value.__cause__) is LookupError
+
+
+class Odd(Exception):
+    """It cannot be pickled."""
+
+    def __init__(self, a, b):
+        super().__init__(a)
+
+
+def test_an_error_of_one_s_own_keeps_its_cause_between_processes():
+    for cause in (LookupError("motor"), Odd("motor", 1)):
+        try:
+            raise TaskFailure("failed") from cause
+        except TaskFailure as error:
+            copy = pickle.loads(pickle.dumps(error))
+        assert type(copy) is TaskFailure
+        assert "motor" in str(copy.__cause__)
+        assert (type(copy.__cause__) is LookupError) == isinstance(cause, LookupError)
+        assert "motor" in str(copy.__cause__.__cause__)  # the traceback of there
+
+
+def test_arrays_of_other_shapes_from_a_vector_environment():
+    envs = make_envs("Broken-v0", 3, {})
+    step = envs.unwrapped.step
+    envs.unwrapped.step = lambda actions: (step(actions)[0], np.zeros(2), *step(actions)[2:])
+    envs.reset(seed=[1, 2, 3])
+    with pytest.raises(TaskFailure, match=r"'Broken-v0' failed in step 1 .*rewards must be \[3\]"):
+        envs.step(np.zeros((3, 1), np.float32))
+
+
+@pytest.mark.parametrize(("wrong", "does"), [("learn", "learns"), ("act", "acts")])
+def test_an_algorithm_that_fails(tmp_path, wrong, does):
+    with known():
+        source = line(toy_family.__file__, "nothing to " + wrong.replace("learn", "learn from"))
+        words = (
+            rf"algorithm 'toy' failed at step \d+ where it {does}: ZeroDivisionError: .*{source}"
+        )
+        with pytest.raises(OwnCodeError, match=words) as raised:
+            agents.train("toy", "Walk-v0", wrong=wrong, out=tmp_path / "x", **OPTIONS)
+        assert type(raised.value.__cause__) is ZeroDivisionError
+        with pytest.raises(OwnCodeError):
+            agents.resume(tmp_path / "x")
+
+
+def test_an_algorithm_whose_numbers_fail(tmp_path):
+    """The one run it happens to is left out; the other one is what it is without that."""
+    with known():
+        runs = {
+            wrong: agents.train("toy", "Walk-v0", wrong=wrong, **OPTIONS | {"steps": 300})
+            for wrong in ("", "nan", "action")
+        }
+        for wrong, words in {"nan": "parameter of its update", "action": "action"}.items():
+            [group] = runs[wrong].results
+            assert re.fullmatch(rf"failed at step \d+: its {words} is not finite", group.missing[0])
+            [left] = group.runs
+            assert left.measures == runs[""].results[0].runs[1].measures
+            with pytest.raises(RunsFailed, match=f"every run of .*: its {words}"):
+                agents.train("toy", "Walk-v0", wrong=wrong, **(OPTIONS | {"seeds": 0}))
+
+
+def test_a_run_that_fails_right_after_a_checkpoint_keeps_its_episodes(tmp_path):
+    """Its first action there is none, so that no step is added; the numbers of files stay apart."""
+    with known(), pytest.raises(RunsFailed):
+        more = OPTIONS | {"seeds": 0, "checkpoint_every": 1, "out": tmp_path / "x"}
+        agents.train("toy", "Walk-v0", wrong="action", **more)
+    with np.load(tmp_path / "x" / "results.npz") as file:
+        words = str(file["Walk-v0/0/failure"])
+        assert words == f"failed at step {file['Walk-v0/0/length'].sum()}: its action is not finite"
+
+
+@pytest.mark.parametrize("algorithm", ["trpo-lag", "sac-lag"])
+@pytest.mark.parametrize("poisons", ["reward", "cost", "observation"])
+def test_a_number_that_is_not_finite_is_named(tmp_path, algorithm, poisons):
+    parameters = {"poison": 0.002, "poisons": poisons}
+    more = OPTIONS | {"seeds": range(5), "steps": 300, "task_parameters": parameters}
+    more |= SAC if algorithm == "sac-lag" else TRPO
+    runs = agents.train(algorithm, "Walk-v0", out=tmp_path / "x", **more)
+    [group] = runs.results
+    assert group.runs
+    reasons = [why for why in group.missing.values() if why.startswith("failed")]
+    assert reasons
+    for why in reasons:
+        assert re.fullmatch(rf"failed at step \d+: its {poisons} is not finite", why)
+
+
+def test_where_every_run_failed(tmp_path):
+    more = OPTIONS | TRPO | {"task_parameters": {"poison": 1.0}, "out": tmp_path / "x"}
+    words = "every run of .*x failed; the first failed at step .*: its reward is not finite"
+    for train in (
+        lambda: agents.train("cpo", "Walk-v0", **more),
+        lambda: agents.resume(more["out"]),
+    ):
+        with pytest.raises(RunsFailed, match=words):
+            train()
+    with pytest.raises(UserError, match=r"holds no complete runs; .*its reward is not finite"):
+        _ = agents.load_runs(tmp_path / "x").results
+
+
+def reduced(learner):
+    """The learner, whose runs share what they learn."""
+
+    class Reduced(learner):
+        def learn(self, *args):
+            metrics = super().learn(*args)
+            if not np.isnan(metrics).all():
+                state = self.state_dict()
+                actor = next(name for name in state if name.startswith("actor"))
+                state[actor] = state[actor] + 0.1 * np.abs(state[actor]).mean(axis=0)
+                self.load_state_dict(state)
+            return metrics
+
+    return Reduced
+
+
+@contextlib.contextmanager
+def two_families():
+    from agents.algorithms.sac_lag import ALGORITHM as sac
+
+    def family(config, rule, *args):
+        return reduced(OffPolicy)(config, rule, *args)
+
+    own = sac._replace(family=family)
+    with known("toy"), known("sac-reduced", own), known("sac-own", sac):
+        yield
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "options"), [("toy", {"wrong": "reduce"}), ("sac-reduced", SAC)]
+)
+def test_a_loss_that_reduces_over_the_runs_is_refused(tmp_path, algorithm, options):
+    """At the first update, which for SAC comes after some epochs; in an algorithm of one's own."""
+    with two_families():
+        epochs = []
+        more = OPTIONS | options | {"out": tmp_path / "x", "on_epoch": epochs.append}
+        with pytest.raises(UserError, match=f"'{algorithm}' trains a run otherwise among others"):
+            agents.train(algorithm, "Walk-v0", **more)
+        assert len(epochs) < 4
+        agents.train(algorithm, "Walk-v0", **OPTIONS | options | {"seeds": 0})
+
+
+def test_an_algorithm_of_one_s_own_that_does_not_trains(tmp_path):
+    class Unequal(Linear):
+        """Runs of one algorithm may differ by their seeds."""
+
+    with two_families(), known("unequal", Algorithm("Toy", Numbers, Rule(), Unequal)):
+        for name, options in (("toy", {}), ("sac-own", SAC), ("unequal", {})):
+            agents.train(name, "Walk-v0", **OPTIONS | options)
+
+
+def test_environments_in_processes_end_with_a_training_that_is_stopped(tmp_path):
+    more = OPTIONS | TRPO | {"vectorization": "async", "on_epoch": lambda epoch: False}
+    agents.train("cpo", "Walk-v0", out=tmp_path / "x", **more)
+    assert not multiprocessing.active_children()
+
+
+def test_a_task_that_never_ends(monkeypatch):
+    class Endless(toys.Walk):
+        def step(self, action):
+            observation, reward, _, _, info = super().step(action)
+            return observation, reward, False, False, info
+
+    monkeypatch.setattr("agents.lockstep.rollout.MAX_STEPS", 60)
+    gym.register("Endless-v0", Endless, disable_env_checker=True)
+    try:
+        with pytest.raises(TaskFailure, match="has not ended after 60 steps"):
+            agents.train("cpo", "Endless-v0", **OPTIONS | TRPO)
+    finally:
+        del gym.registry["Endless-v0"]
+
+
+def test_a_process_ends_with_its_parent():
+    """One that was forked for an environment, when its pipe breaks."""
+    envs = make_envs("Walk-v0", 1, {}, "async")
+    envs.reset(seed=[1])
+    [process] = envs.unwrapped.processes
+    envs.unwrapped.parent_pipes[0].close()
+    until = time.monotonic() + 60
+    while process.is_alive():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    assert process.exitcode == 1
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(process.pid, 0)
+    envs.close()

@@ -1,0 +1,324 @@
+"""Files of runs, whole or not at all; the lock of a folder; configurations."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+from small_runs import TRPO, results
+
+import agents
+from agents.errors import UserError
+from agents.paper.presets import preset
+from agents.training import files
+from agents.training.config import TrainConfig, read_spaces
+from agents.training.environments import Spaces
+from agents.training.files import Arrays, locked, read_json, write_arrays, write_whole
+
+TASK = "Circle2D-1-v0"
+
+
+def test_files_are_whole_follow_no_link_and_leave_nothing(tmp_path, monkeypatch):
+    target = tmp_path / "precious"
+    target.write_text("kept")
+    monkeypatch.setattr(files.secrets, "token_hex", lambda count: "01")
+    (tmp_path / ".x.01.unfinished").symlink_to(target)
+    with pytest.raises(FileExistsError):
+        write_whole(tmp_path / "x", "new")
+    monkeypatch.undo()
+    write_whole(tmp_path / "x", "old")
+    with pytest.raises(ValueError, match="in between"), files.whole(tmp_path / "x") as file:
+        file.write(b"half")
+        raise ValueError("in between")
+    assert (tmp_path / "x").read_text() == "old"
+    assert target.read_text() == "kept"
+    (tmp_path / "link").symlink_to(target)
+    write_whole(tmp_path / "link", "new")
+    assert target.read_text() == "kept"
+    assert {path.name for path in tmp_path.iterdir()} == {"precious", "x", "link"}
+
+
+def test_a_full_disk_leaves_the_file_as_it_was(tmp_path, monkeypatch):
+    write_whole(tmp_path / "x", "old")
+    monkeypatch.setattr(os, "fsync", lambda file: (_ for _ in ()).throw(OSError(28, "full")))
+    with pytest.raises(OSError, match="full"):
+        write_whole(tmp_path / "x", "new")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
+
+
+def test_equal_arrays_are_equal_files_that_numpy_reads(tmp_path):
+    arrays = {"a": np.arange(6.0).reshape(2, 3), "b/c": np.array(["x", "yz"]), "d": np.array(3)}
+    for name in ("x", "y"):
+        write_arrays(tmp_path / f"{name}.npz", arrays)
+    assert (tmp_path / "x.npz").read_bytes() == (tmp_path / "y.npz").read_bytes()
+    with np.load(tmp_path / "x.npz", allow_pickle=False) as file:
+        ours = Arrays(tmp_path / "x.npz")
+        assert set(file) == set(ours) == set(arrays)
+        for name, array in arrays.items():
+            for other in (file[name], ours[name]):
+                np.testing.assert_array_equal(other, array)
+                assert other.dtype == array.dtype
+
+
+def test_nothing_is_unpickled(tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return (os.mkdir, (str(tmp_path / "made"),))
+
+    with pytest.raises(ValueError, match="allow_pickle"):
+        write_arrays(tmp_path / "x.npz", {"a": np.array([Evil()], dtype=object)})
+    np.savez(tmp_path / "x.npz", a=np.array([Evil()], dtype=object))
+    with pytest.raises(UserError, match=r"x\.npz is damaged: Object arrays"):
+        _ = Arrays(tmp_path / "x.npz")["a"]
+    assert not (tmp_path / "made").exists()
+
+
+def test_every_flipped_bit_is_found_or_changes_nothing(tmp_path):
+    arrays = {"name": np.arange(5), "other": np.array([1.5])}
+    write_arrays(tmp_path / "x.npz", arrays)
+    data = (tmp_path / "x.npz").read_bytes()
+    for at in range(len(data)):
+        changed = bytearray(data)
+        changed[at] ^= 1 << at % 8
+        (tmp_path / "x.npz").write_bytes(changed)
+        try:
+            found = dict(Arrays(tmp_path / "x.npz"))
+        except UserError as error:
+            assert "x.npz is damaged" in str(error)
+            continue
+        assert found.keys() == arrays.keys(), at
+        for name, array in arrays.items():
+            np.testing.assert_array_equal(found[name], array)
+
+
+def test_arrays_of_an_archive(tmp_path):
+    write_arrays(tmp_path / "x.npz", {"a": np.arange(3)})
+    with zipfile.ZipFile(tmp_path / "y.zip", "w") as archive:
+        archive.write(tmp_path / "x.npz", "in/x.npz")
+    within = zipfile.Path(tmp_path / "y.zip") / "in" / "x.npz"
+    np.testing.assert_array_equal(Arrays(within)["a"], np.arange(3))
+    with pytest.raises(UserError, match=r"z\.npz is missing"):
+        Arrays(zipfile.Path(tmp_path / "y.zip") / "in" / "z.npz")
+
+
+def test_damaged_json_is_named(tmp_path):
+    path = tmp_path / "x.json"
+    for text in ("[" * 100_000, '{"a":' * 100_000, "\x00", "12", '"x"', "true", "{", "\udcff"):
+        path.write_text(text, errors="surrogateescape")
+        with pytest.raises(UserError, match=r"x\.json is damaged"):
+            read_json(path)
+    path.unlink()
+    with pytest.raises(UserError, match=r"x\.json is missing"):
+        read_json(path)
+
+
+HOLDER = """
+import sys
+if sys.argv[2] == "without":
+    sys.modules["fcntl"] = None
+from pathlib import Path
+from agents.training.files import locked
+with locked(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.readline()
+"""
+
+
+def hold(folder, how="with"):
+    command = [sys.executable, "-W", "error", "-c", HOLDER, str(folder), how]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen(command, text=True, **pipes)
+    return process, process.stdout.readline() == "held\n"
+
+
+@pytest.mark.parametrize("how", ["with", "without"])
+def test_a_lock_with_and_without_fcntl(tmp_path, how):
+    """A second process is refused; a killed one holds nothing."""
+    first, held = hold(tmp_path, how)
+    assert held
+    second, held = hold(tmp_path, how)
+    assert not held
+    assert f"another process is training or evaluating in {tmp_path}" in second.communicate()[1]
+    first.kill()
+    first.communicate()
+    third, held = hold(tmp_path, how)
+    assert held
+    assert third.communicate("done\n") == ("", "")
+
+
+def test_a_folder_that_is_being_trained_is_said_to_be(tmp_path):
+    """To a second training; one that holds runs says how to go on; neither is touched."""
+    more = TRPO | {"seeds": 0, "steps": 50, "out": tmp_path / "x"}
+    agents.train("cpo", TASK, **more)
+    before = results(tmp_path / "x")
+    process, held = hold(tmp_path / "x")
+    assert held
+    with pytest.raises(UserError, match="x is being trained in by another process"):
+        agents.train("cpo", TASK, **more)
+    with pytest.raises(UserError, match="another process is training or evaluating in"):
+        agents.resume(tmp_path / "x")
+    process.communicate("done\n")
+    with pytest.raises(UserError, match=r"holds runs already: .*resume .*x'.* agents\.resume"):
+        agents.train("trpo-lag", TASK, **more)
+    assert results(tmp_path / "x") == before
+
+
+def test_patience_waits_for_a_lock(tmp_path):
+    process, held = hold(tmp_path)
+    assert held
+    process.stdin.write("done\n")
+    process.stdin.flush()
+    with locked(tmp_path, patience=60):
+        pass
+    process.communicate()
+
+
+def config(task=TASK, seeds=(0,), **changes):
+    return TrainConfig("cpo", (task,), seeds, 100, preset("cpo", TASK), **changes)
+
+
+def edit(folder, **changes):
+    path = folder / "config.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+def test_it_is_read_as_it_was_written(tmp_path):
+    several = dataclasses.replace(config(), tasks=(TASK, "Circle2D-2-v0"), seeds=(3, 1))
+    more = {"snapshots": config(evaluate_every=50), "timeout": config(step_timeout=2.0)}
+    more |= {"several": several, "costs": config(costs=("cost", "cost_2"))}
+    for name, one in ({"plain": config()} | more).items():
+        one.write(tmp_path / name)
+        assert TrainConfig.read(tmp_path / name) == one
+        assert TrainConfig.read(tmp_path / name, strict=False) == one
+
+
+def test_hyperparameters_newer_than_the_runs(tmp_path):
+    """They are as the family was before they came, not as SAC-LB-Streak has them now."""
+    chosen = preset("sac-lb-streak", TASK)
+    TrainConfig("sac-lb-streak", (TASK,), (0,), 100, chosen).write(tmp_path)
+    values = read_json(tmp_path / "config.json")["hyperparameters"]
+    for name in ("novelty_bonus", "random_share", "streak_weight", "novelty_length"):
+        del values[name]
+    edit(tmp_path, hyperparameters=values)
+    off = {"novelty_bonus": 0.0, "random_share": 0.0, "streak_weight": 0.0}
+    assert TrainConfig.read(tmp_path).hyperparameters == dataclasses.replace(chosen, **off)
+
+
+def test_an_algorithm_that_is_not_registered(tmp_path):
+    config().write(tmp_path)
+    values = {"cost_limit": 5.0, "hidden": [8, 9], "my_factor": 0.25}
+    edit(tmp_path, algorithm="mine", modules=["my_module"], hyperparameters=values)
+    with pytest.raises(UserError, match=r"'mine' of .* is not registered here: import my_module"):
+        TrainConfig.read(tmp_path)
+    read = TrainConfig.read(tmp_path, strict=False)
+    assert dataclasses.asdict(read.hyperparameters) == {**values, "hidden": (8, 9)}
+    assert read.settings["hyperparameters.my_factor"] == 0.25
+    assert "my_module" not in sys.modules
+    edit(tmp_path, modules=["__main__"])
+    with pytest.raises(UserError, match="register it in a module, not in a script"):
+        TrainConfig.read(tmp_path)
+    edit(tmp_path, modules=[])
+    with pytest.raises(UserError, match="unknown algorithm 'mine': valid are trpo-lag, "):
+        TrainConfig.read(tmp_path)
+
+
+POSSIBLE = (("task_parameters", {"a": 1}), ("tensorboard", True))
+OTHER = (None, 7.5, [], [[1]], {"a": 1}, "-x", 10**400, -1, True)
+
+
+@pytest.mark.parametrize("strict", [True, False])
+def test_settings_of_another_type_are_damage(tmp_path, strict):
+    config(evaluate_every=50, step_timeout=1.0).write(tmp_path)
+    path = tmp_path / "config.json"
+    content = json.loads(path.read_text())
+    nullable = ("evaluate_every", "step_timeout")
+    for name in content.keys() - {"versions", "machine", "commit", "spaces", "modules"}:
+        for value in OTHER:
+            if (name, value) in POSSIBLE or (name in nullable and value is None):
+                continue
+            if name == "step_timeout" and value == 7.5:
+                continue
+            path.write_text(json.dumps(content | {name: value}))
+            with pytest.raises(UserError):
+                TrainConfig.read(tmp_path, strict)
+    edit(tmp_path, **content)
+    for changes in ({"seeds": [0, 0]}, {"seeds": [2**63]}, {"nonsense": 1}, {"tasks": "Walk-v0"}):
+        edit(tmp_path, **content | changes)
+        with pytest.raises(UserError):
+            TrainConfig.read(tmp_path, strict)
+
+
+def test_bounds_of_actions(tmp_path):
+    config("Walk-v0").write(tmp_path)
+    expected = Spaces(2, (-2.0,), (2.0,), "float32")
+    assert read_spaces(tmp_path) == expected
+    for wrong in (
+        {},
+        3,
+        {**expected._asdict(), "low": [3.0]},
+        {**expected._asdict(), "high": [1, 2]},
+    ):
+        edit(tmp_path, spaces=wrong)
+        with pytest.raises(UserError, match=r"config\.json is damaged: spaces"):
+            read_spaces(tmp_path)
+
+
+def test_what_memory_cannot_hold_is_refused_before_anything_is_written(tmp_path):
+    for changes in ({"replay_size": 10**11}, {"hidden": (65536,) * 9}):
+        with pytest.raises(
+            UserError, match=f"{next(iter(changes))} .* needs about .* GB of memory"
+        ):
+            agents.train("sac-lag", TASK, out=tmp_path / "x", **changes)
+    assert not (tmp_path / "x").exists()
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from agents.errors import UserError
+from agents.paper.presets import preset
+from agents.training.config import TrainConfig
+
+seeds = tuple(map(int, sys.argv[2:]))
+config = TrainConfig("cpo", ("Circle2D-1-v0",), seeds, 100, preset("cpo", "Circle2D-1-v0"))
+print("ready", flush=True)
+sys.stdin.readline()
+try:
+    config.write(Path(sys.argv[1]))
+except UserError as error:
+    sys.exit(2)
+"""
+
+
+def test_two_that_make_one_folder_at_once(tmp_path):
+    """One is refused, and what the other made is whole."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    for k in range(1):
+        folder, seeds = tmp_path / str(k), (("0", "1"), ("5", "6"))
+        commands = [[sys.executable, "-c", WRITER, str(folder), *own] for own in seeds]
+        writers = [subprocess.Popen(command, **pipes) for command in commands]
+        for writer in writers:
+            assert writer.stdout.readline() == "ready\n"
+        for writer in writers:
+            writer.stdin.write("go\n")
+            writer.stdin.flush()
+        for writer in writers:
+            writer.communicate(timeout=60)
+        assert sorted(writer.returncode for writer in writers) == [0, 2]
+        [made] = [s for s, writer in zip(seeds, writers, strict=True) if not writer.returncode]
+        assert TrainConfig.read(folder).seeds == tuple(map(int, made))
+
+
+def test_folders_without_runs_are_named(tmp_path):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    for path, words in ((tmp_path / "no", "no is no folder"), (tmp_path / "a", "a holds no runs")):
+        with pytest.raises(UserError, match=words):
+            TrainConfig.read(path)
+    config().write(tmp_path / "a" / "b" / "c")
+    for path in (tmp_path / "a" / "b", tmp_path / "a"):
+        with pytest.raises(UserError, match=r"holds folders of runs: did you mean '.*c'"):
+            TrainConfig.read(path)

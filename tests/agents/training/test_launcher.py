@@ -1,0 +1,233 @@
+"""Trainings of several folders at a time, in processes or on Ray; files on their way from there."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from small_runs import TRPO, results
+
+import agents
+from agents.api import configs_of
+from agents.errors import UserError
+from agents.training import launcher as module
+from agents.training.launcher import Launcher, launcher, new_files, take_in
+from agents.training.trainer import train
+
+TASK = "Circle2D-1-v0"
+
+
+def made(folder, steps=200, seeds=(0, 1), task=TASK, **more):
+    own = {"seeds": seeds, "steps": steps, "checkpoint_every": 100}
+    [config] = configs_of("trpo-lag", task, [TRPO_OWN | more], "eager", own)
+    config.write(folder)
+    return folder
+
+
+TRPO_OWN = {name: value for name, value in TRPO.items() if name != "backend"}
+
+
+def wait_until(condition, seconds=300):
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def test_so_many_at_a_time_and_one_that_fails_stops_no_other():
+    going, most, done = set(), [], []
+    steps = threading.Barrier(2, timeout=60)
+
+    def work(folder, ending):
+        going.add(folder)
+        most.append(len(going))
+        steps.wait()
+        going.discard(folder)
+        steps.wait()
+        done.append(folder.name)
+        if folder.name == "1":
+            raise UserError("its words")
+        return "no luck" if folder.name == "2" else ""
+
+    changes = []
+    with Launcher(2, work) as trainings:
+        for k in range(6):
+            trainings.submit(Path(str(k)))
+        trainings.wait(lambda: changes.append(1), every=0.01)
+        assert trainings.failed == {Path("1"): "its words", Path("2"): "no luck"}
+        assert trainings.running == []
+    assert max(most) == 2
+    assert sorted(done) == list("012345")
+    assert changes
+
+
+def test_leaving_ends_those_that_run_and_starts_no_other():
+    started = []
+
+    def work(folder, ending):
+        started.append(folder.name)
+        assert ending.wait(60)
+        return ""
+
+    with Launcher(1, work) as trainings:
+        trainings.submit(Path("a"))
+        trainings.submit(Path("b"))
+        wait_until(lambda: started)
+    assert started == ["a"]
+
+
+def test_mistakes():
+    for arguments, words in (
+        ({"engine": "cloud"}, "engine must be local or ray, got 'cloud'"),
+        ({"count": 0}, "workers must be in"),
+        ({"address": "auto"}, "address is of a Ray cluster"),
+    ):
+        with pytest.raises(UserError, match=words), launcher(**arguments):
+            pass
+
+
+def test_processes_train_folders_and_leaving_writes_checkpoints(tmp_path):
+    """A second one in the same folder waits for the lock; a folder that fails is told of."""
+    short, long, bad = made(tmp_path / "a"), made(tmp_path / "b", 10**7), made(tmp_path / "c")
+    (bad / "checkpoints").mkdir()
+    (bad / "checkpoints" / "000000100.npz").write_text("no checkpoint")
+    with launcher(count=3) as trainings:
+        for folder in (short, long, bad):
+            trainings.submit(folder)
+        wait_until(lambda: trainings.jobs[short].done() and trainings.jobs[bad].done())
+        wait_until(lambda: (long / "status.json").exists())
+        assert trainings.running == [long]
+        assert list(trainings.failed) == [bad]
+        assert "000000100.npz is damaged" in trainings.failed[bad]
+    assert (long / "checkpoints").exists()
+    assert not (long / "results.npz").exists()
+    assert agents.load_policy(long, seed=1).step > 0
+    train(made(tmp_path / "alone"))
+    ours, theirs = results(short), results(tmp_path / "alone")
+    assert ours.keys() == theirs.keys()
+    changing = {"results.npz"}  # here with few evaluated episodes
+    assert {k: v for k, v in ours.items() if k not in changing} == {
+        k: v for k, v in theirs.items() if k not in changing
+    }
+
+
+PARENT = """
+import sys
+from pathlib import Path
+from agents.training.launcher import launcher
+with launcher(count=1) as trainings:
+    trainings.submit(Path(sys.argv[1]))
+    trainings.wait()
+"""
+
+
+def processes_of(folder):
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = path.read_bytes().split(b"\0")
+        except OSError:  # it ended meanwhile
+            continue
+        if b"resume" in words and str(folder).encode() in words:
+            found.append(int(path.parent.name))
+    return found
+
+
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
+def test_processes_end_with_a_parent_that_is_killed(tmp_path, number):
+    """They leave a checkpoint, and the training goes on elsewhere."""
+    folder = made(tmp_path / "x", 10**7)
+    parent = subprocess.Popen([sys.executable, "-c", PARENT, str(folder)])
+    wait_until(lambda: (folder / "status.json").exists())
+    assert processes_of(folder)
+    os.kill(parent.pid, number)
+    parent.wait()
+    wait_until(lambda: not processes_of(folder), 60)
+    assert agents.load_policy(folder, seed=0).step > 0
+
+
+def test_files_are_taken_over_so_that_any_moment_can_be_gone_on_from(tmp_path, monkeypatch):
+    """Every prefix of what is written here leads to the end of there."""
+    there = made(tmp_path / "there", 400)
+    expected = results(train(made(tmp_path / "whole", 400)).folder)
+    train(there, lambda trainer: trainer.epoch < 1)
+    known, files = {"status.json"}, {}
+    first, names = new_files(there, known, last=False)
+    assert {name for name in first if "/" in name} == {
+        *("checkpoints/000000100.npz", "steps/000000100.npz")
+    }
+    assert {"config.json", "status.json"} <= first.keys()
+    assert new_files(there, known, last=False) == ({}, names)
+    here = tmp_path / "here"
+    take_in(here, first, names)
+    assert {name: (here / name).read_bytes() for name in first} == dict(first)
+    train(there, lambda trainer: trainer.epoch < 3)
+    (there / ".steps.npz.01.unfinished").write_text("half")
+    second, names = new_files(there, known, last=False)
+    assert "status.json" in second
+    assert not any("unfinished" in name for name in names)
+    assert not {"config.json", "steps/000000100.npz"} & second.keys()
+    written, write = [], module.write_whole
+
+    def count(path, content):
+        if len(written) == stop:
+            raise KeyboardInterrupt
+        written.append(path)
+        write(path, content)
+
+    monkeypatch.setattr(module, "write_whole", count)
+    for stop in range(len(second) + 1):
+        written.clear()
+        folder = tmp_path / f"cut{stop}"
+        for name, content in first.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+        try:
+            take_in(folder, second, names)
+            assert stop == len(second)
+            there_now = {p.name for p in (there / "checkpoints").iterdir()}
+            assert {p.name for p in (folder / "checkpoints").iterdir()} == there_now
+        except KeyboardInterrupt:
+            pass
+        files[stop] = results(train(folder).folder)
+    assert set(map(str, files.values())) == {str(expected)}
+
+
+@pytest.mark.slow
+def test_ray_gives_the_same_as_local_processes(tmp_path):
+    pytest.importorskip("ray")
+    folders = [made(tmp_path / name, 1500) for name in ("local", "ray")]
+    for folder in folders:
+        with launcher(folder.name, 2) as trainings:
+            trainings.submit(folder)
+            trainings.wait()
+            assert not trainings.failed
+    assert results(folders[0]) == results(folders[1])
+
+
+@pytest.mark.slow
+def test_a_node_of_ray_that_is_lost(tmp_path, monkeypatch):
+    """The training goes on on another node, from the newest checkpoint that was sent."""
+    pytest.importorskip("ray")
+    from ray_nodes import nodes
+
+    folder = made(tmp_path / "x", 20_000)
+    expected = train(made(tmp_path / "whole", 20_000)).folder
+    with (
+        nodes(2, tmp_path / "nodes", monkeypatch) as (address, lose),
+        launcher("ray", 1, address=address) as trainings,
+    ):
+        trainings.submit(folder)
+        wait_until(lambda: len(list((folder / "checkpoints").glob("*.npz"))) > 1)
+        next(end for where, end in lose.items() if any(where.rglob("config.json")))()
+        trainings.wait()
+        assert not trainings.failed
+    ours, theirs = results(folder), results(expected)
+    newest = next(name for name in theirs if name.startswith("checkpoints"))
+    assert ours[newest] == theirs[newest]

@@ -1,0 +1,285 @@
+"""Trained policies outside of training: actions, modules, snapshots, evaluations."""
+
+import pickle
+import shutil
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from small_runs import SAC, TRPO, results
+from toys import Target
+
+import agents
+from agents.training import trainer as training
+from agents.training.config import TrainConfig
+from agents.training.environments import make_envs
+from agents.training.trainer import Trainer
+
+SMALL = {"sac-lb": SAC, "sac-lag": SAC, "trpo-lag": TRPO, "cpo": TRPO}
+
+
+def trained(out, algorithm, task="Walk-v0", seeds=(0, 1), steps=200, **more):
+    more = SMALL[algorithm] | more
+    return agents.train(algorithm, task, seeds=seeds, steps=steps, out=out, **more).folder
+
+
+def learner_of(folder):
+    it = Trainer(folder, TrainConfig.read(folder))
+    it.load()
+    return it.learner
+
+
+@pytest.fixture(scope="module", params=["sac-lb", "trpo-lag"])
+def folder(request, tmp_path_factory):
+    """Of a task with actions in [-2, 2]."""
+    return trained(tmp_path_factory.mktemp("policy") / "x", request.param)
+
+
+OBSERVATIONS = np.random.default_rng(0).normal(0, 3, (50, 2))
+
+
+def test_actions_are_those_of_training_in_the_tasks_own_space(folder):
+    """As gymnasium's own wrapper rescales the learner's actions."""
+    policy = agents.load_policy(folder, seed=1)
+    learned = learner_of(folder).policy()
+    both = np.stack([OBSERVATIONS] * 2).astype(np.float32)
+    unit = np.clip(learned(both, None)[1], -1, 1)
+    envs = make_envs("Walk-v0", len(unit), {})
+    expected = envs.actions(unit)
+    np.testing.assert_array_equal(policy(OBSERVATIONS), expected)
+    noise = np.random.default_rng(5).standard_normal((2, 50, 1), dtype=np.float32)
+    unit = np.clip(learned(both, np.stack([noise[0]] * 2))[1], -1, 1)
+    drawn = policy(OBSERVATIONS, deterministic=False, rng=np.random.default_rng(5))
+    np.testing.assert_array_equal(drawn, envs.actions(unit))
+    assert drawn.dtype == np.float32
+    assert np.abs(drawn).max() <= 2
+    assert np.abs(drawn).max() > 1
+    assert len(np.unique(policy(np.zeros((9, 2)), deterministic=False))) > 2
+
+
+def test_one_observation_or_a_batch(folder):
+    policy = agents.load_policy(folder, seed=0)
+    batch = policy(OBSERVATIONS)
+    assert batch.shape == (50, 1)
+    np.testing.assert_allclose(policy(OBSERVATIONS[7]), batch[7], rtol=1e-5, atol=1e-6)
+    assert policy(OBSERVATIONS[7].tolist()).shape == (1,)
+    action, state = policy.predict(OBSERVATIONS[7])
+    assert state is None
+    np.testing.assert_array_equal(action, policy(OBSERVATIONS[7]))
+    assert policy(np.zeros((0, 2))).shape == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("observation", "error", "message"),
+    [
+        (np.zeros(3), ValueError, r"must be \[2\], or \[N, 2\] for a batch, got shape \[3\]"),
+        (np.zeros((4, 5, 2)), ValueError, r"got shape \[4, 5, 2\]"),
+        (1.0, ValueError, r"got shape \[\]"),
+        (["a", "b"], TypeError, "real numbers"),
+        (np.zeros(2, complex), TypeError, "real numbers"),
+    ],
+)
+def test_other_observations_are_refused(folder, observation, error, message):
+    with pytest.raises(error, match=message):
+        agents.load_policy(folder, seed=0)(observation)
+
+
+def test_the_module_of_pytorch_is_equal(folder):
+    policy = agents.load_policy(folder, seed=1)
+    module = policy.to_torch()
+    with torch.no_grad():
+        found = module(torch.tensor(OBSERVATIONS, dtype=torch.float32)).numpy()
+    np.testing.assert_allclose(found, policy(OBSERVATIONS), atol=1e-6)
+    copy = type(module)(module.net, np.zeros(1, np.float32), np.ones(1, np.float32))
+    copy.load_state_dict(module.state_dict())  # bounds are part of the state
+    torch.testing.assert_close(copy.high, torch.tensor([2.0]))
+
+
+def test_neither_replay_nor_environment_is_needed(folder, tmp_path):
+    copy = shutil.copytree(folder, tmp_path / "x")
+    newest = sorted((copy / "checkpoints").iterdir())[-1]
+    with np.load(newest) as state:
+        kept = {k: state[k] for k in state if k == "steps" or k.startswith("actor")}
+    np.savez(newest, **kept)
+    expected = agents.load_policy(folder, seed=0)(OBSERVATIONS)
+    spec = gym.registry.pop("Walk-v0")
+    try:
+        found = agents.load_policy(copy, seed=0)(OBSERVATIONS)
+    finally:
+        gym.registry["Walk-v0"] = spec
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_which_run_and_which_step(folder, tmp_path):
+    with pytest.raises(agents.UserError, match=r"several runs: give the seed, one of \(0, 1\)"):
+        agents.load_policy(folder)
+    with pytest.raises(agents.UserError, match=r"no run of seed 7: there are \(0, 1\)"):
+        agents.load_policy(folder, seed=7)
+    with pytest.raises(agents.UserError, match=r"no policy of .* at step 50: there are none"):
+        agents.load_policy(folder, seed=0, step=50)
+    with pytest.raises(agents.UserError, match=r"holds no runs: no config"):
+        agents.load_policy(tmp_path)
+    with pytest.raises(agents.UserError, match="no run of seed '0': there are"):
+        agents.load_policy(folder, seed="0")
+    with pytest.raises(agents.UserError, match=r"no run on task 'Target-v0': its tasks are"):
+        agents.load_policy(folder, task="Target-v0")
+    with pytest.raises(agents.UserError, match=r"holds folders of runs: did you mean '.*x'\?"):
+        agents.load_policy(folder.parent)
+    with pytest.raises(agents.UserError, match="nothing is no folder"):
+        agents.load_policy(tmp_path / "nothing")
+
+
+def test_pickled_and_back(folder):
+    policy = agents.load_policy(folder, seed=1)
+    copy = pickle.loads(pickle.dumps(policy))
+    for deterministic in (True, False):
+        actions = (
+            of(OBSERVATIONS, deterministic, np.random.default_rng(3)) for of in (policy, copy)
+        )
+        np.testing.assert_array_equal(*actions)
+    inputs = torch.from_numpy(OBSERVATIONS.astype(np.float32))
+    assert torch.equal(policy.to_torch()(inputs), copy.to_torch()(inputs))
+
+
+def test_a_policy_of_other_nets_is_refused(folder, tmp_path):
+    copy = shutil.copytree(folder, tmp_path / "x")
+    text = (copy / "config.json").read_text()
+    assert "   8\n" in text
+    (copy / "config.json").write_text(text.replace("   8\n", "   64\n"))
+    with pytest.raises(agents.UserError, match="damaged or of another version"):
+        agents.load_policy(copy, seed=0)
+
+
+def test_the_checkpoint_before_takes_the_place_of_a_damaged_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(training, "WRITING_SHARE", 1e9)
+    copy = trained(tmp_path / "x", "trpo-lag", checkpoint_every=50)
+    before, newest = sorted((copy / "checkpoints").iterdir())
+    newest.write_bytes(newest.read_bytes()[:-100])
+    with pytest.warns(UserWarning, match=f"{newest.name} is damaged: .*policy of the one before"):
+        policy = agents.load_policy(copy, seed=0)
+    assert policy.step == int(np.load(before)["steps"][0])
+    before.unlink()
+    with pytest.raises(agents.UserError, match=f"{newest.name} is damaged"):
+        agents.load_policy(copy, seed=0)
+    newest.unlink()
+    with pytest.raises(agents.UserError, match="has no checkpoint yet"):
+        agents.load_policy(copy, seed=0)
+
+
+@pytest.mark.parametrize("algorithm", ["sac-lag", "cpo"])
+def test_policies_on_the_way(algorithm, tmp_path):
+    """They change no result; that at the end is the last one."""
+    more = {"seeds": (3, 4), "steps": 400, "evaluate_every": 120}
+    folder = trained(tmp_path / "x", algorithm, "Circle2D-1-v0", **more)
+    plain = trained(tmp_path / "y", algorithm, "Circle2D-1-v0", **more | {"evaluate_every": None})
+    name = "results.npz"
+    assert (folder / name).read_bytes() == (plain / name).read_bytes()
+    assert not (plain / "policies").exists()
+    there = {p.relative_to(folder / "policies").as_posix() for p in folder.rglob("policies/*/*/*")}
+    steps = (120, 240, 360)
+    assert there == {f"Circle2D-1-v0/{seed}/{k:09d}.npz" for seed in (3, 4) for k in steps}
+    early, late = (agents.load_policy(folder, seed=4, step=step) for step in (120, 360))
+    assert (early.step, late.step) == (120, 360)
+    assert not np.array_equal(early(OBSERVATIONS), late(OBSERVATIONS))
+    with np.load(folder / "policies" / "Circle2D-1-v0" / "4" / "000000360.npz") as kept:
+        returns = kept["evaluation/deterministic/returns"]
+    assert returns.shape == (3,)
+    with pytest.raises(agents.UserError, match="there are 120, 240, 360; training"):
+        agents.load_policy(folder, seed=4, step=400)
+    [at_end] = {agents.load_policy(folder, seed=3).step}
+    assert at_end == 400
+
+
+def test_a_policy_kept_at_the_end_is_the_last(tmp_path):
+    more = {"seeds": 2, "steps": 200, "evaluate_every": 100}
+    out = trained(tmp_path / "x", "sac-lag", "Circle2D-1-v0", **more)
+    policies = [agents.load_policy(out, step=step)(OBSERVATIONS) for step in (200, None)]
+    np.testing.assert_array_equal(*policies)
+
+
+def test_the_policy_of_a_task_among_several(tmp_path):
+    more = {"seeds": (0, 1), "evaluate_every": 100, "cost_limit": 5.0}
+    tasks = ("Circle2D-1-v0", "circle2d_mj:Circle2D-2-v0")
+    out = trained(tmp_path / "x", "cpo", tasks, **more)
+    for name in ("Circle2D-2-v0", "circle2d_mj:Circle2D-2-v0"):
+        policy = agents.load_policy(out, 1, task=name)
+        assert (policy.task, policy.seed) == (tasks[1], 1)
+        assert agents.load_policy(out, 1, 100, name).step == 100
+    others = [
+        agents.load_policy(out, seed, task=task)(OBSERVATIONS) for task in tasks for seed in (0, 1)
+    ]
+    assert len({array.tobytes() for array in others}) == 4
+
+
+def test_evaluation_by_hand():
+    """`Target`: one step, return -(a - 0.8)², cost (1 + a) / 2."""
+    seen = []
+
+    def policy(observation):
+        seen.append(observation.shape)
+        return np.array([0.5], np.float32)
+
+    found = agents.evaluate(policy, "Target", episodes=3)  # the newest version, as in `train`
+    np.testing.assert_allclose(found.returns, [-0.09] * 3, rtol=1e-6)
+    np.testing.assert_allclose(found.costs, [0.75] * 3)
+    assert found.lengths.tolist() == [1] * 3
+    assert found.longest_streaks.tolist() == [1] * 3
+    assert (found.mean_cost, found.mcc, found.mean_length) == (0.75, 1.0, 1.0)
+    assert found.mean_return == pytest.approx(-0.09)
+    assert found.cvar() == 0.75
+    told = "mean_return=-0.09, mean_cost=0.75, mcc=1.00)"
+    assert repr(found) == f"Evaluation(task='Target-v0', episodes=3, {told}"
+    assert seen == [(1,)] * 3
+
+
+def test_evaluation_of_policies_and_folders(folder):
+    before = results(folder)
+    policy = agents.load_policy(folder, seed=1)
+    one = agents.evaluate(policy, episodes=4, seed=7)
+    both = agents.evaluate(folder, episodes=4, seed=7)
+    assert both.returns.shape == (2, 4)
+    assert both.seeds == (0, 1)
+    assert "runs=2, episodes=4, " in repr(both)
+    np.testing.assert_array_equal(both.returns[1], one.returns)
+    np.testing.assert_array_equal(agents.evaluate(policy, episodes=4, seed=7).costs, one.costs)
+    other = agents.evaluate(policy, episodes=4, seed=8)
+    assert not np.array_equal(other.returns, one.returns)
+    drawn = [agents.evaluate(policy, episodes=4, seed=7, deterministic=False) for _ in range(2)]
+    np.testing.assert_array_equal(drawn[0].returns, drawn[1].returns)
+    assert not np.array_equal(drawn[0].returns, one.returns)
+    assert results(folder) == before
+
+
+def test_an_evaluation_that_is_refused_closes_the_environment(folder, monkeypatch):
+    closed = []
+    monkeypatch.setattr(Target, "close", lambda env: closed.append(env))
+    with pytest.raises(agents.UserError, match="task 'Target-v0' has"):
+        agents.evaluate(folder, "Target-v0")
+    assert len(closed) == 1
+
+
+def test_evaluations_that_cannot_be(folder):
+    policy = agents.load_policy(folder, seed=0)
+    for task in ("Circle2D-1-v0", "CartPole-v1"):
+        with pytest.raises(agents.UserError, match=rf"from \[-2.0\] to \[2.0\]; task '{task}' has"):
+            agents.evaluate(policy, task)
+    with pytest.raises(agents.UserError, match="needs the task"):
+        agents.evaluate(lambda observation: observation)
+    with pytest.raises(agents.UserError, match="episodes must be an integer of at least 1, got 0"):
+        agents.evaluate(policy, episodes=0)
+    for wrong in (2.5, "10", None):
+        with pytest.raises(agents.UserError, match=f"of at least 1, got {wrong!r}"):
+            agents.evaluate(policy, episodes=wrong)
+    with pytest.raises(TypeError, match="a policy, a function or a folder, got 3"):
+        agents.evaluate(3)
+    with pytest.raises(agents.UserError, match="unknown task"):
+        agents.evaluate(policy, "Nowhere-v0")
+    with pytest.raises(agents.UserError, match="not finite"):
+        agents.evaluate(lambda observation: np.array([np.nan]), "Walk-v0")
+    of_truth = agents.evaluate(lambda observation: observation[:1] > 0, "Walk-v0", 1)
+    assert of_truth.lengths.shape == (1,)
+    with pytest.raises(agents.UserError, match="not finite: 'left'"):
+        agents.evaluate(lambda observation: "left", "Walk-v0")
+    with pytest.raises(agents.UserError, match=r"of shape \[3\], the task takes one of \[1\]"):
+        agents.evaluate(lambda observation: [0, 0, 0], "Walk-v0")

@@ -1,0 +1,215 @@
+"""Positions and costs of every step, and what results keep of them."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.spaces import Box
+from small_runs import TRPO
+
+import agents
+from agents.errors import UserError
+from agents.results.reading import read
+from agents.training import derive
+from agents.training.derive import (
+    GRID_MAX,
+    five_digits,
+    pack_costs,
+    replay_rows,
+    unpack_costs,
+)
+from agents.training.environments import view_of
+from emcc import EpisodeRecords
+
+OPTIONS = TRPO | {"seeds": (3, 4), "steps": 60, "episodes": 3}
+
+
+class Drift(gym.Env):
+    """A point that drifts from a random start; its place is in the info alone, and its
+    observation is the place in tenths, so that both can be compared."""
+
+    observation_space = Box(-np.inf, np.inf, (2,))
+    action_space = Box(-1.0, 1.0, (2,))
+
+    class view:  # an attribute of the environment
+        extent, axes = (-9.0, 9.0, -9.0, 9.0), ("x", "y")
+
+        @staticmethod
+        def positions(observation, info):
+            x = info["px"] if "px" in info else 10 * observation[..., 0]
+            return np.stack([x, 10 * observation[..., 1]], axis=-1)
+
+        @staticmethod
+        def places(positions):
+            return ["left" if x < 0 else "right" for x in positions[:, 0]]
+
+        @staticmethod
+        def ways(positions, costs):
+            return ["free" if cost == 0 else "" for cost in costs]
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.place, self.end = self.np_random.normal(size=2), self.np_random.integers(3, 9)
+        return (self.place / 10).astype(np.float32), {"px": self.place[0]}
+
+    def step(self, action):
+        self.place = self.place + 0.1 * np.asarray(action, float)
+        self.end -= 1
+        info = {"px": self.place[0], "cost": float(self.place[0] > 0)}
+        return (self.place / 10).astype(np.float32), 0.0, False, self.end == 0, info
+
+
+@pytest.fixture(autouse=True, scope="module")
+def tasks():
+    gym.register("Drift-v0", Drift, disable_env_checker=True)
+    gym.register("Blind-v0", type("Blind", (Drift,), {"view": None}), disable_env_checker=True)
+    yield
+    del gym.registry["Drift-v0"], gym.registry["Blind-v0"]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    out = tmp_path_factory.mktemp("drift") / "x"
+    return agents.train("trpo-lag", ("Drift-v0", "Blind-v0"), out=out, **OPTIONS)
+
+
+def steps_of(folder, run, name):
+    files = [np.load(path) for path in sorted((folder / "steps").iterdir())]
+    return np.concatenate([file[f"{run}/{name}"] for file in files])
+
+
+def test_positions_come_from_observation_and_info(runs):
+    """Though some episodes end and are reset while others go on, beside a task without a view."""
+    for seed in (3, 4):
+        names = ("positions", "costs/cost", "length")
+        positions, costs, length = (steps_of(runs.folder, f"Drift-v0/{seed}", n) for n in names)
+        assert positions.dtype == np.float32
+        assert len(positions) == length.sum()
+        assert len(set(length.tolist())) > 1
+        np.testing.assert_array_equal(costs, positions[:, 0] > 0)  # of the same step
+        jumps = np.abs(np.diff(positions, axis=0)).max(axis=1)
+        within = np.setdiff1d(np.arange(len(jumps)), np.cumsum(length) - 1)
+        assert jumps[within].max() < 0.1001 * 1.01  # a step goes that far
+        with pytest.raises(KeyError):
+            steps_of(runs.folder, f"Blind-v0/{seed}", "positions")
+
+
+def test_drawn_episodes_begin_where_they_started(runs):
+    group = next(group for group in read([runs.folder], []) if group.task == "Drift-v0")
+    for episodes in group.trained(group.seeds).values():
+        assert len(episodes) == 3
+        for positions, costs in episodes:
+            assert len(positions) == len(costs) + 1
+            assert np.abs(np.diff(positions, axis=0)).max() < 0.1001 * 1.01
+            np.testing.assert_array_equal(costs, positions[1:, 0] > 0)
+    other = next(group for group in read([runs.folder], []) if group.task == "Blind-v0")
+    with pytest.raises(UserError, match="no episodes to draw"):
+        other.trained([3])
+    for run in group.runs:
+        assert sum(run.ends.values()) == 3
+        for place, ways in run.ways.items():
+            assert set(ways) == {"free"}
+            assert place == "left"
+
+
+@pytest.mark.parametrize("how", ["sync", "async"])
+def test_every_vectorization_gives_the_same(runs, tmp_path, how):
+    more = OPTIONS | {"vectorization": how}
+    other = agents.train("trpo-lag", ("Drift-v0", "Blind-v0"), out=tmp_path / "x", **more)
+    assert (other.folder / "results.npz").read_bytes() == (runs.folder / "results.npz").read_bytes()
+
+
+def test_visits_and_replay_by_hand(runs):
+    """Against the positions of all steps: loops instead of arrays."""
+    group = next(group for group in read([runs.folder], []) if group.task == "Drift-v0")
+    visits = group.visits()
+    assert [part.of for part in visits] == [sum_rollouts(group, k) for k in range(3)]
+    for run in group.runs:
+        positions = steps_of(runs.folder, f"Drift-v0/{run.seed}", "positions")
+        costs = steps_of(runs.folder, f"Drift-v0/{run.seed}", "costs/cost")
+        np.testing.assert_array_equal(group.costs(run), costs)
+        replay = group.replay(run)
+        box = positions.max(axis=0) - positions.min(axis=0)
+        for episode in replay.episodes:
+            records = run.records
+            rows = [
+                k
+                for k, start in enumerate(records.start_step)
+                if min(start, 59) == episode.window  # of 60 steps
+            ]
+            share = (records.longest_streak / records.length)[rows]
+            row = rows[int(np.argmax(share))]
+            assert episode.start_step == records.start_step[row]
+            own = slice(episode.start_step, episode.start_step + records.length[row])
+            np.testing.assert_array_equal(episode.costs, costs[own])
+            off = np.abs(replay.positions(episode.points) - positions[own])
+            assert (off <= 0.5001 * box / GRID_MAX + 1e-6).all()
+
+
+def sum_rollouts(group, part):
+    count = 0
+    for run in group.runs:
+        firsts = np.unique(run.records.rollout, return_index=True)[1]
+        starts = run.records.start_step[firsts] / 60
+        low, high = ((0, 0.33), (0.33, 0.66), (0.66, 0.99))[part]
+        count += int(((starts >= low - 1e-9) & (starts < high - 1e-9)).sum())
+    return count
+
+
+def test_a_heat_map_counts_where_the_worst_rollouts_were():
+    """Two rollouts in each third, of one of which every step costs."""
+    length = np.full(6, 10)
+    streak = np.array([0, 10, 10, 0, 0, 10])
+    records = EpisodeRecords(
+        np.arange(6), np.arange(0, 60, 10), length, np.zeros(6), streak, streak
+    )
+    positions = np.repeat(np.arange(6), 10)[:, None] * [1.0, 0.0] + [0.05, 0.05]
+    visits = derive.count_visits(Wide(), [(records, positions.astype(np.float32))], 60)
+    for part, rollout in zip(visits, (1, 2, 5), strict=True):
+        row, column = np.argwhere(part.counts).T
+        assert part.counts.sum() == 10
+        assert column.tolist() == [int((rollout + 0.05) / 8 * derive.CELLS)]
+        assert row.tolist() == [int((8 - 0.05) / 8 * derive.CELLS)]
+        assert (part.emcc, part.rollouts, part.of) == (1.0, 1, 2)
+
+
+class Wide:
+    extent = (0.0, 8.0, 0.0, 8.0)
+
+
+def test_the_replay_takes_the_worst_of_each_window():
+    few = EpisodeRecords(
+        np.arange(4), [0, 1, 2, 3], [1, 1, 1, 1], np.zeros(4), [0, 1, 1, 0], [0, 1, 1, 0]
+    )
+    assert replay_rows(few, 240) == [(0, 1)]  # the first of two equal ones
+    assert replay_rows(few, 60) == [(0, 0), (1, 1), (2, 2), (3, 3)]
+
+
+@pytest.mark.parametrize("values", [(0.0, 1.0), (0.0, 0.25, 1.0, 3.5), (0.0,), (2.0,)])
+def test_costs_there_and_back(values):
+    costs = np.random.default_rng(0).choice(values, 1003)
+    packed = pack_costs(costs)
+    assert ("values" in packed) == (not set(values) <= {0.0, 1.0})
+    np.testing.assert_array_equal(unpack_costs(packed.__getitem__, "values" in packed), costs)
+
+
+def test_five_digits():
+    values = np.array([0.0, -1.0, 1 / 3, -123.456789, 1e30, 65537.0])
+    rounded = five_digits(values)
+    np.testing.assert_allclose(rounded, values, rtol=2**-16)
+    np.testing.assert_array_equal(five_digits(rounded), rounded)
+    np.testing.assert_array_equal(rounded.astype(np.float32), rounded)
+    np.testing.assert_array_equal(five_digits([1e39, 1 / 3]), [1e39, 1 / 3])
+
+
+def test_views(monkeypatch):
+    assert view_of("Circle2D-1-v0", {}).axes[0].startswith("x")
+    assert view_of("circle2d_mj:Circle2D-1-v0", {"constraint_radius": 3.0}).extent[1] > 3
+    assert view_of("Drift-v0", {}) is Drift.view
+    assert view_of("Target-v0", {}) is None
+    assert view_of("no_such_module:Nowhere-v0", {}) is None
+    monkeypatch.setattr(Drift.view, "positions", lambda observation, info: observation[..., :1])
+    with pytest.raises(UserError, match=r"must give positions \[6, 2\], got \[6, 1\]"):
+        agents.train("trpo-lag", "Drift-v0", **OPTIONS)
+    monkeypatch.setattr(Drift.view, "positions", lambda observation, info: info["height"])
+    with pytest.raises(UserError, match=r"the view of .* needs info\['height'\]"):
+        agents.train("trpo-lag", "Drift-v0", **OPTIONS)

@@ -1,0 +1,99 @@
+"""Other people's tasks: their action bounds, and costs that gymnasium would change on the way."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.spaces import Box, Discrete
+
+from agents.errors import UserError
+from agents.training.environments import check_task, make_envs, sizes, task_id
+
+
+class Other(gym.Env):
+    """Actions in [0, 4]; the cost is the int 0 at first and then the action over ten."""
+
+    observation_space = Box(-1.0, 1.0, (3,))
+    action_space = Box(0.0, 4.0, (1,))
+
+    def __init__(self, kind="mixed"):
+        self.kind, self.seen = kind, []
+        if kind == "discrete":
+            self.action_space = Discrete(2)
+        if kind == "unbounded":
+            self.action_space = Box(-np.inf, np.inf, (1,))
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.seen = []
+        return np.zeros(3, np.float32), {}
+
+    def step(self, action):
+        self.seen.append(float(action[0]))
+        cost = 0 if len(self.seen) == 1 else float(action[0]) / 10
+        info = {} if self.kind == "silent" and not cost else {"cost": cost}
+        return np.zeros(3, np.float32), 0.0, False, len(self.seen) == 5, info
+
+
+@pytest.fixture(autouse=True)
+def registered():
+    gym.register("Other-v0", entry_point=lambda **kwargs: Other(**kwargs), disable_env_checker=True)
+    yield
+    del gym.registry["Other-v0"]
+
+
+def test_actions_are_rescaled_and_costs_stay_what_they_are():
+    envs = make_envs("Other-v0", 2, {})
+    assert sizes(envs) == (3, 1)
+    envs.reset(seed=[1, 2])
+    assert envs.step(np.array([[0.0], [0.5]], np.float32))[4]["cost"].tolist() == [0.0, 0.0]
+    costs = envs.step(np.array([[-1.0], [0.5]], np.float32))[4]["cost"]
+    np.testing.assert_allclose(costs, [0.0, 0.3])  # actions 0 and 3
+    np.testing.assert_allclose(envs.unwrapped.envs[1].unwrapped.seen, [3.0, 3.0])
+
+
+def test_a_missing_cost_is_not_taken_for_none():
+    envs = make_envs("Other-v0", 2, {"kind": "silent"})
+    envs.reset(seed=[1, 2])
+    with pytest.raises(UserError, match=r"gives no info\['cost'\]"):
+        envs.step(np.zeros((2, 1), np.float32))
+    with pytest.raises(UserError, match=r"gives no info\['cost'\]"):
+        check_task("Other-v0", {"kind": "silent"})
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"), [("discrete", "must be a flat Box"), ("unbounded", "must be bounded")]
+)
+def test_spaces_that_do_not_fit(kind, message):
+    with pytest.raises(UserError, match=message):
+        make_envs("Other-v0", 2, {"kind": kind})
+
+
+@pytest.mark.parametrize("cost", [None, np.zeros(1), "1"])
+def test_a_cost_that_is_no_number(cost):
+    class Odd(Other):
+        def step(self, action):
+            return (*super().step(action)[:4], {"cost": cost})
+
+    gym.register("Odd-v0", entry_point=Odd, disable_env_checker=True)
+    with pytest.raises(UserError, match=r"gives info\['cost'\] = .*, which is no number"):
+        check_task("Odd-v0", {})
+    del gym.registry["Odd-v0"]
+
+
+def test_an_id_with_its_module():
+    envs = make_envs("circle2d_mj:Circle2D-2-v0", 3, {})
+    assert type(envs.unwrapped).__name__ == "Circle2DVectorEnv"
+    with pytest.raises(UserError, match="cannot make task 'no_such:Circle2D-2-v0'"):
+        task_id("no_such:Circle2D-2-v0")
+    with pytest.raises(UserError, match=r"'no_such:Mine-v0' is not registered: .*--import no_such"):
+        make_envs("no_such:Mine-v0", 3, {})
+
+
+def test_a_task_whose_constructor_fails():
+    def fail():
+        raise RuntimeError("no licence")
+
+    gym.register("Unmakeable-v0", entry_point=fail)
+    with pytest.raises(UserError, match=r"cannot make task 'Unmakeable-v0': Runt.*no licence"):
+        make_envs("Unmakeable-v0", 2, {})
+    del gym.registry["Unmakeable-v0"]
