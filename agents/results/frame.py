@@ -24,9 +24,9 @@ def frame(groups: Sequence[Group]) -> pandas.DataFrame:
     """A row for each complete run and measure.
 
     group: number of the runs that differ in their seeds alone, for group-bys. settings: those that
-    are not the preset's, in words. cost: that the measures are of. ends_in: where most evaluated episodes end, empty for a task
-    without named places. part: end of the third of training that the measure is of, NaN for one of
-    the whole. value: NaN where the run lacks it.
+    are not the preset's, in words. cost: that the measures are of. ends_in: where most evaluated
+    episodes end, empty for a task without named places. part: end of the third of training that the
+    measure is of, NaN for one of the whole. value: NaN where the run lacks it.
     """
     import pandas as pd
 
