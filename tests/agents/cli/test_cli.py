@@ -61,7 +61,7 @@ def test_evaluate_replaces_what_reports_show(folder, tmp_path, capsys):
 
 
 def test_resume_of_a_finished_training_changes_nothing(folder, capsys):
-    names = [path for path in folder.rglob("*.npz")]
+    names = list(folder.rglob("*.npz"))
     before = [path.read_bytes() for path in names]
     assert main(["resume", str(folder)]) == 0
     assert [path.read_bytes() for path in names] == before
@@ -172,7 +172,7 @@ def test_no_table_of_a_very_short_run_but_its_evaluation(tmp_path, capsys):
     assert "seed 0, deterministic policy: J_R -" in capsys.readouterr().out
 
 
-OWN = '''
+OWN = """
 import gymnasium as gym, numpy as np
 
 class Broken(gym.Env):
@@ -188,7 +188,7 @@ class Broken(gym.Env):
         return np.zeros(1, np.float32), 0.0, False, False, {"cost": 0.0}
 
 gym.register("Broken-v0", Broken, max_episode_steps=40)
-'''
+"""
 
 
 def run(*command, **how):
