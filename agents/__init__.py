@@ -20,16 +20,15 @@ agents` imports none of this: names are looked up when they are first used, and 
 
 The subpackages and modules, lowest layer first; each imports only those before it:
 
-- `errors`: mistakes of a caller, and checks of values
+- `errors`, `checks`: mistakes of a caller; settings that say at the field what is allowed
 - `lockstep`: many runs of one algorithm as one batch: networks, Adam, noise, replay, rollouts
 - `on_policy`, `trust_region`, `first_order`, `sac`: the families of algorithms
 - `algorithms`: the part that each algorithm's paper adds, a file each, and the registry
-- `training`: configuration, loop, checkpoints, records, policies
-- `results`: measures of the runs on disk
-- `paper`: its presets, grid and claims
+- `training`: configuration, trainer, its callbacks and files, policies, the launcher
+- `results`: measures of the runs on disk, as one tidy frame
 - `reporting`: tables, figures, page
+- `paper`: a plug-in: presets, grid, claims, and its part of a report
 - `export`: policies as files for other programs
-- `sweeps`: combinations of hyper-parameters, and the engines that train them
 - `runs`: runs on disk as Python objects
 - `api`: the functions above
 - `cli`: the command `circle2d`
