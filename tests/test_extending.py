@@ -63,6 +63,7 @@ def test_another_family_and_another_law(folder, module):
     trained(folder, module)
 
 
+@pytest.mark.slow
 def test_an_algorithm_of_the_users_own(folder):
     """Trains by the page's command, resumes, is evaluated, reported and explained."""
     trained(folder, "my_algorithm")
@@ -119,6 +120,7 @@ def test_an_algorithm_of_the_users_own_in_worker_processes(folder):
     assert "SAC-Fixed (1,000 steps), mean of 1" in circle2d(folder, *command).stdout
 
 
+@pytest.mark.slow
 def test_a_task_and_a_measure_of_the_users_own(folder):
     """The page's task trains by the page's command, and its measure is a column of the report."""
     train = [word.replace("2e4", "1.1e3") for word in command_of("my_tasks")]
