@@ -11,8 +11,7 @@ import sys
 import numpy as np
 import pytest
 
-import agents
-from agents.cli.main import COMMANDS, main
+from agents.cli.main import main
 from agents.training import trainer
 from agents.training.callbacks import share_done
 from agents.training.config import TrainConfig
@@ -93,12 +92,6 @@ def help_of(capsys, *command):
     return re.sub(r"[│\s]+", " ", capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("command", [c for c in COMMANDS if c != "train"])
-def test_help_of_every_command(command, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "1000")
-    assert f"usage: circle2d {command}" in help_of(capsys, command)
-
-
 def test_help_names_every_option_with_its_default(capsys):
     import dataclasses
 
@@ -161,15 +154,6 @@ def test_a_damaged_folder_does_not_hide_the_others(folder, tmp_path, capsys):
     shutil.rmtree(tmp_path / "good")
     assert main(["report", str(tmp_path)]) == 2
     assert "no complete runs" in capsys.readouterr().err
-
-
-def test_no_table_of_a_very_short_run_but_its_evaluation(tmp_path, capsys):
-    out = str(tmp_path / "x")
-    agents.train("sac-lag", seeds=0, steps=1, out=out)  # the command refuses it
-    assert main(["resume", out]) == 0
-    assert "no table" in capsys.readouterr().err
-    assert main(["evaluate", out, "--episodes", "2"]) == 0
-    assert "seed 0, deterministic policy: J_R -" in capsys.readouterr().out
 
 
 OWN = """

@@ -14,7 +14,6 @@ from agents.cli import training
 from agents.cli.main import main
 from agents.cli.options import parse
 from agents.paper import grid
-from agents.training.config import TrainConfig
 
 COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3"]
 COMMAND += ["--steps", "2000", "--workers", "1", "--backend", "eager", "--out"]
@@ -149,14 +148,3 @@ def test_stopped_in_the_middle_it_leaves_no_worker_and_goes_on(number, whole, tm
     assert again.returncode == 0, again.stderr
     assert not processes_of(tmp_path)
     assert results(tmp_path) == results(whole[0])
-
-
-def test_runs_are_those_of_train(whole, tmp_path):
-    from agents.paper.presets import preset
-    from agents.training.trainer import train
-
-    task = "Circle2D-1-v0"
-    TrainConfig("cpo", (task,), (3,), 2000, preset("cpo", task)).write(tmp_path / "alone")
-    train(tmp_path / "alone")
-    alone = (tmp_path / "alone" / "results.npz").read_bytes()
-    assert alone == results(whole[0])[f"{task}/cpo/results.npz"]
