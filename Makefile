@@ -71,13 +71,12 @@ integrate: $(VENV)/develops
 		-e '.[dev,integrations]'
 	$(BIN)/python -m pytest -n logical --durations 5 tests/emcc tests/agents/test_export.py \
 		tests/circle2d_mj/core/test_other_libraries.py tests/test_examples.py
-	$(BIN)/python -m pytest -m slow tests/agents/test_sweeps.py::test_training_on_ray \
-		tests/agents/training/test_ray.py::test_the_same_report
+	$(BIN)/python -m pytest -m slow tests/agents/test_sweeps.py::test_training_on_ray
 
 ray: $(VENV)/develops
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 		-e '.[dev,ray]'
-	$(BIN)/python -m pytest -m slow tests/agents/training/test_ray.py
+	$(BIN)/python -m pytest -m slow -k "ray and not array" tests/agents
 
 faults: $(VENV)/develops
 	OMP_NUM_THREADS=1 $(BIN)/python tests/faults/run.py

@@ -1,4 +1,4 @@
-"""The shape of the house: which way imports go, and how long functions are."""
+"""The shape of the house: which way imports go, and that what is public is documented."""
 
 import ast
 from graphlib import CycleError, TopologicalSorter
@@ -9,6 +9,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("agents", "circle2d_mj", "emcc")
 LAYERS = (
+    "errors",
+    "checks",
     "lockstep",
     "on_policy",
     "trust_region",
@@ -20,7 +22,6 @@ LAYERS = (
     "reporting",
     "paper",
     "export",
-    "sweeps",
     "runs",
     "api",
     "cli",
@@ -35,8 +36,8 @@ against, and for its part of a report."""
 MODULES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
 
-def imports(path):
-    for node in ast.walk(ast.parse(path.read_text())):
+def imports_of(tree):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -52,13 +53,13 @@ def within(names, package):
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_imports_go_one_way(path):
     """agents -> circle2d_mj, agents -> emcc; inside agents each of LAYERS knows those before it."""
-    names = set(imports(path))
+    names = set(imports_of(ast.parse(path.read_text())))
     parts = path.relative_to(ROOT).parts
     forbidden = {"circle2d_mj": ("agents", "emcc"), "emcc": ("agents", "circle2d_mj")}.get(
         parts[0], ()
     )
     layer = parts[1].removesuffix(".py")
-    if parts[0] == "agents" and layer in LAYERS:
+    if parts[0] == "agents" and layer != "__init__":
         above = LAYERS[LAYERS.index(layer) + 1 :]
         forbidden = tuple(f"agents.{part}" for part in above)
     hook = PLUG_IN.get(path.relative_to(ROOT).as_posix())
@@ -67,9 +68,13 @@ def test_imports_go_one_way(path):
 
 
 def needs(path, files):
-    """Files that a file imports; of `from package import module` the module, not the package."""
-    names = set(imports(path)) & files.keys()
-    for node in ast.walk(ast.parse(path.read_text())):
+    """Files that a file imports when it runs; of `from package import module` the module."""
+    tree = ast.parse(path.read_text())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            node.body = [ast.Pass()]
+    names = set(imports_of(tree)) & files.keys()
+    for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
             members = {f"{node.module}.{alias.name}" for alias in node.names}
             names -= {node.module} if members <= files.keys() else set()
@@ -77,7 +82,7 @@ def needs(path, files):
 
 
 def test_imports_go_in_no_circle():
-    """Between the files of all packages, those for type checkers and inside functions included."""
+    """Between the files of all packages, inside functions too, but not for type checkers alone."""
     modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in MODULES]
     files = dict(zip((m.removesuffix(".__init__") for m in modules), MODULES, strict=True))
     graph = {name: needs(path, files) for name, path in files.items()}
@@ -86,13 +91,6 @@ def test_imports_go_in_no_circle():
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(" -> ".join(error.args[1]))
-
-
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_functions_are_short(path):
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-            assert node.end_lineno - node.lineno < 60, node.name
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
@@ -105,12 +103,3 @@ def test_what_is_public_is_documented(path):
         overload = public and "overload" in map(ast.unparse, node.decorator_list)
         if public and not overload and path.name not in ("__main__.py", "main.py"):
             assert ast.get_docstring(node), node.name
-
-
-def test_no_docstring_begins_with_what():
-    """The first line says what a thing is or does: a noun, or an imperative."""
-    for folder in (*PACKAGES, "tests", "benchmarks", "examples"):
-        for path in (ROOT / folder).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text())):
-                if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-                    assert not str(node.value.value).startswith("What "), f"{path}:{node.lineno}"

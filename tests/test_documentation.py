@@ -2,7 +2,7 @@
 is made from the code holds all of it."""
 
 import dataclasses
-import itertools
+import importlib
 import os
 import re
 import shlex
@@ -16,6 +16,7 @@ import pytest
 from agents.algorithms import ALGORITHMS
 from agents.cli.main import COMMANDS
 from agents.training.pretrained import pretrained
+from circle2d_mj import Circle2DConfig
 from circle2d_mj.registration import CIRCLE2D, SAFETY
 
 ROOT = Path(__file__).parents[1]
@@ -28,6 +29,9 @@ ELSEWHERE = ("docs/extending.md", "docs/ray.md")
 """Pages whose code has tests of its own: test_extending.py; those of the engine ray."""
 DRAWING = ("docs/environments.md",)
 README = TEXTS["README.md"]
+OWN = {"sac-fixed": {"--price"}, "trpo-price": {"--price"}, "sac-mw": {"--gain"}}
+OWN |= {"ppo-two": {"--cost-limit", "--second-limit"}}
+"""Algorithms of docs/extending.md, and their options."""
 TITLES = ("Description", "Action space", "Observation space", "Reward", "Cost", "Start", "End")
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 
@@ -88,24 +92,15 @@ def commands():
 
 
 def options_of(command, words):
-    """Every option that a command has."""
-    import importlib
-
-    from agents.cli.options import _names
-
-    module = importlib.import_module(f"agents.cli.{command}")
-    (options,) = (
-        of
-        for of in vars(module).values()
-        if dataclasses.is_dataclass(of) and of.__module__ == module.__name__
-    )
-    known = {f"--{name.replace('_', '-')}" for name in _names(options)} | {"--help"}
-    if command == "train":
-        chosen = [b for a, b in itertools.pairwise(words) if a == "--algorithm"]
-        for name in [of for of in chosen if of in ALGORITHMS] or ALGORITHMS:
-            fields = dataclasses.fields(ALGORITHMS[name].config)
-            known |= {f"--{field.name.replace('_', '-')}" for field in fields}
-    return known
+    """Every option that a command has; of `train` those of the algorithm that follows."""
+    module = importlib.import_module(f"agents.cli.{COMMANDS[command][0]}")
+    fields = list(dataclasses.fields(getattr(module, f"{command.capitalize()}Options")))
+    if command == "train" and words[2] in ALGORITHMS:
+        fields += dataclasses.fields(ALGORITHMS[words[2]].config)
+    if command == "scene":
+        fields += dataclasses.fields(Circle2DConfig)
+    names = {"import" if field.name == "imports" else field.name for field in fields}
+    return {f"--{name.replace('_', '-')}" for name in names} | {"--help"}
 
 
 @pytest.mark.parametrize(
@@ -121,7 +116,9 @@ def test_a_command_that_is_shown_exists(name, words):
     assert command in COMMANDS
     for name in (word.partition(":")[2] for word in rest if word.startswith("pretrained:")):
         pretrained(*name.split("/"))
-    own = {"--price", "--gain"} if {"my_algorithm", "my_trpo", "my_law"} & set(words) else set()
+    if command == "train":
+        assert rest[0] in {*ALGORITHMS, *OWN, "NAME", "--help", "ALGORITHM"}, "the algorithm first"
+    own = OWN.get(rest[0], set()) if rest else set()
     for option in (word for word in rest if word.startswith("--")):
         assert option in options_of(command, words) | own
 
@@ -212,7 +209,7 @@ def test_every_algorithm_has_a_page_and_every_hyper_parameter_a_row():
         page = TEXTS[f"docs/algorithms/{name}.md"]
         assert f"# {algorithm.title}\n" in page
         assert "**Source**" in page
-        assert f"`circle2d train --algorithm {name} --help`" in page
+        assert f"`circle2d train {name} --help`" in page
         on_site = made.on_site(f"algorithms/{name}", page)
         assert on_site.rstrip().endswith(f"```{{include}} ../made/hyperparameters/{name}.md\n```")
         assert f"algorithms/{name}.md" in TEXTS["docs/algorithms.md"]
@@ -223,8 +220,6 @@ def test_every_algorithm_has_a_page_and_every_hyper_parameter_a_row():
 
 def test_every_task_has_a_page_with_its_own_numbers():
     import task_pages
-
-    from circle2d_mj import Circle2DConfig
 
     pages = task_pages.pages()
     assert set(pages) == {name.rpartition("/")[2] for name in (*CIRCLE2D, *SAFETY)}

@@ -7,7 +7,10 @@ import sys
 from pathlib import Path
 
 import imageio.v3 as imageio
+import numpy as np
 import pytest
+
+import agents
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text()
@@ -36,15 +39,21 @@ ALGORITHMS = {
 """Module -> name, title, its hyper-parameter as the command sets it, and the text of that."""
 
 
+def command_of(module):
+    """The page's command for a module, into the folder `runs`."""
+    (line,) = re.findall(rf"```sh\ncircle2d (train \S+ --import {module} .*)\n```", PAGE)
+    return re.sub(r"runs/\w+", "runs", line).split()
+
+
 def trained(folder, module):
     """Train by the page's command for a module; its help and the table name what it adds."""
     name, title, changed, said = ALGORITHMS[module]
-    (line,) = re.findall(rf"```sh\ncircle2d (train --import {module}.*)\n```", PAGE)
-    train = re.sub(r"runs/\w+", "runs", line).split()
-    done = circle2d(folder, *train, "--seeds", "0", "--steps", "1100")
+    done = circle2d(
+        folder, *command_of(module), "--backend", "eager", "--seeds", "0", "--steps", "1100"
+    )
     assert f"{title} ({changed}, 1,100 steps), mean of 1" in done.stdout
     assert json.loads((folder / "runs/config.json").read_text())["algorithm"] == name
-    text = circle2d(folder, "train", "--import", module, "--algorithm", name, "--help").stdout
+    text = circle2d(folder, "train", name, "--import", module, "--help").stdout
     assert f"--{changed.partition(' ')[0]}" in text
     assert said in re.sub(r"[│\s]+", " ", text)
 
@@ -54,6 +63,7 @@ def test_another_family_and_another_law(folder, module):
     trained(folder, module)
 
 
+@pytest.mark.slow
 def test_an_algorithm_of_the_users_own(folder):
     """Trains by the page's command, resumes, is evaluated, reported and explained."""
     trained(folder, "my_algorithm")
@@ -65,10 +75,37 @@ def test_an_algorithm_of_the_users_own(folder):
     assert "J_R" in circle2d(folder, "evaluate", "runs", "--episodes", "2", *known).stdout
     assert "SAC-Fixed (price 0.5" in circle2d(folder, "report", "runs", *known).stdout
     page = (folder / "runs/index.html").read_text()
-    assert "circle2d train --import my_algorithm --algorithm sac-fixed " in page
-    assert "--price" in circle2d(folder, "train", *known, "--help").stdout
+    assert "circle2d train sac-fixed " in page
+    assert "--import my_algorithm" in page
 
 
+def test_two_limits_on_two_costs(folder):
+    """Both multipliers follow their own cost; both costs are recorded, evaluated and in tables."""
+    train = command_of("my_limits")
+    done = circle2d(folder, *train, "--backend", "eager", "--seeds", "0", "1", "--steps", "2e3")
+    assert len(re.findall(r"PPO-Two \(.*cost_2.*\), mean of 2", done.stdout)) == 1
+    runs = agents.load_runs(folder / "runs")
+    updates = runs.to_pandas("updates")
+    episodes = runs.to_pandas("episodes")
+    for seed in (0, 1):
+        own = updates[updates.seed == seed]
+        for name, cost, limit in (("multiplier", "cost", 5), ("multiplier_2", "cost_2", 10)):
+            means = episodes[episodes.seed == seed].groupby("rollout")[cost].mean()
+            grows = np.diff(own[name]) > 0
+            assert grows[0] == (means.iloc[0] > limit)
+    frame = runs.to_pandas()
+    assert set(frame.cost) == {"cost", "cost_2"}
+    assert frame[frame.measure == "J_C"].groupby("cost").value.count().eq(2).all()
+    second = runs.records_of("cost_2")
+    assert set(second) == set(runs.records)
+    assert all(np.array_equal(second[key].length, of.length) for key, of in runs.records.items())
+    assert (
+        "J_C"
+        in circle2d(folder, "evaluate", "runs", "--episodes", "2", "--import", "my_limits").stdout
+    )
+
+
+@pytest.mark.slow
 def test_an_algorithm_of_the_users_own_in_worker_processes(folder):
     command = [
         "reproduce",
@@ -83,10 +120,10 @@ def test_an_algorithm_of_the_users_own_in_worker_processes(folder):
     assert "SAC-Fixed (1,000 steps), mean of 1" in circle2d(folder, *command).stdout
 
 
+@pytest.mark.slow
 def test_a_task_and_a_measure_of_the_users_own(folder):
     """The page's task trains by the page's command, and its measure is a column of the report."""
-    (line,) = re.findall(r"circle2d (train --import my_tasks .*)", PAGE)
-    train = line.replace("runs/stay", "runs").replace("2e4", "1e3").split()
+    train = [word.replace("2e4", "1.1e3") for word in command_of("my_tasks")]
     assert "PPO-Lag" in circle2d(folder, *train, "--seeds", "0", "--backend", "eager").stdout
     shown = re.findall(r"circle2d ((?:heatmap|render) .*)", PAGE)
     for line in shown:
@@ -98,5 +135,5 @@ def test_a_task_and_a_measure_of_the_users_own(folder):
     done = circle2d(folder, "report", "runs", *known)
     assert "middle" in done.stdout
     assert "clean episodes (share)" in done.stdout
-    assert "circle2d train --import my_tasks " in (folder / "runs/index.html").read_text()
+    assert "--import my_tasks" in (folder / "runs/index.html").read_text()
     assert "clean" in (folder / "runs/report.csv").read_text().splitlines()[0]

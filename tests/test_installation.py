@@ -82,7 +82,7 @@ def test_the_base_alone(wheel, tmp_path):
     assert "EMCC" in run(tmp_path, "venv/bin/python", "-m", "emcc", "costs.npy").stdout
     assert "sac-lb" in run(tmp_path, "venv/bin/circle2d", "--help").stdout
     assert PROJECT["version"] in run(tmp_path, "venv/bin/circle2d", "--version").stdout
-    for command in (["train", "--algorithm", "cpo", "--out", "x"], ["report", "x"], ["resume"]):
+    for command in (["train", "cpo", "--out", "x"], ["report", "x"], ["resume"]):
         done = run(tmp_path, "venv/bin/circle2d", *command, status=2)
         assert done.stdout == ""
         assert re.fullmatch(r"circle2d: .*pip install 'circle2d-mj\[train\]'\n", done.stderr)
@@ -111,9 +111,11 @@ def test_the_lowest_versions(wheel, tmp_path, opengl):
     def circle2d(*args):
         return run(tmp_path, "venv/bin/circle2d", *args).stdout
 
-    train = ("train", "--backend", "eager", "--seeds", "0", "--steps", "2e3", "--algorithm")
-    assert "SAC-Lag" in circle2d(*train, "sac-lag", "--tensorboard", "--out", "runs/sac")
-    assert "CPO" in circle2d(*train, "cpo", "--task", "Circle2DMuJoCo-1", "--out", "runs/cpo")
+    how = ("--backend", "eager", "--seeds", "0", "--steps", "2e3")
+    assert "SAC-Lag" in circle2d("train", "sac-lag", *how, "--tensorboard", "--out", "runs/sac")
+    assert "CPO" in circle2d(
+        "train", "cpo", *how, "--task", "Circle2DMuJoCo-1", "--out", "runs/cpo"
+    )
     circle2d("resume", "runs/cpo")
     circle2d("evaluate", "runs/sac", "--episodes", "3")
     assert "SAC-Lag" in circle2d("report", "runs")

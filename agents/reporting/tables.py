@@ -255,7 +255,7 @@ PANEL_OF_POLICIES = (
 """Rows for the episodes of the final policies: title, field of `CostMeasures`, decimal places, and
 the values that there can be."""
 POLICIES = {"stochastic": "policy with its noise", "deterministic": "policy without noise"}
-"""Final policies in `evaluation.json`, in the words of the rows."""
+"""Final policies, in the words of the rows."""
 
 
 def panel_table(groups: Sequence[Group]) -> Table:

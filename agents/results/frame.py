@@ -16,7 +16,7 @@ from agents.training.config import TrainConfig
 if TYPE_CHECKING:
     import pandas
 
-COLUMNS = ("group", "task", "algorithm", "settings", "folder", "seed", "ends_in")
+COLUMNS = ("group", "task", "algorithm", "settings", "cost", "folder", "seed", "ends_in")
 COLUMNS = (*COLUMNS, "measure", "part", "value")
 
 
@@ -24,15 +24,16 @@ def frame(groups: Sequence[Group]) -> pandas.DataFrame:
     """A row for each complete run and measure.
 
     group: number of the runs that differ in their seeds alone, for group-bys. settings: those that
-    are not the preset's, in words. ends_in: where most evaluated episodes end, empty for a task
-    without named places. part: end of the third of training that the measure is of, NaN for one of
-    the whole. value: NaN where the run lacks it.
+    are not the preset's, in words. cost: that the measures are of. ends_in: where most evaluated
+    episodes end, empty for a task without named places. part: end of the third of training that the
+    measure is of, NaN for one of the whole. value: NaN where the run lacks it.
     """
     import pandas as pd
 
     rows = [
         (
-            *(number, group.task, group.config.algorithm, settings_of(group), group.folder),
+            *(number, group.task, group.config.algorithm, settings_of(group), group.cost),
+            group.folder,
             *(run.seed, run.place, m.stem, m.part, run.measures.get(m.name)),
         )
         for number, group in enumerate(groups)

@@ -27,7 +27,7 @@ class RunData:
     steps: int
     """Environment steps of the training."""
     evaluation: dict[str, Any]
-    """`evaluation.json`: of the trained policy "deterministic" and "stochastic", each with means
+    """Of the trained policy "deterministic" and "stochastic", each with means
     (J_R, J_C, ...) and values per episode, undiscounted."""
 
     @cached_property

@@ -17,7 +17,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.vector import RescaleAction
 
-from agents.errors import OwnCodeError, UserError, described, nearest
+from agents.errors import OwnCodeError, TaskFailure, UserError, described, nearest
 from agents.lockstep.rollout import require_costs
 from agents.training.wrappers import CheckedEnv, Guard, quiet_worker
 from circle2d_mj.core.view import View
@@ -101,7 +101,12 @@ def check_task(task: str, parameters: dict[str, Any], costs: Sequence[str] = ("c
         )
     with contextlib.closing(make_envs(task, 1, parameters, costs=costs)) as envs:
         envs.reset(seed=0)
-        info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
+        try:
+            info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
+        except TaskFailure as error:
+            if type(error.__cause__) is UserError:  # not of the task's own code
+                raise error.__cause__ from None
+            raise
     require_costs(f"task {task!r}", info, costs)
 
 

@@ -1,19 +1,22 @@
-"""The command line: commands, their output, their files and their exit status."""
+"""Commands do what they say: their output, their files, their status."""
 
+import csv
+import json
+import os
 import re
 import shutil
+import subprocess
 import sys
 
 import numpy as np
 import pytest
-from agents.training.status import share_done
 
-import agents
 from agents.cli.main import main
-from agents.training import loop as train_module
-from agents.training.files import locked
+from agents.training import trainer
+from agents.training.callbacks import share_done
+from agents.training.config import TrainConfig
 
-TRAIN = ["train", "--algorithm", "sac-lag", "--seeds", "0", "1", "--steps", "600"]
+TRAIN = ["train", "sac-lag", "--seeds", "0", "1", "--steps", "600", "--backend", "eager"]
 
 
 @pytest.fixture(scope="module")
@@ -23,176 +26,185 @@ def folder(tmp_path_factory):
     return path
 
 
-def test_train_prints_and_writes_the_table(folder, capsys):
+def rows_of(folder):
+    with (folder / "report.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_train_and_report_print_and_write_the_table(folder, capsys):
+    assert {path.name for path in folder.iterdir()} == {
+        *(".lock", "checkpoints", "config.json", "report.csv", "report.md", "results.npz"),
+        *("status.json", "steps"),
+    }
     assert main(["report", str(folder)]) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    written = (folder / "report.md").read_text()
-    assert written.startswith(f"## Circle2D-1-v0\n\n{out.rstrip()}\n")
-    rows = [line for line in out.splitlines() if line.startswith("| SAC-Lag")]
-    names = [row.split("|")[1].strip() for row in rows]
+    names = re.findall(r"^\| (SAC-Lag.*?) +\|", out, re.MULTILINE)
     assert names == [
         "SAC-Lag (random_steps 300, 600 steps), mean of 2",
         "SAC-Lag, paper (3 seeds)",
         "SAC-Lag (random_steps 300, 600 steps), seed 0",
         "SAC-Lag (random_steps 300, 600 steps), seed 1",
     ]
-    paper = [cell.strip() for cell in rows[1].split("|")[2:9]]
-    assert paper == ["0.62", "0.63", "0.43", "0.20", "-13.70", "3.32", "3.64"]
-    assert "The paper does not print this choice" in out
-    assert (folder / "report.csv").read_text().count("SAC-Lag") >= 4
+    assert [row["seed"] for row in rows_of(folder) if row["seed"]] == ["0", "1"]
     assert share_done(folder) == 1.0
-    assert not (folder / "timing.log").exists()
 
 
-def test_evaluate(folder, capsys):
-    assert main(["evaluate", str(folder), "--episodes", "7"]) == 0
-    assert "7 episodes" in capsys.readouterr().out
+def test_evaluate_replaces_what_reports_show(folder, tmp_path, capsys):
+    copy = tmp_path / "runs"
+    shutil.copytree(folder, copy)
+    assert main(["evaluate", str(copy), "--episodes", "7"]) == 0
+    assert "means over 7 episodes" in capsys.readouterr().out
+    with np.load(copy / "results.npz") as results:
+        assert results["Circle2D-1-v0/0/evaluation/deterministic/returns"].shape == (7,)
 
 
-def test_resume_of_a_finished_run_changes_nothing(folder, capsys):
-    before = (folder / "checkpoint.npz").read_bytes()
+def test_resume_of_a_finished_training_changes_nothing(folder, capsys):
+    names = list(folder.rglob("*.npz"))
+    before = [path.read_bytes() for path in names]
     assert main(["resume", str(folder)]) == 0
-    assert (folder / "checkpoint.npz").read_bytes() == before
-    assert f"{folder}: was done already: evaluated again\n" in capsys.readouterr().err
+    assert [path.read_bytes() for path in names] == before
+    assert "was done already: evaluated again" in capsys.readouterr().err
 
 
-def test_hyperparameters_and_task_parameters(tmp_path):
-    from agents.training.config import TrainConfig
-
+def test_settings_reach_the_training(tmp_path):
     out = tmp_path / "x"
-    options = ["--cost-limit", "3", "--hidden", "32", "--time-limit", "bootstrap"]
-    task = ["--task", "Circle2D-3-v0", "--task-parameters", "constraint_radius", "3.0"]
-    steps = ["--steps", "150", "--seeds", "4"]
-    arguments = ["train", "--algorithm", "sac-lag", *task, *options, *steps, "--out", str(out)]
-    assert main(arguments) == 0
+    options = ["--cost-limit", "3", "--hidden", "32", "16", "--activation", "relu"]
+    options += ["--task-parameters", "constraint_radius", "3.0", "--replay-size", "2e4"]
+    tasks = ["--task", "Circle2D-1", "circle2d_mj:Circle2D-3-v0"]
+    assert main([*TRAIN, *tasks, *options, "--steps", "1.5e2", "--out", str(out)]) == 0
     config = TrainConfig.read(out)
+    assert [run.prefix for run in config.runs] == [
+        f"{task}/{seed}/"
+        for task in ("Circle2D-1-v0", "circle2d_mj-Circle2D-3-v0")
+        for seed in (0, 1)
+    ]
+    assert (config.steps, config.hyperparameters.replay_size) == (150, 20_000)
     assert config.task_parameters == {"constraint_radius": 3.0}
-    assert config.hyperparameters.cost_limit == 3.0
-    assert config.hyperparameters.hidden == (32,)
-    assert config.hyperparameters.time_limit == "bootstrap"
-    assert config.seeds == (4,)
+    own = config.hyperparameters
+    assert (own.cost_limit, own.hidden, own.activation) == (3.0, (32, 16), "relu")
 
 
-def test_counts_may_be_written_as_1e6_and_the_newest_version_of_a_task_is_found(tmp_path):
-    from agents.training.config import TrainConfig
-
-    arguments = ["train", "--algorithm", "sac-lag", "--task", "Circle2D-3", "--steps", "2e2"]
-    arguments += ["--seeds", "0", "--replay-size", "2e4", "--out", str(tmp_path / "x")]
-    assert main(arguments) == 0
-    config = TrainConfig.read(tmp_path / "x")
-    assert config.task == "Circle2D-3-v0"
-    assert type(config.steps) is int
-    assert (config.steps, config.hyperparameters.replay_size) == (200, 20_000)
-
-
-def test_help_explains_every_option(capsys):
+def help_of(capsys, *command):
     with pytest.raises(SystemExit) as done:
-        main(["train", "--algorithm", "sac-lag", "--help"])
+        main([*command, "--help"])
     assert done.value.code == 0
-    text = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
-    for option in ("--seeds", "--steps", "--cost-limit", "--multiplier-lr", "--time-limit"):
-        assert option in text
+    return re.sub(r"[│\s]+", " ", capsys.readouterr().out)
+
+
+def test_help_names_every_option_with_its_default(capsys):
+    import dataclasses
+
+    from agents.cli.training import TrainOptions
+    from agents.paper.presets import preset
+
+    text = help_of(capsys, "train", "sac-lag")
+    own = preset("sac-lag", "Circle2D-1-v0")
+    for field in (*dataclasses.fields(TrainOptions), *dataclasses.fields(own)):
+        name = "import" if field.name == "imports" else field.name
+        assert f"--{name.replace('_', '-')} " in text or f"--{name.replace('_', '-')}," in text
+        value = getattr(own, field.name, field.default)
+        if isinstance(value, (int, float, str)) and not isinstance(value, bool):
+            assert f"(default: {value})" in text
     assert "Limit d of the discounted cost return" in text
-    assert "(default: 5.0)" in text
     assert main(["--help"]) == 0
+    assert main(["train", "--help"]) == 0
+    assert "sac-lb-streak" in capsys.readouterr().out
     assert main([]) == 2
 
 
-def test_help_without_an_algorithm_explains_those_of_all(capsys):
-    assert main(["train", "--help"]) == 0
-    out = capsys.readouterr().out
-    for option in ("--seeds", "--cg-damping", "--log-barrier-factor", "--risk-level"):
-        assert option in out
-
-
 def test_a_failed_run_is_named_and_the_status_is_1(tmp_path, capsys, monkeypatch):
-    run_epoch = train_module.run_epoch
+    run_epoch = trainer.Trainer.run_epoch
 
-    def poisoned(trainings):
-        [training] = trainings
-        if training.epoch == 5:
-            training.learner._state.actor[1, 0] = np.nan
-        run_epoch(trainings)
+    def poisoned(self):
+        if self.epoch == 5:
+            self.learner._state.actor[1, 0] = np.nan
+        run_epoch(self)
 
-    monkeypatch.setattr(train_module, "run_epoch", poisoned)
+    monkeypatch.setattr(trainer.Trainer, "run_epoch", poisoned)
     out = tmp_path / "runs"
-    options = ["--algorithm", "sac-lb", "--seeds", "3", "4", "5", "--random-steps", "0"]
-    assert main(["train", *options, "--steps", "600", "--out", str(out)]) == 1
+    options = ["--seeds", "3", "4", "5", "--random-steps", "0", "--out", str(out)]
+    assert main([*TRAIN, *options]) == 1
     table, err = capsys.readouterr()
     # NaN actions void the sixth episode at its first step.
-    assert err.splitlines()[-1] == (
-        f"circle2d: {out}: seed 4 failed at step 250: it met a NaN or an infinite number"
+    assert err.splitlines()[-1].startswith(
+        f"circle2d: {out}: Circle2D-1-v0, seed 4: failed at step 250"
     )
-    assert "seed-4: failed at step 250" in table
+    assert "failed at step 250" in table
     assert "mean of 2" in table
-    assert "seed 4 |" not in table
     assert main(["resume", str(out)]) == 1
     assert main(["evaluate", str(out), "--episodes", "2"]) == 1
-    said = capsys.readouterr().out
-    assert f"{out}, after 600 of 600 steps: " in said  # those that are evaluated
-    assert said.count("seed 4, ") == said.count("no finite numbers") == 2
+    assert main(["report", str(out)]) == 1
+    (mean,) = (row for row in rows_of(out) if row["kind"] == "mean")
+    assert mean["seeds"] == "2"
+    capsys.readouterr()
 
 
-def test_tensorboard_where_it_is_missing(tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    assert main([*TRAIN, "--out", str(tmp_path / "x"), "--tensorboard"]) == 2
-    assert "pip install 'circle2d-mj[tensorboard]'" in capsys.readouterr().err
-    assert not (tmp_path / "x").exists()
-
-
-def test_report_names_what_it_leaves_out(folder, tmp_path, capsys):
-    copy = tmp_path / "runs"
-    shutil.copytree(folder, copy)
-    episodes = copy / "seed-0" / "episodes.csv"
-    episodes.write_text(episodes.read_text()[:-100])
-    assert main(["report", str(copy)]) == 1
-    out = capsys.readouterr().out
-    assert "(random_steps 300, 600 steps), mean of 1" in out
-    assert "seed 0 |" not in out
-    assert re.search(r"left out: .*seed-0: .*episodes\.csv", out)
-    (copy / "seed-1" / "evaluation.json").unlink()
-    assert main(["report", str(copy)]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert "holds no complete runs" in err
-    assert re.search(r"left out: .*seed-1: .*evaluation\.json is missing", err)
-
-
-def test_one_damaged_folder_does_not_hide_the_others(folder, tmp_path, capsys):
-    shutil.copytree(folder, tmp_path / "good")
-    shutil.copytree(folder, tmp_path / "bad")
+def test_a_damaged_folder_does_not_hide_the_others(folder, tmp_path, capsys):
+    for name in ("good", "bad", "cut"):
+        shutil.copytree(folder, tmp_path / name)
     (tmp_path / "bad" / "config.json").write_text("{")
-    (tmp_path / "foreign").mkdir()
-    (tmp_path / "foreign" / "config.json").write_text("[1, 2]")
-    shutil.copytree(folder, tmp_path / "elsewhere")  # with a task that cannot be found here
-    (tmp_path / "elsewhere" / "checksums.json").unlink()
-    config = tmp_path / "elsewhere" / "config.json"
-    config.write_text(config.read_text().replace("Circle2D-1-v0", "no_such_module:Mine-v0"))
+    results = tmp_path / "cut" / "results.npz"
+    results.write_bytes(results.read_bytes()[:-100])
     assert main(["report", str(tmp_path)]) == 1
     out = capsys.readouterr().out
     assert "mean of 2" in out
     assert len(re.findall("left out", out)) == 2
-    assert "no_such_module:Mine-v0" in out  # numbers need no module
+    assert re.search(r"left out: \S*/cut\b.*is damaged", out)
+    shutil.rmtree(tmp_path / "good")
+    assert main(["report", str(tmp_path)]) == 2
+    assert "no complete runs" in capsys.readouterr().err
 
 
-def test_no_table_of_a_very_short_run_but_its_evaluation(tmp_path, capsys):
-    out = str(tmp_path / "x")
-    agents.train("sac-lag", seeds=0, steps=1, out=out)  # the command refuses it
-    assert main(["resume", out]) == 0
-    assert "no table" in capsys.readouterr().err
-    assert main(["report", out]) == 2
-    assert main(["evaluate", out, "--episodes", "2"]) == 0
-    assert "seed 0, deterministic policy: J_R -" in capsys.readouterr().out
+OWN = """
+import gymnasium as gym, numpy as np
+
+class Broken(gym.Env):
+    observation_space = action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        self.t = 0
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        self.t += 1
+        assert self.t < 30, "the spring broke"
+        return np.zeros(1, np.float32), 0.0, False, False, {"cost": 0.0}
+
+gym.register("Broken-v0", Broken, max_episode_steps=40)
+"""
 
 
-def test_two_processes_do_not_train_in_one_folder(folder, capsys):
-    with locked(folder):
-        assert main(["resume", str(folder)]) == 2
-    assert "another process is training" in capsys.readouterr().err
+def run(*command, **how):
+    """A command in a process of its own."""
+    started = [sys.executable, "-m", "agents.cli", *command]
+    return subprocess.run(started, capture_output=True, text=True, check=False, **how)
 
 
-def test_the_machine_refuses(tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    assert main([*TRAIN, "--out", str(tmp_path / "file" / "x")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+def test_an_error_of_the_users_own_shows_its_traceback(tmp_path):
+    (tmp_path / "my_broken.py").write_text(OWN)
+    options = ["--import", "my_broken", "--task", "Broken", "--out", "x"]
+    done = run(*TRAIN, *options, cwd=tmp_path)
+    assert done.returncode == 1
+    *trace, last = done.stderr.splitlines()
+    assert "Traceback (most recent call last):" in trace
+    assert "AssertionError: the spring broke" in trace
+    assert re.search(r"circle2d: .*Broken-v0.*step 30.*my_broken\.py, line \d+", last)
+    (tmp_path / "my_typo.py").write_text("1 / 0\n")
+    done = run("report", "x", "--import", "my_typo", cwd=tmp_path)
+    assert (done.returncode, "ZeroDivisionError" in done.stderr) == (1, True)
+
+
+def test_nobody_reads_on():
+    shell = f"{sys.executable} -m agents.cli scene | head -n 1"
+    done = subprocess.run(["bash", "-c", shell], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("<mujoco")
+    assert done.stderr == ""
+
+
+@pytest.mark.slow
+def test_training_touches_no_opengl(tmp_path):
+    command = ["train", "trpo-lag", "--seeds", "0", "--steps", "1100", "--backend", "eager"]
+    done = run(*command, "--out", "x", cwd=tmp_path, env=os.environ | {"MUJOCO_GL": "nonsense"})
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "x" / "config.json").read_text())["algorithm"] == "trpo-lag"

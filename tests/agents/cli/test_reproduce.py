@@ -1,7 +1,5 @@
-"""`circle2d reproduce`: all of the grid is run, wherever it was stopped, and failures are named."""
+"""`circle2d reproduce`: all of the grid is trained, wherever it was stopped; failures are named."""
 
-import contextlib
-import os
 import re
 import signal
 import subprocess
@@ -11,217 +9,142 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from agents.training.loop import train
 
+from agents.cli import training
 from agents.cli.main import main
+from agents.cli.options import parse
 from agents.paper import grid
-from agents.paper.presets import preset
-from agents.training.config import TrainConfig
 
-COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3", "4"]
-COMMAND += ["--steps", "2000", "--workers", "2", "--out"]
-RESULTS = ("episodes.csv", "updates.csv", "evaluation.json", "visited.npy", "costs.npy")
+COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3"]
+COMMAND += ["--steps", "2000", "--workers", "1", "--backend", "eager", "--out"]
+STARTED = [sys.executable, "-m", "agents.cli", *COMMAND]
 
 
 def results(folder):
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for name in RESULTS
-        for path in folder.rglob(name)
-    }
+    """Bytes of what was derived, by path."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("results.npz")}
 
 
 @pytest.fixture(scope="module")
-def command(tmp_path_factory):
+def whole(tmp_path_factory):
     """A grid that ran in a process of its own: its folder, and what it printed on stderr."""
     out = tmp_path_factory.mktemp("grid") / "whole"
-    started = [sys.executable, "-m", "agents.cli", *COMMAND, str(out)]
-    done = subprocess.run(started, capture_output=True, text=True, check=False)
+    done = subprocess.run([*STARTED, str(out)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return out, done.stderr
 
 
-@pytest.fixture(scope="module")
-def whole(command):
-    return command[0]
-
-
-def test_progress_is_told_in_lines(command):
-    """Where stderr is no terminal: a line for each training that ends, and one a tenth."""
-    out, err = command
-    ends = re.findall(r"^(.+): done after \d+ s$", err, re.MULTILINE)
-    assert sorted(ends) == [str(out / "Circle2D-1-v0" / name) for name in ("cpo", "trpo-lag")]
-    line = r"^(\d+) % done, (\d) of 2 trainings(?:, (.+) left)?, ([\d,]+) steps/s in all$"
-    lines = [(int(a), int(b), c) for a, b, c, _ in re.findall(line, err, re.MULTILINE)]
-    assert lines
-    assert lines == sorted(lines, key=lambda told: told[:2])
-    assert lines[-1] == (100, 2, "0 s")
-
-
-@pytest.mark.slow
-def test_progress_on_a_terminal_is_a_table(tmp_path):
-    """One row for each training, and its speed, in steps a second."""
-    shown = os.environ | {"FORCE_COLOR": "1", "TERM": "xterm", "COLUMNS": "250"}
-    command = [sys.executable, "-m", "agents.cli", *COMMAND, str(tmp_path), "--steps", "20000"]
-    done = subprocess.run(command, env=shown, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    rows = re.findall(r"Circle2D-1-v0/(\S+)\W+(\d+) %\W+([\d,]+) ", done.stderr)
-    assert {name for name, _, _ in rows} == {"cpo", "trpo-lag"}
-    assert all(0 <= int(percent) <= 100 for _, percent, _ in rows)
-    assert re.search(r"100 % done, 2 of 2 trainings", done.stderr)
-
-
-@pytest.mark.slow
-def test_a_folder_that_fails_takes_none_of_its_group_with_it(tmp_path, capsys):
-    out = tmp_path / "grid"
-    command = ["reproduce", "--levels", "0", "1", "--seeds", "3", "--steps", "2000"]
-    command += ["--algorithms", "cpo", "trpo-lag", "--workers", "1", "--out", str(out)]
-    tasks = grid.circle2d_tasks((0, 1), mujoco=False)
-    grid.prepare(grid.grid(out, tasks, ["cpo", "trpo-lag"], (3,), 2000))
-    damaged = out / "Circle2D-1-v0" / "cpo" / "checkpoint.npz"
-    damaged.write_bytes(b"no checkpoint")
-    assert main(command) == 1
-    _, err = capsys.readouterr()
-    assert re.search(r"circle2d: .*1-v0/cpo failed: circle2d: .*1-v0/cpo/.*damaged", err)
-    assert err.count("cpo failed: ") == 1
-    for folder in ("0-v0/cpo", "0-v0/trpo-lag", "1-v0/trpo-lag"):
-        assert f"Circle2D-{folder}: done" in err
-    damaged.unlink()
-    assert main(command) == 0
-    config = TrainConfig("cpo", "Circle2D-1-v0", (3,), 2000, preset("cpo", "Circle2D-1-v0"))
-    config.write(tmp_path / "alone")
-    train(tmp_path / "alone")
-    assert results(tmp_path / "alone") == results(out / "Circle2D-1-v0" / "cpo")
-
-
-def test_runs_are_those_of_train(whole, tmp_path, capsys):
-    task = "Circle2D-1-v0"
-    config = TrainConfig("cpo", task, (3, 4), 2000, preset("cpo", task))
-    config.write(tmp_path / "alone")
-    train(tmp_path / "alone")
-    assert results(tmp_path / "alone") == results(whole / task / "cpo")
-    assert "CPO (2,000 steps), mean of 2" in (whole / "report.md").read_text()
-    assert "TRPO-Lag (2,000 steps), mean of 2" in (whole / "report.md").read_text()
+def test_it_trains_and_reports_all(whole):
+    """Where stderr is no terminal, a line for each training that ends."""
+    out, err = whole
+    assert set(results(out)) == {f"Circle2D-1-v0/{n}/results.npz" for n in ("cpo", "trpo-lag")}
+    assert err.count(": done after ") == 2
+    assert "100 % done, 2 of 2 trainings" in err.splitlines()[-1]
+    for title in ("CPO", "TRPO-Lag"):
+        assert f"{title} (2,000 steps), mean of 1" in (out / "report.md").read_text()
+    assert (out / "index.html").exists()
 
 
 def test_again_nothing_is_trained(whole, capsys):
-    before = results(whole)
-    assert main([*COMMAND, str(whole)]) == 0
-    assert results(whole) == before
-    logs = [path.read_text() for path in whole.rglob("worker.log")]
-    assert len(logs) == 2
-    assert all(log.count("100 % after") == 1 for log in logs)
+    out, _ = whole
+    before = {path: path.read_bytes() for path in out.rglob("*.npz")}
+    assert main([*COMMAND, str(out)]) == 0
+    assert {path: path.read_bytes() for path in out.rglob("*.npz")} == before
+    assert main([*COMMAND, str(out), "--steps", "3000"]) == 2
+    assert "holds runs with other settings: steps 2000 (now 3000)" in capsys.readouterr().err
+
+
+def test_it_goes_on_with_the_backend_that_its_runs_began_with(tmp_path, capsys):
+    """Tests switch compiling off, so that going on with compiled runs is refused."""
+    configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo"], (3,), 2000)
+    grid.prepare({folder: replace(c, backend="compiled") for folder, c in configs.items()})
+    command = [*COMMAND[:2], "cpo", *COMMAND[4:]]
+    command = [word for word in command if word not in ("--backend", "eager")]
+    assert main([*command, str(tmp_path)]) == 2
+    assert re.search(r"backend 'compiled' .*TORCH_COMPILE_DISABLE", capsys.readouterr().err)
+
+
+@pytest.mark.slow
+def test_one_failure_does_not_stop_the_others(whole, tmp_path, capsys):
+    configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo", "trpo-lag"], (3,), 2000)
+    grid.prepare(configs)
+    damaged = tmp_path / "Circle2D-1-v0" / "cpo" / "checkpoints" / "000000500.npz"
+    damaged.parent.mkdir()
+    damaged.write_bytes(b"no checkpoint")
+    assert main([*COMMAND, str(tmp_path)]) == 1
+    out, err = capsys.readouterr()
+    assert re.search(r"circle2d: .*Circle2D-1-v0/cpo failed: .*damaged", err)
+    assert "TRPO-Lag (2,000 steps), mean of 1" in out
+    assert "left out: " in out
+    damaged.unlink()
+    assert main([*COMMAND, str(tmp_path)]) == 0
+    assert results(tmp_path) == results(whole[0])
+
+
+def options_of(*words):
+    return parse(training.ReproduceOptions, "reproduce", ["--out", "runs", *words])
+
+
+def trainings(*words):
+    return training._configs(options_of("--backend", "eager", *words))
+
+
+def test_quick_is_small_and_safety_is_the_papers():
+    configs = trainings("--quick")
+    assert {config.steps for config in configs.values()} == {10_000}
+    assert {config.seeds for config in configs.values()} == {(0, 1)}
+    # Two seeds on four levels train in one folder.
+    assert set(configs) == {Path("runs", name) for name in options_of().algorithms}
+    configs = trainings("--safety")
+    assert {task for c in configs.values() for task in c.tasks} == set(grid.SAFETY)
+    assert {config.steps for config in configs.values()} == {10_000_000}
+
+
+def test_shards_are_disjoint_and_complete():
+    configs = trainings("--seeds", *map(str, range(10)))
+    parts = [grid.shard(configs, part, 3) for part in (1, 2, 3)]
+    assert sorted(folder for part in parts for folder in part) == sorted(configs)
+    assert all(part for part in parts)
+
+
+@pytest.mark.slow
+def test_shards_train_the_whole(whole, tmp_path, capsys):
+    for part in ("1/2", "2/2"):
+        assert main([*COMMAND, str(tmp_path / "whole"), "--shard", part]) == 0
+        assert f"part {part} is over" in capsys.readouterr().out
+    assert not (tmp_path / "whole" / "report.md").exists()
+    assert main(["report", str(tmp_path / "whole")]) == 0
+    assert results(tmp_path / "whole") == results(whole[0])
+    for name in ("report.csv", "report.md"):
+        assert (tmp_path / "whole" / name).read_bytes() == (whole[0] / name).read_bytes()
 
 
 def processes_of(folder):
-    """The command lines of running processes that name a folder."""
+    """Command lines of running processes that name a folder."""
     found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
-        with contextlib.suppress(OSError):  # it ended meanwhile
+        try:
             found.append(path.read_bytes())
-    assert found
+        except OSError:  # it ended meanwhile
+            continue
     return [line for line in found if str(folder).encode() in line]
 
 
 @pytest.mark.slow
-def test_stopped_in_the_middle_it_goes_on(whole, tmp_path):
-    out = tmp_path / "stopped"
-    command = [sys.executable, "-m", "agents.cli", *COMMAND, str(out)]
-
-    def told():
-        return {path: path.read_bytes() for path in out.rglob("status.json")}
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        before = told()
-        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-        deadline = time.monotonic() + 120
-        while process.poll() is None and told() == before:  # until its workers train
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
-        process.send_signal(number)
-        _, err = process.communicate(timeout=60)
-        assert process.returncode in (128 + number, 0), err
-        assert not processes_of(out)  # none is left behind
-    assert main([*COMMAND, str(out)]) == 0
-    assert results(out) == results(whole)
-    assert (out / "report.csv").read_bytes() == (whole / "report.csv").read_bytes()
-
-
-def kill_while_it_trains(command, out):
-    """Start a command, and end it by SIGKILL once it trains; returns when all must be over."""
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_stopped_in_the_middle_it_leaves_no_worker_and_goes_on(number, whole, tmp_path):
+    command = [*STARTED, str(tmp_path)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 120
-    while not list(out.rglob("status.json")):
+    while process.poll() is None and not list(tmp_path.rglob("status.json")):
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    process.kill()
-    process.wait()
-    return deadline
-
-
-@pytest.mark.slow
-def test_killed_it_leaves_no_worker_and_goes_on_at_once(tmp_path):
-    """SIGKILL reaches the parent alone; the second start waits for what is left of the first."""
-    out = tmp_path / "killed"
-    command = [sys.executable, "-m", "agents.cli", *COMMAND, str(out), "--steps", "20000"]
-    kill_while_it_trains(command, out)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    if number is not signal.SIGKILL:
+        assert process.returncode in (128 + number, 0), err
+        assert not processes_of(tmp_path)
     again = subprocess.run(command, capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
-    assert "failed" not in again.stderr
-    assert not processes_of(out)
-
-
-@pytest.mark.slow
-def test_the_workers_of_a_killed_command_end(tmp_path):
-    out = tmp_path / "killed"
-    command = [sys.executable, "-m", "agents.cli", *COMMAND, str(out), "--steps", "1000000"]
-    deadline = kill_while_it_trains(command, out)
-    while processes_of(out):
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-
-
-def test_one_failure_does_not_stop_the_others(tmp_path, capsys):
-    out = tmp_path / "grid"
-    command = [*COMMAND, str(out), "--workers", "1"]
-    configs = grid.grid(out, ["Circle2D-1-v0"], ["cpo", "trpo-lag"], (3, 4), 2000)
-    grid.prepare(configs)
-    (out / "Circle2D-1-v0" / "cpo" / "checkpoint.npz").write_bytes(b"no checkpoint")
-    assert main(command) == 1
-    out_text, err = capsys.readouterr()
-    assert re.search(r"circle2d: .*Circle2D-1-v0/cpo failed: circle2d: .*damaged", err)
-    assert "TRPO-Lag (2,000 steps), mean of 2" in out_text
-    assert "left out: " in out_text
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--levels", "5"], r"levels must be some of \[0, 1, 2, 3\], got \[5\]"),
-        (["--algorithms", "cop"], "unknown algorithm 'cop': did you mean 'cpo'"),
-        (["--workers", "0"], r"workers must be in \[1, 1024\], got 0"),
-        (["--tasks", "Nope-v3", "--levels", "0", "1", "2", "3"], "Nope"),
-        (["--tasks", "Nope-v3"], "give either tasks, or levels and mujoco"),
-        (["--steps", "0"], "steps must be at least 1, got 0"),
-        (["--steps", "3000"], r"holds runs with other settings: steps 2000 \(now 3000\); choose"),
-        (["--algorithms"], "algorithms must be some of trpo-lag, .*, got none"),
-    ],
-)
-def test_mistakes(whole, options, message, capsys):
-    assert main([*COMMAND, str(whole), *options]) == 2
-    assert re.search(message, capsys.readouterr().err)
-
-
-def test_it_goes_on_with_the_backend_that_its_runs_began_with(tmp_path, capsys):
-    """Runs were begun as compiled code; the tests switch compiling off, so that `auto` would be
-    eager, and going on is refused."""
-    command = ["reproduce", "--algorithms", "cpo", "--levels", "1", "--seeds", "3"]
-    command += ["--steps", "2000", "--workers", "1", "--out", str(tmp_path)]
-    other = TrainConfig("cpo", "Circle2D-1-v0", (0,), 100, preset("cpo", "Circle2D-1-v0"))
-    other.write(tmp_path / "another")
-    configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo"], (3,), 2000)
-    grid.prepare({folder: replace(c, backend="compiled") for folder, c in configs.items()})
-    assert main(command) == 2
-    assert re.search(r"backend 'compiled' .*TORCH_COMPILE_DISABLE", capsys.readouterr().err)
-    assert main([*command, "--backend", "eager"]) == 2
-    assert "backend compiled (now eager)" in capsys.readouterr().err
+    assert not processes_of(tmp_path)
+    assert results(tmp_path) == results(whole[0])
