@@ -1,120 +1,116 @@
-"""Steps a second of the three Safety-Gymnasium tasks, beside the original and MuJoCo's own limit.
+"""Steps a second of the Safety tasks, beside the original and gymnasium, in one run on one core.
 
-    python benchmarks/safety_speed.py
+    python benchmarks/safety_speed.py [--original PYTHON] [TASK ...]
 
-One core, resets included, random actions. "open loop" is `mujoco.rollout` of the same models, all
-contacts in, without observations, rewards or resets: what no environment that steps all of them
-could surpass. SafetyPointGoal1 may, since it does not step a vase that stands out of reach.
+CPU time, resets included, random actions; medians over turns in which all take their share of
+whatever else the machine does. PYTHON: an interpreter where `pip install safety-gymnasium==1.0.0`
+is done (Python 3.10); without it that column is empty. TASK: as in SafetyPointGoal1-v0; all of
+them without any. The velocity tasks stand beside gymnasium's own v5.
 """
 
 import os
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
+import argparse
 import statistics
+import subprocess
+import sys
 import time
 
-import gymnasium as gym
-import mujoco
-import numpy as np
-from mujoco import rollout
+VECTOR = 64
+TURNS = 3
+STEPS = {"single": 2000, "vector": 100}
+# Runs in the original's Python: an episode with a reset of its own, and one reset more.
+ORIGINAL = """
+import sys, time, warnings
+warnings.filterwarnings("ignore")
+import safety_gymnasium
+env = safety_gymnasium.make(sys.argv[1])
+env.reset(seed=0)
+env.action_space.seed(0)
+actions, steps = [env.action_space.sample() for _ in range(64)], int(sys.argv[2])
+start = time.process_time()
+for k in range(steps):
+    values = env.step(actions[k % 64])
+    if values[3] or values[4]:
+        env.reset()
+print(steps / (time.process_time() - start))
+"""
 
-import circle2d_mj
-from circle2d_mj.safety import models
 
-# Recorded from safety-gymnasium 1.0.0 itself, on Python 3.10 with mujoco 2.3.3, one core: steps a
-# second over whole episodes of random actions with their resets, and a reset alone in ms. It needs
-# versions that do not install beside ours, so it cannot run here. Hopper-v5 tells how fast this
-# machine is: the original's Hopper is gymnasium's with a cost.
-ORIGINAL = {
-    "SafetyPointCircle1-v0": (684, 664),
-    "SafetyPointGoal1-v0": (1_028, 642),
-    "SafetyHopperVelocity-v1": (15_331, 0.02),
-}
-# The model, physics steps in a step, and steps of an open-loop episode (random hoppers soon fall).
-OPEN_LOOP = {
-    "SafetyPointCircle1-v0": (models.point_circle, 10, 100),
-    "SafetyPointGoal1-v0": (models.point_goal, 10, 100),
-    "SafetyHopperVelocity-v1": (models.hopper, 4, 20),
-}
-TURNS = 7
+def timed(run, steps):
+    start = time.process_time()
+    run(steps)
+    return steps / (time.process_time() - start)
 
 
 def single(name):
+    import gymnasium as gym
+
     env = gym.make(name)
     env.reset(seed=0)
+    env.action_space.seed(0)
     actions = [env.action_space.sample() for _ in range(64)]
 
-    def run(steps=2000):
-        start = time.perf_counter()
+    def run(steps):
         for k in range(steps):
             *_, terminated, truncated, _ = env.step(actions[k % 64])
             if terminated or truncated:
                 env.reset()
-        return steps / (time.perf_counter() - start)
 
-    def reset(times=50):
-        start = time.perf_counter()
-        for _ in range(times):
-            env.reset()
-        return 1e3 * (time.perf_counter() - start) / times
-
-    return run, reset
+    return lambda: timed(run, STEPS["single"])
 
 
-def vector(task, size):
-    envs = gym.make_vec(f"circle2d_mj/{task}", num_envs=size)
+def vector(name):
+    import gymnasium as gym
+
+    envs = gym.make_vec(name, num_envs=VECTOR, vectorization_mode="vector_entry_point")
     envs.reset(seed=0)
-    actions = [envs.action_space.sample() for _ in range(8)]
+    envs.action_space.seed(0)
+    actions = [envs.action_space.sample() for _ in range(16)]
 
-    def run():
-        steps = 32_768 // size
-        start = time.perf_counter()
+    def run(steps):
         for k in range(steps):
-            envs.step(actions[k % 8])
-        return steps * size / (time.perf_counter() - start)
+            envs.step(actions[k % 16])
 
-    return run
+    return lambda: VECTOR * timed(run, STEPS["vector"])
 
 
-def open_loop(task, size=64):
-    load, substeps, steps = OPEN_LOOP[task]
-    model = load()
-    data, rng = mujoco.MjData(model), np.random.default_rng(0)
-    state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
-    mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-    control = np.repeat(rng.uniform(-1, 1, (size, steps, model.nu)), substeps, axis=1)
+def original(python, name):
+    if python is None:
+        return lambda: float("nan")
+    steps = "1000" if "Velocity" in name or ("Circle" not in name and "Run" not in name) else "500"
+    command = [python, "-c", ORIGINAL, name, steps]
 
     def run():
-        start = time.perf_counter()
-        rollout.rollout(model, data, np.tile(state, (size, 1)), control)
-        return steps * size / (time.perf_counter() - start)
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        return float(done.stdout.split()[-1])
 
     return run
 
 
 def main():
-    print(f"{circle2d_mj.__name__} with mujoco {mujoco.__version__}\n")
-    print(
-        "| task | original | single | over it | 256 | 1024 | over it | open loop | reset, ms | it |"
-    )
-    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
-    for task, (speed, reset_ms) in ORIGINAL.items():
-        one, reset = single(f"circle2d_mj/{task}")
-        runs = (one, vector(task, 256), vector(task, 1024), open_loop(task), reset)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--original", metavar="PYTHON")
+    parser.add_argument("tasks", nargs="*", metavar="TASK")
+    options = parser.parse_args()
+    from circle2d_mj.safety.tasks import NAMES
+
+    print("| task | single | vector of 64 | original | single over it | gymnasium v5 | over it |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for name in options.tasks or NAMES.values():
+        ours = f"circle2d_mj/{name}"
+        runs = [single(ours), vector(ours), original(options.original, name)]
+        velocity = "Velocity" in name
+        if velocity:
+            runs.append(single(name.removeprefix("Safety").replace("Velocity-v1", "-v5")))
         turns = [[run() for run in runs] for _ in range(TURNS)]
-        alone, some, many, limit, ms = (
-            statistics.median(values) for values in zip(*turns, strict=True)
-        )
-        cells = (
-            *(task, f"{speed:,}", f"{alone:,.0f}", f"{alone / speed:.1f}", f"{some:,.0f}"),
-            *(f"{many:,.0f}", f"{many / speed:.1f}", f"{limit:,.0f}", f"{ms:.2f}", reset_ms),
-        )
-        print(f"| {' | '.join(map(str, cells))} |")
-    theirs = single("Hopper-v5")[0]
-    print(
-        f"\ngymnasium's Hopper-v5, single: {statistics.median(theirs() for _ in range(TURNS)):,.0f}"
-    )
+        alone, many, its, *v5 = (statistics.median(values) for values in zip(*turns, strict=True))
+        peer = (f"{v5[0]:,.0f}", f"{alone / v5[0]:.2f}") if velocity else ("", "")
+        cells = (f"{alone:,.0f}", f"{many:,.0f}", f"{its:,.0f}", f"{alone / its:.1f}", *peer)
+        print(f"| {name} | {' | '.join(cells)} |")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

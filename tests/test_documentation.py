@@ -222,14 +222,19 @@ def test_every_task_has_a_page_with_its_own_numbers():
     import task_pages
 
     pages = task_pages.pages()
-    assert set(pages) == {name.rpartition("/")[2] for name in (*CIRCLE2D, *SAFETY)}
-    for name in (*CIRCLE2D, *SAFETY):
-        page, env = pages[name.rpartition("/")[2]], gym.make(name)
-        assert f"made/tasks/{name.rpartition('/')[2]}\n" in TEXTS["docs/environments.md"]
+    assert set(pages) == {*CIRCLE2D, *task_pages.SAFETY_PAGES}
+    for name in pages:
+        assert f"made/tasks/{name}\n" in TEXTS["docs/environments.md"]
+        for title in TITLES:
+            assert re.search(rf"^## {title}\n\n\S", pages[name], re.MULTILINE)
+    variants = "\n".join(pages[name] for name in task_pages.SAFETY_PAGES)
+    for name in SAFETY:
+        size = gym.make(name).observation_space.shape[0]
+        assert re.search(rf"^\| `{name.rpartition('/')[2]}` \|.* {size} \|", variants, re.MULTILINE)
+    for name in CIRCLE2D:
+        page, env = pages[name], gym.make(name)
         assert f"`{env.action_space}`" in page
         assert f"After {env.spec.max_episode_steps} steps" in page
-        for title in TITLES:
-            assert re.search(rf"^## {title}\n\n\S", page, re.MULTILINE)
         env.close()
     for field in dataclasses.fields(Circle2DConfig)[1:]:
         assert f"| `{field.name}` | `{field.default!r}` |" in pages["Circle2D-3-v0"]

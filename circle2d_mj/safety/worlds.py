@@ -222,6 +222,7 @@ def _add_scenery(spec: mujoco.MjSpec, scene: Scene) -> None:
     size = spec.visual.global_
     size.offwidth = size.offheight = 640
     spec.visual.quality.numslices = 64
+    spec.geom("floor").size[:2] = 0.0  # without an edge
     spec.visual.headlight.ambient = [0.35] * 3
     spec.visual.headlight.diffuse = [0.3] * 3
     spec.visual.headlight.specular = [0.0] * 3

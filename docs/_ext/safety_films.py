@@ -8,10 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import gymnasium as gym
+import task_pages
 from PIL import Image
 
 import circle2d_mj
-from circle2d_mj.registration import SAFETY
 
 SIZE, PICTURES = 240, 48
 
@@ -29,15 +29,18 @@ def write(name: str, folder: Path) -> None:
         *_, terminated, truncated, _ = env.step(action)
         if step % hold == 0:
             picture = Image.fromarray(env.render())
-            frames.append(picture.resize((SIZE, SIZE), Image.Resampling.LANCZOS).quantize(64))
+            frames.append(picture.resize((SIZE, SIZE), Image.Resampling.LANCZOS))
         if terminated or truncated:
             env.reset()
     env.close()
     path = folder / f"{name.rpartition('/')[2]}.gif"
+    # One palette: viewers mix up those of single frames.
+    palette = frames[0].quantize(128, method=Image.Quantize.MAXCOVERAGE)  # rare colours, too
+    frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=100, loop=0)
 
 
 if __name__ == "__main__":
     gym.register_envs(circle2d_mj)
-    for task in SAFETY:
-        write(task, Path(__file__).parents[1] / "films")
+    for task in task_pages.FILMED.values():
+        write(f"circle2d_mj/{task}", Path(__file__).parents[1] / "films")

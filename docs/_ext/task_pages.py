@@ -16,11 +16,13 @@ from agents.paper.presets import PAPER_STEPS
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
 from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
-from circle2d_mj.registration import KINEMATIC, PHYSICS, SAFETY
-from circle2d_mj.safety import rules
-from circle2d_mj.safety.circle import START_HALF_WIDTH, SafetyPointCircle
-from circle2d_mj.safety.goal import SafetyPointGoal
-from circle2d_mj.safety.hopper import START_NOISE, SafetyHopperVelocity
+from circle2d_mj.registration import KINEMATIC, PHYSICS
+from circle2d_mj.safety import agents as safety_agents
+from circle2d_mj.safety import families
+from circle2d_mj.safety.navigation import NavigationTask
+from circle2d_mj.safety.scenes import scene
+from circle2d_mj.safety.tasks import IDS, VELOCITY
+from circle2d_mj.safety.velocity import BODIES, VelocityTask
 
 FILMS = Path(__file__).parents[1] / "films"
 """Films that need OpenGL: drawn by `python docs/_ext/safety_films.py`, and kept."""
@@ -31,13 +33,6 @@ OBSERVED = tuple(
 )
 MOVED = tuple(f"move along {axis}, over 0.11 R" for axis in ("x", "y"))
 FORCED = tuple(f"target velocity along {axis}, or thrust, over the greatest" for axis in ("x", "y"))
-TORQUES = [
-    (str(k), f"torque at the {joint}, over 200 N m")
-    for k, joint in enumerate(("thigh", "leg", "foot"))
-]
-SENSORS = (
-    "The sensors are accelerometer, velocity, turning rate and magnetometer, three numbers each."
-)
 LEVEL = {
     0: "The cost region of level 0 is solid: a move that would end inside it does not happen, and "
     "costs.",
@@ -55,49 +50,24 @@ ARGUMENTS = {
     "max_episode_steps": "Steps after which an episode is truncated.",
     "render_mode": 'None, "rgb_array" or "human". Pictures need EGL or OSMesa.',
 }
-INFO = {
-    SAFETY[2]: "| info | meaning | unit |\n| --- | --- | --- |\n| cost | as above | |\n"
-    "| x_velocity | forward velocity, the mean over the step | m/s |",
+FAMILIES = ("Goal", "Button", "Push", "Circle", "Run")
+SAFETY_PAGES = (*(f"Safety{family}" for family in FAMILIES), "SafetyVelocity")
+"""Pages of the Safety tasks, one for each family."""
+FILMED = {family: f"SafetyPoint{family}1-v0" for family in FAMILIES[:4]}
+FILMED |= {"Run": "SafetyCarRun0-v0", "Velocity": "SafetyHopperVelocity-v1"}
+COSTS = {
+    "hazards": "the agent's origin is in a hazard",
+    "vases_contact": "the agent touches a vase",
+    "vases_velocity": "a vase moves at 0.0001 m/s or more",
+    "buttons": "the agent touches a wrong button, and no button was pressed within ten steps",
+    "gremlins": "the agent touches a gremlin; these circle at 0.35 m",
+    "pillars": "the agent touches a pillar",
+    "out_of_boundary": "the agent is beyond a wall",
 }
-SAFETY_TASKS = {
-    SAFETY[0]: SafetyPointCircle,
-    SAFETY[1]: SafetyPointGoal,
-    SAFETY[2]: SafetyHopperVelocity,
-}
-SAFETY_TEXTS = {
-    SAFETY[0]: {
-        "Description": "A point with a heading runs round a circle of radius "
-        f"{rules.CIRCLE_RADIUS:g} m. Two walls cut the circle: beyond them steps cost. A step "
-        "takes 0.02 s.",
-        "Reward": "Speed round the circle, anticlockwise, damped by the distance to it: for the "
-        "position (x, y), the velocity (u, v) and the distance r from the centre\n\n"
-        f"$$0.1\\, \\frac{{v x - u y}}{{r\\, (1 + |r - {rules.CIRCLE_RADIUS:g}|)}}$$",
-        "Cost": f"1.0 where the step ended beyond a wall, |x| > {rules.CIRCLE_WALL:g} m, else 0.0.",
-        "Start": f"Uniform in [-{START_HALF_WIDTH:g}, {START_HALF_WIDTH:g}]² m, with any heading, "
-        "at rest.",
-        "End": "It never terminates.",
-    },
-    SAFETY[1]: {
-        "Description": "A point with a heading goes from goal to goal between eight hazards and a "
-        "vase. A goal that is reached moves at once, and the episode goes on. A step takes 0.02 s.",
-        "Reward": "The distance that the step came nearer to the goal, in metres, plus 1 where the "
-        f"agent's centre is within {rules.GOAL_RADIUS:g} m of the goal.",
-        "Cost": "1.0 where the step ended with the agent's centre within "
-        f"{rules.HAZARD_RADIUS:g} m of a hazard's, else 0.0.",
-        "Start": "Agent, goal, hazards and vase at random places that keep their distances, any "
-        "heading, at rest.",
-        "End": "It terminates only if no place for a new goal is found.",
-    },
-    SAFETY[2]: {
-        "Description": "Gymnasium's Hopper with a speed limit. A step takes 0.008 s.",
-        "Reward": "For the forward velocity v, the mean over the step in m/s, and the action a, "
-        "which is not clipped here,\n\n$$v + 1 - 0.001\\, |a|^2$$",
-        "Cost": f"1.0 above {rules.HOPPER_MAX_SPEED:g} m/s forward, else 0.0.",
-        "Start": f"Upright, each number of qpos and qvel within {START_NOISE:g} of its rest.",
-        "End": "It terminates where the torso is lower than 0.7 m or tilted by more than 0.2 rad, "
-        "or a joint angle or a speed leaves (-100, 100).",
-    },
-}
+ORIGINAL = (
+    "The tasks are Safety-Gymnasium's, on current MuJoCo: see [parity](../../parity.md). The film "
+    "shows an agent that draws its actions at random."
+)
 
 
 def pages() -> dict[str, str]:
@@ -106,8 +76,9 @@ def pages() -> dict[str, str]:
     for level in LEVELS:
         for name in (KINEMATIC[level], PHYSICS[level]):
             found[name] = _circle2d(name, level)
-    for name in SAFETY:
-        found[name.rpartition("/")[2]] = _safety(name)
+    for family in FAMILIES:
+        found[f"Safety{family}"] = _family(family)
+    found["SafetyVelocity"] = _velocity()
     return found
 
 
@@ -163,30 +134,124 @@ def _circle2d(name: str, level: int) -> str:
     return _page(name, sections)
 
 
-def _safety(name: str) -> str:
-    texts_of, steps = SAFETY_TEXTS[name], gym.spec(name).max_episode_steps
-    tables = _tables(SafetyPointCircle) | _tables(SAFETY_TASKS[name])
-    if name == SAFETY[2]:
-        tables |= {"action": _table(("action", "meaning"), TORQUES), "info": INFO[name]}
+def _family(family: str) -> str:
+    task = getattr(families, f"{family}Task")
+    levels = [0] if family == "Run" else [0, 1, 2]
+    rows, kinds = [], []
+    for agent in safety_agents.AGENTS:
+        for level in levels:
+            name, laid = IDS[f"Safety{agent}{family}{level}"], scene(f"{family}{level}", agent)
+            env, objects = gym.spec(name).make(), [f"{p.number} {p.kind}" for p in laid.placed]
+            shown = ", ".join(objects) or "none"
+            walls = "two walls" if len(laid.walls) == 1 else "four walls" if laid.walls else ""
+            costs = ", ".join(laid.costs) or "none"
+            shape = str(env.observation_space.shape[0])
+            cells = (f"`{name.rpartition('/')[2]}`", shown, walls, costs, shape)
+            rows.append(cells)
+            kinds += [kind for kind in laid.costs if kind not in kinds]
+            env.close()
+    first = scene(f"{family}{levels[-1]}", "Point")
+    lidars = ", ".join(first.lidars) or "none"
     sections = {
-        "Description": [
-            texts_of["Description"],
-            "One of the paper's three tasks from Safety-Gymnasium 1.0.0, on current MuJoCo. The "
-            "film shows an agent that draws its actions at random.",
+        "Description": [_prose(task), ORIGINAL],
+        "Variants": [_table(("id", "objects", "walls", "kinds of cost", "observation"), rows)],
+        "Action space": [f"{name}:\n\n{_tables(type(c))['action']}" for name, c in _agents()],
+        "Observation space": [
+            *(f"{name}:\n\n{_tables(type(c))['observation']}" for name, c in _agents()),
+            f"After the sensors come 16 numbers for each lidar: {lidars}. Each tells how near the "
+            f"nearest object of its kind is in 16 directions, 1 at no distance and 0 at "
+            f"{first.reach:g} m.",
         ],
-        "Action space": [tables["action"]],
-        "Observation space": [tables["observation"], SENSORS if name == SAFETY[1] else ""],
-        "Reward": [texts_of["Reward"]],
-        "Cost": [texts_of["Cost"] + " The info holds", tables["info"]],
-        "Start": [texts_of["Start"]],
-        "End": [f"After {steps} steps the episode is truncated. {texts_of['End']}"],
-        "Arguments": [
-            f'`gym.make("{name}", ...)` takes these.',
-            _table(("argument", "default", "meaning"), _extra(("num_threads",), steps)),
+        "Reward": [_prose(task)],
+        "Cost": [
+            "1.0 where any kind of cost is, else 0.0; level 0 has none.",
+            _table(("kind", "costs where"), [(f"`cost_{kind}`", COSTS[kind]) for kind in kinds]),
+            _tables(NavigationTask)["info"],
         ],
-        "Versions": [f"- {name.rpartition('-')[2]}: the numbers of Safety-Gymnasium 1.0.0."],
+        "Start": ["At random places that keep their distances, any heading, at rest."],
+        "End": [_end(IDS[f"SafetyPoint{family}0"]), _terminates(family)],
+        "Arguments": [_safety_arguments(1000)],
+        "Versions": ["- v0: the numbers of Safety-Gymnasium 1.0.0."],
     }
-    return _page(name, sections)
+    return _safety_page(f"Safety{family}", FILMED[family], sections)
+
+
+def _velocity() -> str:
+    rows = []
+    for body in VELOCITY:
+        task = BODIES[body]
+        env = gym.make(IDS[f"Safety{body}Velocity"])
+        seconds = env.unwrapped._envs.simulation.step_seconds
+        cells = (f"`Safety{body}Velocity-v1`", f"{task.max_speed:g}", f"{seconds:g}")
+        rows.append((*cells, *(str(s.shape[0]) for s in (env.observation_space, env.action_space))))
+        env.close()
+    head = ("id", "speed limit, m/s", "step, s", "observation", "action")
+    reward = [
+        (body, f"{b.forward:g} v + {b.alive:g} - {b.control_cost:g} |a|²")
+        for body, b in BODIES.items()
+    ]
+    sections = {
+        "Description": ["Gymnasium's bodies, v4, with a speed limit.", ORIGINAL],
+        "Variants": [_table(head, rows)],
+        "Action space": ["Torques over the actuators' gear. MuJoCo clips them to the bounds."],
+        "Observation space": [_prose(VelocityTask)],
+        "Reward": [
+            "For the forward velocity v, the mean over the step in m/s, and the action a, which is "
+            "not clipped here:",
+            _table(("body", "reward"), reward),
+        ],
+        "Cost": [
+            "1.0 above the speed limit, else 0.0. The speed is v, of Ant and Humanoid that in the "
+            "plane.",
+        ],
+        "Start": ["Near rest, by the noise of gymnasium's v4."],
+        "End": [
+            _end(IDS["SafetyHopperVelocity"]),
+            "Hopper, Walker2d, Ant and Humanoid terminate where the torso leaves its heights, or "
+            "of the first two its tilt.",
+        ],
+        "Arguments": [_safety_arguments(1000)],
+        "Versions": [
+            "- v1: the numbers of Safety-Gymnasium 1.0.0. Before 0.2.0, Hopper had twice the "
+            "original's contact margins.",
+        ],
+    }
+    return _safety_page("SafetyVelocity", FILMED["Velocity"], sections)
+
+
+def _agents() -> list[tuple[str, object]]:
+    return list(safety_agents.AGENTS.items())
+
+
+def _end(name: str) -> str:
+    return f"After {gym.spec(name).max_episode_steps} steps the episode is truncated."
+
+
+def _terminates(family: str) -> str:
+    draws = family in ("Goal", "Push")
+    return (
+        "It terminates only if no place for a new goal is found."
+        if draws
+        else "It never terminates."
+    )
+
+
+def _prose(cls: type) -> str:
+    """First paragraph of a docstring that is no table, in one line."""
+    paragraphs = inspect.cleandoc(cls.__doc__).split("\n\n")
+    at = 1 if cls is VelocityTask else 0
+    return " ".join(paragraphs[at].split())
+
+
+def _safety_arguments(steps: int) -> str:
+    return _table(("argument", "default", "meaning"), _extra(("num_threads",), steps))
+
+
+def _safety_page(name: str, film: str, sections: dict[str, list[str]]) -> str:
+    head = [f"# {name}", f"![A film of {film}]({film}.gif)"]
+    for title, parts in sections.items():
+        head += [f"## {title}", *filter(None, parts)]
+    return "\n\n".join(head) + "\n"
 
 
 def _page(name: str, sections: dict[str, list[str]]) -> str:
