@@ -26,7 +26,6 @@ The subpackages and modules, lowest layer first; each imports only those before 
 - `algorithms`: the part that each algorithm's paper adds, a file each, and the registry
 - `training`: configuration, the trainer and its files, what is derived from them, policies
 - `results`: reading of trained runs, their measures, and one tidy frame of them
-- `paper`: its presets, grid, printed numbers and claims
 - `reporting`: tables, figures, page
 - `export`: policies as files for other programs
 - `runs`: runs on disk as Python objects
