@@ -1,9 +1,8 @@
-"""Clusters of Ray on this machine that lose nodes, and the processes of this machine."""
+"""Clusters of Ray on this machine that lose nodes."""
 
 import contextlib
 import os
 import signal
-import time
 from pathlib import Path
 
 
@@ -25,30 +24,6 @@ def parents():
         with contextlib.suppress(OSError):
             found[int(path.parent.name)] = int(path.read_text().rpartition(")")[2].split()[1])
     return found
-
-
-def descendants(process):
-    """Ids of a process, of all that it has started, and that they have."""
-    of_all, found, more = parents(), set(), {process}
-    while more:
-        found |= more
-        more = {child for child, parent in of_all.items() if parent in found} - found
-    return found
-
-
-def runs(process):
-    try:
-        text = Path(f"/proc/{process}/stat").read_text()
-    except OSError:
-        return False
-    return text.rpartition(")")[2].split()[0] not in "ZX"
-
-
-def wait_until(condition, seconds=600):
-    until = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until
-        time.sleep(0.1)
 
 
 @contextlib.contextmanager

@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from fault_common import Tally
+from fault_common import Tally, often
 from fault_damage import try_damage
 from fault_inputs import try_arrays, try_options
 from fault_kills import scenes, try_disks, try_kills, try_signals
@@ -15,11 +15,12 @@ QUICK = ("train", "resume", "evaluate")
 def test_a_few_faults(tmp_path):
     """A process that is killed, a full disk, a signal, a damaged file, an odd option or array."""
     rng, tally = random.Random(1), Tally()
-    found = scenes(tmp_path, names=QUICK)
-    try_kills(tally, found, 5, rng)
-    try_disks(tally, found, 2, rng)
-    try_signals(tally, found, 2, rng)
-    try_damage(tally, tmp_path / "whole", 14, rng, tmp_path)
+    with often():
+        found = scenes(tmp_path, names=QUICK)
+        try_kills(tally, found, 5, rng)
+        try_disks(tally, found, 2, rng)
+        try_signals(tally, found, 2, rng)
+        try_damage(tally, tmp_path / "whole", 14, rng, tmp_path)
     try_options(tally, 15, rng, tmp_path)
     try_arrays(tally, 200, rng)
     assert sum(tally.tried.values()) == 238

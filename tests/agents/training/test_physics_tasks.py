@@ -14,7 +14,10 @@ POINT = "circle2d_mj/SafetyPointCircle1-v0"
 TASKS = {"Circle2DMuJoCo-0-v0": {"actuation": "force"}, "Circle2DMuJoCo-1-v0": {}}
 
 
-@pytest.mark.parametrize("task", TASKS)
+SLOW = pytest.param("Circle2DMuJoCo-1-v0", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("task", ["Circle2DMuJoCo-0-v0", SLOW])
 @pytest.mark.parametrize("name", PAPER_ALGORITHMS)
 def test_trains_resumes_and_is_independent_of_its_company(name, task, tmp_path):
     more = SAC if algorithm(name).family is OffPolicy else TRPO
