@@ -236,7 +236,7 @@ class TrainConfig(Settings):
 
 def read_spaces(folder: AnyPath) -> Spaces:
     """Spaces of the tasks of a folder, as they were when it was made. UserError where damaged."""
-    content = read_json(folder / CONFIG).get("spaces")
+    content: Any = read_json(folder / CONFIG).get("spaces")
     try:
         low, high = (tuple(map(float, content[name])) for name in ("low", "high"))
         spaces = Spaces(int(content["observation_size"]), low, high, str(content["dtype"]))

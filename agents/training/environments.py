@@ -105,7 +105,7 @@ def check_task(task: str, parameters: dict[str, Any], costs: Sequence[str] = ("c
             info = envs.step(np.zeros(envs.action_space.shape or (), dtype=np.float32))[-1]
         except TaskFailure as error:
             if type(error.__cause__) is UserError:  # not of the task's own code
-                raise error.__cause__ from None
+                raise UserError(f"task {task!r}: {error.__cause__}") from None
             raise
     require_costs(f"task {task!r}", info, costs)
 
