@@ -48,19 +48,30 @@ def write_steps(folder, run, costs, lengths, episodes, **more):
     return {run.prefix + name: array for name, array in arrays.items()}
 
 
-def write_runs(folder, task=TASK):
+def write_runs(folder, task=TASK, weight=1.0, lengths=(5,) * 24, each=2):
     """Two runs of SAC-Lag on a task: their steps, with positions, and neither checkpoint nor
-    evaluation."""
+    evaluation. weight: of a cost step; lengths: of episodes, of which there are `each` a rollout."""
     config = TrainConfig("sac-lag", (task,), (0, 1), 120, preset("sac-lag", task))
     config.write(folder)
-    costs = [cost for pair in STREAKS for streak in pair for cost in chain(streak, 5)]
+    costs = [weight * cost for pair in STREAKS for streak in pair for cost in chain(streak, 5)]
     arrays = {"metrics": np.array([], dtype=np.str_)}
     for run in config.runs:
         rows = np.arange(240, dtype=np.float32).reshape(120, 2) / 100 + run.seed
-        arrays |= write_steps(folder, run, costs, [5] * 24, 2, positions=rows)
+        arrays |= write_steps(folder, run, costs, lengths, each, positions=rows)
     (folder / "steps").mkdir()
     write_arrays(folder / "steps" / "000000120.npz", arrays)
     return config
+
+
+def evaluate(folder, **more):
+    """`results.npz` of such runs: an evaluated episode of each, and further arrays."""
+    config = TrainConfig.read(folder)
+    results = derive.derived(folder, config)
+    one = {"returns": np.array([-5.25]), "costs": np.array([[3.0]]), "lengths": np.array([10])}
+    for run in config.runs:
+        prefix = f"{run.prefix}evaluation/deterministic/"
+        results |= {prefix + name: array for name, array in one.items()}
+    write_arrays(folder / "results.npz", results | more)
 
 
 def write_evaluated(
