@@ -5,6 +5,7 @@ Each raises ValueError where there are no values, NaN or infinite ones, or other
 level is outside (0, 1); TypeError where rng is no numpy Generator. scipy is imported late.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -77,7 +78,9 @@ def mean_interval(values: ArrayLike, level: float = 0.95, bounds: Bounds = UNBOU
     if low < high:  # scipy has no interval of equal values
         from scipy.stats import ttest_1samp
 
-        low, high = map(float, ttest_1samp(values, 0).confidence_interval(level))
+        with warnings.catch_warnings():  # of values that differ in their last bits alone
+            warnings.simplefilter("ignore", RuntimeWarning)
+            low, high = map(float, ttest_1samp(values, 0).confidence_interval(level))
     return Interval(mean, max(low, bounds[0]), min(high, bounds[1]), "t", n)
 
 
@@ -96,7 +99,9 @@ def mean_difference(first: ArrayLike, second: ArrayLike, level: float = 0.95) ->
     if np.ptp(a) or np.ptp(b):  # scipy has no interval of equal values
         from scipy.stats import ttest_ind
 
-        test: Any = ttest_ind(b, a, equal_var=False)
+        with warnings.catch_warnings():  # as above
+            warnings.simplefilter("ignore", RuntimeWarning)
+            test: Any = ttest_ind(b, a, equal_var=False)
         low, high = map(float, test.confidence_interval(level))
     return Interval(value, low, high, "t", n)
 

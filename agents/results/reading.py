@@ -225,6 +225,8 @@ def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> li
         title = own if folder == "." else f"{own}/{folder}"
         try:
             groups += _groups(path, folder, title)
+        except OwnCodeError:
+            raise
         except UserError as error:
             notes.append(f"left out: {_relative(error, path, title)}")
     if not groups and not notes:

@@ -6,8 +6,10 @@ import json
 import numpy as np
 
 from agents.paper.presets import preset
+from agents.results.reading import read_folder
 from agents.training import derive, evaluation
 from agents.training.config import TrainConfig
+from agents.training.environments import view_of
 from agents.training.files import write_arrays
 
 TASK = "Circle2D-3-v0"
@@ -46,45 +48,90 @@ def write_steps(folder, run, costs, lengths, episodes, **more):
     return {run.prefix + name: array for name, array in arrays.items()}
 
 
-def write_runs(folder, task=TASK):
+def write_runs(folder, task=TASK, weight=1.0, lengths=(5,) * 24, each=2):
     """Two runs of SAC-Lag on a task: their steps, with positions, and neither checkpoint nor
-    evaluation."""
+    evaluation. weight: of a cost step; lengths: of episodes, of which there are `each` a rollout."""
     config = TrainConfig("sac-lag", (task,), (0, 1), 120, preset("sac-lag", task))
     config.write(folder)
-    costs = [cost for pair in STREAKS for streak in pair for cost in chain(streak, 5)]
+    costs = [weight * cost for pair in STREAKS for streak in pair for cost in chain(streak, 5)]
     arrays = {"metrics": np.array([], dtype=np.str_)}
     for run in config.runs:
         rows = np.arange(240, dtype=np.float32).reshape(120, 2) / 100 + run.seed
-        arrays |= write_steps(folder, run, costs, [5] * 24, 2, positions=rows)
+        arrays |= write_steps(folder, run, costs, lengths, each, positions=rows)
     (folder / "steps").mkdir()
     write_arrays(folder / "steps" / "000000120.npz", arrays)
     return config
 
 
-def write_evaluated(
-    folder, name, costs, hyperparameters=None, task="Circle2D-1-v0", seeds=None, returns=None
-):
-    """Evaluated runs of ten episodes of ten steps, with as many steps at a cost in each episode, in
-    one chain: a run for each number in `costs`, of the seeds 0, 1, ... where none are given.
+def evaluate(folder, **more):
+    """`results.npz` of such runs: an evaluated episode of each, and further arrays."""
+    config = TrainConfig.read(folder)
+    results = derive.derived(folder, config)
+    one = {"returns": np.array([-5.25]), "costs": np.array([[3.0]]), "lengths": np.array([10])}
+    for run in config.runs:
+        prefix = f"{run.prefix}evaluation/deterministic/"
+        results |= {prefix + name: array for name, array in one.items()}
+    write_arrays(folder / "results.npz", results | more)
 
-    returns: of the one evaluated episode of each run, -9 where none are given; its cost is 4.25.
+
+def write_evaluated(
+    folder,
+    name,
+    costs,
+    hyperparameters=None,
+    task="Circle2D-1-v0",
+    seeds=None,
+    returns=None,
+    evaluated=((4.25,),),
+    at=None,
+    second=None,
+):
+    """Evaluated runs of ten episodes of ten steps, of the seeds 0, 1, ... where none are given: for
+    each of `costs` a run with as many steps at a cost in each episode, in one chain, or with these
+    costs of its steps. second: the same of a second cost, "cost_2".
+
+    returns: of each run's evaluated episodes, -9 where none are given; evaluated: their costs, those
+    of the second cost are twice as high; of one for all runs, or of each. at: where each episode of
+    each run ends, in the arena's unit; without it nobody knows.
     """
     seeds = tuple(seeds or range(len(costs)))
-    config = TrainConfig(name, (task,), seeds, 100, hyperparameters or preset(name, task))
+    names = ("cost",) if second is None else ("cost", "cost_2")
+    own = hyperparameters or preset(name, task)
+    config = TrainConfig(name, (task,), seeds, 100, own, costs=names)
     config.write(folder)
-    (folder / "steps").mkdir()
     arrays = {"metrics": np.array([], dtype=np.str_)}
-    for run, cost in zip(config.runs, costs, strict=True):
-        arrays |= write_steps(folder, run, chain(cost, 10) * 10, [10] * 10, 1)
+    for run, *several in zip(config.runs, costs, second or costs, strict=True):
+        first, other = (c if isinstance(c, list) else chain(c, 10) * 10 for c in several)
+        more = {} if second is None else {"costs/cost_2": np.array(other, dtype=float)}
+        arrays |= write_steps(folder, run, first, [10] * 10, 1, **more)
+    (folder / "steps").mkdir()
     write_arrays(folder / "steps" / "000000100.npz", arrays)
-    results = derive.derived(folder, config)
-    for run, value in zip(config.runs, returns or [-9.0] * len(seeds), strict=True):
+    results, view = derive.derived(folder, config), view_of(task, {})
+    for k, run in enumerate(config.runs):
+        paid = np.array(evaluated[k % len(evaluated)], dtype=float)
+        found = {"returns": np.resize(np.array(returns[k] if returns else -9.0, float), len(paid))}
+        found |= {"costs": np.stack([paid, 2 * paid][: len(names)], axis=1)}
+        found |= {"lengths": np.full(len(paid), 10)}
         for policy in ("deterministic", "stochastic"):
-            prefix = f"{run.prefix}evaluation/{policy}/"
-            one = {"returns": np.array([value]), "costs": np.array([[4.25]])}
-            results |= {prefix + k: a for k, a in (one | {"lengths": np.array([10])}).items()}
+            if at is not None and policy == "deterministic":
+                found |= derive.places_of(view, np.array(at[k % len(at)], np.float32), paid)
+            results |= {f"{run.prefix}evaluation/{policy}/{n}": a for n, a in found.items()}
     write_arrays(folder / "results.npz", results)
     return config
+
+
+def edit_results(folder, **changes):
+    """Other arrays in `results.npz`, by their names with two underscores for each slash; None of one
+    that is to be missing."""
+    with np.load(folder / "results.npz") as file:
+        arrays = dict(file)
+    arrays |= {name.replace("__", "/"): array for name, array in changes.items()}
+    write_arrays(folder / "results.npz", {n: a for n, a in arrays.items() if a is not None})
+
+
+def groups_of(*folders):
+    """The groups of folders, which are not named after each other."""
+    return [group for folder in folders for group in read_folder(folder, folder.name)]
 
 
 def write_status(folder, share, speed=None, **sessions):

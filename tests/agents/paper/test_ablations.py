@@ -1,17 +1,16 @@
 """Both choices of settings that the paper does not print: their runs, and their table."""
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from small_runs import write_evaluated
 
 from agents.paper.grid import grid
 from agents.paper.presets import ablations, preset, unprinted
 from agents.reporting.report import table
 from agents.reporting.table import markdown
-from agents.training.config import TrainConfig
 
 ALGORITHMS = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
 TASK, SAFETY = "Circle2D-1-v0", "circle2d_mj/SafetyPointGoal1-v0"
@@ -45,7 +44,7 @@ def test_the_grid_with_ablations():
         algorithm = algorithm if changed else name
         if folder.endswith("-units"):
             changed = changed | {"input_scale": 15.0}
-        expected = replace(preset(algorithm, config.task), **changed)
+        expected = replace(preset(algorithm, config.tasks[0]), **changed)
         assert config.hyperparameters == expected
         assert (config.seeds, config.steps) == ((0, 1, 2), 1000)
     # What takes longest still goes first.
@@ -76,19 +75,10 @@ def test_a_table_says_what_of_its_presets_is_not_printed(tmp_path):
     assert f"SAC-LB: values bootstrap at the time limit of an episode. {told}" in by_safety
 
 
-def write_runs(folder, name, j_r, hyperparameters=None, steps=100, ends=((-0.5, 0.0),), task=TASK):
-    """Runs of ten episodes, each of a tenth of all steps, as files."""
-    seeds = tuple(range(len(j_r)))
-    hyperparameters = hyperparameters or preset(name, task)
-    TrainConfig(name, task, seeds, steps, hyperparameters).write(folder)
-    for seed, value in enumerate(j_r):
-        length = steps // 10
-        lines = ["rollout,start_step,length,return,cost,longest_streak"]
-        lines += [f"{k},{length * k},{length},-1.0,4.0,4" for k in range(10)]
-        (folder / f"seed-{seed}" / "episodes.csv").write_text("\n".join([*lines, ""]))
-        of = {"J_R": value, "J_C": 4.25, "CVaR_0.5": 6.5, "final_observations": [ends[seed % 2]]}
-        content = {"episodes": 1, "deterministic": of, "stochastic": of}
-        (folder / f"seed-{seed}" / "evaluation.json").write_text(json.dumps(content))
+def write_runs(folder, name, j_r, hyperparameters=None, ends=((-0.5, 0.0),), task=TASK):
+    """Runs of ten episodes with four of ten steps at a cost, which end in turn at some places."""
+    at = [[end] for end in ends] if task.startswith("Circle2D") else None
+    write_evaluated(folder, name, [4] * len(j_r), hyperparameters, task, returns=j_r, at=at)
 
 
 ENDS = ((-0.5, 0.0), (1.0, 0.0))

@@ -57,8 +57,8 @@ def as_the_paper_says(task, name):
 def group(task, name, runs, steps=None, **changes):
     seeds = tuple(of.seed for of in runs) or (0,)
     hyperparameters = replace(preset(name, task), **changes)
-    config = TrainConfig(name, task, seeds, steps or PAPER_STEPS[task], hyperparameters)
-    return Group(name, config, list(runs))
+    config = TrainConfig(name, (task,), seeds, steps or PAPER_STEPS[task], hyperparameters)
+    return Group(name, task, config, list(runs), [])
 
 
 @pytest.fixture
@@ -173,7 +173,7 @@ def test_what_decides_nothing(world):
     ]
     assert check_claims(others) == []
     # Beside the runs of the preset they change nothing.
-    ablated = [group(of.config.task, "trpo-lag", changed(of.runs, ALL, J_C=0.0)) for of in others]
+    ablated = [group(of.task, "trpo-lag", changed(of.runs, ALL, J_C=0.0)) for of in others]
     ablated = [replace(of, config=other.config) for of, other in zip(ablated, others, strict=True)]
     presets = [group(task, name, runs) for (task, name), runs in world.items()]
     assert [c.verdict for c in check_claims([*ablated, *presets])] == ["confirmed"] * 7

@@ -1,32 +1,27 @@
 """Two sets of runs side by side, from files written by hand."""
 
 import csv
-import json
 import math
 
 import numpy as np
 import pytest
 import scipy.stats
+from small_runs import chain, write_evaluated
 
 from agents.cli.main import main
-from agents.paper.presets import preset
 from agents.reporting.compare import compare
 from agents.reporting.table import markdown
-from agents.training.config import TrainConfig
 
 
-def write_runs(folder, name, j_r, task="Circle2D-1-v0", steps=100, streak=4):
+RIM = [[[1.0, 0.0]]]
+"""The right rim."""
+
+
+def write_runs(folder, name, j_r, task="Circle2D-1-v0", streak=4):
     """A run for each of some returns, of ten episodes of ten steps with four at a cost."""
-    seeds = tuple(range(len(j_r)))
-    TrainConfig(name, task, seeds, steps, preset(name, task)).write(folder)
-    for seed, value in zip(seeds, j_r, strict=True):
-        lines = ["rollout,start_step,length,return,cost,longest_streak"]
-        lines += [f"{k},{10 * k},10,-1.0,4.0,{streak}" for k in range(steps // 10)]
-        (folder / f"seed-{seed}" / "episodes.csv").write_text("\n".join([*lines, ""]))
-        at = [[1.0, 0.0]]
-        of = {"J_R": value, "J_C": 4.25, "CVaR_0.5": 6.5, "final_observations": at}
-        content = {"episodes": 1, "deterministic": of, "stochastic": of}
-        (folder / f"seed-{seed}" / "evaluation.json").write_text(json.dumps(content))
+    episode = chain(streak, 9) + [1.0] if streak < 4 else chain(4, 10)
+    costs = [episode * 10 for _ in j_r]
+    write_evaluated(folder, name, costs, task=task, returns=j_r, at=RIM)
     return folder
 
 
@@ -51,9 +46,10 @@ def test_by_hand(tmp_path):
     assert found["p"][:6] == ["1.000"] * 6
     assert found["P(B better)"][:6] == [*["1.00"] * 3, "0.50", "1.00", "0.50"]
     assert found["A: TRPO-Lag, seed 1"] == [
-        *("0.40", "0.40", "0.40", "0.40", "-20.00", "4.25", "6.50", "–", "1 of 1", "right rim")
+        *("0.40", "0.40", "0.40", "0.40", "-20.00", "4.25", "4.25", "4.00"),
+        *("1 of 1", "right rim"),
     ]
-    assert "corrected for the 7 comparisons made here (Holm)" in words  # no mean streak
+    assert "corrected for the 8 comparisons made here (Holm)" in words
     assert rows(markdown(compare(b, a)))["B - A: TRPO-Lag - CPO"][4] == "-8.00"
 
 
@@ -80,8 +76,8 @@ def test_five_seeds_have_intervals_and_tests(tmp_path):
     ).pvalue
     (line,) = (x for x in lines(out) if x["kind"] == "p")
     assert float(line["J_R"]) == pytest.approx(expected)
-    # All other measures are equal: p = 1, and Holm multiplies the smallest of seven by 7.
-    assert float(found["p"][4]) == pytest.approx(min(1, 7 * expected), abs=0.0006)
+    # All other measures are equal: p = 1, and Holm multiplies the smallest of eight by 8.
+    assert float(found["p"][4]) == pytest.approx(min(1, 8 * expected), abs=0.0006)
     half = scipy.stats.t.ppf(0.975, 4) * math.sqrt(2.5 / 5)
     assert found["A: CPO, mean of 5"][4] == f"-97.00 [{-97 - half:.2f}, {-97 + half:.2f}]"
     higher = [y > x for x in first for y in second]

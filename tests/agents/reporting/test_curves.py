@@ -45,10 +45,10 @@ TASK = "Circle2D-1-v0"
 
 def group(records, places=("",)):
     """Runs of CPO that end in some places in turn."""
-    config = TrainConfig("cpo", TASK, tuple(range(len(records))), TOTAL, preset("cpo", TASK))
+    config = TrainConfig("cpo", (TASK,), tuple(range(len(records))), TOTAL, preset("cpo", TASK))
     ends = [{places[k % len(places)]: 1} for k in range(len(records))]
     runs = [Run(k, {}, 1, ends[k], of_run) for k, of_run in enumerate(records)]
-    return Group("a", config, runs)
+    return Group("a", TASK, config, runs, [])
 
 
 THREE, FIVE = group(RUNS[:3]), group(RUNS)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from agents.results.steps import Episode
 
 from agents.reporting import pictures as films
 from agents.reporting.pictures import HELD, Panel
+from agents.training.derive import Episode
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
 

@@ -8,18 +8,19 @@ from types import SimpleNamespace
 import gymnasium as gym
 import numpy as np
 import pytest
-from agents.results.source import FolderSource
-from agents.results.steps import Episode
 from PIL import Image
-from small_runs import group_of, write_runs
+from small_runs import edit_results, evaluate, groups_of, write_runs
 
 from agents.reporting.figures import task_figures
 from agents.reporting.maps import SIZE, STATES, Map, Scenes, heat_png, maps, paths, shown_states
+from agents.results.reading import Group
+from agents.training import derive
+from agents.training.config import TrainConfig
+from agents.training.derive import Episode
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.render import canvas
 
-MEASURES = {"J_R": -5.25, "J_C": 3.0}
 TITLE = "SAC-Lag (120 steps)"
 
 
@@ -27,20 +28,22 @@ def image_of(content):
     return np.asarray(Image.open(io.BytesIO(content)).convert("RGBA")).astype(int)
 
 
-def group(folder, config, seeds=(0, 1)):
-    return group_of(folder, config, seeds, MEASURES)
-
-
 @pytest.fixture
 def groups(tmp_path):
-    """Three folders, the second without a record of positions and the third with one run less."""
-    found = []
+    """Three folders, the second without positions and the third with the second run alone."""
     for name in ("a", "b", "c"):
-        config = write_runs(tmp_path / name)
-        seeds = (0, 1) if name != "c" else (1,)
-        found.append(group(tmp_path / name, config, seeds))
-    (tmp_path / "b" / "seed-1" / "visited.npy").unlink()
-    return found
+        write_runs(tmp_path / name)
+        evaluate(tmp_path / name)
+    edit_results(tmp_path / "b", **{"Circle2D-3-v0__visits": None})
+    a, b, c = groups_of(*(tmp_path / name for name in ("a", "b", "c")))
+    alone = derived_of(tmp_path / "c", 1)
+    part = replace(c.parts[0], arrays=alone, config=replace(c.config, seeds=(1,)))
+    return [a, b, replace(c, runs=c.runs[1:], parts=[part])]
+
+
+def derived_of(folder, seed):
+    config = replace(TrainConfig.read(folder), seeds=(seed,))
+    return derive.derived(folder, config)
 
 
 def test_the_layers_are_those_of_the_view():
@@ -76,7 +79,7 @@ def test_heat_by_hand():
 def test_heat_maps_by_algorithm_and_third(groups, tmp_path):
     notes = []
     shown, *_ = maps(groups, Scenes(), notes)
-    assert f"no heat map of {tmp_path.name}/b: {tmp_path.name}/b/seed-1/visited.npy" in notes[0]
+    assert notes[0] == "no heat map of b: it has no positions"
     assert not any(str(tmp_path) in note for note in notes)
     assert shown.columns == [TITLE] * 2
     assert shown.rows[0] == "0 to 33 % of training"
@@ -101,23 +104,23 @@ def test_heat_maps_by_algorithm_and_third(groups, tmp_path):
     assert words[4:] == ["EMCC 0.60 (2 of 8 rollouts)", "EMCC 0.60 (1 of 4 rollouts)"]
 
 
-class Played(FolderSource):
+class Played(Group):
     """Runs whose policies' episodes are given."""
 
-    def trained(self, folder, config, seeds):
+    def trained(self, seeds):
         return {seed: EPISODES[seed] for seed in seeds}
 
 
-def played(groups, tmp_path):
-    return [replace(group, source=Played(tmp_path)) for group in groups]
+def played(groups):
+    return [Played(**{k: getattr(g, k) for k in g.__dataclass_fields__}) for g in groups]
 
 
 PATH = np.linspace((12.0, 1.5), (2.0, 1.5), 11).astype(np.float32)
 EPISODES = {0: None, 1: [Episode(PATH, np.array([0.0, 1, 1, 0, 0, 0, 0, 0, 0, 1]))]}
 
 
-def test_paths_of_trained_policies(groups, tmp_path):
-    _, shown = maps(played(groups[::2], tmp_path), Scenes(), [])
+def test_paths_of_trained_policies(groups):
+    _, shown = maps(played(groups[::2]), Scenes(), [])
     (diverged, one), (two, gap) = shown.cells
     assert diverged == "seed 0: J_R -5.2, J_C 3.0; its numbers are not finite"
     assert gap == ""
@@ -128,8 +131,8 @@ def test_paths_of_trained_policies(groups, tmp_path):
     assert one.costs == "M833 450h0M800 450h0M567 450h0"
 
 
-def test_maps_of_one_algorithm_stand_side_by_side(groups, tmp_path):
-    visited, trained = maps(played(groups[:1], tmp_path), Scenes(), [])
+def test_maps_of_one_algorithm_stand_side_by_side(groups):
+    visited, trained = maps(played(groups[:1]), Scenes(), [])
     assert (len(visited.columns), visited.rows) == (3, [TITLE])
     assert (list(trained.columns), len(trained.cells)) == (["run 1", "run 2"], 1)
 
@@ -157,10 +160,10 @@ def test_a_cost_between_two_drawn_states_is_shown():
     assert way.count(" 0") >= 120
 
 
-def test_tasks_without_a_view_have_curves_alone(groups, tmp_path):
+def test_tasks_without_a_view_have_curves_alone(groups):
     gym.register("NoView-v0", lambda: NoView())
     try:
-        other = [replace(g, config=replace(g.config, task="NoView-v0")) for g in groups]
+        other = [replace(g, task="NoView-v0") for g in groups]
         notes = []
         assert maps(other, Scenes(), notes) == []
     finally:
@@ -178,11 +181,12 @@ class NoView(gym.Env):
 
 def test_the_safety_tasks_have_heat_maps(tmp_path):
     task, rng = "circle2d_mj/SafetyPointCircle1-v0", np.random.default_rng(0)
-    config = write_runs(tmp_path / "a", task)
-    for seed in (0, 1):
-        positions = rng.uniform(-1, 1, (120, 2)).astype(np.float32)
-        np.save(tmp_path / "a" / f"seed-{seed}" / "visited.npy", positions)
+    write_runs(tmp_path / "a", task)
+    counts = rng.integers(0, 2, (3, 160, 160)).astype(np.uint32)
+    name = "circle2d_mj-SafetyPointCircle1-v0"
+    visits = {f"{name}/visits": counts, f"{name}/visited": np.full((3, 3), 0.5)}
+    evaluate(tmp_path / "a", **visits)
     notes = []
-    (shown,) = maps([group(tmp_path / "a", config)], Scenes(), notes)
+    (shown,) = maps(groups_of(tmp_path / "a"), Scenes(), notes)
     assert [note.partition(" of ")[0] for note in notes] == ["no trajectories"]
     assert all((image_of(cell.heat)[..., 3] > 0).sum() > 15 for cell in shown.cells[0])

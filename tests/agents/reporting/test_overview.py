@@ -37,8 +37,8 @@ def run(seed, cost, streak, end="corridor"):
 
 def group(task, name, runs):
     seeds = tuple(of.seed for of in runs)
-    config = TrainConfig(name, task, seeds, STEPS, preset(name, task))
-    return Group(f"{task}/{name}", config, list(runs))
+    config = TrainConfig(name, (task,), seeds, STEPS, preset(name, task))
+    return Group(f"{task}/{name}", task, config, list(runs), [])
 
 
 @pytest.fixture
@@ -146,7 +146,7 @@ def test_unequal_spreads_are_not_equal_rates(groups):
 
 
 def test_fewer_than_five_runs_are_in_no_comparison(groups):
-    few = [group(of.config.task, of.config.algorithm, of.runs[:4]) for of in groups]
+    few = [group(of.task, of.config.algorithm, of.runs[:4]) for of in groups]
     assert comparisons(few) == []
     assert separated_table(few) is over_tasks(few) is None
 

@@ -19,11 +19,11 @@ FINAL = {"cost_returns": [4.0, 0.0], "lengths": [4, 4]}
 def a_group(algorithm, costs=COSTS, seeds=(0,), evaluation=None, **changes):
     hyperparameters = dataclasses.replace(preset(algorithm, TASK), **changes)
     steps = sum(map(len, costs))
-    config = TrainConfig(algorithm, TASK, tuple(seeds), steps, hyperparameters)
+    config = TrainConfig(algorithm, (TASK,), tuple(seeds), steps, hyperparameters)
     records = EpisodeRecords.from_costs(np.concatenate(costs), list(map(len, costs)))
     evaluation = {"deterministic": FINAL} if evaluation is None else evaluation
     runs = [Run(seed, {}, 2, {}, records, evaluation) for seed in seeds]
-    return Group(algorithm, config, runs)
+    return Group(algorithm, TASK, config, runs, [])
 
 
 def cells(table):

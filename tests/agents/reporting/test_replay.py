@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_runs import STREAKS, group_of, write_runs
+from small_runs import STREAKS, chain, edit_results, evaluate, groups_of, write_runs
 
 from agents.reporting.maps import Scenes
 from agents.reporting.page import script_json
@@ -15,15 +15,12 @@ from agents.reporting.replay import replay_data
 
 @pytest.fixture
 def runs(tmp_path):
-    """Two runs of 24 episodes of 5 steps, each with its chain of cost steps at its end."""
-    config = write_runs(tmp_path / "a")
+    """Two runs of 24 episodes of 5 steps, each with a chain of cost steps at its beginning."""
+    write_runs(tmp_path / "a")
+    evaluate(tmp_path / "a")
     streaks = [streak for pair in STREAKS for streak in pair]
-    costs = np.concatenate([[0.0] * (5 - k) + [1.0] * k for k in streaks])
-    for seed in config.seeds:
-        np.save(tmp_path / "a" / f"seed-{seed}" / "costs.npy", costs)
-    return SimpleNamespace(
-        folder=tmp_path, group=group_of(tmp_path / "a", config), streaks=streaks, costs=costs
-    )
+    costs = np.concatenate([chain(k, 5) for k in streaks])
+    return SimpleNamespace(folder=tmp_path, streaks=streaks, costs=costs)
 
 
 def bits(text):
@@ -32,7 +29,7 @@ def bits(text):
 
 def test_every_number(runs):
     notes = []
-    data = replay_data([runs.group], Scenes(), notes)
+    data = replay_data(groups_of(runs.folder / "a"), Scenes(), notes)
     assert notes == []
     assert (data["windows"], data["extents"]) == (60, [[-15.0, 15.0, -15.0, 15.0]])
     assert [run["seed"] for run in data["runs"]] == [0, 1]
@@ -43,7 +40,7 @@ def test_every_number(runs):
         assert run["window"] == [5 * k // 2 for k in range(24)]
         assert (run["length"], run["cost"]) == (5, None)
         np.testing.assert_array_equal(bits(run["unsafe"])[:120], runs.costs)
-        visited = np.load(runs.folder / "a" / f"seed-{seed}" / "visited.npy")
+        visited = np.arange(240).reshape(120, 2) / 100 + seed
         weights = 2 ** np.arange(9, -1, -1)
         points = bits(run["points"])[: 120 * 20].reshape(120, 2, 10) @ weights
         low, high = np.reshape(run["box"], (2, 2))
@@ -55,31 +52,20 @@ def test_every_number(runs):
 
 def test_costs_and_lengths_that_differ(runs):
     """Costs other than 0 and 1 are summed, and lengths told one by one, where they must be."""
-    folder = runs.folder / "a" / "seed-1"
-    np.save(folder / "costs.npy", runs.costs * 2.5)
-    lines = (folder / "episodes.csv").read_text().splitlines()
-    rollout, start, length, *others = lines[-1].split(",")
-    merged = ",".join([rollout, str(int(start) - 5), str(int(length) + 5), *others])
-    (folder / "episodes.csv").write_text("\n".join([*lines[:-2], merged, ""]))
-    data = replay_data([group_of(runs.folder / "a", runs.group.config)], Scenes(), [])
-    run = data["runs"][1]
-    assert run["length"] == [5] * 22 + [10]
+    folder, lengths = runs.folder / "b", [5] * 22 + [10]
+    write_runs(folder, weight=2.5, lengths=lengths, each=1)
+    evaluate(folder)
+    _, run = replay_data(groups_of(folder), Scenes(), [])["runs"]
+    assert run["length"] == lengths
     assert run["cost"] == [2.5 * k for k in runs.streaks[:22]] + [2.5 * sum(runs.streaks[22:])]
 
 
 def test_runs_that_cannot_be_replayed(runs):
-    config = write_runs(runs.folder / "b")
-    groups = [group_of(runs.folder / "b", config), runs.group]
-    (runs.folder / "a" / "seed-1" / "visited.npy").unlink()
+    edit_results(runs.folder / "a", **{"Circle2D-3-v0__1__replay__points": None})
     notes = []
-    data = replay_data(groups, Scenes(), notes)
+    data = replay_data(groups_of(runs.folder / "a"), Scenes(), notes)
     assert [run["seed"] for run in data["runs"]] == [0]
-    name = runs.folder.name
-    assert notes == [
-        f"no replay of {name}/b: {name}/b/seed-0/costs.npy is missing: the run has no record of "
-        "its steps",
-        f"no replay of {name}/a: it has no positions",
-    ]
+    assert notes == ["no replay of a: it has no positions"]
 
 
 def test_names_cannot_end_the_script():

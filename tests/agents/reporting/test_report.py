@@ -1,66 +1,46 @@
 """Every number of a row of ours, from files written by hand."""
 
-import json
+import numpy as np
+from small_runs import chain, edit_results, write_evaluated
 
-from small_runs import write_evaluated
-
-from agents.paper.presets import preset
 from agents.paper.printed import paper_results
 from agents.reporting.report import report, table
 from agents.reporting.table import markdown
-from agents.training.config import TrainConfig
 
 # Ten episodes of ten steps; streaks over length are the MCC of the rollouts.
 STREAKS = [8, 2, 3, 1, 0, 4, 4, 9, 0, 10]
 COSTS = [8, 5, 3, 1, 0, 6, 4, 9, 0, 10]
+AT = [[[-0.5, 0.0]] * 3 + [[1.0, 0.0]]]  # of the arena: (-7.5, 0) is in the corridor
+PREFIX = "Circle2D-1-v0__1__"
 
 
-def write_run(folder, j_r):
-    lines = ["rollout,start_step,length,return,cost,longest_streak"]
-    for k, (streak, cost) in enumerate(zip(STREAKS, COSTS, strict=True)):
-        lines.append(f"{k},{10 * k},10,-1.0,{cost}.0,{streak}")
-    (folder / "episodes.csv").write_text("\n".join([*lines, ""]))
-    at = [[-0.5, 0.0]] * 3 + [[1.0, 0.0]]  # of the arena: (-7.5, 0) is in the corridor
-    deterministic = {"J_R": j_r, "J_C": 4.25, "CVaR_0.5": 6.5, "final_observations": at}
-    stochastic = {"J_R": 99.0, "J_C": 99.0, "CVaR_0.5": 99.0, "final_observations": []}
-    content = {"episodes": 4, "deterministic": deterministic, "stochastic": stochastic}
-    (folder / "evaluation.json").write_text(json.dumps(content))
+def by_hand(folder, **options):
+    """Two runs of those episodes, whose further cost steps are the last ones, two at a time."""
+    steps = []
+    for streak, cost in zip(STREAKS, COSTS, strict=True):
+        episode = chain(streak, 10)
+        for k in range(cost - streak):
+            episode[9 - k - k // 2] = 1.0
+        steps += episode
+    options = {"evaluated": ((2.0, 2.0, 6.0, 7.0),), "at": AT} | options
+    write_evaluated(folder, "sac-lag", [steps, steps], **options)
 
 
 def test_a_table_by_hand(tmp_path):
-    hyperparameters = preset("sac-lag", "Circle2D-1-v0")
-    config = TrainConfig("sac-lag", "Circle2D-1-v0", (0, 1), 100, hyperparameters)
-    config.write(tmp_path)
-    write_run(tmp_path / "seed-0", -10.0)
-    write_run(tmp_path / "seed-1", -20.0)
+    by_hand(tmp_path, returns=(-10.0, -20.0))
     rows = [
         line.split("|")[1:-1] for line in markdown(table(tmp_path)).splitlines() if "| SAC" in line
     ]
     rows = [[cell.strip() for cell in row] for row in rows]
     # Starts 0 10 20 30 | 40 50 60 | 70 80 90 of 100 steps. The highest tenth of three or four
-    # values is the highest alone: .8, .4, 1. Costs: 46 of 100 steps.
+    # values is the highest alone: .8, .4, 1. Costs: 46 of 100 steps, in 10 chains: one of each
+    # episode with costs, and two of one step and one of two more.
     numbers = ["0.80", "0.40", "1.00", "0.46"]
-    end = "corridor (75 %)"
-    assert rows[2] == [
-        "SAC-Lag (100 steps), seed 0",
-        *numbers,
-        "-10.00",
-        "4.25",
-        "6.50",
-        "–",
-        "1 of 1",
-        end,
-    ]
-    assert rows[3] == [
-        "SAC-Lag (100 steps), seed 1",
-        *numbers,
-        "-20.00",
-        "4.25",
-        "6.50",
-        "–",
-        "1 of 1",
-        end,
-    ]
+    for seed, j_r in ((0, "-10.00"), (1, "-20.00")):
+        assert rows[2 + seed] == [
+            *(f"SAC-Lag (100 steps), seed {seed}", *numbers, j_r, "4.25", "6.50"),
+            *("4.60", "1 of 1", "corridor (75 %)"),
+        ]
     assert rows[0][0] == "SAC-Lag (100 steps), mean of 2"
     assert [cell.split(" ")[0] for cell in rows[0][1:8]] == [*numbers, "-15.00", "4.25", "6.50"]
     assert rows[0][5] == "-15.00 range -20.00 to -10.00"
@@ -69,14 +49,7 @@ def test_a_table_by_hand(tmp_path):
 
 def test_ways_in_words(tmp_path):
     """Of four episodes three end in the corridor: with the costs 4, 5 and 12 one came round."""
-    task = "Circle2D-1-v0"
-    TrainConfig("sac-lag", task, (0, 1), 100, preset("sac-lag", task)).write(tmp_path)
-    for seed, costs in enumerate(([4.0, 5.0, 12.0, 0.0], [0.0, 0.0, 3.0, 50.0])):
-        write_run(tmp_path / f"seed-{seed}", -10.0)
-        path = tmp_path / f"seed-{seed}" / "evaluation.json"
-        content = json.loads(path.read_text())
-        content["deterministic"]["cost_returns"] = costs
-        path.write_text(json.dumps(content))
+    by_hand(tmp_path, evaluated=((4.0, 5.0, 12.0, 0.0), (0.0, 0.0, 3.0, 50.0)))
     words = markdown(table(tmp_path))
     rows = [line.split("|")[-2].strip() for line in words.splitlines() if "| SAC" in line]
     one = "1 of 2 [0.01, 0.99]"
@@ -87,34 +60,23 @@ def test_ways_in_words(tmp_path):
     assert '"corridor (75 %, 25 % round, 50 % through)"' in written
 
 
-def test_an_unfinished_run_is_in_no_mean(tmp_path):
-    """Though it has been evaluated, as anybody may do at any time."""
-    task = "Circle2D-1-v0"
-    TrainConfig("sac-lag", task, (0, 1), 100, preset("sac-lag", task)).write(tmp_path)
-    for seed in (0, 1):
-        write_run(tmp_path / f"seed-{seed}", -10.0)
-    episodes = tmp_path / "seed-1" / "episodes.csv"
-    episodes.write_text("".join(episodes.read_text().splitlines(keepends=True)[:-2]))
+def test_runs_left_out_are_in_no_mean_and_have_a_note_for_each_reason(tmp_path):
+    """Of five runs one is whole, two lack their last rollouts, one its steps, and one failed."""
+    write_evaluated(tmp_path, "cpo", costs=(1, 2, 3, 4, 5))
+    changes = {f"Circle2D-1-v0__{k}__length": np.full(8, 10) for k in (2, 3)}
+    changes |= {f"Circle2D-1-v0__{k}__rollouts": np.ones(8, int) for k in (2, 3)}
+    changes |= {f"Circle2D-1-v0__{k}__return": np.full(8, -1.0) for k in (2, 3)}
+    changes |= {f"Circle2D-1-v0__{k}__costs__cost__steps": np.array(80) for k in (2, 3)}
+    changes |= {"Circle2D-1-v0__1__length": None, "Circle2D-1-v0__4__failure": np.array("it fell")}
+    edit_results(tmp_path, **changes)
     words = markdown(table(tmp_path))
-    assert "seed-1: is unfinished: 80 of 100 steps" in words
-    assert "mean of 1" in words
-    assert "seed 1 |" not in words
-
-
-def test_runs_left_out_for_one_reason_are_one_note(tmp_path):
-    task = "Circle2D-1-v0"
-    TrainConfig("cpo", task, tuple(range(5)), 100, preset("cpo", task)).write(tmp_path)
-    for seed in range(4):
-        write_run(tmp_path / f"seed-{seed}", -10.0)
-    for seed, kept in {0: 10, 2: 8, 3: 8}.items():
-        episodes = tmp_path / f"seed-{seed}" / "episodes.csv"
-        episodes.write_text("".join(episodes.read_text().splitlines(keepends=True)[: 1 + kept]))
-    (tmp_path / "seed-1" / "episodes.csv").unlink()
-    lines = markdown(table(tmp_path)).splitlines()
-    assert [line for line in lines if "left out" in line] == [
-        f"Note: left out: {tmp_path.name}, seeds 1, 4: has no checkpoint yet",
+    assert [line for line in words.splitlines() if "left out" in line] == [
+        f"Note: left out: {tmp_path.name}, seed 1: has no checkpoint yet",
         f"Note: left out: {tmp_path.name}, seeds 2, 3: is unfinished: 80 of 100 steps",
+        f"Note: left out: {tmp_path.name}, seed 4: it fell",
     ]
+    assert "mean of 1" in words
+    assert "seed 2 |" not in words
 
 
 def test_a_title_for_each_table_and_one_legend(tmp_path):
@@ -140,7 +102,7 @@ def test_names_of_other_people_are_neither_html_nor_control_sequences(tmp_path):
     """In report.md and on the terminal; the page escapes them anyway."""
     folder = tmp_path / "<script>alert(1)<" / "\x1b[31mred"
     write_evaluated(folder, "cpo", costs=(4, 4))
-    (folder / "seed-1" / "evaluation.json").unlink()
+    edit_results(folder, **{f"{PREFIX}evaluation__deterministic__returns": None})
     text = markdown(table(tmp_path))
     assert text == (tmp_path / "report.md").read_text()
     assert "&lt;script>alert" in text

@@ -14,7 +14,7 @@ from agents.training.config import TrainConfig
 
 
 def config(name):
-    return TrainConfig(name, "Circle2D-1-v0", (0,), 1000, ALGORITHMS[name].config())
+    return TrainConfig(name, ("Circle2D-1-v0",), (0,), 1000, ALGORITHMS[name].config())
 
 
 @pytest.mark.parametrize("deficiency", SEEN)

@@ -1,20 +1,20 @@
 """A measure from outside, and measures that runs lack, in everything that a report writes."""
 
 import csv
-import html
-import json
 
 import numpy as np
 import pytest
-from small_runs import write_evaluated
+from small_runs import groups_of, write_evaluated
 
+from agents.errors import OwnCodeError
+from agents.paper import presets
+from agents.paper.evidence import gather
 from agents.paper.presets import ablations
 from agents.reporting.compare import compare
 from agents.reporting.report import report
 from agents.reporting.table import markdown
 from agents.results.measures import (
     Measure,
-    MeasureFailure,
     RunData,
     measure,
     measures,
@@ -26,8 +26,9 @@ from emcc import EpisodeRecords
 
 
 def worst_cost(run):
-    """Known of runs that recorded cost steps alone, so that old ones lack it."""
-    return None if run.records.cost_steps is None else float(run.records.cost.max()) / 8
+    """Unknown of runs that cost nine steps an episode."""
+    worst = float(run.records.cost.max())
+    return None if worst == 9 else worst / 8
 
 
 @pytest.fixture
@@ -44,7 +45,7 @@ def test_a_measure_from_outside_is_everywhere(outside, tmp_path):
     other = ablations("trpo-lag", "Circle2D-1-v0")["sgd"]
     write_evaluated(a / "sgd", "trpo-lag", costs=(6, 6), hyperparameters=other)
     write_evaluated(a / "cpo", "cpo", costs=(3, 3))
-    write_evaluated(a / "wcsac", "wcsac", costs=(5, 5), old=True)
+    write_evaluated(a / "wcsac", "wcsac", costs=(9, 9))
     write_evaluated(b, "trpo-lag", costs=(7, 7))
     report(a)
     compare(a, b, tmp_path)
@@ -71,13 +72,13 @@ def test_a_measure_from_outside_is_everywhere(outside, tmp_path):
     assert float(of["B - A: TRPO-Lag (100 steps)", "difference", ""]["worst_cost"]) == 0.3125
     of = lines(a / "report.csv")
     assert float(of["CPO (100 steps)", "run", "1"]["worst_cost"]) == 0.375
-    # What old runs lack is a dash, and empty for a program.
-    of_old = rows(tables)["WCSAC (100 steps), mean of 2"]
-    assert (of_old[head], of_old["mean streak (steps)"]) == ("–", "–")
-    assert of_old["EMCC_0.33"] == "0.50 range 0.50 to 0.50"
+    # What runs lack is a dash, and empty for a program.
+    of_lacking = rows(tables)["WCSAC (100 steps), mean of 2"]
+    assert of_lacking[head] == "–"
+    assert of_lacking["EMCC_0.33"] == "0.90 range 0.90 to 0.90"
     assert rows(tables)["TRPO-Lag, paper (3 seeds)"][head] == "–"
     for line in (of["WCSAC (100 steps)", "mean", ""], of["TRPO-Lag", "paper", ""]):
-        assert (line["worst_cost"], line["mean_streak"]) == ("", "")
+        assert line["worst_cost"] == ""
 
 
 def rows(markdown):
@@ -93,20 +94,35 @@ def lines(path):
         return {(x["algorithm"], x["kind"], x["seed"]): x for x in csv.DictReader(file)}
 
 
-def test_an_evaluation_without_a_measure(tmp_path):
-    write_evaluated(tmp_path / "cpo", "cpo", costs=(4, 4))
-    path = tmp_path / "cpo" / "seed-1" / "evaluation.json"
-    content = json.loads(path.read_text())
-    del content["deterministic"]["CVaR_0.5"]
-    path.write_text(json.dumps(content))
-    of = rows(markdown(report(tmp_path).blocks))
-    assert of["CPO (100 steps), mean of 2"]["CVaR_0.5"] == "–"
-    assert of["CPO (100 steps), seed 0"]["CVaR_0.5"] == "6.50"
-    assert of["CPO (100 steps), seed 1"]["CVaR_0.5"] == "–"
-    assert ">–</td>" in html.unescape((tmp_path / "index.html").read_text())
-    content["deterministic"]["J_R"] = float("nan")
-    path.write_text(json.dumps(content))
-    assert "cpo/seed-1: J_R is not finite: nan" in markdown(report(tmp_path).blocks)
+def test_an_evaluation_that_is_not_finite(tmp_path):
+    write_evaluated(tmp_path / "cpo", "cpo", costs=(4, 4), returns=(-9.0, float("nan")))
+    words = markdown(report(tmp_path).blocks)
+    assert "seed 1: J_R is not finite: nan" in words
+    assert "CPO (100 steps), mean of 1" in words
+
+
+def test_a_second_cost_has_rows_of_its_own_and_decides_no_claim(tmp_path, monkeypatch):
+    task = "Circle2D-1-v0"
+    write_evaluated(tmp_path / "two", "cpo", costs=(4, 4), second=(7, 8))
+    monkeypatch.setitem(presets.PAPER_STEPS, task, 100)
+    report(tmp_path)
+    table = rows((tmp_path / "report.md").read_text()[len("## The") :].partition(f"## {task}")[2])
+    first, second = (table[f"CPO{of}, mean of 2"] for of in ("", " (cost_2)"))
+    assert (first["cost rate"].strip("*")[:4], second["cost rate"]) == (
+        "0.40",
+        "0.75 range 0.70 to 0.80",
+    )
+    assert (first["J_C"].strip("*")[:4], second["J_C"].strip("*")[:4]) == ("4.25", "8.50")
+    assert first["within limit"] == "2 of 2 [0.16, 1.00]"
+    assert second["within limit"] == "–"  # nothing limits it
+    of = lines(tmp_path / "report.csv")
+    rates = [float(of[f"CPO{k}", "run", "1"]["cost_rate"]) for k in ("", " (cost_2)")]
+    assert rates == pytest.approx([0.4, 0.8])
+    assert len([key for key in of if key[1] == "run"]) == 4
+    both = groups_of(tmp_path / "two")
+    assert [group.cost for group in both] == ["cost", "cost_2"]
+    assert len(gather(both)[task, "cpo"].runs) == 2
+    assert gather(both[1:])[task, "cpo"].lacking == "no runs"
 
 
 def test_the_mean_streak_by_hand():
@@ -140,7 +156,9 @@ def test_a_measure_that_raises_is_named_and_the_run_is_not_blamed(tmp_path):
     write_evaluated(tmp_path / "cpo", "cpo", costs=(4, 4))
     register(Measure("mine", "mine", "", 2, "lower", lambda run: [][0]))
     try:
-        with pytest.raises(MeasureFailure, match=r"'mine' failed on run .*cpo/seed-0") as raised:
+        with pytest.raises(
+            OwnCodeError, match=r"'mine' failed on run .*cpo, Circle2D-1-v0, seed 0"
+        ) as raised:
             report(tmp_path)
     finally:
         unregister("mine")
