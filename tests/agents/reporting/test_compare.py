@@ -12,7 +12,6 @@ from agents.cli.main import main
 from agents.reporting.compare import compare
 from agents.reporting.table import markdown
 
-
 RIM = [[[1.0, 0.0]]]
 """The right rim."""
 
