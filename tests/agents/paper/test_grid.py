@@ -13,14 +13,26 @@ def test_the_papers_grid():
     tasks = grid.circle2d_tasks((0, 1, 2, 3), mujoco=False)
     algorithms = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
     configs = grid.grid(Path("x"), tasks, algorithms, grid.SEEDS)
-    assert sum(len(config.seeds) for config in configs.values()) == 60
-    assert {(c.task, c.algorithm) for c in configs.values()} == {
+    assert sum(len(config.runs) for config in configs.values()) == 60
+    assert {(task, c.algorithm) for c in configs.values() for task in c.tasks} == {
         (task, name) for task in tasks for name in algorithms
     }
     for config in configs.values():
-        assert config.hyperparameters == preset(config.algorithm, config.task)
+        assert config.hyperparameters == preset(config.algorithm, config.tasks[0])
         assert config.steps == 1_000_000
-    assert [config.algorithm for config in configs.values()][-4:] == ["trpo-lag"] * 4
+    # Four tasks of three runs are one training; what takes longest goes first.
+    assert [folder.name for folder in configs][-1] == "trpo-lag"
+    assert len(configs) == 5
+
+
+def test_tasks_train_together_where_they_are_alike_and_few():
+    tasks = grid.circle2d_tasks((0, 1), mujoco=False)
+    assert list(grid.grid(Path("x"), tasks, ["cpo"], range(6))) == [Path("x/cpo")]
+    apart = [Path("x") / task / "cpo" for task in tasks]
+    assert list(grid.grid(Path("x"), tasks, ["cpo"], range(7))) == apart
+    safety = "circle2d_mj/SafetyPointGoal1-v0"  # of another preset
+    other = grid.grid(Path("x"), [tasks[0], safety], ["cpo"], (0,), 1000)
+    assert set(other) == {apart[0], Path("x/circle2d_mj-SafetyPointGoal1-v0/cpo")}
 
 
 def test_lengths_are_the_papers():
@@ -36,14 +48,6 @@ def test_unknown_levels():
         "Circle2DMuJoCo-1-v0",
         "Circle2DMuJoCo-0-v0",
     ]
-
-
-def test_the_time_left_is_that_of_the_mean_pace_so_far():
-    """From 50 to 60 of 100 in 10 s: a second each, and 40 are left."""
-    assert grid.seconds_left(10.0, before=50.0, done=60.0, total=100.0) == pytest.approx(40.0)
-    assert grid.seconds_left(10.0, before=0.0, done=80.0, total=100.0) == pytest.approx(2.5)
-    assert grid.seconds_left(10.0, before=50.0, done=50.0, total=100.0) is None
-    assert grid.seconds_left(10.0, before=0.0, done=100.0, total=100.0) == 0.0
 
 
 def test_shards_are_a_partition(tmp_path):

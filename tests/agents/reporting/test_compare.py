@@ -12,14 +12,13 @@ from agents.cli.main import main
 from agents.reporting.compare import compare
 from agents.reporting.table import markdown
 
-
 RIM = [[[1.0, 0.0]]]
 """The right rim."""
 
 
 def write_runs(folder, name, j_r, task="Circle2D-1-v0", streak=4):
     """A run for each of some returns, of ten episodes of ten steps with four at a cost."""
-    episode = chain(streak, 9) + [1.0] if streak < 4 else chain(4, 10)
+    episode = [*chain(streak, 9), 1.0] if streak < 4 else chain(4, 10)
     costs = [episode * 10 for _ in j_r]
     write_evaluated(folder, name, costs, task=task, returns=j_r, at=RIM)
     return folder

@@ -7,6 +7,8 @@ import shutil
 import imageio.v3 as imageio
 import numpy as np
 import pytest
+from agents.results.steps import count_visits
+from agents.training.loop import train
 from small_runs import TASK, write_runs
 
 from agents.cli.main import main
@@ -14,9 +16,7 @@ from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.reporting import pictures
 from agents.reporting.pictures import HELD
-from agents.results.steps import count_visits
 from agents.training.config import TrainConfig
-from agents.training.loop import train
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.render import gl, renderer
 from circle2d_mj.render.figure import figure
