@@ -91,8 +91,8 @@ def write_evaluated(
     costs of its steps. second: the same of a second cost, "cost_2".
 
     returns: of each run's evaluated episodes, -9 where none are given; evaluated: their costs,
-    those of the second cost are twice as high; of one for all runs, or of each. at: where each episode of
-    each run ends, in the arena's unit; without it nobody knows.
+    those of the second cost are twice as high; of one for all runs, or of each. at: where each
+    episode of each run ends, in the arena's unit; without it nobody knows.
     """
     seeds = tuple(seeds or range(len(costs)))
     names = ("cost",) if second is None else ("cost", "cost_2")

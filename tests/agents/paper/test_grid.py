@@ -52,7 +52,7 @@ def test_unknown_levels():
 
 def test_shards_are_a_partition(tmp_path):
     tasks = grid.circle2d_tasks((0, 1), mujoco=False)
-    whole = grid.grid(tmp_path, tasks, ["cpo", "sac-lb", "trpo-lag"], (0,), 1000)
+    whole = grid.grid(tmp_path, tasks, ["cpo", "sac-lb", "trpo-lag"], range(7), 1000)
     parts = [grid.shard(whole, part, 4) for part in (1, 2, 3, 4)]
     assert sorted(folder for part in parts for folder in part) == sorted(whole)
     assert [len(part) for part in parts] == [2, 2, 1, 1]

@@ -1,4 +1,5 @@
-"""Trainings of these tests end with few evaluated episodes, but where processes of their own train."""
+"""Trainings of these tests end with few evaluated episodes, but where processes of their own train.
+"""
 
 import pytest
 import toys

@@ -31,7 +31,7 @@ def test_trains_resumes_and_is_independent_of_its_company(name, task, tmp_path):
     folders = {key: tmp_path / key for key in ("whole", "stopped", "alone")}
     for key, folder in folders.items():
         config(name, task, (1,) if key == "alone" else (0, 1)).write(folder)
-    assert train(folders["stopped"], lambda trainer: trainer.steps.max() < 150).stopped
+    assert train(folders["stopped"], lambda it: bool(it.steps.max() < 150)).stopped
     for folder in folders.values():
         assert (train(folder).failures == "").all()
     run = config(name, task).runs[1]
