@@ -6,7 +6,6 @@ import shutil
 import imageio.v3 as imageio
 import numpy as np
 import pytest
-from agents.training.loop import train
 from small_runs import TASK, edit_results, evaluate, write_runs
 
 from agents.cli.main import main
@@ -14,7 +13,9 @@ from agents.paper.presets import preset
 from agents.reporting import pictures
 from agents.reporting.pictures import HELD
 from agents.results.reading import read_folder
-from agents.training.config import TrainConfig
+from agents.training.config import RunId, TrainConfig
+from agents.training.derive import Steps, count_visits
+from agents.training.trainer import train
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.render import gl, renderer

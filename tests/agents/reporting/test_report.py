@@ -33,8 +33,8 @@ def test_a_table_by_hand(tmp_path):
     ]
     rows = [[cell.strip() for cell in row] for row in rows]
     # Starts 0 10 20 30 | 40 50 60 | 70 80 90 of 100 steps. The highest tenth of three or four
-    # values is the highest alone: .8, .4, 1. CVaR: of 1 3 6 7 those from the quantile, 3, on. Costs:
-    # 46 of 100 steps, in 11 chains: one of each episode with costs, and three more.
+    # values is the highest alone: .8, .4, 1. CVaR: of 1 3 6 7 those from 3 on. Costs: 46
+    # of 100 steps, in 11 chains: one of each episode with costs, and three more.
     numbers = ["0.80", "0.40", "1.00", "0.46"]
     for seed, j_r in ((0, "-10.00"), (1, "-20.00")):
         assert rows[2 + seed] == [
