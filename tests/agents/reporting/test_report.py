@@ -39,12 +39,12 @@ def test_a_table_by_hand(tmp_path):
     for seed, j_r in ((0, "-10.00"), (1, "-20.00")):
         assert rows[2 + seed] == [
             *(f"SAC-Lag (100 steps), seed {seed}", *numbers, j_r, "4.25", "5.33"),
-            *("4.18", "1 of 1", "corridor (75 %)"),
+            *("4.18", "1 of 1", "corridor (75 %, 50 % round, 25 % through)"),
         ]
     assert rows[0][0] == "SAC-Lag (100 steps), mean of 2"
     assert [cell.split(" ")[0] for cell in rows[0][1:8]] == [*numbers, "-15.00", "4.25", "5.33"]
     assert rows[0][5] == "-15.00 range -20.00 to -10.00"
-    assert rows[0][9:] == ["2 of 2 [0.16, 1.00]", "corridor 2 of 2 [0.16, 1.00]"]
+    assert rows[0][9:] == ["2 of 2 [0.16, 1.00]", "corridor, round 2 of 2 [0.16, 1.00]"]
 
 
 def test_ways_in_words(tmp_path):
