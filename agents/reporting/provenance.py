@@ -104,6 +104,7 @@ def command(config: TrainConfig, out: str, recorded: Mapping[str, Any]) -> str:
     recorded: their `config.json`, which has the modules that register algorithm and tasks.
     """
     modules = [name for name in recorded.get("modules") or () if name != "__main__"]
+    modules = [name for name in modules if not name.startswith("agents.")]  # built in
     modules = [name for name in modules if not any(t.startswith(f"{name}:") for t in config.tasks)]
     imports = [f"--import {name}" for name in modules]
     options: dict[str, Any] = {"task": config.tasks, "seeds": config.seeds, "steps": config.steps}

@@ -50,7 +50,7 @@ def write_steps(folder, run, costs, lengths, episodes, **more):
 
 def write_runs(folder, task=TASK, weight=1.0, lengths=(5,) * 24, each=2):
     """Two runs of SAC-Lag on a task: their steps, with positions, and neither checkpoint nor
-    evaluation. weight: of a cost step; lengths: of episodes, `each` of them in a rollout."""
+    evaluation. weight: of a cost step; lengths: of episodes, `each` a rollout."""
     config = TrainConfig("sac-lag", (task,), (0, 1), 120, preset("sac-lag", task))
     config.write(folder)
     costs = [weight * cost for pair in STREAKS for streak in pair for cost in chain(streak, 5)]
@@ -90,9 +90,9 @@ def write_evaluated(
     each of `costs` a run with as many steps at a cost in each episode, in one chain, or with these
     costs of its steps. second: the same of a second cost, "cost_2".
 
-    returns: of each run's evaluated episodes, -9 where none are given; evaluated: their costs (the
-    second cost's are twice as high), of one for all runs, or of each. at: where each episode of
-    each run ends, in the arena's unit; without it nobody knows.
+    returns: of each run's evaluated episodes, -9 where none are given; evaluated: their costs,
+    those of the second cost are twice as high; of one for all runs, or of each. at: where each
+    episode of each run ends, in the arena's unit; without it nobody knows.
     """
     seeds = tuple(seeds or range(len(costs)))
     names = ("cost",) if second is None else ("cost", "cost_2")
@@ -121,7 +121,7 @@ def write_evaluated(
 
 
 def edit_results(folder, **changes):
-    """Other arrays in `results.npz`, by their names with two underscores for each slash; None for
+    """Other arrays in `results.npz`, by their names with two underscores for each slash; None of
     one that is to be missing."""
     with np.load(folder / "results.npz") as file:
         arrays = dict(file)

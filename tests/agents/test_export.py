@@ -2,7 +2,6 @@
 
 import json
 import re
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from toys import register
 import agents
 from agents.cli.main import main
 from agents.export import export
-from agents.training.pretrained import write_policy
 
 pytest.importorskip("onnx")
 pytest.importorskip("safetensors")
@@ -130,33 +128,6 @@ def test_the_command_exports_policies_of_the_package_to_a_folder_of_ones_own(tmp
     written = capsys.readouterr().out.split()
     assert written
     assert all(tmp_path in Path(path).parents for path in written)
-
-
-def test_a_policy_alone_keeps_its_step(folder, tmp_path):
-    taken = agents.resume(folder).records[folder, 4].total_steps
-    write_policy(folder, 4, tmp_path / "alone")
-    assert agents.load_policy(tmp_path / "alone").step == taken
-    _, card = export(tmp_path / "alone", "safetensors")
-    assert f"| environment steps | {taken:,}; planned 1,500 |" in card.read_text()
-
-
-def test_the_step_is_that_of_the_checkpoint_with_the_policy(tmp_path):
-    """The last checkpoint's policy is damaged, its steps are not."""
-    folder = agents.train(
-        "trpo-lag", "Walk-v0", seeds=0, steps=800, out=tmp_path, checkpoint_every=400, **SMALL
-    ).folder
-    last, before = (folder / f"checkpoint{word}.npz" for word in ("", ".previous"))
-    data = bytearray(last.read_bytes())
-    with zipfile.ZipFile(last) as file:
-        data[file.getinfo("actor.npy").header_offset + 500] ^= 1
-    last.write_bytes(data)
-    expected, wrong = (np.load(path)["steps"].item() for path in (before, last))
-    assert expected != wrong
-    with pytest.warns(UserWarning, match="this is the policy of the checkpoint before it"):
-        assert agents.load_policy(folder).step == expected
-    with pytest.warns(UserWarning, match="this is the policy of the checkpoint before it"):
-        _, card = export(folder, "safetensors", tmp_path / "exported")
-    assert f"| environment steps | {expected}; planned 800 |" in card.read_text()
 
 
 def test_a_missing_library_is_named(folder, tmp_path, monkeypatch):

@@ -118,11 +118,11 @@ def test_both_choices_side_by_side(folder):
     # Of 3 of 3 runs the lower end is the third root of .025; of 2 of 2 the square root.
     assert of_preset[9:] == [
         "3 of 3 [0.29, 1.00]",
-        "corridor 2 of 3 [0.09, 0.99]; right rim 1 of 3 [0.01, 0.91]",
+        "corridor, round 2 of 3 [0.09, 0.99]; right rim 1 of 3 [0.01, 0.91]",
     ]
     assert of_other[9:] == [
         "2 of 2 [0.16, 1.00]",
-        "corridor 1 of 2 [0.01, 0.99]; right rim 1 of 2 [0.01, 0.99]",
+        "corridor, round 1 of 2 [0.01, 0.99]; right rim 1 of 2 [0.01, 0.99]",
     ]
     # The best J_R of the main table is the preset's, though the ablated runs' is higher.
     assert not any("sgd" in row[0] for row in main_table)

@@ -14,9 +14,30 @@ from agents.paper.presets import PAPER_ALGORITHMS, preset
 CIRCLE2D = grid.circle2d_tasks((0, 1, 2, 3), mujoco=False)
 
 
-def runs_of(configs):
-    """Algorithm, task and seed of every run."""
-    return [(it.algorithm, *run) for it in configs.values() for run in it.runs]
+def test_the_papers_grid():
+    tasks = grid.circle2d_tasks((0, 1, 2, 3), mujoco=False)
+    algorithms = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
+    configs = grid.grid(Path("x"), tasks, algorithms, grid.SEEDS)
+    assert sum(len(config.runs) for config in configs.values()) == 60
+    assert {(task, c.algorithm) for c in configs.values() for task in c.tasks} == {
+        (task, name) for task in tasks for name in algorithms
+    }
+    for config in configs.values():
+        assert config.hyperparameters == preset(config.algorithm, config.tasks[0])
+        assert config.steps == 1_000_000
+    # Four tasks of three runs are one training; what takes longest goes first.
+    assert [folder.name for folder in configs][-1] == "trpo-lag"
+    assert len(configs) == 5
+
+
+def test_tasks_train_together_where_they_are_alike_and_few():
+    tasks = grid.circle2d_tasks((0, 1), mujoco=False)
+    assert list(grid.grid(Path("x"), tasks, ["cpo"], range(6))) == [Path("x/cpo")]
+    apart = [Path("x") / task / "cpo" for task in tasks]
+    assert list(grid.grid(Path("x"), tasks, ["cpo"], range(7))) == apart
+    safety = "circle2d_mj/SafetyPointGoal1-v0"  # of another preset
+    other = grid.grid(Path("x"), [tasks[0], safety], ["cpo"], (0,), 1000)
+    assert set(other) == {apart[0], Path("x/circle2d_mj-SafetyPointGoal1-v0/cpo")}
 
 
 @pytest.mark.parametrize("seeds", [(0, 1, 2), range(5)])
@@ -55,17 +76,9 @@ def test_tasks_of_other_observations_can_be_made(tmp_path):
     ]
 
 
-def test_unknown_levels():
-    for levels in ((), (4,)):
-        with pytest.raises(UserError, match="levels"):
-            grid.circle2d_tasks(levels, mujoco=True)
-    found = grid.circle2d_tasks((1, 0, 1), mujoco=True)
-    assert found == ["Circle2DMuJoCo-1-v0", "Circle2DMuJoCo-0-v0"]
-
-
-def test_shards_are_a_partition():
-    algorithms = ["cpo", "sac-lb", "trpo-lag"]
-    whole = grid.grid(Path("x"), CIRCLE2D[:2], algorithms, range(9), 1000)
+def test_shards_are_a_partition(tmp_path):
+    tasks = grid.circle2d_tasks((0, 1), mujoco=False)
+    whole = grid.grid(tmp_path, tasks, ["cpo", "sac-lb", "trpo-lag"], range(7), 1000)
     parts = [grid.shard(whole, part, 4) for part in (1, 2, 3, 4)]
     assert sorted(folder for part in parts for folder in part) == sorted(whole)
     assert [len(part) for part in parts] == [2, 2, 1, 1]

@@ -10,7 +10,7 @@ import pytest
 
 import agents
 from agents import algorithms
-from agents.algorithms import ALGORITHMS, BUILT_IN
+from agents.algorithms import ALGORITHMS
 from agents.paper.presets import PAPER_ALGORITHMS, preset, unprinted
 
 SHARED = {"batch_size": 256, "discount": 0.99, "learning_rate": 3e-4, "cost_limit": 5}
@@ -62,34 +62,6 @@ def test_presets_of_the_safety_tasks(name, task):
     for field, value in printed.items():
         assert getattr(config, field) == value, field
     assert preset(name, f"circle2d_mj:circle2d_mj/{task}") == config
-
-
-def said(config):
-    """The text below each hyper-parameter, that of the last class which declares it."""
-    found = {}
-    for cls in reversed(config.__mro__[:-1]):
-        [tree] = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
-        for field, text in pairwise(tree.body):
-            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
-                found[field.target.id] = " ".join(text.value.value.split())
-    return found
-
-
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_every_hyperparameter_says_its_source(name):
-    """And the limit says of which cost: an episode's on-policy, the discounted return off-policy;
-    the references have none."""
-    config = ALGORITHMS[name].config
-    texts = said(config)
-    assert set(texts) == {field.name for field in fields(config)}
-    for field, text in texts.items():
-        assert "aper" in text, f"{field}: {text}"  # "Paper: ..." or "not printed in the paper"
-    if name in ("ppo", "sac"):
-        assert "cost_limit" not in texts
-    else:
-        kind = "discounted cost return Q_c" if "sac" in name else "undiscounted cost J_C"
-        assert f"Limit d of the {kind}" in texts["cost_limit"]
-        assert config.limited_cost.startswith(kind.split()[0])
 
 
 def test_presets_of_algorithms_that_the_paper_does_not_have():

@@ -7,6 +7,9 @@ from small_runs import write_evaluated
 
 from agents.paper.grid import grid, prepare
 from agents.reporting.report import report
+from agents.training.config import RunId
+from agents.training.derive import Steps
+from agents.training.trainer import train
 
 WIDTHS, SCHEMES = (1280, 768, 400), ("light", "dark")
 pytestmark = pytest.mark.slow
@@ -21,7 +24,7 @@ def page_file(tmp_path_factory):
     prepare(configs)
     for path in configs:
         train(path)
-    write_evaluated(folder / "old", "wcsac", costs=(3, 4), old=True)
+    write_evaluated(folder / "without", "wcsac", costs=(3, 4))
     report(folder)
     return folder / "index.html"
 
@@ -139,8 +142,9 @@ def test_what_is_drawn_is_what_was_recorded(opened, page_file):
     page = opened()
     page.select_option("#replay-algorithm", label="CPO (3,000 steps)")
     page.select_option("#replay-seed", label="1")
-    folder = page_file.parent / "Circle2D-1-v0" / "cpo" / "seed-1"
-    visited, costs = np.load(folder / "visited.npy"), np.load(folder / "costs.npy")
+    folder, run = page_file.parent / "cpo", RunId("Circle2D-1-v0", 1)
+    steps = Steps(folder)
+    visited, costs = steps.get(run, "positions"), steps.get(run, "costs/cost")
     low, high = visited.min(axis=0), visited.max(axis=0)
     slider = page.locator("#replay-time")
     for k in range(int(slider.get_attribute("max")) + 1):

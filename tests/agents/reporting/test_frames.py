@@ -1,6 +1,5 @@
 """Films of tasks without a view: the frames that they render themselves."""
 
-import json
 import re
 
 import gymnasium as gym
@@ -12,6 +11,7 @@ from toys import Walk
 import agents
 from agents.cli.main import main
 from agents.reporting import pictures
+from agents.training.config import RunId
 
 
 class Drawn(Walk):
@@ -50,12 +50,15 @@ def walks(tmp_path_factory):
 def test_a_task_without_a_view_is_filmed_by_its_frames(walks, tmp_path):
     """Of the evaluated episodes, each state once: their lengths and costs are in the records."""
     folder, out = walks / "Drawn", tmp_path / "film.gif"
-    measured = json.loads((folder / "seed-4" / "evaluation.json").read_text())["deterministic"]
-    episodes, view = pictures.evaluation_episodes(folder, 4, 3, noisy=False)
+    with np.load(folder / "results.npz") as file:
+        prefix = "DrawnFilm-v0/4/evaluation/deterministic/"
+        measured = {name: file[prefix + name] for name in ("costs", "lengths")}
+    run = RunId("DrawnFilm-v0", 4)
+    episodes, view = pictures.evaluation_episodes(folder, run, 3, noisy=False)
     assert view is None
-    assert [episode.costs.sum() for episode in episodes] == measured["cost_returns"][:3]
-    for episode, (_, time) in zip(episodes, measured["final_observations"][:3], strict=False):
-        assert len(episode.frames) == len(episode.costs) + 1 == round(40 * time) + 1
+    assert [episode.costs.sum() for episode in episodes] == measured["costs"][:3, 0].tolist()
+    for episode, length in zip(episodes, measured["lengths"], strict=False):
+        assert len(episode.frames) == len(episode.costs) + 1 == length + 1
     assert main(["render", str(folder), "--out", str(out), "--size", "64"]) == 0
     frames = imageio.imread(out)  # a picture that is held is one
     # In the middle of the panel is the frame, which is twice as wide as it is high.

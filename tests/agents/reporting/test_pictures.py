@@ -1,27 +1,26 @@
 """Heat maps and films of runs: what they are of, and that files hold it."""
 
-import json
 import re
 import shutil
 
 import imageio.v3 as imageio
 import numpy as np
 import pytest
-from agents.results.steps import count_visits
-from agents.training.loop import train
-from small_runs import TASK, write_runs
+from small_runs import TASK, edit_results, evaluate, write_runs
 
 from agents.cli.main import main
-from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.reporting import pictures
 from agents.reporting.pictures import HELD
-from agents.training.config import TrainConfig
+from agents.results.reading import read_folder
+from agents.training.config import RunId, TrainConfig
+from agents.training.derive import Steps, count_visits
+from agents.training.trainer import train
 from circle2d_mj import Circle2DConfig
+from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.render import gl, renderer
 from circle2d_mj.render.figure import figure
 from circle2d_mj.render.gl import NoOpenGL
-from emcc import EpisodeRecords
 
 
 @pytest.mark.parametrize(
@@ -37,8 +36,11 @@ from emcc import EpisodeRecords
     ],
 )
 def test_the_dominating_rollouts_by_hand(tmp_path, part, alpha, rollouts, mcc):
-    config = write_runs(tmp_path)
-    (found,) = count_visits(tmp_path, config, records(tmp_path), [part], alpha)
+    write_runs(tmp_path)
+    evaluate(tmp_path)
+    (group,), steps = read_folder(tmp_path, "a"), Steps(tmp_path)
+    runs = [(r.records, steps.get(RunId(TASK, r.seed), "positions")) for r in group.runs]
+    (found,) = count_visits(Circle2DView(Circle2DConfig(level=3)), runs, 120, [part], alpha)
     one = np.arange(240).reshape(12, 10, 2)[rollouts].reshape(-1, 2) / 100
     expected = np.zeros((160, 160), int)
     for x, y in np.concatenate((one, one + 1)):  # the arena reaches from -15 to 15
@@ -50,27 +52,10 @@ def test_the_dominating_rollouts_by_hand(tmp_path, part, alpha, rollouts, mcc):
     assert (found.rollouts, found.of) == (2 * len(rollouts), 8)
 
 
-def records(folder):
-    return [EpisodeRecords.load(folder / f"seed-{seed}" / "episodes.csv") for seed in (0, 1)]
-
-
-def test_runs_without_records_are_named(tmp_path):
-    config = write_runs(tmp_path)
-    (tmp_path / "seed-1" / "visited.npy").unlink()
-    with pytest.raises(UserError, match=r"seed-1/visited\.npy is missing"):
-        count_visits(tmp_path, config, records(tmp_path))
-    np.save(tmp_path / "seed-1" / "visited.npy", np.zeros((100, 2), np.float32))
-    with pytest.raises(UserError, match="seed-1 is damaged: 100 positions of 120 steps"):
-        count_visits(tmp_path, config, records(tmp_path))
-    np.save(tmp_path / "seed-1" / "visited.npy", np.full((120, 2), np.nan, np.float32))
-    with pytest.raises(UserError, match=r"seed-1/visited\.npy is damaged: "):
-        count_visits(tmp_path, config, records(tmp_path))
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("runs") / "first"
-    config = TrainConfig("trpo-lag", TASK, (5, 6), 2000, preset("trpo-lag", TASK))
+    config = TrainConfig("trpo-lag", (TASK,), (5, 6), 2000, preset("trpo-lag", TASK))
     config.write(path)
     train(path)
     return path
@@ -96,18 +81,18 @@ def test_commands_write_pictures_and_films(folder, tmp_path, capsys):
 
 
 def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
-    episodes, view = pictures.evaluation_episodes(folder, 6, 3, noisy=False)
+    episodes, view = pictures.evaluation_episodes(folder, RunId(TASK, 6), 3, noisy=False)
     task = Circle2DConfig(level=3)
     assert view.extent == (-task.arena, task.arena, -task.arena, task.arena)
-    measured = json.loads((folder / "seed-6" / "evaluation.json").read_text())["deterministic"]
+    (group,) = read_folder(folder, "a")
+    run = group.runs[1]
+    kept = group.trained([6])[6]
     for k, (path, costs) in enumerate(episodes):
         assert path.shape == (51, 2)
-        np.testing.assert_allclose(
-            path[-1] / task.arena, measured["final_observations"][k], rtol=1e-6
-        )
-        assert costs.sum() == measured["cost_returns"][k]
+        np.testing.assert_allclose(path, kept[k].positions, rtol=1e-5, atol=1e-6)
+        assert costs.sum() == run.evaluation["deterministic"]["cost_returns"][k]
         np.testing.assert_array_equal(task.region.contains(path[1:]), costs > 0)
-    noisy, _ = pictures.evaluation_episodes(folder, 6, 3, noisy=True)
+    noisy, _ = pictures.evaluation_episodes(folder, RunId(TASK, 6), 3, noisy=True)
     assert np.array_equal(noisy[0].positions[0], episodes[0].positions[0])
     assert not np.array_equal(noisy[0].positions, episodes[0].positions)
 
@@ -121,14 +106,14 @@ def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
         (["heatmap", "{folder}", "--out", "x.jpg"], "out must end in .png, got 'x.jpg'"),
         (
             ["heatmap", "{folder}", "--seeds", "5", "7"],
-            r"seeds must be some of \[5, 6\], got \[5, 7",
+            r"seeds must be some of \[5, 6\] not failed, got \[5, 7",
         ),
         (["heatmap", "nothing"], r"nothing is no folder"),
         (["render", "{folder}", "--out", "film.avi"], "out must end in .png or .gif or .mp4"),
-        (["render", "{folder}", "--seed", "7"], r"no run of seed 7: its seeds are \[5, 6\]"),
+        (["render", "{folder}", "--seed", "7"], r"no run of seed 7"),
         (["render", "{folder}", "--episodes", "0"], r"episodes must be in \[1, 100\], got 0"),
         (["scene", "--level", "7"], "level must be one of"),
-        (["scene", "--actuation", "magic"], "actuation must be one of"),
+        (["scene", "--actuation", "magic"], "magic"),
         (["scene", "--constraint-radius", "1e9"], "constraint_radius must be in"),
     ],
 )
@@ -165,13 +150,13 @@ def test_a_heat_map_of_the_runs_that_did_not_fail(folder, tmp_path, capsys):
     everyone, five, six = drawn(), drawn("--seeds", "5"), drawn("--seeds", "6")
     assert len({everyone, five, six}) == 3
     assert drawn("--seeds", "5", "6") == everyone
-    (copy / "seed-5" / "failed.json").write_text('{"step": 500}')
+    edit_results(copy, **{f"{TASK}__5__failure": np.array("x")})
     assert drawn() == six
     assert drawn("--seeds", "5") == five
-    (copy / "seed-6" / "failed.json").write_text('{"step": 500}')
+    edit_results(copy, **{f"{TASK}__6__failure": np.array("x")})
     capsys.readouterr()
     assert main(["heatmap", str(copy)]) == 2
-    assert f"all runs of {copy} have failed" in capsys.readouterr().err
+    assert "seeds must be some of [5, 6] not failed" in capsys.readouterr().err
 
 
 def test_heat_maps_of_several_folders_side_by_side(folder, tmp_path):
@@ -190,7 +175,7 @@ def test_heat_maps_of_several_folders_side_by_side(folder, tmp_path):
         return (both[scale, end - size : end], both[scale, end - 2 * size - gap : end - size - gap])
 
     np.testing.assert_array_equal(*columns())
-    (copy / "seed-5" / "failed.json").write_text('{"step": 500}')
+    edit_results(copy, **{f"{TASK}__5__failure": np.array("x")})
     left, right = columns()
     assert (left != right).any()
 

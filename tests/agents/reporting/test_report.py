@@ -22,7 +22,7 @@ def by_hand(folder, **options):
         for k in range(cost - streak):
             episode[9 - k - k // 2] = 1.0
         steps += episode
-    options = {"evaluated": ((2.0, 2.0, 6.0, 7.0),), "at": AT} | options
+    options = {"evaluated": ((1.0, 3.0, 6.0, 7.0),), "at": AT} | options
     write_evaluated(folder, "sac-lag", [steps, steps], **options)
 
 
@@ -33,18 +33,18 @@ def test_a_table_by_hand(tmp_path):
     ]
     rows = [[cell.strip() for cell in row] for row in rows]
     # Starts 0 10 20 30 | 40 50 60 | 70 80 90 of 100 steps. The highest tenth of three or four
-    # values is the highest alone: .8, .4, 1. Costs: 46 of 100 steps, in 10 chains: one of each
-    # episode with costs, and two of one step and one of two more.
+    # values is the highest alone: .8, .4, 1. CVaR: of 1 3 6 7 those from 3 on. Costs: 46
+    # of 100 steps, in 11 chains: one of each episode with costs, and three more.
     numbers = ["0.80", "0.40", "1.00", "0.46"]
     for seed, j_r in ((0, "-10.00"), (1, "-20.00")):
         assert rows[2 + seed] == [
-            *(f"SAC-Lag (100 steps), seed {seed}", *numbers, j_r, "4.25", "6.50"),
-            *("4.60", "1 of 1", "corridor (75 %)"),
+            *(f"SAC-Lag (100 steps), seed {seed}", *numbers, j_r, "4.25", "5.33"),
+            *("4.18", "1 of 1", "corridor (75 %, 50 % round, 25 % through)"),
         ]
     assert rows[0][0] == "SAC-Lag (100 steps), mean of 2"
-    assert [cell.split(" ")[0] for cell in rows[0][1:8]] == [*numbers, "-15.00", "4.25", "6.50"]
+    assert [cell.split(" ")[0] for cell in rows[0][1:8]] == [*numbers, "-15.00", "4.25", "5.33"]
     assert rows[0][5] == "-15.00 range -20.00 to -10.00"
-    assert rows[0][9:] == ["2 of 2 [0.16, 1.00]", "corridor 2 of 2 [0.16, 1.00]"]
+    assert rows[0][9:] == ["2 of 2 [0.16, 1.00]", "corridor, round 2 of 2 [0.16, 1.00]"]
 
 
 def test_ways_in_words(tmp_path):

@@ -67,7 +67,7 @@ def raw(written, tmp_path_factory):
     runs = [("cpo", "", []), ("wcsac", "", []), ("wcsac", "b", ["--time-limit", "bootstrap"])]
     for name, choice, options in runs:
         written.clear()
-        command = ["train", "--algorithm", name, "--task", TASK, "--steps", str(STEPS)]
+        command = ["train", name, "--task", TASK, "--steps", str(STEPS)]
         command += ["--seeds", *map(str, SEEDS), "--vectorization", "sync", "--backend", "eager"]
         assert main([*command, *options, "--out", str(out / (name + choice))]) == 0
         numbers[name + choice] = numbers_of(list(written.values()), EPISODES[name])

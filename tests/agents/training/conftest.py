@@ -1,4 +1,5 @@
-"""Tests of training: its tasks, and few evaluated episodes at its end."""
+"""Trainings of these tests end with few evaluated episodes, but where processes of their own train.
+"""
 
 import pytest
 import toys
