@@ -1,10 +1,6 @@
 """Presets against the paper's table HP_Circle2D, typed off."""
 
-import ast
-import inspect
-import textwrap
 from dataclasses import dataclass, fields
-from itertools import pairwise
 
 import pytest
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from agents.training.loop import train
 from small_runs import write_evaluated
 
 from agents.paper.grid import grid, prepare

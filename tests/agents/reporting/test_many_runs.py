@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from agents.training.loop import train
 
 from agents.paper.grid import grid, prepare
 from agents.training.trainer import train

@@ -1,5 +1,4 @@
-"""Trainings of these tests end with few evaluated episodes, but where processes of their own train.
-"""
+"""Tests of training: its tasks, and few evaluated episodes at its end."""
 
 import pytest
 import toys

@@ -71,7 +71,9 @@ def test_while_others_end_earlier_or_fail(tmp_path, algorithm):
 def test_equal_trainings_leave_equal_bytes_by_any_vectorization(tmp_path, algorithm, how):
     """And their archives, written at other times."""
     folders = [
-        trained(tmp_path / k / "x", algorithm, TASKS, (3, 4), steps=300, vectorization=vectorization)
+        trained(
+            tmp_path / k / "x", algorithm, TASKS, (3, 4), steps=300, vectorization=vectorization
+        )
         for k, vectorization in (("a", "auto"), ("b", "auto"), ("c", how))
     ]
     first, again, other = map(results, folders)

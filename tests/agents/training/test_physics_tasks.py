@@ -1,41 +1,44 @@
 """All five algorithms on Circle2D with MuJoCo's physics, and on a Safety task, resumed."""
 
+import numpy as np
 import pytest
-from small_runs import differing, run_of
+from small_runs import SAC, TRPO, differing, results, run_of
 
 import agents
 from agents.algorithms import algorithm
 from agents.paper.presets import PAPER_ALGORITHMS
 from agents.sac import OffPolicy
-from agents.training.config import TrainConfig
-from agents.training.trainer import train
+from agents.training.config import RunId
 
 POINT = "circle2d_mj/SafetyPointCircle1-v0"
 TASKS = {"Circle2DMuJoCo-0-v0": {"actuation": "force"}, "Circle2DMuJoCo-1-v0": {}}
 
 
-def config(name, task, seeds=(0, 1)):
-    hyperparameters = preset(name, task)
-    assert hyperparameters.cost_limit == 5.0  # the paper's, as in the kinematic mode
-    if algorithm(name).family is OffPolicy:
-        hyperparameters = replace(hyperparameters, random_steps=100, gradient_steps=2)
-    else:
-        hyperparameters = replace(hyperparameters, episodes=3)
-    parameters = {"actuation": "force"} if task.endswith("0-v0") else {}
-    return TrainConfig(name, (task,), seeds, 450, hyperparameters, parameters)
+SLOW = pytest.param("Circle2DMuJoCo-1-v0", marks=pytest.mark.slow)
 
 
 @pytest.mark.parametrize("task", ["Circle2DMuJoCo-0-v0", SLOW])
 @pytest.mark.parametrize("name", PAPER_ALGORITHMS)
 def test_trains_resumes_and_is_independent_of_its_company(name, task, tmp_path):
-    folders = {key: tmp_path / key for key in ("whole", "stopped", "alone")}
-    for key, folder in folders.items():
-        config(name, task, (1,) if key == "alone" else (0, 1)).write(folder)
-    assert train(folders["stopped"], lambda it: bool(it.steps.max() < 150)).stopped
-    for folder in folders.values():
-        assert (train(folder).failures == "").all()
-    run = config(name, task).runs[1]
-    whole, stopped, alone = (run_of(folder, run) for folder in folders.values())
-    assert not differing(whole, stopped)
-    assert not differing(whole, alone)
-    assert {"evaluation/deterministic/returns", "replay/points"} < whole.keys()
+    more = SAC if algorithm(name).family is OffPolicy else TRPO
+    more = more | {"steps": 300, "checkpoint_every": 150, "task_parameters": TASKS[task]}
+    whole = agents.train(name, task, seeds=(0, 1), out=tmp_path / "whole", **more)
+    assert whole.config.hyperparameters.cost_limit == 5.0  # the paper's, as without physics
+    part = tmp_path / "part"
+    stop = {"on_epoch": lambda epoch: epoch.runs[0]["step"] < 150}
+    agents.train(name, task, seeds=(0, 1), out=part, **more, **stop)
+    agents.resume(part)
+    assert results(part) == results(whole.folder)
+    alone = agents.train(name, task, seeds=1, out=tmp_path / "alone", **more)
+    run = RunId(task, 1)
+    assert not differing(run_of(whole.folder, run), run_of(alone.folder, run))
+
+
+def test_a_safety_task_records_where_the_point_is(tmp_path):
+    """It starts within 0.4 m of the middle, and moves a few centimetres a step."""
+    more = TRPO | {"seeds": 3, "steps": 50, "task_parameters": {"max_episode_steps": 20}}
+    runs = agents.train("trpo-lag", POINT, out=tmp_path / "x", **more)
+    [file] = (runs.folder / "steps").iterdir()
+    positions = np.load(file)["circle2d_mj-SafetyPointCircle1-v0/3/positions"]
+    assert np.abs(positions[::20]).max() < 1.0
+    assert 0 < np.abs(np.diff(positions[:20], axis=0)).max() < 0.1

@@ -113,9 +113,7 @@ with few_episodes():
 """
 
 
-@pytest.mark.parametrize(
-    "algorithm", ["sac-lag", pytest.param("cpo", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("algorithm", ["sac-lag", pytest.param("cpo", marks=pytest.mark.slow)])
 def test_a_process_that_is_killed(tmp_path, algorithm):
     """After its second checkpoint, wherever it is by then; a new process goes on."""
     more = {"out": tmp_path / "whole", **OPTIONS, **FAMILIES[algorithm]} | {"steps": 1200}
