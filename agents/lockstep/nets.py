@@ -66,11 +66,12 @@ class MLP:
         """The outputs of networks params [N, size] for inputs x [N, B, in]: [N, B, out]."""
         parts = params.split(self._splits, dim=-1)
         # view: torch 2.11 cannot compile unflatten for a GPU.
-        shapes = zip(parts, self._shapes, self._own, strict=False)
-        layers = [_without_gradient(p.view(len(p), *shape), own) for p, shape, own in shapes]
+        layers = [p.view(len(p), *shape) for p, shape in zip(parts, self._shapes, strict=False)]
         # tanh(z) = 2σ(2z) - 1, with the factors folded into the weights: torch's tanh kernel on
         # CPU is six times slower than its sigmoid, and weights are smaller than activations.
         folded = self.activation == "tanh"
+        if folded:
+            layers = [_without_gradient(*of) for of in zip(layers, self._own, strict=True)]
         for i, (weight, bias) in enumerate(zip(layers[::2], layers[1::2], strict=True)):
             if i > 0 and folded:
                 x, bias = torch.sigmoid(x), bias - weight.sum(dim=-2, keepdim=True)
