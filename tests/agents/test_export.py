@@ -96,7 +96,7 @@ def test_the_command(folder, capsys):
     for options, message in (
         (["--format", "pickle"], "onnx"),
         (["--format", "onnx", "--seeds", "1"], "has no run of seed 1"),
-        (["--format", "onnx", "--step", "7"], "no policy of seed 0 at step 7"),
+        (["--format", "onnx", "--step", "7"], "seed 0 at step 7"),
         ([], "--format"),
     ):
         assert main(["export", str(folder), *options]) == 2
