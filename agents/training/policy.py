@@ -45,15 +45,16 @@ class Policy:
     task_parameters: dict[str, Any]
     seed: int
     """Seed of its run."""
-    step: int
-    """Environment steps of its run by then, of a policy kept on the way those it is named by."""
+    step: int | None
+    """Environment steps of its run by then, of a policy kept on the way those it is named by; None
+    where they were not recorded, as of policies of the package."""
     spaces: Spaces
     """Sizes, and bounds of actions."""
     in_lockstep: RunsPolicy
     """The policy as training calls it, with actions in [-1, 1]."""
 
     def __init__(
-        self, config: TrainConfig, run: RunId, step: int, spaces: Spaces, learner: Learner
+        self, config: TrainConfig, run: RunId, step: int | None, spaces: Spaces, learner: Learner
     ) -> None:
         """learner: holds the one run."""
         self.task, self.task_parameters = run.task, config.task_parameters
@@ -197,8 +198,9 @@ def chosen_run(
 
 def read_policy_arrays(
     folder: Path, config: TrainConfig, run: RunId, step: int | None = None
-) -> tuple[dict[str, NDArray], int]:
-    """The arrays of the policy of one run, each [1, ...], and the steps that the run had taken.
+) -> tuple[dict[str, NDArray], int | None]:
+    """The arrays of the policy of one run, each [1, ...], and the steps that the run had taken,
+    None where they were not recorded.
 
     step: of a policy kept on the way; None for the newest checkpoint, of which nothing else is
     read. Raises UserError where there is no such policy.
@@ -221,7 +223,7 @@ def read_policy_arrays(
             # A family without the convention: all of its state.
             names = names or [name for name in state if name not in ("epoch", "steps", "failures")]
             arrays = {name: state[name][k : k + 1] for name in names}
-            steps = int(state["steps"][k])
+            steps = int(state["steps"][k]) if "steps" in state else None
         except (UserError, KeyError, IndexError) as damaged:
             error = error or damaged
             continue
