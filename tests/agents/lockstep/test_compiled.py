@@ -46,8 +46,8 @@ def test_compiled_is_eager_but_for_rounding(names, one, all_, compiler):
     """Each of 20 updates from the same state, and off-policy all of them. On-policy a step is that
     of 15 conjugate gradients, which magnify rounding, and after some steps the line search may stop
     elsewhere for it; parameters have moved by 1 there.
-    The first of each family also: one run and two are to 1e-6 what they are among three, and one
-    that was stopped and resumed is bit for bit one that never was."""
+    The first of each family also: one run and two are bit for bit what they are among three, and
+    one that was stopped and resumed is one that never was."""
     found = json.loads(run(str(HERE / "compiled_child.py"), *names))
     assert list(found) == list(names)
     for of_algorithm in found.values():
