@@ -56,7 +56,7 @@ def _hints(cls: type) -> dict[str, Any]:
 
 
 def _problem(value: Any, hint: Any, bounds: In | None = None) -> str:
-    """What a value must be and is not, in words; empty where it is allowed."""
+    """The rule that a value breaks and the value, in words; empty where it is allowed."""
     if get_origin(hint) is Annotated:
         hint, *marks = get_args(hint)
         bounds = next((mark for mark in marks if isinstance(mark, In)), bounds)

@@ -309,7 +309,7 @@ class ReproduceOptions:
     """local: processes of this machine. ray: tasks of a Ray cluster, of one core each (and one GPU
     with --device cuda); needs the extra [ray]."""
     address: str | None = None
-    """Of the Ray cluster's head, HOST:PORT, or auto for one that runs on this machine; by default
+    """The Ray cluster's head, HOST:PORT, or auto for one that runs on this machine; by default
     RAY_ADDRESS, or else a cluster of this machine is started."""
     shard: str | None = None
     """I/N, such as 1/4: train the I-th of N equal parts, for job arrays. Writes no report."""

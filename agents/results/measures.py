@@ -27,7 +27,7 @@ class RunData:
     steps: int
     """Environment steps of the training."""
     evaluation: dict[str, Any]
-    """Of the trained policy "deterministic" and "stochastic", each with means
+    """The trained policy's, "deterministic" and "stochastic", each with means
     (J_R, J_C, ...) and values per episode, undiscounted."""
 
     @cached_property

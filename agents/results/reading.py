@@ -91,7 +91,7 @@ class Part:
     arrays: Mapping[str, NDArray] = field(repr=False)
     """`results.npz`, or what it would hold by now: see `derive`."""
     config: TrainConfig
-    """Of the folder."""
+    """The folder's config.json."""
 
     @property
     def seeds(self) -> tuple[int, ...]:

@@ -129,7 +129,7 @@ class Reading(NamedTuple):
     share: float
     """Done, in [0, 1]."""
     steps_per_second: float | None
-    """Of all runs together, since the first epoch; None as long as there is no other."""
+    """Environment steps of all runs a second, since the first epoch; None until there is another."""
     seconds_left: float | None
     """None likewise."""
 

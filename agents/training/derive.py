@@ -73,7 +73,7 @@ class ReplayEpisode(NamedTuple):
     """The episode of highest MCC in a window of training."""
 
     window: int
-    """Of `WINDOWS`, from 0."""
+    """Index in `WINDOWS`."""
     start_step: int
     """Environment steps before it."""
     points: NDArray[np.uint16]

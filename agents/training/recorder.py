@@ -80,7 +80,7 @@ class Recorder:
         self._new.setdefault(run.prefix + name, []).extend(rows)
 
     def take(self) -> dict[str, NDArray]:
-        """What is new, by name; it is forgotten here."""
+        """The new arrays by name; they are forgotten here."""
         arrays = {name: np.concatenate(rows) for name, rows in self._new.items()}
         self._new = {}
         return {"metrics": np.array(self.metrics, dtype=np.str_), **arrays}

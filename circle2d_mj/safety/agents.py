@@ -33,7 +33,7 @@ class Point:
     sensors = 12
     height = 0.1
     radius = 0.18
-    """Of a ball round its origin that holds it, m"""
+    """Radius of a ball round its origin that holds it, m"""
 
     def qpos(self, place: Floats, heading: Floats) -> Floats:
         """Return the state at rest at places [n, 2] with headings [n]: [n, 3]."""

@@ -14,7 +14,7 @@ class Kind(NamedTuple):
     """A kind of object."""
 
     name: str
-    """Of one of them: the first of several is "hazard0" """
+    """Name of a single one: the first of several is "hazard0" """
     physics: Literal["none", "static", "free", "driven"]
     """none: drawn only; static: the agent bumps into it; free: it is pushed about; driven: a free
     body welded to a target that moves"""
@@ -22,11 +22,11 @@ class Kind(NamedTuple):
     size: tuple[float, ...]
     """MuJoCo's: half-widths of a box; radius and half-height of a cylinder; radius of a sphere"""
     height: float
-    """Of its centre above the floor at the start"""
+    """Height of its centre above the floor at the start"""
     colour: Colour
     density: float = 1.0
     radius: float = 0.0
-    """Of a ball round the centre that holds it however it is turned; of what can rest"""
+    """Radius of a ball round the centre that holds it however it is turned; of what can rest"""
 
 
 class Placed(NamedTuple):

@@ -29,12 +29,12 @@ class Body(NamedTuple):
     """A body and its task."""
 
     xml: str
-    """Of the installed gymnasium"""
+    """Model file of the installed gymnasium"""
     substeps: int
     max_speed: float
     """Above it a step costs, m/s."""
     noise: float
-    """Of the start: uniform within it, on each number of qpos and qvel"""
+    """Bound of the uniform noise at the start on each number of qpos and qvel"""
     control_cost: float
     alive: float = 0.0
     forward: float = 1.0

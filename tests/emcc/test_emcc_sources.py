@@ -231,7 +231,7 @@ def test_one_run_is_read_as_records(two_tasks, tmp_path):
 
 
 def test_every_named_cost_has_records_of_its_own(tmp_path):
-    """Of any size, as values beside the bits; a threshold counts the steps that cost more."""
+    """Costs of any size are values beside the bits; a threshold counts the steps that cost more."""
     first = made(1)
     second = [4.0 * episode[::-1] + 2.0 * (episode > 0) for episode in first]
     arrays = arrays_of(first) | arrays_of(second, "cost_2")

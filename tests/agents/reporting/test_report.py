@@ -61,7 +61,7 @@ def test_ways_in_words(tmp_path):
 
 
 def test_runs_left_out_are_in_no_mean_and_have_a_note_for_each_reason(tmp_path):
-    """Of five runs one is whole, two lack their last rollouts, one its steps, and one failed."""
+    """One of five runs is whole, two lack their last rollouts, one its steps, and one failed."""
     write_evaluated(tmp_path, "cpo", costs=(1, 2, 3, 4, 5))
     changes = {f"Circle2D-1-v0__{k}__length": np.full(8, 10) for k in (2, 3)}
     changes |= {f"Circle2D-1-v0__{k}__rollouts": np.ones(8, int) for k in (2, 3)}

@@ -58,7 +58,7 @@ def test_a_row_for_each_run(groups):
 
 
 def test_means_and_their_intervals(groups):
-    """Of five runs the t interval, of two their range."""
+    """Five runs have the t interval, two their range."""
     cpo, wcsac, single = summaries(groups)
     values = [0.1, 0.2, 0.3, 0.4, 0.5]
     half = scipy.stats.t.ppf(0.975, 4) * stdev(values) / 5**0.5

@@ -51,7 +51,7 @@ def test_in_a_folder_of_several_tasks_and_seeds(tmp_path, algorithm):
 
 @pytest.mark.parametrize("algorithm", ["trpo-lag", "sac-lb"])
 def test_while_others_end_earlier_or_fail(tmp_path, algorithm):
-    """Of runs whose episodes end early, of which bad luck ends some."""
+    """Episodes end early, and bad luck ends some runs."""
     luck = {"task_parameters": {"poison": 0.004}, "steps": 150}
     together = trained(tmp_path / "all", algorithm, "Walk-v0", range(5), **luck)
     arrays = np.load(together / "results.npz")

@@ -32,7 +32,7 @@ def learner_of(folder):
 
 @pytest.fixture(scope="module", params=["sac-lb", "trpo-lag"])
 def folder(request, tmp_path_factory):
-    """Of a task with actions in [-2, 2]."""
+    """Training on a task with actions in [-2, 2]."""
     return trained(tmp_path_factory.mktemp("policy") / "x", request.param)
 
 
@@ -40,7 +40,7 @@ OBSERVATIONS = np.random.default_rng(0).normal(0, 3, (50, 2))
 
 
 def test_actions_are_those_of_training_in_the_tasks_own_space(folder):
-    """As gymnasium's own wrapper rescales the learner's actions."""
+    """The learner's actions are rescaled as gymnasium's own wrapper does."""
     policy = agents.load_policy(folder, seed=1)
     learned = learner_of(folder).policy()
     both = np.stack([OBSERVATIONS] * 2).astype(np.float32)

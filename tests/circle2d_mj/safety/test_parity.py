@@ -137,7 +137,7 @@ def test_every_step_is_in_a_group():
 
 @pytest.mark.parametrize("name", NAVIGATION)
 def test_rewards_costs_and_observations_of_recorded_states(name):
-    """As functions of the states before and after, for all steps, whatever touched in them."""
+    """Functions of the states before and after, for all steps, whatever touched in them."""
     env, met_steps = made(name), 0
     task = simulation(env)
     for step in steps(NAMES[name]):
