@@ -129,7 +129,7 @@ class Reading(NamedTuple):
     share: float
     """Done, in [0, 1]."""
     steps_per_second: float | None
-    """Environment steps of all runs a second, since the first epoch; None until there is another."""
+    """Environment steps of all runs a second, since the first epoch; None before the second."""
     seconds_left: float | None
     """None likewise."""
 
