@@ -5,232 +5,214 @@ python docs/_ext/results_table.py
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
-from statistics import fmean
-from typing import Any
 
 import numpy as np
+import pandas as pd
 import scipy.stats
 
 import emcc
 
 RESULTS = Path(__file__).parents[2] / "results"
-REPORT = RESULTS / "circle2d" / "report.csv"
-SOLVED = RESULTS / "solve" / "report.csv"
-SAFETY = RESULTS / "solve" / "safety" / "report.csv"
-MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C")
-LEVELS = ("Circle2D-0-v0", "Circle2D-1-v0", "Circle2D-2-v0", "Circle2D-3-v0")
+EMCC = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")
+SAFETY_MEASURES = (*EMCC, "cost_rate")
+LEVELS = tuple(f"Circle2D-{level}-v0" for level in range(4))
 ALGORITHMS = ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC")
 LIMIT = 5.0
+UNITS = "SAC-LB (input_scale 15.0)"
+MARGIN = "SAC-LB-Streak (cost_limit 3.5, streak_weight 0.0)"
 PARTS = {
-    "scale": "the unit of length",
-    "novelty": "the bonus for new states",
-    "share": "the share of random actions",
-    "horizon": "bootstrapping at the time limit",
-    "streak": "streak cost",
-    "brown": "brown random actions",
-    "speed": "its own step sizes and batches",
+    "without-scale": "the unit of length",
+    "without-novelty": "the bonus for new states",
+    "without-share": "the share of random actions",
+    "without-horizon": "bootstrapping at the time limit",
+    "without-streak": "streak cost",
+    "without-brown": "brown random actions",
+    "without-speed": "its own step sizes and batches",
 }
-"""The parts of SAC-LB-Streak by the names of their ablations."""
-ROWS = {f"without-{k}": f"without {v}" for k, v in PARTS.items()} | {
-    "margin": "a margin instead of streak cost"
-}
+"""The parts of SAC-LB-Streak by the ends of their folders' names."""
 
 
-def solves(run: dict[str, str]) -> bool:
-    """Whether the trained policy of a report's row ends in the corridor within the limit."""
-    return run["ends_in"].startswith("corridor") and _is_within(run)
+def report(grid: str) -> pd.DataFrame:
+    """The lines of a grid's report.csv."""
+    return pd.read_csv(RESULTS / grid / "report.csv", keep_default_na=True)
 
 
-def _lines(report: Path) -> list[dict[str, str]]:
-    with report.open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+def runs(lines: pd.DataFrame, task: str, algorithm: str, seeds: range | None = None) -> pd.DataFrame:
+    """The runs of an algorithm, named as in the report, on a task; of some seeds alone."""
+    own = lines[(lines.kind == "run") & (lines.task == task) & (lines.algorithm == algorithm)]
+    return own if seeds is None else own[own.seed.isin(seeds)]
 
 
-def rows(report: Path) -> list[str]:
-    """A row of Markdown for each level and algorithm, with the presets: means with their t interval
-    or range, the paper's mean in brackets, seeds within the limit, and where seeds end."""
-    lines = _lines(report)
-    return [
-        _row(level, name, [x for x in lines if (x["task"], x["algorithm"]) == (level, name)])
-        for level in LEVELS
-        for name in ALGORITHMS
-    ]
+def within(found: pd.DataFrame) -> pd.Series:
+    """Whether each run keeps the limit."""
+    return found.J_C <= LIMIT
 
 
-def _row(level: str, name: str, lines: list[dict[str, str]]) -> str:
-    kinds = {line["kind"]: line for line in lines if not line["seed"] and not line["share"]}
-    means = [_mean(measure, kinds) for measure in MEASURES]
-    (within,) = (_count(line) for line in lines if line["kind"] == "within limit")
-    ends = [f"{x['ends_in']} {_count(x)}" for x in lines if x["kind"] == "ends in"]
-    return f"| {' | '.join([level[9], name, *means, within, '; '.join(ends)])} |"
+def solved(found: pd.DataFrame) -> pd.Series:
+    """Whether each run ends in the corridor within the limit."""
+    return found.ends_in.fillna("").str.startswith("corridor") & within(found)
 
 
-def choices(report: Path) -> list[str]:
-    """Rows of Markdown for each algorithm that was trained with other choices of what the paper
-    does not print: those of the preset, of each choice, and of the paper. Means of J_C and
-    EMCC_0.99 on levels 0 to 3, and runs within the limit, and in the corridor within it, there."""
-    lines = [line for line in _lines(report) if line["task"] in LEVELS]
-    found = []
-    for name in ALGORITHMS:
-        own = [line for line in lines if line["algorithm"].partition(" (")[0] == name]
-        by_folder: dict[str, list[dict[str, str]]] = {}
-        for line in own:
-            by_folder.setdefault(line["folder"].partition("/")[2], []).append(line)
-        printed = [line for line in own if line["kind"] == "paper"]
-        preset = by_folder.pop(name.lower())
-        others = {k.removeprefix(f"{name.lower()}-"): of for k, of in by_folder.items() if k}
-        if others:
-            titled = {"preset": preset} | others | {"paper": printed}
-            found += [_choice(f"{name}, {title}", of) for title, of in titled.items()]
-    return found
+def count(chosen: pd.Series) -> str:
+    """How many of the runs."""
+    return f"{int(chosen.sum())} of {len(chosen)}"
 
 
-def parts(report: Path) -> list[str]:
-    """Rows of Markdown for each level on which SAC-LB-Streak was trained without its parts: of the
-    preset, then without each. Runs in the corridor within the limit, and means."""
-    lines = _lines(report)
-    found = []
-    for level in LEVELS:
-        rows = [_part(_runs(lines, level, choice), ROWS[choice]) for choice in list(ROWS)[:-1]]
-        rows = [row for row in rows if row]
-        preset = _part(_runs(lines, level, ""), "all parts")
-        found += [f"| {level[9]} | {row} |" for row in (preset, *rows) if rows]
-    return found
-
-
-def parts_over_levels(report: Path) -> list[str]:
-    """Rows of Markdown for each part of SAC-LB-Streak: on the levels where it was left out, runs in
-    the corridor within the limit without and with it, and by how much means are higher without it.
-
-    Behind each a p value: of counts Fisher's exact test, of means the permutation test over levels,
-    either corrected for all of the table (Holm).
-    """
-    lines = _lines(report)
-    counts, gaps, of_counts, of_gaps = {}, {}, {}, {}
-    for choice in ROWS:
-        levels = [level for level in LEVELS if _runs(lines, level, choice)]
-        sides = [[_runs(lines, level, of) for level in levels] for of in (choice, "")]
-        if len(levels) < 2:
-            continue
-        solved = [sum(solves(run) for runs in side for run in runs) for side in sides]
-        total = [sum(map(len, side)) for side in sides]
-        counts[choice] = [f"{k} of {n}" for k, n in zip(solved, total, strict=True)], len(levels)
-        table = [[k, n - k] for k, n in zip(solved, total, strict=True)]
-        of_counts[choice] = float(scipy.stats.fisher_exact(table).pvalue)
-        for measure in MEASURES[:4]:
-            without, usual = (
-                np.transpose([[float(run[measure]) for run in runs] for runs in side])
-                for side in sides
-            )
-            gaps[choice, measure] = without.mean() - usual.mean()
-            rng = np.random.default_rng(0)
-            of_gaps[choice, measure] = emcc.permutation_test(usual, without, rng=rng)
-    of_counts, of_gaps = _holm(of_counts), _holm(of_gaps)
-    found = []
-    for choice, ((without, usual), levels) in counts.items():
-        cells = [f"{without}, {usual} ({_p(of_counts[choice])})"]
-        for measure in MEASURES[:4]:
-            gap = round(gaps[choice, measure], 3) or 0.0  # no -0
-            cells.append(f"{gap:+.3f} ({_p(of_gaps[choice, measure])})".replace("0.", ".", 1))
-        found.append(f"| {ROWS[choice]} | {levels} | {' | '.join(cells)} |")
-    return found
-
-
-def safety(report: Path) -> list[str]:
-    """Rows of Markdown for each Safety task and algorithm: mean EMCC and cost rate; means of J_R
-    and J_C with the range of the seeds; seeds within the limit."""
-    lines = _lines(report)
-    found = []
-    for folder in dict.fromkeys(line["folder"] for line in lines if line["seed"]):
-        own = [line for line in lines if line["folder"] == folder]
-        kinds = {line["kind"]: line for line in own if not line["seed"]}
-        task, title = kinds["mean"]["task"], kinds["mean"]["algorithm"]
-        means = {of: _short(float(kinds["mean"][of]), 2) for of in MEASURES[:4]}
-        ranges = [
-            "{:.1f}, from {:.1f} to {:.1f}".format(
-                *(float(kinds[kind][of]) for kind in ("mean", "mean lowest", "mean highest"))
-            )
-            for of in MEASURES[4:]
-        ]
-        cells = [task.partition("/Safety")[2].rpartition("-")[0], title.partition(" (")[0]]
-        cells += [" ".join(means[of] for of in MEASURES[:3]), means["cost_rate"], *ranges]
-        found.append(f"| {' | '.join([*cells, _count(kinds['within limit'])])} |")
-    return found
-
-
-def _short(value: float, digits: int) -> str:
+def short(value: float, digits: int = 2) -> str:
     """A number without the 0 before its point."""
-    return f"{value:.{digits}f}".removeprefix("0")
+    text = f"{value:.{digits}f}"
+    return text.replace("0.", ".", 1) if text.lstrip("-").startswith("0.") else text
 
 
-def _holm(p_values: dict[Any, float]) -> dict[Any, float]:
-    return dict(zip(p_values, emcc.holm(list(p_values.values())).tolist(), strict=True))
-
-
-def _p(value: float) -> str:
+def p_value(value: float) -> str:
+    """A p value in words."""
     if value < 0.001:
         return "p < .001"
-    return "p = 1" if value > 0.9995 else f"p = {value:.3f}".replace("0.", ".", 1)
+    return "p = 1" if value > 0.9995 else f"p = {short(value, 3)}"
 
 
-def _runs(lines: list[dict[str, str]], level: str, choice: str) -> list[dict[str, str]]:
-    """Runs of SAC-LB-Streak on a level, of a choice or, for none, of the preset."""
-    folder = f"{level}-sac-lb-streak{'-' if choice else ''}{choice}"
-    return [line for line in lines if line["folder"] == folder and line["kind"] == "run"]
+def means(found: pd.DataFrame) -> list[str]:
+    """EMCC by third, cost rate, J_R and J_C."""
+    mean = found[[*SAFETY_MEASURES, "J_R", "J_C"]].mean()
+    thirds = " ".join(short(mean[name]) for name in EMCC)
+    return [thirds, short(mean.cost_rate), short(mean.J_R, 1), short(mean.J_C, 1)]
 
 
-def _part(runs: list[dict[str, str]], title: str) -> str:
-    """The cells of a row; empty without runs."""
-    if not runs:
-        return ""
+def grid() -> list[str]:
+    """A row for each level and algorithm of the presets: means, the paper's in brackets, runs that
+    solve the level, and runs within the limit."""
+    lines, rows = report("circle2d"), []
+    for task in LEVELS:
+        for name in ALGORITHMS:
+            own = runs(lines, task, name)
+            at = (lines.kind == "paper") & (lines.task == task) & (lines.algorithm == name)
+            cells = [
+                f"{ours} ({paper})"
+                for ours, paper in zip(means(own), means(lines[at]), strict=True)
+            ]
+            rows.append(_row(task[9], name, *cells, count(solved(own)), count(within(own))))
+    return rows
 
-    def mean(measure: str, digits: int) -> str:
-        return _short(fmean(float(line[measure]) for line in runs), digits)
 
-    emcc_of = " ".join(mean(measure, 2) for measure in MEASURES[:3])
-    others = [mean(of, digits) for of, digits in (("cost_rate", 2), ("J_R", 1), ("J_C", 1))]
-    return " | ".join([title, f"{sum(map(solves, runs))} of {len(runs)}", emcc_of, *others])
+def equal_rates() -> list[str]:
+    """A row for each level on which SAC-LB and SAC-LB-Streak have equal cost rates: both means of
+    each measure, and the p value of the equivalence test."""
+    rows = []
+    for task in LEVELS[1:3]:
+        pair = runs(report("circle2d"), task, "SAC-LB"), runs(report("solve"), task, "SAC-LB-Streak")
+        both = {
+            name: " and ".join(short(side[name].mean(), 3) for side in pair)
+            for name in SAFETY_MEASURES
+        }
+        rng = np.random.default_rng(0)
+        equal = emcc.equivalence_test(*(side.cost_rate.to_numpy() for side in pair), 0.02, rng=rng)
+        rows.append(_row(task[9], both["cost_rate"], p_value(equal), *(both[k] for k in EMCC)))
+    return rows
 
 
-def _choice(title: str, lines: list[dict[str, str]]) -> str:
-    means = {line["task"]: line for line in lines if line["kind"] in ("mean", "paper")}
-    runs = {of: [x for x in lines if (x["task"], x["kind"]) == (of, "run")] for of in LEVELS}
-    cells = [
-        ", ".join(f"{float(means[of][measure]):{digits}}" if of in means else "–" for of in LEVELS)
-        for measure, digits in (("J_C", ".1f"), ("EMCC_0.99", ".2f"))
+def solving() -> list[str]:
+    """A row for each level and judged algorithm: runs that solve it, within the limit, and means.
+    SAC-LB's are the grid's, the others fresh seeds."""
+    sources, rows = {"SAC-LB": report("circle2d")}, []
+    fresh = report("solve")
+    for task in (*LEVELS, "Circle2DMuJoCo-0-v0", "Circle2DMuJoCo-1-v0"):
+        for name in ("SAC-LB", UNITS, "SAC-LB-Streak"):
+            own = runs(sources.get(name, fresh), task, name)
+            if len(own):
+                title = name.replace("(input_scale 15.0)", "in units of length")
+                level = task[9] if task in LEVELS else f"{task[15]}, MuJoCo"
+                rows.append(_row(level, title, *_shares(own), *means(own)))
+    return rows
+
+
+def _shares(own: pd.DataFrame) -> list[str]:
+    shares = [emcc.share(int(chosen.sum()), len(own)) for chosen in (solved(own), within(own))]
+    both = zip((solved(own), within(own)), shares, strict=True)
+    return [f"{count(chosen)} [{short(s.low)}, {short(s.high)}]" for chosen, s in both]
+
+
+def compared(first: str, second: str, levels: tuple[str, ...] = LEVELS) -> list[str]:
+    """A row for each measure: by how much its mean over the levels is higher for the second of two
+    algorithms of the solve report, with the p value over all levels (permutation test, runs
+    exchanged within a level), corrected for the rows (Holm)."""
+    lines, gaps, tests = report("solve"), {}, {}
+    for name in (*SAFETY_MEASURES, "mean_streak", "J_R", "J_C"):
+        sides = [
+            np.transpose([runs(lines, task, which)[name].to_numpy() for task in levels])
+            for which in (first, second)
+        ]
+        gaps[name] = sides[1].mean() - sides[0].mean()
+        tests[name] = emcc.permutation_test(*sides, rng=np.random.default_rng(0))
+    corrected = dict(zip(tests, emcc.holm(list(tests.values())).tolist(), strict=True))
+    return [_row(name, _gap(gap), p_value(corrected[name])) for name, gap in gaps.items()]
+
+
+def parts() -> list[str]:
+    """A row for each part of SAC-LB-Streak: runs that solve their level without it and with all,
+    and by how much means are higher without it. p values: of counts Fisher's exact test, of means
+    the permutation test over levels, either corrected for all of the table (Holm)."""
+    lines, counts, gaps, of_counts, of_gaps = report("solve"), {}, {}, {}, {}
+    for part in PARTS:
+        sides = [[_part(lines, task, end) for task in LEVELS] for end in (f"-{part}", "")]
+        good = [pd.concat([solved(side) for side in of_levels]) for of_levels in sides]
+        counts[part] = ", ".join(map(count, good))
+        table = [[int(chosen.sum()), int((~chosen).sum())] for chosen in good]
+        of_counts[part] = float(scipy.stats.fisher_exact(table).pvalue)
+        for name in SAFETY_MEASURES:
+            without, usual = (
+                np.transpose([side[name].to_numpy() for side in of_levels]) for of_levels in sides
+            )
+            gaps[part, name] = without.mean() - usual.mean()
+            rng = np.random.default_rng(0)
+            of_gaps[part, name] = emcc.permutation_test(usual, without, rng=rng)
+    holm = [
+        dict(zip(tests, emcc.holm(list(tests.values())).tolist(), strict=True))
+        for tests in (of_counts, of_gaps)
     ]
-    for is_counted in (_is_within, solves):
-        counts = ", ".join(str(sum(map(is_counted, of))) if of else "–" for of in runs.values())
-        (seeds,) = {len(of) for of in runs.values() if of} or {0}  # equally many on all levels
-        cells.append(f"{counts} of {seeds}" if seeds else "")
-    return f"| {title} | {' | '.join(cells)} |"
+    return [
+        _row(
+            title,
+            f"{counts[part]} ({p_value(holm[0][part])})",
+            *(f"{_gap(gaps[part, m])} ({p_value(holm[1][part, m])})" for m in SAFETY_MEASURES),
+        )
+        for part, title in PARTS.items()
+    ]
 
 
-def _is_within(run: dict[str, str]) -> bool:
-    return float(run["J_C"]) <= LIMIT
+def _part(lines: pd.DataFrame, task: str, end: str) -> pd.DataFrame:
+    return lines[(lines.kind == "run") & (lines.folder == f"{task}-sac-lb-streak{end}")]
 
 
-def _mean(measure: str, kinds: dict[str, dict[str, str]]) -> str:
-    """Mean, interval or range, and the paper's mean."""
+def safety() -> list[str]:
+    """A row for each Safety task and algorithm: means, with the range of J_R and J_C."""
+    lines, rows = report("solve/safety"), []
+    for (task, name), own in lines[lines.kind == "run"].groupby(["task", "algorithm"]):
+        ranges = [
+            f"{own[k].mean():.1f}, from {own[k].min():.1f} to {own[k].max():.1f}"
+            for k in ("J_R", "J_C")
+        ]
+        title = str(task).partition("/Safety")[2].rpartition("-")[0]
+        limit = count(own.J_C <= 25)
+        rows.append(_row(title, str(name).partition(" (")[0], *means(own)[:2], *ranges, limit))
+    return rows
 
-    def of(kind: str) -> str:
-        return f"{float(kinds[kind][measure]):.2f}"
 
-    if "mean low" in kinds:
-        spread = f" [{of('mean low')}, {of('mean high')}]"
-    else:
-        spread = f", {of('mean lowest')} to {of('mean highest')}"
-    return f"{of('mean')}{spread} ({of('paper')})"
+def _gap(value: float) -> str:
+    rounded = round(value, 3) or 0.0  # no -0
+    return f"{rounded:+.3f}".replace("0.", ".", 1)
 
 
-def _count(line: dict[str, str]) -> str:
-    """Seeds of a share."""
-    return f"{round(float(line['share']) * int(line['seeds']))} of {line['seeds']}"
+def _row(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
 
+
+PAGES = {
+    "README.md": (grid, equal_rates),
+    "solve/README.md": (solving, parts, safety),
+}
+"""The tables of each page."""
 
 if __name__ == "__main__":
-    tables = [rows(REPORT), choices(REPORT), parts(SOLVED), parts_over_levels(SOLVED)]
-    tables += [safety(SAFETY)]
-    print("\n\n".join(map("\n".join, tables)))
+    for tables in PAGES.values():
+        print("\n\n".join("\n".join(table()) for table in tables), end="\n\n")
