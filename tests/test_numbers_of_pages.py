@@ -1,39 +1,38 @@
 """Numbers in README and documentation are those of the reports and of `emcc`."""
 
 import csv
-import functools
 import re
 from pathlib import Path
 
-import numpy as np
+import pandas as pd
 import pytest
 import results_table
+import scipy.stats
+from results_table import LEVELS, UNITS, count, runs, short, solved
 
 import agents
 import emcc
 
 ROOT = Path(__file__).parents[1]
-README = (ROOT / "README.md").read_text()
-RESULTS = (ROOT / "results" / "README.md").read_text()
-METRIC = (ROOT / "docs" / "metric.md").read_text()
+RESULTS = ROOT / "results"
+SOURCES = {
+    "circle2d": ["runs.zip"],
+    "solve": ["runs.zip", "units.zip"],
+    "solve/safety": ["runs.zip"],
+}
+"""The archives of each published report."""
 
 
-@functools.cache
-def of_level(level):
-    """The rows of the reports on the paper's five and on SAC-LB-Streak."""
-    rows = []
-    for grid in ("circle2d", "solve"):
-        with (ROOT / "results" / grid / "report.csv").open() as file:
-            rows += [row for row in csv.DictReader(file) if row["task"] == f"Circle2D-{level}-v0"]
-    return rows
+def page(name):
+    return (ROOT / name).read_text()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("folder", ["circle2d", "solve", "solve/safety"])
+@pytest.mark.parametrize("folder", SOURCES)
 def test_the_published_archives_give_the_published_numbers(folder, tmp_path):
-    published = ROOT / "results" / folder
-    agents.report(published / "runs.zip", out=tmp_path)
-    found, expected = ((of / "report.csv").open() for of in (tmp_path, published))
+    published = RESULTS / folder
+    agents.report(*(published / name for name in SOURCES[folder]), out=tmp_path)
+    found, expected = ((place / "report.csv").open() for place in (tmp_path, published))
     with found, expected:
         for row, known in zip(csv.DictReader(found), csv.DictReader(expected), strict=True):
             if not known["share"]:  # written before the lines of means told their seeds
@@ -48,210 +47,134 @@ def near(cell, other):
     return float(cell) == pytest.approx(float(other), rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("name", "table"),
+    [(name, table) for name, tables in results_table.PAGES.items() for table in tables],
+)
+def test_the_tables(name, table):
+    rows = table()
+    assert rows
+    text = page(f"results/{name}")
+    assert [row for row in rows if row not in text] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "most"), [("results/README.md", 1800), ("results/solve/README.md", 1200)]
+)
+def test_the_pages_on_results_are_short(name, most):
+    assert len(page(name).split()) <= most
+
+
 def test_the_readmes_table():
-    rows = of_level(1)
     for name in ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC", "SAC-LB-Streak"):
-        own = [row for row in rows if row["algorithm"] == name]
-        (mean,) = (row for row in own if row["kind"] == "mean")
-        columns = ("EMCC_0.33", "EMCC_0.99", "cost_rate", "J_R", "J_C")
-        numbers = " | ".join(f"{float(mean[column]):.2f}" for column in columns)
-        runs = [row for row in own if row["seed"]]
-        good = sum(map(results_table.solves, runs))
-        assert f"| {name} | {numbers} | {good} of {len(runs)} |" in README
-
-
-def test_the_table_of_the_results():
-    rows = results_table.rows(results_table.REPORT)
-    assert len(rows) == 20
-    assert all(row in RESULTS for row in rows)
-
-
-def test_the_choices_of_the_results():
-    rows = results_table.choices(results_table.REPORT)
-    assert len(rows) == 23
-    assert all(row in RESULTS for row in rows)
-
-
-def test_which_choice_is_the_nearest():
-    report = (ROOT / "results" / "circle2d" / "report.md").read_text()
-    section = report.partition("## Which choice is the nearest to the paper")[2]
-    section = section.partition("\n## ")[0]
-    rows = re.findall(r"^\| ([\w-]+), ([\w-]+).*? \| (\d+ of \d+) *\|$", section, re.MULTILINE)
-    assert len(rows) == 18
-    table = RESULTS.partition("In how many measures each choice is the nearest")[2]
-    for name, choice, count in rows:
-        (row,) = re.findall(rf"^\| {name} \| (.*) \|$", table.partition("\n## ")[0], re.MULTILINE)
-        preset, units, other, both, library = (cell.strip() for cell in row.split("|"))
-        own = {"units": units, "library": library, "sgd": other, "bootstrap": other}
-        assert (own | {"bootstrap-units": both}).get(choice, preset) == count
-
-
-def test_the_sentences_on_the_five():
-    """Counts over several levels, which no report has."""
-
-    def runs_of(name, levels=range(4)):
-        return [r for k in levels for r in of_level(k) if r["seed"] and r["algorithm"] == name]
-
-    def count(runs, end="", limit=np.inf):
-        good = [r for r in runs if r["ends_in"].startswith(end) and float(r["J_C"]) <= limit]
-        share = emcc.share(len(good), len(runs))
-        low, high = (f"{end:.2f}".removeprefix("0") for end in (share.low, share.high))
-        low, high = ("0" if low == ".00" else low, "1" if high == "1.00" else high)
-        return f"{len(good)} of {len(runs)}", f" [{low}, {high}]", f" runs [{low}, {high}]"
-
-    def of_paper(name, level, measure):
-        rows = [r for r in of_level(level) if r["kind"] == "paper" and r["algorithm"] == name]
-        return float(rows[0][measure])
-
-    behind = (1, 2, 3)
-    page = " ".join(RESULTS.split())
-    for words, (told, plain, named) in {
-        "{} go straight through": count(runs_of("TRPO-Lag", behind), "corridor, through"),
-        "{} end in the corridor": count(runs_of("CPO"), "corridor"),
-        "{} keep the limit. Of 12 means": count(runs_of("CPO"), limit=5),
-        "through on levels 1 to 3, {}, at": count(runs_of("SAC-Lag", behind), "corridor, through"),
-        "on levels 1 to 3 ({})": count(runs_of("SAC-LB", behind), "corridor", 5),
-        "so in {} on level 0": count(runs_of("SAC-LB", [0]), "corridor", 5),
-        "of levels 1 to 3 in {}": count(runs_of("WCSAC", behind), "corridor, through"),
-        "{} keep the limit. The paper's": count(runs_of("WCSAC"), limit=5),
-        "But {} end in the corridor": count(runs_of("CPO (input_scale 15.0)"), "corridor"),
-        "and {} keeps the limit": count(runs_of("CPO (input_scale 15.0)"), limit=5),
-        "There {} end in the corridor within the": count(
-            runs_of("SAC-LB (input_scale 15.0)", behind), "corridor", 5
-        ),
-        "with the preset {} (Fisher": count(runs_of("SAC-LB", behind), "corridor", 5),
-        "round level 0, in {} within the limit;": count(
-            runs_of("SAC-LB (input_scale 15.0, time_limit bootstrap)", [0]), "corridor", 5
-        ),
-        "On levels 1 to 3 it is {}, fewer": count(
-            runs_of("SAC-LB (input_scale 15.0, time_limit bootstrap)", behind), "corridor", 5
-        ),
-        "run of SAC-Lag and SAC-LB, {}, ends": count(
-            [r for k in ("Lag", "LB") for r in runs_of(f"SAC-{k} (time_limit bootstrap)", [0])],
-            "corridor",
-        ),
-    }.items():
-        assert any(words.format(told + more) in page for more in (plain, named)), words
-    thirds = [(k, m) for k in range(4) for m in ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")]
-    for name, told in (("CPO", 10), ("SAC-LB", 11)):
-        highest = {(k, m): max(float(r[m]) for r in runs_of(name, [k])) for k, m in thirds}
-        assert sum(of_paper(name, *key) > most for key, most in highest.items()) == told
-    equal = [
-        (float(r["EMCC_0.99"]), r["algorithm"])
-        for name in ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC")
-        for r in runs_of(name, [0])
-        if 0.09 <= float(r["cost_rate"]) <= 0.11
-    ]
-    ends = [f"{value:.2f} ({name})".removeprefix("0") for value, name in (min(equal), max(equal))]
-    assert f"On level 0 {len(equal)} of the 50 runs have a cost rate between .09 and .11" in page
-    assert f"from {' to '.join(ends)}" in page
-
-
-def test_the_corridor_with_bootstrap():
-    """Claims 3 and 5: who of the SAC family ends there."""
-    ends = {}
-    for level in range(4):
-        for name in ("SAC-Lag", "SAC-LB", "WCSAC"):
-            of = f"{name} (time_limit bootstrap)"
-            runs = [row for row in of_level(level) if row["seed"] and row["algorithm"] == of]
-            ends[level, name] = [row["ends_in"].partition(",")[0] for row in runs]
-            assert len(runs) in (0, 10)
-    on_level_0 = [end for name in ("SAC-Lag", "SAC-LB", "WCSAC") for end in ends[0, name]]
-    assert len(on_level_0) == 30
-    assert "corridor" not in on_level_0
-    of_sac_lb = [end for level in range(4) for end in ends[level, "SAC-LB"]]
-    assert len(of_sac_lb) == 40
-    assert all(end.endswith("rim") for end in of_sac_lb)
-    assert ends[1, "SAC-Lag"].count("corridor") == 3
-    assert set(ends[0, "SAC-Lag"]) == {"right rim"}
-
-
-def test_the_intervals_of_shares():
-    (row,) = re.findall(r"^\| share, 95 % interval \| (.*) \|$", RESULTS, re.MULTILINE)
-    for count, printed in enumerate(row.split(" | ")):
-        share = emcc.share(count, 10)
-        assert [f"{end:.2f}" for end in (share.low, share.high)] == [
-            f"{float(end):.2f}" for end in printed.strip("[]").split(", ")
-        ]
-
-
-def test_two_algorithms_of_one_cost_rate():
-    rng = np.random.default_rng(0)
-    for level in (1, 2):
-        runs = [row for row in of_level(level) if row["seed"]]
-
-        def pair(measure, runs=runs):
-            names = ("SAC-LB", "SAC-LB-Streak")
-            return [[float(r[measure]) for r in runs if r["algorithm"] == of] for of in names]
-
-        rates, *of_emcc = map(pair, ("cost_rate", "EMCC_0.33", "EMCC_0.66", "EMCC_0.99"))
-        assert emcc.equivalence_test(*rates, 0.02, rng=rng) < 0.001
-        # Sixteen comparisons: Holm's correction multiplies by no more.
-        assert all(16 * emcc.permutation_test(*of, rng=rng) < 0.001 for of in of_emcc)
-        means = [
-            " and ".join(f"{np.mean(side):.3f}"[1:] for side in of) for of in (rates, *of_emcc)
-        ]
-        assert f"| {level} | {means[0]} | < .001 | {' | '.join(means[1:])} |" in RESULTS
-
-
-def test_streak_cost_against_a_margin():
-    page = (ROOT / "results" / "solve" / "README.md").read_text()
-    measures = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "mean_streak", "cost_rate", "J_R", "J_C")
-    digits = (3, 3, 3, 2, 3, 1, 1)
-    p_values, rng = {}, np.random.default_rng(0)
-    for level in (1, 3):
-        sides = []
-        for title, options in (
-            ("streak cost", ""),
-            ("margin", " (cost_limit 3.5, streak_weight 0.0)"),
-        ):
-            name = f"SAC-LB-Streak{options}"
-            runs = [r for r in of_level(level) if r["seed"] and r["algorithm"] == name]
-            sides.append({m: np.array([float(r[m]) for r in runs]) for m in measures})
-            numbers = [
-                f"{sides[-1][m].mean():.{k}f}" for m, k in zip(measures, digits, strict=True)
-            ]
-            printed = " | ".join(re.sub(r"^0\.", ".", number) for number in numbers)
-            good = sum(map(results_table.solves, runs))
-            assert f"| {level} | {title} | {printed} | {good} of 10 |" in page
-        for m in measures:
-            p_values[level, m] = emcc.permutation_test(*(of[m] for of in sides), rng=rng)
-        lower = [sides[0][m].mean() < sides[1][m].mean() for m in measures[:5]]
-        assert lower == [True] * 4 + [False]
-    safety = {key: p for key, p in p_values.items() if not key[1].startswith("J")}
-    corrected = dict(zip(safety, emcc.holm(list(safety.values())), strict=True))
-    assert max(corrected.values()) <= 0.026
-    clear = [(1, "EMCC_0.99"), (3, "EMCC_0.33"), *((k, m) for k in (1, 3) for m in measures[3:5])]
-    assert all(corrected[key] < 0.001 for key in clear)
-    assert min(p for key, p in p_values.items() if key not in safety) >= 0.056
+        grid = "solve" if name == "SAC-LB-Streak" else "circle2d"
+        own = runs(results_table.report(grid), "Circle2D-1-v0", name)
+        mean = own[["EMCC_0.33", "EMCC_0.99", "cost_rate", "J_R", "J_C"]].mean()
+        numbers = " | ".join(f"{value:.2f}" for value in mean)
+        assert f"| {name} | {numbers} | {count(solved(own))} |" in page("README.md")
 
 
 def test_the_verdicts():
-    report = (ROOT / "results" / "circle2d" / "report.md").read_text()
-    verdicts = re.findall(r"^### (\d)\. .* \*\*(\w+)\*\*$", report, re.MULTILINE)
-    assert [number for number, _ in verdicts] == list("1234567")
-    told = re.findall(r"^\| (\d)\. [^|]* \| (\w+) \|", RESULTS, re.MULTILINE)
-    assert told == [(number, verdict.lower()) for number, verdict in verdicts]
-    sections = dict(
-        zip("1234567", re.split(r"^### \d", report, flags=re.MULTILINE)[1:], strict=True)
-    )
-    for number, row in re.findall(r"^\| (\d)\. (.*)$", RESULTS, re.MULTILINE):
-        other = re.search(r"^With bootstrap: (\w+)$", sections[number], re.MULTILINE)
-        assert ("`bootstrap`" in row) == (other is not None)
-        assert other is None or other[1] in row.partition("`bootstrap`")[2]
-    counts = [sum(of == verdict for _, of in told) for verdict in ("confirmed", "refuted")]
+    """Verdicts, those with bootstrap, and every number of a row, which its claim's section has."""
+    report = page("results/circle2d/report.md")
+    rows = re.findall(r"^\| (\d)\. [^|]* \| (\w+) \| (.*) \| (\w*) ?\|$", page("results/README.md"), re.M)
+    sections = re.split(r"^### \d", report, flags=re.M)[1:]
+    assert len(rows) == len(sections) == 7
+    for (_, verdict, decides, other), section in zip(rows, sections, strict=True):
+        assert re.search(r"\*\*(\w+)\*\*$", section, re.M)[1].lower() == verdict
+        bootstrap = re.search(r"^With bootstrap: (\w+)$", section, re.M)
+        assert other == (bootstrap[1] if bootstrap else "")
+        own = section.partition("\nWith bootstrap:")[0]
+        for counted in re.findall(r"\d+ of \d+(?: runs \[[^\]]*\])?", decides):
+            assert re.sub(r"(?<!\d)\.", "0.", counted) in own, counted
+        for number in re.findall(r"(?<![\d.])\d*\.\d+", re.sub(r"\[.*?\]|< \.001", "", decides)):
+            assert re.search(rf"(?<!\d)0?{re.escape(number)}(?!\d)", own), number
+    counts = [sum(row[1] == verdict for row in rows) for verdict in ("confirmed", "refuted")]
     assert counts == [1, 4]
     told = "Of the paper's seven claims one is confirmed, four are refuted, two stay undecided"
-    assert told in " ".join(README.split())
+    assert told in " ".join(page("README.md").split())
+
+
+def test_the_sentences():
+    """Counts over several levels, which no report has."""
+    lines = results_table.report("circle2d")
+
+    def of(name, levels):
+        return pd.concat([runs(lines, LEVELS[level], name) for level in levels])
+
+    def ends(name, end, levels=(1, 2, 3)):
+        return of(name, levels).ends_in.str.startswith(end)
+
+    def share(chosen):
+        ends = emcc.share(int(chosen.sum()), len(chosen))
+        return f"{count(chosen)} runs [{short(ends.low)}, {short(ends.high)}]"
+
+    every = range(4)
+    bootstrap = "{} (time_limit bootstrap)"
+    waiting = of(bootstrap.format("SAC-LB"), every).ends_in
+    assert len(waiting) == 40 and waiting.str.contains("rim").all()
+    on_level_0 = [ends(bootstrap.format(name), "corridor", [0]) for name in ("SAC-Lag", "SAC-LB")]
+    cpo = "CPO (input_scale 15.0)"
+    text = " ".join(page("results/README.md").split())
+    for sentence in (
+        f"CPO waits at the rim or in a cut-out: {share(ends('CPO', 'corridor', every))} end",
+        f"SAC-Lag goes straight through in {share(ends('SAC-Lag', 'corridor, through'))}",
+        f"WCSAC enters the corridor in {share(ends('WCSAC', 'corridor, through'))}",
+        f"SAC-LB alone solves them, in {share(solved(of('SAC-LB', (1, 2, 3))))}",
+        f"instead of Adam {share(ends('TRPO-Lag (multiplier_optimizer sgd)', 'corridor, through'))}",
+        f"with `bootstrap` {share(pd.concat(on_level_0))} of SAC-Lag and SAC-LB end",
+        f"SAC-LB solves levels 1 to 3 in {share(solved(of(UNITS, (1, 2, 3))))}",
+        f"but {share(ends(cpo, 'corridor', every))} end in the corridor",
+    ):
+        assert sentence in text, sentence
+    report = page("results/circle2d/report.md")
+    nearest = re.findall(r"^\| CPO, (\w+) +\| (\d+ of \d+) *\|$", report, re.M)
+    assert dict(nearest) == {"preset": "6 of 28", "units": "22 of 28"}
+    assert "in 22 of 28 measures, the preset in 6" in text
+    assert "Of 120 comparisons" in report and "4 have equal cost rates" in report
+    assert "0.125  | 0.071  | -0.054 | 0.045" in report
+
+
+def test_the_levels_that_sac_lb_streak_solves():
+    """The sentences of the README and of its own page."""
+    lines = results_table.report("solve")
+    kinds = {"Circle2D-{}-v0": range(4), "Circle2DMuJoCo-{}-v0": range(2)}
+    for name, levels in kinds.items():
+        own = pd.concat([runs(lines, name.format(k), "SAC-LB-Streak") for k in levels])
+        told = {4: f"Of 40 runs, ten on each level, {int(solved(own).sum())} end in the corridor"}
+        told[2] = f"with physics, {count(solved(own))} do"
+        assert told[len(levels)] in " ".join(page("README.md").split())
+    own = pd.concat([results_table._part(lines, task, "-without-horizon") for task in LEVELS])
+    others = own[~solved(own)].ends_in
+    assert (len(own), len(others), others.str.contains("rim").sum()) == (12, 5, 4)
+    own = results_table._part(lines, LEVELS[0], "-without-novelty")
+    assert count(solved(own)) == "0 of 3"
+    for level in (2, 3):
+        late = runs(lines, LEVELS[level], "SAC-LB-Streak")["EMCC_0.99"].mean()
+        assert short(late, 4) in page("results/solve/README.md")
+
+
+def test_sac_lb_in_units_of_length_against_the_preset():
+    """Fisher's exact test of the runs on levels 1 to 3 that solve them: fresh seeds."""
+    grid, fresh = results_table.report("circle2d"), results_table.report("solve")
+    sides = [
+        pd.concat([solved(runs(lines, task, name)) for task in LEVELS[1:]])
+        for lines, name in ((grid, "SAC-LB"), (fresh, UNITS))
+    ]
+    table = [[int(side.sum()), int((~side).sum())] for side in sides]
+    p = scipy.stats.fisher_exact(table).pvalue
+    told = f"{count(sides[1])} instead of {count(sides[0])} (Fisher's exact test, "
+    assert told + results_table.p_value(p) + ")" in " ".join(page("results/solve/README.md").split())
 
 
 def test_the_example_of_ties():
     """`emcc` itself is held to the definition in tests/emcc."""
-    rows = re.findall(r"^\| (\d+) \| (\.\d+) \| (\.\d+) \|$", METRIC, re.MULTILINE)
+    metric = page("docs/metric.md")
+    rows = re.findall(r"^\| (\d+) \| (\.\d+) \| (\.\d+) \|$", metric, re.M)
     assert [int(safe) for safe, *_ in rows] == [89, 90, 91]
     for safe, *printed in rows:
         values = [0.0] * int(safe) + [0.5] * (100 - int(safe))
         assert [emcc.emcc(values, 0.1, ties) for ties in ("all", "split")] == [*map(float, printed)]
     costs = [4, 38, 54, 0, 0, 25, 39, 13, 20, 0]
     assert [emcc.cvar(costs, 0.5, ties) for ties in ("all", "split")] == [31.5, 35.2]
-    assert "is 31.5 with `all` and 35.2 with `split`" in METRIC
+    assert "is 31.5 with `all` and 35.2 with `split`" in metric

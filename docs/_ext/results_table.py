@@ -20,7 +20,6 @@ LEVELS = tuple(f"Circle2D-{level}-v0" for level in range(4))
 ALGORITHMS = ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC")
 LIMIT = 5.0
 UNITS = "SAC-LB (input_scale 15.0)"
-MARGIN = "SAC-LB-Streak (cost_limit 3.5, streak_weight 0.0)"
 PARTS = {
     "without-scale": "the unit of length",
     "without-novelty": "the bonus for new states",
@@ -29,8 +28,9 @@ PARTS = {
     "without-streak": "streak cost",
     "without-brown": "brown random actions",
     "without-speed": "its own step sizes and batches",
+    "margin": "streak cost, but with a margin: a limit of 3.5",
 }
-"""The parts of SAC-LB-Streak by the ends of their folders' names."""
+"""What SAC-LB-Streak was trained without, by the ends of its folders' names."""
 
 
 def report(grid: str) -> pd.DataFrame:
@@ -81,7 +81,7 @@ def means(found: pd.DataFrame) -> list[str]:
 
 def grid() -> list[str]:
     """A row for each level and algorithm of the presets: means, the paper's in brackets, runs that
-    solve the level, and runs within the limit."""
+    solve the level and runs within the limit, of ten."""
     lines, rows = report("circle2d"), []
     for task in LEVELS:
         for name in ALGORITHMS:
@@ -91,8 +91,13 @@ def grid() -> list[str]:
                 f"{ours} ({paper})"
                 for ours, paper in zip(means(own), means(lines[at]), strict=True)
             ]
-            rows.append(_row(task[9], name, *cells, count(solved(own)), count(within(own))))
+            cells[0] = cells[0].replace(" (", "(").replace(" ", "/").replace("(", " (")
+            rows.append(_row(task[9], name, *cells, _counts(own)))
     return rows
+
+
+def _counts(own: pd.DataFrame) -> str:
+    return f"{int(solved(own).sum())}, {int(within(own).sum())}"
 
 
 def equal_rates() -> list[str]:
@@ -132,20 +137,20 @@ def _shares(own: pd.DataFrame) -> list[str]:
     return [f"{count(chosen)} [{short(s.low)}, {short(s.high)}]" for chosen, s in both]
 
 
-def compared(first: str, second: str, levels: tuple[str, ...] = LEVELS) -> list[str]:
-    """A row for each measure: by how much its mean over the levels is higher for the second of two
-    algorithms of the solve report, with the p value over all levels (permutation test, runs
-    exchanged within a level), corrected for the rows (Holm)."""
-    lines, gaps, tests = report("solve"), {}, {}
+def compared() -> list[str]:
+    """A row for each measure: its mean over the levels for SAC-LB in units of length and for
+    SAC-LB-Streak, with the p value over all levels (permutation test, runs exchanged within a
+    level), corrected for the rows (Holm)."""
+    lines, both, tests = report("solve"), {}, {}
     for name in (*SAFETY_MEASURES, "mean_streak", "J_R", "J_C"):
         sides = [
-            np.transpose([runs(lines, task, which)[name].to_numpy() for task in levels])
-            for which in (first, second)
+            np.transpose([runs(lines, task, which)[name].to_numpy() for task in LEVELS])
+            for which in (UNITS, "SAC-LB-Streak")
         ]
-        gaps[name] = sides[1].mean() - sides[0].mean()
+        both[name] = [short(side.mean(), 3) for side in sides]
         tests[name] = emcc.permutation_test(*sides, rng=np.random.default_rng(0))
     corrected = dict(zip(tests, emcc.holm(list(tests.values())).tolist(), strict=True))
-    return [_row(name, _gap(gap), p_value(corrected[name])) for name, gap in gaps.items()]
+    return [_row(name, *both[name], p_value(corrected[name])) for name in both]
 
 
 def parts() -> list[str]:
@@ -154,7 +159,8 @@ def parts() -> list[str]:
     the permutation test over levels, either corrected for all of the table (Holm)."""
     lines, counts, gaps, of_counts, of_gaps = report("solve"), {}, {}, {}, {}
     for part in PARTS:
-        sides = [[_part(lines, task, end) for task in LEVELS] for end in (f"-{part}", "")]
+        levels = [task for task in LEVELS if len(_part(lines, task, f"-{part}"))]
+        sides = [[_part(lines, task, end) for task in levels] for end in (f"-{part}", "")]
         good = [pd.concat([solved(side) for side in of_levels]) for of_levels in sides]
         counts[part] = ", ".join(map(count, good))
         table = [[int(chosen.sum()), int((~chosen).sum())] for chosen in good]
@@ -209,7 +215,7 @@ def _row(*cells: str) -> str:
 
 PAGES = {
     "README.md": (grid, equal_rates),
-    "solve/README.md": (solving, parts, safety),
+    "solve/README.md": (solving, compared, parts, safety),
 }
 """The tables of each page."""
 
