@@ -77,7 +77,9 @@ def test_the_readmes_table():
 def test_the_verdicts():
     """Verdicts, those with bootstrap, and every number of a row, which its claim's section has."""
     report = page("results/circle2d/report.md")
-    rows = re.findall(r"^\| (\d)\. [^|]* \| (\w+) \| (.*) \| (\w*) ?\|$", page("results/README.md"), re.M)
+    rows = re.findall(
+        r"^\| (\d)\. [^|]* \| (\w+) \| (.*) \| (\w*) ?\|$", page("results/README.md"), re.M
+    )
     sections = re.split(r"^### \d", report, flags=re.M)[1:]
     assert len(rows) == len(sections) == 7
     for (_, verdict, decides, other), section in zip(rows, sections, strict=True):
@@ -114,14 +116,14 @@ def test_the_sentences():
     waiting = of(bootstrap.format("SAC-LB"), every).ends_in
     assert len(waiting) == 40 and waiting.str.contains("rim").all()
     on_level_0 = [ends(bootstrap.format(name), "corridor", [0]) for name in ("SAC-Lag", "SAC-LB")]
-    cpo = "CPO (input_scale 15.0)"
+    cpo, sgd = "CPO (input_scale 15.0)", "TRPO-Lag (multiplier_optimizer sgd)"
     text = " ".join(page("results/README.md").split())
     for sentence in (
         f"CPO waits at the rim or in a cut-out: {share(ends('CPO', 'corridor', every))} end",
         f"SAC-Lag goes straight through in {share(ends('SAC-Lag', 'corridor, through'))}",
         f"WCSAC enters the corridor in {share(ends('WCSAC', 'corridor, through'))}",
         f"SAC-LB alone solves them, in {share(solved(of('SAC-LB', (1, 2, 3))))}",
-        f"instead of Adam {share(ends('TRPO-Lag (multiplier_optimizer sgd)', 'corridor, through'))}",
+        f"instead of Adam {share(ends(sgd, 'corridor, through'))}",
         f"with `bootstrap` {share(pd.concat(on_level_0))} of SAC-Lag and SAC-LB end",
         f"SAC-LB solves levels 1 to 3 in {share(solved(of(UNITS, (1, 2, 3))))}",
         f"but {share(ends(cpo, 'corridor', every))} end in the corridor",
@@ -164,7 +166,9 @@ def test_sac_lb_in_units_of_length_against_the_preset():
     table = [[int(side.sum()), int((~side).sum())] for side in sides]
     p = scipy.stats.fisher_exact(table).pvalue
     told = f"{count(sides[1])} instead of {count(sides[0])} (Fisher's exact test, "
-    assert told + results_table.p_value(p) + ")" in " ".join(page("results/solve/README.md").split())
+    assert told + results_table.p_value(p) + ")" in " ".join(
+        page("results/solve/README.md").split()
+    )
 
 
 def test_the_example_of_ties():

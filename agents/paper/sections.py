@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from agents.algorithms import ALGORITHMS, title
 from agents.paper.claims import LIMIT, check_claims
-from agents.paper.evidence import SEEDS
+from agents.paper.evidence import SAFETY_SEEDS, SEEDS
 from agents.paper.introduction import introduction
 from agents.paper.presets import MARGIN, PAPER_ALGORITHMS, ablations, is_circle2d, unprinted
 from agents.paper.printed import choice_of, paper_results, printed, split
@@ -48,11 +48,12 @@ CLAIMS = "The paper's claims"
 METHOD = (
     "A claim is confirmed where all its parts are, refuted where one is, undecided otherwise. Runs "
     f"with the presets' settings and of the paper's length count, {SEEDS} or more of an algorithm "
-    "on a task. A run ends where its evaluated episodes end most often; the limit is "
-    f"{LIMIT:g}. A rule on a share of runs holds where it holds for the whole 95 % Clopper-Pearson "
-    "interval. Means have 95 % t intervals; where runs end in different places, or are fewer than "
-    "five, their range. Differences are decided by permutation tests of Welch's t, equivalence by "
-    f"two one-sided ones, at {LEVEL:g}; to refute, at {LEVEL:g} divided by the number of parts. "
+    f"on a task, on a Safety task {SAFETY_SEEDS}. A run ends where its evaluated episodes end most "
+    f"often; the limit is {LIMIT:g}. A rule on a share of runs holds where it holds for the whole "
+    "95 % Clopper-Pearson interval. Means have 95 % t intervals; where runs end in different "
+    "places, or are fewer than five, their range. Differences are decided by permutation tests of "
+    f"Welch's t, equivalence by two one-sided ones, at {LEVEL:g}; to refute, at {LEVEL:g} divided "
+    "by the number of parts. "
     '"With bootstrap: refuted": the verdict with runs of another choice of what the paper does not '
     "print in the place of the preset's."
 )

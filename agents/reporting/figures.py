@@ -140,21 +140,21 @@ def midpoints(total_steps: int) -> NDArray[np.float64]:
     return (np.arange(POINTS) + 0.5) / POINTS * total_steps
 
 
-def episode_means(group: Group, column: Literal["reward", "cost"]) -> Curve:
+def episode_means(group: Group, column: Literal["reward", "cost", "length"]) -> Curve:
     """The mean of a column of the episodes that start in each part; NaN where none does.
 
-    column: "reward" (the return) or "cost".
+    column: "reward" (the return), "cost" or "length".
     """
     rows, total_steps = [], group.config.steps
     for records in (run.records for run in group.runs):
         part = np.minimum(records.start_step * POINTS // total_steps, POINTS - 1)
-        values = records.cost
+        values = getattr(records, column)
         if column == "reward":  # as archives keep it, so that a report from one has the same bytes
             values = five_digits(records.reward)
         sums = np.bincount(part, values, minlength=POINTS)
         count = np.bincount(part, minlength=POINTS)
         rows.append(np.where(count > 0, sums / np.maximum(count, 1), np.nan))
-    return _over_runs(rows, group.one_place, COST if column == "cost" else UNBOUNDED)
+    return _over_runs(rows, group.one_place, UNBOUNDED if column == "reward" else COST)
 
 
 def emcc_along(records: EpisodeRecords, total_steps: int, alpha: float) -> list[float]:
@@ -197,16 +197,19 @@ def task_figures(groups: Sequence[Group]) -> list[Figure]:
 
 def curves(named: Sequence[tuple[str, Group]]) -> Figure:
     """Training curves of groups on one task, each with its name: return, cost return, running EMCC,
-    and EMCC of the thirds. Equal input gives equal bytes."""
+    EMCC of the thirds and, where episodes differ in it, their length. Equal input gives equal
+    bytes."""
     groups = [group for _, group in named]
     limits, task = {group.limit for group in groups}, groups[0].task
     limit = limits.pop() if len(limits) == 1 else None
     columns, height = legend([name for name, _ in named])
     looks = styles([group.config for group in groups])
+    lengths = {n for group in groups for run in group.runs for n in np.unique(run.records.length)}
+    rows = 3 if len(lengths) > 1 else 2
     with drawing() as pyplot:
-        size = (9, 6 + height)
-        figure, axes = pyplot.subplots(2, 2, figsize=size, layout="constrained")
-        (returns, costs), (running, thirds) = axes
+        size = (9, 3 * rows + height)
+        figure, axes = pyplot.subplots(rows, 2, figsize=size, layout="constrained")
+        (returns, costs), (running, thirds) = axes[:2]
         figure.suptitle(task)
         for k, ((name, group), style) in enumerate(zip(named, looks, strict=True)):
             at = midpoints(group.config.steps)
@@ -214,6 +217,8 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
             _draw(costs, name, style, at, episode_means(group, "cost"))
             _draw(running, name, style, at, running_emcc(group))
             _draw_thirds(thirds, style, (k - (len(named) - 1) / 2) / len(named), thirds_emcc(group))
+            if rows == 3:
+                _draw(axes[2, 0], name, style, at, episode_means(group, "length"))
         if limit is not None:
             costs.axhline(limit, label="cost limit", color="#888888", linewidth=0.9)
         _label(axes, max(group.config.steps for group in groups))
@@ -247,9 +252,13 @@ def _draw_thirds(axis: Any, style: Style, offset: float, curve: Curve) -> None:
 def _label(axes: Any, total_steps: int) -> None:
     from matplotlib.ticker import EngFormatter
 
-    (returns, costs), (running, thirds) = axes
+    (returns, costs), (running, thirds), *more = axes
     names = ("return of an episode", "cost of an episode", "EMCC, running", "EMCC of the thirds")
-    for axis, name in zip((returns, costs, running, thirds), names, strict=True):
+    shown: dict[Any, str] = dict(zip((returns, costs, running, thirds), names, strict=True))
+    for lengths, unused in more:
+        shown[lengths] = "length of an episode (steps)"
+        unused.set_axis_off()
+    for axis, name in shown.items():
         axis.set_ylabel(name)
         axis.spines[["top", "right"]].set_visible(False)
         if axis is not thirds:

@@ -35,13 +35,12 @@ PARTS = {
 
 def report(grid: str) -> pd.DataFrame:
     """The lines of a grid's report.csv."""
-    return pd.read_csv(RESULTS / grid / "report.csv", keep_default_na=True)
+    return pd.read_csv(RESULTS / grid / "report.csv")
 
 
-def runs(lines: pd.DataFrame, task: str, algorithm: str, seeds: range | None = None) -> pd.DataFrame:
-    """The runs of an algorithm, named as in the report, on a task; of some seeds alone."""
-    own = lines[(lines.kind == "run") & (lines.task == task) & (lines.algorithm == algorithm)]
-    return own if seeds is None else own[own.seed.isin(seeds)]
+def runs(lines: pd.DataFrame, task: str, algorithm: str) -> pd.DataFrame:
+    """The runs of an algorithm, named as in the report, on a task."""
+    return lines[(lines.kind == "run") & (lines.task == task) & (lines.algorithm == algorithm)]
 
 
 def within(found: pd.DataFrame) -> pd.Series:
@@ -105,7 +104,8 @@ def equal_rates() -> list[str]:
     each measure, and the p value of the equivalence test."""
     rows = []
     for task in LEVELS[1:3]:
-        pair = runs(report("circle2d"), task, "SAC-LB"), runs(report("solve"), task, "SAC-LB-Streak")
+        sides = (("circle2d", "SAC-LB"), ("solve", "SAC-LB-Streak"))
+        pair = [runs(report(grid), task, name) for grid, name in sides]
         both = {
             name: " and ".join(short(side[name].mean(), 3) for side in pair)
             for name in SAFETY_MEASURES

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from agents.paper.claims import CLAIMS, check_claims
+from agents.paper.evidence import all_of, gather
 from agents.paper.presets import PAPER_STEPS, preset
 from agents.paper.sections import claims_section
 from agents.reporting.page import page
@@ -20,13 +21,15 @@ LEVEL = [f"Circle2D-{level}-v0" for level in range(4)]
 ALL = tuple(range(10))
 
 
-def run(seed, parts, rate, j_c, end, later_cost):
-    """Ten episodes, the first four at a cost of 40: only the others are after the first third."""
+def run(seed, parts, rate, j_c, end, later_cost, early=(10, 40.0)):
+    """Ten episodes, the first four of another length and cost (early): only the others are after
+    the first third."""
     measures = dict(zip(("EMCC_0.33", "EMCC_0.66", "EMCC_0.99"), parts, strict=True))
     measures |= {"cost_rate": rate, "J_R": -9.0, "J_C": j_c, "CVaR_0.5": j_c}
-    cost = np.array([40.0] * 4 + [later_cost] * 6)
+    cost = np.array([early[1]] * 4 + [later_cost] * 6)
+    length = np.array([early[0]] * 4 + [10] * 6)
     of_ten, zero = np.arange(10), np.zeros(10)
-    records = EpisodeRecords(of_ten, of_ten * 10, zero + 10, zero, cost, zero)
+    records = EpisodeRecords(of_ten, of_ten * 10, length, zero, cost, zero)
     return Run(seed, measures, 100, end_at(end), records)
 
 
@@ -38,6 +41,7 @@ def end_at(place, share=80):
 def as_the_paper_says(task, name):
     """Ten runs for which every claim holds; seeds differ a little."""
     parts, rate, j_c, ends, later = (0.5, 0.4, 0.45), 0.1, 1.0, "right rim", 1.0
+    early = (8, 30.0) if (name, task) == ("trpo-lag", SAFETY[2]) else (10, 40.0)
     if name in ("trpo-lag", "cpo"):
         parts = (0.5, 0.3, 0.2) if name == "trpo-lag" else (0.5, 0.35, 0.3)
         if name == "trpo-lag" and task in LEVEL[1:]:
@@ -45,12 +49,16 @@ def as_the_paper_says(task, name):
     elif name in ("sac-lag", "sac-lb"):
         parts = (0.3, 0.4, 0.5)
         ends = "corridor" if task == LEVEL[0] or (name, task) == ("sac-lb", LEVEL[1]) else ends
+        if (name, task) == ("sac-lag", SAFETY[0]):
+            parts, rate, j_c = (0.3, 0.2, 0.1), 0.2, 2.0
     else:
         parts = (0.5, 0.6, 0.7)
     runs = []
     for seed in ALL:
         shifted = [part + 0.003 * seed for part in parts]
-        runs.append(run(seed, shifted, rate + 0.001 * seed, j_c + 0.01 * seed, ends, later))
+        costs = rate + 0.001 * seed, j_c + 0.01 * seed
+        length, cost = early[0] - seed % 2, early[1] + seed
+        runs.append(run(seed, shifted, *costs, ends, later, (length, cost)))
     return runs
 
 
@@ -74,9 +82,23 @@ def verdicts(world, **options):
     return [checked.verdict for checked in check_claims(groups)]
 
 
+def verdict_of(world, claim):
+    """That on one claim, counted from 1."""
+    evidence = gather([group(task, name, runs) for (task, name), runs in world.items()])
+    return all_of(part.verdict for part in CLAIMS[claim - 1].check(evidence))
+
+
 def test_all_confirmed(world):
-    assert len(CLAIMS) == 7
-    assert verdicts(world) == ["confirmed"] * 7
+    assert len(CLAIMS) == 9
+    assert verdicts(world) == ["confirmed"] * 9
+
+
+def test_claims_on_tasks_without_runs_are_left_out(world):
+    circle2d = {key: runs for key, runs in world.items() if key[0] in LEVEL}
+    assert len(verdicts(circle2d)) == 7
+    hopper = {key: runs[:3] for key, runs in world.items() if key[0] == SAFETY[2]}
+    groups = [group(task, name, runs) for (task, name), runs in hopper.items()]
+    assert [of[0][:6] for of in check_claims(groups)] == ["EMCC o", "On Saf"]
 
 
 def changed(runs, seeds, ends=None, records=None, **measures):
@@ -138,6 +160,9 @@ SCENARIOS = {
     "CPO hardly lower": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.206}, 7, "undecided"),
     "SAC-LB lower in the middle": (LEVEL[2], "sac-lb", ALL, {"EMCC_0__66": 0.29}, 7, "refuted"),
     "early EMCC is not claimed": (LEVEL[2], "trpo-lag", ALL, {"EMCC_0__33": 0.9}, 7, "confirmed"),
+    "SAC-Lag cheaper": (SAFETY[0], "sac-lag", ALL, {"J_C": 0.5}, 8, "refuted"),
+    "SAC-Lag once longer": (SAFETY[0], "sac-lag", ALL[:5], {"EMCC_0__66": 0.5}, 8, "undecided"),
+    "TRPO-Lag shorter": (SAFETY[2], "trpo-lag", ALL, {"EMCC_0__33": 0.1}, 9, "refuted"),
 }
 
 
@@ -145,28 +170,28 @@ SCENARIOS = {
 def test_scenarios(world, scenario):
     task, name, seeds, numbers, claim, verdict = scenario
     world[task, name] = changed(world[task, name], seeds, **numbers)
-    assert verdicts(world)[claim - 1] == verdict
+    assert verdict_of(world, claim) == verdict
 
 
 def test_off_policy_that_falls_everywhere(world):
     for task in PAPER_STEPS:
         world[task, "sac-lb"] = changed(world[task, "sac-lb"], ALL, EMCC_0__99=0.1)
-    assert verdicts(world)[1] == "refuted"
+    assert verdict_of(world, 2) == "refuted"
     world[LEVEL[1], "sac-lb"] = changed(world[LEVEL[1], "sac-lb"], (0, 1), EMCC_0__99=0.9)
-    assert verdicts(world)[1] == "undecided"
+    assert verdict_of(world, 2) == "undecided"
 
 
 def test_cost_late_in_training(world):
     world[LEVEL[0], "wcsac"] = [
         run(k, (0.5, 0.6, 0.7), 0.1, 1.0, "right rim", 5.5 if k else 1.0) for k in ALL
     ]
-    assert verdicts(world)[3] == "refuted"
+    assert verdict_of(world, 4) == "refuted"
 
 
 def test_what_decides_nothing(world):
     assert verdicts(world, steps=10_000) == []  # not even a claim: nothing is of the grid
-    nine = {key: runs[:9] for key, runs in world.items()}
-    assert verdicts(nine) == ["undecided"] * 7
+    few = {key: runs[: 9 if key[0] in LEVEL else 2] for key, runs in world.items()}
+    assert verdicts(few) == ["undecided"] * 9
     others = [
         group(task, "trpo-lag", world[task, "trpo-lag"], multiplier_optimizer="sgd")
         for task in LEVEL
@@ -176,7 +201,7 @@ def test_what_decides_nothing(world):
     ablated = [group(of.task, "trpo-lag", changed(of.runs, ALL, J_C=0.0)) for of in others]
     ablated = [replace(of, config=other.config) for of, other in zip(ablated, others, strict=True)]
     presets = [group(task, name, runs) for (task, name), runs in world.items()]
-    assert [c.verdict for c in check_claims([*ablated, *presets])] == ["confirmed"] * 7
+    assert [c.verdict for c in check_claims([*ablated, *presets])] == ["confirmed"] * 9
 
 
 def test_another_choice_that_changes_a_verdict(world):
@@ -189,7 +214,7 @@ def test_another_choice_that_changes_a_verdict(world):
     assert not any(checked.otherwise for checked in check_claims([*groups, nine]))
     assert verdicts(world) == [checked.verdict for checked in check_claims([*groups, ten])]
     checked = check_claims([ten, *groups])
-    assert [len(of.otherwise) for of in checked] == [0, 0, 1, 0, 0, 0, 0]
+    assert [len(of.otherwise) for of in checked] == [0, 0, 1, 0, 0, 0, 0, 0, 0]
     (other,) = checked[2].otherwise
     assert (other.choice, other.verdict, len(other.findings)) == ("bootstrap", "refuted", 1)
     words = (
@@ -210,7 +235,7 @@ def test_two_folders_of_other_seeds_count_together(world):
         for (task, name), runs in world.items()
         for of in (runs[:1], runs[1:], runs[:1])
     ]
-    assert [checked.verdict for checked in check_claims(parts)] == ["confirmed"] * 7
+    assert [checked.verdict for checked in check_claims(parts)] == ["confirmed"] * 9
 
 
 def test_what_is_missing_is_named(world):
@@ -227,7 +252,7 @@ def test_the_page_says_the_same(world):
     checked, section = check_claims(groups), claims_section(groups)
     text = section.statements_markdown()
     html = unescape(page("x", [section], {}))
-    assert text.count("**Confirmed**") == html.count("Confirmed</span>") == 7
+    assert text.count("**Confirmed**") == html.count("Confirmed</span>") == 9
     for claim, _, rule, findings, _ in checked:
         for part in (claim, rule, *(words for words, _ in findings)):
             assert part in text
@@ -246,7 +271,7 @@ def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
     demo = changed(world[LEVEL[1], "trpo-lag"], ALL, J_C=1.0, ends="right rim")
     others = [group(LEVEL[1], "trpo-lag", demo, steps=steps) for steps in (250_000, 2_000_000)]
     groups = [group(task, name, runs) for (task, name), runs in world.items()]
-    assert [c.verdict for c in check_claims([others[0], *groups, others[1]])] == ["confirmed"] * 7
+    assert [c.verdict for c in check_claims([others[0], *groups, others[1]])] == ["confirmed"] * 9
     del world[LEVEL[1], "trpo-lag"]
     groups = [group(task, name, runs) for (task, name), runs in world.items()]
     checked = check_claims([*others, *groups])[0]
