@@ -59,7 +59,7 @@ def report(args: Sequence[str]) -> int:
     check_width(options.width)
     with working("reading runs and drawing figures"):
         written = write_report(*options.folders, archive=options.archive, out=options.out)
-    show(written.blocks, options.width)
+    show(written.blocks, options.width, str(written.page))
     return int(bool(written.left_out))
 
 

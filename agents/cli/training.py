@@ -169,7 +169,7 @@ def _finish(folders: Sequence[Path], after_epoch: signals.AfterEpoch) -> int:
         return 128 + after_epoch.number
     for folder in folders:
         try:
-            show(table(folder))
+            show(table(folder), more=str(folder / "report.md"))
         except UserError as error:  # the training itself is done
             _say(f"no table: {error}")
     return name_failures(folders)
@@ -346,7 +346,7 @@ def reproduce(args: Sequence[str]) -> int:
     try:
         with working("drawing the report"):
             written = report(options.out)
-        show(written.blocks, options.width)
+        show(written.blocks, options.width, str(written.page))
     except UserError as error:
         _say(f"no report: {error}")
         return 1

@@ -36,6 +36,8 @@ class Report(NamedTuple):
     """Its main tables, and the verdicts on the paper's claims."""
     left_out: list[str]
     """Folders and runs that it had to leave out, and why."""
+    page: Path
+    """`index.html`."""
 
 
 def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -> Report:
@@ -96,7 +98,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     ending = "Figures, heat maps and replay: index.html\n"
     write_whole(out / "report.md", markdown([*verdicts, *titled, ending]))
     write_whole(out / "report.csv", numbers_csv(report_lines(everything, paper.printed)))
-    return Report([*main.values(), *verdicts], left_out)
+    return Report([*main.values(), *verdicts], left_out, out / "index.html")
 
 
 def table(folder: Path) -> list[Table]:

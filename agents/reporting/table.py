@@ -4,7 +4,7 @@ template takes the same cells."""
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -16,7 +16,7 @@ LEAST_WIDTH = 40
 """Characters of the narrowest terminal that tables are laid out for."""
 HEAD, WORDS = 12, 20
 """Characters to which a column's head and the intervals in it, and its words, are broken."""
-GAP = 3
+GAP = 2
 """Characters between a terminal's columns."""
 
 
@@ -115,6 +115,8 @@ class Table:
     notes: Sequence[str] = ()
     marking: str = ""
     """The meaning of a mark."""
+    details: Collection[str] = ()
+    """Heads of columns that a terminal leaves out."""
 
     @property
     def columns(self) -> int:
@@ -127,6 +129,17 @@ class Table:
         """The caption, and the meaning of a mark where there are marks."""
         marked = any(cell.marked for row in self.rows for cell in row.numbers)
         return self.caption + (f"; bold: {self.marking}" if marked and self.marking else "")
+
+    def brief(self) -> Table:
+        """The means without intervals, details, legend and notes; all rows of a table without
+        means."""
+        rows = []
+        for row in [r for r in self.rows if r.kind in ("mean", "paper")] or self.rows:
+            shown = zip(self.head[1:], row.numbers, strict=False)
+            numbers = [replace(n, low=None, high=None) for h, n in shown if h not in self.details]
+            name, ends = row.name.replace(", mean of ", ", n = "), _INTERVAL.sub("", row.ends)
+            rows.append(replace(row, name=name, numbers=numbers, ends=ends))
+        return Table("", [head for head in self.head if head not in self.details], rows)
 
     def markdown(self) -> str:
         """The legend, the rows, and a paragraph for each note."""
@@ -152,6 +165,8 @@ class Table:
         return "\n".join([*rules, "\\end{tabular}", ""])
 
 
+_INTERVAL = re.compile(r" \[[^\]]*\]")
+"""Intervals in words."""
 Block = Table | str
 """A part of a report: a table, or paragraphs of Markdown."""
 
@@ -199,11 +214,12 @@ def _latex(cell: Cell) -> str:
     return written.replace(MISSING, "--")
 
 
-def show(blocks: Sequence[Block], width: int | None = None) -> None:
+def show(blocks: Sequence[Block], width: int | None = None, more: str = "") -> None:
     """Print the blocks of a report: laid out on a terminal, or where a width is given; as Markdown
     into a file or a pipe, for programs.
 
-    width: characters of a line, by default the terminal's.
+    width: characters of a line, by default the terminal's. more: place of the whole tables, where
+    a terminal is to have the means alone.
     """
     from rich.console import Console
 
@@ -211,6 +227,9 @@ def show(blocks: Sequence[Block], width: int | None = None) -> None:
     if width is None and not console.is_terminal:
         print(markdown(blocks))
         return
+    if more:
+        ending = f"Means over seeds; intervals, single runs and definitions: {plain(more)}"
+        blocks = [*(b if isinstance(b, str) else b.brief() for b in blocks), ending]
     for block in without_repeats(blocks):
         for shown in _laid_out(block, max(console.width, LEAST_WIDTH)):
             console.print(shown)
@@ -251,7 +270,7 @@ def parts(table: Table, width: int) -> list[list[Column]]:
     A column that alone is wider than the width gets a part of its own.
     """
     first = (table.head[0], *(row.name for row in table.rows))
-    names = [(_name(plain(name), max(width // 3, 16)), False) for name in first]
+    names = [(_name(plain(name), max(width * 2 // 5, 16)), False) for name in first]
     divided, used = [[names]], _width(names)
     columns = zip(table.head, *(row.cells for row in table.rows), strict=False)
     for head, *cells in list(columns)[1 : table.columns]:

@@ -96,7 +96,7 @@ def measures_table(
     """A table of rows of a name (headed by `first`), each measure, the runs within the cost limit,
     and where runs end."""
     head = [first, *(m.head for m in measures()), "within limit", "ends in"]
-    return Table(caption, head, rows, notes, marking)
+    return Table(caption, head, rows, notes, marking, [m.head for m in measures() if m.detail])
 
 
 def mark(rows: Sequence[Row], marked: set[tuple[int, str]]) -> list[Row]:

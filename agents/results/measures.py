@@ -66,6 +66,8 @@ class Measure:
     """How it is defined, for the legend of tables, where its title does not say it."""
     bounds: Bounds = UNBOUNDED
     """Where intervals of its mean end."""
+    detail: bool = False
+    """Whether a terminal leaves it out."""
     part: float | None = None
     """End of the third of training that it is of, which its name ends with; None of the whole."""
 
@@ -130,14 +132,19 @@ def measured(data: RunData, run: str) -> dict[str, float | None]:
 
 
 def _evaluated(
-    name: str, better: Literal["lower", "higher"], bounds: Bounds, word: str = ""
+    name: str,
+    better: Literal["lower", "higher"],
+    bounds: Bounds,
+    word: str = "",
+    detail: bool = False,
 ) -> Measure:
     """A mean over the episodes of the trained policy."""
 
     def compute(run: RunData) -> float | None:
         return run.evaluated(name)
 
-    return Measure(name, name, "", 2, better, compute, "policy", word, bounds=bounds)
+    how = {"bounds": bounds, "detail": detail}
+    return Measure(name, name, "", 2, better, compute, "policy", word, **how)
 
 
 def _emcc(part: float) -> Measure:
@@ -163,13 +170,14 @@ MEAN_STREAK = Measure(
     lambda run: run.records.mean_streak,
     note="mean streak: the mean length of training's streaks of cost steps",
     bounds=COST,
+    detail=True,
 )
 for _measure in (
     *map(_emcc, PARTS),
     Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate, bounds=COST),
     _evaluated("J_R", "higher", UNBOUNDED),
     _evaluated("J_C", "lower", COST),
-    _evaluated("CVaR_0.5", "lower", COST, "CVaR"),
+    _evaluated("CVaR_0.5", "lower", COST, "CVaR", detail=True),
     MEAN_STREAK,
 ):
     register(_measure)
