@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -26,8 +27,10 @@ def circle2d(folder, *args, status=0):
 @pytest.fixture
 def folder(tmp_path):
     """A folder with the page's files, outside the package."""
-    for name, code in re.findall(r"```python\n# (my_\w+\.py)\n(.*?)```", PAGE, re.DOTALL):
-        (tmp_path / name).write_text(code)
+    ((name, code),) = re.findall(r"```python\n# (my_\w+\.py)\n(.*?)```", PAGE, re.DOTALL)
+    (tmp_path / name).write_text(code)
+    for path in (ROOT / "examples").glob("my_*.py"):
+        shutil.copy(path, tmp_path)
     return tmp_path
 
 
