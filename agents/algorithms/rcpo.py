@@ -11,8 +11,7 @@ from typing import Annotated
 
 import torch
 
-from agents.algorithms import Algorithm
-from agents.algorithms import trpo_lag
+from agents.algorithms import Algorithm, trpo_lag
 from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier
 from agents.trust_region.learner import TrustRegion
 from agents.trust_region.natural_gradient import Problem, Step
