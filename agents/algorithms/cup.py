@@ -37,6 +37,8 @@ class CUPConfig(MultiplierConfig, EpisodeCostLimit, PPOConfig):
     """Largest multiplier by adam or sgd. Yang et al.: 2."""
     max_gradient_norm: Annotated[float, In(above=0, high=1e12)] = 40.0
     """Norm to which a longer gradient of the actor is scaled. Yang et al.: 40."""
+    initial_log_std: Annotated[float, In(-20, 20)] = -0.5
+    """Initial logarithm of the policy's standard deviation. Yang et al.: -0.5."""
 
 
 def projection(

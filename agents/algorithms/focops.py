@@ -42,6 +42,8 @@ class FOCOPSConfig(MultiplierConfig, EpisodeCostLimit, FirstOrderConfig):
     """Largest multiplier, ν_max, by adam or sgd. Zhang et al.: 2."""
     max_gradient_norm: Annotated[float, In(above=0, high=1e12)] = 40.0
     """Norm to which a longer gradient of the actor is scaled. Zhang et al.: 40."""
+    initial_log_std: Annotated[float, In(-20, 20)] = -0.5
+    """Initial logarithm of the policy's standard deviation. Zhang et al.: -0.5."""
 
 
 def advantage(

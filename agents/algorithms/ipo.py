@@ -16,11 +16,10 @@ from agents.algorithms.trpo_lag import advantage
 from agents.checks import In
 from agents.first_order import FirstOrder, Objective, PPOConfig
 from agents.lockstep.lagrange import PROJECTED, Multiplier
-from agents.on_policy.state import EpisodeCostLimit
 
 
 @dataclass(frozen=True)
-class IPOConfig(EpisodeCostLimit, PPOConfig):
+class IPOConfig(PPOConfig):
     """Hyper-parameters of IPO. The recorded multiplier is the slope of the barrier."""
 
     limited_cost = "discounted cost of an episode"  # in words, for tables

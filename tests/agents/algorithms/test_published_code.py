@@ -43,7 +43,7 @@ COST = np.sin(1.1 * i + 1)
 def filled(net, scale=0.15, shift=0.3):
     """The parameters [size] of a network by the formula."""
     params, count = np.zeros(net.size, np.float32), 0
-    for k, layer in enumerate(net.layers(params[None])):
+    for layer in net.layers(params[None]):
         layer[0] = scale * np.sin(1.7 * (count + np.arange(layer.size)) + shift).reshape(
             layer.shape[1:]
         )
@@ -88,7 +88,8 @@ ADAM = {"initial_multiplier": 0.001, "multiplier_lr": 0.035, "multiplier_optimiz
 FIRST = {"batch_size": ROWS, "learning_rate": 3e-3, "actor_iterations": 3, "kl_stop": 0.0}
 FIRST |= {"max_gradient_norm": 40.0}
 PUBLISHED = [
-    ("focops", {**ADAM, **FIRST}, 30.0, (0.3581663, -0.0684984, -0.4845779, -0.5842893, -0.4915339)),
+    ("focops", {**ADAM, **FIRST}, 30.0,
+     (0.3581663, -0.0684984, -0.4845779, -0.5842893, -0.4915339)),
     ("cup", {**ADAM, **FIRST}, 30.0, (0.3315293, -0.0822877, -0.4723939, -0.5517604, -0.4970316)),
     ("p3o", {**FIRST, "actor_iterations": 1}, 30.0,
      (0.3561153, -0.0923575, -0.5235521, -0.6215534, -0.503)),
