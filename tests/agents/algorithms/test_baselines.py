@@ -16,7 +16,19 @@ from agents.on_policy.gaussian import Gaussian
 from agents.paper.presets import preset
 from agents.trust_region.natural_gradient import Problem
 
-NEW = ("cppo-pid", "focops", "cup", "p3o", "ipo", "crpo", "pcpo", "c-trpo", "rcpo", "sac-pid", "cal")
+NEW = (
+    "cppo-pid",
+    "focops",
+    "cup",
+    "p3o",
+    "ipo",
+    "crpo",
+    "pcpo",
+    "c-trpo",
+    "rcpo",
+    "sac-pid",
+    "cal",
+)
 
 
 def at(*means):
