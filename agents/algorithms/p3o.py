@@ -26,7 +26,7 @@ class P3OConfig(EpisodeCostLimit, PPOConfig):
     """Hyper-parameters of P3O."""
 
     penalty_factor: Annotated[float, In(0, 1e6)] = 20.0
-    """Factor κ of the penalty. Zhang et al.: 20."""
+    """Factor κ of the penalty. 20 as in OmniSafe."""
     kl_stop: Annotated[float, In(0, 1e12)] = 0.02
     """Mean KL divergence beyond which an epoch's passes of the actor end; 0: never. 0.02 as in
     OmniSafe."""
