@@ -16,8 +16,10 @@ if TYPE_CHECKING:  # torch takes a second to import, and a list of names does no
 BUILT_IN = (
     *("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"),
     *("sac-lb-streak", "ppo-lag", "ppo", "sac"),
+    *("cppo-pid", "focops", "cup", "p3o", "ipo"),
+    *("crpo", "pcpo", "c-trpo", "rcpo", "sac-pid", "cal"),
 )
-"""Each a module of this package that defines `ALGORITHM`. The last two know no constraint."""
+"""Each a module of this package that defines `ALGORITHM`. `ppo` and `sac` know no constraint."""
 
 
 RESERVED = (

@@ -38,6 +38,7 @@ from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS, preset_with
 from agents.reporting.report import report, table
 from agents.reporting.table import show
+from agents.results.reading import archive_of
 from agents.training import callbacks, evaluation, trainer
 from agents.training.callbacks import duration, share_done
 from agents.training.config import RESULTS, Device, TrainConfig
@@ -277,8 +278,13 @@ class ReproduceOptions:
     """Folder for the runs and the report."""
     quick: bool = False
     """A small version of everything: 2 seeds of 10 000 steps."""
-    algorithms: tuple[str, ...] = PAPER_ALGORITHMS
-    """Algorithms to run."""
+    benchmark: bool = False
+    """Run the benchmark instead: all algorithms on Circle2D and five Safety tasks, 1 000 000 steps
+    each; on Circle2D ten seeds, five off-policy, else three."""
+    beside: tuple[Path, ...] = ()
+    """Folders of runs or archives that the report shows as well, such as published ones."""
+    algorithms: tuple[str, ...] | None = None
+    """Algorithms to run; by default the paper's five, with --benchmark all."""
     levels: tuple[int, ...] = LEVELS
     """Levels of Circle2D."""
     mujoco: bool = False
@@ -324,6 +330,9 @@ def reproduce(args: Sequence[str]) -> int:
     options = parse(ReproduceOptions, "reproduce", args)
     check_width(options.width)
     check_folder(options.out)
+    for source in options.beside:
+        if not source.exists() and archive_of(source) is None:
+            raise UserError(f"beside {source}: there is no such folder or archive")
     configs = _configs(options)
     if options.shard is not None:
         configs = grid.shard(configs, *_shard(options.shard))
@@ -345,7 +354,7 @@ def reproduce(args: Sequence[str]) -> int:
         return int(bool(failed))
     try:
         with working("drawing the report"):
-            written = report(options.out)
+            written = report(options.out, *options.beside, out=options.out)
         show(written.blocks, options.width, str(written.page))
     except UserError as error:
         _say(f"no report: {error}")
@@ -355,18 +364,25 @@ def reproduce(args: Sequence[str]) -> int:
 
 def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     """The grid's trainings by folder."""
-    if not options.algorithms:
+    names = options.algorithms
+    if names is None:
+        names = tuple(ALGORITHMS) if options.benchmark else PAPER_ALGORITHMS
+    if not names:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
     tasks = [task_id(task) for task in _tasks(options)]
     for task in tasks:
         check_task(task, {})
     seeds, steps = options.seeds, options.steps
-    if seeds is None:
-        seeds = grid.QUICK_SEEDS if options.quick else grid.SEEDS
-    if steps is None and options.quick:
-        steps = grid.QUICK_STEPS
-    what = (tasks, options.algorithms, seeds, steps, options.device, options.ablations)
-    configs = grid.grid(options.out, *what)
+    if options.benchmark:
+        what = (tasks, names, seeds, steps, options.device)
+        configs = grid.benchmark(options.out, *what, quick=options.quick)
+    else:
+        if seeds is None:
+            seeds = grid.QUICK_SEEDS if options.quick else grid.SEEDS
+        if steps is None and options.quick:
+            steps = grid.QUICK_STEPS
+        what = (tasks, names, seeds, steps, options.device, options.ablations)
+        configs = grid.grid(options.out, *what)
     for config in configs.values():
         for task in config.tasks:
             check_enough_steps(task, {}, config.steps, config.hyperparameters)
@@ -386,11 +402,15 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 def _tasks(options: ReproduceOptions) -> Sequence[str]:
-    own = bool(options.tasks) + options.safety + (options.mujoco or options.levels != LEVELS)
-    if own > 1:
+    others = options.safety + (options.mujoco or options.levels != LEVELS)
+    if options.benchmark and (others or options.ablations):
+        raise UserError("benchmark has tasks of its own: of the options that choose, give tasks")
+    if bool(options.tasks) + others > 1:
         raise UserError("give one of tasks, safety, and levels or mujoco, which choose the tasks")
     if options.safety:
         return grid.SAFETY
+    if options.benchmark:
+        return options.tasks or grid.BENCHMARK
     if not options.tasks:
         return grid.circle2d_tasks(options.levels, options.mujoco)
     if options.quick and options.steps is None:

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from agents.first_order.update import Minibatch, Objective, PPOConfig, actor_step
+from agents.first_order.update import FirstOrderConfig, Minibatch, Objective, actor_step
 from agents.lockstep import lagrange
 from agents.lockstep.adam import no_moments
 from agents.on_policy.comparison import blocks_of, compared
@@ -21,13 +21,14 @@ from agents.on_policy.state import Epoch, OnPolicyState
 class FirstOrder(OnPolicy):
     """The runs of one algorithm of the first-order family."""
 
-    takes = (PPOConfig, Objective)
+    takes = (FirstOrderConfig, Objective)
     improvement_metrics = ("kl", "clipped")
-    """Mean KL divergence from the old to the new policy; mean share of clipped steps."""
+    """Mean KL divergence from the old to the new policy; mean share of steps whose ratio is clipped
+    or, without clipping, that lie outside a trust region."""
 
     def __init__(
         self,
-        config: PPOConfig,
+        config: FirstOrderConfig,
         rule: Objective,
         seeds: Sequence[int],
         observation_size: int,
@@ -46,17 +47,33 @@ class FirstOrder(OnPolicy):
         multipliers = lagrange.values(rule.multipliers, state.multipliers, runs)
         advantages = epoch.reward_advantage, epoch.cost_advantage
         advantage = rule.advantage(config, *advantages, multipliers)
-        blocks = blocks_of(self.nets, actor, epoch, advantage)
-        old_log_prob = torch.cat([block.old_log_prob for block in blocks], dim=-1)
+        old = blocks_of(self.nets, actor, epoch, advantage)
+        old_log_prob = torch.cat([block.old_log_prob for block in old], dim=-1)
+        limit = getattr(config, "cost_limit", 0.0)
+        costs = ((epoch.cost - limit).to(actor.dtype), multipliers)
         clipped, count, run = torch.zeros(runs), torch.zeros(runs), torch.arange(runs)[:, None]
-        for _ in range(config.actor_iterations):
-            for rows, weight in minibatches(steps, config.batch_size, generators):
-                columns = (epoch.observation, epoch.action, advantage, old_log_prob)
-                observation, action, gain, before = (column[run, rows] for column in columns)
-                batch = Minibatch(observation, action, weight, gain, before)
-                actor, moments, outside = actor_step(self.nets, config, actor, moments, batch)
-                clipped, count = clipped + outside, count + (weight[:, 0] > 0)
-        _, kl = compared(self.nets, actor, blocks)
+        for k, surrogate in enumerate(rule.surrogates):
+            start = blocks_of(self.nets, actor, epoch, advantage) if k else old
+            mean = torch.cat([block.old.mean for block in start], dim=1)
+            going = torch.ones(runs, 1)
+            for _ in range(config.actor_iterations):
+                for rows, weight in minibatches(steps, config.batch_size, generators):
+                    columns = (epoch.observation, epoch.action, advantage, old_log_prob, mean)
+                    observation, action, gain, before, center = (c[run, rows] for c in columns)
+                    index = rows[:, None].expand(-1, self.costs, -1)
+                    cost_gain = epoch.cost_advantage.gather(2, index)
+                    weight = weight * going
+                    policy = start[0].old._replace(mean=center)
+                    batch = Minibatch(
+                        observation, action, weight, gain, before, cost_gain, policy, *costs
+                    )
+                    stepped = actor_step(self.nets, config, actor, moments, batch, surrogate)
+                    actor, moments, outside = stepped
+                    clipped, count = clipped + outside, count + (weight[:, 0] > 0)
+                if config.kl_stop:
+                    _, moved = compared(self.nets, actor, start)
+                    going = going * (moved <= config.kl_stop)[:, None]
+        _, kl = compared(self.nets, actor, old)
         records = {"kl": kl, "clipped": clipped / count}
         names = lagrange.names(rule.multipliers)
         records |= dict(zip(names, multipliers.unbind(dim=-1), strict=True))

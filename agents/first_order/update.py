@@ -1,4 +1,4 @@
-"""The clipped surrogate of PPO, and minibatch steps of Adam up it.
+"""Surrogates of the objective, PPO's clipped one first, and minibatch steps of Adam up them.
 
 An algorithm adds an `Objective`. Source: Schulman et al. 2017, "Proximal policy optimization
 algorithms".
@@ -18,11 +18,12 @@ from agents.lockstep import tree
 from agents.lockstep.adam import Moments, adam
 from agents.lockstep.compiling import compiled
 from agents.lockstep.lagrange import Multiplier
+from agents.on_policy.gaussian import Gaussian
 from agents.on_policy.state import Nets, OnPolicyConfig
 
 
 @dataclass(frozen=True)
-class PPOConfig(OnPolicyConfig):
+class FirstOrderConfig(OnPolicyConfig):
     """Hyper-parameters of the first-order family.
 
     The paper has no algorithm of it: the defaults are those of Stable-Baselines3 where they do not
@@ -35,24 +36,21 @@ class PPOConfig(OnPolicyConfig):
     actor_iterations: Annotated[int, In(1, 10_000)] = 10
     """Passes of the actor over an epoch's steps. Not in the paper; 10 as in Schulman et al. and
     Stable-Baselines3."""
-    clip_range: Annotated[float, In(above=0, high=1)] = 0.2
-    """Distance ε from 1 at which the ratio of new and old probability is clipped. Not in the paper;
-    0.2 as in Schulman et al."""
     max_gradient_norm: Annotated[float, In(above=0, high=1e12)] = 0.5
     """Norm to which a longer gradient of the actor is scaled. Not in the paper; 0.5 as in
     Stable-Baselines3."""
+    kl_stop: Annotated[float, In(0, 1e12)] = 0.0
+    """Mean KL divergence beyond which an epoch's passes of the actor end; 0: never. Not in the
+    paper; 0 as in Schulman et al."""
 
 
-class Objective(NamedTuple):
-    """How an algorithm of the family treats costs."""
+@dataclass(frozen=True)
+class PPOConfig(FirstOrderConfig):
+    """Hyper-parameters of the algorithms that clip as PPO does."""
 
-    advantage: Callable[[Any, Tensor, Tensor, Tensor], Tensor]
-    """(config, reward advantages [R, B], cost advantages [R, C, B], multipliers [R, M]) -> [R, B]:
-    the advantages that the policy raises."""
-    multipliers: tuple[Multiplier, ...] = ()
-    """Each follows `J_C - d` of its cost."""
-    costs: int = 1
-    """How many costs are learned."""
+    clip_range: Annotated[float, In(above=0, high=1)] = 0.2
+    """Distance ε from 1 at which the ratio of new and old probability is clipped. Not in the paper;
+    0.2 as in Schulman et al."""
 
 
 class Minibatch(NamedTuple):
@@ -67,38 +65,78 @@ class Minibatch(NamedTuple):
     advantage: Tensor
     """[R, B]"""
     old_log_prob: Tensor
-    """[R, B]: log π_old(a|s)"""
+    """[R, B]: log π_old(a|s) of the policy that took the steps"""
+    cost_advantage: Any = None
+    """[R, C, B]"""
+    start: Any = None
+    """The policy at the start of the passes, a `Gaussian`."""
+    excess: Any = None
+    """[R, C]: mean cost of the epoch's episodes above the limit, `J_C - d`"""
+    multipliers: Any = None
+    """[R, M]"""
 
 
-def clipped_surrogate(
-    nets: Nets, clip_range: float, actor: Tensor, batch: Minibatch
+Surrogate = Callable[[Any, Gaussian, Tensor, Minibatch], tuple[Tensor, Tensor]]
+"""(config, policy, its ratios `ρ = π(a|s) / π_old(a|s)` [R, B], minibatch) -> what a step of the
+actor raises, [R], and the share of steps that have no part in it, being too far off, [R]"""
+
+
+def mean(batch: Minibatch, values: Tensor) -> Tensor:
+    """The mean over a minibatch of values [R, B]: [R]."""
+    return (batch.weight * values).sum(dim=-1)
+
+
+def clipped(
+    config: Any, policy: Gaussian, ratio: Tensor, batch: Minibatch
 ) -> tuple[Tensor, Tensor]:
-    """`E[min(ρ A, clip(ρ, 1 - ε, 1 + ε) A)]`, `ρ = π(a|s) / π_old(a|s)`; equation 7.
+    """`E[min(ρ A, clip(ρ, 1 - ε, 1 + ε) A)]`; equation 7 of Schulman et al."""
+    bounded = ratio.clamp(1.0 - config.clip_range, 1.0 + config.clip_range)
+    gain = torch.minimum(ratio * batch.advantage, bounded * batch.advantage)
+    outside = ((ratio - 1.0).abs() > config.clip_range).to(ratio.dtype)
+    return mean(batch, gain), mean(batch, outside)
 
-    Returns it, [R], and the share of steps whose ratio lies outside the clip range, [R].
-    """
+
+class Objective(NamedTuple):
+    """How an algorithm of the family treats costs."""
+
+    advantage: Callable[[Any, Tensor, Tensor, Tensor], Tensor]
+    """(config, reward advantages [R, B], cost advantages [R, C, B], multipliers [R, M]) -> [R, B]:
+    the advantages that the policy raises."""
+    multipliers: tuple[Multiplier, ...] = ()
+    """Each follows `J_C - d` of its cost."""
+    costs: int = 1
+    """How many costs are learned."""
+    surrogates: tuple[Surrogate, ...] = (clipped,)
+    """What the actor's passes over an epoch raise: for each all of the passes, in turn."""
+
+
+def surrogate_at(
+    nets: Nets, config: Any, surrogate: Surrogate, actor: Tensor, batch: Minibatch
+) -> tuple[Tensor, Tensor]:
+    """The surrogate of actors [R, actor size], and the share that has no part in it, [R] each."""
     policy = nets.actor.distribution(actor, batch.observation)
     held = batch.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
     change = torch.where(held, policy.log_prob(batch.action) - batch.old_log_prob, 0.0)
-    ratio = change.exp()
-    clipped = ratio.clamp(1.0 - clip_range, 1.0 + clip_range)
-    gain = torch.minimum(ratio * batch.advantage, clipped * batch.advantage)
-    outside = ((ratio - 1.0).abs() > clip_range).to(ratio.dtype)
-    return (batch.weight * gain).sum(dim=-1), (batch.weight * outside).sum(dim=-1)
+    return surrogate(config, policy, change.exp(), batch)
 
 
 @compiled
 def actor_step(
-    nets: Nets, config: Any, actor: Tensor, moments: Moments, batch: Minibatch
+    nets: Nets,
+    config: Any,
+    actor: Tensor,
+    moments: Moments,
+    batch: Minibatch,
+    surrogate: Surrogate = clipped,
 ) -> tuple[Tensor, Moments, Tensor]:
-    """One Adam step of each run's actor up its clipped surrogate; a run without steps waits.
+    """One Adam step of each run's actor up its surrogate; a run without steps waits.
 
-    Returns actors, moments and the share of clipped steps before the step, [R].
+    Returns actors, moments and the share of steps without a part before the step, [R].
     """
 
     def loss(actor: Tensor) -> tuple[Tensor, Tensor]:
-        surrogate, outside = clipped_surrogate(nets, config.clip_range, actor, batch)
-        return -surrogate.sum(), outside.detach()
+        raised, outside = surrogate_at(nets, config, surrogate, actor, batch)
+        return -raised.sum(), outside.detach()
 
     gradient, outside = torch.func.grad(loss, has_aux=True)(actor)
     norm = (gradient * gradient).sum(dim=-1, keepdim=True).sqrt()

@@ -65,8 +65,9 @@ class MultiplierForm(NamedTuple):
     lowest: float = -math.inf
     """Lower bound of the parameter."""
     law: Callable[[Any, Tensor, Tensor], Tensor] | None = None
-    """(config, parameter [R, LANES], cost [R, 1]) -> the parameter after an update. An algorithm's
-    own law, instead of a `multiplier_optimizer`; its config has `initial_multiplier` alone."""
+    """(config, parameter [R, LANES], cost [R, 1]) -> the parameter after an update, or one [R, 1].
+    An algorithm's own law, instead of a `multiplier_optimizer`; its config has `initial_multiplier`
+    alone, or none: the parameter starts at 0."""
 
 
 SOFTPLUS = MultiplierForm(softplus, torch.sigmoid)
@@ -83,6 +84,12 @@ class Multiplier(NamedTuple):
     """Index of the cost that it follows."""
     limit: str = "cost_limit"
     """Name of the hyper-parameter that limits it."""
+    highest: str = ""
+    """Name of the hyper-parameter that bounds the multiplier, if one does."""
+    ahead: bool = False
+    """On-policy: follow an epoch's cost before the policy improves by it, instead of after."""
+    discounted: bool = False
+    """On-policy: follow the discounted cost of an episode."""
 
 
 class MultiplierState(NamedTuple):
@@ -117,7 +124,8 @@ def initial(multipliers: Sequence[Multiplier], config: Any, runs: int) -> tuple[
 
 
 def _initial(form: MultiplierForm, config: Any, runs: int) -> State:
-    parameter = torch.full((runs, LANES), float(config.initial_multiplier))
+    start = getattr(config, "initial_multiplier", 0.0) if form.law else config.initial_multiplier
+    parameter = torch.full((runs, LANES), float(start))
     if form.law:
         if hasattr(config, "multiplier_optimizer"):
             raise TypeError(f"the multiplier has a law: {config!r} must not have an optimizer")
@@ -143,14 +151,24 @@ def names(multipliers: Sequence[Multiplier]) -> tuple[str, ...]:
 
 
 def follow(
-    multipliers: Sequence[Multiplier], config: Any, states: Sequence[State], cost: Tensor
+    multipliers: Sequence[Multiplier],
+    config: Any,
+    states: Sequence[State],
+    cost: Tensor,
+    discounted: Tensor | None = None,
+    ahead: bool | None = None,
 ) -> tuple[State, ...]:
     """The states after an update by each form's law or the config's optimiser.
 
-    cost: [R, C]; each multiplier compares that of its signal with its limit.
+    cost, discounted: [R, C]; each multiplier compares that of its signal with its limit. ahead:
+    which multipliers follow now; all by default.
     """
-    pairs = zip(multipliers, states, strict=True)
-    return tuple(_follow(of, config, state, cost[:, [of.signal]]) for of, state in pairs)
+    followed = []
+    for one, state in zip(multipliers, states, strict=True):
+        costs = discounted if one.discounted and discounted is not None else cost
+        waits = ahead is not None and one.ahead != ahead
+        followed.append(state if waits else _follow(one, config, state, costs[:, [one.signal]]))
+    return tuple(followed)
 
 
 def _follow(multiplier: Multiplier, config: Any, state: State, cost: Tensor) -> State:
@@ -159,9 +177,13 @@ def _follow(multiplier: Multiplier, config: Any, state: State, cost: Tensor) -> 
     if isinstance(state, PIDState):
         return control(config, state, cost, excess)
     if form.law:
-        parameter = form.law(config, state.parameter, cost).clamp(min=form.lowest)
+        parameter = form.law(config, state.parameter, cost).to(state.parameter.dtype)
+        parameter = parameter.expand_as(state.parameter).clamp(min=form.lowest)
         return MultiplierState(parameter, state.moments)
-    return ascend(form, config, state, excess)
+    after = ascend(form, config, state, excess)
+    if not multiplier.highest:
+        return after
+    return after._replace(parameter=after.parameter.clamp(max=getattr(config, multiplier.highest)))
 
 
 def ascend(

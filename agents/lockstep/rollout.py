@@ -65,6 +65,10 @@ class Rollout(NamedTuple):
         """Undiscounted return of each cost and episode, [N, C]."""
         return self._sums(self.cost)
 
+    def discounted_costs(self, discount: float) -> NDArray[np.float64]:
+        """Discounted return of each cost and episode, [N, C]."""
+        return self._sums(self.cost * discount ** np.arange(len(self.cost))[:, None, None])
+
     def _sums(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sums over each episode, [N, ...], added in the order of time. `sum` would choose an order
         by the array's shape, and so by how long the other episodes are."""

@@ -101,6 +101,8 @@ class OnPolicy(ABC):
         packing = Packing(rollout.during, len(self.seeds))
         data = self._epoch(rollout, packing)
         generators = streams(self.seeds, Purpose.UPDATE, epoch)
+        before = self._state
+        self._state = self._followed(before, data, ahead=True)
         state, records = self.improve(data, packing.steps, generators)
         losses = torch.zeros(len(self.seeds), 1 + self.costs)
         count = torch.zeros(len(self.seeds), 1)
@@ -108,13 +110,19 @@ class OnPolicy(ABC):
             for rows, weight in minibatches(packing.steps, self.config.batch_size, generators):
                 state, loss = critics.critic_step(self.nets, self.config, state, data, rows, weight)
                 losses, count = losses + loss, count + (weight[:, :1] > 0)
-        followed = lagrange.follow(self.rule.multipliers, self.config, state.multipliers, data.cost)
-        self._state = tree.where(active, state._replace(multipliers=followed), self._state)
+        self._state = tree.where(active, self._followed(state, data, ahead=False), before)
         losses = losses / count
         records["critic_loss"], records["cost_critic_loss"] = losses[:, 0], losses[:, 1:].sum(dim=1)
         records["std"] = self._std()
         columns = np.stack([array(records[name]) for name in self.metrics], axis=-1)
         return np.where(active[:, None], columns, np.nan)
+
+    def _followed(self, state: OnPolicyState, epoch: Epoch, ahead: bool) -> OnPolicyState:
+        """The state whose multipliers have followed the epoch's costs: those that do so `ahead` of
+        the policy, or the others."""
+        what = (self.rule.multipliers, self.config, state.multipliers)
+        costs = (epoch.cost, epoch.discounted_cost)
+        return state._replace(multipliers=lagrange.follow(*what, *costs, ahead=ahead))
 
     def _epoch(self, rollout: Rollout, packing: Packing) -> Epoch:
         """Advantages and value targets of an epoch's steps, packed."""
@@ -137,6 +145,8 @@ class OnPolicy(ABC):
                 for cost in costs:
                     cost[run, :n] -= cost[run, :n].mean()
         shape = (len(self.seeds), self.episodes)
+        sums = (rollout.cost_returns, rollout.discounted_costs(self.config.discount))
+        cost, discounted_cost = (tensor(s.reshape(*shape, -1).mean(axis=1)) for s in sums)
         return Epoch(
             observation=observation,
             action=tensor(packing.pack(rollout.action)),
@@ -145,7 +155,8 @@ class OnPolicy(ABC):
             cost_advantage=tensor(np.stack(costs, axis=1)),
             value_targets=targets,
             length=tensor(rollout.length.reshape(shape).mean(axis=1)).float(),
-            cost=tensor(rollout.cost_returns.reshape(*shape, -1).mean(axis=1)),
+            cost=cost,
+            discounted_cost=discounted_cost,
         )
 
     def _values(self, observation: torch.Tensor) -> NDArray[np.float32]:

@@ -103,6 +103,8 @@ class Epoch(NamedTuple):
     """[R]: mean length of the episodes"""
     cost: Tensor
     """[R, C]: mean undiscounted costs of the episodes, J_C"""
+    discounted_cost: Tensor | None = None
+    """[R, C]: mean discounted costs of the episodes"""
 
 
 class Nets(NamedTuple):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.errors import UserError
-from agents.paper.presets import PAPER_SEEDS, PAPER_STEPS, preset, usual_steps
+from agents.paper.presets import PAPER_SEEDS, PAPER_STEPS, is_circle2d, preset, usual_steps
 from agents.paper.presets import ablations as ablations_of
 from agents.training.config import CONFIG, RESULTS, Device, TrainConfig, file_name
 from agents.training.environments import spaces_of
@@ -24,8 +24,17 @@ UNKNOWN_WORK = max(WORK.values())
 """Time of a step of an algorithm on Circle2D, in that of TRPO-Lag's; of one that is not listed the
 largest. Decides the order (what takes longest goes first) and the time left that is shown; no
 result."""
+BENCHMARK_STEPS = 1_000_000
+QUICK_SAFETY_STEPS = 30_000
+"""Three epochs of ten episodes: EMCC needs a rollout in each third."""
 SAFETY = tuple(task for task in PAPER_STEPS if "Safety" in task)
 """The paper's tasks of Safety-Gymnasium."""
+BENCHMARK = (
+    *KINEMATIC.values(),
+    *(f"circle2d_mj/Safety{task}" for task in ("PointGoal1-v0", "CarGoal1-v0", "PointButton1-v0")),
+    *(f"circle2d_mj/Safety{task}" for task in ("PointPush1-v0", "HalfCheetahVelocity-v1")),
+)
+"""The tasks of the benchmark."""
 MOST_RUNS = 12
 """In a training of several tasks; more make a step of each hardly cheaper."""
 
@@ -80,6 +89,31 @@ def grid(
                     name, tuple(together), tuple(seeds), length, own, device=device
                 )
     return trainings
+
+
+def benchmark(
+    out: Path,
+    tasks: Sequence[str],
+    algorithms: Sequence[str],
+    seeds: Sequence[int] | None = None,
+    steps: int | None = None,
+    device: Device = "cpu",
+    quick: bool = False,
+) -> dict[Path, TrainConfig]:
+    """The trainings of the benchmark, by folder `out/TASK/ALGORITHM`; what takes longest first.
+
+    By default runs have 1 000 000 steps, and there are ten seeds on Circle2D, five off-policy, and
+    three on other tasks. quick: two seeds of as few steps as give a table. Otherwise as `grid`.
+    """
+    trainings = {}
+    for task in dict.fromkeys(tasks):
+        circle2d = is_circle2d(task)
+        usual = (QUICK_STEPS if circle2d else QUICK_SAFETY_STEPS) if quick else BENCHMARK_STEPS
+        for name in dict.fromkeys(algorithms):
+            count = (10 if hasattr(preset(name, task), "episodes") else 5) if circle2d else 3
+            chosen = (QUICK_SEEDS if quick else range(count)) if seeds is None else seeds
+            trainings |= grid(out, [task], [name], chosen, steps or usual, device)
+    return dict(sorted(trainings.items(), key=lambda pair: -work(pair[1])))
 
 
 @functools.cache

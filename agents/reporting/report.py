@@ -19,6 +19,7 @@ from agents.reporting.maps import Scenes, maps
 from agents.reporting.numbers import numbers_csv, report_lines
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import heading, made, summary
+from agents.reporting.ranks import orders_table, ranks_table
 from agents.reporting.replay import replay_data
 from agents.reporting.table import Block, Table, markdown, plain
 from agents.reporting.tables import over_tasks, panel_table, separated_table, task_table
@@ -27,6 +28,7 @@ from agents.results.reading import Group, archive_of, name_of_all, read, write_a
 from agents.training.files import write_whole
 
 RUNS, RATES, TASKS = "Every run", "Cost rate against EMCC", "All tasks together"
+RANKS, ORDERS = "Ranks over tasks", "What EMCC orders otherwise than the cost rate"
 
 
 class Report(NamedTuple):
@@ -73,6 +75,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     }
     together = _figures_together(paper)
     common = {RATES: separated_table(paper.usual), TASKS: over_tasks(paper.usual)}
+    common |= {RANKS: ranks_table(paper.usual), ORDERS: orders_table(paper.usual)}
     main = _task_tables(by_task, paper, notes) | paper.tables
     main |= {name: table for name, table in common.items() if table is not None}
     tables = main | paper.details | _panels(by_task)

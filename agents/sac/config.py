@@ -20,6 +20,8 @@ class SACConfig(Settings):
     Circle2D.
     """
 
+    cost_critics = 2  # of each cost; an algorithm with an ensemble makes it a hyper-parameter
+
     discount: Annotated[float, In(0, 1)] = 0.99
     """Discount factor γ of rewards and costs, in [0, 1]. Paper: 0.99."""
     learning_rate: Annotated[float, In(above=0, high=1)] = 3e-4

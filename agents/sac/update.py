@@ -30,7 +30,7 @@ from agents.sac.config import SACConfig
 class CostRule(NamedTuple):
     """How an algorithm of the family treats costs. Every function takes its config first.
 
-    `cost_values` are the outputs of one cost's two critics, [R, 2, B].
+    `cost_values` are the outputs of one cost's critics, two by default, [R, 2, B].
     """
 
     risk: Callable[[Any, Tensor], Tensor]
@@ -44,7 +44,11 @@ class CostRule(NamedTuple):
     multipliers: tuple[Multiplier, ...] = ()
     """Each follows `E[risk] - d` of its cost."""
     costs: int = 1
-    """How many costs are learned, by a pair of critics each."""
+    """How many costs are learned, by a pair of critics each, or by `cost_critics` of the config."""
+    augmented: Callable[[Any, Tensor, Tensor], Tensor] | None = None
+    """(config, multipliers [R, M], mean risks [R, C] at the batch's own actions) -> [R, M]: the
+    multipliers that the penalty sees. Where it is given, multipliers follow that risk, too, instead
+    of the risk at new actions of the policy."""
 
 
 class Nets(NamedTuple):
@@ -63,7 +67,7 @@ class SACState(NamedTuple):
     actor: Tensor
     """[R, actor size]"""
     critics: Tensor
-    """[R, 2 + 2·C, critic size]: two for the reward, two for each cost"""
+    """[R, 2 + 2·C, critic size]: two for the reward, two (`cost_critics`) for each cost"""
     targets: Tensor
     """[R, 2 + 2·C, critic size]"""
     log_temperature: Tensor
@@ -94,7 +98,7 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
     """The state of runs before their first update; each run's comes from its seed alone."""
     streams = [stream(seed, Purpose.PARAMETERS) for seed in seeds]
     actor = tensor(np.stack([nets.actor.initial(rng) for rng in streams]))
-    count = 2 + 2 * rule.costs
+    count = 2 + config.cost_critics * rule.costs
     critics = [[nets.critic.initial(rng) for _ in range(count)] for rng in streams]
     critics = tensor(np.array(critics))
     log_temperature = torch.zeros(len(seeds), LANES)
@@ -118,9 +122,14 @@ def values(nets: Nets, critics: Tensor, observation: Tensor, action: Tensor) -> 
     return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, count, batch)
 
 
-def cost_pairs(values: Tensor) -> list[Tensor]:
-    """The outputs [R, 2, B] of each cost's two critics among those of all critics."""
-    return [values[:, k : k + 2] for k in range(2, values.shape[1], 2)]
+def cost_critics(values: Tensor, rule: CostRule) -> list[Tensor]:
+    """The outputs [R, 2, B] of each cost's critics among those of all critics."""
+    return list(values[:, 2:].chunk(rule.costs, dim=1))
+
+
+def risks(config: Any, rule: CostRule, values: Tensor) -> Tensor:
+    """The risk of each cost, [R, C, B], from the outputs of all critics."""
+    return torch.stack([rule.risk(config, own) for own in cost_critics(values, rule)], dim=1)
 
 
 def critic_loss(
@@ -141,7 +150,8 @@ def critic_loss(
     q = values(nets, critics, batch.observation, batch.action)
     error = q[:, :2] - reward_target[:, None]
     reward_part = 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
-    pairs = enumerate(zip(cost_pairs(q), cost_pairs(next_values), strict=True))
+    both = cost_critics(q, rule), cost_critics(next_values, rule)
+    pairs = enumerate(zip(*both, strict=True))
     losses = [
         rule.critic_loss(config, *pair, batch._replace(cost=batch.cost[:, k])) for k, pair in pairs
     ]
@@ -159,17 +169,17 @@ def actor_loss(
     state: SACState,
     batch: Batch,
     noise: Tensor,
+    multipliers: Tensor,
 ) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
-    """`E[α log π - min Q + penalty(risk)]` over actions drawn anew.
+    """`E[α log π - min Q + penalty(risk)]` over actions drawn anew; multipliers: [R, M].
 
     Returns the sum over runs, and [R], risks [R, C, B] and log π [R, B] without gradient.
     """
     outputs = nets.actor.forward(actor, nets.actor.inputs_of(batch.observation))
     action, log_prob = squashed_gaussian.sample(outputs, noise)
     q = values(nets, critics, batch.observation, action)
-    risk = torch.stack([rule.risk(config, pair) for pair in cost_pairs(q)], dim=1)
+    risk = risks(config, rule, q)
     temperature = state.log_temperature.exp()[:, :1]
-    multipliers = lagrange.values(rule.multipliers, state.multipliers, len(actor))
     penalty = rule.penalty(config, risk, multipliers).sum(dim=1)
     reward = torch.minimum(q[:, 0], q[:, 1])
     loss = (temperature * log_prob - reward + penalty).mean(dim=-1)
@@ -208,13 +218,20 @@ def update(
     gradient, metrics = torch.func.grad(of_critics, has_aux=True)(state.critics)
     critics, critic_moments = adam(state.critics, gradient, state.critic_moments, rate)
 
+    multipliers = in_penalty = lagrange.values(rule.multipliers, state.multipliers, len(critics))
+    taken = None
+    if rule.augmented:
+        taken = values(nets, critics, batch.observation, batch.action)
+        taken = risks(config, rule, taken).mean(dim=-1)
+        in_penalty = rule.augmented(config, multipliers, taken)
+
     def of_actor(actor: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
-        return actor_loss(nets, config, rule, actor, critics, state, batch, noise.new_action)
+        what = (actor, critics, state, batch, noise.new_action, in_penalty)
+        return actor_loss(nets, config, rule, *what)
 
     gradient, (loss, risk, log_prob) = torch.func.grad(of_actor, has_aux=True)(state.actor)
     actor, actor_moments = adam(state.actor, gradient, state.actor_moments, rate)
-    multipliers = lagrange.values(rule.multipliers, state.multipliers, len(actor))
-    risk = risk.mean(dim=-1)
+    risk = risk.mean(dim=-1) if taken is None else taken
     metrics |= {
         "actor_loss": loss,
         "temperature": state.log_temperature.exp()[:, 0],

@@ -52,11 +52,17 @@ class Problem(NamedTuple):
     """b -> H⁻¹ b"""
     target_kl: float
     """δ"""
+    multipliers: Tensor = torch.zeros(0)
+    """[R, M]"""
 
     def to_boundary(self, direction: Tensor) -> Tensor:
         """The direction [R, P] scaled until `½ xᵀ H x = δ`; 0 stays 0."""
         square = dot(direction, self.product(direction))
         return direction * torch.where(square > 0, (2.0 * self.target_kl / square).sqrt(), 0.0)
+
+
+Divergence = Callable[[Tensor, Tensor], Tensor]
+"""(mean KL divergence [R], growth of the predicted cost of an episode [R]) -> [R]"""
 
 
 class Step(NamedTuple):
@@ -70,6 +76,8 @@ class Step(NamedTuple):
     """[R]: how much the predicted cost of an episode may grow; inf where it does not matter"""
     case: Tensor
     """[R]: which case of the algorithm the step is, for the records"""
+    divergence: Divergence = lambda kl, cost_growth: kl
+    """What the line search keeps at or below δ."""
 
 
 class Accepted(NamedTuple):

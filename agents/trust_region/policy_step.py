@@ -115,6 +115,7 @@ def policy_step(
         product=product,
         solve=lambda b: conjugate_gradient(product, b, config.cg_iterations),
         target_kl=config.target_kl,
+        multipliers=multipliers,
     )
     step = rule.step(config, problem)
     before, _ = compared(nets, old, steps)
@@ -122,8 +123,9 @@ def policy_step(
     def judge(actor: Tensor) -> tuple[Tensor, Tensor]:
         after, kl = compared(nets, actor, steps)
         growth, cost_growth = (after - before).unbind(dim=-1)
-        allowed = (kl <= config.target_kl) & ((growth > 0) | ~step.must_improve)
-        allowed &= cost_growth * epoch.length <= step.cost_bound
+        cost_growth = cost_growth * epoch.length
+        near = step.divergence(kl, cost_growth) <= config.target_kl
+        allowed = near & ((growth > 0) | ~step.must_improve) & (cost_growth <= step.cost_bound)
         return allowed | (epoch.length == 0), kl  # a run that takes no part accepts at once
 
     tries, decay = config.line_search_steps, config.line_search_decay

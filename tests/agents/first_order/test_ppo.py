@@ -8,7 +8,7 @@ import torch
 from modules import data, flat, module
 from torch.distributions import Independent, Normal
 
-from agents.first_order.update import Minibatch, PPOConfig, actor_step, clipped_surrogate
+from agents.first_order.update import Minibatch, PPOConfig, actor_step, clipped, surrogate_at
 from agents.lockstep.adam import no_moments
 from agents.lockstep.nets import MLP
 from agents.on_policy.gaussian import GaussianPolicy
@@ -18,6 +18,10 @@ CRITIC = MLP((3, 32, 1))
 LINE = Nets(GaussianPolicy(MLP((1, 1))), CRITIC)
 """Mean = weight · observation + bias, in parameters 0 and 1; log-std in parameter 32."""
 BIAS, LOG_STD = 1, 32
+
+
+def clipped_surrogate(actor, batch):
+    return surrogate_at(LINE, PPOConfig(clip_range=0.2), clipped, actor, batch)
 
 
 def line(bias):
@@ -49,10 +53,10 @@ def test_surrogate_and_its_gradient_by_hand():
     a = ¼, A = 3: 3; slopes -0.75 and -2.8125.
     """
     at = line(0.5)
-    found, outside = clipped_surrogate(LINE, 0.2, at, five_steps())
+    found, outside = clipped_surrogate(at, five_steps())
     assert found.item() == pytest.approx((2.4 - 1.4549914 + 0.5352614 - 0.8 + 3.0) / 5, abs=1e-7)
     assert outside.item() == pytest.approx(4 / 5)
-    slope = torch.func.grad(lambda p: clipped_surrogate(LINE, 0.2, p, five_steps())[0].sum())(at)
+    slope = torch.func.grad(lambda p: clipped_surrogate(p, five_steps())[0].sum())(at)
     assert slope[0, BIAS].item() == pytest.approx((-0.7274957 - 0.8028921 - 0.75) / 5, abs=1e-7)
     by_hand = (1.0912436 + 0.6690768 - 2.8125) / 5
     assert slope[0, LOG_STD].item() == pytest.approx(by_hand, abs=1e-6)
@@ -62,7 +66,7 @@ def test_surrogate_and_its_gradient_by_hand():
 def test_where_nothing_has_moved_the_slope_is_that_of_the_plain_surrogate():
     """At the old policy every ratio is 1 and nothing is clipped: the slope is E[A a]."""
     step = five_steps()
-    slope = torch.func.grad(lambda p: clipped_surrogate(LINE, 0.2, p, step)[0].sum())(line(0.0))
+    slope = torch.func.grad(lambda p: clipped_surrogate(p, step)[0].sum())(line(0.0))
     assert slope[0, BIAS].item() == pytest.approx((2.0 - 1.0 - 1.0 + 1.0 + 0.75) / 5)
 
 
@@ -73,10 +77,10 @@ def test_rows_of_weight_zero_do_not_count():
         weight=torch.tensor([[0.25, 0.25, 0.25, 0.25, 0.0]], dtype=torch.float64),
         old_log_prob=torch.where(torch.arange(5) == 4, -1e9, step.old_log_prob),
     )
-    without = Minibatch(*(part[:, :4] for part in far))
+    without = Minibatch(*(part[:, :4] for part in far[:5]))
     for of in (0, 1):
-        found = clipped_surrogate(LINE, 0.2, line(0.5), far)[of]
-        torch.testing.assert_close(found, clipped_surrogate(LINE, 0.2, line(0.5), without)[of])
+        found = clipped_surrogate(line(0.5), far)[of]
+        torch.testing.assert_close(found, clipped_surrogate(line(0.5), without)[of])
 
 
 @pytest.mark.parametrize("longest", [0.05, 1e9])

@@ -57,3 +57,15 @@ def test_shards_are_a_partition(tmp_path):
     assert sorted(folder for part in parts for folder in part) == sorted(whole)
     assert [len(part) for part in parts] == [2, 2, 1, 1]
     assert {next(iter(part.values())).algorithm for part in parts[:2]} == {"sac-lb"}
+
+
+def test_the_benchmark():
+    """Nine tasks; ten seeds on Circle2D, five off-policy, three elsewhere."""
+    configs = grid.benchmark(Path("x"), grid.BENCHMARK, ["cpo", "cal"])
+    counts = {(c.tasks[0], c.algorithm): (len(c.seeds), c.steps) for c in configs.values()}
+    assert len(counts) == 18
+    for (task, name), found in counts.items():
+        few = 10 if name == "cpo" else 5
+        assert found == (few if task.startswith("Circle2D") else 3, 1_000_000)
+    quick = grid.benchmark(Path("x"), grid.BENCHMARK, ["cpo"], quick=True)
+    assert {(len(c.seeds), c.steps) for c in quick.values()} == {(2, 10_000), (2, 30_000)}

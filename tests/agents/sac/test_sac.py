@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from agents.algorithms.sac_lag import RULE, SACLagConfig
-from agents.lockstep import tree
+from agents.lockstep import lagrange, tree
 from agents.lockstep.nets import LANES
 from agents.lockstep.replay import Batch
 from agents.sac import squashed_gaussian
@@ -64,8 +64,9 @@ def test_losses_by_hand():
     # = ½ (4.41 + 25) / 2 + ½ (1.21 + 36) / 2 = 7.3525 + 9.3025
     assert parts["cost_critic_loss"].item() == pytest.approx(16.655, rel=1e-6)
 
+    multipliers = lagrange.values(RULE.multipliers, state.multipliers, 1)
     loss, (_, risk, found) = sac.actor_loss(
-        nets, CONFIG, RULE, state.actor, state.critics, state, batch, noise
+        nets, CONFIG, RULE, state.actor, state.critics, state, batch, noise, multipliers
     )
     assert risk.tolist() == [[[7.0, 7.0]]]
     assert found[0].tolist() == pytest.approx([log_prob] * 2, rel=1e-6)

@@ -1,0 +1,63 @@
+"""CAL: conservative augmented Lagrangian, soft actor-critic with an ensemble of cost critics.
+
+Source: Wu et al. 2024, "Off-policy primal-dual safe reinforcement learning", equations 5 to 9, and
+the authors' code.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import torch
+from torch import Tensor
+
+from agents.algorithms import Algorithm
+from agents.algorithms.sac_lag import penalty
+from agents.checks import In
+from agents.lockstep.lagrange import EXP, Multiplier, MultiplierConfig
+from agents.lockstep.replay import Batch
+from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
+
+
+@dataclass(frozen=True)
+class CALConfig(MultiplierConfig, ConstrainedSACConfig):
+    """Hyper-parameters of CAL. The multiplier is λ = exp(parameter)."""
+
+    initial_multiplier: Annotated[float, In(-50, 50)] = math.log(0.6931)
+    """Initial parameter of the multiplier, before it is mapped to positive numbers. Wu et al.:
+    log(0.6931)."""
+    cost_critics: Annotated[int, In(2, 1_000)] = 4
+    """Cost critics of the ensemble. Wu et al.: 4, on MuJoCo 8."""
+    conservatism: Annotated[float, In(0, 1e6)] = 0.5
+    """Standard deviations of the ensemble by which the cost is held for larger than its mean, k. Wu
+    et al.: 0.5."""
+    convexity: Annotated[float, In(0, 1e6)] = 10.0
+    """Factor c of the quadratic penalty. Wu et al.: 10, on Ant 100."""
+
+
+def risk(config: CALConfig, cost_values: Tensor) -> Tensor:
+    """`mean Q_c + k std Q_c` over the ensemble: an upper confidence bound of the cost."""
+    std, mean = torch.std_mean(cost_values, dim=1)
+    return mean + config.conservatism * std
+
+
+def critic_loss(
+    config: CALConfig, cost_values: Tensor, next_cost_values: Tensor, batch: Batch
+) -> Tensor:
+    """Half the mean squared error of each critic against `c + γ Q_c'` of its own target."""
+    discount = config.discount * (1.0 - batch.cost_terminal)
+    target = batch.cost[:, None] + discount[:, None] * next_cost_values
+    error = cost_values - target
+    return 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
+
+
+def augmented(config: CALConfig, multipliers: Tensor, risk: Tensor) -> Tensor:
+    """`max(0, λ - c (d - E[risk]))`, the augmented Lagrangian's slope; risk: at the batch's own
+    actions."""
+    return (multipliers - config.convexity * (config.cost_limit - risk)).clamp(min=0.0)
+
+
+RULE = CostRule(risk, critic_loss, penalty, (Multiplier(EXP),), augmented=augmented)
+ALGORITHM = Algorithm("CAL", CALConfig, RULE, OffPolicy)

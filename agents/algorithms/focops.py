@@ -1,0 +1,68 @@
+"""FOCOPS: first-order constrained optimisation in policy space.
+
+Source: Zhang, Vuong & Ross 2020, "First order constrained optimization in policy space", algorithm
+1 and appendix; its hyper-parameters are those of the authors' code.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import torch
+from torch import Tensor
+
+from agents.algorithms import Algorithm
+from agents.checks import In
+from agents.first_order import FirstOrder, FirstOrderConfig, Objective
+from agents.first_order.update import Minibatch, mean
+from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier, MultiplierConfig
+from agents.on_policy.gaussian import Gaussian
+from agents.on_policy.state import EpisodeCostLimit
+
+
+@dataclass(frozen=True)
+class FOCOPSConfig(MultiplierConfig, EpisodeCostLimit, FirstOrderConfig):
+    """Hyper-parameters of FOCOPS. The multiplier is ν."""
+
+    temperature: Annotated[float, In(above=0, high=1e6)] = 1.5
+    """Temperature λ: the lower, the further from the old policy the optimal one is. Zhang et al.:
+    1.5."""
+    kl_bound: Annotated[float, In(above=0, high=1e6)] = 0.02
+    """KL divergence δ from the old policy beyond which a state has no part in the objective. Zhang
+    et al.: 0.02."""
+    kl_stop: Annotated[float, In(0, 1e12)] = 0.02
+    """Mean KL divergence beyond which an epoch's passes of the actor end; 0: never. Zhang et al.:
+    0.02."""
+    multiplier_optimizer: Literal["adam", "sgd", "pid"] = "sgd"
+    """How the multiplier follows the cost. Zhang et al.: by the plain gradient (sgd)."""
+    multiplier_lr: Annotated[float, Gain] = 0.01
+    """Step size of the multiplier by adam or sgd. Zhang et al.: 0.01."""
+    max_multiplier: Annotated[float, Gain] = 2.0
+    """Largest multiplier, ν_max, by adam or sgd. Zhang et al.: 2."""
+    max_gradient_norm: Annotated[float, In(above=0, high=1e12)] = 40.0
+    """Norm to which a longer gradient of the actor is scaled. Zhang et al.: 40."""
+    initial_log_std: Annotated[float, In(-20, 20)] = -0.5
+    """Initial logarithm of the policy's standard deviation. Zhang et al.: -0.5."""
+
+
+def advantage(
+    config: FOCOPSConfig, reward_advantage: Tensor, cost_advantage: Tensor, multipliers: Tensor
+) -> Tensor:
+    """`A_r - ν A_c`."""
+    return reward_advantage - (multipliers[..., None] * cost_advantage).sum(dim=1)
+
+
+def surrogate(
+    config: FOCOPSConfig, policy: Gaussian, ratio: Tensor, batch: Minibatch
+) -> tuple[Tensor, Tensor]:
+    """`E[1{KL ≤ δ} (ρ A / λ - KL)]`, `KL = KL(π ‖ π_k)` at a state."""
+    kl = policy.kl(batch.start)
+    near = (kl.detach() <= config.kl_bound).to(kl.dtype)
+    gain = near * (ratio * batch.advantage / config.temperature - kl)
+    return mean(batch, gain), mean(batch, torch.ones_like(near) - near)
+
+
+MULTIPLIER = Multiplier(PROJECTED, highest="max_multiplier", ahead=True)
+RULE = Objective(advantage, (MULTIPLIER,), surrogates=(surrogate,))
+ALGORITHM = Algorithm("FOCOPS", FOCOPSConfig, RULE, FirstOrder)

@@ -1,0 +1,54 @@
+"""PCPO: projection-based constrained policy optimisation.
+
+Source: Yang et al. 2020, "Projection-based constrained policy optimization", algorithm 1 and
+equation 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import torch
+
+from agents.algorithms import Algorithm
+from agents.algorithms.ppo import advantage  # of reward alone: costs enter in the projection
+from agents.checks import In
+from agents.trust_region.learner import TrustRegion
+from agents.trust_region.natural_gradient import Problem, Step, dot
+from agents.trust_region.policy_step import StepRule, TRPOConfig
+
+
+@dataclass(frozen=True)
+class PCPOConfig(TRPOConfig):
+    """Hyper-parameters of PCPO."""
+
+    projection: Literal["kl", "l2"] = "kl"
+    """What the projection keeps small: the KL divergence from the policy of the reward's step, or
+    the distance of the parameters (l2). Both in Yang et al."""
+    line_search_steps: Annotated[int, In(1, 10_000)] = 200
+    """Lengths of a step that are tried at most; a projection may be far longer than the trust
+    region. 200 as in OmniSafe."""
+
+
+def step(config: PCPOConfig, problem: Problem) -> Step:
+    """`x = r - max(0, (b·r + c) / b·L⁻¹b) L⁻¹b`: the step r of TRPO, then onto the half-space
+    `c + b·x ≤ 0` in the norm of L, H or the identity.
+
+    The line search lets the predicted cost come up to the limit, or not grow where it is above.
+    """
+    rewarding = problem.to_boundary(problem.solve(problem.gradient))
+    b, c = problem.cost_gradient(), problem.excess[:, None]
+    back = problem.solve(b) if config.projection == "kl" else b
+    s = dot(b, back)
+    beyond = ((c + dot(b, rewarding)) / s.clamp(min=1e-12)).clamp(min=0.0)
+    return Step(
+        displacement=rewarding - torch.where(s > 1e-8, beyond, 0.0) * back,
+        must_improve=torch.zeros_like(problem.excess, dtype=torch.bool),
+        cost_bound=(-problem.excess).clamp(min=0.0),
+        case=torch.where(beyond[:, 0] > 0, 2, 1),
+    )
+
+
+RULE = StepRule(advantage, step, has_cases=True)
+ALGORITHM = Algorithm("PCPO", PCPOConfig, RULE, TrustRegion)

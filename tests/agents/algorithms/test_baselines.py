@@ -1,0 +1,173 @@
+"""Objectives and steps of the baselines by hand."""
+
+import math
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from agents.algorithms import algorithm, c_trpo, cal, crpo, cup, focops, ipo, p3o, pcpo, rcpo
+from agents.first_order.update import Minibatch
+from agents.lockstep import lagrange
+from agents.lockstep.replay import Batch
+from agents.on_policy.gaussian import Gaussian
+from agents.paper.presets import preset
+from agents.trust_region.natural_gradient import Problem
+
+NEW = (
+    "cppo-pid",
+    "focops",
+    "cup",
+    "p3o",
+    "ipo",
+    "crpo",
+    "pcpo",
+    "c-trpo",
+    "rcpo",
+    "sac-pid",
+    "cal",
+)
+
+
+def at(*means):
+    """A policy of σ = 1 at some states."""
+    one = torch.ones(1, 1, 1)
+    return Gaussian(torch.tensor(means).view(1, -1, 1), 0.0 * one, one)
+
+
+def two_steps(reward, cost, **more):
+    """Two steps that count alike."""
+    nothing, half = torch.zeros(1, 2, 1), torch.full((1, 2), 0.5)
+    gains = torch.tensor([reward]), torch.zeros(1, 2), torch.tensor([[cost]])
+    return Minibatch(nothing, nothing, half, *gains, start=at(0.0, 0.0), **more)
+
+
+def test_focops():
+    """Means 0.1 and 0.3 from 0: KL .005 and .045, the second is beyond δ = .02. With λ = 1.5:
+    ½ (1.2·2/1.5 - .005) = .7975. Advantages 2 - 3·½ and 1 + 3·¼ for ν = 3."""
+    batch = two_steps([2.0, 3.0], [0.0, 0.0])
+    config, ratio = focops.FOCOPSConfig(), torch.tensor([[1.2, 0.7]])
+    value, outside = focops.surrogate(config, at(0.1, 0.3), ratio, batch)
+    assert (value.item(), outside.item()) == pytest.approx((0.7975, 0.5))
+    costs = torch.tensor([[[0.5, -0.25]]])
+    found = focops.advantage(config, torch.tensor([[2.0, 1.0]]), costs, torch.tensor([[3.0]]))
+    assert found.tolist() == [[0.5, 1.75]]
+
+
+def test_cup():
+    """γ = .9, λ = .5: (1 - .45)/.1 = 5.5; ν = 2. .005 + 5.5·2·1.2·½ = 6.605 and
+    .045 - 5.5·2·.7 = -7.655, of which the mean is -.525."""
+    batch = two_steps([0.0, 0.0], [0.5, -1.0], multipliers=torch.tensor([[2.0]]))
+    config = cup.CUPConfig(discount=0.9, gae_lambda=0.5)
+    value, _ = cup.projection(config, at(0.1, 0.3), torch.tensor([[1.2, 0.7]]), batch)
+    assert value.item() == pytest.approx(0.525, abs=1e-5)
+
+
+@pytest.mark.parametrize(("excess", "penalty"), [(3.0, 0.8), (-6.0, 0.0)])
+def test_p3o(excess, penalty):
+    """ρ = 1.5 and ½, ε = .2. Reward: min(1.5, 1.2) and min(-.5, -.8): mean .2. Cost:
+    max(1.5, 1.2) and max(-.5, -.8): mean ½. γ = .9: ½ + .1·3 = .8; ½ - .1·6 < 0; κ = 20."""
+    batch = two_steps([1.0, -1.0], [1.0, -1.0], excess=torch.tensor([[excess]]))
+    config, ratio = p3o.P3OConfig(discount=0.9), torch.tensor([[1.5, 0.5]])
+    value, outside = p3o.surrogate(config, at(0.0, 0.0), ratio, batch)
+    assert (value.item(), outside.item()) == pytest.approx((0.2 - 20 * penalty, 1.0), abs=1e-5)
+
+
+def test_multipliers_of_this_epochs_cost():
+    """IPO: 1 / (20·(25 - J)), at most 1. CRPO: against the cost above 25.5. C-TRPO: recovery from
+    25 on, until below 20. FOCOPS: ν = .01 (J - 25), from 0, at most 2."""
+    costs = torch.tensor([[20.0], [24.99], [25.0], [25.6], [26.0]])
+    nothing = torch.zeros(5, 32)
+    found = ipo.slope(ipo.IPOConfig(), nothing, costs)
+    assert found[:, 0].tolist() == pytest.approx([0.01, 1, 1, 1, 1])
+    assert crpo.rectifies(crpo.CRPOConfig(), nothing, costs)[:, 0].tolist() == [0, 0, 0, 1, 1]
+    config = c_trpo.CTRPOConfig()
+    assert c_trpo.recovers(config, nothing, costs)[:, 0].tolist() == [0, 0, 1, 1, 1]
+    assert c_trpo.recovers(config, 1 + nothing, costs)[:, 0].tolist() == [1, 1, 1, 1, 1]
+    assert c_trpo.recovers(config, 1 + nothing, costs - 0.1)[0, 0].item() == 0
+    rule, config = focops.RULE, focops.FOCOPSConfig()
+    states = lagrange.initial(rule.multipliers, config, 2)
+    states = lagrange.follow(rule.multipliers, config, states, torch.tensor([[75.0], [425.0]]))
+    assert lagrange.values(rule.multipliers, states, 2)[:, 0].tolist() == pytest.approx([0.5, 2])
+
+
+def problem(gradient, b, excess, multiplier=0.0):
+    """H is 2, and δ = 0.01: the trust region is a disc of radius 0.1."""
+    gradient, b = torch.tensor([gradient]), torch.tensor([b])
+    what = (gradient, lambda: b, torch.tensor([excess]), lambda v: 2 * v, lambda v: v / 2, 0.01)
+    return Problem(*what, torch.tensor([[multiplier]]))
+
+
+@pytest.mark.parametrize("projection", ["kl", "l2"])
+def test_pcpo(projection):
+    """The reward's step is (0.1, 0). With b = (3, 4) and c = .2 it lies (.3 + .2)/5 = .1 beyond the
+    plane, in either norm along b/5 = (.6, .8), since H is a multiple of the identity."""
+    config = pcpo.PCPOConfig(projection=projection)
+    step = pcpo.step(config, problem([1.0, 0.0], [3.0, 4.0], 0.2))
+    assert step.displacement[0].tolist() == pytest.approx([0.1 - 0.06, -0.08], abs=1e-6)
+    step = pcpo.step(config, problem([1.0, 0.0], [3.0, 4.0], -0.4))  # the step stays within
+    assert step.displacement[0].tolist() == pytest.approx([0.1, 0.0], abs=1e-6)
+
+
+def test_rcpo_searches_no_line():
+    """The whole step, and any divergence will do."""
+    step = rcpo.step(rcpo.RCPOConfig(), problem([1.0, 0.0], [3.0, 4.0], 9.0))
+    assert step.displacement[0].tolist() == pytest.approx([0.1, 0.0], abs=1e-6)
+    assert step.divergence(torch.tensor([5.0]), torch.tensor([7.0])).item() <= 0.01
+    assert not step.must_improve
+    assert step.cost_bound == math.inf
+
+
+def test_c_trpo():
+    """Room Δ = 5, β = 1. H + b bᵀ/Δ with b = (3, 4) is [[3.8, 2.4], [2.4, 5.2]] and g = (1, 0):
+    its inverse takes g along (5.2, -2.4)/14; ½ xᵀ(..)x = .01 makes x = (.0861892, -.0397796).
+    φ(2.5) = 2.5 + 2.5 log ½ = .7671320; at the limit and beyond it no step is near enough."""
+    config = c_trpo.CTRPOConfig(cost_limit=25.0)
+    step = c_trpo.step(config, problem([1.0, 0.0], [3.0, 4.0], -5.0))
+    scale = math.sqrt(0.02 / (5.2 / 14)) / 14
+    by_hand = [5.2 * scale, -2.4 * scale]
+    assert by_hand == pytest.approx([0.0861892, -0.0397796], abs=1e-6)
+    assert step.displacement[0].tolist() == pytest.approx(by_hand, abs=1e-6)
+    kl = torch.tensor([0.001])
+    found = [step.divergence(kl, torch.tensor([growth])).item() for growth in (2.5, 5.0, 6.0)]
+    assert found == pytest.approx([0.768132, math.inf, math.inf])
+    recovery = c_trpo.step(config, problem([1.0, 0.0], [3.0, 4.0], 9.0, multiplier=1.0))
+    assert recovery.displacement[0].tolist() == pytest.approx([0.1, 0.0], abs=1e-6)
+    assert recovery.divergence(kl, torch.tensor([7.0])).item() == pytest.approx(0.001)
+
+
+def test_cal():
+    """Of 1, 2, 3, 4 the mean is 2.5 and the deviation 1.2909944: with k = ½ a risk of 3.1454972.
+    λ = ½, c = 10, d = 5: ½ - 10·.02 = .3, and 0 and 1.5. Critics 1 and 2 against ½ + .9·3 = 3.2 and
+    ½ + .9·4 = 4.1: ½ (2.2² + 2.1²)."""
+    config = cal.CALConfig(cost_limit=5.0, discount=0.9)
+    values = torch.tensor([1.0, 2.0, 3.0, 4.0]).view(1, 4, 1)
+    assert cal.risk(config, values).item() == pytest.approx(3.1454972)
+    risks, half = torch.tensor([[4.98], [4.9], [5.1]]), torch.full((3, 1), 0.5)
+    found = cal.augmented(config, half, risks)[:, 0].tolist()
+    assert found == pytest.approx([0.3, 0, 1.5], abs=1e-5)
+    unused, row = torch.zeros(1, 1), torch.zeros(1, 1, 1)
+    batch = Batch(row, row, unused, unused + 0.5, row, unused, unused)
+    loss = cal.critic_loss(config, values[:, :2], values[:, 2:], batch)
+    assert loss.item() == pytest.approx(0.5 * (2.2**2 + 2.1**2))
+
+
+@pytest.mark.parametrize("name", NEW)
+def test_presets_and_help(name):
+    """The limits of the tasks, and one set for all Safety tasks."""
+    off_policy = name in ("sac-pid", "cal")
+    here = preset(name, "Circle2D-1-v0")
+    assert here.cost_limit == 5.0
+    assert here.time_limit == ("terminal" if off_policy else "bootstrap")
+    tasks = ("PointGoal1-v0", "CarGoal1-v0", "PointButton1-v0", "PointPush1-v0")
+    safety = {preset(name, f"circle2d_mj/Safety{task}") for task in tasks}
+    assert len(safety | {preset(name, "circle2d_mj/SafetyHalfCheetahVelocity-v1")}) == 1
+    assert safety.pop().cost_limit == 25.0
+    own = vars(type(here))["__doc__"].split(".")[0]
+    command = [sys.executable, "-m", "agents.cli", "train", name, "--help"]
+    environment = os.environ | {"COLUMNS": "300"}
+    said = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    assert own in said.stdout
+    assert algorithm(name).title in own
