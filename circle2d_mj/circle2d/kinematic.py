@@ -14,11 +14,11 @@ from circle2d_mj.core.simulation import State
 class Kinematic:
     """`num_envs` agents whose actions are their steps."""
 
-    info_keys = ()
     observation_bounds = (1.0, 1.0)
 
     def __init__(self, config: Circle2DConfig, num_envs: int) -> None:
         self.config = config
+        self.info_units: dict[str, str] = {}
         self.start_area = config.start_area
         # Column-major: every formula works on x and y separately.
         self.position = np.zeros((num_envs, 2), order="F")

@@ -27,7 +27,6 @@ class Physics:
     num_threads: of MuJoCo; the states do not depend on it. actuation: see `scene`.
     """
 
-    info_keys = ("contact_force", "penetration")
     # A ball pressed against the arena's edge or an oblique wall exceeds 1 by a little.
     observation_bounds = (1.1, 1.1, 2.0, 2.0)
 
@@ -41,6 +40,7 @@ class Physics:
         self.config, self.num_envs, self.actuation = config, num_envs, actuation
         self.num_threads = positive_integer("num_threads", num_threads)
         self._rigid = not config.infeasible_region_penetratable
+        self.info_units = {"contact_force": "N", "penetration": "m"}
         self.start_area = config.start_area
         self.model = scene(config, actuation).compile()
         # Outside of this region the ball touches nothing.

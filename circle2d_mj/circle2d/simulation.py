@@ -29,15 +29,15 @@ class Move(NamedTuple):
     contact: NDArray[np.bool_]
     """[num_envs], whether the agent touched the cost region, for `task.cost`"""
     info: dict[str, NDArray[np.float64]]
-    """[num_envs] for each of `Dynamics.info_keys`"""
+    """[num_envs] for each of `Dynamics.info_units`"""
 
 
 class Dynamics(Protocol):
     """How actions move the agents: `Kinematic`, `Physics`, or yours."""
 
     @property
-    def info_keys(self) -> tuple[str, ...]:
-        """Names of the numbers that `step` adds to the info, beside the cost."""
+    def info_units(self) -> dict[str, str]:
+        """Units of the numbers that `step` adds to the info, beside the cost, by name."""
         ...
 
     @property
@@ -81,7 +81,8 @@ class Circle2D:
 
     def __init__(self, config: Circle2DConfig, num_envs: int, dynamics: Dynamics) -> None:
         self.config, self.num_envs, self.dynamics = config, num_envs, dynamics
-        self.info_keys = ("cost", *dynamics.info_keys)
+        self.recorded_info = dynamics.info_units
+        self.info_keys = ("cost", *self.recorded_info)
         bounds = np.array(dynamics.observation_bounds, dtype=np.float32)
         self.observation_space = Box(-bounds, bounds)
         self.action_space = Box(-1.0, 1.0, (2,), np.float32)
