@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import Circle2DConfig
-from circle2d_mj.circle2d.start import StartArea
 from circle2d_mj.core.simulation import Outcome, State
 from circle2d_mj.core.streams import Streams
 
@@ -46,17 +45,12 @@ class Dynamics(Protocol):
         ...
 
     @property
-    def start_area(self) -> StartArea:
-        """Start area of the episodes."""
-        ...
-
-    @property
     def position(self) -> NDArray[np.float64]:
         """Positions of the agents: [num_envs, 2], world units."""
         ...
 
-    def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
-        """Put the agents `index` at rest at `position`, [len(index), 2]."""
+    def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
+        """Place the agents `index` at random, at rest, with numbers from their streams alone."""
         ...
 
     def step(self, action: NDArray[np.float64]) -> Move:
@@ -99,7 +93,7 @@ class Circle2D:
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
         """Place the agents `index` at random in the start area."""
-        self.dynamics.place(index, self.dynamics.start_area.sample(streams, index))
+        self.dynamics.start(streams, index)
 
     def step(self, action: NDArray[np.float64]) -> Outcome:
         """Move all agents by their actions, [num_envs, 2]."""
@@ -138,12 +132,12 @@ class Circle2D:
         from circle2d_mj.core.engine import mujoco
 
         if self._window is None:
-            from circle2d_mj.circle2d.scene import SUBSTEPS, scene
+            from circle2d_mj.circle2d.scene import scene
             from circle2d_mj.render.window import Window
 
             model = scene(self.config).compile()
             self._shown = mujoco.MjData(model)
-            self._window = Window(model, SUBSTEPS * model.opt.timestep)
+            self._window = Window(model, 10 * model.opt.timestep)
         self._shown.qpos[:] = self.dynamics.position[index]
         mujoco.mj_forward(self._shown.model, self._shown)
         self._window.show(self._shown)
