@@ -46,6 +46,7 @@ def grid(
     steps: int | None = None,
     device: Device = "cpu",
     ablations: bool = False,
+    task_parameters: Mapping[str, Any] | None = None,
 ) -> dict[Path, TrainConfig]:
     """The trainings of every algorithm on every task with its preset, by folder; what takes longest
     first.
@@ -76,8 +77,9 @@ def grid(
                 parts = {out / file_name(task) / folder: [task] for task in by_task}
             for path, together in parts.items():
                 length, own = lengths[together[0]], by_task[together[0]]
+                parameters = dict(task_parameters or {})
                 trainings[path] = TrainConfig(
-                    name, tuple(together), tuple(seeds), length, own, device=device
+                    name, tuple(together), tuple(seeds), length, own, parameters, device=device
                 )
     return trainings
 

@@ -81,6 +81,8 @@ def unscaled(
                 **parameters,
             )
     except Exception as error:  # of the task's own code
+        if isinstance(error, (TypeError, ValueError)) and not module_of_task(task):
+            raise UserError(f"cannot make task {task!r}: {error}") from error
         raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
     _check_space(task, "observation", envs.single_observation_space)
     _check_space(task, "action", envs.single_action_space)

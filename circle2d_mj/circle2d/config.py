@@ -161,6 +161,8 @@ class Circle2DConfig:
 Actuation = Literal["velocity", "force"]
 Contact = Literal["rigid", "soft", "none"]
 CostRule = Literal["contact", "force"]
+Camera = Literal["top", "side", "follow"]
+"""Where MuJoCo's frames are seen from: above, the side, or behind the agent"""
 DRAWN = ("mass", "friction", "damping", "gain", "max_speed", "max_force", "stiffness")
 DRAWN = (*DRAWN, "damping_ratio")
 """Parameters of the physics that `randomize` may draw."""

@@ -16,6 +16,7 @@ class Kinematic:
     """`num_envs` agents whose actions are their steps."""
 
     observation_bounds = (1.0, 1.0)
+    camera = None
 
     def __init__(self, config: Circle2DConfig, num_envs: int) -> None:
         self.config = config

@@ -8,7 +8,7 @@ from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from circle2d_mj.circle2d.config import Circle2DConfig, PhysicsConfig, check_names
+from circle2d_mj.circle2d.config import Camera, Circle2DConfig, PhysicsConfig, check_names
 from circle2d_mj.circle2d.envs import MAX_EPISODE_STEPS, Circle2DEnv, Circle2DVectorEnv
 from circle2d_mj.circle2d.physics import Physics
 from circle2d_mj.core.single_env import without_time_limit
@@ -28,7 +28,9 @@ class Circle2DMuJoCoVectorEnv(Circle2DVectorEnv):
     | `info["penetration"]` | [num_envs] float64 | m; greatest overlap of ball and region in the step, without force the distance from the centre to free space |
 
     Parameters: those of `Circle2DConfig` and of `PhysicsConfig`, by name. num_threads: threads that
-    step the environments, with the same results for any number.
+    step the environments, with the same results for any number. camera: "top", "side" or "follow",
+    for frames that MuJoCo draws, with shadows and the region's forces as arrows; None for plain
+    pictures of the arena.
     """  # noqa: E501
 
     def __init__(
@@ -40,13 +42,14 @@ class Circle2DMuJoCoVectorEnv(Circle2DVectorEnv):
         max_episode_steps: int | None = MAX_EPISODE_STEPS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        camera: Camera | None = None,
         **parameters: Any,
     ) -> None:
         task, physics = split(config, parameters)
         super().__init__(
             num_envs,
             config=config,
-            dynamics=partial(Physics, physics=physics, num_threads=num_threads),
+            dynamics=partial(Physics, physics=physics, num_threads=num_threads, camera=camera),
             max_episode_steps=max_episode_steps,
             autoreset_mode=autoreset_mode,
             render_mode=render_mode,
@@ -64,12 +67,13 @@ class Circle2DMuJoCoEnv(Circle2DEnv):
         num_threads: int = 1,
         max_episode_steps: int | None = MAX_EPISODE_STEPS,
         render_mode: str | None = None,
+        camera: Camera | None = None,
         **parameters: Any,
     ) -> None:
         task, physics = split(config, parameters)
         super().__init__(
             config,
-            dynamics=partial(Physics, physics=physics, num_threads=num_threads),
+            dynamics=partial(Physics, physics=physics, num_threads=num_threads, camera=camera),
             max_episode_steps=max_episode_steps,
             render_mode=render_mode,
             **task,

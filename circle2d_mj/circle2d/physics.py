@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj.circle2d import task
-from circle2d_mj.circle2d.config import Circle2DConfig, PhysicsConfig
+from circle2d_mj.circle2d.config import Camera, Circle2DConfig, PhysicsConfig
 from circle2d_mj.circle2d.pieces import OVERHANG
 from circle2d_mj.circle2d.scene import completed, full_action, scene, softness, top_speed
 from circle2d_mj.circle2d.simulation import Move
@@ -25,7 +25,7 @@ class Physics:
     """`num_envs` balls, each in a world of its own, on one model that is compiled once.
 
     num_threads: of MuJoCo; the states do not depend on it. Parameters that are drawn anew at resets
-    are each ball's own: see `PhysicsConfig.randomize`.
+    are each ball's own: see `PhysicsConfig.randomize`. camera: see `Circle2DMuJoCoVectorEnv`.
     """
 
     def __init__(
@@ -34,7 +34,11 @@ class Physics:
         num_envs: int,
         physics: PhysicsConfig | None = None,
         num_threads: int = 1,
+        camera: Camera | None = None,
     ) -> None:
+        if camera is not None and camera not in get_args(Camera):
+            raise ValueError(f"camera must be None or one of {get_args(Camera)}, got {camera!r}")
+        self.camera = camera
         self.config, self.num_envs = config, num_envs
         self.physics = completed(config, physics or PhysicsConfig())
         self.num_threads = positive_integer("num_threads", num_threads)
@@ -168,6 +172,12 @@ class Physics:
         """Return scaled positions and velocities: [num_envs, 4] float32."""
         return task.observe(self.config, self._qpos, self._qvel * self.step_seconds)
 
+    def data(self, index: int) -> mujoco.MjData:
+        """The agent `index` as MuJoCo's own MjData, with derived quantities and forces, to draw."""
+        data = self._batch.get_data(index)
+        mujoco.mj_forward(self._batch.get_model(index), data)
+        return data
+
     def state_dict(self) -> State:
         """Return MuJoCo's whole state, `mjSTATE_INTEGRATION`, [num_envs, mj_stateSize], and what
         was drawn for each agent, where anything is."""
@@ -182,7 +192,7 @@ class Physics:
             self._apply(np.arange(self.num_envs))
 
     def __getstate__(self) -> dict[str, Any]:
-        arguments = (self.config, self.num_envs, self.physics, self.num_threads)
+        arguments = (self.config, self.num_envs, self.physics, self.num_threads, self.camera)
         return {"arguments": arguments, "state": self.state_dict()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

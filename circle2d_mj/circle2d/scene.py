@@ -22,6 +22,8 @@ BASE_RADIUS = 10.0
 """R of the scene in that file; a scene of another R is that much larger or smaller."""
 HEIGHT = 0.1
 """Height of the prisms as a multiple of R. The ball moves at half of it and touches sides only."""
+SHEER = 0.35
+"""Opacity of a region in which the ball can be"""
 OVERLAP = 0.2
 """How far a soft region's prisms reach into each other, as a multiple of R"""
 DRAG, STIFFNESS = 10.0, 200.0
@@ -55,6 +57,7 @@ def scene(
     spec.body("agent").mass = physics.mass
     spec.geom("agent").size[0] = physics.ball_radius
     _actuate(spec, physics)
+    _light(spec, config)
     if with_region:
         _set_contact(spec, physics)
         _add_region(spec, config, physics)
@@ -130,11 +133,12 @@ def _check(config: Circle2DConfig, physics: PhysicsConfig) -> None:
             )
     if physics.contact == "soft":
         stiffest, lightest = span(physics, "stiffness")[1], span(physics, "mass")[0]
-        most = lightest * _fastest_spring(physics) / (1 - _IMPEDANCE[1])
+        ratio = span(physics, "damping_ratio")[1]
+        most = lightest * _fastest_spring(physics.timestep, ratio) / (1 - _IMPEDANCE[1])
         if stiffest > most:
             raise ValueError(
-                f"stiffness must be at most {most:g} with a mass of {lightest:g} and timestep "
-                f"{physics.timestep:g}, got {stiffest!r}"
+                f"stiffness must be at most {most:g} with mass {lightest:g}, damping_ratio "
+                f"{ratio:g} and timestep {physics.timestep:g}, got {stiffest!r}"
             )
 
 
@@ -164,22 +168,22 @@ def softness(
     """MuJoCo's solref [..., 2] and impedance [...] of a spring and damper: floats or arrays [...].
 
     In contact at rest MuJoCo's force is `m·k·depth / (1 - d)`, with solref (-k, -b) and constant
-    impedance d; so `k = K (1 - d) / m`. The force takes a share d of the other forces' work: it is
+    impedance d; so `k = K (1 - d) / m`. The contact also takes a share d off other forces: d is
     next to 0. Where a spring of stiffness K would be faster than two physics steps, the shortest
-    time constant that MuJoCo's own contacts have, d is as near to 1 as keeps k there: the law at
-    rest stays, and the limit is a rigid region. Source: MuJoCo's documentation, "Solver parameters".
+    time constant of MuJoCo's own contacts, d is as near to 1 as keeps k there: the law at rest
+    stays, and the limit is a rigid region. Source: MuJoCo's documentation, "Solver parameters".
     """
-    slack = np.clip(
-        _fastest_spring(physics) * mass / stiffness, 1 - _IMPEDANCE[1], 1 - _IMPEDANCE[0]
-    )
+    low, high = _IMPEDANCE
+    fastest = _fastest_spring(physics.timestep, damping_ratio)
+    slack = np.clip(fastest * mass / stiffness, 1.0 - high, 1.0 - low)
     rate = np.asarray(stiffness * slack / mass)
     return np.stack((-rate, -2.0 * damping_ratio * np.sqrt(rate)), axis=-1), 1.0 - slack
 
 
-def _fastest_spring(physics: PhysicsConfig) -> float:
-    """Greatest stiffness over mass, 1/s²: a time constant of two physics steps."""
-    assert physics.timestep is not None
-    return (0.5 / physics.timestep) ** 2
+def _fastest_spring(timestep: float | None, damping_ratio: Any) -> Any:
+    """Greatest stiffness over mass that physics steps resolve, 1/s²."""
+    assert timestep is not None
+    return np.square(0.5 / (timestep * np.maximum(damping_ratio, 1.0)))
 
 
 def _scale(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
@@ -200,13 +204,40 @@ def _scale(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
     spec.option.tolerance *= scale**2
 
 
+def _light(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
+    """Add the cameras beside "top", a light that casts shadows, and the size of force arrows."""
+    radius, arena, ball = config.constraint_radius, config.arena, spec.body("agent")
+    for parent, name, place, fovy in (
+        (spec.worldbody, "side", np.array([0.0, -2.4, 1.5]) * arena, 38.0),
+        (ball, "follow", np.array([0.35, -0.5, 0.45]) * radius, 50.0),
+    ):
+        backwards = place / np.linalg.norm(place)
+        right = np.cross([0.0, 0.0, 1.0], backwards) / np.hypot(*backwards[:2])
+        axes, quat = np.column_stack((right, np.cross(backwards, right), backwards)), np.empty(4)
+        mujoco.mju_mat2Quat(quat, axes.ravel())
+        camera = parent.add_camera(name=name, pos=place, quat=quat, fovy=fovy)
+        if parent is ball:
+            camera.mode = mujoco.mjtCamLight.mjCAMLIGHT_TRACK
+    sun = spec.worldbody.add_light(pos=[-0.2 * arena, -0.2 * arena, arena], dir=[0.2, 0.2, -1.0])
+    sun.type, sun.castshadow = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, True
+    sun.diffuse, sun.specular = [0.5] * 3, [0.0] * 3
+    spec.visual.headlight.diffuse, spec.visual.headlight.ambient = [0.2] * 3, [0.45] * 3
+    spec.visual.quality.offsamples, spec.visual.map.shadowclip = 4, 0.75
+    spec.visual.map.zfar = 200.0  # nearer, shadows have holes
+    sky = spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=16, height=96)
+    sky.builtin = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+    sky.rgb1, sky.rgb2 = [0.75, 0.82, 0.9], [0.97, 0.97, 0.97]
+    spec.visual.map.force = 0.02 * radius / BASE_RADIUS  # m for each N
+    spec.stat.meansize, spec.stat.meanmass = 0.1 * radius, 1.0
+
+
 def _actuate(spec: mujoco.MjSpec, physics: PhysicsConfig) -> None:
     """Set up drag and actuators. Their greatest control is a full action."""
     most = getattr(physics, full_action(physics))
     for joint in spec.joints:
         joint.damping[0] = physics.damping
     for actuator in spec.actuators:
-        if physics.actuation == "force":
+        if physics.gain is None:
             actuator.set_to_motor()
         else:
             actuator.gainprm[0], actuator.biasprm[2] = physics.gain, -physics.gain
@@ -223,6 +254,8 @@ def _set_contact(spec: mujoco.MjSpec, physics: PhysicsConfig) -> None:
         return
     ball.priority = 1  # its numbers hold, not the prisms'
     if physics.contact == "soft":
+        # With "discrete", forces at rest would depend on damping and gain, and on their limits.
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         numbers = physics.stiffness, physics.damping_ratio, physics.mass
         ball.solref, impedance = softness(physics, *numbers)
         ball.solimp[:2] = impedance
@@ -256,6 +289,8 @@ def _add_region(spec: mujoco.MjSpec, config: Circle2DConfig, physics: PhysicsCon
     disjoint = convex_pieces(config.region)
     no_contact = {"contype": 0, "conaffinity": 0} if soft else {}
     for geom in prisms("look" if soft else "region", disjoint, 0.0, height, **no_contact):
+        if physics.contact != "rigid":
+            geom.rgba[3] = SHEER
         if physics.contact == "none":
             geom.margin = _NEVER * radius
             geom.gap = -geom.margin - agent.size[0]

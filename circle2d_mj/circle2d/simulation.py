@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -17,9 +18,15 @@ from circle2d_mj.core.simulation import Outcome, State
 from circle2d_mj.core.streams import Streams
 
 if TYPE_CHECKING:
+    from circle2d_mj.circle2d.physics import Physics
     from circle2d_mj.circle2d.view import Circle2DView
+    from circle2d_mj.render.gl import Offscreen
     from circle2d_mj.render.renderer import Renderer
     from circle2d_mj.render.window import Window
+
+
+DRAWERS = ("_renderer", "_offscreen", "_window")
+FRAME_SIZE = 640
 
 
 class Move(NamedTuple):
@@ -37,6 +44,11 @@ class Dynamics(Protocol):
     @property
     def info_units(self) -> dict[str, str]:
         """Units of the numbers that `step` adds to the info, beside the cost, by name."""
+        ...
+
+    @property
+    def camera(self) -> str | None:
+        """Camera of frames that MuJoCo draws; None for plain pictures of the arena."""
         ...
 
     @property
@@ -81,8 +93,8 @@ class Circle2D:
         self.observation_space = Box(-bounds, bounds)
         self.action_space = Box(-1.0, 1.0, (2,), np.float32)
         self._renderer: Renderer | None = None
+        self._offscreen: Offscreen | None = None
         self._window: Window | None = None
-        self._shown: Any = None
 
     @property
     def view(self) -> Circle2DView:
@@ -121,6 +133,15 @@ class Circle2D:
 
     def frame(self, index: int) -> NDArray[np.uint8]:
         """Draw the agent `index` in its arena: [640, 640, 3]."""
+        physics: Any = self.dynamics
+        if physics.camera is not None:
+            if self._offscreen is None:
+                from circle2d_mj.render.gl import Offscreen
+
+                self._offscreen = Offscreen(physics.model, FRAME_SIZE, forces=True)
+            return self._offscreen.draw(
+                physics.data(index), physics.model.camera(physics.camera).id
+            )
         if self._renderer is None:
             from circle2d_mj.render.renderer import Renderer
 
@@ -129,26 +150,29 @@ class Circle2D:
 
     def show(self, index: int) -> None:
         """Show the agent `index` in MuJoCo's viewer."""
-        from circle2d_mj.core.engine import mujoco
-
+        physics = self._physics
         if self._window is None:
-            from circle2d_mj.circle2d.scene import scene
             from circle2d_mj.render.window import Window
 
-            model = scene(self.config).compile()
-            self._shown = mujoco.MjData(model)
-            self._window = Window(model, 10 * model.opt.timestep)
-        self._shown.qpos[:] = self.dynamics.position[index]
-        mujoco.mj_forward(self._shown.model, self._shown)
-        self._window.show(self._shown)
+            self._window = Window(physics.model, physics.step_seconds)
+        if physics is not self.dynamics:
+            physics.place(np.array([0]), self.dynamics.position[[index]])
+        self._window.show(physics.data(index if physics is self.dynamics else 0))
+
+    @functools.cached_property
+    def _physics(self) -> Physics:
+        """The dynamics where they are MuJoCo's, else a ball to show."""
+        from circle2d_mj.circle2d.physics import Physics
+
+        return self.dynamics if isinstance(self.dynamics, Physics) else Physics(self.config, 1)
 
     def close(self) -> None:
         """Close what `frame` and `show` opened."""
-        for drawer in (self._renderer, self._window):
-            if drawer is not None:
+        for name in DRAWERS:
+            if (drawer := getattr(self, name)) is not None:
                 drawer.close()
-        self._renderer = self._window = self._shown = None
+            setattr(self, name, None)
 
     def __getstate__(self) -> dict[str, Any]:
         # Renderers and windows cannot be copied.
-        return self.__dict__ | {"_renderer": None, "_window": None, "_shown": None}
+        return self.__dict__ | dict.fromkeys(DRAWERS)
