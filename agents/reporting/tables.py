@@ -381,8 +381,8 @@ def _emcc_above(
 ) -> dict[float, float]:
     """EMCC by third, of the steps above a threshold."""
     streaks = longest_streaks(steps, run.records.length, threshold)
-    mcc = replace(run.records, longest_streak=streaks).mcc_per_rollout()
-    return emcc_by_part(*mcc, total, ALPHA)
+    records = replace(run.records, longest_streak=streaks, cost_steps=None, streaks=None)
+    return emcc_by_part(*records.mcc_per_rollout(), total, ALPHA)
 
 
 SEPARATED = ("cost rate A", "cost rate B", "B - A", "p equal", "EMCC A", "EMCC B", "B - A", "p")
