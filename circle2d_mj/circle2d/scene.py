@@ -228,7 +228,8 @@ def _light(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:
     sky.builtin = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
     sky.rgb1, sky.rgb2 = [0.75, 0.82, 0.9], [0.97, 0.97, 0.97]
     spec.visual.map.force = 0.02 * radius / BASE_RADIUS  # m for each N
-    spec.stat.meansize, spec.stat.meanmass = 0.1 * radius, 1.0
+    spec.visual.rgba.contactforce = [0.95, 0.5, 0.0, 1.0]
+    spec.stat.meansize, spec.stat.meanmass = 0.15 * radius, 1.0
 
 
 def _actuate(spec: mujoco.MjSpec, physics: PhysicsConfig) -> None:
