@@ -18,18 +18,22 @@ import numpy as np
 from mujoco import rollout
 
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
-from circle2d_mj.circle2d.scene import SUBSTEPS
 
 SIZE, TURNS = 1024, 5
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (50, SIZE, 2))
 SPAN = 0.6  # seconds a turn of a single environment lasts
 LEVELS = range(4)
+SOFT = {"contact": "soft", "stiffness": 200.0}
+SCENES = {f"level {level}": {"level": level} for level in LEVELS}
+SCENES |= {f"level {level}, soft": {"level": level, **SOFT} for level in (1, 3)}
+DRAWN = {"randomize": {"mass": (0.5, 2.0), "friction": (0.0, 1.0)}}
+SCENES["level 1, soft, drawn"] = {"level": 1, **SOFT, **DRAWN}
 
 
-def vector(level, num_threads=1):
+def vector(num_threads=1, **parameters):
     """An episode of 50 steps and its reset, 1024 times."""
     envs = Circle2DMuJoCoVectorEnv(
-        SIZE, level=level, num_threads=num_threads, autoreset_mode="SameStep"
+        SIZE, num_threads=num_threads, autoreset_mode="SameStep", **parameters
     )
     envs.reset(seed=0)
 
@@ -42,17 +46,17 @@ def vector(level, num_threads=1):
     return run
 
 
-def open_loop(level):
+def open_loop(**parameters):
     """The same starts and actions through mujoco.rollout, which is physics and nothing else."""
-    envs = Circle2DMuJoCoVectorEnv(SIZE, level=level)
+    envs = Circle2DMuJoCoVectorEnv(SIZE, **parameters)
     envs.reset(seed=0)
-    model = envs.simulation.dynamics.model
+    model, substeps = envs.simulation.dynamics.model, envs.simulation.dynamics.physics.substeps
     data = mujoco.MjData(model)
     full = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     starts = np.zeros((SIZE, full))
     starts[:, 1:3] = envs.position
     most = model.actuator_ctrlrange[:, 1]
-    control = np.repeat(ACTIONS.swapaxes(0, 1) * most, SUBSTEPS, axis=1)
+    control = np.repeat(ACTIONS.swapaxes(0, 1) * most, substeps, axis=1)
 
     def run():
         start = time.perf_counter()
@@ -62,9 +66,9 @@ def open_loop(level):
     return run
 
 
-def resets(level):
+def resets(**parameters):
     """Seconds for a reset of all 1024."""
-    envs = Circle2DMuJoCoVectorEnv(SIZE, level=level)
+    envs = Circle2DMuJoCoVectorEnv(SIZE, **parameters)
     envs.reset(seed=0)
 
     def run():
@@ -99,11 +103,11 @@ def through_gymnasium(task, mode=None, num_envs=8):
 def measurements():
     """Name of a row -> what a turn measures."""
     runs = {}
-    for level in LEVELS:
-        runs[f"level {level}"] = vector(level)
-        runs[f"level {level}, open loop"] = open_loop(level)
-        runs[f"level {level}, 2 threads"] = vector(level, num_threads=2)
-        runs[f"level {level}, resets"] = resets(level)
+    for name, parameters in SCENES.items():
+        runs[name] = vector(**parameters)
+        runs[f"{name}, open loop"] = open_loop(**parameters)
+        runs[f"{name}, 2 threads"] = vector(num_threads=2, **parameters)
+        runs[f"{name}, resets"] = resets(**parameters)
     for task in ("Circle2DMuJoCo-1-v0", "Reacher-v5", "InvertedPendulum-v5"):
         runs[f"{task}, single"] = through_gymnasium(task)
         for mode in ("sync", "async"):
@@ -123,11 +127,10 @@ def table(seen):
 
     yield "| | steps/s | mujoco.rollout, open loop | ratio | 2 threads over 1 | reset, ms |"
     yield "| --- | --- | --- | --- | --- | --- |"
-    for level in LEVELS:
-        name = f"level {level}"
+    for name in SCENES:
         free, threads, reset = (f"{name}, {what}" for what in ("open loop", "2 threads", "resets"))
         yield (
-            f"| Circle2DMuJoCo-{level}-v0, vector of {SIZE} | {speed(name)} | {speed(free)} "
+            f"| {name}, vector of {SIZE} | {speed(name)} | {speed(free)} "
             f"| {ratio(name, free)} | {ratio(threads, name)} "
             f"| {1000 * statistics.median(seen[reset]):.2f} |"
         )

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import importlib
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice, takewhile
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -143,3 +144,12 @@ def one_for_each(name: str, given: Sequence[T], folders: Iterable[Path]) -> Sequ
     if given and len(given) != count:
         raise UserError(f"{name} must be one for each of the {count} folders, got {len(given)}")
     return given or [None] * count
+
+
+def literals(given: Mapping[str, str]) -> dict[str, Any]:
+    """Task parameters as Python reads them (3.0, True, (1, 0.5)), else the text itself."""
+    values: dict[str, Any] = dict(given)
+    for name, text in given.items():
+        with contextlib.suppress(ValueError, SyntaxError):
+            values[name] = ast.literal_eval(text)
+    return values

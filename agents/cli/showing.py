@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Any, Literal
 
 import tyro
 
@@ -17,6 +18,7 @@ from agents.cli.options import (
     check_size,
     check_suffix,
     check_width,
+    literals,
     one_for_each,
     parse,
 )
@@ -24,10 +26,12 @@ from agents.errors import UserError
 from agents.export import Format
 from agents.reporting.table import show
 from agents.training.config import TrainConfig
+from agents.training.environments import task_id, unscaled
 from agents.training.policy import chosen_run
 from agents.training.pretrained import folder_of
 from agents.training.progress import working
-from circle2d_mj import Circle2DConfig
+from circle2d_mj.circle2d.config import Camera
+from circle2d_mj.registration import PHYSICS
 from emcc.parts import ALPHA, PARTS
 
 
@@ -163,6 +167,11 @@ class RenderOptions:
     """Titles above the panels, one for each folder; by default the algorithm and the seed."""
     stochastic: bool = False
     """Draw the stochastic policy instead of the deterministic one."""
+    frames: Literal["map", "mujoco"] = "map"
+    """map: the way on the task's view from above. mujoco: films of a Circle2DMuJoCo task as MuJoCo
+    draws it, with shadows, and contact forces as arrows."""
+    camera: Camera = "top"
+    """Where frames of MuJoCo are seen from: above, the side, or behind the agent."""
     size: int = 640
     """Pixels along each side of a panel."""
     imports: Imports = ()
@@ -180,14 +189,17 @@ def render(args: Sequence[str]) -> int:
     seeds = one_for_each("seed", options.seed * (1 if options.seed[1:] else len(folders)), folders)
     check_size(options.size)
     beside = folders[0] if folders[0] == options.folders[0] else Path()
-    out = options.out or beside / "trajectories.png"
-    check_suffix(out, ".png", ".gif", ".mp4")
+    by_mujoco = options.frames == "mujoco"
+    out = options.out or beside / ("film.gif" if by_mujoco else "trajectories.png")
+    check_suffix(out, *[".png"] * (not by_mujoco), ".gif", ".mp4")
+    camera = options.camera if by_mujoco else None
     panels = []
     for folder, name, seed in zip(folders, names, seeds, strict=True):
         config = TrainConfig.read(folder)
         seed = config.seeds[0] if seed is None else seed
         run = chosen_run(folder, config, seed, options.task)
-        shown = pictures.evaluation_episodes(folder, run, options.episodes, options.stochastic)
+        how = (options.episodes, options.stochastic, camera)
+        shown = pictures.evaluation_episodes(folder, run, *how)
         heading = name or f"{title(config.algorithm)}, seed {run.seed}"
         episodes, view = shown
         panels.append(pictures.Panel(heading, view, episodes))
@@ -240,13 +252,12 @@ def export(args: Sequence[str]) -> int:
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """Print the MuJoCo scene of a task as MJCF, to be opened in MuJoCo's viewer."""
+    """Print the MuJoCo scene of a task as MJCF, for `python -m mujoco.viewer --mjcf=FILE`."""
 
-    config: Annotated[Circle2DConfig, tyro.conf.OmitArgPrefixes] = field(
-        default_factory=Circle2DConfig
-    )
-    actuation: Literal["velocity", "force"] = "velocity"
-    """velocity: servos; force: motors against a damping."""
+    task: tyro.conf.Positional[str] = "Circle2DMuJoCo-1-v0"
+    """Id of a Circle2DMuJoCo task."""
+    task_parameters: dict[str, str] = field(default_factory=dict)
+    """Its parameters, as NAME VALUE ..., e.g. contact soft stiffness 200."""
 
 
 def scene(args: Sequence[str]) -> int:
@@ -254,10 +265,12 @@ def scene(args: Sequence[str]) -> int:
     from circle2d_mj.circle2d.scene import scene as build
 
     options = parse(SceneOptions, "scene", args)
-    try:
-        spec = build(options.config, options.actuation)
-    except ValueError as error:
-        raise UserError(str(error)) from error
+    task = task_id(options.task)
+    with contextlib.closing(unscaled(task, 1, literals(options.task_parameters))) as envs:
+        env: Any = envs.unwrapped
+        if task.rpartition(":")[2] not in PHYSICS.values():
+            raise UserError(f"scene shows the tasks {', '.join(PHYSICS.values())}, got {task!r}")
+        spec = build(env.config, env.simulation.dynamics.physics)
     spec.compile()
     print(spec.to_xml(), end="")
     return 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import dataclasses
 import sys
@@ -29,6 +28,7 @@ from agents.cli.options import (
     Imports,
     check_width,
     import_modules,
+    literals,
     parse,
     values_of,
 )
@@ -110,7 +110,7 @@ def train(args: Sequence[str]) -> int:
     options = parse(_train_options(hyperparameters), f"train {name}", args[1:])
     values = {f.name: getattr(options, f.name) for f in dataclasses.fields(TrainOptions)}
     del values["imports"]
-    values["task_parameters"] = {k: _literal(v) for k, v in options.task_parameters.items()}
+    values["task_parameters"] = literals(options.task_parameters)
     own = options.hyperparameters
     for task in tasks:
         check_task(task, values["task_parameters"], options.costs)
@@ -131,14 +131,6 @@ def _train_options(hyperparameters: Any) -> type:
         frozen=True,
         namespace={"__doc__": TrainOptions.__doc__},
     )
-
-
-def _literal(text: str) -> Any:
-    """A task parameter as Python reads it (3.0, True, (1, 0.5)), else the text itself."""
-    try:
-        return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text
 
 
 def check_enough_steps(
@@ -293,6 +285,8 @@ class ReproduceOptions:
     """Run the paper's Safety-Gymnasium tasks instead."""
     tasks: tuple[str, ...] = ()
     """Ids of other tasks to run instead, such as circle2d_mj/SafetyPointGoal1-v0."""
+    task_parameters: dict[str, str] = field(default_factory=dict)
+    """Keyword arguments for the tasks, as NAME VALUE ..., e.g. contact soft stiffness 200."""
     ablations: bool = False
     """Also run other values of settings that the paper does not print: TRPO-Lag's multiplier
     optimiser, bootstrapping at the time limit off-policy, observations in units of length, and
@@ -370,22 +364,23 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     if not names:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
     tasks = [task_id(task) for task in _tasks(options)]
+    parameters = literals(options.task_parameters)
     for task in tasks:
-        check_task(task, {})
+        check_task(task, parameters)
     seeds, steps = options.seeds, options.steps
     if options.benchmark:
-        what = (tasks, names, seeds, steps, options.device)
-        configs = grid.benchmark(options.out, *what, quick=options.quick)
+        what = (tasks, names, seeds, steps, options.device, options.quick, parameters)
+        configs = grid.benchmark(options.out, *what)
     else:
         if seeds is None:
             seeds = grid.QUICK_SEEDS if options.quick else grid.SEEDS
         if steps is None and options.quick:
             steps = grid.QUICK_STEPS
-        what = (tasks, names, seeds, steps, options.device, options.ablations)
+        what = (tasks, names, seeds, steps, options.device, options.ablations, parameters)
         configs = grid.grid(options.out, *what)
     for config in configs.values():
         for task in config.tasks:
-            check_enough_steps(task, {}, config.steps, config.hyperparameters)
+            check_enough_steps(task, parameters, config.steps, config.hyperparameters)
     begun = (TrainConfig.read(f).backend for f in configs if (f / "config.json").exists())
     usual: BackendChoice = "eager" if options.quick else next(begun, "auto")  # pyright: ignore[reportAssignmentType]
     backend = lockstep_backend.choose(options.backend or usual)

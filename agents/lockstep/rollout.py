@@ -82,9 +82,9 @@ class Rollout(NamedTuple):
         return self.next_observation[self.length - 1, np.arange(len(self.length))]
 
 
-def require_costs(source: object, info: Mapping[str, Any], costs: Sequence[str]) -> None:
-    """Raise UserError, naming the source, where the info of a step lacks a cost."""
-    for name in costs:
+def require_info(source: object, info: Mapping[str, Any], names: Sequence[str]) -> None:
+    """Raise UserError, naming the source, where the info of a step lacks a number."""
+    for name in names:
         if name not in info:
             given = sorted(key for key in info if not key.startswith("_")) or "nothing"
             raise UserError(f"{source} gives no info[{name!r}]; it gives {given}")
@@ -134,7 +134,7 @@ def collect(
             action = np.where(finite[:, None], action, np.float32(0.0))
         clipped = np.minimum(np.maximum(action, -1.0), 1.0)  # `clip` takes twice as long
         following, reward, terminated, truncated, info = envs.step(clipped)
-        require_costs(envs, info, costs)
+        require_info(envs, info, costs)
         cost = np.stack([info[name] for name in costs], axis=-1)
         following = np.asarray(following, dtype=np.float32)
         steps.append((observation, action, reward, cost, following, terminated, truncated))

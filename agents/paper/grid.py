@@ -55,6 +55,7 @@ def grid(
     steps: int | None = None,
     device: Device = "cpu",
     ablations: bool = False,
+    task_parameters: Mapping[str, Any] | None = None,
 ) -> dict[Path, TrainConfig]:
     """The trainings of every algorithm on every task with its preset, by folder; what takes longest
     first.
@@ -85,8 +86,9 @@ def grid(
                 parts = {out / file_name(task) / folder: [task] for task in by_task}
             for path, together in parts.items():
                 length, own = lengths[together[0]], by_task[together[0]]
+                parameters = dict(task_parameters or {})
                 trainings[path] = TrainConfig(
-                    name, tuple(together), tuple(seeds), length, own, device=device
+                    name, tuple(together), tuple(seeds), length, own, parameters, device=device
                 )
     return trainings
 
@@ -99,6 +101,7 @@ def benchmark(
     steps: int | None = None,
     device: Device = "cpu",
     quick: bool = False,
+    task_parameters: Mapping[str, Any] | None = None,
 ) -> dict[Path, TrainConfig]:
     """The trainings of the benchmark, by folder `out/TASK/ALGORITHM`; what takes longest first.
 
@@ -112,7 +115,8 @@ def benchmark(
         for name in dict.fromkeys(algorithms):
             count = (10 if hasattr(preset(name, task), "episodes") else 5) if circle2d else 3
             chosen = (QUICK_SEEDS if quick else range(count)) if seeds is None else seeds
-            trainings |= grid(out, [task], [name], chosen, steps or usual, device)
+            length = steps or usual
+            trainings |= grid(out, [task], [name], chosen, length, device, False, task_parameters)
     return dict(sorted(trainings.items(), key=lambda pair: -work(pair[1])))
 
 

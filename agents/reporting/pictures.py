@@ -107,12 +107,13 @@ def _view(config: TrainConfig, task: str) -> View:
 
 
 def evaluation_episodes(
-    folder: Path, run: RunId, episodes: int, noisy: bool
+    folder: Path, run: RunId, episodes: int, noisy: bool, camera: str | None = None
 ) -> tuple[list[Episode] | list[Filmed], View | None]:
     """The first episodes of the evaluation of one run, and the view of its task.
 
-    Without a view the episodes are the task's own frames. noisy: of the stochastic policy. Raises
-    UserError for a task without view and frames, and a policy that is not finite.
+    Without a view the episodes are the task's own frames. noisy: of the stochastic policy; camera:
+    take its frames even so, from this camera. Raises UserError for a task without view and frames,
+    and a policy that is not finite.
     """
     config = TrainConfig.read(folder)
     if not 1 <= episodes <= EPISODES:
@@ -127,7 +128,9 @@ def evaluation_episodes(
             raise UserError(f"the policy of {run} gives numbers that are not finite")
         return rollout
 
-    if view is None:
+    if camera is not None:
+        alone = replace(alone, task_parameters=alone.task_parameters | {"camera": camera})
+    if view is None or camera is not None:
         return film_episodes(alone, episodes, played), None
     with contextlib.closing(runs_envs(alone, episodes)) as envs:
         [paths] = paths_of(envs, played(envs), 1, episodes)

@@ -22,7 +22,13 @@ from agents.reporting.provenance import heading, made, summary
 from agents.reporting.ranks import orders_table, ranks_table
 from agents.reporting.replay import replay_data
 from agents.reporting.table import Block, Table, markdown, plain
-from agents.reporting.tables import over_tasks, panel_table, separated_table, task_table
+from agents.reporting.tables import (
+    over_tasks,
+    panel_table,
+    recorded_table,
+    separated_table,
+    task_table,
+)
 from agents.results.frame import with_distinct_titles
 from agents.results.reading import Group, archive_of, name_of_all, read, write_archive
 from agents.training.files import write_whole
@@ -78,7 +84,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     common |= {RANKS: ranks_table(paper.usual), ORDERS: orders_table(paper.usual)}
     main = _task_tables(by_task, paper, notes) | paper.tables
     main |= {name: table for name, table in common.items() if table is not None}
-    tables = main | paper.details | _panels(by_task)
+    tables = main | paper.details | _recorded(by_task) | _panels(by_task)
     if archive is not None:
         write_archive(archive, everything)
     shown = [paper.claims] if paper.claims else []
@@ -173,6 +179,12 @@ def _task_tables(
         )
         for task, groups in by_task.items()
     }
+
+
+def _recorded(by_task: dict[str, list[Group]]) -> dict[str, Table]:
+    """What tasks have recorded at each step, by title."""
+    told = {f"{task}: recorded at each step": recorded_table(g) for task, g in by_task.items()}
+    return {title: table for title, table in told.items() if table is not None}
 
 
 def _panels(by_task: dict[str, list[Group]]) -> dict[str, Table]:

@@ -8,6 +8,7 @@ from itertools import combinations
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, count, number, p_number
@@ -34,10 +35,10 @@ from agents.results.statistics import (
     summaries,
     within_limit,
 )
-from emcc import iqm, panel
+from emcc import emcc_by_part, iqm, longest_streaks, panel
 from emcc.panels import SEVERITY, WINDOW, CostMeasures, Panel, cost_measures
 from emcc.panels import rows as panel_rows
-from emcc.parts import ALPHA, PARTS
+from emcc.parts import ALPHA, PARTS, rollouts_by_part
 from emcc.statistics import COST, FEWEST_RUNS, SHARE, Bounds
 
 Key = TypeVar("Key", bound=Hashable)
@@ -319,6 +320,69 @@ def _panel_caption(groups: Sequence[Group], limits: Sequence[float | None]) -> s
     else:
         words = ", ".join(f"limit of {name} {d:g}" for name, d in named.items()) or "no limit"
     return f"Undiscounted costs of episodes, {words}; mean {INTERVALS}. Definitions: `emcc.panel`"
+
+
+HEAD_OF_RECORDED = ("steps above 0", "median", "90 %", "max", "EMCC above 0")
+
+
+def recorded_table(groups: Sequence[Group]) -> Table | None:
+    """What a task has recorded at each step, by third of training: how many steps are above 0, how
+    much it is there, and EMCC of the steps above a threshold. None where nothing is recorded.
+
+    groups: of one task. The threshold is the median of all values above 0, to two digits.
+    """
+    groups = [group for group in in_order(groups) if group.runs and group.recorded]
+    rows, words = [], []
+    for name, unit in groups[0].recorded.items() if groups else ():
+        values = [[group.steps(run, name) for run in group.runs] for group in groups]
+        every = np.concatenate([steps for runs in values for steps in runs])
+        if (every < 0).any() or not (every > 0).any():
+            continue
+        threshold = float(f"{np.median(every[every > 0]):.2g}")
+        words.append(f"{name}: {threshold:g} {unit}")
+        for group, runs in zip(groups, values, strict=True):
+            rows += _recorded_rows(group, runs, f"{name} ({unit})", threshold)
+    if not rows:
+        return None
+    caption = (
+        f"Steps of training: median, 90 % and maximum of those above 0, of all runs; mean "
+        f"{INTERVALS}; threshold: the median over all algorithms ({', '.join(words)})"
+    )
+    return Table(caption, [groups[0].task, *HEAD_OF_RECORDED, "EMCC above threshold", ""], rows)
+
+
+def _recorded_rows(
+    group: Group, runs: Sequence[NDArray[np.float64]], words: str, threshold: float
+) -> Iterator[Row]:
+    """A row for each third."""
+    total = group.config.steps
+    streaks = [
+        [_emcc_above(run, steps, limit, total) for run, steps in zip(group.runs, runs, strict=True)]
+        for limit in (0.0, threshold)
+    ]
+    for part in PARTS:
+        inside = [
+            s[:total][rollouts_by_part(np.arange(min(len(s), total)), total)[part]] for s in runs
+        ]
+        above = np.concatenate(inside)
+        above = above[above > 0]
+        told = [*np.percentile(above, (50, 90, 100))] if len(above) else [None] * 3
+        share = mean_of([float((s > 0).mean()) for s in inside], group.one_place, SHARE)
+        cells = [number(share), *(Number(value, 3) for value in told)]
+        cells += [
+            number(mean_of([run[part] for run in of_limit], group.one_place, SHARE))
+            for of_limit in streaks
+        ]
+        yield Row(f"{name_of(group)}, {words}, {part:g}", cells, kind="mean")
+
+
+def _emcc_above(
+    run: Run, steps: NDArray[np.float64], threshold: float, total: int
+) -> dict[float, float]:
+    """EMCC by third, of the steps above a threshold."""
+    streaks = longest_streaks(steps, run.records.length, threshold)
+    records = replace(run.records, longest_streak=streaks, cost_steps=None, streaks=None)
+    return emcc_by_part(*records.mcc_per_rollout(), total, ALPHA)
 
 
 SEPARATED = ("cost rate A", "cost rate B", "B - A", "p equal", "EMCC A", "EMCC B", "B - A", "p")

@@ -196,6 +196,17 @@ class Group:
         arrays, prefix = self._arrays(run.seed)
         return _costs(arrays, f"{prefix}costs/{self.cost}/")
 
+    @property
+    def recorded(self) -> dict[str, str]:
+        """Units of what its task has recorded at each step, by name."""
+        names = self.parts[0].arrays.get(file_name(self.task) + "/info", np.empty((0, 2), str))
+        return dict(names.tolist())
+
+    def steps(self, run: Run, name: str) -> NDArray[np.float64]:
+        """A number that was recorded at each step of a run, [steps], to five digits."""
+        arrays, prefix = self._arrays(run.seed)
+        return _costs(arrays, f"{prefix}info/{name}/")
+
     def _arrays(self, seed: int) -> tuple[Mapping[str, NDArray], str]:
         part = next(part for part in self.parts if seed in part.seeds)
         return part.arrays, RunId(self.task, seed).prefix

@@ -4,6 +4,8 @@ Arrays of a run, below its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`
 
 - `rollouts` [rollouts]: episodes in each; `length` and `return` [episodes]
 - `costs/NAME/steps`, `/unsafe` and, unless every cost is 1, `/values`: see `pack_costs`
+- `info/NAME/...`: numbers of each step that the task has recorded, packed as the costs are, values
+  to five digits
 - `updates` [epochs, metrics], whose names are the array `metrics` of the file
 - `failure`: why the run failed; of none that did not
 - `evaluation/POLICY/returns`, `/costs` and `/lengths`; of the deterministic policy also `/places`
@@ -11,7 +13,8 @@ Arrays of a run, below its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`
 - `trained/length`, `/positions` and `/costs`: the first evaluated episodes of a task with a view
 - `replay/points` and `/box`: see `Replay`
 
-Of a task, below "Circle2D-1-v0/": `visits` [3, CELLS, CELLS] and `visited` [3, 3], see `Visits`.
+Of a task, below "Circle2D-1-v0/": `visits` [3, CELLS, CELLS] and `visited` [3, 3], see `Visits`;
+`info` [numbers, 2], names and units of what it has recorded.
 """
 
 from __future__ import annotations
@@ -29,7 +32,7 @@ from numpy.typing import NDArray
 from agents.errors import UserError
 from agents.lockstep.rollout import Policy
 from agents.training.config import RESULTS, STEPS, RunId, TrainConfig, file_name
-from agents.training.environments import view_of
+from agents.training.environments import recorded_of, view_of
 from agents.training.evaluation import EPISODES, Episodes, evaluate_runs
 from agents.training.files import Arrays, numbered, write_arrays
 from circle2d_mj.core.view import TellsWays, View
@@ -159,6 +162,8 @@ def derived(
     arrays: dict[str, NDArray] = {"metrics": steps.metrics}
     for task in config.tasks:
         located: list[tuple[EpisodeRecords, NDArray[np.float32]]] = []
+        if info := recorded_of(task, config.task_parameters):
+            arrays[file_name(task) + "/info"] = np.array([*info.items()], dtype=np.str_)
         for run in (run for run in config.runs if run.task == task):
             failure = "" if failures is None else failures[config.runs.index(run)]
             if failure:
@@ -166,6 +171,12 @@ def derived(
             if (length := steps.get(run, "length")) is None:
                 continue
             own, records = _run(steps, run, length, config)
+            for name in info:
+                values = steps.get(run, f"info/{name}")
+                # A training that began before the task had it recorded lacks steps.
+                if values is not None and len(values) == length.sum():
+                    packed = pack_costs(five_digits(values).astype(np.float32)).items()
+                    own |= {f"info/{name}/{key}": array for key, array in packed}
             positions = steps.get(run, "positions")
             if positions is not None and not failure:
                 located.append((records, positions))
@@ -211,7 +222,7 @@ def smallest(values: NDArray[np.int64]) -> NDArray:
     return values
 
 
-def pack_costs(costs: NDArray[np.float64]) -> dict[str, NDArray]:
+def pack_costs(costs: NDArray[np.floating]) -> dict[str, NDArray]:
     """Costs of steps: a bit each, and the values where some are neither 0 nor 1."""
     unsafe = costs != 0
     packed = {"unsafe": np.packbits(unsafe), "steps": np.array(len(costs))}

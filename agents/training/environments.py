@@ -7,7 +7,7 @@ import functools
 import importlib
 import inspect
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
@@ -18,8 +18,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.vector import RescaleAction
 
 from agents.errors import OwnCodeError, TaskFailure, UserError, described, nearest
-from agents.lockstep.rollout import require_costs
-from agents.training.wrappers import CheckedEnv, Guard, quiet_worker
+from agents.lockstep.rollout import require_info
+from agents.training.wrappers import CheckedEnv, Guard, quiet_worker, recorded_info
 from circle2d_mj.core.view import View
 
 Vectorization = Literal["auto", "sync", "async"]
@@ -81,6 +81,8 @@ def unscaled(
                 **parameters,
             )
     except Exception as error:  # of the task's own code
+        if isinstance(error, (TypeError, ValueError)) and not module_of_task(task):
+            raise UserError(f"cannot make task {task!r}: {error}") from error
         raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
     _check_space(task, "observation", envs.single_observation_space)
     _check_space(task, "action", envs.single_action_space)
@@ -107,7 +109,7 @@ def check_task(task: str, parameters: dict[str, Any], costs: Sequence[str] = ("c
             if type(error.__cause__) is UserError:  # not of the task's own code
                 raise UserError(f"task {task!r}: {error.__cause__}") from None
             raise
-    require_costs(f"task {task!r}", info, costs)
+    require_info(f"task {task!r}", info, costs)
 
 
 def sizes(envs: VectorEnv) -> tuple[int, int]:
@@ -124,18 +126,32 @@ def view_of(task: str, parameters: dict[str, Any]) -> View | None:
     None where the task has no view or is not registered; no module is imported for it. Raises
     UserError where the task cannot be made.
     """
-    name = task.rpartition(":")[2]
-    if name not in gym.registry:
-        return None
-    with contextlib.closing(unscaled(name, 1, parameters)) as envs:
-        env: Any = envs.unwrapped
-        if isinstance(env, SyncVectorEnv):  # its wrappers may hold the attribute
-            [env] = env.envs
+    with _one(task, parameters) as env:
         try:
             view = env.get_wrapper_attr("view") if isinstance(env, gym.Env) else env.view
         except AttributeError:
             return None
     return view if callable(getattr(view, "positions", None)) else None
+
+
+def recorded_of(task: str, parameters: dict[str, Any]) -> dict[str, str]:
+    """`recorded_info` of a registered task, {} of another; no module is imported for it. Raises
+    UserError where the task cannot be made."""
+    with _one(task, parameters) as env:
+        return {} if env is None else recorded_info(env)
+
+
+@contextlib.contextmanager
+def _one(task: str, parameters: dict[str, Any]) -> Iterator[Any]:
+    """An environment of a registered task, with its wrappers, which may hold attributes; None of
+    another task."""
+    name = task.rpartition(":")[2]
+    if name not in gym.registry:
+        yield None
+        return
+    with contextlib.closing(unscaled(name, 1, parameters)) as envs:
+        env = envs.unwrapped
+        yield env.envs[0] if isinstance(env, SyncVectorEnv) else env
 
 
 def spaces_of(tasks: Sequence[str], parameters: dict[str, Any]) -> Spaces:

@@ -14,8 +14,8 @@ from agents.lockstep.noise import Purpose, environment_seeds, normal, steps_of_n
 from agents.lockstep.rollout import Policy as RunsPolicy
 from agents.lockstep.rollout import Rollout, collect
 from agents.training.config import TrainConfig
-from agents.training.environments import is_native, make_envs, view_of
-from agents.training.wrappers import RecordPositions, SideBySide
+from agents.training.environments import is_native, make_envs, recorded_of, view_of
+from agents.training.wrappers import RecordSteps, SideBySide
 
 EPISODES = 100
 """Episodes of each run and policy at the end of a training."""
@@ -69,13 +69,13 @@ def evaluate_runs(
 
 
 def runs_envs(config: TrainConfig, each: int) -> SideBySide:
-    """Environments of all runs, `each` of a run; those of tasks with a view record positions."""
+    """Environments of all runs, `each` of a run; they record their steps."""
     parts = []
     for task in config.tasks:
         how = (config.vectorization, config.step_timeout, config.costs)
         envs = make_envs(task, len(config.seeds) * each, config.task_parameters, *how)
-        view = view_of(task, config.task_parameters)
-        parts.append(envs if view is None else RecordPositions(envs, view))
+        of_task = (task, config.task_parameters)
+        parts.append(RecordSteps(envs, view_of(*of_task), list(recorded_of(*of_task))))
     return SideBySide(parts, config.costs)
 
 
@@ -138,7 +138,7 @@ def paths_of(
     each, column = envs.num_envs // runs, 0
     paths: list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]] = []
     for part in envs.parts:
-        located = part.with_start if isinstance(part, RecordPositions) else None
+        located = part.with_start
         for start in range(0, part.num_envs, each):
             drawn = range(start, start + min(each, most)) if located is not None else ()
             lengths = rollout.length[column : column + part.num_envs]

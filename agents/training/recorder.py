@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,10 @@ RECENT = 20
 class Recorder:
     """Steps, episodes and updates of every run since `take`.
 
-    Arrays of a run, below its prefix: "costs/NAME" [steps] and "positions" [steps, 2], where its
-    task has a view, of every step; "length" and "return" of every episode; "updates" [epochs,
-    metrics], NaN where nothing was learned.
+    Arrays of a run, below its prefix: of every step "costs/NAME" [steps] and what its task's
+    environments record (`RecordSteps.recorded`), "positions" [steps, 2] and "info/NAME" [steps];
+    "length" and "return" of every episode; "updates" [epochs, metrics], NaN where nothing was
+    learned.
     """
 
     def __init__(
@@ -38,14 +39,14 @@ class Recorder:
     def add(
         self,
         rollout: Rollout,
-        positions: Sequence[NDArray[np.float32] | None],
+        recorded: Sequence[Mapping[str, NDArray[np.float32]]],
         active: NDArray[np.bool_],
         metrics: NDArray,
     ) -> None:
         """Add an epoch.
 
-        rollout: of R·E episodes; positions: [T, E, 2] for each run, None without a view; active:
-        [R], runs that took part; metrics: [R, metrics] of their updates.
+        rollout: of R·E episodes; recorded: arrays [T, E, ...] for each run; active: [R], runs that
+        took part; metrics: [R, metrics] of their updates.
         """
         shape = (len(self.runs), self.episodes)
         lengths, returns = rollout.length.reshape(shape), rollout.returns.reshape(shape)
@@ -58,9 +59,8 @@ class Recorder:
             for c, name in enumerate(self.costs):
                 rows = [costs[steps, k, e, c] for e, steps in enumerate(during)]
                 self._append(run, f"costs/{name}", *rows)
-            if (located := positions[k]) is not None:
-                rows = [located[steps, e] for e, steps in enumerate(during)]
-                self._append(run, "positions", *rows)
+            for name, values in recorded[k].items():
+                self._append(run, name, *[values[steps, e] for e, steps in enumerate(during)])
             self._append(run, "length", lengths[k].astype(np.int64))
             self._append(run, "return", returns[k].astype(np.float64))
             self._append(run, "updates", metrics[k][None].astype(np.float32))

@@ -34,7 +34,7 @@ from agents.training.files import (
     write_arrays,
 )
 from agents.training.recorder import Recorder
-from agents.training.wrappers import RecordPositions, SideBySide
+from agents.training.wrappers import SideBySide
 
 KEPT = 2
 """Checkpoints of a folder: the newest, and the one before in case that is damaged."""
@@ -147,20 +147,18 @@ class Trainer:
         if learning.any():
             with self._own_code("learns"):
                 metrics = self._learn(rollout, learning)
-        self.recorder.add(rollout, self._positions(), learning, metrics)
+        self.recorder.add(rollout, self._recorded(), learning, metrics)
         self.steps += np.where(active, rollout.length.reshape(len(active), -1).sum(axis=1), 0)
         self._note_failures(rollout, active, learner.finite())
         self.epoch += 1
 
-    def _positions(self) -> list[NDArray[np.float32] | None]:
-        """Where the steps of each run ended, [T, E, 2]; None without a view."""
-        positions: list[NDArray[np.float32] | None] = []
+    def _recorded(self) -> list[dict[str, NDArray[np.float32]]]:
+        """What the environments of each run recorded of their steps: arrays [T, E, ...] by name."""
+        recorded, seeds = [], len(self.config.seeds)
         for part in self._envs.parts:
-            each: list[NDArray[np.float32] | None] = [None] * len(self.config.seeds)
-            if isinstance(part, RecordPositions):
-                each = [*np.split(part.positions, len(self.config.seeds), axis=1)]
-            positions += each
-        return positions
+            split = {name: np.split(c, seeds, axis=1) for name, c in part.recorded.items()}
+            recorded += [{name: runs[k] for name, runs in split.items()} for k in range(seeds)]
+        return recorded
 
     def _note_failures(
         self, rollout: Rollout, active: NDArray[np.bool_], finite: NDArray[np.bool_]

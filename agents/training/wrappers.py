@@ -1,4 +1,4 @@
-"""Wrappers of the environments that training steps: checks, failures, positions, several tasks."""
+"""Wrappers of the environments that training steps: checks, failures, records, several tasks."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from gymnasium.vector.async_vector_env import _async_worker
 from numpy.typing import NDArray
 
 from agents.errors import OwnCodeError, TaskFailure, UserError, described
-from agents.lockstep.rollout import require_costs
+from agents.lockstep.rollout import require_info
 from circle2d_mj.core.view import View
 
 
 class CheckedEnv(gym.Wrapper):
-    """Makes the reward and the costs of every step floats, and errors of the task TaskFailures.
+    """Makes the reward, the costs and what is recorded of every step floats, and errors of the task
+    TaskFailures.
 
     gymnasium's vector environments type an array of costs by the first cost they meet, and fill in
     0 where one is missing: either would change costs silently. A failure has the error of the task
@@ -32,7 +33,7 @@ class CheckedEnv(gym.Wrapper):
 
     def __init__(self, env: gym.Env, costs: Sequence[str]) -> None:
         super().__init__(env)
-        self._costs, self._steps = costs, 0
+        self._numbers, self._steps = (*costs, *recorded_info(env)), 0
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
         """Reset the environment. Raises TaskFailure for any error of it."""
@@ -52,11 +53,11 @@ class CheckedEnv(gym.Wrapper):
                     f"an observation must be {list(shape or ())}, as its space says, "
                     f"got {list(np.shape(observation))}"
                 )
-        require_costs(self.env, info, self._costs)
-        costs = {name: self._number(f"info[{name!r}]", info[name]) for name in self._costs}
+        require_info(self.env, info, self._numbers)
+        numbers = {name: self._number(f"info[{name!r}]", info[name]) for name in self._numbers}
         if isinstance(reward, np.ndarray) and reward.size == 1:
             reward = reward.reshape(())[()]
-        return observation, self._number("reward", reward), terminated, truncated, info | costs
+        return observation, self._number("reward", reward), terminated, truncated, info | numbers
 
     def _number(self, name: str, value: Any) -> float:
         if not isinstance(value, (Real, np.floating, np.integer, np.bool_)):
@@ -194,44 +195,70 @@ def quiet_worker(*args: Any) -> None:
         os._exit(1)  # the parent is gone, or knows from the pipe
 
 
-class RecordPositions(VectorWrapper):
-    """Records where the agents are, by their task's view, since the last reset of all of them."""
+def recorded_info(env: Any) -> dict[str, str]:
+    """The numbers of its info that a task has recorded at each step, with their units: the
+    attribute `recorded_info` of its environment, {} without. Raises UserError for anything else."""
+    try:
+        given = env.get_wrapper_attr("recorded_info")
+    except AttributeError:
+        given = getattr(env.unwrapped, "recorded_info", {})
+    if not isinstance(given, dict) or not all(
+        isinstance(x, str) for x in (*given, *given.values())
+    ):
+        raise UserError(f"recorded_info of {env} must be units by name, got {given!r}")
+    return given
 
-    def __init__(self, env: VectorEnv, view: View) -> None:
+
+class RecordSteps(VectorWrapper):
+    """Records each step since the last reset of all environments: where the agents are by their
+    task's view, and numbers of the info."""
+
+    def __init__(self, env: VectorEnv, view: View | None, info: Sequence[str]) -> None:
         super().__init__(env)
-        self._view = view
+        self._view, self._names = view, info
         self._start: NDArray[np.float32] | None = None
         self._positions: list[NDArray[np.float32]] = []
+        self._info: list[NDArray[np.float32]] = []
 
     @property
-    def positions(self) -> NDArray[np.float32]:
-        """Where each step ended, [steps, num_envs, 2]."""
-        return np.array(self._positions, dtype=np.float32).reshape(-1, self.num_envs, 2)
+    def recorded(self) -> dict[str, NDArray[np.float32]]:
+        """By name: "positions", where each step ended, [steps, num_envs, 2], where there is a view;
+        "info/NAME", [steps, num_envs]."""
+        columns = np.moveaxis(np.array(self._info, dtype=np.float32), 1, 0) if self._names else ()
+        recorded = {f"info/{name}": c for name, c in zip(self._names, columns, strict=True)}
+        return recorded | ({} if self._view is None else {"positions": np.array(self._positions)})
 
     @property
-    def with_start(self) -> NDArray[np.float32]:
-        """Where each episode started and each step ended, [steps + 1, num_envs, 2]."""
-        assert self._start is not None
-        return np.concatenate((self._start[None], self.positions))
+    def with_start(self) -> NDArray[np.float32] | None:
+        """Where each episode started and each step ended, [steps + 1, num_envs, 2]; None without a
+        view."""
+        return None if self._start is None else np.array([self._start, *self._positions])
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Reset the environments, and forget the positions unless only some are reset."""
+        """Reset the environments, and forget the steps unless only some are reset."""
         every = options is None or "reset_mask" not in options  # gymnasium's take it out
         observation, info = self.env.reset(seed=seed, options=options)
         if every:
-            self._positions, self._start = [], self._of(observation, info)
+            self._positions, self._info = [], []
+            self._start = self._located(observation, info) if self._view else None
         return observation, info
 
     def step(self, actions: Any) -> tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]:
-        """Step the environments. Raises UserError where the view cannot give the positions."""
-        observation, *others, info = self.env.step(actions)
-        self._positions.append(self._of(observation, info))
-        reward, terminated, truncated = others
+        """Step the environments. Raises UserError where the info lacks what is recorded, and where
+        the view cannot give the positions."""
+        observation, reward, terminated, truncated, info = self.env.step(actions)
+        if self._names:
+            require_info(self.env, info, self._names)
+            values = [np.asarray(info[name], dtype=np.float32) for name in self._names]
+            self._info.append(np.stack(values))
+        if self._view:
+            self._positions.append(self._located(observation, info))
         return observation, reward, terminated, truncated, info
 
-    def _of(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
+    def _located(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
+        assert self._view is not None
         try:
             given = self._view.positions(np.asarray(observation, dtype=np.float32), info)
         except KeyError as error:
@@ -250,7 +277,7 @@ class SideBySide(VectorEnv):
     every array. They have observations of one size and actions of one size. The info of a step
     holds the costs."""
 
-    def __init__(self, parts: Sequence[VectorEnv], costs: Sequence[str]) -> None:
+    def __init__(self, parts: Sequence[RecordSteps], costs: Sequence[str]) -> None:
         self.parts, self._costs = parts, costs
         self._ends = np.cumsum([part.num_envs for part in parts])
         self.num_envs = int(self._ends[-1])
@@ -283,7 +310,7 @@ class SideBySide(VectorEnv):
         results = []
         for part, own in zip(self.parts, self._split(actions), strict=True):
             *columns, info = part.step(own)
-            require_costs(part, info, self._costs)
+            require_info(part, info, self._costs)
             results.append((*columns, *(info[name] for name in self._costs)))
         columns = [np.concatenate(column) for column in zip(*results, strict=True)]
         self._last, reward, terminated, truncated, *costs = columns

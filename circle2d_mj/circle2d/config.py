@@ -1,13 +1,14 @@
-"""Parameters of a Circle2D task and their checks."""
+"""Parameters of a Circle2D task and of its physics, with their checks."""
 
 from __future__ import annotations
 
 import difflib
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, Literal, get_args
 
 from circle2d_mj.circle2d.region import CostRegion
 from circle2d_mj.circle2d.start import Rectangle, StartArea
@@ -118,16 +119,7 @@ class Circle2DConfig:
         if config is not None and parameters and parameters != {"level": config.level}:
             given = ", ".join(f"{name}={value!r}" for name, value in sorted(parameters.items()))
             raise TypeError(f"give either config or parameters, not both: got {config}, {given}")
-        valid = [field.name for field in fields(cls)]
-        for name in parameters:
-            if name not in valid:
-                near = difflib.get_close_matches(name, valid, n=1)
-                hint = f"did you mean {near[0]!r}? " if near else ""
-                # Python's own words, by which callers (TorchRL) see that they may do without it.
-                raise TypeError(
-                    f"got an unexpected keyword argument {name!r}: {hint}"
-                    f"the parameters are {', '.join(valid)}"
-                )
+        check_names(parameters, cls)
         return config or cls(**parameters)
 
     def _set(self, name: str, value: Any) -> None:
@@ -163,6 +155,139 @@ class Circle2DConfig:
                 f"init_region_size {self.init_region_size:g} puts the start area outside the arena "
                 f"of init_radius_multiplier {reach:g}: size / 2 and |1 - size / 2| must be at most "
                 "the multiplier"
+            )
+
+
+Actuation = Literal["velocity", "force"]
+Contact = Literal["rigid", "soft", "none"]
+CostRule = Literal["contact", "force"]
+Camera = Literal["top", "side", "follow"]
+"""Where MuJoCo's frames are seen from: above, the side, or behind the agent"""
+DRAWN = ("mass", "friction", "damping", "gain", "max_speed", "max_force", "stiffness")
+DRAWN = (*DRAWN, "damping_ratio")
+"""Parameters of the physics that `randomize` may draw."""
+
+
+@dataclass(frozen=True)
+class PhysicsConfig:
+    """The physics of a Circle2D task in MuJoCo.
+
+    None is what assets/xml/circle2d.xml holds, or what the text says. A parameter that has no
+    effect beside the others (a stiffness of a rigid region) must stay None. Raises TypeError or
+    ValueError, naming the parameter, for a value that is not allowed.
+    """
+
+    mass: float | None = None
+    """Mass of the ball, kg; None: 1."""
+    friction: float | None = None
+    """Coulomb's coefficient between ball and region; None: 0, it slides freely."""
+    damping: float | None = None
+    """Drag of the medium on the ball, N·s/m; None: 0 with velocity, 10 with force."""
+    actuation: Actuation = "velocity"
+    """velocity: servos whose target is the action; force: motors whose thrust is the action."""
+    gain: float | None = None
+    """Servo: force per difference of speed, N·s/m; None: 20."""
+    max_speed: float | None = None
+    """Speed that a full action asks for on each axis, m/s, with force that it reaches against the
+    damping; None: 0.11 R in a step."""
+    max_force: float | None = None
+    """Greatest force of each actuator, N; None: servos have no limit, motors the thrust that holds
+    max_speed against the damping."""
+    substeps: int = 10
+    """Physics steps in a step of the task."""
+    timestep: float | None = None
+    """Length of a physics step, s; None: 0.01."""
+    ball_radius: float | None = None
+    """Radius of the ball, m; None: 0.025 R."""
+    contact: Contact | None = None
+    """rigid: the region cannot be entered; soft: it pushes back like a spring; none: it is detected
+    without force; None: the level's, rigid on level 0 and none on levels 1 to 3."""
+    stiffness: float | None = None
+    """Soft region: its force per depth of the ball in it, N/m; None: 200."""
+    damping_ratio: float | None = None
+    """Soft region: its damping over the critical one of the ball; None: 1."""
+    cost: CostRule = "contact"
+    """contact: a step costs 1 where the ball touched a region that pushes, or where its centre
+    ended in one that does not; force: where the region's force exceeded force_limit."""
+    force_limit: float | None = None
+    """Largest force of the region that costs nothing, N."""
+    randomize: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Ranges, lower and upper end, from which parameters are drawn anew, uniformly, at every
+    reset."""
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("actuation", Actuation), ("contact", Contact), ("cost", CostRule)):
+            value, words = getattr(self, name), get_args(allowed)
+            if value not in words and not (name == "contact" and value is None):
+                raise ValueError(f"{name} must be one of {words}, got {value!r}")
+        if type(self.substeps) is not int or self.substeps < 1:
+            raise ValueError(f"substeps must be a positive integer, got {self.substeps!r}")
+        for name in (*DRAWN, "timestep", "ball_radius", "force_limit"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, self._checked(name, value))
+        for name in self._without_effect():
+            raise ValueError(f"{name} has no effect with {self._situation(name)}: leave it out")
+        if (self.cost == "force") != (self.force_limit is not None):
+            given = f"got cost={self.cost!r}, force_limit={self.force_limit!r}"
+            raise ValueError(f"force_limit must be given with cost='force', and only then, {given}")
+        if self.cost == "force" and self.contact == "none":
+            raise ValueError("cost 'force' needs a region that pushes: contact 'rigid' or 'soft'")
+        object.__setattr__(self, "randomize", self._ranges())
+
+    def _checked(self, name: str, value: Any) -> float:
+        number, zero = _number(name, value), name in ("friction", "damping", "damping_ratio")
+        zero = zero or name == "force_limit"
+        if number < 0 or (number == 0 and not zero):
+            raise ValueError(f"{name} must be {'at least' if zero else 'above'} 0, got {value!r}")
+        return number
+
+    def _without_effect(self) -> list[str]:
+        """Parameters given that nothing depends on."""
+        given = {name for name in DRAWN if getattr(self, name) is not None} | set(self.randomize)
+        unused = set() if self.actuation == "velocity" else {"gain"}
+        unused |= (
+            {"max_speed"} if self.actuation == "force" and self.max_force is not None else set()
+        )
+        unused |= set() if self.contact == "soft" else {"stiffness", "damping_ratio"}
+        unused |= {"friction"} if self.contact == "none" else set()
+        return sorted(given & unused)
+
+    def _situation(self, name: str) -> str:
+        if name == "max_speed":
+            return "actuation='force' and max_force"
+        which = "actuation" if name == "gain" else "contact"
+        return f"{which}={getattr(self, which)!r}"
+
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        if not isinstance(self.randomize, Mapping):
+            raise TypeError(f"randomize must be ranges by name, got {self.randomize!r}")
+        check_names(self.randomize, DRAWN, "randomize: ")
+        ranges = {}
+        for name in sorted(self.randomize):
+            given = self.randomize[name]
+            try:
+                low, high = given
+            except (TypeError, ValueError):
+                raise ValueError(f"randomize: {name} must be (low, high), got {given!r}") from None
+            low, high = self._checked(name, low), self._checked(name, high)
+            if low > high:
+                raise ValueError(f"randomize: {name} must be (low, high), got {given!r}")
+            ranges[name] = (low, high)
+        return ranges
+
+
+def check_names(given: Iterable[str], valid: type | Iterable[str], where: str = "") -> None:
+    """Raise TypeError for a name that is none of the valid ones, or of the fields of a dataclass,
+    with the nearest of them."""
+    names = [f.name for f in fields(valid)] if isinstance(valid, type) else list(valid)
+    for name in given:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, n=1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            # Python's own words, by which callers (TorchRL) see that they may do without it.
+            raise TypeError(
+                f"{where}got an unexpected keyword argument {name!r}: {hint}"
+                f"the parameters are {', '.join(names)}"
             )
 
 

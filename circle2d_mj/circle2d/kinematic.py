@@ -9,20 +9,26 @@ from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.circle2d.simulation import Move
 from circle2d_mj.core.simulation import State
+from circle2d_mj.core.streams import Streams
 
 
 class Kinematic:
     """`num_envs` agents whose actions are their steps."""
 
-    info_keys = ()
     observation_bounds = (1.0, 1.0)
+    camera = None
 
     def __init__(self, config: Circle2DConfig, num_envs: int) -> None:
         self.config = config
+        self.info_units: dict[str, str] = {}
         self.start_area = config.start_area
         # Column-major: every formula works on x and y separately.
         self.position = np.zeros((num_envs, 2), order="F")
         """Positions of the agents: [num_envs, 2], world units."""
+
+    def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
+        """Place the agents `index` at random in the start area."""
+        self.place(index, self.start_area.sample(streams, index))
 
     def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
         """Put the agents `index` at `position`, [len(index), 2]."""

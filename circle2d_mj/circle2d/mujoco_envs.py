@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from functools import partial
 from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.circle2d.config import Camera, Circle2DConfig, PhysicsConfig, check_names
 from circle2d_mj.circle2d.envs import MAX_EPISODE_STEPS, Circle2DEnv, Circle2DVectorEnv
 from circle2d_mj.circle2d.physics import Physics
-from circle2d_mj.circle2d.scene import Actuation
 from circle2d_mj.core.single_env import without_time_limit
 
 
@@ -23,12 +23,14 @@ class Circle2DMuJoCoVectorEnv(Circle2DVectorEnv):
     | --- | --- | --- |
     | observation | [num_envs, 4] float32 | the position as there; the velocity over 0.11 R a step |
     | action | [num_envs, 2] | target velocity, or thrust, over the greatest; clipped to [-1, 1] |
-    | `info["cost"]` | [num_envs] float64 | level 0: 1.0 where the ball touched the region in the step, 1 to 3: where its centre ended inside |
-    | `info["contact_force"]` | [num_envs] float64 | level 0: the region's greatest force on the ball |
-    | `info["penetration"]` | [num_envs] float64 | world units: overlap on level 0, else distance from the centre to free space |
+    | `info["cost"]` | [num_envs] float64 | 1.0 where the ball touched a region that pushes, or its centre ended in one that does not, or where the force was above `force_limit` |
+    | `info["contact_force"]` | [num_envs] float64 | N; the region's greatest force on the ball in the step |
+    | `info["penetration"]` | [num_envs] float64 | m; greatest overlap of ball and region in the step, without force the distance from the centre to free space |
 
-    actuation: "velocity" or "force" (see `scene`); num_threads: threads that step the
-    environments, with the same results for any number. A step takes 0.1 s: ten of 0.01 s.
+    Parameters: those of `Circle2DConfig` and of `PhysicsConfig`, by name. num_threads: threads that
+    step the environments, with the same results for any number. camera: "top", "side" or "follow",
+    for frames that MuJoCo draws, with shadows and the region's forces as arrows; None for plain
+    pictures of the arena.
     """  # noqa: E501
 
     def __init__(
@@ -36,21 +38,22 @@ class Circle2DMuJoCoVectorEnv(Circle2DVectorEnv):
         num_envs: int = 1,
         *,
         config: Circle2DConfig | None = None,
-        actuation: Actuation = "velocity",
         num_threads: int = 1,
         max_episode_steps: int | None = MAX_EPISODE_STEPS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        camera: Camera | None = None,
         **parameters: Any,
     ) -> None:
+        task, physics = split(config, parameters)
         super().__init__(
             num_envs,
             config=config,
-            dynamics=partial(Physics, actuation=actuation, num_threads=num_threads),
+            dynamics=partial(Physics, physics=physics, num_threads=num_threads, camera=camera),
             max_episode_steps=max_episode_steps,
             autoreset_mode=autoreset_mode,
             render_mode=render_mode,
-            **parameters,
+            **task,
         )
 
 
@@ -61,19 +64,39 @@ class Circle2DMuJoCoEnv(Circle2DEnv):
         self,
         config: Circle2DConfig | None = None,
         *,
-        actuation: Actuation = "velocity",
         num_threads: int = 1,
         max_episode_steps: int | None = MAX_EPISODE_STEPS,
         render_mode: str | None = None,
+        camera: Camera | None = None,
         **parameters: Any,
     ) -> None:
+        task, physics = split(config, parameters)
         super().__init__(
             config,
-            dynamics=partial(Physics, actuation=actuation, num_threads=num_threads),
+            dynamics=partial(Physics, physics=physics, num_threads=num_threads, camera=camera),
             max_episode_steps=max_episode_steps,
             render_mode=render_mode,
-            **parameters,
+            **task,
         )
+
+
+def split(
+    config: Circle2DConfig | None, parameters: dict[str, Any]
+) -> tuple[dict[str, Any], PhysicsConfig]:
+    """The parameters of the task, and the physics of the others.
+
+    A contact decides whether the region can be entered, where nothing else says so. Raises as
+    `PhysicsConfig` does, and TypeError for an unknown name.
+    """
+    of_task, of_physics = (
+        [f.name for f in fields(kind)] for kind in (Circle2DConfig, PhysicsConfig)
+    )
+    check_names(parameters, [*of_task, *of_physics])
+    physics = PhysicsConfig(**{k: v for k, v in parameters.items() if k in of_physics})
+    task = {k: v for k, v in parameters.items() if k in of_task}
+    if physics.contact is not None and config is None:
+        task.setdefault("infeasible_region_penetratable", physics.contact != "rigid")
+    return task, physics
 
 
 for_gym_make = without_time_limit(Circle2DMuJoCoEnv)

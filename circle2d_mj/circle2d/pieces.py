@@ -15,11 +15,12 @@ OVERHANG = 1e-4
 """Greatest distance of that polygon's edge from the circle, as a multiple of R"""
 
 
-def convex_pieces(region: CostRegion) -> list[NDArray[np.float64]]:
-    """Split the region into convex polygons without overlap: [vertices, 2] each, world units.
+def convex_pieces(region: CostRegion, overlap: float = 0.0) -> list[NDArray[np.float64]]:
+    """Split the region into convex polygons: [vertices, 2] each, world units.
 
     Each strip is cut out of every piece that it meets. The parts to its left, to its right and
-    behind its inner end remain. 3 pieces on level 1, 7 on level 2, 11 on level 3.
+    behind its inner end remain; the latter reaches so far into the others. 3 pieces on level 1, 7
+    on level 2, 11 on level 3, or more with an overlap.
     """
     half_angle = math.pi / VERTICES
     radius = region.radius * math.sqrt(2 * half_angle / math.sin(2 * half_angle))
@@ -28,20 +29,27 @@ def convex_pieces(region: CostRegion) -> list[NDArray[np.float64]]:
     for cut in region.cutouts:
         for sin in dict.fromkeys((cut.sin, -cut.sin)):
             along, across = np.array([cut.cos, sin]), np.array([-sin, cut.cos])
-            pieces = [part for piece in pieces for part in _less(piece, along, across, *cut[-2:])]
+            how = (along, across, *cut[-2:], overlap)
+            pieces = [part for piece in pieces for part in _less(piece, *how)]
     # A sliver's area does not matter, and its volume is too small for a convex hull.
     return [piece for piece in pieces if _area(piece) > 1e-9 * region.radius**2]
 
 
 def _less(
-    piece: NDArray, along: NDArray, across: NDArray, inner: float, half_width: float
+    piece: NDArray,
+    along: NDArray,
+    across: NDArray,
+    inner: float,
+    half_width: float,
+    overlap: float,
 ) -> list[NDArray]:
     """Split a convex polygon less the strip `p·along >= inner`, `|p·across| <= half_width`."""
     between = _clip(_clip(piece, across, -half_width), -across, -half_width)
     if not len(_clip(between, along, inner)):
         return [piece]
+    wide = _clip(_clip(piece, across, -half_width - overlap), -across, -half_width - overlap)
     sides = [_clip(piece, across, half_width), _clip(piece, -across, half_width)]
-    return [part for part in (_clip(between, -along, -inner), *sides) if len(part)]
+    return [part for part in (_clip(wide, -along, -inner), *sides) if len(part)]
 
 
 def _clip(polygon: NDArray, normal: NDArray, bound: float) -> NDArray:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -13,14 +14,19 @@ from numpy.typing import NDArray
 
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import Circle2DConfig
-from circle2d_mj.circle2d.start import StartArea
 from circle2d_mj.core.simulation import Outcome, State
 from circle2d_mj.core.streams import Streams
 
 if TYPE_CHECKING:
+    from circle2d_mj.circle2d.physics import Physics
     from circle2d_mj.circle2d.view import Circle2DView
+    from circle2d_mj.render.gl import Offscreen
     from circle2d_mj.render.renderer import Renderer
     from circle2d_mj.render.window import Window
+
+
+DRAWERS = ("_renderer", "_offscreen", "_window")
+FRAME_SIZE = 640
 
 
 class Move(NamedTuple):
@@ -29,15 +35,20 @@ class Move(NamedTuple):
     contact: NDArray[np.bool_]
     """[num_envs], whether the agent touched the cost region, for `task.cost`"""
     info: dict[str, NDArray[np.float64]]
-    """[num_envs] for each of `Dynamics.info_keys`"""
+    """[num_envs] for each of `Dynamics.info_units`"""
 
 
 class Dynamics(Protocol):
     """How actions move the agents: `Kinematic`, `Physics`, or yours."""
 
     @property
-    def info_keys(self) -> tuple[str, ...]:
-        """Names of the numbers that `step` adds to the info, beside the cost."""
+    def info_units(self) -> dict[str, str]:
+        """Units of the numbers that `step` adds to the info, beside the cost, by name."""
+        ...
+
+    @property
+    def camera(self) -> str | None:
+        """Camera of frames that MuJoCo draws; None for plain pictures of the arena."""
         ...
 
     @property
@@ -46,17 +57,12 @@ class Dynamics(Protocol):
         ...
 
     @property
-    def start_area(self) -> StartArea:
-        """Start area of the episodes."""
-        ...
-
-    @property
     def position(self) -> NDArray[np.float64]:
         """Positions of the agents: [num_envs, 2], world units."""
         ...
 
-    def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
-        """Put the agents `index` at rest at `position`, [len(index), 2]."""
+    def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
+        """Place the agents `index` at random, at rest, with numbers from their streams alone."""
         ...
 
     def step(self, action: NDArray[np.float64]) -> Move:
@@ -81,13 +87,14 @@ class Circle2D:
 
     def __init__(self, config: Circle2DConfig, num_envs: int, dynamics: Dynamics) -> None:
         self.config, self.num_envs, self.dynamics = config, num_envs, dynamics
-        self.info_keys = ("cost", *dynamics.info_keys)
+        self.recorded_info = dynamics.info_units
+        self.info_keys = ("cost", *self.recorded_info)
         bounds = np.array(dynamics.observation_bounds, dtype=np.float32)
         self.observation_space = Box(-bounds, bounds)
         self.action_space = Box(-1.0, 1.0, (2,), np.float32)
         self._renderer: Renderer | None = None
+        self._offscreen: Offscreen | None = None
         self._window: Window | None = None
-        self._shown: Any = None
 
     @property
     def view(self) -> Circle2DView:
@@ -98,7 +105,7 @@ class Circle2D:
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
         """Place the agents `index` at random in the start area."""
-        self.dynamics.place(index, self.dynamics.start_area.sample(streams, index))
+        self.dynamics.start(streams, index)
 
     def step(self, action: NDArray[np.float64]) -> Outcome:
         """Move all agents by their actions, [num_envs, 2]."""
@@ -126,6 +133,15 @@ class Circle2D:
 
     def frame(self, index: int) -> NDArray[np.uint8]:
         """Draw the agent `index` in its arena: [640, 640, 3]."""
+        physics: Any = self.dynamics
+        if physics.camera is not None:
+            if self._offscreen is None:
+                from circle2d_mj.render.gl import Offscreen
+
+                self._offscreen = Offscreen(physics.model, FRAME_SIZE, forces=True)
+            return self._offscreen.draw(
+                physics.data(index), physics.model.camera(physics.camera).id
+            )
         if self._renderer is None:
             from circle2d_mj.render.renderer import Renderer
 
@@ -134,26 +150,29 @@ class Circle2D:
 
     def show(self, index: int) -> None:
         """Show the agent `index` in MuJoCo's viewer."""
-        from circle2d_mj.core.engine import mujoco
-
+        physics = self._physics
         if self._window is None:
-            from circle2d_mj.circle2d.scene import SUBSTEPS, scene
             from circle2d_mj.render.window import Window
 
-            model = scene(self.config).compile()
-            self._shown = mujoco.MjData(model)
-            self._window = Window(model, SUBSTEPS * model.opt.timestep)
-        self._shown.qpos[:] = self.dynamics.position[index]
-        mujoco.mj_forward(self._shown.model, self._shown)
-        self._window.show(self._shown)
+            self._window = Window(physics.model, physics.step_seconds)
+        if physics is not self.dynamics:
+            physics.place(np.array([0]), self.dynamics.position[[index]])
+        self._window.show(physics.data(index if physics is self.dynamics else 0))
+
+    @functools.cached_property
+    def _physics(self) -> Physics:
+        """The dynamics where they are MuJoCo's, else a ball to show."""
+        from circle2d_mj.circle2d.physics import Physics
+
+        return self.dynamics if isinstance(self.dynamics, Physics) else Physics(self.config, 1)
 
     def close(self) -> None:
         """Close what `frame` and `show` opened."""
-        for drawer in (self._renderer, self._window):
-            if drawer is not None:
+        for name in DRAWERS:
+            if (drawer := getattr(self, name)) is not None:
                 drawer.close()
-        self._renderer = self._window = self._shown = None
+            setattr(self, name, None)
 
     def __getstate__(self) -> dict[str, Any]:
         # Renderers and windows cannot be copied.
-        return self.__dict__ | {"_renderer": None, "_window": None, "_shown": None}
+        return self.__dict__ | dict.fromkeys(DRAWERS)

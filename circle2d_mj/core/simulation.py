@@ -50,6 +50,11 @@ class Simulation(Protocol):
         """Pictures of where agents are; None where there is nothing to show."""
         ...
 
+    @property
+    def recorded_info(self) -> dict[str, str]:
+        """Those of `info_keys` that training records at each step, with their units."""
+        ...
+
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
         """Begin an episode in the environments `index`, with numbers from their streams alone."""
         ...

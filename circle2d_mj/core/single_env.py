@@ -33,6 +33,11 @@ class TaskEnv(gym.Env[NDArray[np.floating], ArrayLike]):
         """Positions to record and pictures to draw them on; None without."""
         return self._envs.view
 
+    @property
+    def recorded_info(self) -> dict[str, str]:
+        """Numbers of the info that training records at each step, with their units."""
+        return self._envs.recorded_info
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.floating], dict[str, Any]]:

@@ -65,6 +65,11 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         """Positions to record and pictures to draw them on; None without."""
         return self.simulation.view
 
+    @property
+    def recorded_info(self) -> dict[str, str]:
+        """Numbers of the info that training records at each step, with their units."""
+        return self.simulation.recorded_info
+
     def reset(
         self,
         *,

@@ -64,10 +64,11 @@ def check_backend() -> None:
 class Offscreen:
     """A buffer that a model is drawn into.
 
-    size: width and height of pictures in pixels. Raises NoOpenGL, and RuntimeError once closed.
+    size: width and height of pictures in pixels; forces: draw those of contacts as arrows. Raises
+    NoOpenGL, and RuntimeError once closed.
     """
 
-    def __init__(self, model: Any, size: int) -> None:
+    def __init__(self, model: Any, size: int, forces: bool = False) -> None:
         check_backend()
         from circle2d_mj.core.engine import mujoco
 
@@ -82,8 +83,9 @@ class Offscreen:
                 mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         except mujoco.FatalError as error:  # glfw without a screen gets as far as this
             raise NoOpenGL(f"{HOW}. MuJoCo says: {error}") from None
-        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 10)
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)  # arrows of forces
         self._camera, self._option = mujoco.MjvCamera(), mujoco.MjvOption()
+        self._option.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._rectangle = mujoco.MjrRect(0, 0, size, size)
         self._picture = np.empty((size, size, 3), dtype=np.uint8)

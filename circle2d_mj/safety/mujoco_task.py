@@ -48,6 +48,7 @@ class MuJoCoTask:
         self.qpos: Floats = self.batch.bind("qpos")
         self.qvel: Floats = self.batch.bind("qvel")
         self.sensors = np.zeros((self.num_envs, model.nsensordata))
+        self.recorded_info: dict[str, str] = {}
         self._control = self.batch.bind("ctrl")
         self._sensed = self.batch.bind("sensordata") if model.nsensordata else None
         self._initial = self.batch.state[0].copy()

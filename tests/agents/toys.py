@@ -135,8 +135,18 @@ class Seen(Walk):
     view = Located()
 
 
+class Pressed(Walk):
+    """A walk that has its x recorded, and by how much it lies beyond 0.5."""
+
+    recorded_info = {"x": "m", "beyond": "m"}  # noqa: RUF012
+
+    def step(self, action):
+        *others, info = super().step(action)
+        return *others, info | {"x": self.x, "beyond": max(self.x - 0.5, 0.0)}
+
+
 def register():
     """Make the tasks known to gymnasium, as `Target-v0` and so on."""
-    for cls in (Target, Walk, Broken, TwoCosts, Seen):
+    for cls in (Target, Walk, Broken, TwoCosts, Seen, Pressed):
         if f"{cls.__name__}-v0" not in gym.registry:
             gym.register(f"{cls.__name__}-v0", entry_point=cls, disable_env_checker=True)

@@ -10,6 +10,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d import physics as physics_module
 from circle2d_mj.circle2d import task
+from circle2d_mj.circle2d.config import PhysicsConfig
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
 from circle2d_mj.circle2d.physics import Physics
 from circle2d_mj.circle2d.scene import scene
@@ -22,7 +23,9 @@ class Loop:
     """One environment stepped by mj_step alone, the region's contacts on; read by mj_forward."""
 
     def __init__(self, config, actuation, position, with_region=True):
-        self.model = scene(config, actuation, with_region=with_region).compile()
+        self.model = scene(
+            config, PhysicsConfig(actuation=actuation), with_region=with_region
+        ).compile()
         self.data, self._fresh = mujoco.MjData(self.model), mujoco.MjData(self.model)
         self.data.qpos[:] = position
 
@@ -50,7 +53,9 @@ class Loop:
 def placed(position, actuation="velocity", **parameters):
     """Dynamics with agents at rest at positions, [n, 2]."""
     position = np.atleast_2d(np.array(position, dtype=float))
-    physics = Physics(Circle2DConfig(**parameters), len(position), actuation)
+    physics = Physics(
+        Circle2DConfig(**parameters), len(position), PhysicsConfig(actuation=actuation)
+    )
     physics.place(np.arange(len(position)), position)
     return physics
 

@@ -6,6 +6,7 @@ import pytest
 from mujoco.batch import Batch
 
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
+from circle2d_mj.circle2d.config import PhysicsConfig
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
 from circle2d_mj.circle2d.physics import Physics
 from circle2d_mj.circle2d.scene import scene
@@ -19,7 +20,7 @@ class Worlds:
     """Copies of a rigid scene, every physics step of which is seen."""
 
     def __init__(self, config, actuation, position):
-        model = scene(config, actuation).compile()
+        model = scene(config, PhysicsConfig(actuation=actuation)).compile()
         self._batch = Batch(model, len(position), 1)
         self.qpos, self.qvel, self._ctrl = (self._batch.bind(n) for n in ("qpos", "qvel", "ctrl"))
         self._most = model.actuator_ctrlrange[:, 1]

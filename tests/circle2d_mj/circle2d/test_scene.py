@@ -7,6 +7,7 @@ from mujoco.batch import Batch
 
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.assets import asset
+from circle2d_mj.circle2d.config import PhysicsConfig
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
 from circle2d_mj.circle2d.scene import BASE, scene
 
@@ -110,7 +111,7 @@ NUMBERS = [
 @pytest.mark.parametrize("level", LEVELS)
 def test_written_out_and_read_again(level, actuation):
     config = Circle2DConfig(level=level, constraint_radius=1.0012345)
-    spec = scene(config, actuation)
+    spec = scene(config, PhysicsConfig(actuation=actuation))
     model = spec.compile()
     read = mujoco.MjModel.from_xml_string(spec.to_xml())
     assert [read.geom(i).name for i in range(read.ngeom)] == [

@@ -1,0 +1,85 @@
+"""Numbers of the info that a task has recorded: at every step, and nowhere else."""
+
+import numpy as np
+import pytest
+from small_runs import SAC, TRPO
+from toys import Pressed, Walk
+
+import agents
+from agents.errors import UserError
+from agents.results.reading import read
+from agents.training.derive import unpack_costs
+
+OPTIONS = TRPO | {"seeds": (3, 4), "steps": 300}
+
+
+def steps_of(folder, name):
+    files = [np.load(path) for path in sorted((folder / "steps").iterdir())]
+    return np.concatenate([file[f"Pressed-v0/3/{name}"] for file in files])
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    out = tmp_path_factory.mktemp("pressed") / "x"
+    return agents.train("trpo-lag", ("Pressed-v0", "Walk-v0"), out=out, **OPTIONS)
+
+
+def test_every_step_is_recorded(runs):
+    """Beside a task that records nothing; x > 0.5 costs 1, in the same step."""
+    x, beyond, costs = (steps_of(runs.folder, n) for n in ("info/x", "info/beyond", "costs/cost"))
+    assert x.dtype == beyond.dtype == np.float32
+    assert len(x) == steps_of(runs.folder, "length").sum()
+    np.testing.assert_array_equal(x > 0.5, costs)
+    np.testing.assert_allclose(beyond, np.maximum(x - 0.5, 0), atol=1e-7)
+    with np.load(runs.folder / "results.npz") as arrays:
+        assert not [name for name in arrays if name.startswith("Walk") and "info" in name]
+        assert arrays["Pressed-v0/info"].tolist() == [["x", "m"], ["beyond", "m"]]
+        for name, values in (("x", x), ("beyond", beyond)):
+            prefix = f"Pressed-v0/3/info/{name}/"
+            found = unpack_costs(lambda key, prefix=prefix: arrays[prefix + key], True)
+            np.testing.assert_allclose(found, values, rtol=2**-16)
+
+
+@pytest.mark.parametrize("how", ["sync", "async"])
+def test_every_vectorization_and_a_resumed_training_record_the_same(runs, tmp_path, how):
+    more = OPTIONS | {"vectorization": how, "checkpoint_every": 100}
+    tasks = ("Pressed-v0", "Walk-v0")
+    stop = {"on_epoch": lambda epoch: epoch.runs["Pressed-v0", 3]["step"] < 150}
+    agents.train("trpo-lag", tasks, out=tmp_path / "x", **more, **stop)
+    agents.resume(tmp_path / "x")
+    other = (tmp_path / "x" / "results.npz").read_bytes()
+    assert other == (runs.folder / "results.npz").read_bytes()
+
+
+def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypatch):
+    more = SAC | {"seeds": 3, "steps": 200}
+    with_it = agents.train("sac-lag", "Pressed-v0", out=tmp_path / "a", **more)
+    agents.report(with_it, archive=tmp_path / "a.zip")
+    [kept], [own] = (read([path], []) for path in (tmp_path / "a.zip", with_it.folder))
+    assert kept.parts[0].arrays["Pressed-v0/3/info/x/values"].dtype == np.float32
+    for name, array in own.parts[0].arrays.items():
+        if "/info/" in name:
+            np.testing.assert_array_equal(kept.parts[0].arrays[name], array)
+    monkeypatch.setattr(Pressed, "recorded_info", {})
+    without = agents.train("sac-lag", "Pressed-v0", out=tmp_path / "b", **more)
+    with np.load(without.folder / "results.npz") as fewer:
+        assert not [name for name in fewer if "info" in name]
+        for name, array in fewer.items():
+            np.testing.assert_array_equal(own.parts[0].arrays[name], array)
+
+
+def test_what_cannot_be_recorded(monkeypatch):
+    monkeypatch.setattr(Pressed, "recorded_info", {"x": "m", "depth": "m"})
+    with pytest.raises(UserError, match=r"gives no info\['depth'\]; it gives \['beyond', 'cost'"):
+        agents.train("trpo-lag", "Pressed-v0", **OPTIONS)
+    monkeypatch.setattr(Pressed, "recorded_info", ["x"])
+    with pytest.raises(UserError, match=r"recorded_info of .* must be units by name, got"):
+        agents.train("trpo-lag", "Pressed-v0", **OPTIONS)
+    monkeypatch.setattr(Pressed, "recorded_info", {"x": "m"})
+    monkeypatch.setattr(
+        Pressed,
+        "step",
+        lambda env, action: (*Walk.step(env, action)[:4], {"cost": 0.0, "x": "far"}),
+    )
+    with pytest.raises(UserError, match=r"gives info\['x'\] = 'far', which is no number"):
+        agents.train("trpo-lag", "Pressed-v0", **OPTIONS)

@@ -1,0 +1,353 @@
+"""The physics' parameters: against closed forms, MuJoCo alone, and single environments."""
+
+import contextlib
+import io
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import data_equivalence
+
+from agents.cli.main import main
+from circle2d_mj.circle2d.config import DRAWN
+from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
+
+SOFT = {"level": 1, "contact": "soft"}
+BALL = 0.25  # its radius at R = 10
+
+
+def made(num_envs=1, position=None, velocity=None, **parameters):
+    """Environments without limit of time, and their physics, with balls put somewhere."""
+    how = {"max_episode_steps": None, "autoreset_mode": "Disabled"}
+    envs = Circle2DMuJoCoVectorEnv(num_envs, **how, **parameters)
+    envs.reset(seed=0)
+    physics = envs._dynamics
+    if position is not None:
+        physics.place(np.arange(num_envs), np.atleast_2d(position))
+    if velocity is not None:
+        physics._qvel[:] = velocity
+    return envs, physics
+
+
+def steps(envs, action, count):
+    """The info of the last of some equal steps."""
+    action = np.broadcast_to(np.array(action, dtype=float), (envs.num_envs, 2))
+    for _ in range(count):
+        info = envs.step(action)[-1]
+    return info
+
+
+# x, y and the sum of forces and penetrations after 30 steps, by version 0.2.
+GOLDEN = {
+    ("velocity", 0): (0.1785052209698267, 10.246709126171428, 4455.14732490273),
+    ("velocity", 1): (-15.104537316393326, 3.398173186911562, 23.620075427761744),
+    ("velocity", 2): (-15.104537316393326, 3.398173186911562, 20.084441996337855),
+    ("velocity", 3): (-15.104537316393326, 3.398173186911562, 14.214742064946352),
+    ("force", 0): (1.176285519473396, 10.18391342456047, 2722.3713475459604),
+    ("force", 1): (-14.764616145939165, 3.5042898451533255, 24.07562757404907),
+    ("force", 2): (-14.764616145939165, 3.5042898451533255, 20.34303002161793),
+    ("force", 3): (-14.764616145939165, 3.5042898451533255, 14.458113174356711),
+}
+
+
+@pytest.mark.parametrize(("actuation", "level"), GOLDEN)
+def test_defaults_move_as_before(actuation, level):
+    envs = Circle2DMuJoCoVectorEnv(1, level=level, actuation=actuation)
+    envs.reset(seed=7)
+    total = 0.0
+    for t in range(30):
+        info = envs.step(np.array([[-0.9, 0.4 * np.cos(0.3 * t)]]))[-1]
+        total += info["contact_force"][0] + info["penetration"][0]
+    np.testing.assert_allclose([*envs.position[0], total], GOLDEN[actuation, level], rtol=1e-9)
+
+
+@pytest.mark.parametrize("contact", ["none", "soft"])
+@pytest.mark.parametrize("actuation", ["force", "velocity"])
+def test_the_integrators_recurrence(actuation, contact):
+    """v' = (m v + h F) / (m + h d) and x' = x + h v'; a servo's force k (u - v) adds k to d."""
+    m, d, h, n = 2.0, 3.0, 0.005, 7
+    own = {"max_force": 40.0} if actuation == "force" else {"gain": 6.0, "max_speed": 9.0}
+    more = {"mass": m, "damping": d, "timestep": h, "substeps": n, "actuation": actuation, **own}
+    envs, physics = made(1, (14.0, 12.0), level=1, contact=contact, **more)
+    force, drag = (40.0, d) if actuation == "force" else (6.0 * 9.0, d + 6.0)
+    v, x = np.zeros(2), np.array([14.0, 12.0])
+    for t in range(12):
+        action = np.array([-0.5, np.sin(t)])
+        envs.step(action[None])
+        for _ in range(n):
+            v = (m * v + h * force * action) / (m + h * drag)
+            x = x + h * v
+        np.testing.assert_allclose(physics._qvel[0], v, rtol=1e-10)
+        np.testing.assert_allclose(envs.position[0], x, rtol=1e-10)
+
+
+@pytest.mark.parametrize("contact", ["rigid", "soft"])
+@pytest.mark.parametrize("friction", [0.0, 0.2, 0.5])
+def test_sliding_along_the_corridors_wall(friction, contact):
+    """Pressed by 50 N, drawn along by 60 N: what friction leaves moves it against the damping."""
+    own = {"level": 1, "contact": contact, "friction": friction, "actuation": "force"}
+    envs, physics = made(1, (-9.0, 2.5 - BALL), max_force=100.0, **own)
+    steps(envs, (0.6, 0.5), 4)
+    rows = physics._batch.rollout(50, record=("sensordata", "qvel"))
+    assert -8.0 < envs.position[0, 0] < -1.0
+    along, against = np.abs(rows["sensordata"][0, :, :2]).T  # of every physics step
+    assert against.mean() == pytest.approx(50.0, rel=0.1)  # the rigid wall still bounces
+    np.testing.assert_allclose(along, friction * against, rtol=1e-3, atol=0.05)
+    speed = rows["qvel"][0, -20:, 0].mean()
+    assert speed == pytest.approx((60.0 - friction * 50.0) / 10.0, rel=0.05)
+
+
+def test_friction_holds_a_ball_that_is_drawn_too_little():
+    own = {"level": 1, "contact": "rigid", "friction": 0.8, "actuation": "force"}
+    envs, _ = made(1, (-0.5 - BALL, 0.0), max_force=100.0, **own)
+    steps(envs, (0.5, 0.0), 5)
+    before = envs.position[0, 1]
+    steps(envs, (0.5, 0.3), 10)  # 30 N are less than 0.8 · 50 N
+    assert abs(envs.position[0, 1] - before) < 0.1
+
+
+PLACES = {  # where a ball touches, and the direction of the push
+    "rim": ((10.0 + BALL, 0.0), (-1.0, 0.0)),
+    "top": ((0.0, 10.0 + BALL), (0.0, -1.0)),
+    "wall": ((-5.0, 2.5 - BALL), (0.0, 1.0)),
+    "end": ((-0.5 - BALL, 0.0), (1.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize(
+    "more",
+    [{"actuation": "force"}, {"mass": 0.3}, {"gain": 50.0, "mass": 4.0}, {"max_force": 20.0}],
+)
+def test_a_press_is_stiffness_times_depth_at_rest(place, more):
+    (position, push), stiffness = PLACES[place], 700.0
+    envs, _ = made(1, position, stiffness=stiffness, **SOFT, **more)
+    info = steps(envs, 0.1 * np.array(push), 60)
+    force = {"actuation": 11.0, "gain": 55.0}.get(next(iter(more)), 22.0)
+    force = min(force, more.get("max_force", np.inf))
+    assert info["contact_force"] == pytest.approx(force, rel=2e-3)
+    assert info["penetration"] == pytest.approx(force / stiffness, rel=5e-3)
+    assert info["cost"] == 1
+
+
+def test_from_todays_levels_to_a_rigid_wall():
+    """The depth at rest falls with stiffness; trajectories tend to both limits."""
+    depths, springs = [], (20.0, 100.0, 1e3, 1e4, 1e6, 2e7)
+    for stiffness in springs:
+        envs, _ = made(1, (10.0 + BALL, 0.0), stiffness=stiffness, actuation="force", **SOFT)
+        depths.append(steps(envs, (-0.1, 0.0), 80)["penetration"][0])
+    np.testing.assert_allclose(depths, 11.0 / np.array(springs), rtol=5e-3)
+
+    angle, actions = np.linspace(-3, 3, 40), np.random.default_rng(0).uniform(-1, 1, (12, 40, 2))
+    around = 11.0 * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+    actions = np.clip(0.5 * actions - 0.08 * around, -1, 1)
+
+    def paths(**parameters):
+        envs, _ = made(40, around, **parameters)
+        told = [envs.step(action)[-1] for action in actions]
+        return envs.position, np.array([info["penetration"] for info in told])
+
+    free, depth_of_centre = paths(level=1)
+    assert (depth_of_centre > 1).any()
+    np.testing.assert_allclose(paths(stiffness=1e-6, **SOFT)[0], free, atol=0.01)
+    wall, _ = paths(level=0)
+    apart = [np.median(np.abs(paths(stiffness=k, **SOFT)[0] - wall)) for k in (10.0, 1e3, 2e7)]
+    assert apart[0] > 1 > 0.3 > apart[1] > apart[2]
+    assert apart[2] < 0.05
+
+
+@pytest.mark.parametrize("level", [1, 3])
+@pytest.mark.parametrize("damping_ratio", [0.0, 0.3, 1.0])
+def test_energy_does_not_grow(level, damping_ratio):
+    """Balls without actuation and drag, shot into the region from everywhere, at seams too."""
+    rng, n = np.random.default_rng(level), 300
+    angle, aim = rng.uniform(0, 2 * np.pi, n), rng.normal(0, 0.3, n)
+    place = 12.0 * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+    speed = rng.uniform(1, 12, n)
+    heading = np.stack((np.cos(angle + np.pi + aim), np.sin(angle + np.pi + aim)), axis=-1)
+    own = {"level": level, "contact": "soft", "stiffness": 150.0, "damping_ratio": damping_ratio}
+    more = {"actuation": "force", "max_force": 1.0, "damping": 0.0}
+    envs, physics = made(n, place, speed[:, None] * heading, **own, **more)
+    # A symplectic integrator keeps the energy of an undamped spring to the order of its step.
+    most, deepest = 1.06 if damping_ratio == 0 else 1.0 + 1e-9, np.zeros(n)
+    for _ in range(30):
+        info = steps(envs, (0.0, 0.0), 1)
+        free = physics._sensors[:, 3] == 0
+        assert (np.hypot(*physics._qvel.T) <= most * speed)[free].all()
+        deepest = np.maximum(deepest, info["penetration"])
+    assert (deepest > 0.1).sum() > 100
+
+
+def test_the_impulse_of_a_rigid_hit():
+    """m Δv is the sum of h F over the hit, which lasts a few of MuJoCo's time constants, 0.02 s."""
+    own = {"level": 0, "actuation": "force", "max_force": 3.0, "damping": 0.0, "mass": 2.5}
+    _, physics = made(1, (10.0 + BALL + 0.3, 0.0), (-6.0, 0.0), **own)
+    rows = physics._batch.rollout(40, record=("sensordata", "qvel"))
+    force, speed = rows["sensordata"][0, :, 0], physics._qvel[0, 0]
+    impulse = 0.01 * np.abs(force).sum()
+    assert impulse == pytest.approx(2.5 * (speed + 6.0), rel=1e-3)
+    assert 0 < speed < 6.0
+    assert 0 < np.count_nonzero(force) * 0.01 < 5 * 0.02
+
+
+RANGES = {"mass": (0.5, 2.0), "friction": (0.1, 0.8), "damping": (0.0, 4.0)}
+MANY = [
+    {"level": 1, "contact": "soft", "actuation": "velocity", "max_force": 300.0},
+    {"level": 0, "actuation": "force"},
+    {"level": 2, "actuation": "velocity"},
+]
+RANGE_OF = {"gain": (10.0, 30.0), "max_speed": (6.0, 11.0), "stiffness": (50.0, 5e3)}
+RANGE_OF |= {"damping_ratio": (0.2, 1.5), "max_force": (50.0, 90.0)}
+
+
+@pytest.mark.parametrize("scene", MANY)
+def test_drawn_copies_are_single_environments_of_the_same_values(scene):
+    ranges = dict(RANGES)
+    if scene["level"] == 2:
+        del ranges["friction"]
+    if scene["actuation"] == "velocity":
+        ranges |= {name: RANGE_OF[name] for name in ("gain", "max_speed")}
+    else:
+        ranges |= {"max_force": RANGE_OF["max_force"], "damping": (8.0, 9.0)}
+    if scene.get("contact") == "soft":
+        assert set(ranges | RANGE_OF) == set(DRAWN)
+        ranges |= RANGE_OF
+    envs = Circle2DMuJoCoVectorEnv(5, randomize=ranges, max_episode_steps=15, **scene)
+    physics = envs._dynamics
+    rng, seen, touched = np.random.default_rng(0), [], 0
+    observation, _ = envs.reset(seed=4)
+    for episode in range(2):
+        drawn = [dict(zip(physics.physics.randomize, map(float, row))) for row in physics.drawn]  # noqa: B905
+        seen += [tuple(values.values()) for values in drawn]
+        for values in drawn:
+            assert all(ranges[k][0] <= v <= ranges[k][1] for k, v in values.items())
+        single = [made(1, envs.position[k], **scene | values)[0] for k, values in enumerate(drawn)]
+        for _ in range(15):
+            drift = np.array([-0.8, -0.3]) * np.sign(envs.position)
+            action = np.clip(drift + rng.normal(size=(5, 2)) * 0.3, -1, 1)
+            observation, *_, info = envs.step(action)
+            for k, one in enumerate(single):
+                alone, *_, told = one.step(action[[k]])
+                np.testing.assert_array_equal(alone[0], observation[k])
+                for key in ("cost", "contact_force", "penetration"):
+                    assert told[key][0] == info[key][k]
+            touched += info["contact_force"].sum() + info["cost"].sum()
+        envs.step(np.zeros((5, 2)))  # resets
+        assert episode or physics.drawn.tolist() != [list(values.values()) for values in drawn]
+    assert len(set(seen)) == 10
+    assert touched > 0
+
+
+def test_drawn_physics_is_part_of_the_state_and_of_the_seed():
+    def make(n):
+        ranges = {"mass": [0.5, 2], "stiffness": (100, 900)}  # lists, as config.json has them
+        return Circle2DMuJoCoVectorEnv(n, randomize=ranges, max_episode_steps=9, **SOFT)
+
+    envs, fresh, one = make(4), make(4), make(1)
+    actions = np.random.default_rng(1).uniform([-1, -0.3], [0, 0.3], (40, 4, 2))
+    envs.reset(seed=2)
+    one.reset(seed=4)
+    assert len(np.unique(envs._dynamics.drawn)) == 8
+    np.testing.assert_array_equal(one._dynamics.drawn, envs._dynamics.drawn[[2]])
+    for action in actions[:13]:
+        envs.step(action)
+    state = envs.state_dict()
+    later = [envs.step(action) for action in actions[13:]]
+    fresh.load_state_dict(state)
+    again = [fresh.step(action) for action in actions[13:]]
+    assert data_equivalence(later, again, exact=True)
+
+
+def test_a_step_costs_above_the_force_limit():
+    ours = {"cost": "force", "force_limit": 15.0, "actuation": "force", **SOFT}
+    for push, cost in ((0.1, 0.0), (0.2, 1.0)):  # of 110 N
+        envs, _ = made(1, (10.0 + BALL, 0.0), **ours)
+        info = steps(envs, (-push, 0.0), 40)
+        assert (info["cost"][0], info["contact_force"][0] > 15.0) == (cost, cost > 0)
+        assert info["penetration"] > 0
+    env = Circle2DMuJoCoEnv(level=0, cost="force", force_limit=1e9)
+    env.reset(seed=0)
+    told = [env.step([-1.0, 0.0])[-1] for _ in range(12)]
+    assert max(info["contact_force"] for info in told) > 0 == sum(info["cost"] for info in told)
+
+
+@pytest.mark.parametrize(
+    ("task", "parameters"),
+    [
+        ("Circle2DMuJoCo-0-v0", {}),
+        ("Circle2DMuJoCo-2-v0", {"actuation": "force", "mass": 0.7}),
+        ("Circle2DMuJoCo-1-v0", {"contact": "soft", "stiffness": 300, "friction": 0.3}),
+    ],
+)
+def test_the_printed_scene_stepped_by_mujoco_alone(task, parameters):
+    """XML keeps six digits, of the prisms' corners too."""
+    words = [str(word) for pair in parameters.items() for word in pair]
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main(["scene", task, *(["--task-parameters", *words] if words else [])]) == 0
+    model = mujoco.MjModel.from_xml_string(printed.getvalue())
+    data, env = mujoco.MjData(model), gym.make(task, **parameters)
+    env.reset(seed=1)
+    data.qpos[:] = env.unwrapped.position
+    touched = 0
+    for t in range(25):
+        action = np.array([-0.7, 0.3 * np.sin(t)])
+        info = env.step(action)[-1]
+        data.ctrl[:] = action * model.actuator_ctrlrange[:, 1]
+        mujoco.mj_step(model, data, nstep=10)
+        np.testing.assert_allclose(data.qpos, env.unwrapped.position, atol=2e-3)
+        touched += info["cost"]
+    assert touched > 3
+
+
+WRONG = [
+    ({"mas": 2}, TypeError, r"'mas': did you mean 'mass'\? the parameters are level, .*randomize"),
+    ({"mass": 0}, ValueError, r"mass must be above 0, got 0"),
+    ({"mass": "2"}, TypeError, r"mass must be a number, got '2'"),
+    ({"friction": -1, **SOFT}, ValueError, r"friction must be at least 0, got -1"),
+    ({"substeps": 2.5}, ValueError, r"substeps must be a positive integer, got 2\.5"),
+    ({"contact": "hard"}, ValueError, r"contact must be one of \('rigid', 'soft', 'none'\)"),
+    ({"stiffness": 9.0}, ValueError, r"stiffness has no effect with contact=None: leave it out"),
+    ({"friction": 0.5}, ValueError, r"friction has no effect with contact='none'"),
+    ({"actuation": "force", "gain": 9}, ValueError, r"gain has no effect with actuation='force'"),
+    (
+        {"actuation": "force", "max_speed": 9, "max_force": 9},
+        ValueError,
+        r"max_speed has no effect with actuation='force' and max_force",
+    ),
+    ({"cost": "force"}, ValueError, r"force_limit must be given with cost='force', and only then"),
+    ({"force_limit": 5.0}, ValueError, r"force_limit must be given with cost='force'"),
+    ({"cost": "force", "force_limit": 5.0}, ValueError, r"cost 'force' needs a region that pushes"),
+    ({"randomize": {"mas": (1, 2)}}, TypeError, r"randomize: .*'mas': did you mean 'mass'\?"),
+    ({"randomize": {"mass": 2}}, ValueError, r"randomize: mass must be \(low, high\), got 2"),
+    ({"randomize": {"mass": (2, 1)}}, ValueError, r"randomize: mass must be \(low, high\)"),
+    ({"randomize": ["mass"]}, TypeError, r"randomize must be ranges by name, got \['mass'\]"),
+    ({"level": 0, "max_speed": 30}, ValueError, r"may reach 30 m/s .* at most 14\.1421"),
+    ({"level": 0, "contact": "rigid", "ball_radius": 3.0}, ValueError, r"corridor_height_factor"),
+    ({**SOFT, "stiffness": 1e9}, ValueError, r"stiffness must be at most 2\.5e\+07 with mass 1"),
+    (
+        {"contact": "soft", "infeasible_region_penetratable": False},
+        ValueError,
+        r"contact 'soft' contradicts infeasible_region_penetratable=False",
+    ),
+    ({"camera": "front"}, ValueError, r"camera must be None or one of \('top', 'side', 'follow'\)"),
+]
+
+
+@pytest.mark.parametrize(("parameters", "error", "message"), WRONG)
+def test_what_is_refused(parameters, error, message):
+    for make in (Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv):
+        with pytest.raises(error, match=message):
+            make(**parameters)
+
+
+def test_bounds_hold_for_faster_balls():
+    envs, _ = made(64, level=1, max_speed=40.0, gain=60.0, mass=0.5)
+    rng = np.random.default_rng(0)
+    action = rng.choice([-1.0, 1.0], (64, 2))
+    for _ in range(60):
+        again = rng.random(64) < 0.2
+        action[again] = rng.choice([-1.0, 1.0], (again.sum(), 2))
+        assert envs.observation_space.contains(envs.step(action)[0])
+    assert envs.single_observation_space.high[2] == pytest.approx(2 * 40 / 11)
