@@ -65,7 +65,8 @@ class NavigationTask(MuJoCoTask):
         self._mocap_quat = self.batch.bind("mocap_quat").reshape(n, -1, 4)
         self._time = self.batch.bind("time").reshape(n)
         rotations = self.batch.bind("xmat").reshape(n, -1, 3, 3)
-        self._rotations = rotations[:, 1 : 1 + self.agent.bodies]
+        self.rotations = rotations[:, 1 : 1 + self.agent.bodies]
+        """Of the agent's bodies, the agent first: [num_envs, bodies, 3, 3]"""
         rows = self.world.rows
         targets = [np.arange(len(self.world.areas.keepout))[rows[kind]] for kind in scene.lidars]
         self._targets = np.concatenate(targets) if targets else np.zeros(0, dtype=np.intp)
@@ -175,10 +176,10 @@ class NavigationTask(MuJoCoTask):
 
     def observe(self) -> Floats:
         """Return the observations: [num_envs, observation size]."""
-        sensed = self.agent.observe(self.sensors, self._rotations)
+        sensed = self.agent.observe(self.sensors, self.rotations)
         if not len(self._targets):
             return sensed.copy()
-        axes = self._rotations[:, 0, :, :2]
+        axes = self.rotations[:, 0, :, :2]
         targets, reach = self._places[:, self._targets], self.world.scene.reach
         lidars = rules.lidar(self._position, axes, targets, reach, self._groups)
         return np.concatenate((sensed, lidars), axis=1)
