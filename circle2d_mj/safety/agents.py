@@ -41,8 +41,8 @@ class Point:
 
     def position(self, qpos: Floats) -> Floats:
         """Return where the agents' origins are in the world: [n, nq] -> [n, 3] m."""
-        position = np.full((len(qpos), 3), self.height)
-        position[:, :2] = qpos[:, :2]
+        position = np.empty((len(qpos), 3))
+        position[:, :2], position[:, 2] = qpos[:, :2], self.height
         return position
 
     def observe(self, sensed: Floats, rotations: Floats) -> Floats:

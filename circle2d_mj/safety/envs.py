@@ -99,7 +99,7 @@ class TaskView:
     @property
     def goal_achieved(self) -> bool:
         """Whether the current state meets the current goal."""
-        return bool(self._simulation._met()[0])
+        return bool(self._simulation.met[0])
 
     def __getattr__(self, name: str) -> Seen:
         if name.startswith("_"):

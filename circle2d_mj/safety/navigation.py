@@ -17,7 +17,7 @@ from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import layout, rules, views, worlds
 from circle2d_mj.safety.agents import action_space
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
-from circle2d_mj.safety.resting import SUBSTEPS, Resting
+from circle2d_mj.safety.resting import SUBSTEPS, Circling, Resting
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -68,21 +68,27 @@ class NavigationTask(MuJoCoTask):
         self.rotations = rotations[:, 1 : 1 + self.agent.bodies]
         """Of the agent's bodies, the agent first: [num_envs, bodies, 3, 3]"""
         rows = self.world.rows
-        targets = [np.arange(len(self.world.areas.keepout))[rows[kind]] for kind in scene.lidars]
-        self._targets = np.concatenate(targets) if targets else np.zeros(0, dtype=np.intp)
-        self._groups = np.repeat(np.arange(len(targets)), [len(t) for t in targets])
+        counts = [rows[kind].stop - rows[kind].start for kind in scene.lidars]
+        groups = np.repeat(np.arange(len(counts)), counts)
+        # They show all that is placed, in the order in which it is.
+        self._lidars = rules.Lidars(n, groups, scene.reach) if counts else None
         self._driven = "gremlins" in rows
         self._first_gremlin = len(self.world.mocap) - free  # of the mocap bodies
         self._flags = self.batch.expand("opt.disableflags")
+        kind_of_rest = Circling if self._driven else Resting
         objects = self._free_qpos, self._free_qvel
-        sleeps = bool(free) and not self._driven
-        self._rests = Resting(self.batch, self.world, *objects) if sleeps else None
+        self._rests = kind_of_rest(self.batch, self.world, *objects) if free else None
         # Where everything was placed, m: [num_envs, objects, 2]; a goal's place is the current one.
         self._layout = np.zeros((n, len(self.world.areas.keepout), 2))
         self._places = self._layout.copy()  # where everything is now
         self._look()
         # New goals are drawn in the middle of an episode, from streams which `start` seeds.
         self._goals = Streams(np.zeros(n, dtype=np.uint64))
+
+    @property
+    def met(self) -> Flags:
+        """Whether the current state meets the current goal: [num_envs]."""
+        return self._met(self._lengths())
 
     @property
     def places(self) -> Floats:
@@ -156,8 +162,9 @@ class NavigationTask(MuJoCoTask):
         before = self._lengths()
         self.advance(action)
         self._look()
-        met = self._met()
-        reward = self._reward(before, met)
+        after = self._lengths()
+        met = self._met(after)
+        reward = self._reward(before, after, met)
         of_kind = self._costs()
         cost = np.zeros(self.num_envs)
         for value in of_kind.values():
@@ -177,12 +184,10 @@ class NavigationTask(MuJoCoTask):
     def observe(self) -> Floats:
         """Return the observations: [num_envs, observation size]."""
         sensed = self.agent.observe(self.sensors, self.rotations)
-        if not len(self._targets):
+        if self._lidars is None:
             return sensed.copy()
-        axes = self.rotations[:, 0, :, :2]
-        targets, reach = self._places[:, self._targets], self.world.scene.reach
-        lidars = rules.lidar(self._position, axes, targets, reach, self._groups)
-        return np.concatenate((sensed, lidars), axis=1)
+        axes, height = self.rotations[:, 0, :, :2], self._position[:, 2]
+        return np.concatenate((sensed, self._lidars(self._offset[:, 1:], height, axes)), axis=1)
 
     def state_dict(self) -> State:
         """Return all that steps depend on."""
@@ -225,12 +230,13 @@ class NavigationTask(MuJoCoTask):
         """Lengths whose decrease is the reward: [num_envs, any]."""
         return np.zeros((self.num_envs, 0))
 
-    def _met(self) -> Flags:
-        """Whether the step reached the goal: [num_envs]."""
+    def _met(self, lengths: Floats) -> Flags:
+        """Whether the goal is reached in states with these lengths: [num_envs]."""
         return np.zeros(self.num_envs, dtype=bool)
 
-    def _reward(self, before: Floats, met: Flags) -> Floats:
-        return rules.way_made(before, self._lengths(), met)
+    def _reward(self, before: Floats, after: Floats, met: Flags) -> Floats:
+        """The reward of steps that changed the lengths so: [num_envs]."""
+        return rules.way_made(before, after, met)
 
     def _begin_goals(self, index: NDArray[np.intp]) -> None:
         """Choose the goals of the environments `index`, which just started."""
@@ -259,31 +265,23 @@ class NavigationTask(MuJoCoTask):
         self._position = self.agent.position(self.qpos)
         self._places[:] = self._layout
         self._places[:, 0] = self._position[:, :2]
-        self._places[:, self.world.free] = self._free_qpos[:, :, :2]
-        self._distance = rules.distance(self._position, self._places)
+        if self._free_qpos.size:
+            self._places[:, self.world.free] = self._free_qpos[:, :, :2]
+        self._offset = self._places - self._places[:, :1]  # from the agent
+        self._distance = rules.length(self._offset)
 
     def _take_substeps(self) -> None:
         # The sensors of all substeps but the last would take a tenth of the time.
         self._flags |= _QUIET
-        if self._driven:
-            self._drive_gremlins()
+        if isinstance(self._rests, Circling):
+            at_rest = self._gremlins_at_rest(slice(None))
+            self._rests.move(self._distance, self._places, at_rest)
         elif self._rests:
             self._rests.step(self._distance, self._places)
         else:
             self.batch.step(nstep=SUBSTEPS)
         self._flags &= ~_QUIET
         self.batch.forward()
-
-    def _drive_gremlins(self) -> None:
-        """Take the substeps, before each of which the gremlins' targets move."""
-        clock = np.full((self.num_envs, SUBSTEPS), self.model.opt.timestep)
-        clock[:, 0] = self._time
-        offset = rules.gremlin_offset(np.add.accumulate(clock, axis=1))
-        aims = self._gremlins_at_rest(slice(None))[:, None] + offset[:, :, None]
-        target = self._mocap_pos[:, self._first_gremlin :]
-        for k in range(SUBSTEPS):
-            target[:] = aims[:, k]
-            self.batch.step(nstep=1)
 
     def _gremlins_at_rest(self, index: int | slice) -> Floats:
         """Where gremlins were placed: [..., gremlins, 3]."""

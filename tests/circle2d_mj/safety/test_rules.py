@@ -62,7 +62,8 @@ def test_lidar_against_a_plain_loop():
             row = expected[i, groups[k]]
             for at, value in [(b, s), (b + 1, share * s), (b - 1, (1 - share) * s)]:
                 row[at % 16] = max(row[at % 16], value)
-    seen = rules.lidar(position, frames[:, :, :2], targets, 3.0, groups)
+    inputs = targets - position[:, None, :2], position[:, 2], frames[:, :, :2]
+    seen = rules.Lidars(50, groups, 3.0)(*inputs)
     np.testing.assert_allclose(seen, expected.reshape(50, 48), atol=1e-12)
-    one = rules.lidar(position[3], frames[3, :, :2], targets[3], 3.0, groups)  # no leading axes
-    np.testing.assert_array_equal(one, seen[3])
+    alone = rules.Lidars(1, groups, 3.0)(*(array[3:4] for array in inputs))
+    np.testing.assert_array_equal(alone[0], seen[3])
