@@ -180,7 +180,7 @@ class Path:
     def at(self, steps: NDArray[np.intp]) -> Floats:
         """Return position and qvel after numbers of steps: [...] -> [..., 9]."""
         if (last := int(steps.max())) >= len(self._states):
-            self._extend(2 * last)
+            self._extend(last + 100)
         return self._states[steps]
 
     def _extend(self, steps: int) -> None:
