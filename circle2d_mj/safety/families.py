@@ -81,19 +81,20 @@ class ButtonTask(NavigationTask):
     def __init__(self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1) -> None:
         self.goal_button = np.zeros(num_envs, dtype=np.int64)
         self.timer = np.zeros(num_envs, dtype=np.int64)
+        self._rows = np.arange(num_envs)
         super().__init__(agent, level, num_envs, num_threads)
 
     def _lengths(self) -> Floats:
         return self._distance[:, self.world.rows["goal"]]
 
     def _met(self, lengths: Floats) -> Flags:
-        return self._touched()[np.arange(self.num_envs), self.goal_button]
+        return self._touched()[self._rows, self.goal_button]
 
     def _cost(self, kind: str) -> Floats:
         if kind != "buttons":
             return super()._cost(kind)
         wrong = self._touched()
-        wrong[np.arange(self.num_envs), self.goal_button] = False
+        wrong[self._rows, self.goal_button] = False
         return rules.touch_cost(wrong) * (self.timer == 0)
 
     def _begin_goals(self, index: NDArray[np.intp]) -> None:
@@ -114,7 +115,7 @@ class ButtonTask(NavigationTask):
     def _mark_goals(self) -> None:
         """Move the goal onto the goal button."""
         buttons = self._layout[:, self.world.rows["buttons"]]
-        chosen = buttons[np.arange(self.num_envs), self.goal_button]
+        chosen = buttons[self._rows, self.goal_button]
         self._layout[:, self.world.rows["goal"].start] = chosen
         self._look()
 

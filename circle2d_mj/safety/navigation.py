@@ -75,6 +75,7 @@ class NavigationTask(MuJoCoTask):
         self._driven = "gremlins" in rows
         self._first_gremlin = len(self.world.mocap) - free  # of the mocap bodies
         self._flags = self.batch.expand("opt.disableflags")
+        self._all_on = self.model.opt.disableflags
         kind_of_rest = Circling if self._driven else Resting
         objects = self._free_qpos, self._free_qvel
         self._rests = kind_of_rest(self.batch, self.world, *objects) if free else None
@@ -125,6 +126,8 @@ class NavigationTask(MuJoCoTask):
         """
         world, n = self.world, len(index)
         self._layout[index] = places
+        if isinstance(self._rests, Circling):
+            self._rests.put(index, places[:, world.free])
         qpos = np.empty((n, self.model.nq))
         qpos[:, : self.agent.nq] = self.agent.qpos(places[:, 0], heading)
         objects = qpos[:, self.agent.nq :].reshape(n, -1, 7)
@@ -155,7 +158,8 @@ class NavigationTask(MuJoCoTask):
 
     def put_gremlins(self, index: int, offset: Floats) -> None:
         """Set where gremlins aim, relative to their places: [gremlins, 3] m."""
-        self._mocap_pos[index, self._first_gremlin :] = self._gremlins_at_rest(index) + offset
+        assert isinstance(self._rests, Circling)
+        self._mocap_pos[index, self._first_gremlin :] = self._rests.at_rest[index] + offset
 
     def step(self, action: Floats) -> Outcome:
         """Move all agents by their actions, [num_envs, 2], and renew the goals that they reach."""
@@ -183,11 +187,11 @@ class NavigationTask(MuJoCoTask):
 
     def observe(self) -> Floats:
         """Return the observations: [num_envs, observation size]."""
-        sensed = self.agent.observe(self.sensors, self.rotations)
-        if self._lidars is None:
-            return sensed.copy()
-        axes, height = self.rotations[:, 0, :, :2], self._position[:, 2]
-        return np.concatenate((sensed, self._lidars(self._offset[:, 1:], height, axes)), axis=1)
+        parts = self.agent.observe(self.sensors, self.rotations)
+        if self._lidars is not None:
+            axes, height = self.rotations[:, 0, :, :2], self._position[:, 2]
+            parts += (self._lidars(self._offset[:, 1:], height, axes),)
+        return np.concatenate(parts, axis=1)
 
     def state_dict(self) -> State:
         """Return all that steps depend on."""
@@ -198,6 +202,8 @@ class NavigationTask(MuJoCoTask):
         """Load a state."""
         super().load_state_dict(state)
         self._layout[:] = state["layout"]
+        if isinstance(self._rests, Circling):
+            self._rests.put(np.arange(self.num_envs), self._layout[:, self.world.free])
         self._goals.keys[:] = state["goal_keys"]
         self._goals.counters[:] = state["goal_counters"]
         self.batch.forward()  # rotations
@@ -272,22 +278,13 @@ class NavigationTask(MuJoCoTask):
 
     def _take_substeps(self) -> None:
         # The sensors of all substeps but the last would take a tenth of the time.
-        self._flags |= _QUIET
-        if isinstance(self._rests, Circling):
-            at_rest = self._gremlins_at_rest(slice(None))
-            self._rests.move(self._distance, self._places, at_rest)
-        elif self._rests:
+        self._flags.fill(self._all_on | _QUIET)
+        if self._rests:
             self._rests.step(self._distance, self._places)
         else:
             self.batch.step(nstep=SUBSTEPS)
-        self._flags &= ~_QUIET
+        self._flags.fill(self._all_on)
         self.batch.forward()
-
-    def _gremlins_at_rest(self, index: int | slice) -> Floats:
-        """Where gremlins were placed: [..., gremlins, 3]."""
-        places = self._layout[index, self.world.rows["gremlins"]]
-        heights = np.full((*places.shape[:-1], 1), self.world.kinds["gremlins"].height)
-        return np.concatenate((places, heights), axis=-1)
 
     def _space(self) -> Box:
         """12 or 24 unbounded sensors, 16 bins in [0, 1] for each lidar."""

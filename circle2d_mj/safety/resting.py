@@ -106,6 +106,8 @@ class Circling(Resting):
 
     def __init__(self, batch: Batch, world: World, qpos: Floats, qvel: Floats) -> None:
         super().__init__(batch, world, qpos, qvel)
+        self.at_rest = qpos[:, :, :3].copy()
+        """Where gremlins were placed, m: [num_envs, k, 3]"""
         self._time = batch.bind("time").reshape(-1)
         self._control = batch.bind("ctrl")
         self._welded = batch.bind("eq_active")
@@ -114,52 +116,58 @@ class Circling(Resting):
         self._timestep = world.model.opt.timestep
         self._path = path(self._timestep)
 
+    def put(self, index: NDArray[np.intp], places: Floats) -> None:
+        """Set where gremlins of the environments `index` were placed, [len(index), k, 2] m."""
+        self.at_rest[index, :, :2] = places
+
     def wake(self, index: NDArray[np.intp]) -> None:
         """Let all gremlins of the environments `index` collide and follow their targets."""
         super().wake(index)
         self._welded[index] = 1
 
-    def move(self, distance: Floats, places: Floats, at_rest: Floats) -> None:
-        """Take the substeps. at_rest: [num_envs, k, 3] m, where they were placed."""
+    def step(self, distance: Floats, places: Floats) -> None:
+        """Take the substeps: see `Resting.step`."""
         steps = np.rint(self._time / self._seconds).astype(np.intp)
-        here, after = self._path.at(steps), self._path.at(steps + 1)
+        here, after = self._path.around(steps)
         speed = np.add.reduce(np.abs(self._qvel), axis=2)
-        awake = self._awake(
-            ~self._on_path(steps, here, at_rest),
-            speed,
-            distance[:, self._free],
-            places[:, self._free],
-        )
+        off_path = ~self._on_path(steps, here)
+        awake = self._awake(off_path, speed, distance[:, self._free], places[:, self._free])
         for switched in (*self._collides, self._welded[..., None]):
             switched[:] = awake[..., None]
-        clock = np.full((len(steps), SUBSTEPS), self._timestep)
-        clock[:, 0] = self._time
-        offset = rules.gremlin_offset(np.add.accumulate(clock, axis=1))
-        busy = np.logical_or.reduce(awake, axis=1)
         qpos = self._qpos.copy()
-        qpos[:, :, :3] = at_rest + after[:, None, :3]
-        if not busy.all():
-            self._batch.step(np.flatnonzero(~busy), nstep=SUBSTEPS)
-        if busy.any():
-            index = np.flatnonzero(busy)
-            aims = np.repeat(self._mocap_pos[index, None], SUBSTEPS, axis=1)
-            aims[:, :, -at_rest.shape[1] :] = at_rest[index, None] + offset[index, :, None]
-            control = np.repeat(self._control[index, None], SUBSTEPS, axis=1)
-            inputs = np.concatenate((control, aims.reshape(len(index), SUBSTEPS, -1)), axis=2)
-            self._batch.rollout(SUBSTEPS, inputs, int(_INPUTS), record=(), ids=index)
-        self._targets[:] = at_rest + offset[:, -1, None]
+        np.add(self.at_rest, after[:, None, :3], out=qpos[:, :, :3])
+        busy = np.logical_or.reduce(awake, axis=1)
+        if not busy.any():
+            self._batch.step(nstep=SUBSTEPS)
+        else:
+            self._follow_targets(np.flatnonzero(busy))
+            if not busy.all():
+                self._batch.step(np.flatnonzero(~busy), nstep=SUBSTEPS)
+        idle = ~busy[:, None, None]
+        np.copyto(self._targets, self.at_rest + after[:, None, 9:], where=idle)
         asleep = ~awake[..., None]
         np.copyto(self._qpos, qpos, where=asleep)
-        np.copyto(self._qvel, after[:, None, 3:], where=asleep)
+        np.copyto(self._qvel, after[:, None, 3:9], where=asleep)
 
-    def _on_path(self, steps: NDArray[np.intp], here: Floats, at_rest: Floats) -> Flags:
+    def _on_path(self, steps: NDArray[np.intp], here: Floats) -> Flags:
         """Which gremlins are where the path is: [num_envs, k]."""
-        off = np.abs(self._qpos[:, :, :3] - (at_rest + here[:, None, :3]))
+        off = np.abs(self._qpos[:, :, :3] - (self.at_rest + here[:, None, :3]))
         # One that does not turn is turned as its target is: the weld would turn it otherwise.
-        moves = np.abs(self._qvel - here[:, None, 3:])
+        moves = np.abs(self._qvel - here[:, None, 3:9])
         farthest = np.maximum(np.maximum.reduce(off, axis=2), np.maximum.reduce(moves, axis=2))
         whole = np.abs(self._time - steps * self._seconds) < 1e-9  # of steps, s
         return (farthest < ON_PATH) & (whole & (self._time > SETTLED))[:, None]
+
+    def _follow_targets(self, index: NDArray[np.intp]) -> None:
+        """Take the substeps of the environments `index`, before each of which targets move."""
+        clock = np.full((len(index), SUBSTEPS), self._timestep)
+        clock[:, 0] = self._time[index]
+        offset = rules.gremlin_offset(np.add.accumulate(clock, axis=1))
+        aims = np.repeat(self._mocap_pos[index, None], SUBSTEPS, axis=1)
+        aims[:, :, -self.at_rest.shape[1] :] = self.at_rest[index, None] + offset[:, :, None]
+        control = np.repeat(self._control[index, None], SUBSTEPS, axis=1)
+        inputs = np.concatenate((control, aims.reshape(len(index), SUBSTEPS, -1)), axis=2)
+        self._batch.rollout(SUBSTEPS, inputs, int(_INPUTS), record=(), ids=index)
 
 
 _INPUTS = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS
@@ -175,21 +183,23 @@ class Path:
         self._model = worlds.gremlin_alone(timestep)
         self._data = mujoco.MjData(self._model)
         self._rest = self._data.qpos[:3].copy()
-        self._states = np.zeros((1, 9))
+        self._states = np.zeros((1, 12))
 
-    def at(self, steps: NDArray[np.intp]) -> Floats:
-        """Return position and qvel after numbers of steps: [...] -> [..., 9]."""
-        if (last := int(steps.max())) >= len(self._states):
+    def around(self, steps: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Return [n, 12] after numbers of steps [n], and after one more: position, m, and qvel of
+        the gremlin, position of its last target."""
+        if (last := int(np.maximum.reduce(steps)) + 1) >= len(self._states):
             self._extend(last + 100)
-        return self._states[steps]
+        return self._states[steps], self._states[steps + 1]
 
     def _extend(self, steps: int) -> None:
         data, found = self._data, []
         for _ in range(len(self._states), steps + 1):
             for _ in range(SUBSTEPS):
-                data.mocap_pos[0] = self._rest + rules.gremlin_offset(np.array(data.time))
+                target = rules.gremlin_offset(np.array(data.time))
+                data.mocap_pos[0] = self._rest + target
                 mujoco.mj_step(self._model, data)
-            found.append(np.concatenate((data.qpos[:3] - self._rest, data.qvel)))
+            found.append(np.concatenate((data.qpos[:3] - self._rest, data.qvel, target)))
         self._states = np.concatenate((self._states, found))
 
 
