@@ -5,7 +5,7 @@
 PYTHON: an interpreter where omnisafe 0.5.0 and safety-gymnasium 1.0.0 are installed: see
 benchmarks/README.md. Both sides: 10,000 steps an epoch, 10 passes, networks of 64 and 64, equal
 minibatches; what only one side has is off. Speeds are of CPU time, one thread, rollout, updates and
-records included, of the second and third epoch; the first one compiles. Each measurement has a
+records included, of the second epoch; the first one compiles. Each measurement has a
 process of its own; all take turns, and medians are printed.
 """
 
@@ -19,7 +19,7 @@ import tempfile
 import time
 from pathlib import Path
 
-EPOCH, EPOCHS = 10_000, 3
+EPOCH, EPOCHS = 10_000, 2
 BATCH = {"ppo-lag": 64, "cpo": 128}
 THEIRS = {"ppo-lag": "PPOLag", "cpo": "CPO"}
 # Runs in OmniSafe's Python.
@@ -78,9 +78,10 @@ def speed(command):
 def main():
     """Print a row for each algorithm."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--omnisafe", metavar="PYTHON", required=True)
+    parser.add_argument("--omnisafe", metavar="PYTHON", default=sys.executable)
     parser.add_argument("--runs", type=int, nargs="+", default=[1, 12])
     parser.add_argument("--turns", type=int, default=3)
+    parser.add_argument("--algorithms", nargs="+", choices=BATCH, default=list(BATCH))
     parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
@@ -89,7 +90,7 @@ def main():
     heads = [f"{n} run{'s' * (n > 1)} | over it" for n in options.runs]
     print(f"| algorithm | OmniSafe, 1 run | {' | '.join(heads)} |")
     print(f"| {' | '.join(['---'] * (2 + 2 * len(heads)))} |")
-    for name in BATCH:
+    for name in options.algorithms:
         sizes = [str(BATCH[name]), str(EPOCH), str(EPOCHS)]
         commands = [[options.omnisafe, "-c", OMNISAFE, THEIRS[name], *sizes]]
         commands += [[sys.executable, __file__, "--one", name, str(n)] for n in options.runs]

@@ -196,10 +196,10 @@ class Path:
         data, found = self._data, []
         for _ in range(len(self._states), steps + 1):
             for _ in range(SUBSTEPS):
-                target = rules.gremlin_offset(np.array(data.time))
-                data.mocap_pos[0] = self._rest + target
+                data.mocap_pos[0] = self._rest + rules.gremlin_offset(np.array(data.time))
                 mujoco.mj_step(self._model, data)
-            found.append(np.concatenate((data.qpos[:3] - self._rest, data.qvel, target)))
+            places = np.array((data.qpos[:3], data.mocap_pos[0])) - self._rest
+            found.append(np.concatenate((places[0], data.qvel, places[1])))
         self._states = np.concatenate((self._states, found))
 
 

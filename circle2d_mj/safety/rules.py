@@ -151,7 +151,7 @@ def velocity_reward(
     speed: Floats, action: Floats, forward: float, alive: float, control: float
 ) -> Floats:
     """Return forward * speed + alive - control * |action|²: [...] and [..., nu], not clipped."""
-    return forward * speed + alive - control * (action * action).sum(axis=-1)
+    return forward * speed + alive - control * np.add.reduce(action * action, axis=-1)
 
 
 def velocity_cost(speed: Floats, limit: float) -> Floats:
@@ -159,24 +159,16 @@ def velocity_cost(speed: Floats, limit: float) -> Floats:
     return (speed > limit).astype(np.float64)
 
 
-def fell(
-    height: Floats,
-    tilt: Floats,
-    rest: Floats,
-    heights: tuple[float, float],
-    tilts: tuple[float, float],
-    largest: float,
-    rim: bool = False,
-) -> Flags:
-    """Test whether a body is too low, too high or tilted, or diverges.
+def outside(value: Floats, interval: tuple[float, float], rim: bool = False) -> Flags:
+    """Test whether numbers leave an open interval, or where `rim` a closed one; NaN does."""
+    low, high = interval
+    inside = (low <= value) & (value <= high) if rim else (low < value) & (value < high)
+    return np.logical_not(inside)
 
-    height, tilt: [...]; rest: [..., m] numbers that must be within (-largest, largest); heights,
-    tilts: open intervals, `heights` closed where `rim` -> [...].
-    """
-    low, high = heights
-    upright = (low <= height) & (height <= high) if rim else (low < height) & (height < high)
-    upright &= (tilts[0] < tilt) & (tilt < tilts[1]) & (np.abs(rest) < largest).all(axis=-1)
-    return np.logical_not(upright)
+
+def diverged(state: Floats, largest: float) -> Flags:
+    """Test whether a number of the state is not within (-largest, largest): [..., m] -> [...]."""
+    return np.logical_not(np.logical_and.reduce(np.abs(state) < largest, axis=-1))
 
 
 def _any(flags: Flags) -> Floats:

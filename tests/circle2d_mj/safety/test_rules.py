@@ -30,17 +30,11 @@ def test_velocity_rules():
     action = np.array([1.0, -2.0, 3.0])
     assert rules.velocity_reward(np.array(2.0), action, 1.25, 5.0, 0.1) == 2.5 + 5 - 1.4
 
-    def fell(height, tilt=0.0, rest=0.0, rim=False):
-        limits = ((0.7, 2.0), (-0.2, 0.2), 100.0, rim)
-        return bool(rules.fell(np.array(height), np.array(tilt), np.array([rest]), *limits))
-
-    assert not fell(1.25)
-    for state in [(0.7,), (2.0,), (1.0, 0.2), (1.0, -0.2), (1.0, 0.0, -100.0), (np.nan,)]:
-        assert fell(*state), state
-    assert not fell(0.7, rim=True)
-    assert not fell(2.0, rim=True)
-    assert fell(0.6999, rim=True)
-    assert fell(1.0, 0.0, np.nan, rim=True)
+    heights = np.array([0.6999, 0.7, 1.25, 2.0, np.nan])
+    np.testing.assert_array_equal(rules.outside(heights, (0.7, 2.0)), [1, 1, 0, 1, 1])
+    np.testing.assert_array_equal(rules.outside(heights, (0.7, 2.0), rim=True), [1, 0, 0, 0, 1])
+    states = np.array([[0.0, 99.9], [0.0, -100.0], [np.nan, 0.0]])
+    np.testing.assert_array_equal(rules.diverged(states, 100.0), [0, 1, 1])
 
 
 def test_lidar_against_a_plain_loop():
