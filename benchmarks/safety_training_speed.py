@@ -2,11 +2,11 @@
 
     python benchmarks/safety_training_speed.py --omnisafe PYTHON [--runs 1 12] [--turns 3]
 
-PYTHON: an interpreter where omnisafe 0.5.0 and safety-gymnasium 1.0.0 are installed: see
-benchmarks/README.md. Both sides: 10,000 steps an epoch, 10 passes, networks of 64 and 64, equal
-minibatches; what only one side has is off. Speeds are of CPU time, one thread, rollout, updates and
-records included, of the second epoch; the first one compiles. Each measurement has a
-process of its own; all take turns, and medians are printed.
+PYTHON: an interpreter where omnisafe 0.5.0 and safety-gymnasium 1.0.0 are installed. Both sides:
+10,000 steps an epoch, 10 passes, networks of 64 and 64, equal minibatches; what only one side has
+is off. Speeds are of CPU time, one thread, rollout, updates and records included, of the second
+epoch; the first one compiles. Each measurement has a process of its own; all take turns, and
+medians are printed.
 """
 
 import argparse
