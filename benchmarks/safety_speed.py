@@ -1,11 +1,13 @@
 """Steps a second of the Safety tasks, beside the original and gymnasium, in one run on one core.
 
-    python benchmarks/safety_speed.py [--original PYTHON] [TASK ...]
+    python benchmarks/safety_speed.py [--original PYTHON] [--turns 3] [TASK ...]
 
 CPU time, resets included, random actions; medians over turns in which all take their share of
 whatever else the machine does. PYTHON: an interpreter where `pip install safety-gymnasium==1.0.0`
 is done (Python 3.10); without it that column is empty. TASK: as in SafetyPointGoal1-v0; all of
-them without any. The velocity tasks stand beside gymnasium's own v5.
+them without any. "MuJoCo" is what a single environment would reach if MuJoCo's steps were all it
+took: ten of them, objects at rest left alone, and mj_forward for the sensors. The velocity tasks
+stand beside gymnasium's own v5.
 """
 
 import os
@@ -19,7 +21,6 @@ import sys
 import time
 
 VECTOR = 64
-TURNS = 3
 STEPS = {"single": 2000, "vector": 100}
 # Runs in the original's Python: an episode with a reset of its own, and one reset more.
 ORIGINAL = """
@@ -62,6 +63,26 @@ def single(name):
     return lambda: timed(run, STEPS["single"])
 
 
+def mujoco_alone(name):
+    import gymnasium as gym
+
+    env = gym.make(name)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(64)]
+    for action in actions[:40]:  # until objects rest
+        env.step(action)
+    task = env.unwrapped._envs.simulation
+
+    def run(steps):
+        for k in range(steps):
+            task._control[:] = actions[k % 64]
+            task.batch.step(nstep=task._substeps)
+            task.batch.forward()
+
+    return lambda: timed(run, STEPS["single"])
+
+
 def vector(name):
     import gymnasium as gym
 
@@ -93,22 +114,28 @@ def original(python, name):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--original", metavar="PYTHON")
+    parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("tasks", nargs="*", metavar="TASK")
     options = parser.parse_args()
     from circle2d_mj.safety.tasks import NAMES
 
-    print("| task | single | vector of 64 | original | single over it | gymnasium v5 | over it |")
-    print("| --- | --- | --- | --- | --- | --- | --- |")
+    heads = ("task", "single", "vector of 64", "original", "single over it", "MuJoCo")
+    heads += ("gymnasium v5", "single over it", "vector over it")
+    print(f"| {' | '.join(heads)} |")
+    print(f"| {' | '.join(['---'] * len(heads))} |")
     for name in options.tasks or NAMES.values():
         ours = f"circle2d_mj/{name}"
         runs = [single(ours), vector(ours), original(options.original, name)]
         velocity = "Velocity" in name
+        v5 = name.removeprefix("Safety").replace("Velocity-v1", "-v5")
+        runs.append(single(v5) if velocity else mujoco_alone(ours))
+        turns = [[run() for run in runs] for _ in range(options.turns)]
+        alone, many, its, other = (statistics.median(values) for values in zip(*turns, strict=True))
+        cells = [f"{alone:,.0f}", f"{many:,.0f}", f"{its:,.0f}", f"{alone / its:.1f}"]
         if velocity:
-            runs.append(single(name.removeprefix("Safety").replace("Velocity-v1", "-v5")))
-        turns = [[run() for run in runs] for _ in range(TURNS)]
-        alone, many, its, *v5 = (statistics.median(values) for values in zip(*turns, strict=True))
-        peer = (f"{v5[0]:,.0f}", f"{alone / v5[0]:.2f}") if velocity else ("", "")
-        cells = (f"{alone:,.0f}", f"{many:,.0f}", f"{its:,.0f}", f"{alone / its:.1f}", *peer)
+            cells += ["", f"{other:,.0f}", f"{alone / other:.2f}", f"{many / other:.2f}"]
+        else:
+            cells += [f"{other:,.0f}", "", "", ""]
         print(f"| {name} | {' | '.join(cells)} |")
         sys.stdout.flush()
 

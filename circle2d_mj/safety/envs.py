@@ -5,7 +5,9 @@ from __future__ import annotations
 import pkgutil
 from typing import Any, NamedTuple
 
+import numpy as np
 from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
 
 from circle2d_mj.core.single_env import TaskEnv, without_time_limit
 from circle2d_mj.core.vector_env import TaskVectorEnv
@@ -50,11 +52,39 @@ class SafetyVectorEnv(TaskVectorEnv):
 
 
 class Seen(NamedTuple):
-    """Objects of one kind, or the agent."""
+    """Objects of one kind."""
 
     pos: Any
     """[3] m, or a list of such arrays where there may be several"""
-    size: float | None
+    size: float
+
+
+class SeenAgent:
+    """The agent under safety-gymnasium's names, all in the world but the sensors."""
+
+    def __init__(self, simulation: Any) -> None:
+        self._simulation = simulation
+
+    @property
+    def pos(self) -> NDArray[np.float64]:
+        """Its origin, [3] m."""
+        return self._simulation.positions("agent")[0, 0]
+
+    @property
+    def mat(self) -> NDArray[np.float64]:
+        """Its rotation matrix, [3, 3]: columns are its axes."""
+        return self._simulation.rotations[0, 0].copy()
+
+    @property
+    def vel(self) -> NDArray[np.float64]:
+        """The velocity of its origin, [3] m/s."""
+        return self.mat @ self.get_sensor("velocimeter")
+
+    def get_sensor(self, name: str) -> NDArray[np.float64]:
+        """Return what a sensor of the agent's model reads, as in "velocimeter": [3]."""
+        sensor = self._simulation.model.sensor(name)
+        first = sensor.adr[0]
+        return self._simulation.sensors[0, first : first + sensor.dim[0]].copy()
 
 
 class TaskView:
@@ -64,11 +94,12 @@ class TaskView:
     def __init__(self, simulation: Any) -> None:
         self._simulation = simulation
         self.agent_name: str = simulation.agent.name
+        self.agent = SeenAgent(simulation)
 
     @property
     def goal_achieved(self) -> bool:
         """Whether the current state meets the current goal."""
-        return bool(self._simulation._met()[0])
+        return bool(self._simulation.met[0])
 
     def __getattr__(self, name: str) -> Seen:
         if name.startswith("_"):
@@ -78,8 +109,7 @@ class TaskView:
             raise AttributeError(f"task has no {name!r}; it has {sorted(world.rows)}")
         places = self._simulation.positions(name)[0]
         several = name.endswith("s")
-        size = world.kinds[name].size[0] if name in world.kinds else None
-        return Seen(list(places) if several else places[0], size)
+        return Seen(list(places) if several else places[0], world.kinds[name].size[0])
 
 
 class SafetyEnv(TaskEnv):

@@ -47,8 +47,8 @@ class GoalTask(_WithGoal):
     def _lengths(self) -> Floats:
         return self._distance[:, self.world.rows["goal"]]
 
-    def _met(self) -> Flags:
-        return rules.goal_met(self._distance[:, self.world.rows["goal"].start])
+    def _met(self, lengths: Floats) -> Flags:
+        return rules.goal_met(lengths[:, 0])
 
 
 class PushTask(_WithGoal):
@@ -59,13 +59,15 @@ class PushTask(_WithGoal):
 
     def _lengths(self) -> Floats:
         box = self._free_qpos[:, 0, :3]
-        goal = np.empty_like(box)
-        goal[:, :2] = self._places[:, self.world.rows["goal"].start]
-        goal[:, 2] = self.world.kinds["goal"].height
-        return np.stack((_length(box - self._position), _length(goal - box)), axis=1)
+        way = np.empty((self.num_envs, 2, 3))  # from the box to the agent and to the goal
+        way[:, 0] = self._position
+        way[:, 1, :2] = self._places[:, self.world.rows["goal"].start]
+        way[:, 1, 2] = self.world.kinds["goal"].height
+        way -= box[:, None]
+        return rules.length(way)
 
-    def _met(self) -> Flags:
-        return rules.goal_met(self._lengths()[:, 1])
+    def _met(self, lengths: Floats) -> Flags:
+        return rules.goal_met(lengths[:, 1])
 
 
 class ButtonTask(NavigationTask):
@@ -79,21 +81,21 @@ class ButtonTask(NavigationTask):
     def __init__(self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1) -> None:
         self.goal_button = np.zeros(num_envs, dtype=np.int64)
         self.timer = np.zeros(num_envs, dtype=np.int64)
+        self._rows = np.arange(num_envs)
         super().__init__(agent, level, num_envs, num_threads)
 
     def _lengths(self) -> Floats:
         return self._distance[:, self.world.rows["goal"]]
 
-    def _met(self) -> Flags:
-        return self._touched()[np.arange(self.num_envs), self.goal_button]
+    def _met(self, lengths: Floats) -> Flags:
+        return self._touched()[self._rows, self.goal_button]
 
-    def _costs(self) -> dict[str, Floats]:
-        costs = super()._costs()
-        if "buttons" in costs:
-            wrong = self._touched()
-            wrong[np.arange(self.num_envs), self.goal_button] = False
-            costs["buttons"] = rules.touch_cost(wrong) * (self.timer == 0)
-        return costs
+    def _cost(self, kind: str) -> Floats:
+        if kind != "buttons":
+            return super()._cost(kind)
+        wrong = self._touched()
+        wrong[self._rows, self.goal_button] = False
+        return rules.touch_cost(wrong) * (self.timer == 0)
 
     def _begin_goals(self, index: NDArray[np.intp]) -> None:
         self._draw_buttons(index)
@@ -113,7 +115,7 @@ class ButtonTask(NavigationTask):
     def _mark_goals(self) -> None:
         """Move the goal onto the goal button."""
         buttons = self._layout[:, self.world.rows["buttons"]]
-        chosen = buttons[np.arange(self.num_envs), self.goal_button]
+        chosen = buttons[self._rows, self.goal_button]
         self._layout[:, self.world.rows["goal"].start] = chosen
         self._look()
 
@@ -144,7 +146,7 @@ class CircleTask(NavigationTask):
 
     family = "Circle"
 
-    def _reward(self, before: Floats, met: Flags) -> Floats:
+    def _reward(self, before: Floats, after: Floats, met: Flags) -> Floats:
         return rules.clipped(rules.circle_reward(self._position, self.qvel))
 
 
@@ -156,10 +158,5 @@ class RunTask(NavigationTask):
     def _lengths(self) -> Floats:
         return rules.run_distance(self._position)[:, None]
 
-    def _reward(self, before: Floats, met: Flags) -> Floats:
-        return (before - self._lengths())[:, 0]
-
-
-def _length(vectors: Floats) -> Floats:
-    x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
-    return np.sqrt(x * x + y * y + z * z)
+    def _reward(self, before: Floats, after: Floats, met: Flags) -> Floats:
+        return (before - after)[:, 0]

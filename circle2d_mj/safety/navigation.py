@@ -17,7 +17,7 @@ from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import layout, rules, views, worlds
 from circle2d_mj.safety.agents import action_space
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
-from circle2d_mj.safety.resting import SUBSTEPS, Resting
+from circle2d_mj.safety.resting import SUBSTEPS, Circling, Resting
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -65,23 +65,31 @@ class NavigationTask(MuJoCoTask):
         self._mocap_quat = self.batch.bind("mocap_quat").reshape(n, -1, 4)
         self._time = self.batch.bind("time").reshape(n)
         rotations = self.batch.bind("xmat").reshape(n, -1, 3, 3)
-        self._rotations = rotations[:, 1 : 1 + self.agent.bodies]
+        self.rotations = rotations[:, 1 : 1 + self.agent.bodies]
+        """Of the agent's bodies, the agent first: [num_envs, bodies, 3, 3]"""
         rows = self.world.rows
-        targets = [np.arange(len(self.world.areas.keepout))[rows[kind]] for kind in scene.lidars]
-        self._targets = np.concatenate(targets) if targets else np.zeros(0, dtype=np.intp)
-        self._groups = np.repeat(np.arange(len(targets)), [len(t) for t in targets])
+        counts = [rows[kind].stop - rows[kind].start for kind in scene.lidars]
+        groups = np.repeat(np.arange(len(counts)), counts)
+        # They show all that is placed, in the order in which it is.
+        self._lidars = rules.Lidars(n, groups, scene.reach) if counts else None
         self._driven = "gremlins" in rows
         self._first_gremlin = len(self.world.mocap) - free  # of the mocap bodies
         self._flags = self.batch.expand("opt.disableflags")
+        self._all_on = self.model.opt.disableflags
+        kind_of_rest = Circling if self._driven else Resting
         objects = self._free_qpos, self._free_qvel
-        sleeps = bool(free) and not self._driven
-        self._rests = Resting(self.batch, self.world, *objects) if sleeps else None
+        self._rests = kind_of_rest(self.batch, self.world, *objects) if free else None
         # Where everything was placed, m: [num_envs, objects, 2]; a goal's place is the current one.
         self._layout = np.zeros((n, len(self.world.areas.keepout), 2))
         self._places = self._layout.copy()  # where everything is now
         self._look()
         # New goals are drawn in the middle of an episode, from streams which `start` seeds.
         self._goals = Streams(np.zeros(n, dtype=np.uint64))
+
+    @property
+    def met(self) -> Flags:
+        """Whether the current state meets the current goal: [num_envs]."""
+        return self._met(self._lengths())
 
     @property
     def places(self) -> Floats:
@@ -118,6 +126,8 @@ class NavigationTask(MuJoCoTask):
         """
         world, n = self.world, len(index)
         self._layout[index] = places
+        if isinstance(self._rests, Circling):
+            self._rests.put(index, places[:, world.free])
         qpos = np.empty((n, self.model.nq))
         qpos[:, : self.agent.nq] = self.agent.qpos(places[:, 0], heading)
         objects = qpos[:, self.agent.nq :].reshape(n, -1, 7)
@@ -148,15 +158,17 @@ class NavigationTask(MuJoCoTask):
 
     def put_gremlins(self, index: int, offset: Floats) -> None:
         """Set where gremlins aim, relative to their places: [gremlins, 3] m."""
-        self._mocap_pos[index, self._first_gremlin :] = self._gremlins_at_rest(index) + offset
+        assert isinstance(self._rests, Circling)
+        self._mocap_pos[index, self._first_gremlin :] = self._rests.at_rest[index] + offset
 
     def step(self, action: Floats) -> Outcome:
         """Move all agents by their actions, [num_envs, 2], and renew the goals that they reach."""
         before = self._lengths()
         self.advance(action)
         self._look()
-        met = self._met()
-        reward = self._reward(before, met)
+        after = self._lengths()
+        met = self._met(after)
+        reward = self._reward(before, after, met)
         of_kind = self._costs()
         cost = np.zeros(self.num_envs)
         for value in of_kind.values():
@@ -175,13 +187,11 @@ class NavigationTask(MuJoCoTask):
 
     def observe(self) -> Floats:
         """Return the observations: [num_envs, observation size]."""
-        sensed = self.agent.observe(self.sensors, self._rotations)
-        if not len(self._targets):
-            return sensed.copy()
-        axes = self._rotations[:, 0, :, :2]
-        targets, reach = self._places[:, self._targets], self.world.scene.reach
-        lidars = rules.lidar(self._position, axes, targets, reach, self._groups)
-        return np.concatenate((sensed, lidars), axis=1)
+        parts = self.agent.observe(self.sensors, self.rotations)
+        if self._lidars is not None:
+            axes, height = self.rotations[:, 0, :, :2], self._position[:, 2]
+            parts += (self._lidars(self._offset[:, 1:], height, axes),)
+        return np.concatenate(parts, axis=1)
 
     def state_dict(self) -> State:
         """Return all that steps depend on."""
@@ -192,6 +202,8 @@ class NavigationTask(MuJoCoTask):
         """Load a state."""
         super().load_state_dict(state)
         self._layout[:] = state["layout"]
+        if isinstance(self._rests, Circling):
+            self._rests.put(np.arange(self.num_envs), self._layout[:, self.world.free])
         self._goals.keys[:] = state["goal_keys"]
         self._goals.counters[:] = state["goal_counters"]
         self.batch.forward()  # rotations
@@ -224,12 +236,13 @@ class NavigationTask(MuJoCoTask):
         """Lengths whose decrease is the reward: [num_envs, any]."""
         return np.zeros((self.num_envs, 0))
 
-    def _met(self) -> Flags:
-        """Whether the step reached the goal: [num_envs]."""
+    def _met(self, lengths: Floats) -> Flags:
+        """Whether the goal is reached in states with these lengths: [num_envs]."""
         return np.zeros(self.num_envs, dtype=bool)
 
-    def _reward(self, before: Floats, met: Flags) -> Floats:
-        return rules.way_made(before, self._lengths(), met)
+    def _reward(self, before: Floats, after: Floats, met: Flags) -> Floats:
+        """The reward of steps that changed the lengths so: [num_envs]."""
+        return rules.way_made(before, after, met)
 
     def _begin_goals(self, index: NDArray[np.intp]) -> None:
         """Choose the goals of the environments `index`, which just started."""
@@ -258,37 +271,20 @@ class NavigationTask(MuJoCoTask):
         self._position = self.agent.position(self.qpos)
         self._places[:] = self._layout
         self._places[:, 0] = self._position[:, :2]
-        self._places[:, self.world.free] = self._free_qpos[:, :, :2]
-        self._distance = rules.distance(self._position, self._places)
+        if self._free_qpos.size:
+            self._places[:, self.world.free] = self._free_qpos[:, :, :2]
+        self._offset = self._places - self._places[:, :1]  # from the agent
+        self._distance = rules.length(self._offset)
 
     def _take_substeps(self) -> None:
         # The sensors of all substeps but the last would take a tenth of the time.
-        self._flags |= _QUIET
-        if self._driven:
-            self._drive_gremlins()
-        elif self._rests:
+        self._flags.fill(self._all_on | _QUIET)
+        if self._rests:
             self._rests.step(self._distance, self._places)
         else:
             self.batch.step(nstep=SUBSTEPS)
-        self._flags &= ~_QUIET
+        self._flags.fill(self._all_on)
         self.batch.forward()
-
-    def _drive_gremlins(self) -> None:
-        """Take the substeps, before each of which the gremlins' targets move."""
-        clock = np.full((self.num_envs, SUBSTEPS), self.model.opt.timestep)
-        clock[:, 0] = self._time
-        offset = rules.gremlin_offset(np.add.accumulate(clock, axis=1))
-        aims = self._gremlins_at_rest(slice(None))[:, None] + offset[:, :, None]
-        target = self._mocap_pos[:, self._first_gremlin :]
-        for k in range(SUBSTEPS):
-            target[:] = aims[:, k]
-            self.batch.step(nstep=1)
-
-    def _gremlins_at_rest(self, index: int | slice) -> Floats:
-        """Where gremlins were placed: [..., gremlins, 3]."""
-        places = self._layout[index, self.world.rows["gremlins"]]
-        heights = np.full((*places.shape[:-1], 1), self.world.kinds["gremlins"].height)
-        return np.concatenate((places, heights), axis=-1)
 
     def _space(self) -> Box:
         """12 or 24 unbounded sensors, 16 bins in [0, 1] for each lidar."""

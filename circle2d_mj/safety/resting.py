@@ -1,12 +1,17 @@
-"""Objects that rest out of reach, which a step leaves as they are."""
+"""Objects whose next state is known while nothing touches them: a step does not compute them."""
+
+# pyright: reportAttributeAccessIssue=false
+# mujoco's names are compiled in, where pyright does not see them.
 
 from __future__ import annotations
+
+import functools
 
 import numpy as np
 from numpy.typing import NDArray
 
-from circle2d_mj.core.engine import Batch
-from circle2d_mj.safety import worlds
+from circle2d_mj.core.engine import Batch, mujoco
+from circle2d_mj.safety import rules, worlds
 from circle2d_mj.safety.worlds import World
 
 Floats = NDArray[np.float64]
@@ -15,8 +20,12 @@ SUBSTEPS = 10
 AT_REST = 1e-8
 """Speed in m/s and rad/s below which an object stands. At the start it is 0 exactly, and objects
 have yet to settle by micrometres."""
+ON_PATH = 1e-13
+"""How far a gremlin may be from its path, m, m/s and rad/s: rounding"""
 STRIDE = 0.1
 """How far an agent, or what stood and is pushed, may move within a step, m: see the tests"""
+SETTLED = 0.5
+"""Time after which a gremlin may be on its path, s; until then it catches up with its target."""
 
 
 class Resting:
@@ -28,18 +37,22 @@ class Resting:
     state.
     """
 
+    way = 0.0
+    """How far an object goes within a step by itself, m"""
+
     def __init__(self, batch: Batch, world: World, qpos: Floats, qvel: Floats) -> None:
         """qpos, qvel: of the free objects, [num_envs, k, 7] and [num_envs, k, 6], live."""
-        (kind,) = (kind for kind in world.kinds.values() if kind.physics == "free")
+        (kind,) = (k for k in world.kinds.values() if k.physics in ("free", "driven"))
         self._batch, self._free = batch, world.free
         self._qpos, self._qvel = qpos, qvel
-        self._of_agent = world.agent.radius + kind.radius + STRIDE
-        self._of_object = 2 * kind.radius + STRIDE
+        self._of_agent = world.agent.radius + kind.radius + STRIDE + self.way
+        self._of_object = 2 * kind.radius + STRIDE + self.way
         self._seconds = SUBSTEPS * world.model.opt.timestep
         first = world.model.body(worlds.names(kind, 1)[0]).geomadr[0]
-        self._geoms = (world.model.ngeom - first) // self._qpos.shape[1]
+        shape = (*qpos.shape[:2], -1)  # [num_envs, k, geoms of one]
         self._collides = [
-            batch.expand(f"geom_{name}")[:, first:] for name in ("contype", "conaffinity")
+            batch.expand(f"geom_{name}")[:, first:].reshape(shape)
+            for name in ("contype", "conaffinity")
         ]
 
     def wake(self, index: NDArray[np.intp]) -> None:
@@ -49,9 +62,11 @@ class Resting:
 
     def step(self, distance: Floats, places: Floats) -> None:
         """Take the substeps. distance: [num_envs, objects], from the agent; places: [.., 2]."""
-        awake = self._awake(distance[:, self._free], places[:, self._free])
+        speed = np.add.reduce(np.abs(self._qvel), axis=2)  # of both kinds: no less than of each
+        awake = (speed == 0.0) | (speed >= AT_REST)
+        awake = self._awake(awake, speed, distance[:, self._free], places[:, self._free])
         for collides in self._collides:
-            collides[:] = np.repeat(awake, self._geoms, axis=1)
+            collides[:] = awake[..., None]
         if awake.all():
             self._batch.step(nstep=SUBSTEPS)
             return
@@ -60,10 +75,12 @@ class Resting:
         np.copyto(self._qpos, qpos, where=asleep)
         np.copyto(self._qvel, qvel, where=asleep)
 
-    def _awake(self, distance: Floats, places: Floats) -> Flags:
-        """Which objects may move in this step: [num_envs, k]."""
-        speed = np.add.reduce(np.abs(self._qvel), axis=2)  # of both kinds: no less than of each
-        awake = (speed == 0.0) | (speed >= AT_REST) | (distance < self._of_agent)
+    def _awake(self, awake: Flags, speed: Floats, distance: Floats, places: Floats) -> Flags:
+        """Which objects may leave their known states: those `awake` and all within reach.
+
+        Of all objects speeds [num_envs, k], distances from the agent [.., k] and places [.., k, 2].
+        """
+        awake = awake | (distance < self._of_agent)
         if awake.shape[1] == 1 or not awake.any():
             return awake
         # What is awake may push what it reaches, and that may push others.
@@ -76,3 +93,114 @@ class Resting:
             if (reached <= awake).all():
                 return awake
             awake |= reached
+
+
+class Circling(Resting):
+    """The gremlins, of which those that nothing touches are moved along their path.
+
+    A gremlin is welded to a target on a circle, which moves before each substep. Where it is after
+    a number of steps, relative to its place, is the same for all, whatever their turns: `Path`.
+    """
+
+    way = 0.02
+
+    def __init__(self, batch: Batch, world: World, qpos: Floats, qvel: Floats) -> None:
+        super().__init__(batch, world, qpos, qvel)
+        self.at_rest = qpos[:, :, :3].copy()
+        """Where gremlins were placed, m: [num_envs, k, 3]"""
+        self._time = batch.bind("time").reshape(-1)
+        self._control = batch.bind("ctrl")
+        self._welded = batch.bind("eq_active")
+        self._mocap_pos = batch.bind("mocap_pos").reshape(len(qpos), -1, 3)
+        self._targets = self._mocap_pos[:, -qpos.shape[1] :]
+        self._timestep = world.model.opt.timestep
+        self._path = path(self._timestep)
+
+    def put(self, index: NDArray[np.intp], places: Floats) -> None:
+        """Set where gremlins of the environments `index` were placed, [len(index), k, 2] m."""
+        self.at_rest[index, :, :2] = places
+
+    def wake(self, index: NDArray[np.intp]) -> None:
+        """Let all gremlins of the environments `index` collide and follow their targets."""
+        super().wake(index)
+        self._welded[index] = 1
+
+    def step(self, distance: Floats, places: Floats) -> None:
+        """Take the substeps: see `Resting.step`."""
+        steps = np.rint(self._time / self._seconds).astype(np.intp)
+        here, after = self._path.around(steps)
+        speed = np.add.reduce(np.abs(self._qvel), axis=2)
+        off_path = ~self._on_path(steps, here)
+        awake = self._awake(off_path, speed, distance[:, self._free], places[:, self._free])
+        for switched in (*self._collides, self._welded[..., None]):
+            switched[:] = awake[..., None]
+        qpos = self._qpos.copy()
+        np.add(self.at_rest, after[:, None, :3], out=qpos[:, :, :3])
+        busy = np.logical_or.reduce(awake, axis=1)
+        if not busy.any():
+            self._batch.step(nstep=SUBSTEPS)
+        else:
+            self._follow_targets(np.flatnonzero(busy))
+            if not busy.all():
+                self._batch.step(np.flatnonzero(~busy), nstep=SUBSTEPS)
+        idle = ~busy[:, None, None]
+        np.copyto(self._targets, self.at_rest + after[:, None, 9:], where=idle)
+        asleep = ~awake[..., None]
+        np.copyto(self._qpos, qpos, where=asleep)
+        np.copyto(self._qvel, after[:, None, 3:9], where=asleep)
+
+    def _on_path(self, steps: NDArray[np.intp], here: Floats) -> Flags:
+        """Which gremlins are where the path is: [num_envs, k]."""
+        off = np.abs(self._qpos[:, :, :3] - (self.at_rest + here[:, None, :3]))
+        # One that does not turn is turned as its target is: the weld would turn it otherwise.
+        moves = np.abs(self._qvel - here[:, None, 3:9])
+        farthest = np.maximum(np.maximum.reduce(off, axis=2), np.maximum.reduce(moves, axis=2))
+        whole = np.abs(self._time - steps * self._seconds) < 1e-9  # of steps, s
+        return (farthest < ON_PATH) & (whole & (self._time > SETTLED))[:, None]
+
+    def _follow_targets(self, index: NDArray[np.intp]) -> None:
+        """Take the substeps of the environments `index`, before each of which targets move."""
+        clock = np.full((len(index), SUBSTEPS), self._timestep)
+        clock[:, 0] = self._time[index]
+        offset = rules.gremlin_offset(np.add.accumulate(clock, axis=1))
+        aims = np.repeat(self._mocap_pos[index, None], SUBSTEPS, axis=1)
+        aims[:, :, -self.at_rest.shape[1] :] = self.at_rest[index, None] + offset[:, :, None]
+        control = np.repeat(self._control[index, None], SUBSTEPS, axis=1)
+        inputs = np.concatenate((control, aims.reshape(len(index), SUBSTEPS, -1)), axis=2)
+        self._batch.rollout(SUBSTEPS, inputs, int(_INPUTS), record=(), ids=index)
+
+
+_INPUTS = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS
+
+
+class Path:
+    """Where a gremlin is after each step, relative to its place at the start.
+
+    It is computed once in a process, by MuJoCo, as far as steps ask for it.
+    """
+
+    def __init__(self, timestep: float) -> None:
+        self._model = worlds.gremlin_alone(timestep)
+        self._data = mujoco.MjData(self._model)
+        self._rest = self._data.qpos[:3].copy()
+        self._states = np.zeros((1, 12))
+
+    def around(self, steps: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Return [n, 12] after numbers of steps [n], and after one more: position, m, and qvel of
+        the gremlin, position of its last target."""
+        if (last := int(np.maximum.reduce(steps)) + 1) >= len(self._states):
+            self._extend(last + 100)
+        return self._states[steps], self._states[steps + 1]
+
+    def _extend(self, steps: int) -> None:
+        data, found = self._data, []
+        for _ in range(len(self._states), steps + 1):
+            for _ in range(SUBSTEPS):
+                data.mocap_pos[0] = self._rest + rules.gremlin_offset(np.array(data.time))
+                mujoco.mj_step(self._model, data)
+            places = np.array((data.qpos[:3], data.mocap_pos[0])) - self._rest
+            found.append(np.concatenate((places[0], data.qvel, places[1])))
+        self._states = np.concatenate((self._states, found))
+
+
+path = functools.cache(Path)

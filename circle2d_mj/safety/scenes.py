@@ -80,7 +80,9 @@ KINDS = {
     ),
     "pillars": Kind("pillar", "static", "cylinder", (0.2, 0.5), 0.5, (0.45, 0.45, 0.45, 1.0)),
     "buttons": Kind("button", "static", "sphere", (0.1,), 0.1, (0.90, 0.55, 0.15, 1.0)),
-    "gremlins": Kind("gremlin", "driven", "box", _CUBE, 0.1, (0.55, 0.20, 0.60, 1.0), 0.001),
+    "gremlins": Kind(
+        *("gremlin", "driven", "box", _CUBE, 0.1, (0.55, 0.20, 0.60, 1.0), 0.001, _CUBE_RADIUS)
+    ),
     "circle": Kind("circle", "none", "cylinder", (1.5, 0.01), 0.01, (0.20, 0.70, 0.25, 0.4)),
 }
 BUTTON_GOAL_SIZE = (0.2, 0.1)

@@ -22,7 +22,6 @@ from circle2d_mj.safety.mujoco_task import MuJoCoTask
 from circle2d_mj.safety.worlds import as_the_original
 
 Floats = NDArray[np.float64]
-INFINITE = (-np.inf, np.inf)
 
 
 class Body(NamedTuple):
@@ -47,11 +46,11 @@ class Body(NamedTuple):
     """Bound on observed velocities"""
     planar: bool = True
     """Whether it moves in a plane; otherwise its speed is that of x and y"""
-    height: tuple[float, float] = INFINITE
-    """An episode ends where the torso's height leaves this,"""
-    tilt: tuple[float, float] = INFINITE
+    height: tuple[float, float] | None = None
+    """An episode ends where the torso's height leaves this; None: it does not end,"""
+    tilt: tuple[float, float] | None = None
     """or its tilt this,"""
-    rest: float = np.inf
+    rest: float | None = None
     """or another number of the state is as large as this."""
     rim: bool = False
     """Whether the limits of the height belong to it"""
@@ -81,6 +80,7 @@ BODIES = {
         normal=True,
         planar=False,
         height=(0.2, 1.0),
+        rest=np.inf,
         rim=True,
         measured="torso",
     ),
@@ -146,6 +146,7 @@ class VelocityTask(MuJoCoTask):
         self.info_keys = ("cost", *of_speed)
         measured = {"torso": "xpos", "centre of mass": "xipos"}.get(self.body.measured)
         self._bodies = None if measured is None else self.batch.bind(measured)
+        self._all = np.arange(self.num_envs)
         self._scratch = mujoco.MjData(self.model)
         self._seen = np.zeros((self.num_envs, size - lead))  # what else is observed
         self._place = np.zeros((self.num_envs, 2))  # where the body is, for its speed
@@ -183,7 +184,7 @@ class VelocityTask(MuJoCoTask):
         self.advance(action)
         self._place = self._where()
         velocity = (self._place - before) / self.step_seconds
-        self._see(np.arange(self.num_envs))
+        self._see(self._all)
         of = self.body
         x_velocity = velocity[:, 0].copy()
         reward = rules.velocity_reward(x_velocity, action, of.forward, of.alive, of.control_cost)
@@ -199,8 +200,11 @@ class VelocityTask(MuJoCoTask):
 
     def observe(self) -> Floats:
         """Return the observations: [num_envs, observation size]."""
-        qvel = np.clip(self.qvel, -self.body.clipped, self.body.clipped)
-        return np.concatenate((self.qpos[:, self.body.hidden :], qvel, self._seen), axis=1)
+        qvel, bound = self.qvel, self.body.clipped
+        if bound < np.inf:
+            qvel = np.minimum(np.maximum(qvel, -bound), bound)
+        seen = (self._seen,) * bool(self._extra)
+        return np.concatenate((self.qpos[:, self.body.hidden :], qvel, *seen), axis=1)
 
     def state_dict(self) -> State:
         """Return all that steps and observations depend on."""
@@ -222,10 +226,15 @@ class VelocityTask(MuJoCoTask):
 
     def _fell(self) -> NDArray[np.bool_]:
         of = self.body
-        height = self.qpos[:, 1 if of.planar else 2]
-        tilt = self.qpos[:, 2] if of.planar else np.zeros(self.num_envs)
-        rest = np.concatenate((self.qpos[:, 2:], self.qvel), axis=1)
-        return rules.fell(height, tilt, rest, of.height, of.tilt, of.rest, of.rim)
+        if of.height is None:
+            return np.zeros(self.num_envs, dtype=bool)
+        fell = rules.outside(self.qpos[:, 1 if of.planar else 2], of.height, of.rim)
+        if of.tilt is not None:
+            fell |= rules.outside(self.qpos[:, 2], of.tilt)
+        if of.rest is not None:
+            fell |= rules.diverged(self.qpos[:, 2:], of.rest)
+            fell |= rules.diverged(self.qvel, of.rest)
+        return fell
 
     def _see(self, index: NDArray[np.intp], forces: bool = True) -> None:
         """Update what the Humanoid observes besides qpos and qvel; forces are 0 at the start."""

@@ -24,8 +24,6 @@ TOLERANCE = 1e-12
 WELD_TORQUE_SCALE = np.sqrt(150.0)
 """Ratio of a gremlin's inverse weights, rotation over translation, under the root: since 3.0 a
 weld's rotation has its own."""
-WITHOUT = ("nativeccd", "multiccd")
-"""Collision detection of later versions; flags of MJCF."""
 
 
 def as_the_original(option: mujoco.MjOption) -> None:
@@ -85,6 +83,9 @@ def world(agent_name: str, family: str, level: int) -> World:
                 _add_object(spec, name, kind)
         start = stop
     touch = _add_touch_sensors(spec, scene, family, kinds)
+    if not free:
+        # One tree of bodies is one island: no need to search for others.
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     return World(
         agent,
         scene,
@@ -97,6 +98,16 @@ def world(agent_name: str, family: str, level: int) -> World:
         slice(free[0], free[-1] + 1) if free else slice(0, 0),
         touch,
     )
+
+
+def gremlin_alone(timestep: float) -> mujoco.MjModel:
+    """Return a model of a floor and one gremlin, at the origin."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = timestep
+    _add_floor(spec, extent=3.5)
+    _as_navigation(spec.option)
+    _add_object(spec, "gremlin0", scenes.KINDS["gremlins"])
+    return spec.compile()
 
 
 @functools.cache
@@ -133,8 +144,19 @@ def _areas(scene: Scene) -> Areas:
 
 def _spec(agent: Agent, scene: Scene) -> mujoco.MjSpec:
     spec = mujoco.MjSpec.from_file(str(asset(f"xml/safety_{agent.name.lower()}.xml")))
-    as_the_original(spec.option)
-    extent = 17.5 if scene.start and scene.start[3] > 2 else 3.5
+    _as_navigation(spec.option)
+    _add_floor(spec, extent=17.5 if scene.start and scene.start[3] > 2 else 3.5)
+    return spec
+
+
+def _as_navigation(option: mujoco.MjOption) -> None:
+    as_the_original(option)
+    # From a cold start the solver takes a tenth less time. It must not stop early then.
+    option.tolerance = 1e-16
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART
+
+
+def _add_floor(spec: mujoco.MjSpec, extent: float) -> None:
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -142,7 +164,6 @@ def _spec(agent: Agent, scene: Scene) -> mujoco.MjSpec:
         condim=6,
         rgba=[0.93, 0.93, 0.90, 1.0],
     )
-    return spec
 
 
 def _add_object(spec: mujoco.MjSpec, name: str, kind: Kind) -> None:

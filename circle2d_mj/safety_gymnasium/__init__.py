@@ -41,7 +41,8 @@ def install() -> None:
         raise RuntimeError(f"{name} has been imported already, from {found.__file__}")
     sys.modules[name] = here
     sys.modules[f"{name}.wrappers"] = wrappers
-    for part in ("vector", "vector.async_vector_env", "vector.sync_vector_env"):
+    parts = ("async_vector_env", "sync_vector_env", "utils", "utils.tile_images")
+    for part in ("vector", *(f"vector.{module}" for module in parts)):
         sys.modules[f"{name}.{part}"] = vector
 
 

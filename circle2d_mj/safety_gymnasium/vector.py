@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
 
 from circle2d_mj.core.wrappers import SixValueVectorEnv
 from circle2d_mj.safety_gymnasium.making import _check_id
@@ -136,3 +137,18 @@ class SafetySyncVectorEnv:
 
 SafetyAsyncVectorEnv = SafetySyncVectorEnv
 """The environments of this package are fast enough to need no processes of their own."""
+
+
+def tile_images(img_nhwc: Any, padding: int = 5) -> NDArray[Any]:
+    """Lay pictures [n, height, width, colours] out in rows, as near to a square as can be.
+
+    Each has `padding` pixels of 0 around it; places without a picture are 0.
+    """
+    pictures = np.pad(img_nhwc, ((0, 0), (padding, padding), (padding, padding), (0, 0)))
+    rows = int(np.ceil(np.sqrt(len(pictures))))
+    columns = -(-len(pictures) // rows)
+    missing = rows * columns - len(pictures)
+    pictures = np.pad(pictures, ((0, missing), (0, 0), (0, 0), (0, 0)))
+    _, height, width, colours = pictures.shape
+    grid = pictures.reshape(rows, columns, height, width, colours).swapaxes(1, 2)
+    return grid.reshape(rows * height, columns * width, colours)

@@ -16,7 +16,7 @@ from circle2d_mj.assets import asset
 from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import worlds
 from circle2d_mj.safety.envs import SafetyEnv, SafetyVectorEnv
-from circle2d_mj.safety.families import GoalTask, PushTask
+from circle2d_mj.safety.families import ButtonTask, GoalTask, PushTask
 from circle2d_mj.safety.resting import STRIDE
 from circle2d_mj.safety.tasks import IDS, NAMES, TASKS
 
@@ -129,8 +129,11 @@ def test_native_equals_gymnasiums_own_vector_env(task, mode):
 
 @pytest.mark.parametrize("task", SOME)
 def test_neighbours_and_threads_change_nothing(task):
-    """Environment i of 40, on two threads, is environment i of 3, bit for bit."""
-    few, many = vector(task, 3), vector(task, 40, num_threads=2)
+    """Environment i of 40, on two threads, is environment i of 3, bit for bit.
+
+    Episodes are long enough for objects to rest, and for gremlins to be on their path.
+    """
+    few, many = vector(task, 3, steps=30), vector(task, 40, steps=30, num_threads=2)
     equal(few.reset(seed=7)[0], many.reset(seed=7)[0][:3])
     many.action_space.seed(0)
     for _ in range(40):
@@ -246,27 +249,38 @@ CAR_TURN = {"Point": 0.0, "Car": np.pi / 2}  # its front is its -y axis
 FORWARD = {"Point": [0.3, 0.0], "Car": [0.5, 0.5]}
 
 
-@pytest.mark.parametrize("cls", [GoalTask, PushTask])
+def ten_substeps(task, data, action, rest):
+    """What a step is: in plain MuJoCo, with all contacts and welds in. rest: of the gremlins."""
+    data.ctrl[:] = action
+    data.eq_active[:] = 1
+    for _ in range(10):
+        t = data.time
+        for k, (x, y) in enumerate(rest, start=task.model.nmocap - len(rest)):
+            data.mocap_pos[k] = x + 0.35 * np.sin(t), y + 0.35 * np.cos(t), 0.2
+        mujoco.mj_step(task.model, data)
+
+
+@pytest.mark.parametrize("cls", [GoalTask, PushTask, ButtonTask])
 @pytest.mark.parametrize("agent", ["Point", "Car"])
-def test_resting_objects_are_as_in_plain_mujoco(cls, agent):
+def test_objects_left_alone_are_as_in_plain_mujoco(cls, agent):
     """Every step beside ten of mj_step with all contacts in, while agents run into objects."""
     n = 4
     task = scattered(cls, agent, 2, n)
-    model, stood, pushed, worst = task.model, 0, 0, []
+    left_alone, near, worst = 0, 0, []
     control = np.tile(FORWARD[agent], (n, 1))
+    rows = task.world.free
+    rest = task.state_dict()["layout"][:, rows] if cls is ButtonTask else np.zeros((n, 0, 2))
     for _ in range(90):
         plain = [task.batch.get_data(i) for i in range(n)]
-        before = task.qpos[:, task.agent.nq :].copy()
         task.step(control)
-        same = (task.qpos[:, task.agent.nq :] == before).reshape(n, -1, 7).all(axis=2)
-        stood += same.sum()
-        pushed += (np.abs(task.qpos[:, task.agent.nq :] - before).max(axis=1) > 1e-3).sum()
+        alone = task._rests._collides[0][:, :, 0] == 0
+        left_alone += alone.sum()
+        near += (task._distance[:, rows] < 0.4).sum()
         for i, data in enumerate(plain):
-            data.ctrl[:] = control[i]
-            mujoco.mj_step(model, data, 10)
+            ten_substeps(task, data, control[i], rest[i])
             worst.append(np.abs(task.qpos[i] - data.qpos).max())
-    assert stood > 40
-    assert pushed > 20
+    assert left_alone > 40
+    assert near > 20
     assert np.median(worst) < 1e-9
     assert max(worst) < 1e-5
 

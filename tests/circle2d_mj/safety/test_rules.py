@@ -30,17 +30,11 @@ def test_velocity_rules():
     action = np.array([1.0, -2.0, 3.0])
     assert rules.velocity_reward(np.array(2.0), action, 1.25, 5.0, 0.1) == 2.5 + 5 - 1.4
 
-    def fell(height, tilt=0.0, rest=0.0, rim=False):
-        limits = ((0.7, 2.0), (-0.2, 0.2), 100.0, rim)
-        return bool(rules.fell(np.array(height), np.array(tilt), np.array([rest]), *limits))
-
-    assert not fell(1.25)
-    for state in [(0.7,), (2.0,), (1.0, 0.2), (1.0, -0.2), (1.0, 0.0, -100.0), (np.nan,)]:
-        assert fell(*state), state
-    assert not fell(0.7, rim=True)
-    assert not fell(2.0, rim=True)
-    assert fell(0.6999, rim=True)
-    assert fell(1.0, 0.0, np.nan, rim=True)
+    heights = np.array([0.6999, 0.7, 1.25, 2.0, np.nan])
+    np.testing.assert_array_equal(rules.outside(heights, (0.7, 2.0)), [1, 1, 0, 1, 1])
+    np.testing.assert_array_equal(rules.outside(heights, (0.7, 2.0), rim=True), [1, 0, 0, 0, 1])
+    states = np.array([[0.0, 99.9], [0.0, -100.0], [np.nan, 0.0]])
+    np.testing.assert_array_equal(rules.diverged(states, 100.0), [0, 1, 1])
 
 
 def test_lidar_against_a_plain_loop():
@@ -62,7 +56,8 @@ def test_lidar_against_a_plain_loop():
             row = expected[i, groups[k]]
             for at, value in [(b, s), (b + 1, share * s), (b - 1, (1 - share) * s)]:
                 row[at % 16] = max(row[at % 16], value)
-    seen = rules.lidar(position, frames[:, :, :2], targets, 3.0, groups)
+    inputs = targets - position[:, None, :2], position[:, 2], frames[:, :, :2]
+    seen = rules.Lidars(50, groups, 3.0)(*inputs)
     np.testing.assert_allclose(seen, expected.reshape(50, 48), atol=1e-12)
-    one = rules.lidar(position[3], frames[3, :, :2], targets[3], 3.0, groups)  # no leading axes
-    np.testing.assert_array_equal(one, seen[3])
+    alone = rules.Lidars(1, groups, 3.0)(*(array[3:4] for array in inputs))
+    np.testing.assert_array_equal(alone[0], seen[3])

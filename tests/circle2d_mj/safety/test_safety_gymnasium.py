@@ -59,6 +59,31 @@ def test_the_task_inside():
         _ = task.vases
 
 
+@pytest.mark.parametrize("name", ["SafetyPointGoal1-v0", "SafetyCarGoal1-v0"])
+def test_the_agent_as_model_based_code_reads_it(name):
+    """OmniSafe's: its rotation and sensors, and from them the places of objects in its frame."""
+    env = safety_gymnasium.make(name)
+    env.reset(seed=1)
+    for _ in range(20):
+        before = env.task.agent.pos
+        observation = env.step(np.array([0.7, 0.4]))[0]
+    agent = env.task.agent
+    sensors = ("accelerometer", "velocimeter", "gyro", "magnetometer")
+    equal(np.concatenate([agent.get_sensor(sensor) for sensor in sensors]), observation[:12])
+    np.testing.assert_allclose(agent.mat.T @ agent.mat, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(agent.mat.T @ [0.0, -0.5, 0.0], agent.get_sensor("magnetometer"))
+    seconds = env.unwrapped._envs.simulation.step_seconds
+    np.testing.assert_allclose(agent.vel, (agent.pos - before) / seconds, atol=0.1)
+    x, y, _ = (env.task.goal.pos * [1, 1, 0] - agent.pos) @ agent.mat
+    lidar = observation[agent_sensors(env) :][:16]
+    nearest = int(np.arctan2(y, x) * 16 / (2 * np.pi) % 16)
+    assert lidar[nearest] == pytest.approx(1 - np.hypot(x, y) / 3)
+
+
+def agent_sensors(env):
+    return env.unwrapped._envs.simulation.agent.sensors
+
+
 def test_bad_ids():
     for make in (safety_gymnasium.make, safety_gymnasium.vector.make):
         with pytest.raises(ValueError, match=r"id must be one of \['SafetyAntVelocity-v1', "):
@@ -171,6 +196,22 @@ def test_pictures_have_the_size_asked_for(opengl):
     env.close()
 
 
+def test_pictures_in_rows():
+    """Three of 2 x 1 pixels: two rows, the last place empty, a pixel of black around each."""
+    pictures = np.arange(1, 7).reshape(3, 2, 1, 1)
+    expected = [
+        [0, 0, 0, 0, 0, 0],
+        [0, 1, 0, 0, 3, 0],
+        [0, 2, 0, 0, 4, 0],
+        [0, 0, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0, 0],
+        [0, 5, 0, 0, 0, 0],
+        [0, 6, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0, 0],
+    ]
+    equal(safety_gymnasium.vector.tile_images(pictures, padding=1)[..., 0], expected)
+
+
 def test_install():
     """In a process of its own, and refused where the package itself has been imported."""
     code = """
@@ -179,6 +220,7 @@ import circle2d_mj.safety_gymnasium as ours
 ours.install(); ours.install()
 import safety_gymnasium
 from safety_gymnasium.vector.async_vector_env import SafetyAsyncVectorEnv
+from safety_gymnasium.vector.utils.tile_images import tile_images
 from safety_gymnasium.wrappers import SafeAutoResetWrapper
 assert safety_gymnasium is ours and importlib.util.find_spec("safety_gymnasium")
 assert len(safety_gymnasium.make("SafetyCarButton2-v0").reset()[0]) == 88
