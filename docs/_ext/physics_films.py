@@ -1,13 +1,14 @@
-"""Films of MuJoCo's own frames: `python docs/_ext/physics_films.py`. They need OpenGL, and are kept."""
+"""Films of MuJoCo's own frames, which need OpenGL, and are kept."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import circle2d_mj  # noqa: F401, registers the tasks
 import gymnasium as gym
 import numpy as np
 from PIL import Image
+
+import circle2d_mj  # noqa: F401, registers the tasks
 
 FILMS = Path(__file__).parents[1] / "films"
 PRESSED = {
