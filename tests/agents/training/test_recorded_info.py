@@ -117,10 +117,10 @@ def test_the_table_of_what_is_recorded_by_hand(runs):
         for length in lengths:
             for threshold in longest:
                 streak = longest_streak(beyond[start : start + length], threshold)
-                longest[threshold] = max(longest[threshold], streak)
+                longest[threshold] = max(longest[threshold], streak / length)
             start += int(length)
         for threshold, values in shares.items():
-            values[third].append(longest[threshold] / lengths.sum())
+            values[third].append(longest[threshold])
     for k, row in enumerate(table.rows):
         share, median, most, highest, above, high = (cell.value for cell in row.numbers)
         part = beyond[
