@@ -1,4 +1,4 @@
-"""Films of MuJoCo's own frames: `python docs/_ext/physics_films.py`. They need OpenGL, and are kept."""
+"""Films of MuJoCo's own frames, which need OpenGL, and are kept."""
 
 from __future__ import annotations
 

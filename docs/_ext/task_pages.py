@@ -14,7 +14,7 @@ from hyperparameters import texts
 
 from agents.paper.presets import PAPER_STEPS
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
-from circle2d_mj.circle2d.config import LEVELS
+from circle2d_mj.circle2d.config import LEVELS, PhysicsConfig
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
 from circle2d_mj.registration import KINEMATIC, PHYSICS
 from circle2d_mj.safety import agents as safety_agents
@@ -44,8 +44,7 @@ LEVEL = {
     "the start than the corridor.",
 }
 ARGUMENTS = {
-    "actuation": '"velocity": a servo that aims at the given velocity. "force": a motor, so that '
-    "braking has to be learned.",
+    "camera": '"top", "side" or "follow": frames that MuJoCo draws, with shadows and forces.',
     "num_threads": "Threads that step the environments. They change no number.",
     "max_episode_steps": "Steps after which an episode is truncated.",
     "render_mode": 'None, "rgb_array" or "human". Pictures need EGL or OSMesa.',
@@ -302,20 +301,21 @@ def _space_table(name: str, attribute: str, meanings: tuple[str, ...]) -> str:
 
 
 def _arguments(config: Circle2DConfig, env_class: type) -> list[str]:
-    explained = texts(Circle2DConfig)
-    rows = []
-    for field in dataclasses.fields(Circle2DConfig):
-        if field.name != "level":
-            default = f"`{field.default!r}`"
-            rows.append((f"`{field.name}`", default, explained[field.name]))
     own = inspect.signature(env_class.__init__).parameters
-    names = tuple(name for name in ("actuation", "num_threads") if name in own)
+    rows = []
+    for kind in (Circle2DConfig, *([PhysicsConfig] if "camera" in own else [])):
+        explained = texts(kind)
+        for field in dataclasses.fields(kind):
+            if field.name != "level":
+                default = "`{}`" if field.name == "randomize" else f"`{field.default!r}`"
+                rows.append((f"`{field.name}`", default, explained[field.name]))
+    names = tuple(name for name in ("num_threads", "camera") if name in own)
     return [_table(("argument", "default", "meaning"), rows + _extra(names, 50))]
 
 
 def _extra(names: tuple[str, ...], steps: int) -> list[tuple[str, str, str]]:
     """Rows of the arguments that are the environments' own."""
-    defaults = {"actuation": "velocity", "num_threads": 1, "max_episode_steps": steps}
+    defaults = {"num_threads": 1, "max_episode_steps": steps}
     shown = (*names, "max_episode_steps", "render_mode")
     return [(f"`{name}`", f"`{defaults.get(name)!r}`", ARGUMENTS[name]) for name in shown]
 
@@ -356,7 +356,9 @@ def _physics() -> str:
     return (
         "MuJoCo moves a ball with inertia, without friction. On level 0 the region is rigid, "
         "made of contact geometry; on levels 1 to 3 it is detected without force. A step takes "
-        "0.1 s: ten steps of 0.01 s. `circle2d scene` prints the scene as MJCF."
+        "0.1 s: ten steps of 0.01 s. `circle2d scene` prints the scene as MJCF. Mass, friction, "
+        "actuators and a region that pushes back are parameters: see "
+        "[environments](../../environments.md)."
     )
 
 

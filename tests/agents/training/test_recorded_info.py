@@ -1,21 +1,31 @@
 """Numbers of the info that a task has recorded: at every step, and nowhere else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_runs import SAC, TRPO
 from toys import Pressed, Walk
 
 import agents
+import emcc
 from agents.errors import UserError
+from agents.reporting.tables import recorded_table
 from agents.results.reading import read
 from agents.training.derive import unpack_costs
+from emcc import longest_streak
 
 OPTIONS = TRPO | {"seeds": (3, 4), "steps": 300}
 
 
-def steps_of(folder, name):
+def steps_of(folder, name, run="Pressed-v0/3"):
     files = [np.load(path) for path in sorted((folder / "steps").iterdir())]
-    return np.concatenate([file[f"Pressed-v0/3/{name}"] for file in files])
+    return np.concatenate([file[f"{run}/{name}"] for file in files])
+
+
+def unpacked(folder, name):
+    with np.load(folder / "results.npz") as arrays:
+        return unpack_costs(lambda key: arrays[f"Pressed-v0/3/info/{name}/{key}"], True)
 
 
 @pytest.fixture(scope="module")
@@ -83,3 +93,62 @@ def test_what_cannot_be_recorded(monkeypatch):
     )
     with pytest.raises(UserError, match=r"gives info\['x'\] = 'far', which is no number"):
         agents.train("trpo-lag", "Pressed-v0", **OPTIONS)
+
+
+def test_the_table_of_what_is_recorded_by_hand(runs):
+    """Of one run: shares, percentiles and streaks of each third, counted in loops."""
+    group = next(group for group in read([runs.folder], []) if group.task == "Pressed-v0")
+    one = replace(group, runs=group.runs[:1])
+    table = recorded_table([one])
+    assert table is not None
+    beyond = unpacked(runs.folder, "beyond")
+    assert [", ".join(row.name.split(", ")[-2:]) for row in table.rows] == [
+        f"beyond (m), {part}" for part in (0.33, 0.66, 0.99)
+    ]  # x may be negative
+    limit = float(f"{np.median(beyond[beyond > 0]):.2g}")
+    records, start = group.runs[0].records, 0
+    shares: dict[float, list[list[float]]] = {0.0: [[], [], []], limit: [[], [], []]}
+    for rollout in np.unique(records.rollout):
+        lengths = records.length[records.rollout == rollout]
+        third, longest = (
+            int(100 * start / 300 >= 33) + int(100 * start / 300 >= 66),
+            {0.0: 0, limit: 0},
+        )
+        for length in lengths:
+            for threshold in longest:
+                streak = longest_streak(beyond[start : start + length], threshold)
+                longest[threshold] = max(longest[threshold], streak / length)
+            start += int(length)
+        for threshold, values in shares.items():
+            values[third].append(longest[threshold])
+    for k, row in enumerate(table.rows):
+        share, median, most, highest, above, high = (cell.value for cell in row.numbers)
+        part = beyond[
+            [i for i in range(300) if (33 * k <= i / 3 < 33 * (k + 1)) or (i == 297 and k == 2)]
+        ]
+        assert share == pytest.approx((part > 0).mean())
+        told = np.percentile(part[part > 0], [50, 90, 100])
+        np.testing.assert_allclose([median, most, highest], told)
+        assert above == pytest.approx(emcc.emcc(shares[0.0][k], 0.1))
+        assert high == pytest.approx(emcc.emcc(shares[limit][k], 0.1))
+
+
+def test_a_report_shows_what_was_recorded_with_physics(tmp_path):
+    physics = {
+        "contact": "soft",
+        "cost": "force",
+        "force_limit": 5.0,
+        "randomize": {"mass": (0.5, 2)},
+    }
+    more = OPTIONS | {"seeds": 0, "steps": 2000, "task_parameters": physics}
+    runs = agents.train("trpo-lag", "Circle2DMuJoCo-1-v0", out=tmp_path / "x", **more)
+    force, cost = (
+        steps_of(runs.folder, n, "Circle2DMuJoCo-1-v0/0")
+        for n in ("info/contact_force", "costs/cost")
+    )
+    np.testing.assert_array_equal(cost, force > 5.0)
+    assert cost.any()
+    agents.report(runs)
+    written = (runs.folder / "report.md").read_text()
+    assert "## Circle2DMuJoCo-1-v0: recorded at each step" in written
+    assert "contact_force (N), 0.33" in written and "penetration (m), 0.99" in written

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import circle2d_mj
@@ -238,3 +239,59 @@ def test_human_mode_needs_a_screen(python):
 @pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="no xvfb-run on this machine")
 def test_human_mode(python):
     python(HUMAN, under=["xvfb-run", "-a"])
+
+
+FRAMES = """
+import sys
+import numpy as np
+from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
+frames = []
+for camera in ("top", "side", "follow"):
+    for parameters in ({"level": 0}, {"level": 1, "contact": "soft"}):
+        how = {"render_mode": "rgb_array", "camera": camera, "autoreset_mode": "Disabled"}
+        envs = Circle2DMuJoCoVectorEnv(1, **how, **parameters)
+        envs.reset(seed=0)
+        envs.simulation.dynamics.place(np.array([0]), np.array([[10.6, 0.0]]))
+        frames.append(envs.render()[0])
+        for _ in range(3):
+            force = envs.step(np.array([[-1.0, 0.0]]))[-1]["contact_force"]
+        assert force > 0
+        frames.append(envs.render()[0])
+        envs.close()
+np.save(sys.argv[1], frames)
+"""
+
+
+@pytest.fixture
+def mujocos_frames(python, tmp_path):
+    """Frames of each camera, rigid and soft, before and in contact: [3, 2, 2, 640, 640, 3]."""
+
+    def draw(backend):
+        python(FRAMES, str(tmp_path / f"{backend}.npy"), MUJOCO_GL=backend)
+        return np.load(tmp_path / f"{backend}.npy").reshape(3, 2, 2, 640, 640, 3).astype(int)
+
+    return draw
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", EACH)
+def test_mujocos_frames_show_ball_shadow_and_force(mujocos_frames, backend):
+    for camera in mujocos_frames(backend):
+        for frames in camera:
+            red, green, blue = np.moveaxis(frames, -1, 0)
+            ball = (red > 2 * green) & (blue > green)
+            arrow = (red > 1.5 * green) & (green > 1.5 * blue)
+            grey = np.ptp(frames, axis=-1) < 3  # floor, region and shadow
+            assert ball[0].any()
+            assert not arrow[0].any()
+            assert arrow[1].any()
+            assert len(np.unique(red[0][grey[0]])) >= 3
+
+
+@pytest.mark.slow
+@needs("egl", "osmesa")
+def test_egl_and_osmesa_draw_the_same(mujocos_frames):
+    """But for edges of shapes and of shadows."""
+    off = np.abs(mujocos_frames("egl") - mujocos_frames("osmesa")).max(axis=-1)
+    assert (off > 8).mean() < 0.01
+    assert off.mean() < 1.0
