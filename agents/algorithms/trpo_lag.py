@@ -41,7 +41,7 @@ def advantage(
     return (reward_advantage - penalty) / (1.0 + multipliers.sum(dim=1, keepdim=True))
 
 
-def step(config: TRPOLagConfig, problem: Problem) -> Step:
+def step(config: TRPOConfig, problem: Problem) -> Step:
     """The natural gradient, to the boundary of the trust region: TRPO's own step."""
     runs = len(problem.excess)
     return Step(

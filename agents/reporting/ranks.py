@@ -56,20 +56,24 @@ def limits(cells: Cells) -> dict[str, float | None]:
     told: dict[str, set[float]] = {}
     for own in cells.values():
         for task, group in own.items():
-            told.setdefault(task, set()).update({group.limit} - {None})
-    return {task: next(iter(some)) if len(some) == 1 else None for task, some in told.items()}
+            if group.limit is not None:
+                told.setdefault(task, set()).add(group.limit)
+    tasks = next(iter(cells.values()))
+    return {task: told[task].pop() if len(told.get(task, ())) == 1 else None for task in tasks}
 
 
 def columns(cells: Cells) -> dict[str, tuple[int, Callable[[Group, Run], float | None]]]:
     """The measures that are ranked by their heads: 1 where the lower is the better, else -1, and
     the value of a run."""
     common = limits(cells)
-    named = [(f"EMCC_{part}", 1) for part in PARTS] + [("cost_rate", 1), ("J_R", -1)]
-    made = {
-        name.replace("_rate", " rate"): (sign, lambda _, run, name=name: run.measures.get(name))
-        for name, sign in named
-    }
+
+    def measured(name: str) -> Callable[[Group, Run], float | None]:
+        return lambda group, run: run.measures.get(name)
+
+    made = {f"EMCC_{part}": (1, measured(f"EMCC_{part}")) for part in PARTS}
+    made["cost rate"] = 1, measured("cost_rate")
     made["violation rate"] = 1, lambda group, run: violation_rate(run, common[group.task])
+    made["J_R"] = -1, measured("J_R")
     return made
 
 
@@ -199,7 +203,7 @@ def order_row(name: str, rates: Mapping[str, list[float]], emccs: Mapping[str, l
         pair if rate[pair[0]] < rate[pair[1]] else pair[::-1] for pair in combinations(rate, 2)
     ]
     swapped = [(a, b) for a, b in pairs if rate[a] < rate[b] and emcc[a] > emcc[b]]
-    tau = float(kendalltau(list(rate.values()), list(emcc.values())).statistic)
+    tau = float(np.asarray(kendalltau(list(rate.values()), list(emcc.values())))[0])
     counts = [
         Number(len(swapped), total=len(pairs)),
         Number(None if np.isnan(tau) else tau, 2, signed=True),

@@ -177,7 +177,11 @@ def test_what_each_algorithm_records():
     assert set(metrics["sac-lag"]) == set(metrics["wcsac"]) == off_policy | {"multiplier"}
     first_order = ("kl", "clipped", "critic_loss", "cost_critic_loss", "std")
     assert metrics["ppo"] == first_order
-    assert metrics["ppo-lag"] == (*first_order, "multiplier")
+    assert metrics["ppo-lag"] == metrics["cup"] == metrics["ipo"] == (*first_order, "multiplier")
+    assert metrics["p3o"] == first_order
+    assert metrics["pcpo"] == metrics["cpo"]
+    assert metrics["crpo"] == metrics["c-trpo"] == metrics["trpo-lag"]
+    assert set(metrics["cal"]) == set(metrics["sac-lag"])
 
 
 def test_sync_and_async_give_the_same():

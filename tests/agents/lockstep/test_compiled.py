@@ -37,9 +37,9 @@ def compiler():
 @pytest.mark.parametrize(
     ("names", "one", "all_"),
     [
-        (("sac-lag", "sac-lb", "wcsac", "sac", "sac-lag pid"), 1e-5, 1e-5),
-        (("trpo-lag", "cpo", "trpo-lag pid"), 1e-4, np.inf),
-        (("ppo-lag", "ppo"), 1e-4, np.inf),
+        (("sac-lag", "sac-lb", "wcsac", "sac", "sac-lag pid", "cal"), 1e-5, 1e-5),
+        (("trpo-lag", "cpo", "trpo-lag pid", "c-trpo"), 1e-4, np.inf),
+        (("cup", "focops", "p3o", "ppo-lag", "ppo"), 1e-4, np.inf),
     ],
 )
 def test_compiled_is_eager_but_for_rounding(names, one, all_, compiler):
