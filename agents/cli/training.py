@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -382,7 +382,7 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
         for task in config.tasks:
             check_enough_steps(task, parameters, config.steps, config.hyperparameters)
     begun = (TrainConfig.read(f).backend for f in configs if (f / "config.json").exists())
-    usual: BackendChoice = "eager" if options.quick else next(begun, "auto")  # pyright: ignore[reportAssignmentType]
+    usual = cast("BackendChoice", "eager" if options.quick else next(begun, "auto"))
     backend = lockstep_backend.choose(options.backend or usual)
     lockstep_backend.require(backend == "compiled", options.device)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}
