@@ -25,8 +25,8 @@ class CRPOConfig(TRPOConfig):
     """Hyper-parameters of CRPO. The recorded multiplier is 1 in epochs that step against cost."""
 
     tolerance: Annotated[float, In(0, 1e9)] = 0.5
-    """By how much the cost of an episode may exceed the limit in a step for the reward, η. Xu et
-    al.: 0.5; OmniSafe: 2."""
+    """By how much the cost of an episode may exceed the limit in a step for the reward, η. Our
+    choice; OmniSafe: 2."""
 
 
 def rectifies(config: CRPOConfig, before: Tensor, cost: Tensor) -> Tensor:
