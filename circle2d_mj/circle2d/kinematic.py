@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import Circle2DConfig
-from circle2d_mj.circle2d.simulation import Move
+from circle2d_mj.circle2d.task import Move
 from circle2d_mj.core.simulation import State
 from circle2d_mj.core.streams import Streams
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.circle2d.task import Move
 from circle2d_mj.core.simulation import Outcome, State
 from circle2d_mj.core.streams import Streams
 
@@ -27,15 +28,6 @@ if TYPE_CHECKING:
 
 DRAWERS = ("_renderer", "_offscreen", "_window")
 FRAME_SIZE = 640
-
-
-class Move(NamedTuple):
-    """Result of a step of the dynamics: fresh arrays, an entry for each environment."""
-
-    contact: NDArray[np.bool_]
-    """[num_envs], whether the agent touched the cost region, for `task.cost`"""
-    info: dict[str, NDArray[np.float64]]
-    """[num_envs] for each of `Dynamics.info_units`"""
 
 
 class Dynamics(Protocol):

@@ -8,11 +8,21 @@ goes. Source: safe_exploration.tex, "Circle2D details"; what it leaves open defi
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj.circle2d.config import Circle2DConfig
+
+
+class Move(NamedTuple):
+    """Result of a step of the dynamics: fresh arrays, an entry for each environment."""
+
+    contact: NDArray[np.bool_]
+    """[num_envs], whether the agent touched the cost region, for `cost`"""
+    info: dict[str, NDArray[np.float64]]
+    """[num_envs] for each of `Dynamics.info_units`"""
 
 
 def observe(

@@ -14,6 +14,7 @@ from agents.cli import training
 from agents.cli.main import main
 from agents.cli.options import parse
 from agents.paper import grid
+from agents.paper.presets import PAPER_ALGORITHMS
 
 COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3"]
 COMMAND += ["--steps", "2000", "--workers", "1", "--backend", "eager", "--out"]
@@ -94,7 +95,7 @@ def test_quick_is_small_and_safety_is_the_papers():
     assert {config.steps for config in configs.values()} == {10_000}
     assert {config.seeds for config in configs.values()} == {(0, 1)}
     # Two seeds on four levels train in one folder.
-    assert set(configs) == {Path("runs", name) for name in options_of().algorithms}
+    assert set(configs) == {Path("runs", name) for name in PAPER_ALGORITHMS}
     configs = trainings("--safety")
     assert {task for c in configs.values() for task in c.tasks} == set(grid.SAFETY)
     assert {config.steps for config in configs.values()} == {10_000_000}

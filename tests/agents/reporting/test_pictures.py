@@ -112,9 +112,12 @@ def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
         (["render", "{folder}", "--out", "film.avi"], "out must end in .png or .gif or .mp4"),
         (["render", "{folder}", "--seed", "7"], r"no run of seed 7"),
         (["render", "{folder}", "--episodes", "0"], r"episodes must be in \[1, 100\], got 0"),
-        (["scene", "--level", "7"], "level must be one of"),
+        (["scene", "--task-parameters", "level", "7"], "level must be one of"),
         (["scene", "--actuation", "magic"], "magic"),
-        (["scene", "--constraint-radius", "1e9"], "constraint_radius must be in"),
+        (
+            ["scene", "--task-parameters", "constraint_radius", "1e200"],
+            "constraint_radius must be at least",
+        ),
     ],
 )
 def test_mistakes(arguments, message, folder, capsys):
