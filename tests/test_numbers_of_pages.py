@@ -66,12 +66,13 @@ def test_the_pages_on_results_are_short(name, most):
 
 
 def test_the_readmes_table():
-    for name in ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC", "SAC-LB-Streak"):
-        grid = "solve" if name == "SAC-LB-Streak" else "circle2d"
+    for name in ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC", UNITS, "SAC-LB-Streak"):
+        grid = "solve" if name in (UNITS, "SAC-LB-Streak") else "circle2d"
         own = runs(results_table.report(grid), "Circle2D-1-v0", name)
         mean = own[["EMCC_0.33", "EMCC_0.99", "cost_rate", "J_R", "J_C"]].mean()
         numbers = " | ".join(f"{value:.2f}" for value in mean)
-        assert f"| {name} | {numbers} | {count(solved(own))} |" in page("README.md")
+        title = name.replace("(input_scale 15.0)", "in units of length")
+        assert f"| {title} | {numbers} | {count(solved(own))} |" in page("README.md")
 
 
 def test_the_verdicts():
@@ -165,10 +166,27 @@ def test_sac_lb_in_units_of_length_against_the_preset():
     ]
     table = [[int(side.sum()), int((~side).sum())] for side in sides]
     p = scipy.stats.fisher_exact(table).pvalue
+    text = " ".join(page("results/solve/README.md").split())
+    text = " ".join(page("results/solve/README.md").split())
+    text = " ".join(page("results/solve/README.md").split())
+    text = " ".join(page("results/solve/README.md").split())
+    text = " ".join(page("results/solve/README.md").split())
+    text = " ".join(page("results/solve/README.md").split())
     told = f"{count(sides[1])} instead of {count(sides[0])} (Fisher's exact test, "
-    assert told + results_table.p_value(p) + ")" in " ".join(
-        page("results/solve/README.md").split()
-    )
+    assert f"{told}{results_table.p_value(p)})" in text
+    share = emcc.share(int(sides[1].sum()), len(sides[1]))
+    told = f"in {count(sides[1])} runs [{short(share.low)}, {short(share.high)}]: the strongest"
+    assert told in " ".join(page("results/README.md").split())
+    every = [
+        pd.concat([solved(runs(fresh, task, name)) for task in LEVELS])
+        for name in ("SAC-LB-Streak", UNITS)
+    ]
+    table = [[int(side.sum()), int((~side).sum())] for side in every]
+    p = results_table.p_value(scipy.stats.fisher_exact(table).pvalue)
+    assert f"They do: {count(every[0])} runs instead of {count(every[1])} ({p})" in text
+    for side in every:
+        share = emcc.share(int(side.sum()), len(side))
+        assert f"{count(side)} runs [{short(share.low)}, {short(share.high)}]." in text
 
 
 def test_the_example_of_ties():

@@ -117,24 +117,19 @@ def equal_rates() -> list[str]:
 
 
 def solving() -> list[str]:
-    """A row for each level and judged algorithm: runs that solve it, within the limit, and means.
-    SAC-LB's are the grid's, the others fresh seeds."""
+    """A row for each level and judged algorithm: runs of ten that solve it, and within the limit,
+    and means. SAC-LB's are the grid's, the others fresh seeds."""
     sources, rows = {"SAC-LB": report("circle2d")}, []
     fresh = report("solve")
     for task in (*LEVELS, "Circle2DMuJoCo-0-v0", "Circle2DMuJoCo-1-v0"):
         for name in ("SAC-LB", UNITS, "SAC-LB-Streak"):
             own = runs(sources.get(name, fresh), task, name)
             if len(own):
-                title = name.replace("(input_scale 15.0)", "in units of length")
-                level = task[9] if task in LEVELS else f"{task[15]}, MuJoCo"
-                rows.append(_row(level, title, *_shares(own), *means(own)))
+                title = name.replace("SAC-LB (input_scale 15.0)", "in units of length")
+                level = task[9] if task in LEVELS else f"{task[15]}, physics"
+                thirds, *others = means(own)
+                rows.append(_row(level, title, _counts(own), thirds.replace(" ", "/"), *others))
     return rows
-
-
-def _shares(own: pd.DataFrame) -> list[str]:
-    shares = [emcc.share(int(chosen.sum()), len(own)) for chosen in (solved(own), within(own))]
-    both = zip((solved(own), within(own)), shares, strict=True)
-    return [f"{count(chosen)} [{short(s.low)}, {short(s.high)}]" for chosen, s in both]
 
 
 def compared() -> list[str]:
@@ -154,15 +149,15 @@ def compared() -> list[str]:
 
 
 def parts() -> list[str]:
-    """A row for each part of SAC-LB-Streak: runs that solve their level without it and with all,
-    and by how much means are higher without it. p values: of counts Fisher's exact test, of means
+    """A row for each part of SAC-LB-Streak: runs that solve their level without it, and by how much
+    means are higher without it. p values: of counts Fisher's exact test, of means
     the permutation test over levels, either corrected for all of the table (Holm)."""
     lines, counts, gaps, of_counts, of_gaps = report("solve"), {}, {}, {}, {}
     for part in PARTS:
         levels = [task for task in LEVELS if len(_part(lines, task, f"-{part}"))]
         sides = [[_part(lines, task, end) for task in levels] for end in (f"-{part}", "")]
         good = [pd.concat([solved(side) for side in of_levels]) for of_levels in sides]
-        counts[part] = ", ".join(map(count, good))
+        counts[part] = count(good[0])
         table = [[int(chosen.sum()), int((~chosen).sum())] for chosen in good]
         of_counts[part] = float(scipy.stats.fisher_exact(table).pvalue)
         for name in SAFETY_MEASURES:
@@ -179,8 +174,8 @@ def parts() -> list[str]:
     return [
         _row(
             title,
-            f"{counts[part]} ({p_value(holm[0][part])})",
-            *(f"{_gap(gaps[part, m])} ({p_value(holm[1][part, m])})" for m in SAFETY_MEASURES),
+            f"{counts[part]} ({_p(holm[0][part])})",
+            *(f"{_gap(gaps[part, m])} ({_p(holm[1][part, m])})" for m in SAFETY_MEASURES),
         )
         for part, title in PARTS.items()
     ]
@@ -190,18 +185,8 @@ def _part(lines: pd.DataFrame, task: str, end: str) -> pd.DataFrame:
     return lines[(lines.kind == "run") & (lines.folder == f"{task}-sac-lb-streak{end}")]
 
 
-def safety() -> list[str]:
-    """A row for each Safety task and algorithm: means, with the range of J_R and J_C."""
-    lines, rows = report("solve/safety"), []
-    for (task, name), own in lines[lines.kind == "run"].groupby(["task", "algorithm"]):
-        ranges = [
-            f"{own[k].mean():.1f}, from {own[k].min():.1f} to {own[k].max():.1f}"
-            for k in ("J_R", "J_C")
-        ]
-        title = str(task).partition("/Safety")[2].rpartition("-")[0]
-        limit = count(own.J_C <= 25)
-        rows.append(_row(title, str(name).partition(" (")[0], *means(own)[:2], *ranges, limit))
-    return rows
+def _p(value: float) -> str:
+    return p_value(value).removeprefix("p ").removeprefix("= ").replace("< ", "<")
 
 
 def _gap(value: float) -> str:
@@ -215,7 +200,7 @@ def _row(*cells: str) -> str:
 
 PAGES = {
     "README.md": (grid, equal_rates),
-    "solve/README.md": (solving, compared, parts, safety),
+    "solve/README.md": (solving, compared, parts),
 }
 """The tables of each page."""
 

@@ -97,7 +97,7 @@ def mistake(arguments, capsys):
         ([*REPRODUCE, "--levels", "4"], "some of \\[0, 1, 2, 3\\], got \\[4\\]"),
         ([*REPRODUCE, "--levels", "1", "--safety"], "give one of tasks, safety, and levels"),
         ([*REPRODUCE, "--tasks", "Nope-v3", "--steps", "9e3"], "Nope"),
-        ([*REPRODUCE, "--algorithms", "cop"], "did you mean 'sac-lag'"),
+        ([*REPRODUCE, "--algorithms", "sac-lga"], "did you mean 'sac-lag'"),
         ([*REPRODUCE, "--algorithms"], "algorithms must be some of trpo-lag, .*, got none"),
         ([*REPRODUCE, "--workers", "0"], r"workers must be in \[1, 1024\], got 0"),
         ([*REPRODUCE, "--steps", "100"], "for a table, got 100"),
