@@ -301,15 +301,21 @@ def _in_lines(cell: Cell) -> tuple[str, bool]:
 
 
 def _broken(cell: str, width: int) -> str:
-    """A cell in lines of at most the width, where words allow it; brackets stay together."""
+    """A cell in lines of at most the width, where words allow it; short brackets stay together."""
     lines: list[str] = []
-    for word in re.findall(r"(?:\[[^\]]*\]|\([^)]*\)|\S)+", cell):
+    for word in _words(cell, width):
         joined = f"{lines[-1]} {word}" if lines else word
         if lines and len(joined) <= width:
             lines[-1] = joined
         else:
             lines.append(word)
     return "\n".join(lines)
+
+
+def _words(cell: str, width: int) -> Iterator[str]:
+    """Words, with brackets as one word unless they are longer than the width."""
+    for word in re.findall(r"(?:\[[^\]]*\]|\([^)]*\)|\S)+", cell):
+        yield from [word] if len(word) <= width else word.split()
 
 
 def _width(column: Column) -> int:
