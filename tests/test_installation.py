@@ -122,7 +122,7 @@ def test_the_lowest_versions(wheel, tmp_path, opengl):
     circle2d("compare", "runs/sac", "runs/sac", "--out", "both")
     circle2d("heatmap", "runs/sac")
     circle2d("render", "runs/sac", "--out", "film.mp4", "--episodes", "1")
-    (tmp_path / "scene.xml").write_text(circle2d("scene", "--level", "3"))
+    (tmp_path / "scene.xml").write_text(circle2d("scene", "Circle2DMuJoCo-3-v0"))
     load = "import mujoco; mujoco.MjModel.from_xml_path('scene.xml')"
     run(tmp_path, "venv/bin/python", "-c", load)
     assert "EMCC" in run(tmp_path, "venv/bin/python", "-m", "emcc", "runs/sac").stdout

@@ -113,7 +113,7 @@ def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
         (["render", "{folder}", "--seed", "7"], r"no run of seed 7"),
         (["render", "{folder}", "--episodes", "0"], r"episodes must be in \[1, 100\], got 0"),
         (["scene", "--task-parameters", "level", "7"], "level must be one of"),
-        (["scene", "--actuation", "magic"], "magic"),
+        (["scene", "--task-parameters", "actuation", "magic"], "magic"),
         (
             ["scene", "--task-parameters", "constraint_radius", "1e200"],
             "constraint_radius must be at least",
