@@ -69,7 +69,7 @@ def ours(name, runs):
 
 
 def speed(command):
-    """What a process prints last."""
+    """The last line that a process prints."""
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     return float(done.stdout.split()[-1])

@@ -24,8 +24,8 @@ class PCPOConfig(TRPOConfig):
     """Hyper-parameters of PCPO."""
 
     projection: Literal["kl", "l2"] = "kl"
-    """What the projection keeps small: the KL divergence from the policy of the reward's step, or
-    the distance of the parameters (l2). Both in Yang et al."""
+    """Distance that the projection keeps small: the KL divergence from the policy of the reward's
+    step, or the distance of the parameters (l2). Both in Yang et al."""
     line_search_steps: Annotated[int, In(1, 10_000)] = 200
     """Lengths of a step that are tried at most; a projection may be far longer than the trust
     region. 200 as in OmniSafe."""

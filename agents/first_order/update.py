@@ -107,7 +107,7 @@ class Objective(NamedTuple):
     costs: int = 1
     """How many costs are learned."""
     surrogates: tuple[Surrogate, ...] = (clipped,)
-    """What the actor's passes over an epoch raise: for each all of the passes, in turn."""
+    """Objectives of the actor's passes over an epoch: for each all of the passes, in turn."""
 
 
 def surrogate_at(

@@ -104,7 +104,7 @@ def weights(runs: Sequence[NDArray[np.float64]], rng: np.random.Generator) -> Dr
 
 
 def ranks_and_wins(table: Sequence[Sequence[NDArray[np.float64]]]) -> tuple[Draws, Draws]:
-    """Of each algorithm its mean rank over tasks, of the means over runs, 1 the best, and the
+    """Each algorithm's mean rank over tasks, of the means over runs, 1 the best, and the
     probability that a run of it is better than one of another algorithm on the same task, equal
     ones half: [RESAMPLES + 1, algorithms] each."""
     from scipy.stats import rankdata

@@ -182,7 +182,7 @@ def _task_tables(
 
 
 def _recorded(by_task: dict[str, list[Group]]) -> dict[str, Table]:
-    """What tasks have recorded at each step, by title."""
+    """Tables of the numbers that tasks have recorded at each step, by title."""
     told = {f"{task}: recorded at each step": recorded_table(g) for task, g in by_task.items()}
     return {title: table for title, table in told.items() if table is not None}
 

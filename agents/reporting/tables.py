@@ -326,7 +326,7 @@ HEAD_OF_RECORDED = ("steps above 0", "median", "90 %", "max", "EMCC above 0")
 
 
 def recorded_table(groups: Sequence[Group]) -> Table | None:
-    """What a task has recorded at each step, by third of training: how many steps are above 0, how
+    """Numbers recorded at each step, by third of training: how many steps are above 0, how
     much it is there, and EMCC of the steps above a threshold. None where nothing is recorded.
 
     groups: of one task. The threshold is the median of all values above 0, to two digits.

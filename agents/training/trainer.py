@@ -153,7 +153,7 @@ class Trainer:
         self.epoch += 1
 
     def _recorded(self) -> list[dict[str, NDArray[np.float32]]]:
-        """What the environments of each run recorded of their steps: arrays [T, E, ...] by name."""
+        """Arrays [T, E, ...] that each run's environments recorded of their steps, by name."""
         recorded, seeds = [], len(self.config.seeds)
         for part in self._envs.parts:
             split = {name: np.split(c, seeds, axis=1) for name, c in part.recorded.items()}

@@ -77,7 +77,7 @@ class Step(NamedTuple):
     case: Tensor
     """[R]: which case of the algorithm the step is, for the records"""
     divergence: Divergence = lambda kl, cost_growth: kl
-    """What the line search keeps at or below δ."""
+    """Divergence that the line search keeps at or below δ."""
 
 
 class Accepted(NamedTuple):

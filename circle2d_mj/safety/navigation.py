@@ -66,7 +66,7 @@ class NavigationTask(MuJoCoTask):
         self._time = self.batch.bind("time").reshape(n)
         rotations = self.batch.bind("xmat").reshape(n, -1, 3, 3)
         self.rotations = rotations[:, 1 : 1 + self.agent.bodies]
-        """Of the agent's bodies, the agent first: [num_envs, bodies, 3, 3]"""
+        """Orientations of the agent's bodies, the agent first: [num_envs, bodies, 3, 3]"""
         rows = self.world.rows
         counts = [rows[kind].stop - rows[kind].start for kind in scene.lidars]
         groups = np.repeat(np.arange(len(counts)), counts)

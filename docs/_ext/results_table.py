@@ -30,7 +30,7 @@ PARTS = {
     "without-speed": "its own step sizes and batches",
     "margin": "streak cost, but with a margin: a limit of 3.5",
 }
-"""What SAC-LB-Streak was trained without, by the ends of its folders' names."""
+"""Parts that SAC-LB-Streak was trained without, by the ends of its folders' names."""
 
 
 def report(grid: str) -> pd.DataFrame:
