@@ -43,9 +43,7 @@ if TYPE_CHECKING:
     from agents.errors import UserError
     from agents.runs import Runs, load_runs
     from agents.training.callbacks import Epoch
-    from agents.training.playing import Evaluation, evaluate
-    from agents.training.policy import Policy, load_policy
-    from agents.training.pretrained import pretrained
+    from agents.training.policy import Evaluation, Policy, evaluate, load_policy, pretrained
 
 __all__ = (
     "Algorithm",
@@ -71,9 +69,7 @@ _HOMES = {
     "agents.errors": ("UserError",),
     "agents.runs": ("Runs", "load_runs"),
     "agents.training.callbacks": ("Epoch",),
-    "agents.training.playing": ("Evaluation", "evaluate"),
-    "agents.training.policy": ("Policy", "load_policy"),
-    "agents.training.pretrained": ("pretrained",),
+    "agents.training.policy": ("Evaluation", "Policy", "evaluate", "load_policy", "pretrained"),
 }
 """Names by the module that has them, which is imported when one is first asked for."""
 

@@ -15,7 +15,7 @@ import pytest
 
 from agents.algorithms import ALGORITHMS
 from agents.cli.main import COMMANDS
-from agents.training.pretrained import pretrained
+from agents.training.policy import pretrained
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.registration import CIRCLE2D, SAFETY
 

@@ -16,9 +16,15 @@ from agents.algorithms import Algorithm, trpo_lag
 from agents.algorithms.crpo import advantage  # of the reward, or in recovery against the cost
 from agents.checks import In
 from agents.lockstep.lagrange import PROJECTED, Multiplier
-from agents.trust_region.learner import TrustRegion
-from agents.trust_region.natural_gradient import Problem, Step, conjugate_gradient, dot
-from agents.trust_region.policy_step import StepRule, TRPOConfig
+from agents.trust_region import (
+    Problem,
+    Step,
+    StepRule,
+    TRPOConfig,
+    TrustRegion,
+    conjugate_gradient,
+    dot,
+)
 
 
 @dataclass(frozen=True)

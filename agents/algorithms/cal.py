@@ -17,8 +17,8 @@ from agents.algorithms import Algorithm
 from agents.algorithms.sac_lag import penalty
 from agents.checks import In
 from agents.lockstep.lagrange import EXP, Multiplier, MultiplierConfig
-from agents.lockstep.replay import Batch
 from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
+from agents.sac.replay import Batch
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,7 @@ from torch import Tensor
 
 from agents.algorithms import Algorithm
 from agents.algorithms.ppo import advantage  # of reward alone: costs enter as a constraint
-from agents.trust_region.learner import TrustRegion
-from agents.trust_region.natural_gradient import Problem, Step, dot
-from agents.trust_region.policy_step import StepRule, TRPOConfig
+from agents.trust_region import Problem, Step, StepRule, TRPOConfig, TrustRegion, dot
 
 INSIDE, PARTLY, RECOVERABLE, RECOVERY = 1, 2, 3, 4
 """The cases of the step: the trust region lies wholly on the allowed side (or costs do not depend

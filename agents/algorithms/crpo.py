@@ -16,8 +16,7 @@ from agents.algorithms import Algorithm
 from agents.algorithms.trpo_lag import step
 from agents.checks import In
 from agents.lockstep.lagrange import PROJECTED, Multiplier
-from agents.trust_region.learner import TrustRegion
-from agents.trust_region.policy_step import StepRule, TRPOConfig
+from agents.trust_region import StepRule, TRPOConfig, TrustRegion
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,9 @@ from torch import Tensor
 
 from agents.algorithms import Algorithm
 from agents.checks import In
-from agents.first_order import FirstOrder, FirstOrderConfig, Objective
-from agents.first_order.update import Minibatch, mean
+from agents.first_order import FirstOrder, FirstOrderConfig, Minibatch, Objective, mean
 from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier, MultiplierConfig
-from agents.on_policy.gaussian import Gaussian
-from agents.on_policy.state import EpisodeCostLimit
+from agents.on_policy.state import EpisodeCostLimit, Gaussian
 
 
 @dataclass(frozen=True)

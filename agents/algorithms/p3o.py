@@ -15,10 +15,8 @@ from torch import Tensor
 from agents.algorithms import Algorithm
 from agents.algorithms.ppo import advantage  # of reward alone: costs enter in the penalty
 from agents.checks import In
-from agents.first_order import FirstOrder, Objective, PPOConfig
-from agents.first_order.update import Minibatch, clipped, mean
-from agents.on_policy.gaussian import Gaussian
-from agents.on_policy.state import EpisodeCostLimit
+from agents.first_order import FirstOrder, Minibatch, Objective, PPOConfig, clipped, mean
+from agents.on_policy.state import EpisodeCostLimit, Gaussian
 
 
 @dataclass(frozen=True)

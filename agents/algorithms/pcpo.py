@@ -14,9 +14,7 @@ import torch
 from agents.algorithms import Algorithm
 from agents.algorithms.ppo import advantage  # of reward alone: costs enter in the projection
 from agents.checks import In
-from agents.trust_region.learner import TrustRegion
-from agents.trust_region.natural_gradient import Problem, Step, dot
-from agents.trust_region.policy_step import StepRule, TRPOConfig
+from agents.trust_region import Problem, Step, StepRule, TRPOConfig, TrustRegion, dot
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,7 @@ import torch
 
 from agents.algorithms import Algorithm, trpo_lag
 from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier
-from agents.trust_region.learner import TrustRegion
-from agents.trust_region.natural_gradient import Problem, Step
-from agents.trust_region.policy_step import StepRule
+from agents.trust_region import Problem, Step, StepRule, TrustRegion
 
 
 @dataclass(frozen=True)

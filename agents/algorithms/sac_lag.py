@@ -13,8 +13,8 @@ from torch import Tensor
 
 from agents.algorithms import Algorithm
 from agents.lockstep.lagrange import SOFTPLUS, Multiplier, MultiplierConfig
-from agents.lockstep.replay import Batch
 from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy, SACConfig
+from agents.sac.replay import Batch
 
 
 @dataclass(frozen=True)

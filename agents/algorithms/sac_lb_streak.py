@@ -3,7 +3,7 @@
 SAC-LB as in the paper's grid stays in the local optima of levels 2 and 3, and its EMCC falls late.
 Streak cost makes EMCC an objective: a long violation costs more than many short ones, and the
 critics see how long one has lasted. The other changes are for exploration. A bonus for states that
-a run has seldom seen (see `agents.sac.novelty`) leads it along the rim of the region, where the
+a run has seldom seen (see `agents.sac.replay`) leads it along the rim of the region, where the
 reward is flat, while the barrier keeps it from the region. Brown random actions show the critics
 the region's far side, and a quarter of each batch keeps showing it (as prior data in RLPD, Ball et
 al. 2023). The reward critics bootstrap at the time limit: the observation does not contain the
@@ -24,7 +24,7 @@ from agents.algorithms import Algorithm
 from agents.algorithms.sac_lb import RULE, SACLBConfig
 from agents.checks import In
 from agents.sac import OffPolicy
-from agents.sac.config import TimeLimit
+from agents.sac.update import TimeLimit
 
 
 @dataclass(frozen=True)

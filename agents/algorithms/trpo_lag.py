@@ -14,9 +14,7 @@ from torch import Tensor
 
 from agents.algorithms import Algorithm
 from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier, MultiplierConfig
-from agents.trust_region.learner import TrustRegion
-from agents.trust_region.natural_gradient import Problem, Step
-from agents.trust_region.policy_step import StepRule, TRPOConfig
+from agents.trust_region import Problem, Step, StepRule, TRPOConfig, TrustRegion
 
 
 @dataclass(frozen=True)

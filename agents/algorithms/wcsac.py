@@ -18,8 +18,8 @@ from torch.nn.functional import softplus
 from agents.algorithms import Algorithm
 from agents.checks import In
 from agents.lockstep.lagrange import EXP, Multiplier, MultiplierConfig
-from agents.lockstep.replay import Batch
 from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
+from agents.sac.replay import Batch
 
 VARIANCE = (1e-8, 1e8)
 """Where variances are clamped."""

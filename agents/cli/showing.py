@@ -27,8 +27,7 @@ from agents.export import Format
 from agents.reporting.table import show
 from agents.training.config import TrainConfig
 from agents.training.environments import task_id, unscaled
-from agents.training.policy import chosen_run
-from agents.training.pretrained import folder_of
+from agents.training.policy import chosen_run, folder_of
 from agents.training.progress import working
 from circle2d_mj.circle2d.config import Camera
 from circle2d_mj.registration import PHYSICS

@@ -15,8 +15,7 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from agents.checks import In, Settings
-from agents.lockstep.adam import Moments, adam, no_moments
-from agents.lockstep.nets import LANES
+from agents.lockstep.nets import LANES, Moments, adam, no_moments
 
 PID_SMOOTHING = 0.95
 """Share of the old value in the smoothed cost, whose growth the derivative term sees. Source: code

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from agents.errors import UserError
 
@@ -133,3 +133,57 @@ def _silu(x: NDArray) -> NDArray:
 
 
 _IN_NUMPY = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0), "silu": _silu}
+
+
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
+
+
+class Moments(NamedTuple):
+    """Adam's optimiser state of parameters [R, ...]."""
+
+    mean: Tensor
+    square: Tensor
+    decay1: Tensor
+    """β₁ᵗ [R, 1, ...]. Kept as a product, since a power differs in its last bit between lanes."""
+    decay2: Tensor
+    """β₂ᵗ [R, 1, ...]."""
+
+
+def no_moments(params: Tensor) -> Moments:
+    """The moments before the first step."""
+    one = torch.ones([params.shape[0]] + [1] * (params.dim() - 1))
+    return Moments(torch.zeros_like(params), torch.zeros_like(params), one, one.clone())
+
+
+def adam(
+    params: Tensor, gradient: Tensor, moments: Moments, learning_rate: float
+) -> tuple[Tensor, Moments]:
+    """One step down the gradient; all [R, ...]. Source: Kingma & Ba 2015, algorithm 1."""
+    mean = moments.mean.lerp(gradient, 1.0 - BETA1)
+    square = (BETA2 * moments.square).addcmul(gradient, gradient, value=1.0 - BETA2)
+    decay1, decay2 = BETA1 * moments.decay1, BETA2 * moments.decay2
+    scale = (square / (1.0 - decay2)).sqrt() + EPSILON
+    step = mean / (1.0 - decay1) / scale
+    return params - learning_rate * step, Moments(mean, square, decay1, decay2)
+
+
+ACTIVATIONS: dict[Activation, type[nn.Module]] = {
+    "tanh": nn.Tanh,
+    "relu": nn.ReLU,
+    "silu": nn.SiLU,
+}
+
+
+def mlp(layers: Sequence[NDArray[np.float32]], activation: Activation) -> nn.Sequential:
+    """Linear layers with the activation between them.
+
+    layers: weight [in, out] and bias [1, out] of each layer in turn; they are copied.
+    """
+    modules: list[nn.Module] = []
+    for weight, bias in zip(layers[::2], layers[1::2], strict=True):
+        linear = nn.Linear(*weight.shape, device="cpu")
+        with torch.no_grad():
+            linear.weight.copy_(torch.from_numpy(weight.T.copy()))
+            linear.bias.copy_(torch.from_numpy(bias[0].copy()))
+        modules += [linear, ACTIVATIONS[activation]()]
+    return nn.Sequential(*modules[:-1])

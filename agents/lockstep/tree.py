@@ -13,8 +13,7 @@ import torch
 from numpy.typing import DTypeLike, NDArray
 from torch import Tensor
 
-from agents.lockstep.backend import array, tensor
-from agents.lockstep.compiling import compiled
+from agents.lockstep.backend import array, compiled, tensor
 
 Tree = TypeVar("Tree")
 

@@ -10,19 +10,66 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 
 from agents.lockstep import lagrange, tree
-from agents.lockstep.backend import array, tensor
-from agents.lockstep.learned import input_scale, learned
-from agents.lockstep.modules import mlp
+from agents.lockstep.backend import array, compiled, tensor
+from agents.lockstep.nets import Moments, adam, mlp
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, streams
-from agents.lockstep.rollout import Act, Policy, Rollout
-from agents.on_policy import critics
-from agents.on_policy.gaussian import GaussianPolicy
-from agents.on_policy.packing import Packing, blocks, minibatches
-from agents.on_policy.returns import advantages
-from agents.on_policy.state import Epoch, OnPolicyState, initial_state, make_nets
+from agents.lockstep.rollout import Act, Policy, Rollout, input_scale, learned
+from agents.on_policy.epoch import Epoch, Packing, advantages, blocks, minibatches
+from agents.on_policy.state import GaussianPolicy, Nets, OnPolicyState, initial_state, make_nets
+
+
+@compiled
+def values(nets: Nets, critics: Tensor, observation: Tensor) -> Tensor:
+    """Values of all critics of each run at observations [R, B, critic inputs]: [R, 1 + C, B]."""
+    (runs, batch, width), count = observation.shape, critics.shape[1]
+    inputs = observation[:, None].expand(runs, count, batch, width)
+    inputs = inputs.reshape(runs * count, batch, width)
+    return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, count, batch)
+
+
+def critic_step(
+    nets: Nets, config: Any, state: OnPolicyState, epoch: Epoch, rows: Tensor, weight: Tensor
+) -> tuple[OnPolicyState, Tensor]:
+    """One Adam step of all critics on half the mean squared error of a minibatch.
+
+    rows, weight: [R, B]. A run without rows in it waits. Returns the new state and the losses,
+    [R, 1 + C].
+    """
+    run = torch.arange(len(rows))[:, None]
+    observation = epoch.observation[run, rows]
+    targets = epoch.value_targets
+    target = targets.gather(2, rows[:, None].expand(-1, targets.shape[1], -1))
+    critics, moments, losses = critics_update(
+        nets, config, state.critics, state.critic_moments, observation, target, weight
+    )
+    return state._replace(critics=critics, critic_moments=moments), losses
+
+
+@compiled
+def critics_update(
+    nets: Nets,
+    config: Any,
+    critics: Tensor,
+    moments: Moments,
+    observation: Tensor,
+    target: Tensor,
+    weight: Tensor,
+) -> tuple[Tensor, Moments, Tensor]:
+    """`critic_step` on the rows that it fetched."""
+
+    def loss(critics: Tensor) -> tuple[Tensor, Tensor]:
+        error = values(nets, critics, observation) - target
+        parts = 0.5 * (weight[:, None] * error * error).sum(dim=-1)
+        return parts.sum(), parts.detach()
+
+    gradient, parts = torch.func.grad(loss, has_aux=True)(critics)
+    stepped, followed = adam(critics, gradient, moments, config.learning_rate)
+    present = weight[:, 0] > 0
+    stepped = torch.where(present[:, None, None], stepped, critics)
+    return stepped, tree.select(present, followed, moments), parts
 
 
 def _act(
@@ -108,7 +155,7 @@ class OnPolicy(ABC):
         count = torch.zeros(len(self.seeds), 1)
         for _ in range(self.config.critic_iterations):
             for rows, weight in minibatches(packing.steps, self.config.batch_size, generators):
-                state, loss = critics.critic_step(self.nets, self.config, state, data, rows, weight)
+                state, loss = critic_step(self.nets, self.config, state, data, rows, weight)
                 losses, count = losses + loss, count + (weight[:, :1] > 0)
         self._state = tree.where(active, self._followed(state, data, ahead=False), before)
         losses = losses / count
@@ -161,9 +208,7 @@ class OnPolicy(ABC):
 
     def _values(self, observation: torch.Tensor) -> NDArray[np.float32]:
         """Values of the critics, computed block by block: [R, 1 + C, B]."""
-        parts = [
-            critics.values(self.nets, self._state.critics, *block) for block in blocks(observation)
-        ]
+        parts = [values(self.nets, self._state.critics, *block) for block in blocks(observation)]
         return array(torch.cat(parts, dim=-1))
 
     def _std(self) -> torch.Tensor:

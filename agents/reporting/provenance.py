@@ -12,8 +12,7 @@ from agents.results.frame import hyperparameter_changes, in_order, title_of
 from agents.results.reading import Group
 from agents.training.callbacks import duration
 from agents.training.callbacks import sessions as sessions_of
-from agents.training.config import TrainConfig
-from agents.training.machine import commit
+from agents.training.config import TrainConfig, commit
 
 
 def made(groups: Sequence[Group]) -> dict[str, str]:

@@ -13,9 +13,7 @@ from torch import Tensor, nn
 from agents.lockstep import lagrange, tree
 from agents.lockstep.backend import array, tensor
 from agents.lockstep.lagrange import PIDState
-from agents.lockstep.learned import critic_inputs, input_scale, learned
-from agents.lockstep.modules import mlp
-from agents.lockstep.nets import Activation, forward_numpy
+from agents.lockstep.nets import Activation, forward_numpy, mlp
 from agents.lockstep.noise import (
     Purpose,
     correlated_uniform,
@@ -24,12 +22,10 @@ from agents.lockstep.noise import (
     streams,
     uniform,
 )
-from agents.lockstep.replay import Batch, Replay
-from agents.lockstep.rollout import Act, Policy, Rollout
-from agents.sac import squashed_gaussian
+from agents.lockstep.rollout import Act, Policy, Rollout, critic_inputs, input_scale, learned
 from agents.sac import update as sac
-from agents.sac.config import SACConfig
-from agents.sac.novelty import Novelty
+from agents.sac.replay import Batch, Novelty, Replay
+from agents.sac.update import SACConfig
 
 METRICS = ("critic_loss", "cost_critic_loss", "actor_loss", "temperature", "entropy")
 """Records of `sac.update` that are one number a run; risks and multipliers come before the last."""
@@ -42,7 +38,7 @@ def _act(
     observation: NDArray[np.float32],
     noise: NDArray[np.float32] | None,
 ) -> NDArray[np.float32]:
-    return squashed_gaussian.act(forward_numpy(layers, scale * observation, activation), noise)
+    return sac.act(forward_numpy(layers, scale * observation, activation), noise)
 
 
 class OffPolicy:

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from agents.errors import UserError
-from agents.lockstep.compiling import CLOCK
+from agents.lockstep.backend import CLOCK
 from agents.training import evaluation
-from agents.training.config import STATUS, is_of_policy, policy_path
+from agents.training.config import STATUS, is_of_policy, made_with, policy_path
 from agents.training.files import AnyPath, read_json, write_arrays, write_json
-from agents.training.machine import made_with
 
 if TYPE_CHECKING:
     from agents.training.trainer import Trainer

@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from agents.errors import UserError
-from agents.training.config import CHECKPOINTS, RESULTS, STATUS, STEPS
+from agents.training.config import CHECKPOINTS, RESULTS, STATUS, STEPS, cores
 from agents.training.files import UNFINISHED, locked, write_whole
-from agents.training.machine import cores
 
 EngineName = Literal["local", "ray"]
 MOST_WORKERS = 1024

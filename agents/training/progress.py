@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
-from agents.lockstep.compiling import CLOCK
+from agents.lockstep.backend import CLOCK
 from agents.training.callbacks import EVERY_SECONDS, Meter, duration
 from agents.training.config import TrainConfig
 from agents.training.trainer import Trainer

@@ -4,8 +4,7 @@ import torch
 from torch.distributions import Independent, Normal
 
 from agents.lockstep.nets import MLP
-from agents.on_policy.gaussian import GaussianPolicy
-from agents.on_policy.state import Nets
+from agents.on_policy.state import GaussianPolicy, Nets
 
 NETS = Nets(GaussianPolicy(MLP((2, 32, 2))), MLP((2, 32, 1)))
 SIZE = NETS.actor.size

@@ -12,14 +12,14 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from agents import trust_region as trpo
 from agents.algorithms import ALGORITHMS, learner
 from agents.lockstep.noise import Purpose, stream
-from agents.lockstep.replay import Batch
 from agents.lockstep.rollout import Rollout
-from agents.on_policy.packing import Packing
+from agents.on_policy.epoch import Packing
 from agents.paper.presets import preset
 from agents.sac import update as sac
-from agents.trust_region import policy_step as trpo
+from agents.sac.replay import Batch
 
 TASK, EPISODES = "Circle2D-1-v0", 10
 

@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from agents.algorithms import algorithm, c_trpo, cal, crpo, cup, focops, ipo, p3o, pcpo, rcpo
-from agents.first_order.update import Minibatch
+from agents.first_order import Minibatch
 from agents.lockstep import lagrange
-from agents.lockstep.replay import Batch
-from agents.on_policy.gaussian import Gaussian
+from agents.on_policy.state import Gaussian
 from agents.paper.presets import preset
-from agents.trust_region.natural_gradient import Problem
+from agents.sac.replay import Batch
+from agents.trust_region import Problem
 
 NEW = (
     "cppo-pid",

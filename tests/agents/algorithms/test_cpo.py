@@ -16,7 +16,7 @@ from small_policy import normal
 
 from agents.algorithms import cpo
 from agents.algorithms.cpo import INSIDE, PARTLY, RECOVERABLE, RECOVERY, CPOConfig
-from agents.trust_region.natural_gradient import Problem
+from agents.trust_region import Problem
 
 DELTA, SIZE = 0.01, 8
 RADIUS = math.sqrt(2 * DELTA)

@@ -28,10 +28,9 @@ import torch
 
 from agents.algorithms import algorithm, learner
 from agents.lockstep import lagrange
-from agents.lockstep.replay import Batch
-from agents.on_policy.packing import BLOCK
-from agents.on_policy.state import Epoch
+from agents.on_policy.epoch import BLOCK, Epoch
 from agents.sac import update as sac
+from agents.sac.replay import Batch
 
 ROWS = 96
 i = np.arange(ROWS)

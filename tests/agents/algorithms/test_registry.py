@@ -19,6 +19,7 @@ from agents.algorithms import (
     BUILT_IN,
     RESERVED,
     Algorithm,
+    Learner,
     algorithm,
     module_of,
     register,
@@ -26,7 +27,6 @@ from agents.algorithms import (
 )
 from agents.errors import UserError
 from agents.lockstep import tree
-from agents.lockstep.learner import Learner
 from agents.paper.presets import preset
 from agents.training.config import TrainConfig
 

@@ -13,10 +13,10 @@ from gymnasium.spaces import Box
 from torch import nn
 
 from agents.algorithms import learner, ppo, sac
-from agents.lockstep.replay import Batch
 from agents.lockstep.rollout import Rollout
-from agents.on_policy.packing import Packing
+from agents.on_policy.epoch import Packing
 from agents.sac import update
+from agents.sac.replay import Batch
 
 sb3 = pytest.importorskip("stable_baselines3")
 

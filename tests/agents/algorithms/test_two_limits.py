@@ -29,8 +29,8 @@ from agents.checks import In
 from agents.first_order import FirstOrder, Objective
 from agents.lockstep.lagrange import PROJECTED, SOFTPLUS, Multiplier
 from agents.sac import CostRule, OffPolicy
-from agents.trust_region.learner import TrustRegion
-from agents.trust_region.policy_step import StepRule
+from agents.trust_region import TrustRegion
+from agents.trust_region import StepRule
 
 
 def with_second(base):

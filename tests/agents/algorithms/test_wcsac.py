@@ -12,7 +12,7 @@ from agents.algorithms.wcsac import (
     targets,
     unsquared_variance_target,
 )
-from agents.lockstep.replay import Batch
+from agents.sac.replay import Batch
 
 CONFIG = WCSACConfig(cost_limit=5.0, discount=0.9, damping=10.0)
 

@@ -8,11 +8,9 @@ import torch
 from modules import data, flat, module
 from torch.distributions import Independent, Normal
 
-from agents.first_order.update import Minibatch, PPOConfig, actor_step, clipped, surrogate_at
-from agents.lockstep.adam import no_moments
-from agents.lockstep.nets import MLP
-from agents.on_policy.gaussian import GaussianPolicy
-from agents.on_policy.state import Nets
+from agents.first_order import Minibatch, PPOConfig, actor_step, clipped, surrogate_at
+from agents.lockstep.nets import MLP, no_moments
+from agents.on_policy.state import GaussianPolicy, Nets
 
 CRITIC = MLP((3, 32, 1))
 LINE = Nets(GaussianPolicy(MLP((1, 1))), CRITIC)

@@ -11,7 +11,7 @@ from test_families import arrays_of, config
 
 from agents.algorithms import learner
 from agents.lockstep import backend
-from agents.lockstep.compiling import CLOCK
+from agents.lockstep.backend import CLOCK
 from agents.lockstep.rollout import collect
 from agents.training.environments import make_envs
 

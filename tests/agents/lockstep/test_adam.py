@@ -2,7 +2,7 @@
 
 import torch
 
-from agents.lockstep.adam import adam, no_moments
+from agents.lockstep.nets import adam, no_moments
 
 
 def test_against_torch():

@@ -29,7 +29,7 @@ def run(*command):
 @pytest.fixture(scope="module")
 def compiler():
     """Skips where nothing can be compiled, and says why."""
-    ask = "from agents.lockstep.compiling import cannot_compile; print(cannot_compile())"
+    ask = "from agents.lockstep.backend import cannot_compile; print(cannot_compile())"
     if why := run("-c", ask).strip():
         pytest.skip(why)
 

@@ -12,14 +12,14 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import agents
 from agents.algorithms import ALGORITHMS, BUILT_IN
 from agents.errors import UserError
-from agents.lockstep import backend, compiling, lagrange
-from agents.lockstep.learned import critic_inputs
-from agents.lockstep.replay import Batch
-from agents.on_policy import critics
+from agents.lockstep import backend, lagrange
+from agents.lockstep.rollout import critic_inputs
+from agents.on_policy import learner
+from agents.on_policy.epoch import Epoch
 from agents.on_policy.learner import OnPolicy
-from agents.on_policy.state import Epoch
 from agents.sac import OffPolicy
 from agents.sac import update as sac
+from agents.sac.replay import Batch
 
 R, B = 3, 64
 
@@ -67,7 +67,7 @@ def test_on_policy_updates(name, elsewhere, monkeypatch):
     assert after.actor.shape == it._state.actor.shape
     assert all(value.is_meta and value.shape == (R,) for value in records.values())
     rows, weight = backend.tensor(np.zeros((R, B), dtype=np.int64)), elsewhere(R, B)
-    after, losses = critics.critic_step(it.nets, config, after, epoch, rows, weight)
+    after, losses = learner.critic_step(it.nets, config, after, epoch, rows, weight)
     assert after.critics.is_meta
     assert losses.is_meta
 
@@ -107,7 +107,7 @@ def test_the_callers_limit_of_compilations_comes_back(monkeypatch, tmp_path):
     from torch._dynamo import config
 
     def cannot_compile():
-        compiling._keep_compiled_code()
+        backend._keep_compiled_code()
         return ""
 
     monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))

@@ -11,8 +11,7 @@ from toys import Walk, register
 
 import agents
 from agents.algorithms import algorithm
-from agents.lockstep.learned import learned, streaks
-from agents.lockstep.rollout import collect
+from agents.lockstep.rollout import collect, learned, streaks
 from emcc import StreakCost
 
 register()

@@ -8,8 +8,7 @@ from small_trainings import trained
 from torch import nn
 from toys import register
 
-from agents.lockstep.modules import mlp
-from agents.lockstep.nets import LANES, MLP, forward_numpy
+from agents.lockstep.nets import LANES, MLP, forward_numpy, mlp
 
 register()
 SIZES = [(2, 64, 64, 4), (3, 17, 40, 2), (3, 5, 1), (7, 1)]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agents.lockstep.replay import Replay
 from agents.lockstep.rollout import Rollout
+from agents.sac.replay import Replay
 
 
 def random_rollout(rng, steps, lengths):

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from agents import trust_region as trpo
 from agents.algorithms import cpo, trpo_lag
 from agents.algorithms.cpo import CPOConfig
 from agents.algorithms.trpo_lag import TRPOLagConfig
 from agents.lockstep.rollout import Rollout
-from agents.on_policy.packing import Packing
-from agents.trust_region import policy_step as trpo
-from agents.trust_region.learner import TrustRegion
+from agents.on_policy.epoch import Packing
+from agents.trust_region import TrustRegion
 
 METRICS = ("kl", "step_scale", "critic_loss", "cost_critic_loss", "std")
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.on_policy.packing import BLOCK, Packing, blocks, minibatches
-from agents.on_policy.returns import advantages
+from agents.on_policy.epoch import BLOCK, Packing, advantages, blocks, minibatches
 
 
 @pytest.mark.parametrize(("discount", "gae_lambda"), [(0.99, 0.95), (0.9, 1.0), (0.9, 0.0)])

@@ -13,7 +13,7 @@ from agents.paper.presets import preset
 from agents.reporting import provenance
 from agents.reporting.provenance import command, heading, made, summary
 from agents.results.reading import Group, read
-from agents.training import machine
+from agents.training import config
 from agents.training.config import TrainConfig
 
 
@@ -105,10 +105,10 @@ def test_a_title_and_a_line_that_name_the_runs():
 
 
 def test_the_commit_is_told_where_it_is_known(tmp_path, monkeypatch):
-    module = tmp_path / "agents" / "training" / "machine.py"
-    monkeypatch.setattr(machine, "__file__", str(module))
+    module = tmp_path / "agents" / "training" / "config.py"
+    monkeypatch.setattr(config, "__file__", str(module))
     origin = SimpleNamespace(read_text=lambda name: None)
-    monkeypatch.setattr(machine, "distribution", lambda name: origin)
+    monkeypatch.setattr(config, "distribution", lambda name: origin)
     assert "commit" not in provenance.program()
     origin.read_text = lambda name: '{"url": "", "vcs_info": {"vcs": "git", "commit_id": "b1c2"}}'
     assert provenance.program().endswith(", commit b1c2")  # as pip notes it

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_trainings import trained
 
-from agents.sac.novelty import FEATURES, Novelty
+from agents.sac.replay import FEATURES, Novelty
 
 
 def seen(*places):
@@ -100,7 +100,7 @@ COUNTING = """
 import hashlib
 import numpy as np
 from agents.lockstep import backend
-from agents.sac.novelty import Novelty
+from agents.sac.replay import Novelty
 backend.configure()
 novelty, rng, digest = Novelty(2.0, range(10), 2), np.random.default_rng(0), hashlib.sha256()
 for _ in range(60):

@@ -10,9 +10,8 @@ import torch
 from agents.algorithms.sac_lag import RULE, SACLagConfig
 from agents.lockstep import lagrange, tree
 from agents.lockstep.nets import LANES
-from agents.lockstep.replay import Batch
-from agents.sac import squashed_gaussian
 from agents.sac import update as sac
+from agents.sac.replay import Batch
 
 CONFIG = SACLagConfig(cost_limit=5.0, discount=0.9, multiplier_lr=2e-3)
 
@@ -106,7 +105,7 @@ def test_squashed_gaussian_against_torch_distributions(scale):
     generator = torch.Generator().manual_seed(0)
     outputs = (scale * torch.randn(2, 50, 6, generator=generator)).double()
     noise = torch.randn(2, 50, 3, generator=generator).double()
-    action, log_prob = squashed_gaussian.sample(outputs, noise)
+    action, log_prob = sac.sample(outputs, noise)
     mean, log_std = outputs.chunk(2, dim=-1)
     distribution = torch.distributions.TransformedDistribution(
         torch.distributions.Normal(mean, log_std.clamp(-20, 2).exp()),
@@ -119,9 +118,9 @@ def test_squashed_gaussian_against_torch_distributions(scale):
     rows = keep.all(dim=-1)
     assert rows.float().mean() > 0.3
     torch.testing.assert_close(log_prob[rows], expected.sum(dim=-1)[rows], rtol=1e-5, atol=1e-5)
-    in_numpy = squashed_gaussian.act(outputs.numpy(), noise.numpy())
+    in_numpy = sac.act(outputs.numpy(), noise.numpy())
     np.testing.assert_allclose(in_numpy, action.numpy(), rtol=1e-12, atol=1e-12)
-    deterministic = squashed_gaussian.act(outputs.numpy(), None)
+    deterministic = sac.act(outputs.numpy(), None)
     np.testing.assert_allclose(deterministic, torch.tanh(mean).numpy())
 
 

@@ -7,7 +7,7 @@ import pytest
 from small_runs import SAC
 
 import agents
-from agents.training import pretrained as module
+from agents.training import policy as module
 
 TASK = "Circle2D-2-v0"
 

@@ -8,15 +8,14 @@ from modules import flat, module
 from small_policy import normal
 from torch.distributions import Independent, Normal, kl_divergence
 
+from agents import trust_region as trpo
 from agents.algorithms import trpo_lag
 from agents.algorithms.trpo_lag import TRPOLagConfig
 from agents.lockstep.nets import MLP
-from agents.on_policy import comparison
 from agents.on_policy import state as on_policy
-from agents.on_policy.gaussian import GaussianPolicy
-from agents.on_policy.packing import BLOCK
-from agents.trust_region import policy_step as trpo
-from agents.trust_region.natural_gradient import Problem
+from agents.on_policy.epoch import BLOCK, Epoch, blocks_of, compared
+from agents.on_policy.state import GaussianPolicy
+from agents.trust_region import Problem
 
 OBSERVATION, ACTION = 3, 2
 SMALL = {"hidden": (32,), "episodes": 2, "critic_iterations": 2}
@@ -47,7 +46,7 @@ def random_epoch(steps, size):
     runs, steps = len(steps), torch.tensor(steps)
     columns = normal(runs, size, OBSERVATION + ACTION + 2, seed=1)
     observation, action, advantages = columns.split((OBSERVATION, ACTION, 2), dim=-1)
-    return on_policy.Epoch(
+    return Epoch(
         observation=observation,
         action=action,
         weight=(torch.arange(size) < steps[:, None]) / steps[:, None].double(),
@@ -93,12 +92,10 @@ def test_initial_deviation():
 def test_compared_and_its_gradient_against_separate_runs(steps, size):
     """E[ratio · A] for both advantages, and the KL from the old to the new policy."""
     old, new, epoch = random_actor(2), random_actor(2, seed=3), random_epoch(steps, size)
-    blocks = comparison.blocks_of(NETS, old, epoch, epoch.reward_advantage)
-    found, kl = comparison.compared(NETS, new, blocks)
+    blocks = blocks_of(NETS, old, epoch, epoch.reward_advantage)
+    found, kl = compared(NETS, new, blocks)
     for of, advantage in enumerate((epoch.reward_advantage, epoch.cost_advantage[:, 0])):
-        gradient = torch.func.grad(
-            lambda p, of=of: comparison.compared(NETS, p, blocks)[0][:, of].sum()
-        )
+        gradient = torch.func.grad(lambda p, of=of: compared(NETS, p, blocks)[0][:, of].sum())
         moved = gradient(new)
         for run, n in enumerate(steps):
             before, after = Separate(old[run]), Separate(new[run])
@@ -179,7 +176,7 @@ def test_rows_of_weight_zero_do_not_change_a_sharp_policy():
     for size in (BLOCK, 2 * BLOCK):
         zeros = torch.zeros(1, size)
         there = (torch.arange(size) < 500).float()[None]
-        epoch = on_policy.Epoch(
+        epoch = Epoch(
             observation=torch.zeros(1, size, OBSERVATION),
             action=there[..., None].expand(1, size, ACTION).contiguous(),
             weight=there / 500,
@@ -189,10 +186,10 @@ def test_rows_of_weight_zero_do_not_change_a_sharp_policy():
             length=torch.ones(1),
             cost=torch.zeros(1, 1),
         )
-        steps = comparison.blocks_of(NETS, actor, epoch, epoch.reward_advantage)
+        steps = blocks_of(NETS, actor, epoch, epoch.reward_advantage)
         at_padding = NETS.actor.distribution(nearer, epoch.observation).log_prob(epoch.action)
         assert (at_padding - steps[0].old_log_prob[:, -1])[0, -1] > 100
-        found.append(comparison.compared(NETS, nearer, steps))
+        found.append(compared(NETS, nearer, steps))
     for short, long in zip(*found, strict=True):
         assert short.isfinite().all()
         assert torch.equal(short, long)

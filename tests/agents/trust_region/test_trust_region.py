@@ -6,12 +6,11 @@ import torch
 from small_policy import NETS, SIZE, normal, policy
 from torch.distributions import kl_divergence
 
+from agents import trust_region as trpo
 from agents.algorithms.cpo import CPOConfig
-from agents.on_policy.comparison import blocks_of
-from agents.on_policy.packing import BLOCK
-from agents.on_policy.state import Epoch, OnPolicyState
-from agents.trust_region import policy_step as trpo
-from agents.trust_region.natural_gradient import Problem, Step, conjugate_gradient, line_search
+from agents.on_policy.epoch import BLOCK, Epoch, blocks_of
+from agents.on_policy.state import OnPolicyState
+from agents.trust_region import Problem, Step, conjugate_gradient, line_search
 
 
 def generator(seed):

@@ -1,7 +1,8 @@
-"""The replay of all runs: a ring of transitions for each."""
+"""What a run remembers: its transitions, and how often it has seen a state."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from agents.lockstep import tree
 from agents.lockstep.backend import tensor
+from agents.lockstep.noise import Purpose, streams
 from agents.lockstep.rollout import Rollout
 
 
@@ -93,3 +95,63 @@ class Replay:
         held = int(self.size.max(initial=0))
         shape = (len(self.stored), held, self._rows.shape[2])
         self._rows[:, :held] = tree.expect("rows", state, shape, np.float32)
+
+
+FEATURES = 128
+"""Features of a state. More tell more places apart."""
+
+
+class Novelty:
+    """How new states are to each of R runs.
+
+    Random Fourier features φ of norm 1 (Rahimi and Recht 2007) stand for a state: the product of
+    those of two states at distance d is about exp(-d² / (2 ℓ²)). With A = I + Σ φ φᵀ over all
+    states that a run has seen, the novelty of a state is √(φᵀ A⁻¹ φ), the bonus of LSVI-UCB (Jin et
+    al. 2020), whose square E3B takes within an episode (Henaff et al. 2022): about 1 where nothing
+    within ℓ was seen, and 1/√(1 + n) at the only place that was seen, n times.
+    """
+
+    def __init__(self, length: float, seeds: Sequence[int], state_size: int) -> None:
+        """length: ℓ, in the units of the states; seeds: of the runs, [R]."""
+        shape = (state_size, FEATURES // 2)
+        drawn = [rng.standard_normal(shape) for rng in streams(seeds, Purpose.NOVELTY, 0)]
+        self._frequencies = (np.stack(drawn) / length).astype(np.float32)
+        self._seen = np.tile(np.eye(FEATURES), (len(seeds), 1, 1))
+        self._inverse = self._seen.astype(np.float32)
+
+    def add(self, states: NDArray[np.float32], length: NDArray[np.int64]) -> None:
+        """Count the first length [R] of states [T, R, ...] as seen."""
+        for run, steps in enumerate(length):
+            features = self._features(states[:steps, run], run).astype(np.float64)
+            self._seen[run] += features.T @ features
+        self._inverse = _inverses(self._seen)
+
+    def of(self, states: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Novelty of states [R, B, ...], in [0, 1]: [R, B]. What lies behind a state's numbers, as
+        the streak for the critics, does not count."""
+        features = self._features(states)
+        square = ((features @ self._inverse) * features).sum(axis=-1)
+        return np.sqrt(np.maximum(square, 0.0))  # rounding may leave it below 0
+
+    def _features(
+        self, states: NDArray[np.float32], run: int | slice = slice(None)
+    ) -> NDArray[np.float32]:
+        frequencies = self._frequencies[run]
+        angle = states[..., : frequencies.shape[-2]] @ frequencies
+        scale = np.float32(np.sqrt(2.0 / FEATURES))
+        return scale * np.concatenate([np.cos(angle), np.sin(angle)], axis=-1)
+
+    def state_dict(self) -> dict[str, NDArray]:
+        """The state for a checkpoint."""
+        return {"seen": self._seen}
+
+    def load_state_dict(self, state: dict[str, NDArray]) -> None:
+        """Load a state. ValueError or KeyError for anything else."""
+        self._seen = tree.expect("seen", state, self._seen.shape, np.float64).copy()
+        self._inverse = _inverses(self._seen)
+
+
+def _inverses(matrices: NDArray[np.float64]) -> NDArray[np.float32]:
+    """By torch, which `configure` keeps to one thread: the last bits of numpy's depend on how many
+    threads there are."""
+    return torch.linalg.inv(torch.from_numpy(matrices)).numpy().astype(np.float32)

@@ -6,20 +6,22 @@ optimization", with the cost terms of the algorithm's paper.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from agents.checks import In
 from agents.lockstep import lagrange
-from agents.lockstep.compiling import compiled
+from agents.lockstep.backend import compiled
 from agents.lockstep.lagrange import Multiplier
-from agents.on_policy.comparison import Block, blocks_of, compared, compared_in
-from agents.on_policy.state import EpisodeCostLimit, Epoch, Nets, OnPolicyConfig, OnPolicyState
-from agents.trust_region.natural_gradient import Problem, Step, conjugate_gradient, line_search
+from agents.on_policy.epoch import Block, Epoch, blocks_of, compared, compared_in
+from agents.on_policy.learner import OnPolicy
+from agents.on_policy.state import EpisodeCostLimit, Nets, OnPolicyConfig, OnPolicyState
 
 
 @dataclass(frozen=True)
@@ -133,3 +135,143 @@ def policy_step(
     records = {"kl": found.kl, "step_scale": found.scale, "case": step.case.float()}
     names = lagrange.names(rule.multipliers)
     return found.params, records | dict(zip(names, multipliers.unbind(dim=-1), strict=True))
+
+
+Product = Callable[[Tensor], Tensor]
+
+
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """Inner product of each run's vectors [R, P] -> [R, 1]."""
+    return (a * b).sum(dim=-1, keepdim=True)
+
+
+def conjugate_gradient(product: Product, b: Tensor, iterations: int) -> Tensor:
+    """Approximate solution x of `H x = b`; product: v -> H v, symmetric positive definite.
+
+    b: [R, P] -> [R, P]. A run whose residual has vanished stays where it is.
+    """
+    x, residual, direction = torch.zeros_like(b), b, b
+    square = dot(residual, residual)
+    for _ in range(iterations):
+        image = product(direction)
+        going = square > 1e-10 * dot(b, b)
+        curvature = torch.where(going, dot(direction, image), 1.0)
+        step = torch.where(going, square / curvature, 0.0)
+        x, residual = x + step * direction, residual - step * image
+        before, square = square, dot(residual, residual)
+        direction = residual + torch.where(going, square / before, 0.0) * direction
+    return x
+
+
+class Problem(NamedTuple):
+    """The local model that a step of the policy is computed from; each run's own."""
+
+    gradient: Tensor
+    """[R, P]: of the objective"""
+    cost_gradient: Callable[[], Tensor]
+    """() -> [R, P]: of the undiscounted cost of an episode"""
+    excess: Tensor
+    """[R]: cost of an episode above its limit, `J_C - d`"""
+    product: Product
+    """v -> H v, H the damped Hessian of the mean KL divergence"""
+    solve: Product
+    """b -> H⁻¹ b"""
+    target_kl: float
+    """δ"""
+    multipliers: Tensor = torch.zeros(0)
+    """[R, M]"""
+
+    def to_boundary(self, direction: Tensor) -> Tensor:
+        """The direction [R, P] scaled until `½ xᵀ H x = δ`; 0 stays 0."""
+        square = dot(direction, self.product(direction))
+        return direction * torch.where(square > 0, (2.0 * self.target_kl / square).sqrt(), 0.0)
+
+
+Divergence = Callable[[Tensor, Tensor], Tensor]
+"""(mean KL divergence [R], growth of the predicted cost of an episode [R]) -> [R]"""
+
+
+class Step(NamedTuple):
+    """A step to be tried, and the conditions of its line search."""
+
+    displacement: Tensor
+    """[R, P]"""
+    must_improve: Tensor
+    """[R], bool: whether the objective has to grow"""
+    cost_bound: Tensor
+    """[R]: how much the predicted cost of an episode may grow; inf where it does not matter"""
+    case: Tensor
+    """[R]: which case of the algorithm the step is, for the records"""
+    divergence: Divergence = lambda kl, cost_growth: kl
+    """Divergence that the line search keeps at or below δ."""
+
+
+class Accepted(NamedTuple):
+    """The result of a line search."""
+
+    params: Tensor
+    """[R, P]"""
+    accepted: Tensor
+    """[R], bool; the others keep their parameters"""
+    kl: Tensor
+    """[R]: of the parameters kept"""
+    scale: Tensor
+    """[R]: share of the step that was taken"""
+
+
+Judge = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""params [R, P] -> which runs may go there [R], bool, and their KL divergence [R]"""
+
+
+def line_search(
+    params: Tensor, displacement: Tensor, judge: Judge, tries: int, decay: float
+) -> Accepted:
+    """The first of `params + decay^k displacement`, k < tries, that each run's judge accepts.
+
+    params, displacement: [R, P]. Where none is accepted the parameters stay as they are, bit for
+    bit.
+    """
+    runs = len(params)
+    found = Accepted(
+        params, torch.zeros(runs, dtype=torch.bool), torch.zeros(runs), torch.zeros(runs)
+    )
+    for k in range(tries):
+        candidate = params + decay**k * displacement
+        allowed, kl = judge(candidate)
+        new = allowed & ~found.accepted & candidate.isfinite().all(dim=-1)
+        found = Accepted(
+            torch.where(new[:, None], candidate, found.params),
+            found.accepted | new,
+            torch.where(new, kl, found.kl),
+            torch.where(new, decay**k, found.scale),
+        )
+        if found.accepted.all():
+            break
+    return found
+
+
+class TrustRegion(OnPolicy):
+    """The runs of one algorithm of the trust-region family."""
+
+    takes = (TRPOConfig, StepRule)
+    improvement_metrics = ("kl", "step_scale")
+    """A step_scale of 0: the line search found nothing, and the policy stayed as it was."""
+
+    def __init__(
+        self,
+        config: TRPOConfig,
+        rule: StepRule,
+        seeds: Sequence[int],
+        observation_size: int,
+        action_size: int,
+    ) -> None:
+        super().__init__(config, rule, seeds, observation_size, action_size)
+        if rule.has_cases:
+            self.metrics = (*self.metrics, "case")
+
+    def improve(
+        self, epoch: Epoch, steps: NDArray[np.int64], generators: list[np.random.Generator]
+    ) -> tuple[OnPolicyState, dict[str, Tensor]]:
+        """One step of the policy, from all of the epoch at once."""
+        actor, records = policy_step(self.nets, self.config, self.rule, self._state, epoch)
+        return self._state._replace(actor=actor), records

@@ -1,0 +1,179 @@
+"""Episodes of each run laid end to end, in blocks whose size does not depend on any run.
+
+Runs whose episodes have different lengths share arrays; rows of weight 0 fill the rest. Sums go
+over one block after another, so that a run's sums are the same, bit for bit, however many rows the
+other runs have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from agents.lockstep.backend import compiled, tensor
+from agents.on_policy.state import Gaussian, Nets
+
+BLOCK = 512
+"""Rows of a block: a multiple of 32 (see `nets`) that holds the paper's epoch of 500 steps."""
+
+
+class Epoch(NamedTuple):
+    """The steps of an epoch, run by run."""
+
+    observation: Tensor
+    """[R, B, critic inputs]: with what the critics alone see, see `critic_inputs`"""
+    action: Tensor
+    """[R, B, A]"""
+    weight: Tensor
+    """[R, B]: adds up to 1"""
+    reward_advantage: Tensor
+    """[R, B], standardised"""
+    cost_advantage: Tensor
+    """[R, C, B], centred"""
+    value_targets: Tensor
+    """[R, 1 + C, B]: of the reward, of each cost"""
+    length: Tensor
+    """[R]: mean length of the episodes"""
+    cost: Tensor
+    """[R, C]: mean undiscounted costs of the episodes, J_C"""
+    discounted_cost: Tensor | None = None
+    """[R, C]: mean discounted costs of the episodes"""
+
+
+class Packing:
+    """Where the steps of N = R·E episodes side by side lie, run by run."""
+
+    def __init__(self, during: NDArray[np.bool_], runs: int) -> None:
+        """during: [T, N], which steps belong to the episodes."""
+        self._during = during.T
+        self.steps = self._during.reshape(runs, -1).sum(axis=1)
+        """Steps of each run, [R]."""
+        self.size = max(1, -(-int(self.steps.max()) // BLOCK)) * BLOCK
+        """Rows of each run, padding included."""
+        self._run = np.repeat(np.arange(runs), self.steps)
+        starts = np.cumsum(self.steps) - self.steps
+        self._row = np.arange(len(self._run)) - starts[self._run]
+
+    def pack(self, values: NDArray) -> NDArray[np.float32]:
+        """[T, N, ...] -> [R, size, ...]; rows beyond a run's steps are 0."""
+        packed = np.zeros((len(self.steps), self.size, *values.shape[2:]), dtype=np.float32)
+        packed[self._run, self._row] = values.swapaxes(0, 1)[self._during]
+        return packed
+
+    def unpack(self, packed: NDArray) -> NDArray[np.float64]:
+        """[R, size] -> [T, N]; 0 outside the episodes."""
+        values = np.zeros(self._during.shape)
+        values[self._during] = packed[self._run, self._row]
+        return values.T
+
+    @property
+    def weight(self) -> NDArray[np.float32]:
+        """[R, size]: `1 / steps` in a run's own rows, so that sums of weighted rows are means."""
+        rows = np.arange(self.size) < self.steps[:, None]
+        return (rows / np.maximum(self.steps, 1)[:, None]).astype(np.float32)
+
+
+def blocks(*columns: Tensor) -> Iterator[tuple[Tensor, ...]]:
+    """The columns [R, size, ...] in blocks [R, BLOCK, ...]."""
+    for start in range(0, columns[0].shape[1], BLOCK):
+        yield tuple(column[:, start : start + BLOCK].contiguous() for column in columns)
+
+
+def minibatches(
+    steps: NDArray[np.int64], size: int, streams: list[np.random.Generator]
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """One pass over the rows of each run in an order of its own: rows [R, size], weights [R, size].
+
+    The weights of a run's minibatch add up to 1, or to 0 where it has no rows left.
+    """
+    count = -(-int(steps.max()) // size)
+    order = np.zeros((len(steps), count * size), dtype=np.int64)
+    for run, (n, rng) in enumerate(zip(steps, streams, strict=True)):
+        order[run, :n] = rng.permutation(n)
+    held = np.arange(count * size) < steps[:, None]
+    for start in range(0, count * size, size):
+        part = slice(start, start + size)
+        here = held[:, part]
+        weight = here / np.maximum(here.sum(axis=1, keepdims=True), 1)
+        yield tensor(order[:, part]), tensor(weight.astype(np.float32))
+
+
+def advantages(
+    reward: NDArray[np.floating],
+    value: NDArray[np.floating],
+    next_value: NDArray[np.floating],
+    terminal: NDArray[np.bool_],
+    during: NDArray[np.bool_],
+    discount: float,
+    gae_lambda: float,
+) -> NDArray[np.float64]:
+    """Advantages of episodes side by side; everything is [T, N].
+
+    `δ_t = r_t + γ V(s_{t+1}) (1 - terminal_t) - V(s_t)`, `A_t = δ_t + γλ A_{t+1}` within an
+    episode. next_value: of the observation each step led to, also where a time limit then cut the
+    episode off: such a step is not terminal and bootstraps. during: the steps that belong to an
+    episode; the others get 0. Works for costs as for rewards.
+    Source: Schulman et al. 2016 ("High-dimensional continuous control using GAE"), equation 16.
+    """
+    delta = reward + discount * np.where(terminal, 0.0, next_value) - value
+    result = np.zeros(reward.shape)
+    following = np.zeros(reward.shape[1])
+    for t in reversed(range(len(reward))):
+        following = np.where(during[t], delta[t] + discount * gae_lambda * following, 0.0)
+        result[t] = following
+    return result
+
+
+class Block(NamedTuple):
+    """Steps of an epoch, with the distribution of the policy that took them."""
+
+    observation: Tensor
+    """[R, BLOCK, observation size]"""
+    action: Tensor
+    """[R, BLOCK, A]"""
+    weight: Tensor
+    """[R, BLOCK]"""
+    gains: Tensor
+    """[R, 2, BLOCK]: advantages of the objective and of the first cost"""
+    old: Gaussian
+    """The policy before its step."""
+    old_log_prob: Tensor
+    """[R, BLOCK]"""
+
+
+def blocks_of(nets: Nets, actor: Tensor, epoch: Epoch, objective: Tensor) -> list[Block]:
+    """The epoch's steps under the policy that took them; objective: advantages [R, B]."""
+    first = epoch.cost_advantage[:, 0]
+    columns = (epoch.observation, epoch.action, epoch.weight, objective, first)
+    found = []
+    for observation, action, weight, of_objective, of_cost in blocks(*columns):
+        old = nets.actor.distribution(actor, observation)
+        gains = torch.stack((of_objective, of_cost), dim=1)
+        found.append(Block(observation, action, weight, gains, old, old.log_prob(action)))
+    return found
+
+
+@compiled
+def compared_in(nets: Nets, actor: Tensor, block: Block) -> tuple[Tensor, Tensor]:
+    """A block's part of the sums of `compared`."""
+    policy = nets.actor.distribution(actor, block.observation)
+    held = block.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
+    change = torch.where(held, policy.log_prob(block.action) - block.old_log_prob, 0.0)
+    weighted = (block.weight * change.exp())[:, None] * block.gains
+    divergence = torch.where(held, block.old.kl(policy), 0.0)
+    return weighted.sum(dim=-1), (block.weight * divergence).sum(dim=-1)
+
+
+def compared(nets: Nets, actor: Tensor, steps: list[Block]) -> tuple[Tensor, Tensor]:
+    """A policy against the one before: `E[π(a|s) / π_old(a|s) · A]` for the objective and the first
+    cost, [R, 2], and the mean KL divergence from the old to the new one, [R]."""
+    surrogates, kl = torch.zeros(len(actor), 2), torch.zeros(len(actor))
+    for block in steps:
+        of_block, kl_of_block = compared_in(nets, actor, block)
+        surrogates, kl = surrogates + of_block, kl + kl_of_block
+    return surrogates, kl
