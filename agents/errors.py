@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import pickle
 import traceback
 from collections.abc import Iterable
@@ -68,15 +69,10 @@ def described(error: BaseException) -> str:
     words = f"{type(error).__name__}: {error}".removesuffix(": ")
     frames = traceback.extract_tb(error.__traceback__)
     others = ("gymnasium", "importlib", "concurrent")
-    own = [
-        frame
-        for frame in frames
-        if not frame.filename.startswith(OURS) and not any(f in frame.filename for f in others)
-    ]
-    if not (own or frames):
-        return words
-    place = (own or list(frames))[-1]
-    return f"{words} ({place.filename}, line {place.lineno})"
+    names = (frame.filename for frame in frames)
+    theirs = [not n.startswith(OURS) and not any(other in n for other in others) for n in names]
+    own = list(itertools.compress(frames, theirs)) or frames
+    return f"{words} ({own[-1].filename}, line {own[-1].lineno})" if own else words
 
 
 def one_line(text: object) -> str:
@@ -89,15 +85,8 @@ def one_line(text: object) -> str:
 
 
 EXTRA = (
-    "filelock",
-    "jinja2",
-    "matplotlib",
-    "pandas",
-    "rich",
-    "scipy",
-    "threadpoolctl",
-    "torch",
-    "tyro",
+    *("filelock", "jinja2", "matplotlib", "pandas", "rich", "scipy"),
+    *("threadpoolctl", "torch", "tyro"),
 )
 """Packages that training and reports need, and that an installation without [train] lacks."""
 

@@ -6,7 +6,7 @@ algorithms".
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
@@ -158,15 +158,8 @@ class FirstOrder(OnPolicy):
     """Mean KL divergence from the old to the new policy; mean share of steps whose ratio is clipped
     or, without clipping, that lie outside a trust region."""
 
-    def __init__(
-        self,
-        config: FirstOrderConfig,
-        rule: Objective,
-        seeds: Sequence[int],
-        observation_size: int,
-        action_size: int,
-    ) -> None:
-        super().__init__(config, rule, seeds, observation_size, action_size)
+    def __init__(self, config: FirstOrderConfig, rule: Objective, *runs: Any) -> None:
+        super().__init__(config, rule, *runs)
         self._state = self._state._replace(actor_moments=no_moments(self._state.actor))
 
     def improve(

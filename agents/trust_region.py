@@ -6,7 +6,7 @@ optimization", with the cost terms of the algorithm's paper.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
@@ -105,9 +105,8 @@ def policy_step(
     steps = blocks_of(nets, old, epoch, advantage)
 
     def gradient(of: int) -> Tensor:
-        return sum(
-            (gradient_in(nets, old, block, of) for block in steps), start=torch.zeros_like(old)
-        )
+        parts = (gradient_in(nets, old, block, of) for block in steps)
+        return sum(parts, start=torch.zeros_like(old))
 
     product = fisher_product(nets, old, steps, config.cg_damping)
     problem = Problem(
@@ -231,10 +230,8 @@ def line_search(
     params, displacement: [R, P]. Where none is accepted the parameters stay as they are, bit for
     bit.
     """
-    runs = len(params)
-    found = Accepted(
-        params, torch.zeros(runs, dtype=torch.bool), torch.zeros(runs), torch.zeros(runs)
-    )
+    none = torch.zeros(len(params))
+    found = Accepted(params, none.bool(), none, none)
     for k in range(tries):
         candidate = params + decay**k * displacement
         allowed, kl = judge(candidate)
@@ -257,17 +254,9 @@ class TrustRegion(OnPolicy):
     improvement_metrics = ("kl", "step_scale")
     """A step_scale of 0: the line search found nothing, and the policy stayed as it was."""
 
-    def __init__(
-        self,
-        config: TRPOConfig,
-        rule: StepRule,
-        seeds: Sequence[int],
-        observation_size: int,
-        action_size: int,
-    ) -> None:
-        super().__init__(config, rule, seeds, observation_size, action_size)
-        if rule.has_cases:
-            self.metrics = (*self.metrics, "case")
+    def __init__(self, config: TRPOConfig, rule: StepRule, *runs: Any) -> None:
+        super().__init__(config, rule, *runs)
+        self.metrics += ("case",) * rule.has_cases
 
     def improve(
         self, epoch: Epoch, steps: NDArray[np.int64], generators: list[np.random.Generator]

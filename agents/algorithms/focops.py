@@ -20,7 +20,27 @@ from agents.on_policy.state import EpisodeCostLimit, Gaussian
 
 
 @dataclass(frozen=True)
-class FOCOPSConfig(MultiplierConfig, EpisodeCostLimit, FirstOrderConfig):
+class ProjectedMultiplierConfig(MultiplierConfig, EpisodeCostLimit, FirstOrderConfig):
+    """Hyper-parameters that FOCOPS and CUP share, equal in both papers' code."""
+
+    kl_stop: Annotated[float, In(0, 1e12)] = 0.02
+    """Mean KL divergence from the start of passes of the actor beyond which they end; 0: never.
+    Zhang et al. and Yang et al.: 0.02, in CUP's projection from the start of both steps."""
+    multiplier_optimizer: Literal["adam", "sgd", "pid"] = "sgd"
+    """How the multiplier follows the cost. Zhang et al. and Yang et al.: by the plain gradient
+    (sgd)."""
+    multiplier_lr: Annotated[float, Gain] = 0.01
+    """Step size of the multiplier by adam or sgd. Zhang et al. and Yang et al.: 0.01."""
+    max_multiplier: Annotated[float, Gain] = 2.0
+    """Largest multiplier, ν_max, by adam or sgd. Zhang et al. and Yang et al.: 2."""
+    max_gradient_norm: Annotated[float, In(above=0, high=1e12)] = 40.0
+    """Norm to which a longer gradient of the actor is scaled. Zhang et al. and Yang et al.: 40."""
+    initial_log_std: Annotated[float, In(-20, 20)] = -0.5
+    """Initial logarithm of the policy's standard deviation. Zhang et al. and Yang et al.: -0.5."""
+
+
+@dataclass(frozen=True)
+class FOCOPSConfig(ProjectedMultiplierConfig):
     """Hyper-parameters of FOCOPS. The multiplier is ν."""
 
     temperature: Annotated[float, In(above=0, high=1e6)] = 1.5
@@ -29,19 +49,6 @@ class FOCOPSConfig(MultiplierConfig, EpisodeCostLimit, FirstOrderConfig):
     kl_bound: Annotated[float, In(above=0, high=1e6)] = 0.02
     """KL divergence δ from the old policy beyond which a state has no part in the objective. Zhang
     et al.: 0.02."""
-    kl_stop: Annotated[float, In(0, 1e12)] = 0.02
-    """Mean KL divergence beyond which an epoch's passes of the actor end; 0: never. Zhang et al.:
-    0.02."""
-    multiplier_optimizer: Literal["adam", "sgd", "pid"] = "sgd"
-    """How the multiplier follows the cost. Zhang et al.: by the plain gradient (sgd)."""
-    multiplier_lr: Annotated[float, Gain] = 0.01
-    """Step size of the multiplier by adam or sgd. Zhang et al.: 0.01."""
-    max_multiplier: Annotated[float, Gain] = 2.0
-    """Largest multiplier, ν_max, by adam or sgd. Zhang et al.: 2."""
-    max_gradient_norm: Annotated[float, In(above=0, high=1e12)] = 40.0
-    """Norm to which a longer gradient of the actor is scaled. Zhang et al.: 40."""
-    initial_log_std: Annotated[float, In(-20, 20)] = -0.5
-    """Initial logarithm of the policy's standard deviation. Zhang et al.: -0.5."""
 
 
 def advantage(

@@ -88,6 +88,14 @@ class MLP:
                 x = torch.baddbmm(bias, x, weight)
         return x
 
+    def forward_each(self, params: Tensor, inputs: Tensor) -> Tensor:
+        """One output of each of K networks a run, params [R, K, size], for the same inputs
+        [R, B, in]: [R, K, B]."""
+        (runs, batch, width), count = inputs.shape, params.shape[1]
+        inputs = inputs[:, None].expand(runs, count, batch, width)
+        inputs = inputs.reshape(runs * count, batch, width)
+        return self.forward(params.flatten(0, 1), inputs).view(runs, count, batch)
+
     def inputs_of(self, observation: Tensor) -> Tensor:
         """The first of observations [..., at least in]: behind them may stand what others see."""
         return observation[..., : self.sizes[0]].contiguous()

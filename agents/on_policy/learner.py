@@ -24,10 +24,7 @@ from agents.on_policy.state import GaussianPolicy, Nets, OnPolicyState, initial_
 @compiled
 def values(nets: Nets, critics: Tensor, observation: Tensor) -> Tensor:
     """Values of all critics of each run at observations [R, B, critic inputs]: [R, 1 + C, B]."""
-    (runs, batch, width), count = observation.shape, critics.shape[1]
-    inputs = observation[:, None].expand(runs, count, batch, width)
-    inputs = inputs.reshape(runs * count, batch, width)
-    return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, count, batch)
+    return nets.critic.forward_each(critics, observation)
 
 
 def critic_step(

@@ -241,10 +241,7 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
 
 def values(nets: Nets, critics: Tensor, observation: Tensor, action: Tensor) -> Tensor:
     """Values of all critics of each run: [R, 2 + 2·C, B]."""
-    inputs = torch.cat([observation, action], dim=-1)
-    (runs, batch, width), count = inputs.shape, critics.shape[1]
-    inputs = inputs[:, None].expand(runs, count, batch, width).reshape(runs * count, batch, width)
-    return nets.critic.forward(critics.flatten(0, 1), inputs).view(runs, count, batch)
+    return nets.critic.forward_each(critics, torch.cat([observation, action], dim=-1))
 
 
 def cost_critics(values: Tensor, rule: CostRule) -> list[Tensor]:

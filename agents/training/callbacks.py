@@ -58,11 +58,10 @@ class Epoch:
     """Numbers by seed and name: see above."""
 
 
-def follower(on_epoch: Callable[[Epoch], object]) -> Callable[[Trainer], bool]:
-    """The callback for a function of an `Epoch`. It is False, which stops the training, where the
-    function returned False, be it numpy's; what else it returns does not matter."""
+def follower(on_epoch: Callable[[Epoch], object]) -> Callable[[Trainer], object]:
+    """The callback for a function of an `Epoch`."""
 
-    def call(trainer: Trainer) -> bool:
+    def call(trainer: Trainer) -> object:
         config = trainer.config
         steps = dict(zip(config.runs, trainer.steps.tolist(), strict=True))
         runs = {
@@ -70,8 +69,7 @@ def follower(on_epoch: Callable[[Epoch], object]) -> Callable[[Trainer], bool]:
             for run, numbers in trainer.recorder.latest.items()
         }
         task = " ".join(config.tasks)
-        answer = on_epoch(Epoch(trainer.folder, config.algorithm, task, config.steps, runs))
-        return not (isinstance(answer, (bool, np.bool_)) and not answer)
+        return on_epoch(Epoch(trainer.folder, config.algorithm, task, config.steps, runs))
 
     return call
 
@@ -94,10 +92,10 @@ def keep_policies(trainer: Trainer) -> Callable[[Trainer], None]:
         config, every = trainer.config, trainer.config.evaluate_every
         now, last = trainer.steps, before
         before = now.copy()
-        if (
-            not every
-            or not (due := (trainer.failures == "") & (now // every > last // every)).any()
-        ):
+        if not every:
+            return
+        due = (trainer.failures == "") & (now // every > last // every)
+        if not due.any():
             return
         results = evaluation.evaluate_runs(
             config, trainer.learner.policy(), evaluation.SNAPSHOT_EPISODES, due

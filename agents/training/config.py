@@ -303,8 +303,7 @@ def _tuples(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 NETS, COPIES, NUMBER = 5, 4, 4
-"""Networks of a run, copies of each (moments and targets among them) and bytes of a number. Not
-exact: what is refused is larger than the machine by far or by little."""
+"""Networks of a run, copies of each, and bytes of a number: the estimate is not exact."""
 
 
 def _check_memory(hyperparameters: Any, runs: int, sizes: tuple[int, int]) -> None:

@@ -136,10 +136,13 @@ def write_results(
     evaluated = evaluate_runs(config, policy, episodes, failures == "")
     arrays = derived(folder, config, failures)
     for k, run in enumerate(config.runs):
-        view = _view(config, run.task)
+        view = view_of(run.task, config.task_parameters)
         for name, result in evaluated.items():
             if not result.void[k]:
-                own = _evaluation(result, k, view if name == "deterministic" else None)
+                own = {"returns": result.returns[k], "costs": result.costs[k]}
+                own["lengths"] = result.lengths[k]
+                if name == "deterministic":
+                    own |= places_of(view, result.final_observations[k], result.costs[k, :, 0])
                 prefix = f"{run.prefix}evaluation/{name}/"
                 arrays |= {prefix + key: array for key, array in own.items()}
         drawn = evaluated["deterministic"].paths[k]
@@ -182,7 +185,7 @@ def derived(
                 located.append((records, positions))
                 own |= _replay(records, positions, config.steps)
             arrays |= {run.prefix + name: array for name, array in own.items()}
-        if located and (view := _view(config, task)):
+        if located and (view := view_of(task, config.task_parameters)):
             with contextlib.suppress(UserError):  # a third without a rollout
                 visits = count_visits(view, located, config.steps)
                 prefix = file_name(task) + "/"
@@ -196,8 +199,7 @@ def _run(
     steps: Steps, run: RunId, length: NDArray[np.int64], config: TrainConfig
 ) -> tuple[dict[str, NDArray], EpisodeRecords]:
     """Arrays of a run, and its records with the first cost."""
-    updates = steps.get(run, "updates")
-    returns = steps.get(run, "return")
+    updates, returns = steps.get(run, "updates"), steps.get(run, "return")
     assert updates is not None
     assert returns is not None
     each = len(length) // max(len(updates), 1)
@@ -208,10 +210,6 @@ def _run(
         assert costs is not None
         arrays |= {f"costs/{name}/{key}": array for key, array in pack_costs(costs).items()}
     return arrays, records_of(lambda key: arrays[key], config.costs[0])
-
-
-def _view(config: TrainConfig, task: str) -> View | None:
-    return view_of(task, config.task_parameters)
 
 
 def smallest(values: NDArray[np.int64]) -> NDArray:
@@ -318,12 +316,6 @@ def _replay(
     size = np.where(box[1] > box[0], box[1] - box[0], 1.0)
     grid = np.round((points - box[0]) / size * GRID_MAX).astype(np.uint16)
     return {"replay/points": grid, "replay/box": box}
-
-
-def _evaluation(result: Episodes, run: int, view: View | None) -> dict[str, NDArray]:
-    arrays = {"returns": result.returns[run], "costs": result.costs[run]}
-    arrays["lengths"] = result.lengths[run]
-    return arrays | places_of(view, result.final_observations[run], result.costs[run, :, 0])
 
 
 def places_of(

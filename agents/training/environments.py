@@ -43,8 +43,7 @@ def make_envs(
     refuses, and spaces that are not flat Boxes (actions: bounded); stepping them, TaskFailure.
     """
     envs = Guard(unscaled(task, num_envs, parameters, vectorization, costs), task, step_timeout)
-    actions = envs.single_action_space
-    assert isinstance(actions, Box)
+    actions: Any = envs.single_action_space
     if (actions.low == -1).all() and (actions.high == 1).all():
         return envs
     one = np.ones_like(actions.low)
@@ -59,35 +58,22 @@ def unscaled(
     costs: Sequence[str] = ("cost",),
 ) -> VectorEnv:
     """The environments of `make_envs` with the task's own actions."""
-    name = registered(task)
+    name, mode = registered(task), "async" if vectorization == "async" else "sync"
+    own: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}
     try:
         if vectorization == "auto" and is_native(task):
-            envs = gym.make_vec(
-                name,
-                num_envs,
-                vectorization_mode="vector_entry_point",
-                autoreset_mode=AutoresetMode.DISABLED,
-                **parameters,
-            )
+            mode, how = "vector_entry_point", own
         else:
-            apart = vectorization == "async"
-            worker = {"worker": quiet_worker} if apart else {}
-            envs = gym.make_vec(
-                name,
-                num_envs,
-                vectorization_mode="async" if apart else "sync",
-                vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED, **worker},
-                wrappers=(functools.partial(CheckedEnv, costs=costs),),
-                **parameters,
-            )
+            own |= {"worker": quiet_worker} if mode == "async" else {}
+            how = {"vector_kwargs": own, "wrappers": (functools.partial(CheckedEnv, costs=costs),)}
+        envs = gym.make_vec(name, num_envs, vectorization_mode=mode, **how, **parameters)
     except Exception as error:  # of the task's own code
         if isinstance(error, (TypeError, ValueError)) and not module_of_task(task):
             raise UserError(f"cannot make task {task!r}: {error}") from error
         raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
+    actions: Any = envs.single_action_space
     _check_space(task, "observation", envs.single_observation_space)
-    _check_space(task, "action", envs.single_action_space)
-    actions = envs.single_action_space
-    assert isinstance(actions, Box)
+    _check_space(task, "action", actions)
     if not np.isfinite([actions.low, actions.high]).all():
         raise UserError(f"the action space of task {task!r} must be bounded, got {actions}")
     return envs
@@ -110,14 +96,6 @@ def check_task(task: str, parameters: dict[str, Any], costs: Sequence[str] = ("c
                 raise UserError(f"task {task!r}: {error.__cause__}") from None
             raise
     require_info(f"task {task!r}", info, costs)
-
-
-def sizes(envs: VectorEnv) -> tuple[int, int]:
-    """Numbers an observation and an action of one environment hold."""
-    observation, action = envs.single_observation_space.shape, envs.single_action_space.shape
-    assert observation is not None
-    assert action is not None
-    return observation[0], action[0]
 
 
 def view_of(task: str, parameters: dict[str, Any]) -> View | None:
@@ -156,7 +134,13 @@ def _one(task: str, parameters: dict[str, Any]) -> Iterator[Any]:
 
 def spaces_of(tasks: Sequence[str], parameters: dict[str, Any]) -> Spaces:
     """`Spaces` of some tasks. Raises UserError where they have different ones."""
-    spaces = [_spaces_of(task, parameters) for task in tasks]
+    spaces: list[Spaces] = []
+    for task in tasks:
+        with contextlib.closing(unscaled(task, 1, parameters)) as envs:
+            observations: Any = envs.single_observation_space
+            actions: Any = envs.single_action_space
+            low, high = (tuple(map(float, bound)) for bound in (actions.low, actions.high))
+            spaces.append(Spaces(observations.shape[0], low, high, str(actions.dtype)))
     for task, other in zip(tasks, spaces, strict=True):
         if other != spaces[0]:
             raise UserError(
@@ -164,15 +148,6 @@ def spaces_of(tasks: Sequence[str], parameters: dict[str, Any]) -> Spaces:
                 f"{tasks[0]} has {spaces[0]}, {task} has {other}"
             )
     return spaces[0]
-
-
-def _spaces_of(task: str, parameters: dict[str, Any]) -> Spaces:
-    with contextlib.closing(unscaled(task, 1, parameters)) as envs:
-        observation_size, _ = sizes(envs)
-        actions = envs.single_action_space
-        assert isinstance(actions, Box)
-        low, high = (tuple(map(float, bound)) for bound in (actions.low, actions.high))
-        return Spaces(observation_size, low, high, str(actions.dtype))
 
 
 class Spaces(NamedTuple):

@@ -61,11 +61,22 @@ def evaluate_runs(
     # for all episodes in every part, so there are about 100 parts at the most.
     native = config.vectorization == "auto" and all(map(is_native, config.tasks))
     at_once = min(episodes, max(100, episodes // 100) if native else 10)
+    evaluated = {}
     with contextlib.closing(runs_envs(config, at_once)) as envs:
-        return {
-            name: _all_parts(envs, config, policy, episodes, at_once, active, name == "stochastic")
-            for name in POLICIES
-        }
+        for name in POLICIES:
+            how = (active, name == "stochastic")
+            columns, paths = [], []
+            for first in range(0, episodes, at_once):
+                rollout = play(envs, config, policy, episodes, first, at_once, *how)
+                paths = paths or paths_of(envs, rollout, len(active), DRAWN)
+                values = (rollout.returns, rollout.cost_returns, rollout.length)
+                values = (*values, rollout.final_observation, rollout.diverged)
+                columns.append([v.reshape(len(active), at_once, *v.shape[1:]) for v in values])
+            joined = (np.concatenate(parts, axis=1) for parts in zip(*columns, strict=True))
+            returns, costs, lengths, last, diverged = (c[:, :episodes] for c in joined)
+            void = ~active | diverged.any(axis=1)
+            evaluated[name] = Episodes(returns, costs, lengths, last, void, paths)
+    return evaluated
 
 
 def runs_envs(config: TrainConfig, each: int) -> SideBySide:
@@ -77,29 +88,6 @@ def runs_envs(config: TrainConfig, each: int) -> SideBySide:
         of_task = (task, config.task_parameters)
         parts.append(RecordSteps(envs, view_of(*of_task), list(recorded_of(*of_task))))
     return SideBySide(parts, config.costs)
-
-
-def _all_parts(
-    envs: SideBySide,
-    config: TrainConfig,
-    policy: RunsPolicy,
-    episodes: int,
-    at_once: int,
-    active: NDArray[np.bool_],
-    noisy: bool,
-) -> Episodes:
-    runs, columns, paths = len(config.runs), [], []
-    for first in range(0, episodes, at_once):
-        rollout = play(envs, config, policy, episodes, first, at_once, active, noisy)
-        paths = paths or paths_of(envs, rollout, runs, DRAWN)
-        values = (rollout.returns, rollout.cost_returns, rollout.length)
-        values = (*values, rollout.final_observation, rollout.diverged)
-        columns.append([column.reshape(runs, at_once, *column.shape[1:]) for column in values])
-    joined = [np.concatenate(parts, axis=1)[:, :episodes] for parts in zip(*columns, strict=True)]
-    *values, diverged = joined
-    returns, costs, lengths, last = values
-    void = ~active | diverged.any(axis=1)
-    return Episodes(returns, costs, lengths, last, void, paths)
 
 
 def play(

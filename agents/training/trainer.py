@@ -41,7 +41,7 @@ KEPT = 2
 WRITING_SHARE = 0.02
 """Share of the time that writing checkpoints may take."""
 Callback = Callable[["Trainer"], object]
-"""Called after every epoch. Returning False stops the training after a checkpoint."""
+"""Called after every epoch. False, be it numpy's, stops the training after a checkpoint."""
 
 
 def train(folder: Path, *own: Callback) -> Trainer:
@@ -115,7 +115,7 @@ class Trainer:
             before = self.steps.copy()
             self.run_epoch()
             answers = [callback(self) for callback in own]  # written before a checkpoint
-            self.stopped = any(answer is False for answer in answers)
+            self.stopped = any(isinstance(a, (bool, np.bool_)) and not a for a in answers)
             saved = self._is_due(before)
             if saved:
                 self.save()
@@ -166,10 +166,8 @@ class Trainer:
         """Stop the runs that met a number which is not finite, or hold one."""
         causes = rollout.failure.reshape(len(active), -1)
         for run in np.flatnonzero(active):
-            cause = next(
-                filter(None, causes[run]), "" if finite[run] else "parameter of its update"
-            )
-            if cause:
+            own = "" if finite[run] else "parameter of its update"
+            if cause := next(filter(None, causes[run]), own):
                 step = self.steps[run]
                 self.failures[run] = f"failed at step {step}: its {cause} is not finite"
 
@@ -210,24 +208,18 @@ class Trainer:
         """Write what is new, then the checkpoint; of the older ones the newest stays."""
         began = time.monotonic()
         # A run whose first action fails has taken no step since the last.
-        number = max(self._number, 1 + max(numbered(self.folder, CHECKPOINTS), default=-1))
+        # The number is that of the run that is behind; at the end, of the first.
+        steps = self.steps.max() if self.done else self.steps[self.active].min()
+        number = max(int(steps), 1 + max(numbered(self.folder, CHECKPOINTS), default=-1))
         counters = {"epoch": np.array(self.epoch), "steps": self.steps, "failures": self.failures}
-        for name, arrays in (
-            (STEPS, self.recorder.take()),
-            (CHECKPOINTS, counters | self.learner.state_dict()),
-        ):
+        state = counters | self.learner.state_dict()
+        for name, arrays in ((STEPS, self.recorder.take()), (CHECKPOINTS, state)):
             (self.folder / name).mkdir(exist_ok=True)
             write_arrays(numbered_path(self.folder, name, number), arrays)
         for path in list(numbered(self.folder, CHECKPOINTS).values())[:-KEPT]:
             Path(str(path)).unlink(missing_ok=True)
         self._saved_at = time.monotonic()
         self._writing = self._saved_at - began
-
-    @property
-    def _number(self) -> int:
-        """Number of a checkpoint: steps of the run that is behind; at the end, of the first."""
-        active = self.active
-        return int(self.steps[active].min() if active.any() else self.steps.max())
 
     def load(self) -> None:
         """Load the newest checkpoint that opens, and drop what was written behind it.
@@ -273,9 +265,8 @@ class Trainer:
             content = dict(state)
             self.learner.load_state_dict(content)
             self.steps = tree.expect("steps", content, self.steps.shape, np.int64)
-            self.failures = tree.expect(
-                "failures", content, self.failures.shape, self.failures.dtype
-            )
+            like = self.failures
+            self.failures = tree.expect("failures", content, like.shape, like.dtype)
             self.epoch = self.began_at = int(tree.expect("epoch", content, (), np.int64))
             self._alone = None
         except (KeyError, ValueError) as error:

@@ -6,7 +6,7 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 
 from agents.errors import UserError
-from agents.training.environments import check_task, make_envs, sizes, task_id
+from agents.training.environments import check_task, make_envs, spaces_of, task_id
 
 
 class Other(gym.Env):
@@ -43,7 +43,7 @@ def registered():
 
 def test_actions_are_rescaled_and_costs_stay_what_they_are():
     envs = make_envs("Other-v0", 2, {})
-    assert sizes(envs) == (3, 1)
+    assert spaces_of(["Other-v0"], {}).sizes == (3, 1)
     envs.reset(seed=[1, 2])
     assert envs.step(np.array([[0.0], [0.5]], np.float32))[4]["cost"].tolist() == [0.0, 0.0]
     costs = envs.step(np.array([[-1.0], [0.5]], np.float32))[4]["cost"]
