@@ -18,7 +18,7 @@ from agents.lockstep.nets import Moments, adam, mlp
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout, input_scale, learned
 from agents.on_policy.epoch import Epoch, Packing, advantages, blocks, minibatches
-from agents.on_policy.state import GaussianPolicy, Nets, OnPolicyState, initial_state, make_nets
+from agents.on_policy.state import Nets, OnPolicyState, initial_state, make_nets
 
 
 @compiled
@@ -69,16 +69,6 @@ def critics_update(
     return stepped, tree.select(present, followed, moments), parts
 
 
-def _act(
-    policy: GaussianPolicy,
-    params: NDArray[np.float32],
-    scale: NDArray[np.float32],
-    observation: NDArray[np.float32],
-    noise: NDArray[np.float32] | None,
-) -> NDArray[np.float32]:
-    return policy.act(params, scale * observation, noise)
-
-
 class OnPolicy(ABC):
     """The runs of one on-policy algorithm; a family defines how a policy improves."""
 
@@ -115,7 +105,7 @@ class OnPolicy(ABC):
     def policy(self) -> Policy:
         """The policy of every run as it stands now."""
         params, scale = array(self._state.actor), input_scale(self.config)
-        return functools.partial(_act, self.nets.actor, params, scale)
+        return functools.partial(self.nets.actor.act, params, scale)
 
     def module(self, run: int) -> nn.Module:
         """The deterministic policy of a run in PyTorch: observations -> actions."""

@@ -81,15 +81,16 @@ class GaussianPolicy(NamedTuple):
     def act(
         self,
         params: NDArray[np.float32],
+        scale: NDArray[np.float32],
         observation: NDArray[np.float32],
         noise: NDArray[np.float32] | None,
     ) -> NDArray[np.float32]:
         """`μ + σ·noise` in numpy, not clipped; without noise the deterministic policy's `μ`.
 
-        observation: [R, N, observation size], noise: [R, N, A] -> [R, N, A].
+        observation: [R, N, observation size], seen times `scale`; noise: [R, N, A] -> [R, N, A].
         """
         layers = self.net.layers(params[:, : self.net.size])
-        mean = forward_numpy(layers, observation, self.net.activation)
+        mean = forward_numpy(layers, scale * observation, self.net.activation)
         if noise is None:
             return mean
         log_std = params[:, None, self.net.size : self.net.size + self.net.sizes[-1]]

@@ -209,7 +209,9 @@ def _run(
         costs = steps.get(run, f"costs/{name}")
         assert costs is not None
         arrays |= {f"costs/{name}/{key}": array for key, array in pack_costs(costs).items()}
-    return arrays, records_of(lambda key: arrays[key], config.costs[0])
+    return arrays, records_of(
+        arrays.__getitem__, config.costs[0], f"costs/{config.costs[0]}/values" in arrays
+    )
 
 
 def smallest(values: NDArray[np.int64]) -> NDArray:
@@ -238,16 +240,8 @@ def unpack_costs(arrays: Callable[[str], NDArray], has_values: bool) -> NDArray[
     return costs
 
 
-def records_of(
-    arrays: Callable[[str], NDArray], cost: str, has_values: bool | None = None
-) -> EpisodeRecords:
+def records_of(arrays: Callable[[str], NDArray], cost: str, has_values: bool) -> EpisodeRecords:
     """The episodes of a run by its arrays, with one of its costs."""
-    if has_values is None:
-        try:
-            arrays(f"costs/{cost}/values")
-            has_values = True
-        except KeyError:
-            has_values = False
     costs = unpack_costs(lambda name: arrays(f"costs/{cost}/{name}"), has_values)
     length = arrays("length").astype(np.int64)
     start = np.cumsum(length) - length

@@ -9,7 +9,6 @@ import lzma
 import os
 import secrets
 import struct
-import time
 import warnings
 import zipfile
 import zlib
@@ -44,14 +43,11 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[None]:
     with warnings.catch_warnings():  # where the system has no file locks: filelock makes do
         warnings.simplefilter("ignore")
         from filelock import FileLock, Timeout
-    lock, until = FileLock(folder / ".lock"), time.monotonic() + patience
-    while not lock.is_locked:
-        try:
-            lock.acquire(blocking=False)
-        except Timeout:
-            if time.monotonic() >= until:
-                raise UserError(f"another process is training or evaluating in {folder}") from None
-            time.sleep(0.1)
+    lock = FileLock(folder / ".lock")
+    try:
+        lock.acquire(timeout=patience, poll_interval=0.1)
+    except Timeout:
+        raise UserError(f"another process is training or evaluating in {folder}") from None
     try:
         yield
     finally:

@@ -81,8 +81,6 @@ class Trainer:
         """Environment steps each run has taken, [R]."""
         self.failures = np.full(count, "", dtype="U200")
         """Why runs have stopped that met a NaN or an infinite number, [R]; the others go on."""
-        self.began_at = 0
-        """Epoch from which this process went on."""
         self.stopped = False
         """Whether a callback stopped it."""
         self._saved_at, self._writing = time.monotonic(), 0.0
@@ -267,7 +265,7 @@ class Trainer:
             self.steps = tree.expect("steps", content, self.steps.shape, np.int64)
             like = self.failures
             self.failures = tree.expect("failures", content, like.shape, like.dtype)
-            self.epoch = self.began_at = int(tree.expect("epoch", content, (), np.int64))
+            self.epoch = int(tree.expect("epoch", content, (), np.int64))
             self._alone = None
         except (KeyError, ValueError) as error:
             if isinstance(error, UserError):

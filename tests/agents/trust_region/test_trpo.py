@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from modules import flat, module
@@ -63,8 +64,9 @@ def test_distribution_against_torch():
     observation, action = normal(3, 7, OBSERVATION, seed=1), normal(3, 7, ACTION, seed=2)
     found = ACTOR.distribution(params, observation)
     log_prob, kl = found.log_prob(action), found.kl(ACTOR.distribution(others, observation))
-    acted = ACTOR.act(params.numpy(), observation.numpy(), action.numpy())  # action: the noise
-    deterministic = ACTOR.act(params.numpy(), observation.numpy(), None)
+    one = np.ones((), np.float32)
+    acted = ACTOR.act(params.numpy(), one, observation.numpy(), action.numpy())  # action: the noise
+    deterministic = ACTOR.act(params.numpy(), one, observation.numpy(), None)
     for run in range(3):
         theirs = Separate(params[run]).at(observation[run])
         other = Separate(others[run]).at(observation[run])
