@@ -57,6 +57,9 @@ class SACConfig(Settings):
     """Whether to bootstrap at the time limit: bootstrap (reward and cost), terminal (neither), or
     terminal_cost (reward only). Not printed in the paper; the presets of Circle2D have
     terminal."""
+    reward_scale: Literal["none", "running"] = "none"
+    """Scale of the learned reward: none, or running: over the standard deviation of the discounted
+    return so far, cut at ±10. Records keep the plain reward. Not in the paper; none."""
     random_share: Annotated[float, In(0, 1)] = 0.0
     """Share of each batch that is drawn from the random actions at the start, in [0, 1]; above 0
     the replay keeps these to the end. Not in the paper; 0: none."""

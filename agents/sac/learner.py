@@ -29,7 +29,7 @@ from agents.lockstep.rollout import Act, Policy, Rollout
 from agents.sac import squashed_gaussian
 from agents.sac import update as sac
 from agents.sac.config import SACConfig
-from agents.sac.novelty import Novelty
+from agents.sac.novelty import Novelty, ReturnScale
 
 METRICS = ("critic_loss", "cost_critic_loss", "actor_loss", "temperature", "entropy")
 """Records of `sac.update` that are one number a run; risks and multipliers come before the last."""
@@ -75,6 +75,8 @@ class OffPolicy:
             if config.novelty_bonus
             else None
         )
+        running = config.reward_scale == "running"
+        self._scale = ReturnScale(len(seeds), config.discount) if running else None
 
     def policy(self) -> Policy:
         """The policy of every run as it stands now."""
@@ -131,12 +133,14 @@ class OffPolicy:
         self._replay.add(rollout, *ends)
         if self._novelty:
             self._novelty.add(rollout.next_observation, rollout.length)
+        if self._scale:
+            self._scale.add(rollout.reward, rollout.length)
         learning = active & (self._replay.size >= self.config.batch_size)
         if not learning.any():
             return np.full((len(self.seeds), len(self.metrics)), np.nan)
         total = risks = 0.0
         for index, noise in self._draws(epoch):
-            batch = self._with_bonus(self._replay.gather(index))
+            batch = self._with_learned_reward(self._replay.gather(index))
             state, metrics = sac.update(
                 self.nets, self.config, self.rule, self._state, batch, noise
             )
@@ -146,8 +150,11 @@ class OffPolicy:
         self._control_multipliers(risks / self.config.gradient_steps, learning)
         return np.where(learning[:, None], total / self.config.gradient_steps, np.nan)
 
-    def _with_bonus(self, batch: Batch) -> Batch:
-        """The batch with `novelty_bonus` in its rewards, by what the runs have seen until now."""
+    def _with_learned_reward(self, batch: Batch) -> Batch:
+        """The batch with its rewards in the running scale, and with `novelty_bonus`, by what the
+        runs have seen until now."""
+        if self._scale:
+            batch = batch._replace(reward=tensor(self._scale.of(array(batch.reward))))
         if not self._novelty:
             return batch
         novelty = tensor(self._novelty.of(array(batch.next_observation)))
@@ -194,8 +201,8 @@ class OffPolicy:
         return (low + share * (high - low)).astype(np.int64)
 
     @property
-    def _parts(self) -> dict[str, Replay | Novelty]:
-        parts = {"replay": self._replay, "novelty": self._novelty}
+    def _parts(self) -> dict[str, Replay | Novelty | ReturnScale]:
+        parts = {"replay": self._replay, "novelty": self._novelty, "scale": self._scale}
         return {name: part for name, part in parts.items() if part is not None}
 
     def state_dict(self) -> dict[str, NDArray]:

@@ -1,4 +1,6 @@
-"""A bonus for states that a run has seldom seen: about 1/√(1 + n) after n visits."""
+"""What changes the rewards that are learned: a bonus for states that a run has seldom seen, and a
+scale that follows the returns.
+"""
 
 from __future__ import annotations
 
@@ -63,6 +65,50 @@ class Novelty:
         """Load a state. ValueError or KeyError for anything else."""
         self._seen = tree.expect("seen", state, self._seen.shape, np.float64).copy()
         self._inverse = _inverses(self._seen)
+
+
+class ReturnScale:
+    """Standard deviation of the discounted return in each of R runs, over all steps so far.
+
+    The return of a step is `G_t = r_t + γ G_{t-1}` from its episode's start on. Rewards over that
+    deviation, cut at ±10, have a scale of their own on every task: as `NormalizeReward` of
+    gymnasium and `VecNormalize` of Stable-Baselines3 do it.
+    """
+
+    def __init__(self, runs: int, discount: float) -> None:
+        self._discount = discount
+        self._moments = np.zeros((runs, 3))  # steps, mean, sum of squared deviations
+
+    def add(self, reward: NDArray[np.float64], length: NDArray[np.int64]) -> None:
+        """Count the first length [R] of the rewards [T, R] of an episode."""
+        returns = np.zeros_like(reward)
+        total = np.zeros(reward.shape[1])
+        for t, now in enumerate(reward):
+            total = returns[t] = now + self._discount * total
+        for run, steps in enumerate(length):
+            if steps:
+                self._count(run, np.ascontiguousarray(returns[:steps, run]))
+
+    def _count(self, run: int, returns: NDArray[np.float64]) -> None:
+        """Join the moments of more returns to a run's (Chan et al. 1979)."""
+        (before, mean, squares), more = self._moments[run], len(returns)
+        after, change = before + more, returns.mean() - mean
+        squares += ((returns - returns.mean()) ** 2).sum() + change**2 * before * more / after
+        self._moments[run] = after, mean + change * more / after, squares
+
+    def of(self, reward: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Rewards [R, B] in the scale of now; of a run that has counted steps."""
+        steps, _, squares = self._moments.T
+        deviation = np.sqrt(squares / np.maximum(steps, 1) + 1e-8)
+        return np.clip(reward / deviation[:, None], -10.0, 10.0).astype(np.float32)
+
+    def state_dict(self) -> dict[str, NDArray]:
+        """The state for a checkpoint."""
+        return {"moments": self._moments}
+
+    def load_state_dict(self, state: dict[str, NDArray]) -> None:
+        """Load a state. ValueError or KeyError for anything else."""
+        self._moments = tree.expect("moments", state, self._moments.shape, np.float64).copy()
 
 
 def _inverses(matrices: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from small_trainings import trained
 
-from agents.sac.novelty import FEATURES, Novelty
+from agents.lockstep.backend import array
+from agents.sac.novelty import FEATURES, Novelty, ReturnScale
 
 
 def seen(*places):
@@ -128,8 +129,38 @@ def test_the_bonus_joins_the_learned_reward_alone():
     learner = it.learner
     index = np.tile(np.arange(32), (2, 1))
     plain = learner._replay.gather(index)
-    with_bonus = learner._with_bonus(plain)
+    with_bonus = learner._with_learned_reward(plain)
     novelty = learner._novelty.of(plain.next_observation.numpy())
     np.testing.assert_allclose(with_bonus.reward, plain.reward.numpy() + 3.0 * novelty, rtol=1e-6)
     assert (plain.reward <= 0).all()
     assert novelty.max() > 5 * novelty.min() / 4
+
+
+def test_the_scale_of_rewards_is_that_of_all_discounted_returns():
+    """By the definition, return for return; a run that takes no part keeps its scale."""
+    rng = np.random.default_rng(4)
+    scale, returns = ReturnScale(2, 0.9), [[], []]
+    for length in ([5, 3], [4, 0], [1, 6]):
+        reward = rng.normal(3.0, 2.0, size=(6, 2))
+        scale.add(reward, np.array(length))
+        for run, steps in enumerate(length):
+            for t in range(steps):
+                discounted = [0.9 ** (t - k) * reward[k, run] for k in range(t + 1)]
+                returns[run].append(sum(discounted))
+    learned = np.array([[1.0, -2.0, 1e4], [1.0, -2.0, -1e4]], np.float32)
+    deviation = np.array([[np.std(returns[0])], [np.std(returns[1])]])
+    expected = np.clip(learned / deviation, -10, 10)
+    np.testing.assert_allclose(scale.of(learned), expected, rtol=1e-6)
+
+
+def test_the_scale_follows_training_and_resumes():
+    """A checkpoint in the middle goes on bit for bit, and the rewards of batches are scaled."""
+    it = trained("sac-lag", "Circle2D-1-v0", steps=300, reward_scale="running", random_steps=100)
+    learner = it.learner
+    plain = learner._replay.gather(np.tile(np.arange(32), (2, 1)))
+    scaled = array(learner._with_learned_reward(plain).reward)
+    ratio = array(plain.reward) / scaled
+    np.testing.assert_allclose(ratio, ratio[:, :1].repeat(32, axis=1), rtol=1e-5)
+    again = ReturnScale(2, 0.99)
+    again.load_state_dict({"moments": learner.state_dict()["scale.moments"]})
+    np.testing.assert_array_equal(again.of(array(plain.reward)), scaled)
