@@ -60,8 +60,8 @@ class Circle2D:
         contact, more = self.dynamics.step(action)
         ended = self.dynamics.position
         costs = task.cost(self.config, ended, contact)
-        terminated = (costs > 0) & self.config.reset_on_cost
-        return Outcome(task.reward(self.config, ended), terminated, {"cost": costs, **more})
+        ends = costs > 0 if self.config.reset_on_cost else np.zeros(self.num_envs, dtype=bool)
+        return Outcome(task.reward(self.config, ended), ends, {"cost": costs, **more})
 
     def observe(self) -> NDArray[np.float32]:
         """Return the observations: [num_envs, 2 or 4] float32."""

@@ -21,7 +21,6 @@ from circle2d_mj.core.view import View
 
 Step = tuple[NDArray[np.floating], NDArray, NDArray, NDArray, dict[str, Any]]
 """Observations, rewards, terminated, truncated, infos."""
-_NEVER = np.iinfo(np.int64).max
 
 
 class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArray]):
@@ -103,7 +102,8 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
             raise ResetNeeded("reset() must be called before the first step()")
         reward, terminated, of_step = self.simulation.step(actions)
         self._steps += 1
-        truncated = self._steps >= (self.max_episode_steps or _NEVER)
+        limit = self.max_episode_steps
+        truncated = np.zeros(self.num_envs, dtype=bool) if limit is None else self._steps >= limit
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             self._reset_finished(terminated, truncated, reward, *of_step.values())
         info: dict[str, Any] = {**of_step, **self.simulation.state_info()}
@@ -254,8 +254,8 @@ class TaskEnv(gym.Env[NDArray[np.floating], ArrayLike]):
         action = checked_action(action, self.action_space.shape)
         observation, reward, terminated, truncated, info = self._envs.advance(action[None])
         self._show()
-        ends = bool(terminated[0]), bool(truncated[0])
-        return observation[0], float(reward[0]), *ends, self._floats(info)
+        ends, info = (bool(terminated[0]), bool(truncated[0])), self._floats(info)
+        return observation[0], float(reward[0]), *ends, info
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Draw the environment, [height, width, 3] uint8; None without render_mode "rgb_array"."""
