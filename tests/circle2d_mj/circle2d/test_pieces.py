@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from strips import STRIPS
 
 from circle2d_mj import Circle2DConfig
-from circle2d_mj.circle2d.pieces import OVERHANG, convex_pieces
+from circle2d_mj.circle2d.scene import OVERHANG, convex_pieces
 
 R = 10.0
 levels = pytest.mark.parametrize("level", [1, 2, 3])

@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
-from circle2d_mj.circle2d import start
-from circle2d_mj.circle2d.start import classify_cells
+from circle2d_mj.circle2d import region
+from circle2d_mj.circle2d.region import classify_cells
 from circle2d_mj.core.streams import Streams
 
 
@@ -72,7 +72,7 @@ def test_an_edge_that_touches_a_cutout_is_refused_before_memory_is_full(monkeypa
         assert len(low) <= 2**20
         return classify_cells(region, low, cell)
 
-    monkeypatch.setattr(start, "classify_cells", counted)
+    monkeypatch.setattr(region, "classify_cells", counted)
     with pytest.raises(ValueError, match="no feasible start"):
         Circle2DConfig(**EDGES, init_region_size=size)
 

@@ -240,7 +240,6 @@ def test_time_limit_belongs_to_make(task):
         (np.array(["2020-01-01", "2020-01-02"], dtype="M8[D]"), "action must be numbers"),
         ([10**400, 0.0], "action must be numbers"),
         (np.ma.masked_array([0.5, 0.5], [True, False]), "action must not be masked"),
-        ([[0.5, 0.5], np.ma.masked_array([0.5, 0.5], [True, False])], "action must"),
         (None, "action must"),
     ],
 )

@@ -163,7 +163,7 @@ def test_rgb_array(make):
             env.close()
             env.close()
             env.reset()
-    drawn_by = env._envs.simulation._renderer
+    drawn_by = env._envs.simulation._drawer
     env.close()
     with pytest.raises(RuntimeError, match="closed"):
         drawn_by.frame()
