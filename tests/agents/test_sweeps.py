@@ -157,3 +157,9 @@ def test_training_on_ray(tmp_path):
         for name in ("local", "ray")
     )
     assert results(ray) == results(local)
+
+
+def test_a_hyperparameter_in_the_grid_and_beside_it(tmp_path):
+    with pytest.raises(agents.UserError, match="cost_limit is given twice: in the grid, and as 3"):
+        agents.sweep("cpo", grid={"cost_limit": (1.0, 2.0)}, cost_limit=3.0, out=tmp_path / "x")
+    assert not (tmp_path / "x").exists()

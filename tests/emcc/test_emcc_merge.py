@@ -79,3 +79,11 @@ def test_recent_rollouts():
     assert recorder.recent(2).rollout.tolist() == [1, 1, 2, 2, 2]
     assert recorder.recent(9).rollout.tolist() == recorder.records.rollout.tolist()
     assert len(CostRecorder(1).recent(3)) == 0
+
+
+def test_nothing_finished_in_one_environment():
+    empty = EpisodeRecords(*[[]] * 8)
+    one = EpisodeRecords([0], [2], [3], [0], [1], [1], [1], [1])
+    assert EpisodeRecords.merge([empty, one]).start_step.tolist() == [4]
+    assert EpisodeRecords.merge([empty, one], interleaved=False).start_step.tolist() == [2]
+    assert len(EpisodeRecords.merge([empty, empty])) == 0

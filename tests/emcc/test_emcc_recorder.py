@@ -122,3 +122,9 @@ def test_a_pause_does_not_end_a_streak():
     recorder.step([0, 0], [0, 0], [False, False], active=[False, True])
     recorder.step([1, 0], [0, 0], [True, False])
     assert rows(recorder) == [(0, 0, 2, 2.0, 2)]
+
+
+def test_a_rollout_that_ends_with_an_episode_has_no_empty_piece():
+    recorder = CostRecorder(1, rollout=2)
+    feed(recorder, [1, 1, 1, 1], done_at=(2, 4))
+    assert rows(recorder) == [(0, 0, 2, 2.0, 2), (1, 2, 2, 2.0, 2)]

@@ -21,11 +21,11 @@ FAMILIES = ("trpo-lag", "cpo", "ppo-lag", "sac-lb", "wcsac")
 """One of each learner, and those with states of their own."""
 
 
-def config(name, seeds=(0, 1, 2), steps=450, **parameters):
+def config(name, seeds=(0, 1, 2), steps=300, **parameters):
     """name: of an algorithm, and its multiplier's optimiser if it is not the default."""
     name, _, optimizer = name.partition(" ")
     own = small(name, **({"multiplier_optimizer": optimizer} if optimizer else {}))
-    return TrainConfig(name, ("Walk-v0",), seeds, steps, own, parameters, checkpoint_every=300)
+    return TrainConfig(name, ("Walk-v0",), seeds, steps, own, parameters, checkpoint_every=200)
 
 
 def arrays_of(it):
@@ -39,7 +39,7 @@ def test_a_run_is_what_it_is_alone_and_without_a_stop(name, tmp_path):
     whole = finished(trainer(config(name), tmp_path / "whole"))
     alone = finished(trainer(config(name, (1,))))
     lengths = of_run(whole, 0)["length"]
-    assert len(np.unique(lengths)) > 5
+    assert len(np.unique(lengths)) > 2
     assert_same(of_run(alone, 0), of_run(whole, 1))
     whole.save()
     stopped = trainer(config(name), tmp_path / "stopped")

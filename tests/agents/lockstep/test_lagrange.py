@@ -139,3 +139,11 @@ def test_several_follow_their_own_costs_and_limits():
     torch.testing.assert_close(values[:, 1], (1 + by_hand[:, 1].exp()).log())
     torch.testing.assert_close(values[:, ::2], by_hand[:, ::2])
     assert lagrange.names(rule) == ("multiplier", "multiplier_2", "multiplier_3")
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_every_optimizer_starts_from_the_same_multiplier(name):
+    settings = {"initial_multiplier": 0.7, "multiplier_lr": 0.1}
+    optimizers = ("adam", "sgd", "pid")
+    configs = [Config(multiplier_optimizer=optimizer, **settings) for optimizer in optimizers]
+    assert len({*(One(FORMS[name], config, 1).value[0] for config in configs)}) == 1

@@ -185,3 +185,11 @@ def test_parts_over_all_tasks(tmp_path):
         ["P(B better)", *["0.50"] * 4],
     ]
     assert "without-share, 100 steps - preset" not in words
+
+
+def test_how_often_a_choice_is_the_nearest(folder):
+    """TRPO-Lag's choices differ in J_R alone, the gradient is nearer in it; of equal measures both
+    count. CPO has no other choice here."""
+    words = markdown(table(folder))
+    found = rows(words[words.index("Measures, over all tasks, in which") :])
+    assert found[2:] == [["TRPO-Lag, adam (preset)", "6 of 7"], ["TRPO-Lag, sgd", "7 of 7"]]

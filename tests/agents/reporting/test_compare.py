@@ -188,3 +188,17 @@ def test_what_is_written(tmp_path, capsys):
     first = {path.name: path.read_bytes() for path in out.iterdir()}
     assert main(["compare", str(a), str(b), "--out", str(out)]) == 0
     assert {path.name: path.read_bytes() for path in out.iterdir()} == first
+
+
+def test_over_tasks_seeds_that_all_have(tmp_path):
+    """Task 1 has seeds 0 to 2, task 2 seeds 0 and 1: the last run of task 1 is not used."""
+    for side, name, streak in (("a", "trpo-lag", 4), ("b", "cpo", 3)):
+        write_runs(tmp_path / side / "1", name, [0.0, 0.0, 0.0], streak=streak)
+        write_runs(tmp_path / side / "2", name, [0.0, 0.0], "Circle2D-2-v0", streak=streak)
+    difference, p, _ = compare(tmp_path / "a", tmp_path / "b")[-1].rows
+    assert difference.name.endswith("2 tasks, 2 seeds against 2")
+    assert p.numbers[0].value == pytest.approx(4 * 2 / 6**2)
+    # One seed on a task allows no test.
+    write_runs(tmp_path / "a" / "3", "trpo-lag", [0.0], "Circle2D-3-v0")
+    write_runs(tmp_path / "b" / "3", "cpo", [0.0], "Circle2D-3-v0")
+    assert len(compare(tmp_path / "a", tmp_path / "b")) == 3

@@ -17,6 +17,7 @@ from agents.results.measures import (
     Measure,
     RunData,
     measure,
+    measures,
     register,
     unregister,
 )
@@ -155,3 +156,11 @@ def test_a_measure_that_raises_is_named_and_the_run_is_not_blamed(tmp_path):
         unregister("mine")
     assert isinstance(raised.value.__cause__, IndexError)
     assert not (tmp_path / "report.csv").exists()
+
+
+def test_names_are_single_and_single_words():
+    with pytest.raises(ValueError, match="there is a measure 'J_R' already"):
+        register(measure("J_R"))
+    with pytest.raises(ValueError, match="must be one word, got 'a b'"):
+        Measure("a b", "a", "", 2, "lower", lambda run: 0.0)
+    assert len({of.name for of in measures()}) == len(measures())

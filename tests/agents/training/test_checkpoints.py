@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_runs import write_status
+from small_runs import TRPO, write_status
 from toy_family import known
 
 import agents
@@ -142,3 +142,13 @@ def test_progress_by_a_clock(capsys, clock):
         f"{told} 90 % after 35 s, 85 steps/s, {recent}, 2 s left",  # 20 s for 80 %, so for 10 %
         f"{told} 100 % after 40 s, 72 steps/s, {recent}, evaluating",
     ]
+
+
+def test_due_by_steps_too(tmp_path, clock):
+    def passes(epoch):
+        clock.now += 10.0
+
+    more = TRPO | {"checkpoint_every": 300, "steps": 1000, "seeds": (0, 1), "on_epoch": passes}
+    runs = agents.train("cpo", TASK, out=tmp_path / "x", **more)
+    names = sorted(path.stem for path in (runs.folder / "steps").iterdir())
+    assert names == ["000000300", "000000600", "000000900", "000001000"]

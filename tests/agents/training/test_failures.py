@@ -275,3 +275,9 @@ def test_a_process_ends_with_its_parent():
     with contextlib.suppress(ProcessLookupError):
         os.kill(process.pid, 0)
     envs.close()
+
+
+def test_environments_in_processes_end_with_a_training_that_is_stopped(tmp_path):
+    more = OPTIONS | TRPO | {"vectorization": "async", "on_epoch": lambda epoch: False}
+    agents.train("cpo", "Walk-v0", out=tmp_path / "x", **more)
+    assert not multiprocessing.active_children()

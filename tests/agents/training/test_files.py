@@ -17,7 +17,7 @@ from agents.paper.presets import preset
 from agents.training import files
 from agents.training.config import TrainConfig, read_spaces
 from agents.training.environments import Spaces
-from agents.training.files import Arrays, read_json, write_arrays, write_whole
+from agents.training.files import Arrays, locked, read_json, write_arrays, write_whole
 
 TASK = "Circle2D-1-v0"
 
@@ -303,3 +303,13 @@ def test_folders_without_runs_are_named(tmp_path):
     for path in (tmp_path / "a" / "b", tmp_path / "a"):
         with pytest.raises(UserError, match=r"holds folders of runs: did you mean '.*c'"):
             TrainConfig.read(path)
+
+
+def test_patience_waits_for_a_lock(tmp_path):
+    process, held = hold(tmp_path)
+    assert held
+    process.stdin.write("done\n")
+    process.stdin.flush()
+    with locked(tmp_path, patience=60):
+        pass
+    process.communicate()

@@ -267,3 +267,10 @@ def test_evaluations_that_cannot_be(folder):
         agents.evaluate(lambda observation: "left", "Walk-v0")
     with pytest.raises(agents.UserError, match=r"of shape \[3\], the task takes one of \[1\]"):
         agents.evaluate(lambda observation: [0, 0, 0], "Walk-v0")
+
+
+def test_a_policy_kept_at_the_end_is_the_last(tmp_path):
+    more = {"seeds": 2, "steps": 200, "evaluate_every": 100}
+    out = trained(tmp_path / "x", "sac-lag", "Circle2D-1-v0", **more)
+    policies = [agents.load_policy(out, step=step)(OBSERVATIONS) for step in (200, None)]
+    np.testing.assert_array_equal(*policies)

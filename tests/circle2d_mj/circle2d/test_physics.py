@@ -8,7 +8,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import PhysicsConfig
-from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
+from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
 from circle2d_mj.circle2d.physics import Physics
 from circle2d_mj.circle2d.scene import scene
 
@@ -184,3 +184,15 @@ def test_state_is_mujocos_and_all_there_is(level, actuation):
         other.load_state_dict(state)
         again = [other.step(action) for action in actions[20:]]
         assert data_equivalence(results, again, exact=True)
+
+
+def test_a_reset_forgets_everything():
+    """An episode does not depend on what came before it, warm starts included."""
+    used, fresh = (Circle2DMuJoCoEnv(level=0, actuation="force") for _ in range(2))
+    used.reset(seed=0)
+    for action in drift_left(5, num_envs=1):
+        used.step(action[0])
+    assert data_equivalence(used.reset(seed=9), fresh.reset(seed=9), exact=True)
+    assert data_equivalence(used.state_dict(), fresh.state_dict(), exact=True)
+    for action in drift_left(6, num_envs=1):
+        assert data_equivalence(used.step(action[0]), fresh.step(action[0]), exact=True)

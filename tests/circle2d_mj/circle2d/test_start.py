@@ -1,5 +1,7 @@
 """Start positions are uniform over the feasible part of the start area, and end."""
 
+import hashlib
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -85,3 +87,20 @@ def test_the_starts_of_version_v0():
         [11.951850056593685, -0.007837696066417266],
     ]
     np.testing.assert_allclose(envs.position, recorded, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "cells", "digest"),
+    [
+        (CONFIGS[0], 182, "33d58cf56455"),
+        (CONFIGS[1], 6972, "0cc24c0dba44"),
+        (CONFIGS[3], 1924, "f011e78fbf4b"),
+        (EDGES | {"init_region_size": 1.01}, 45056, "bedd34a59252"),
+    ],
+)
+def test_the_cells_of_version_v0(parameters, cells, digest):
+    """To the bit, since starts are drawn in them; recorded when splits had no other end."""
+    area = Circle2DConfig(**parameters).start_area
+    assert len(area._corners) == cells
+    kept = area._corners.tobytes() + area._size.tobytes()
+    assert hashlib.sha1(kept).hexdigest().startswith(digest)
