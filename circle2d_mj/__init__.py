@@ -11,7 +11,7 @@ does it: `gym.make("circle2d_mj:Circle2D-1-v0")`. `circle2d_mj.render` draws pic
 
 from __future__ import annotations
 
-import importlib
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from circle2d_mj.circle2d.config import Circle2DConfig
@@ -39,16 +39,13 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "render":
-        return importlib.import_module("circle2d_mj.render")
+        return import_module("circle2d_mj.render")
     if name in ("FromSafetyGymnasium", "SafetyGymnasiumAPI"):
-        return getattr(importlib.import_module("circle2d_mj.core.wrappers"), name)
+        return getattr(import_module("circle2d_mj.core.wrappers"), name)
     if name == "__version__":
-        from importlib.metadata import PackageNotFoundError, version
+        from importlib.metadata import version
 
-        try:
-            return version("circle2d-mj")
-        except PackageNotFoundError as error:
-            raise AttributeError("circle2d_mj.__version__: circle2d-mj is not installed") from error
+        return version("circle2d-mj")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -64,8 +64,8 @@ def as_runs(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """[runs, tasks]; values of one task, [runs], are a column."""
     array = as_array(values, name)
     if array.ndim not in (1, 2) or not array.size:
-        shape = f"got shape {array.shape}"
-        raise ValueError(f"{name} must be [runs] or [runs, tasks] and not empty, {shape}")
+        needed = "[runs] or [runs, tasks] and not empty"
+        raise ValueError(f"{name} must be {needed}, got shape {array.shape}")
     check_range(array, name)
     return array.reshape(len(array), -1).astype(np.float64)
 

@@ -203,17 +203,14 @@ class EpisodeRecords:
         """Records of one training that several recorders made.
 
         interleaved: True for N environments that were stepped together, each with a recorder of its
-        own (Stable-Baselines3's wrapper_class): step s of one is step N s of the training. The rows
+        own (Stable-Baselines3's wrapper_class): step s of one is step N s of the training, rows
         come in the order in which trajectories ended. False for sessions one after another.
-        shared_rollouts: rollouts of the same id are one rollout, as where every environment
-        recorded with the same rollout length; by default the rollouts of each stay apart.
-        cost_steps and streaks are None where any of the records lack them.
+        shared_rollouts: rollouts of the same id are one; by default those of each stay apart.
         TypeError: something else than records. ValueError: none, or sessions that share rollouts.
         """
         parts = list(records)
         for part in parts:
-            if not isinstance(part, EpisodeRecords):
-                raise TypeError(f"records must be EpisodeRecords, got {type(part).__name__}")
+            check_records(part, fewest=0)
         if not parts:
             raise ValueError("there are no records to merge")
         if shared_rollouts and not interleaved:
@@ -266,11 +263,8 @@ class EpisodeRecords:
         from emcc.table import Columns  # of files alone
 
         columns = Columns(Path(path))
-        if {"rollout", "start_step"} & columns.keys():
-            needed = {"rollout", "start_step", "length", "cost", "longest_streak"}
-        else:
-            needed = {"length", "cost", "longest_streak"}
-        if missing := needed - columns.keys():
+        needed, ids = {"length", "cost", "longest_streak"}, {"rollout", "start_step"}
+        if missing := (needed | ids if ids & columns.keys() else needed) - columns.keys():
             raise ValueError(f"{path}: the columns {', '.join(sorted(missing))} are missing")
         if not columns.complete:  # a number may have lost its last digits
             raise ValueError(f"{path}: the last line is cut off")

@@ -48,9 +48,8 @@ class EMCCCallback(BaseCallback):
     ) -> None:
         super().__init__(verbose)
         if isinstance(rollout, str) and rollout not in ("auto", "update", "episode"):
-            raise ValueError(
-                f'rollout must be "auto", "update", "episode" or a number, got {rollout!r}'
-            )
+            allowed = '"auto", "update", "episode" or a number'
+            raise ValueError(f"rollout must be {allowed}, got {rollout!r}")
         self.rollout, self.alpha, self.window = rollout, alpha, window
         self.limit, self.threshold = limit, threshold
         self._by_update = rollout == "update"
@@ -131,7 +130,5 @@ class EMCCCallback(BaseCallback):
 
 def _started(recorder: CostRecorder | None) -> CostRecorder:
     if recorder is None:
-        raise RuntimeError(
-            "nothing is recorded yet: give the callback to model.learn(callback=...)"
-        )
+        raise RuntimeError("nothing is recorded: give the callback to model.learn(callback=...)")
     return recorder

@@ -175,7 +175,10 @@ def _read_csv(path: Path, threshold: float) -> EpisodeRecords:
     if "episode" in columns and len(set(names)) < ends.sum():
         raise ValueError(f"{path}: the steps of an episode must follow one another")
     for name in marks:
-        ends |= _flags(columns, name)
+        words = [text.lower().removesuffix(".0") for text in columns[name]]
+        if bad := set(words) - {"0", "1", "false", "true"}:
+            raise ValueError(f"{path}, column {name}: must be 0 or 1, got {min(bad)!r}")
+        ends |= np.isin(words, ["1", "true"])
     last = np.flatnonzero(np.append(ends[:-1], True))
     if len(last) == costs.size > 1:
         raise ValueError(f"{path}: every episode has one row: sums of episodes have no EMCC")
@@ -184,14 +187,6 @@ def _read_csv(path: Path, threshold: float) -> EpisodeRecords:
     with _named(path):
         lengths = np.diff(last, prepend=-1)
         return EpisodeRecords.from_costs(costs, lengths, None, ids, threshold)
-
-
-def _flags(columns: Columns, name: str) -> NDArray[np.bool_]:
-    """A column of 0 and 1, or of False and True: [rows]."""
-    words = [text.lower().removesuffix(".0") for text in columns[name]]
-    if bad := set(words) - {"0", "1", "false", "true"}:
-        raise ValueError(f"{columns.path}, column {name}: must be 0 or 1, got {min(bad)!r}")
-    return np.isin(words, ["1", "true"])
 
 
 def from_minari(dataset: Any, threshold: float = 0.0) -> EpisodeRecords:
@@ -206,16 +201,12 @@ def from_minari(dataset: Any, threshold: float = 0.0) -> EpisodeRecords:
     for episode in dataset.iterate_episodes():
         name, steps = f"episode {episode.id}", len(episode.rewards)
         if "cost" not in (episode.infos or {}):
-            raise ValueError(
-                f"{name} has no 'cost' in its infos (it has {sorted(episode.infos or {})}): record "
-                "with record_infos=True from an environment whose info has a cost"
-            )
+            has = sorted(episode.infos or {})
+            raise ValueError(f"{name} has no 'cost' in its infos (it has {has}): record_infos=True")
         cost = as_array(episode.infos["cost"], f"costs of {name}").reshape(-1)
         if len(cost) != steps + 1:
-            raise ValueError(
-                f"{name} has {steps} steps and {len(cost)} costs; needed are those of the reset "
-                "and of every step"
-            )
+            needed = "needed are those of the reset and of every step"
+            raise ValueError(f"{name} has {steps} steps and {len(cost)} costs; {needed}")
         costs.append(cost[1:])
         rewards.append(as_array(episode.rewards, f"rewards of {name}"))
     if not costs:

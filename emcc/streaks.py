@@ -31,8 +31,7 @@ def longest_streaks(
     """Length in steps of the longest streak of each of many trajectories.
 
     costs: [sum of lengths] the trajectories one after another; lengths: [E] steps -> int64 [E].
-    A streak never crosses from one trajectory into the next. Beside input and result this needs
-    a few megabytes, or some 30 bytes for each step of the longest trajectory.
+    A streak never crosses from one trajectory into the next.
     Source: d_tau^max in equation (mcc).
     ValueError: an empty trajectory, lengths that do not add up to the number of costs, a NaN,
     infinite or negative cost, a bad threshold.
@@ -94,10 +93,8 @@ def mcc(trajectories: Iterable[ArrayLike], threshold: float = 0.0) -> float:
     shares = []
     for index, costs in enumerate(trajectories):
         if np.ndim(costs) == 0:
-            raise ValueError(
-                f"trajectories must be a list of arrays of costs, got a number at index {index}; "
-                "one trajectory is [costs]"
-            )
+            got = f"got a number at index {index}; one trajectory is [costs]"
+            raise ValueError(f"trajectories must be a list of arrays of costs, {got}")
         costs = as_vector(costs, f"costs of trajectory {index}", low=0)
         shares.append(longest_streak(costs, threshold) / costs.size)
     if not shares:

@@ -76,7 +76,11 @@ class Table:
             csv.writer(body, lineterminator="\n").writerows([self.head, *self.rows])
             return "".join(f"# {line}\n" for line in (self.caption, *self.notes)) + body.getvalue()
         if form == "latex":
-            return self._latex()
+            comments = [f"% {line}" for line in (self.caption, *self.notes)]
+            rows = [" & ".join(map(_escape, row)) + r" \\" for row in (self.head, *self.rows)]
+            top = (rf"\begin{{tabular}}{{l{'r' * (len(self.head) - 1)}}}", r"\toprule", rows[0])
+            end = (r"\bottomrule", r"\end{tabular}", "")
+            return "\n".join([*comments, *top, r"\midrule", *rows[1:], *end])
         lines = [self.head, *self.rows]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         if form == "md":
@@ -90,13 +94,6 @@ class Table:
             body = ["  ".join(line).rstrip() for line in padded]
         notes = [text for note in self.notes for text in ("", note)]  # a paragraph each
         return "\n".join([self.caption, "", *body, *notes, ""])
-
-    def _latex(self) -> str:
-        comments = [f"% {line}" for line in (self.caption, *self.notes)]
-        head, *rows = (" & ".join(map(_escape, row)) + r" \\" for row in (self.head, *self.rows))
-        first = rf"\begin{{tabular}}{{l{'r' * (len(self.head) - 1)}}}"
-        top, end = (first, r"\toprule", head, r"\midrule"), (r"\bottomrule", r"\end{tabular}")
-        return "\n".join([*comments, *top, *rows, *end, ""])
 
 
 def _escape(text: str) -> str:

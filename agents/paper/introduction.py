@@ -15,7 +15,7 @@ from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.circle2d.envs import MAX_EPISODE_STEPS
-from circle2d_mj.circle2d.kinematic import Kinematic
+from circle2d_mj.circle2d.task import Kinematic
 from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.core.view import Picture
 from circle2d_mj.render import canvas

@@ -10,17 +10,18 @@ from functools import cached_property
 from numbers import Integral, Real
 from typing import Any, Literal, get_args
 
-from circle2d_mj.circle2d.region import CostRegion
-from circle2d_mj.circle2d.start import Rectangle, StartArea
+from circle2d_mj.circle2d.region import CostRegion, Rectangle, StartArea
 
 LEVELS = (0, 1, 2, 3)
 _STEP = 0.11
-_SWITCHES = (
-    "infeasible_region_penetratable",
-    "reset_on_cost",
-    "allow_infeasible_init",
-    "sparse_reward",
-)
+_BOUNDS = {  # lowest value, whether it is allowed, and highest value
+    "constraint_radius": (1e-100, True, 1e100),  # squares must stay finite
+    "init_radius_multiplier": (0.0, False, 1e6),
+    "corridor_height_factor": (0.0, False, 2.0),
+    "init_region_size": (0.0, True, math.inf),
+}
+_SWITCHES = ("infeasible_region_penetratable", "reset_on_cost", "allow_infeasible_init")
+_SWITCHES = (*_SWITCHES, "sparse_reward")
 
 
 @dataclass(frozen=True)
@@ -62,18 +63,27 @@ class Circle2DConfig:
         if self.level not in LEVELS:
             raise ValueError(f"level must be one of {LEVELS}, got {self.level!r}")
         self._set("level", int(self.level))
-        self._set_number("constraint_radius", low=1e-100, high=1e100)  # squares must stay finite
-        self._set_number("init_radius_multiplier", low=0.0, low_allowed=False, high=1e6)
-        self._set_number("corridor_height_factor", low=0.0, low_allowed=False, high=2.0)
-        self._set_number("init_region_size", low=0.0)
-        self._set_optimum()
+        for name, (low, low_allowed, high) in _BOUNDS.items():
+            value = _number(name, getattr(self, name))
+            if not (value >= low if low_allowed else value > low) or value > high:
+                lower = f"{'at least' if low_allowed else 'above'} {low:g}"
+                upper = f" and at most {high:g}" if high < math.inf else ""
+                raise ValueError(f"{name} must be {lower}{upper}, got {value!r}")
+            self._set(name, value)
+        self._set("optima_perturbation", self._optimum())
         if self.infeasible_region_penetratable is None:
             self._set("infeasible_region_penetratable", self.level > 0)
         for name in _SWITCHES:
             value = getattr(self, name)
             if not isinstance(value, bool):
                 raise TypeError(f"{name} must be True or False, got {value!r}")
-        self._check_start_rectangle()
+        depth, reach = self.init_region_size / 2, self.init_radius_multiplier
+        if not (depth <= reach and -reach <= 1 - depth <= reach):
+            raise ValueError(
+                f"init_region_size {self.init_region_size:g} puts the start area outside the arena "
+                f"of init_radius_multiplier {reach:g}: size / 2 and |1 - size / 2| must be at most "
+                "the multiplier"
+            )
         _ = self.start_area  # refuses a task without a feasible start here, not at its reset
 
     @cached_property
@@ -125,17 +135,7 @@ class Circle2DConfig:
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
 
-    def _set_number(
-        self, name: str, low: float, low_allowed: bool = True, high: float = math.inf
-    ) -> None:
-        value = _number(name, getattr(self, name))
-        if not (value >= low if low_allowed else value > low) or value > high:
-            lower = f"{'at least' if low_allowed else 'above'} {low:g}"
-            upper = f" and at most {high:g}" if high < math.inf else ""
-            raise ValueError(f"{name} must be {lower}{upper}, got {value!r}")
-        self._set(name, value)
-
-    def _set_optimum(self) -> None:
+    def _optimum(self) -> tuple[float, float]:
         name, given = "optima_perturbation", self.optima_perturbation
         try:
             x, y = (_number(name, v) for v in given)
@@ -146,16 +146,7 @@ class Circle2DConfig:
                 f"{name} must keep the optimum inside the disc of constraint_radius "
                 f"{self.constraint_radius:g}, got {given!r}"
             )
-        self._set(name, (x, y))
-
-    def _check_start_rectangle(self) -> None:
-        depth, reach = self.init_region_size / 2, self.init_radius_multiplier
-        if not (depth <= reach and -reach <= 1 - depth <= reach):
-            raise ValueError(
-                f"init_region_size {self.init_region_size:g} puts the start area outside the arena "
-                f"of init_radius_multiplier {reach:g}: size / 2 and |1 - size / 2| must be at most "
-                "the multiplier"
-            )
+        return x, y
 
 
 Actuation = Literal["velocity", "force"]
@@ -225,8 +216,7 @@ class PhysicsConfig:
         for name in (*DRAWN, "timestep", "ball_radius", "force_limit"):
             if (value := getattr(self, name)) is not None:
                 object.__setattr__(self, name, self._checked(name, value))
-        for name in self._without_effect():
-            raise ValueError(f"{name} has no effect with {self._situation(name)}: leave it out")
+        self._refuse_without_effect()
         if (self.cost == "force") != (self.force_limit is not None):
             given = f"got cost={self.cost!r}, force_limit={self.force_limit!r}"
             raise ValueError(f"force_limit must be given with cost='force', and only then, {given}")
@@ -235,28 +225,27 @@ class PhysicsConfig:
         object.__setattr__(self, "randomize", self._ranges())
 
     def _checked(self, name: str, value: Any) -> float:
-        number, zero = _number(name, value), name in ("friction", "damping", "damping_ratio")
-        zero = zero or name == "force_limit"
+        number = _number(name, value)
+        zero = name in ("friction", "damping", "damping_ratio", "force_limit")
         if number < 0 or (number == 0 and not zero):
             raise ValueError(f"{name} must be {'at least' if zero else 'above'} 0, got {value!r}")
         return number
 
-    def _without_effect(self) -> list[str]:
-        """Parameters given that nothing depends on."""
-        given = {name for name in DRAWN if getattr(self, name) is not None} | set(self.randomize)
-        unused = set() if self.actuation == "velocity" else {"gain"}
-        unused |= (
-            {"max_speed"} if self.actuation == "force" and self.max_force is not None else set()
-        )
-        unused |= set() if self.contact == "soft" else {"stiffness", "damping_ratio"}
-        unused |= {"friction"} if self.contact == "none" else set()
-        return sorted(given & unused)
-
-    def _situation(self, name: str) -> str:
-        if name == "max_speed":
-            return "actuation='force' and max_force"
-        which = "actuation" if name == "gain" else "contact"
-        return f"{which}={getattr(self, which)!r}"
+    def _refuse_without_effect(self) -> None:
+        """ValueError for a parameter that is given though nothing depends on it."""
+        by_force, contact = self.actuation == "force", f"contact={self.contact!r}"
+        useless = {
+            "gain": by_force and "actuation='force'",
+            "max_speed": by_force
+            and self.max_force is not None
+            and "actuation='force' and max_force",
+            "stiffness": self.contact != "soft" and contact,
+            "damping_ratio": self.contact != "soft" and contact,
+            "friction": self.contact == "none" and contact,
+        }
+        for name, beside in useless.items():
+            if beside and (getattr(self, name) is not None or name in self.randomize):
+                raise ValueError(f"{name} has no effect with {beside}: leave it out")
 
     def _ranges(self) -> dict[str, tuple[float, float]]:
         if not isinstance(self.randomize, Mapping):

@@ -1,24 +1,129 @@
-"""Circle2D as gymnasium environments: kinematic, and with MuJoCo's physics."""
+"""Circle2D: the simulation of many copies, for any dynamics, and its gymnasium environments."""
+
+# mujoco has no stubs for what is compiled.
+# pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import Circle2DConfig
-from circle2d_mj.circle2d.kinematic import Kinematic
-from circle2d_mj.circle2d.simulation import Circle2D, Dynamics
-from circle2d_mj.core.simulation import positive_integer
-from circle2d_mj.core.single_env import TaskEnv, without_time_limit
-from circle2d_mj.core.vector_env import TaskVectorEnv
-from circle2d_mj.render.gl import render_modes
+from circle2d_mj.circle2d.task import Dynamics, Kinematic
+from circle2d_mj.core.envs import TaskEnv, TaskVectorEnv, render_modes, without_time_limit
+from circle2d_mj.core.simulation import Outcome, State, positive_integer
+from circle2d_mj.core.streams import Streams
+
+if TYPE_CHECKING:
+    from circle2d_mj.circle2d.physics import Physics
+    from circle2d_mj.circle2d.view import Circle2DView
+
 
 MAX_EPISODE_STEPS = 50
 METADATA: dict[str, Any] = {"render_modes": render_modes(), "render_fps": 10}
+FRAME_SIZE = 640
+
+
+class Circle2D:
+    """`num_envs` copies of the task: see `circle2d_mj.core.simulation.Simulation`."""
+
+    def __init__(self, config: Circle2DConfig, num_envs: int, dynamics: Dynamics) -> None:
+        self.config, self.num_envs, self.dynamics = config, num_envs, dynamics
+        self.recorded_info = dynamics.info_units
+        self.info_keys = ("cost", *self.recorded_info)
+        bounds = np.array(dynamics.observation_bounds, dtype=np.float32)
+        self.observation_space: Box = Box(-bounds, bounds)
+        self.action_space: Box = Box(-1.0, 1.0, (2,), np.float32)
+        self._drawer: Any = None
+        self._window: Any = None
+
+    @property
+    def view(self) -> Circle2DView:
+        """The arena from above."""
+        from circle2d_mj.circle2d.view import Circle2DView
+
+        return Circle2DView(self.config)
+
+    def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
+        """Place the agents `index` at random in the start area."""
+        self.dynamics.start(streams, index)
+
+    def step(self, action: NDArray[np.float64]) -> Outcome:
+        """Move all agents by their actions, [num_envs, 2]."""
+        contact, more = self.dynamics.step(action)
+        ended = self.dynamics.position
+        costs = task.cost(self.config, ended, contact)
+        ends = costs > 0 if self.config.reset_on_cost else np.zeros(self.num_envs, dtype=bool)
+        return Outcome(task.reward(self.config, ended), ends, {"cost": costs, **more})
+
+    def observe(self) -> NDArray[np.float32]:
+        """Return the observations: [num_envs, 2 or 4] float32."""
+        return self.dynamics.observe()
+
+    def state_info(self) -> dict[str, NDArray[np.float64]]:
+        """Return nothing: the observation holds the positions."""
+        return {}
+
+    def state_dict(self) -> State:
+        """Return all that steps depend on."""
+        return self.dynamics.state_dict()
+
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
+        self.dynamics.load_state_dict(state)
+
+    def frame(self, index: int) -> NDArray[np.uint8]:
+        """Draw the agent `index` in its arena: [640, 640, 3]."""
+        dynamics: Any = self.dynamics
+        with_physics = dynamics.camera is not None
+        if self._drawer is None:
+            if with_physics:
+                from circle2d_mj.render.gl import Offscreen
+
+                self._drawer = Offscreen(dynamics.model, FRAME_SIZE, forces=True)
+            else:
+                from circle2d_mj.render.renderer import Renderer
+
+                self._drawer = Renderer(self.config)
+        if with_physics:
+            camera = dynamics.model.camera(dynamics.camera).id
+            return self._drawer.draw(dynamics.data(index), camera)
+        return self._drawer.frame(dynamics.position[index])
+
+    def show(self, index: int) -> None:
+        """Show the agent `index` in MuJoCo's viewer."""
+        physics = self._physics
+        if self._window is None:
+            from circle2d_mj.render.gl import Window
+
+            self._window = Window(physics.model, physics.step_seconds)
+        if physics is not self.dynamics:
+            physics.place(np.array([0]), self.dynamics.position[[index]])
+        self._window.show(physics.data(index if physics is self.dynamics else 0))
+
+    @cached_property
+    def _physics(self) -> Physics:
+        """The dynamics where they are MuJoCo's, else a ball to show."""
+        from circle2d_mj.circle2d.physics import Physics
+
+        return self.dynamics if isinstance(self.dynamics, Physics) else Physics(self.config, 1)
+
+    def close(self) -> None:
+        """Close what `frame` and `show` opened."""
+        for drawer in (self._drawer, self._window):
+            if drawer is not None:
+                drawer.close()
+        self._drawer = self._window = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_drawer": None, "_window": None}  # they cannot be copied
 
 
 class Circle2DVectorEnv(TaskVectorEnv):

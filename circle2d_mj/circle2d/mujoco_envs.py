@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from circle2d_mj.circle2d.config import Camera, Circle2DConfig, PhysicsConfig, check_names
 from circle2d_mj.circle2d.envs import MAX_EPISODE_STEPS, Circle2DEnv, Circle2DVectorEnv
 from circle2d_mj.circle2d.physics import Physics
-from circle2d_mj.core.single_env import without_time_limit
+from circle2d_mj.core.envs import without_time_limit
 
 
 class Circle2DMuJoCoVectorEnv(Circle2DVectorEnv):
@@ -38,22 +38,20 @@ class Circle2DMuJoCoVectorEnv(Circle2DVectorEnv):
         num_envs: int = 1,
         *,
         config: Circle2DConfig | None = None,
-        num_threads: int = 1,
         max_episode_steps: int | None = MAX_EPISODE_STEPS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        num_threads: int = 1,
         camera: Camera | None = None,
         **parameters: Any,
     ) -> None:
-        task, physics = split(config, parameters)
         super().__init__(
             num_envs,
             config=config,
-            dynamics=partial(Physics, physics=physics, num_threads=num_threads, camera=camera),
             max_episode_steps=max_episode_steps,
             autoreset_mode=autoreset_mode,
             render_mode=render_mode,
-            **task,
+            **with_physics(config, parameters, num_threads, camera),
         )
 
 
@@ -64,26 +62,27 @@ class Circle2DMuJoCoEnv(Circle2DEnv):
         self,
         config: Circle2DConfig | None = None,
         *,
-        num_threads: int = 1,
         max_episode_steps: int | None = MAX_EPISODE_STEPS,
         render_mode: str | None = None,
+        num_threads: int = 1,
         camera: Camera | None = None,
         **parameters: Any,
     ) -> None:
-        task, physics = split(config, parameters)
         super().__init__(
             config,
-            dynamics=partial(Physics, physics=physics, num_threads=num_threads, camera=camera),
             max_episode_steps=max_episode_steps,
             render_mode=render_mode,
-            **task,
+            **with_physics(config, parameters, num_threads, camera),
         )
 
 
-def split(
-    config: Circle2DConfig | None, parameters: dict[str, Any]
-) -> tuple[dict[str, Any], PhysicsConfig]:
-    """The parameters of the task, and the physics of the others.
+def with_physics(
+    config: Circle2DConfig | None,
+    parameters: dict[str, Any],
+    num_threads: int,
+    camera: Camera | None,
+) -> dict[str, Any]:
+    """The parameters of the task, and the dynamics that the others make.
 
     A contact decides whether the region can be entered, where nothing else says so. Raises as
     `PhysicsConfig` does, and TypeError for an unknown name.
@@ -96,7 +95,8 @@ def split(
     task = {k: v for k, v in parameters.items() if k in of_task}
     if physics.contact is not None and config is None:
         task.setdefault("infeasible_region_penetratable", physics.contact != "rigid")
-    return task, physics
+    how = {"physics": physics, "num_threads": num_threads, "camera": camera}
+    return {**task, "dynamics": partial(Physics, **how)}
 
 
 for_gym_make = without_time_limit(Circle2DMuJoCoEnv)

@@ -1,19 +1,22 @@
-"""Observation, reward and cost of Circle2D. The place to change them.
+"""Circle2D: observation, reward and cost, and the paper's dynamics.
 
-Both modes (kinematic and MuJoCo), the single and the vector environment call these functions.
-`StartArea` says where episodes start, `CostRegion` where costs lie, `Circle2DConfig` how far a step
-goes. Source: safe_exploration.tex, "Circle2D details"; what it leaves open defines version v0.
+The functions are the place to change the task: both modes (kinematic and MuJoCo), the single and
+the vector environment call them. `StartArea` says where episodes start, `CostRegion` where costs
+lie, `Circle2DConfig` how far a step goes. Source: safe_exploration.tex, "Circle2D details"; what it
+leaves open defines version v0.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.core.simulation import State
+from circle2d_mj.core.streams import Streams
 
 
 class Move(NamedTuple):
@@ -73,3 +76,97 @@ def cost(
     report a touch (see `Kinematic.step`, `Physics.step`) -> [...] float64.
     """
     return contact.astype(np.float64)
+
+
+class Dynamics(Protocol):
+    """How actions move the agents: `Kinematic`, `Physics`, or yours."""
+
+    info_units: dict[str, str]
+    """Units of the numbers that `step` adds to the info, beside the cost, by name."""
+    camera: str | None
+    """Camera of frames that MuJoCo draws; None for plain pictures of the arena."""
+
+    @property
+    def observation_bounds(self) -> tuple[float, ...]:
+        """Upper bounds of the observation's absolute values; one for each number."""
+        ...
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Positions of the agents: [num_envs, 2], world units."""
+        ...
+
+    def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
+        """Place the agents `index` at random, at rest, with numbers from their streams alone."""
+        ...
+
+    def step(self, action: NDArray[np.float64]) -> Move:
+        """Move every agent by its action, [num_envs, 2]."""
+        ...
+
+    def observe(self) -> NDArray[np.float32]:
+        """Return the observations: a fresh array [num_envs, len(observation_bounds)]."""
+        ...
+
+    def state_dict(self) -> State:
+        """Return all that steps depend on: named arrays (copies), num_envs their first axis."""
+        ...
+
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
+        ...
+
+
+class Kinematic:
+    """`num_envs` agents whose actions are their steps."""
+
+    observation_bounds = (1.0, 1.0)
+    camera: str | None = None
+
+    def __init__(self, config: Circle2DConfig, num_envs: int) -> None:
+        self.config = config
+        self.info_units: dict[str, str] = {}
+        self.start_area = config.start_area
+        # Column-major: every formula works on x and y separately.
+        self.position = np.zeros((num_envs, 2), order="F")
+        """Positions of the agents: [num_envs, 2], world units."""
+
+    def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
+        """Place the agents `index` at random in the start area."""
+        self.place(index, self.start_area.sample(streams, index))
+
+    def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
+        """Put the agents `index` at `position`, [len(index), 2]."""
+        self.position[index] = position
+
+    def step(self, action: NDArray[np.float64]) -> Move:
+        """Move every agent: `p' = clip(p + 0.11·R·a, arena)`.
+
+        action: [num_envs, 2], clipped to [-1, 1]. There is contact where the move ends in the cost
+        region. Where that is rigid, such a move is taken back, and is a contact all the same.
+        """
+        config, arena = self.config, self.config.arena
+        end = action.T.copy().T  # a fresh array in the memory order of `position`
+        np.maximum(end, -1.0, out=end)
+        np.minimum(end, 1.0, out=end)
+        end *= config.full_step
+        end += self.position
+        np.maximum(end, -arena, out=end)
+        np.minimum(end, arena, out=end)
+        contact = config.region.contains(end)
+        if not config.infeasible_region_penetratable:
+            end = np.where(contact[:, None], self.position, end)
+        self.position = end
+        return Move(contact, {})
+
+    def observe(self) -> NDArray[np.float32]:
+        """Return the scaled positions: [num_envs, 2] float32."""
+        return observe(self.config, self.position)
+
+    def state_dict(self) -> State:
+        """Return the positions: [num_envs, 2]."""
+        return {"position": self.position.copy()}
+
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
+        self.position = np.asfortranarray(state["position"])

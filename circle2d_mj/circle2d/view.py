@@ -26,7 +26,7 @@ RING_SHADE = 0.75
 
 @dataclass(frozen=True)
 class Circle2DView:
-    """The arena with the agents' positions in world units. See `circle2d_mj.core.view.View`."""
+    """The arena with the agents' positions in world units: see `circle2d_mj.core.view.View`."""
 
     config: Circle2DConfig
 
@@ -66,12 +66,9 @@ class Circle2DView:
         inner_end, ((left, _), _) = -config.region.cutouts[0].inner, config.start_rectangle
         if config.allow_infeasible_init or left < inner_end or least < 1:
             return [""] * len(positions)
-        passed = np.asarray(costs) >= least
-        if not config.infeasible_region_penetratable:
-            passed[:] = False
-        words = ["through" if through else "round" for through in passed]
-        pairs = zip(self.places(positions), words, strict=True)
-        return [word if place == "corridor" else "" for place, word in pairs]
+        through = (np.asarray(costs) >= least) & bool(config.infeasible_region_penetratable)
+        words = np.where(through, "through", "round")
+        return np.where(np.array(self.places(positions)) == "corridor", words, "").tolist()
 
     def background(self, size: int) -> Picture:
         """Paint the cost region grey, with a dark rim where it is rigid, the start area green, and

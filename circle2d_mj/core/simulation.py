@@ -28,31 +28,19 @@ class Outcome(NamedTuple):
 class Simulation(Protocol):
     """A task in `num_envs` independent copies."""
 
-    @property
-    def num_envs(self) -> int: ...
-    @property
-    def observation_space(self) -> Box:
-        """Observation space of one environment."""
-        ...
-
-    @property
-    def action_space(self) -> Box:
-        """Action space of one environment."""
-        ...
-
-    @property
-    def info_keys(self) -> tuple[str, ...]:
-        """Names of the numbers in infos: of `Outcome.info`, then of `state_info`."""
-        ...
+    num_envs: int
+    observation_space: Box
+    """Observation space of one environment."""
+    action_space: Box
+    """Action space of one environment."""
+    info_keys: tuple[str, ...]
+    """Names of the numbers in infos: of `Outcome.info`, then of `state_info`."""
+    recorded_info: dict[str, str]
+    """Those of `info_keys` that training records at each step, with their units."""
 
     @property
     def view(self) -> View | None:
         """Pictures of where agents are; None where there is nothing to show."""
-        ...
-
-    @property
-    def recorded_info(self) -> dict[str, str]:
-        """Those of `info_keys` that training records at each step, with their units."""
         ...
 
     def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
@@ -99,15 +87,14 @@ LARGEST_ACTION = 1e150
 
 def checked_action(action: ArrayLike, shape: tuple[int, ...] | None) -> NDArray[np.float64]:
     """Return the action as float64. Raises ValueError for another shape, for what is no array of
-    real numbers (text, complex numbers, dates, objects, masked arrays), and for numbers that are
-    not finite or larger than `LARGEST_ACTION`."""
+    real numbers, and for numbers that are not finite or larger than `LARGEST_ACTION`."""
     try:
         given = np.asarray(action)
     except (TypeError, ValueError, RuntimeError):  # a ragged list; a tensor with a gradient
         raise ValueError(f"action must be numbers of shape {shape}, got {action!r}") from None
     if given.dtype.kind not in "fiub":
         raise ValueError(f"action must be numbers (real), got {given.dtype} in {action!r}")
-    if _is_masked(action):
+    if isinstance(action, np.ma.MaskedArray):
         raise ValueError(f"action must not be masked, got {action!r}")
     values = given.astype(np.float64)
     if values.shape != shape:
@@ -117,13 +104,6 @@ def checked_action(action: ArrayLike, shape: tuple[int, ...] | None) -> NDArray[
             f"action must be finite, and at most {LARGEST_ACTION:g} in size, got {action!r}"
         )
     return values
-
-
-def _is_masked(action: Any) -> bool:
-    """Whether numpy would drop a mask of the action or of an array in it."""
-    if isinstance(action, (list, tuple)):
-        return any(_is_masked(part) for part in action if not isinstance(part, float))
-    return isinstance(action, np.ma.MaskedArray)
 
 
 def positive_integer(name: str, value: Any) -> int:

@@ -137,8 +137,14 @@ def with_trajectories(
     painted = Image.fromarray(picture).resize((fine, fine), Image.Resampling.NEAREST)
     draw = ImageDraw.Draw(painted)
     dot, line = fine / 160, max(fine // 500, 1)
-    checked = [_checked(*given) for given in zip(paths, costs, strict=True)]
-    lines = [pixels(extent, path, fine) for path in checked]
+    for path, of_path in zip(paths, costs, strict=True):
+        states, steps = np.shape(path), np.shape(of_path)
+        if len(steps) != 1 or states != (steps[0] + 1, 2):
+            shapes = f"got {list(states)} and {list(steps)}"
+            raise ValueError(f"path and costs must be [T + 1, 2] and [T], {shapes}")
+        if not (np.isfinite(path).all() and np.isfinite(of_path).all()):
+            raise ValueError("paths and costs must be finite")
+    lines = [pixels(extent, path, fine) for path in paths]
     for at in lines:
         draw.line([tuple(p) for p in at.tolist()], fill=LINE, width=line)
     for at, of_path in zip(lines, costs, strict=True):
@@ -153,20 +159,6 @@ def with_trajectories(
             corners = (*(low - 2.2 * dot), *(high + 2.2 * dot))
             draw.rectangle(corners, outline=BOX, width=3 * line)
     return np.asarray(painted.reduce(FINER))
-
-
-def _checked(path: ArrayLike, costs: ArrayLike) -> NDArray[np.float64]:
-    points, of_steps = np.asarray(path, dtype=np.float64), np.asarray(costs, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 2 or not len(points):
-        raise ValueError(f"a path must have shape [T + 1, 2], got {list(points.shape)}")
-    steps = len(points) - 1
-    if of_steps.shape != (steps,):
-        raise ValueError(
-            f"a path of {len(points)} states needs {steps} costs, got {list(of_steps.shape)}"
-        )
-    if not (np.isfinite(points).all() and np.isfinite(of_steps).all()):
-        raise ValueError("paths and costs must be finite")
-    return points
 
 
 def chains(costs: ArrayLike) -> list[tuple[int, int]]:

@@ -1,4 +1,4 @@
-"""Off-screen OpenGL for MuJoCo, without a screen: EGL or OSMesa.
+"""MuJoCo's pictures, off-screen by EGL or OSMesa, and its window.
 
 MuJoCo chooses a backend when it is imported, and fails there if the one that is named is missing.
 Here the backend is chosen when the first picture is drawn.
@@ -16,12 +16,16 @@ import importlib
 import os
 import platform
 import sys
+import threading
+import time
 import weakref
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from circle2d_mj.core.envs import render_modes
 
 VARIABLE = "MUJOCO_GL"
 LIBRARIES = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
@@ -42,15 +46,9 @@ class NoOpenGL(RuntimeError):
     """Pictures cannot be drawn off-screen; the message says what to install and what to set."""
 
 
-def render_modes() -> list[str]:
-    """Return the render modes available here: "human" only where a window could be opened."""
-    has_screen = platform.system() != "Linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
-    return ["rgb_array", "human"] if has_screen else ["rgb_array"]
-
-
 def check_backend() -> None:
     """Raise NoOpenGL where MUJOCO_GL names a backend that is missing or unknown, or none."""
-    named = _named()
+    named = os.environ.get(VARIABLE, "").lower().strip()
     if named in LIBRARIES:
         _load(named)
     elif named == "glfw" and "human" not in render_modes():
@@ -73,8 +71,7 @@ class Offscreen:
         from circle2d_mj.core.engine import mujoco
 
         context = _gl_context(size)
-
-        self._model, self._context = model, context
+        self._mujoco, self._model, self._context = mujoco, model, context
         buffer = model.vis.global_
         buffer.offwidth, buffer.offheight = max(buffer.offwidth, size), max(buffer.offheight, size)
         try:
@@ -97,29 +94,18 @@ class Offscreen:
 
     def upload(self, texture: int, pixels: NDArray[np.uint8]) -> None:
         """Replace a texture of the model by pixels, [height, width, 3]."""
-        import mujoco
-
         self._check_open()
         start = self._model.tex_adr[texture]
         self._model.tex_data[start : start + pixels.size] = pixels.reshape(-1)
         with _current(self._context):
-            mujoco.mjr_uploadTexture(self._model, self._mjr, texture)
+            self._mujoco.mjr_uploadTexture(self._model, self._mjr, texture)
 
     def draw(self, data: Any, camera: int) -> NDArray[np.uint8]:
         """Draw the view of a camera of the model: [size, size, 3], its first row on top."""
-        import mujoco
-
         self._check_open()
-        self._camera.fixedcamid = camera
-        mujoco.mjv_updateScene(
-            self._model,
-            data,
-            self._option,
-            None,
-            self._camera,
-            mujoco.mjtCatBit.mjCAT_ALL,
-            self._scene,
-        )
+        self._camera.fixedcamid, mujoco = camera, self._mujoco
+        how = self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self._model, data, *how, self._scene)
         with _current(self._context):
             mujoco.mjr_render(self._rectangle, self._scene, self._mjr)
             mujoco.mjr_readPixels(self._picture, None, self._rectangle, self._mjr)
@@ -152,10 +138,6 @@ def _free(context: Any, mjr: Any) -> None:
     context.free()
 
 
-def _named() -> str:
-    return os.environ.get(VARIABLE, "").lower().strip()
-
-
 def _load(backend: str) -> None:
     try:
         ctypes.CDLL(LIBRARIES[backend])
@@ -165,7 +147,7 @@ def _load(backend: str) -> None:
 
 def _gl_context(size: int) -> Any:
     """Return a context of the backend that MUJOCO_GL names, else of the first that works."""
-    named = _named()
+    named = os.environ.get(VARIABLE, "").lower().strip()
     if platform.system() != "Linux" or named == "glfw":
         import mujoco
 
@@ -195,3 +177,36 @@ def _unbind(modules: set[str], bound: str | None) -> None:
             del sys.modules[name]
     if bound is None:
         os.environ.pop(_BOUND, None)
+
+
+class Window:
+    """Shows states of a model in real time; opened when it is made.
+
+    step_time: seconds that a step of the task takes.
+    """
+
+    def __init__(self, model: Any, step_time: float) -> None:
+        import mujoco.viewer
+
+        self._model, self._step_time = model, step_time
+        self._data = mujoco.MjData(model)
+        before = set(threading.enumerate())
+        self._viewer = mujoco.viewer.launch_passive(model, self._data)
+        self._threads = set(threading.enumerate()) - before
+        self._shown = time.monotonic()
+
+    def show(self, data: Any) -> None:
+        """Show a state with its derived quantities; returns when the step's time is over."""
+        import mujoco
+
+        with self._viewer.lock():
+            mujoco.mj_copyData(self._data, self._model, data)
+        self._viewer.sync()
+        time.sleep(max(self._shown + self._step_time - time.monotonic(), 0.0))
+        self._shown = time.monotonic()
+
+    def close(self) -> None:
+        """Close the window."""
+        self._viewer.close()
+        for thread in self._threads:
+            thread.join(timeout=5.0)  # a program that ends before the thread does crashes

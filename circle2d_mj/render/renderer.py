@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from circle2d_mj.assets import asset
 from circle2d_mj.circle2d.config import Circle2DConfig
@@ -57,9 +57,16 @@ class Renderer:
         from circle2d_mj.core.engine import mujoco
 
         if position is not None:
-            self._data.qpos[:] = _checked(position) / self.config.arena
+            place = np.asarray(position)
+            if place.shape != (2,) or place.dtype.kind not in "iuf" or not np.isfinite(place).all():
+                raise ValueError(f"position must be two finite numbers, got {position!r}")
+            self._data.qpos[:] = place / self.config.arena
         if floor is not None or self._painted:
-            self._offscreen.upload(0, self.background if floor is None else self._fitting(floor))
+            picture = self.background if floor is None else floor
+            got, needed = (f"{[*p.shape]} {p.dtype}" for p in (picture, self.background))
+            if got != needed:
+                raise ValueError(f"floor must be a picture {needed}, got {got}")
+            self._offscreen.upload(0, picture)
             self._painted = floor is not None
         self._model.geom_rgba[self._agent, 3] = position is not None
         mujoco.mj_forward(self._model, self._data)
@@ -95,29 +102,11 @@ class Renderer:
         """Free the OpenGL context."""
         self._offscreen.close()
 
-    def _fitting(self, floor: Picture) -> Picture:
-        if floor.shape != self.background.shape or floor.dtype != np.uint8:
-            raise ValueError(
-                f"floor must be a picture {list(self.background.shape)} uint8, "
-                f"got {list(floor.shape)} {floor.dtype}"
-            )
-        return floor
-
     def __enter__(self) -> Renderer:
         return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-
-def _checked(position: ArrayLike) -> NDArray[np.float64]:
-    try:
-        values = np.asarray(position, dtype=np.float64)
-    except (TypeError, ValueError):
-        values = np.empty(0)
-    if values.shape != (2,) or not np.isfinite(values).all():
-        raise ValueError(f"position must be two finite numbers, got {position!r}")
-    return values
 
 
 def _model(config: Circle2DConfig, size: int) -> Any:
@@ -140,13 +129,8 @@ def _model(config: Circle2DConfig, size: int) -> Any:
     # Flat light, so that the floor's colours stay as they are.
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [1, 1, 1], [0, 0, 0]
     spec.visual.quality.shadowsize = 0  # there are none, but their buffer would take 64 MB
-    spec.add_texture(
-        name="floor",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        width=size,
-        height=size,
-    )
+    picture = spec.add_texture(name="floor", type=mujoco.mjtTexture.mjTEXTURE_2D)
+    picture.builtin, picture.width, picture.height = mujoco.mjtBuiltin.mjBUILTIN_FLAT, size, size
     material = spec.add_material(name="floor")
     textures = material.textures
     textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"

@@ -9,9 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from circle2d_mj.core.single_env import TaskEnv, without_time_limit
-from circle2d_mj.core.vector_env import TaskVectorEnv
-from circle2d_mj.render.gl import render_modes
+from circle2d_mj.core.envs import TaskEnv, TaskVectorEnv, render_modes, without_time_limit
 from circle2d_mj.safety.tasks import TASKS
 
 METADATA: dict[str, Any] = {"render_modes": render_modes()}

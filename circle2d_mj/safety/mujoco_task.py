@@ -15,7 +15,7 @@ from circle2d_mj.core.simulation import State, positive_integer
 from circle2d_mj.render.gl import Offscreen
 
 if TYPE_CHECKING:
-    from circle2d_mj.render.window import Window
+    from circle2d_mj.render.gl import Window
 
 Floats = NDArray[np.float64]
 FRAME_SIZE = 640
@@ -114,7 +114,7 @@ class MuJoCoTask:
     def show(self, index: int) -> None:
         """Show environment `index` in MuJoCo's viewer."""
         if self._window is None:
-            from circle2d_mj.render.window import Window
+            from circle2d_mj.render.gl import Window
 
             self._window = Window(self.picture_model, self.step_seconds)
         self._window.show(self.data(index))

@@ -15,7 +15,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from circle2d_mj.core.single_env import TaskEnv
+from circle2d_mj.core.envs import TaskEnv
 from circle2d_mj.safety.families import ButtonTask
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
 from circle2d_mj.safety.navigation import NavigationTask

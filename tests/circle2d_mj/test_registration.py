@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from importlib.metadata import version
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -37,16 +36,6 @@ print(type(envs).__name__, envs.reset(seed=0)[0].shape)
 """
     expected = ["0.0 (1.0, 0.5)", "50", "Circle2DVectorEnv (1024, 2)"]
     assert run(code, tmp_path).splitlines() == expected
-
-
-def test_gymnasium_tells_of_an_unknown_id():
-    gym.register_envs(circle2d_mj)
-    with pytest.raises(
-        gym.error.VersionNotFound, match=r"version `v7` for environment `Circle2D-1`"
-    ):
-        gym.make("Circle2D-1-v7")
-    with pytest.raises(gym.error.NameNotFound, match="Environment `Circle2D-7` doesn't exist"):
-        gym.make("Circle2D-7-v0")
 
 
 def test_import_is_light(tmp_path):
@@ -106,17 +95,3 @@ def test_numbers_of_the_info_are_floats_with_a_dtype(name):
         for value in info.values():
             assert isinstance(value, float)
             assert value.dtype == np.float64
-
-
-def test_the_scene_is_shipped_and_loads():
-    mujoco = pytest.importorskip("mujoco")
-    path = Path(__file__).parents[2] / "assets" / "xml" / "circle2d.xml"
-    model = mujoco.MjModel.from_xml_path(str(path))
-    names = [model.joint(i).name for i in range(model.njnt)]
-    assert names == ["x", "y"]
-    assert (model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE).all()
-    assert model.nu == 2
-    data = mujoco.MjData(model)
-    data.ctrl[:] = (1.0, -0.5)
-    mujoco.mj_step(model, data, 100)
-    np.testing.assert_allclose(data.qvel, [1.0, -0.5], rtol=0.02)

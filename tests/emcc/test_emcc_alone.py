@@ -1,58 +1,84 @@
-"""emcc/pyproject.toml and emcc/README.md: the package on its own."""
+"""The package on its own: `import emcc` needs numpy alone; emcc/pyproject.toml builds it."""
 
-import re
+import ast
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import emcc
 
-tomllib = pytest.importorskip("tomllib")  # Python 3.11
-
 PACKAGE = Path(emcc.__file__).parent
-ROOT = PACKAGE.parent
 
 
-def test_the_pages_first_code_gives_the_numbers_beside_it():
-    """The pair of the paper's first figure."""
-    code = re.search(r"```python\n(.*?)```", (PACKAGE / "README.md").read_text(), re.S)
-    assert code
-    *setup, left, right = code[1].strip().splitlines()
-    names = {}
-    exec("\n".join(setup), names)
-    for line in (left, right):
-        expression, numbers = line.split("#")
-        assert eval(expression, names) == eval(f"({numbers})")
+def python(*arguments, cwd=PACKAGE.parent):
+    return subprocess.run([sys.executable, *arguments], cwd=cwd, capture_output=True, text=True)
 
 
-def test_requirements_are_fewer_than_those_of_all():
-    alone = tomllib.loads((PACKAGE / "pyproject.toml").read_text())["project"]
-    together = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert alone["dependencies"] == ["numpy>=1.23"]
-    assert alone["requires-python"] == ">=3.10"
-    assert alone["version"] == together["version"]
+def test_import_loads_numpy_alone():
+    code = (
+        "import sys, numpy.random; before = set(sys.modules); import emcc; import emcc.__main__;"
+        "new = {m.partition('.')[0] for m in set(sys.modules) - before};"
+        "print(sorted(new - set(sys.stdlib_module_names) - {'emcc', 'numpy'}))"
+    )
+    done = python("-c", code)
+    assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "library"),
+    [
+        ("gymnasium", "RecordCosts", "gymnasium"),
+        ("gymnasium", "StreakCost", "gymnasium"),
+        ("stable_baselines3", "sb3", "stable-baselines3"),
+    ],
+)
+def test_a_missing_library_is_named(module, name, library, monkeypatch):
+    for loaded in [m for m in sys.modules if m.startswith(("emcc", module))]:
+        monkeypatch.delitem(sys.modules, loaded)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ImportError, match=f"pip install .*{library}"):
+        getattr(__import__("emcc"), name)
+
+
+def test_every_public_name_is_there_and_no_other():
+    pytest.importorskip("gymnasium", minversion="1.1")
+    functions = {name for name in set(emcc.__all__) - {"sb3"} if callable(getattr(emcc, name))}
+    assert not functions & {path.stem for path in PACKAGE.glob("*.py")}
+    with pytest.raises(AttributeError, match="nothing"):
+        emcc.nothing  # noqa: B018  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_the_source_is_of_python_3_10():
+    for path in PACKAGE.glob("*.py"):
+        ast.parse(path.read_text(), feature_version=(3, 10))
 
 
 def test_the_wheel_holds_the_package_and_works(tmp_path):
     pytest.importorskip("hatchling")
-    subprocess.run(
-        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path],
-        cwd=PACKAGE,
-        check=True,
-        capture_output=True,
+    tomllib = pytest.importorskip("tomllib")  # Python 3.11
+    alone, together = (
+        tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+        for folder in (PACKAGE, PACKAGE.parent)
     )
+    assert alone["version"] == together["version"]
+    done = python("-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path, cwd=PACKAGE)
+    assert done.returncode == 0, done.stderr
     (wheel,) = tmp_path.glob("emcc_metric-*.whl")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path / "installed")
     found = {path.name for path in (tmp_path / "installed" / "emcc").iterdir()}
     assert found == {path.name for path in PACKAGE.glob("*.py")} | {"py.typed"}
-    done = subprocess.run(
-        [sys.executable, "-m", "emcc", "--help"],
-        cwd=tmp_path / "installed",
-        capture_output=True,
-        encoding="utf-8",
-    )
+    done = python("-m", "emcc", "--help", cwd=tmp_path / "installed")
     assert done.stdout.startswith("usage: python -m emcc")
+
+
+def test_pandas_like_objects_are_arrays():
+    class Series:
+        def __array__(self, dtype=None, copy=None):
+            return np.array([0.0, 1.0, 1.0], dtype=dtype)
+
+    assert emcc.longest_streak(Series()) == 2

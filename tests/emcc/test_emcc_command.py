@@ -1,21 +1,14 @@
 """python -m emcc: the table of run folders and files, its status, and mistakes."""
 
 import csv
-import subprocess
 import sys
-from importlib import util
-from pathlib import Path
 
 import numpy as np
 import pytest
+import written
 
 import emcc
 from emcc.__main__ import main
-
-# pytest's importlib mode makes no package of the tests.
-_spec = util.spec_from_file_location("sources", Path(__file__).with_name("test_emcc_sources.py"))
-sources = util.module_from_spec(_spec)
-_spec.loader.exec_module(sources)
 
 PARTS = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")
 DASH = "\N{EN DASH}"
@@ -37,9 +30,9 @@ def records_of(mcc_values):
 
 def write_run(folder, by_seed, steps=100, task="A-v0"):
     runs = {
-        (task, seed): sources.arrays_of(costs_of(m)) if m else FAILED for seed, m in by_seed.items()
+        (task, seed): written.arrays_of(costs_of(m)) if m else FAILED for seed, m in by_seed.items()
     }
-    return sources.write_run(folder, runs, steps=steps)
+    return written.write_run(folder, runs, steps=steps)
 
 
 def table(capsys, *arguments, status=0):
@@ -102,10 +95,10 @@ def test_without_scipy_an_interval_is_refused_and_a_range_is_not(tmp_path, capsy
 def test_folders_tasks_and_costs_are_apart(tmp_path, capsys):
     write_run(tmp_path / "a", {0: TEN})
     write_run(tmp_path / "b", {0: TEN}, task="B-v0")
-    arrays = sources.arrays_of(costs_of(TEN))
-    other = sources.arrays_of(costs_of([0.5] * 10), "cost_2")
+    arrays = written.arrays_of(costs_of(TEN))
+    other = written.arrays_of(costs_of([0.5] * 10), "cost_2")
     runs = {("A-v0", 1): arrays | other}
-    sources.write_run(tmp_path / "c", runs, steps=100, costs=["cost", "cost_2"])
+    written.write_run(tmp_path / "c", runs, steps=100, costs=["cost", "cost_2"])
     rows, _ = table(capsys, tmp_path)
     assert [row["task"] for row in rows] == ["A-v0", "B-v0", "A-v0", "A-v0 (cost_2)"]
     assert [row["EMCC_0.33"] for row in rows] == ["0.600"] * 3 + ["0.500"]
@@ -145,30 +138,6 @@ def test_panels(tmp_path, capsys):
     assert peak.split(")", 1)[1].strip().startswith("0.500 range 0.100 to 0.900")
     main([str(tmp_path), "--limit", "1", "--total-steps", "100", "--per-run"])
     assert capsys.readouterr().out.count("violation rate V") == 2
-
-
-def test_text_is_aligned_and_markdown_is_a_table(tmp_path, capsys):
-    write_run(tmp_path / "a", {0: TEN})
-    main([str(tmp_path)])
-    head, row = capsys.readouterr().out.splitlines()[2:4]
-    for name, cell in (("algorithm", "cpo"), ("EMCC_0.33", "0.600")):
-        assert head.index(name) == row.index(cell)
-    main([str(tmp_path), "--format", "md"])
-    lines = capsys.readouterr().out.splitlines()[2:5]
-    assert set(lines[1]) == set("|- ")
-    assert {line.count("|") for line in lines} == {10}
-
-
-def test_as_a_command(tmp_path):
-    write_run(tmp_path / "a", {0: TEN})
-    done = subprocess.run(
-        [sys.executable, "-m", "emcc", str(tmp_path)],
-        cwd=Path(emcc.__file__).parents[1],
-        capture_output=True,
-        encoding="utf-8",
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "EMCC_0.33" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def test_alone(wheel, tmp_path, version, packages):
     run(tmp_path, "venv/bin/python", *install, "pytest", "hypothesis")
     shutil.copytree(TESTS, tmp_path / "tests")
     shutil.copy(TESTS.parent / "conftest.py", tmp_path / "tests")
-    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = slow\n")
+    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = slow\npythonpath = tests\n")
     without = [f"--ignore=tests/test_emcc_{name}.py" for name in ("alone", "fresh")]
     pytest_ = ("-m", "pytest", "-q", "--import-mode=importlib", "-p", "no:cacheprovider")
     report = run(tmp_path, "venv/bin/python", *pytest_, "tests", *without)

@@ -59,14 +59,6 @@ def test_columns_that_some_lack():
     assert len(merged) == 2
 
 
-def test_nothing_finished_in_one_environment():
-    empty = EpisodeRecords(*[[]] * 8)
-    one = EpisodeRecords([0], [2], [3], [0], [1], [1], [1], [1])
-    assert EpisodeRecords.merge([empty, one]).start_step.tolist() == [4]
-    assert EpisodeRecords.merge([empty, one], interleaved=False).start_step.tolist() == [2]
-    assert len(EpisodeRecords.merge([empty, empty])) == 0
-
-
 def test_mistakes_of_merging_are_named():
     with pytest.raises(ValueError, match="no records to merge"):
         EpisodeRecords.merge([])
@@ -75,22 +67,6 @@ def test_mistakes_of_merging_are_named():
     one = EpisodeRecords([0], [2], [3], [0], [1], [1])
     with pytest.raises(ValueError, match="shared_rollouts needs interleaved"):
         EpisodeRecords.merge([one], interleaved=False, shared_rollouts=True)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_records_from_costs_are_those_of_the_recorder(seed):
-    rng = np.random.default_rng(seed)
-    lengths = rng.integers(1, 9, 20)
-    costs, rewards = rng.random((2, lengths.sum()))
-    costs[costs < 0.5] = 0
-    recorder = CostRecorder(1)
-    ends = set(np.cumsum(lengths) - 1)
-    for step in range(lengths.sum()):
-        recorder.step(costs[step : step + 1], rewards[step : step + 1], [step in ends])
-    made = EpisodeRecords.from_costs(costs, lengths, rewards)
-    assert made.rollout.tolist() == recorder.records.rollout.tolist()
-    for name in COLUMNS:
-        assert getattr(made, name) == pytest.approx(getattr(recorder.records, name), rel=1e-14)
 
 
 def test_recent_rollouts():

@@ -1,41 +1,16 @@
 """A Minari data set, written and read."""
 
-import numpy as np
 import pytest
 
 pytest.importorskip("minari")
 
-import gymnasium as gym
 import minari
+from gymnasium.envs.registration import EnvSpec
+from scripted import Scripted
 
 import emcc
 
 EPISODES = [[0.0, 1.0, 1.0], [2.0], [1.0, 1.0, 0.0, 1.0]]
-
-
-class Scripted(gym.Env):
-    """Plays EPISODES; the reset has a cost of its own, which is no step's."""
-
-    observation_space = gym.spaces.Box(0, 1, (1,), np.float32)
-    action_space = gym.spaces.Discrete(2)
-    spec = gym.envs.registration.EnvSpec("Scripted-v0")
-
-    def __init__(self, cost=True):
-        self.cost, self.episode = cost, -1
-
-    def info(self, cost):
-        return {"cost": cost} if self.cost else {"other": cost}
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.episode, self.at = self.episode + 1, 0
-        return np.zeros(1, np.float32), self.info(9.0)
-
-    def step(self, action):
-        costs = EPISODES[self.episode]
-        self.at += 1
-        done = self.at == len(costs)
-        return np.zeros(1, np.float32), 0.5, done, False, self.info(costs[self.at - 1])
 
 
 @pytest.fixture
@@ -43,12 +18,15 @@ def dataset(tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
 
     def write(record_infos=True, **options):
-        env = minari.DataCollector(Scripted(**options), record_infos=record_infos)
+        played = Scripted(EPISODES, **options)
+        played.spec = EnvSpec("Scripted-v0")
+        env = minari.DataCollector(played, record_infos=record_infos)
         for _ in EPISODES:
             env.reset(seed=0)
             done = False
             while not done:
-                _, _, done, _, _ = env.step(0)
+                _, _, terminated, truncated, _ = env.step(0)
+                done = terminated or truncated
         env.create_dataset("tests/scripted-v0", requirements=[], algorithm_name="none",
             author="none", author_email="none", code_permalink="none",
             description="none")  # fmt: skip
@@ -72,12 +50,9 @@ def test_written_and_read(dataset):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_data_without_costs_are_named(dataset):
-    with pytest.raises(ValueError, match=r"episode 0 has no 'cost' in its infos \(it has \['other"):
-        emcc.from_minari(dataset(cost=False))
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_data_without_infos_are_named(dataset):
-    with pytest.raises(ValueError, match=r"episode 0 has no 'cost' .* record_infos=True"):
-        emcc.from_minari(dataset(record_infos=False))
+@pytest.mark.parametrize(
+    "options", [{"step_cost": False, "reset_cost": False}, {"record_infos": False}]
+)
+def test_data_without_costs_are_named(dataset, options):
+    with pytest.raises(ValueError, match="episode 0 has no 'cost'"):
+        emcc.from_minari(dataset(**options))

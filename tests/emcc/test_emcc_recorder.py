@@ -19,14 +19,6 @@ def feed(recorder, costs, done_at=()):
         recorder.step([cost], [0.5], [index in done_at])
 
 
-def test_every_finished_episode_is_a_rollout():
-    recorder = CostRecorder(1)
-    feed(recorder, [0, 1, 1, 3, 0, 1], done_at=(3, 4))
-    assert rows(recorder) == [(0, 0, 3, 2.0, 2), (1, 3, 1, 3.0, 1)]
-    assert recorder.records.reward.tolist() == [1.5, 0.5]
-    assert recorder.steps == 6
-
-
 def test_end_rollout_keeps_what_is_running():
     recorder = CostRecorder(1)
     feed(recorder, [0, 1, 1], done_at=(2,))
@@ -63,27 +55,12 @@ def test_rollouts_of_n_steps_cut_the_running_episode():
     ]
 
 
-def test_a_rollout_that_ends_with_an_episode_has_no_empty_piece():
-    recorder = CostRecorder(1, rollout=2)
-    feed(recorder, [1, 1, 1, 1], done_at=(2, 4))
-    assert rows(recorder) == [(0, 0, 2, 2.0, 2), (1, 2, 2, 2.0, 2)]
-
-
 def test_steps_are_counted_over_all_environments():
     recorder = CostRecorder(2, rollout=5)
     for done in ([False, False], [True, False], [False, False]):
         recorder.step([1, 0], [0, 0], done)
     assert recorder.steps == 6  # the vector step that makes it 5 or more ends the rollout
     assert rows(recorder) == [(0, 0, 2, 2.0, 2), (0, 4, 1, 1.0, 1), (0, 0, 3, 0.0, 0)]
-
-
-def test_manual_rollouts():
-    recorder = CostRecorder(1, rollout="manual")
-    feed(recorder, [1, 1, 1], done_at=(1,))
-    for _ in range(2):  # the second call finds nothing new
-        recorder.end_rollout()
-    feed(recorder, [1], done_at=(1,))
-    assert rows(recorder) == [(0, 0, 1, 1.0, 1), (0, 1, 2, 2.0, 2), (1, 3, 1, 1.0, 1)]
 
 
 def test_an_inactive_environment_takes_no_step():
@@ -93,14 +70,6 @@ def test_an_inactive_environment_takes_no_step():
     recorder.step([1, 1], [1, 1], [True, True])
     assert recorder.steps == 5
     assert rows(recorder) == [(0, 0, 1, 1.0, 1), (1, 3, 1, 1.0, 1), (2, 0, 3, 3.0, 3)]
-
-
-def test_a_pause_does_not_end_a_streak():
-    recorder = CostRecorder(2)
-    recorder.step([1, 0], [0, 0], [False, False])
-    recorder.step([0, 0], [0, 0], [False, False], active=[False, True])
-    recorder.step([1, 0], [0, 0], [True, False])
-    assert rows(recorder) == [(0, 0, 2, 2.0, 2)]
 
 
 def test_random_streams_against_the_episodes_themselves():

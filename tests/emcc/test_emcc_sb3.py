@@ -8,8 +8,8 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 import gymnasium as gym
+from scripted import Noisy, trajectories
 from stable_baselines3 import A2C, PPO, SAC
-from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
 
@@ -19,42 +19,9 @@ LOG = []
 """(environment, cost, reward, whether the episode ended) of every step of every `Noisy`."""
 
 
-class Noisy(gym.Env):
-    """Episodes of random length and cost; with info["cost"] at reset, which is no step's."""
-
-    observation_space = gym.spaces.Box(-1, 1, (2,), np.float32)
-    action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
-
-    def __init__(self, number=0):
-        self.number, self.rng = number, np.random.default_rng(number)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.left = int(self.rng.integers(1, 30))
-        return np.zeros(2, np.float32), {"cost": 77.0}
-
-    def step(self, action):
-        self.left -= 1
-        cost = float(self.rng.random() < 0.4)
-        reward = float(self.rng.integers(5))  # exact in any precision
-        LOG.append((self.number, cost, reward, self.left == 0))
-        return np.zeros(2, np.float32), reward, self.left == 0, False, {"cost": cost}
-
-
-def episodes_of_log():
-    """(costs, return) of every episode that ended, in the order of their ends."""
-    running, ended = {}, []
-    for number, cost, reward, done in LOG:
-        running.setdefault(number, []).append((cost, reward))
-        if done:
-            steps = running.pop(number)
-            ended.append(([c for c, _ in steps], sum(r for _, r in steps)))
-    return ended, running
-
-
 def envs(count, kind=DummyVecEnv):
     LOG.clear()
-    return kind([partial(Noisy, number) for number in range(count)])
+    return kind([partial(Noisy, LOG, number) for number in range(count)])
 
 
 def longest(costs):
@@ -67,14 +34,13 @@ def test_off_policy_every_episode_is_a_rollout(count):
     callback = emcc.sb3.EMCCCallback()
     model = SAC("MlpPolicy", envs(count), learning_starts=10_000, device="cpu")
     model.learn(900, callback=callback)
-    ended, running = episodes_of_log()
-    mcc = [longest(costs) / len(costs) for costs, _ in ended]
-    mcc += [longest(c for c, _ in steps) / len(steps) for steps in running.values()]
+    ended, running = trajectories(LOG)
+    mcc = [longest(costs) / len(costs) for costs, _ in ended + running]
     assert sorted(callback.records.mcc_per_rollout()[0]) == pytest.approx(sorted(mcc))
     assert callback.records.emcc(alpha=1) == pytest.approx(np.mean(mcc))
     assert callback.records.cost.sum() == sum(cost for _, cost, *_ in LOG)
     assert callback.episodes.cost.tolist() == [sum(costs) for costs, _ in ended]
-    assert callback.episodes.reward.tolist() == [total for _, total in ended]
+    assert callback.episodes.reward.tolist() == [sum(rewards) for _, rewards in ended]
 
 
 @pytest.mark.parametrize("algorithm", [PPO, A2C])
@@ -97,22 +63,9 @@ def test_on_policy_a_rollout_is_what_is_between_two_updates(algorithm):
     assert found == pytest.approx(expected)
     assert starts.tolist() == list(range(0, 600, 100))
     panel = callback.panel()
-    ended, _ = episodes_of_log()
+    ended, _ = trajectories(LOG)
     assert panel.violation_rate == np.mean([sum(costs) > 5 for costs, _ in ended])
     assert panel.emcc == emcc.emcc(expected, 0.1)
-
-
-def test_wrapper_class_and_merge_give_the_same():
-    LOG.clear()
-    training = make_vec_env(Noisy, n_envs=3, wrapper_class=emcc.RecordCosts)
-    callback = emcc.sb3.EMCCCallback(rollout="episode")
-    PPO("MlpPolicy", training, n_steps=100, batch_size=300, n_epochs=1).learn(600, callback)
-    merged = emcc.EpisodeRecords.merge(
-        training.env_method("get_wrapper_attr", "records"), interleaved=True
-    )
-    for name in ("start_step", "length", "cost", "longest_streak", "cost_steps", "streaks"):
-        assert getattr(merged, name).tolist() == getattr(callback.episodes, name).tolist()
-    assert sorted(merged.mcc_per_rollout()[0]) == sorted(callback.episodes.mcc_per_rollout()[0])
 
 
 def test_processes_and_normalised_rewards():
@@ -206,14 +159,13 @@ def test_learning_in_parts_gives_the_records_of_learning_at_once(rollout):
 def test_an_episode_that_another_environment_ends_is_cut():
     callback, model = off_policy()
     model.learn(100, callback=callback)
-    _, running = episodes_of_log()
+    _, running = trajectories(LOG)
     assert running  # else the next assertion says nothing
     before = callback.records
     model.set_env(envs(1))
     model.learn(100, callback=callback, reset_num_timesteps=False)
     assert callback.records.length[: len(before)].tolist() == before.length.tolist()
-    ended, running = episodes_of_log()
-    lengths = [len(costs) for costs, _ in ended] + [len(steps) for steps in running.values()]
+    lengths = [len(costs) for of in trajectories(LOG) for costs, _ in of]
     assert callback.records.length[len(before) :].tolist() == lengths
 
 

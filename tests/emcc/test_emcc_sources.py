@@ -6,6 +6,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from written import arrays_of, write_run
 
 import emcc
 from emcc.sources import read_runs
@@ -146,33 +147,6 @@ def test_arrays_without_emcc_are_named(tmp_path):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=r"costs\.npz: "):
             emcc.read(path)
-
-
-def arrays_of(costs, name="cost"):
-    """The arrays of a run of one episode a rollout, as a run folder has them; name: of its cost."""
-    joined = np.concatenate([*costs, []]).astype(float)
-    length = np.array([len(episode) for episode in costs])
-    arrays = {"rollouts": np.ones(len(costs), int), "length": length, "return": -0.5 * length}
-    arrays[f"costs/{name}/steps"] = np.array(len(joined))
-    arrays[f"costs/{name}/unsafe"] = np.packbits(joined != 0)
-    if (joined > 1).any():
-        arrays[f"costs/{name}/values"] = joined[joined != 0]
-    return arrays
-
-
-def write_run(folder, runs, **config):
-    """A run folder. runs: (task, seed) -> arrays."""
-    folder.mkdir(parents=True)
-    tasks, seeds = (list(dict.fromkeys(key[k] for key in runs)) for k in (0, 1))
-    settings = {"algorithm": "cpo", "tasks": tasks, "seeds": seeds, "steps": 10_000}
-    (folder / "config.json").write_text(json.dumps(settings | {"costs": ["cost"]} | config))
-    arrays = {
-        f"{task.replace('/', '-')}/{seed}/{name}": array
-        for (task, seed), named in runs.items()
-        for name, array in {**named, "updates": np.zeros(3)}.items()
-    }
-    np.savez(folder / "results.npz", **arrays)
-    return folder
 
 
 def records_of(costs, threshold=0.0):

@@ -54,11 +54,6 @@ def test_equals_groupby_with_the_real_block():
     assert longest_streaks(costs, lengths).tolist() == [by_groupby(part) for part in parts]
 
 
-def test_streaks_that_touch_an_episode_boundary_are_two():
-    assert longest_streaks([0, 1, 1, 1, 1, 0], [3, 3]).tolist() == [2, 2]
-    assert longest_streaks([1, 1, 1, 1, 1, 1], [1, 2, 3]).tolist() == [1, 2, 3]
-
-
 def test_figure_1_of_the_paper():
     """Two trajectories of about the same cost: one long violation, and several short ones."""
     left = [0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0]
@@ -69,17 +64,6 @@ def test_figure_1_of_the_paper():
 
 def test_trajectories_of_different_lengths_in_one_rollout():
     assert mcc([[0, 1, 1, 0], [1, 1, 1, 0, 0, 0, 0, 0]]) == 2 / 4  # not 3 / 8
-
-
-def test_a_short_episode_with_all_steps_unsafe_has_mcc_1():
-    assert mcc([[0.0] * 50, [3.0, 1.0]]) == 1.0
-
-
-def test_a_cut_episode_is_two_trajectories():
-    episode = [0, 1, 1, 1, 1, 0]
-    assert mcc([episode]) == 4 / 6
-    assert mcc([episode[:3]]) == 2 / 3
-    assert mcc([episode[3:]]) == 2 / 3
 
 
 def test_only_costs_above_the_threshold_count():
@@ -98,22 +82,16 @@ def test_accepts_tensors_and_numpy_types():
     assert mcc(torch.tensor([costs, costs])) == 0.5
 
 
-@pytest.mark.parametrize("length", range(1, 13))
+@pytest.mark.parametrize("length", range(1, 10))
 def test_bounds_hold_and_are_tight(length):
     """Over all 0/1 sequences of that length."""
     seen = {}
     for costs in itertools.product([0, 1], repeat=length):
         seen.setdefault(sum(costs), set()).add(by_groupby(costs))
-    for unsafe, longest in seen.items():
-        assert streak_bounds(unsafe, length) == (min(longest), max(longest))
-
-
-def test_bounds_work_elementwise():
-    low, high = streak_bounds([0, 3, 3.0], 3)
-    assert low.tolist() == high.tolist() == [0, 3, 3]
-    low, high = streak_bounds(2, [2, 3, 4])
-    assert low.tolist() == [2, 1, 1]
-    assert high.tolist() == [2, 2, 2]
+    low, high = streak_bounds(list(seen), length)
+    assert low.tolist() == [min(longest) for longest in seen.values()]
+    assert high.tolist() == [max(longest) for longest in seen.values()]
+    assert streak_bounds(length, length) == (length, length)
 
 
 BAD = {

@@ -64,11 +64,6 @@ def test_alpha_1_is_the_mean_and_a_tiny_alpha_the_maximum(ties):
     assert emcc(values, 1e-15, ties) == 1.0
 
 
-def test_cvar_of_paper_is_the_upper_half():
-    assert cvar([4, 1, 3, 2], alpha=0.5, ties="split") == 3.5
-    assert cvar([-4, -1, -3, -2], alpha=0.5, ties="all") == -2.0
-
-
 def test_parts_are_exact_at_their_borders():
     """Each rollout has an MCC of its own: a value in the wrong part would show."""
     total = 10_000

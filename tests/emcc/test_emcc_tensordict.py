@@ -2,49 +2,32 @@
 
 import warnings
 
-import numpy as np
 import pytest
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # torchrl's own, of its future versions
     pytest.importorskip("torchrl.collectors")
-    import gymnasium as gym
     import torch
     from tensordict import TensorDict
     from torchrl.collectors import Collector
     from torchrl.envs import GymWrapper, SerialEnv
+
+from scripted import Noisy, trajectories
 
 import emcc
 
 LOG = []
 
 
-class Noisy(gym.Env):
-    """Episodes of random length and cost."""
-
-    observation_space = gym.spaces.Box(-1, 1, (2,), np.float32)
-    action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
-
-    def __init__(self, number):
-        self.number, self.rng = number, np.random.default_rng(number)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.left = int(self.rng.integers(1, 12))
-        return np.zeros(2, np.float32), {"cost": np.float64(77)}
-
-    def step(self, action):
-        self.left -= 1
-        cost = np.float64(self.rng.random() < 0.4)
-        done = self.left == 0
-        LOG.append((self.number, float(cost), done))
-        return np.zeros(2, np.float32), 1.0, done, False, {"cost": cost}
-
-
 def made(number):
-    env = GymWrapper(Noisy(number))
+    env = GymWrapper(Noisy(LOG, number, longest=12))
     env.auto_register_info_dict()
     return env
+
+
+def costs_of(log):
+    ended, running = trajectories(log)
+    return [costs for costs, _ in ended + running]
 
 
 def batches(count, rollout, total):
@@ -52,28 +35,17 @@ def batches(count, rollout, total):
     envs = SerialEnv(count, [lambda k=k: made(k) for k in range(count)])
     collector = Collector(envs, None, frames_per_batch=count * rollout, total_frames=total)
     LOG.clear()  # of the steps that making the environments took
-    for _ in range(1):
-        yield from collector
+    yield from collector
     collector.shutdown()
-
-
-def trajectories(steps):
-    """Costs of each environment's trajectories, whole or not, of some entries of LOG."""
-    running, found = {}, []
-    for number, cost, done in steps:
-        running.setdefault(number, []).append(cost)
-        if done:
-            found.append(running.pop(number))
-    return [*found, *running.values()]
 
 
 @pytest.mark.filterwarnings("ignore")  # torchrl's own
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_collector(count):
     found = emcc.from_tensordict(batches(count, 20, 100 * count))
-    assert found.cost.sum() == sum(cost for _, cost, _ in LOG)
+    assert found.cost.sum() == sum(cost for _, cost, *_ in LOG)
     size = 20 * count
-    expected = [emcc.mcc(trajectories(LOG[i : i + size])) for i in range(0, 5 * size, size)]
+    expected = [emcc.mcc(costs_of(LOG[i : i + size])) for i in range(0, 5 * size, size)]
     mcc, starts = found.mcc_per_rollout()
     assert mcc.tolist() == expected
     assert starts.tolist() == list(range(0, 5 * size, size))
@@ -83,9 +55,9 @@ def test_a_collector(count):
 @pytest.mark.parametrize("count", [1, 2])
 def test_episodes_that_go_on_in_the_next_batch(count):
     found = emcc.from_tensordict(batches(count, 20, 100 * count), rollout="episode")
-    expected = [emcc.mcc([costs]) for costs in trajectories(LOG)]
+    expected = [emcc.mcc([costs]) for costs in costs_of(LOG)]
     assert sorted(found.mcc_per_rollout()[0]) == sorted(expected)
-    assert found.reward.tolist() == found.length.tolist()
+    assert found.reward.sum() == sum(reward for _, _, reward, _ in LOG)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -93,7 +65,7 @@ def test_a_rollout_of_an_environment():
     env = made(3)
     LOG.clear()
     found = emcc.from_tensordict(env.rollout(50, break_when_any_done=False))
-    assert found.emcc(alpha=1) == emcc.mcc(trajectories(LOG))
+    assert found.emcc(alpha=1) == emcc.mcc(costs_of(LOG))
     assert found.total_steps == 50
 
 

@@ -9,36 +9,13 @@ pytest.importorskip("gymnasium", minversion="1.1")
 
 import gymnasium as gym
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from scripted import Scripted
 
 from emcc import EpisodeRecords, RecordCosts
 
 # The costs of each environment's episodes, one after another; the last step ends the episode.
 SCRIPTS = ([[0.0, 1.0, 1.0], [2.0], [0.0, 1.0]], [[1.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
 NEXT, SAME, DISABLED = AutoresetMode
-
-
-class Scripted(gym.Env):
-    """Plays the episodes of its script over and over; a cost of 9 at reset must never count."""
-
-    observation_space = gym.spaces.Box(0, 1, (1,))
-    action_space = gym.spaces.Discrete(2)
-
-    def __init__(self, script, reset_cost=True, step_cost=True):
-        self.script, self.episode = script, -1
-        self.reset_cost, self.step_cost = reset_cost, step_cost
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.episode, self.at = self.episode + 1, 0
-        return np.zeros(1, np.float32), {"cost": 9.0} if self.reset_cost else {}
-
-    def step(self, action):
-        costs = self.script[self.episode % len(self.script)]
-        info = {"cost": costs[self.at]} if self.step_cost else {}
-        self.at += 1
-        done = self.at == len(costs)  # odd episodes are truncated, even ones terminated
-        odd = bool(self.episode % 2)
-        return np.zeros(1, np.float32), 0.5, done and not odd, done and odd, info
 
 
 def vector(mode, kind=SyncVectorEnv, **options):
@@ -119,15 +96,6 @@ class Native(gym.vector.VectorEnv):
         if self.metadata["autoreset_mode"] in (SAME, SAME.value):
             self.at[done] = 0
         return np.zeros(2), np.zeros(2), done, np.zeros(2, bool), info
-
-
-@pytest.mark.parametrize("mode", [SAME, SAME.value])
-def test_native_same_step_environment(mode):
-    envs = RecordCosts(Native(mode))
-    envs.reset()
-    for _ in range(3):
-        envs.step(None)
-    assert rows(envs) == [(0, 0, 2, 2.0, 2), (1, 0, 3, 6.0, 3)]
 
 
 def test_finished_environments_wait_for_their_reset():
@@ -257,3 +225,12 @@ def test_what_cannot_be_recorded_is_named():
         RecordCosts(Native(None))
     with pytest.raises(TypeError, match="env must be a gymnasium Env or VectorEnv, got str"):
         RecordCosts("Circle2D-1-v0")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("mode", [SAME, SAME.value])
+def test_native_same_step_environment(mode):
+    envs = RecordCosts(Native(mode))
+    envs.reset()
+    for _ in range(3):
+        envs.step(None)
+    assert rows(envs) == [(0, 0, 2, 2.0, 2), (1, 0, 3, 6.0, 3)]

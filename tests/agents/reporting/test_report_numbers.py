@@ -24,7 +24,7 @@ from by_hand import (
 from agents.cli.main import main
 from agents.paper import presets
 from agents.reporting.report import report
-from circle2d_mj.core.single_env import TaskEnv
+from circle2d_mj.core.envs import TaskEnv
 
 TASK, SEEDS, STEPS, EVALUATED, LIMIT = "Circle2D-3-v0", (3, 4, 5, 6, 7), 1500, 100, 5
 EPISODES = {"cpo": 10, "wcsac": 1}  # an epoch

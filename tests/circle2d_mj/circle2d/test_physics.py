@@ -8,10 +8,9 @@ import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
 from circle2d_mj import Circle2DConfig
-from circle2d_mj.circle2d import physics as physics_module
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import PhysicsConfig
-from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
+from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
 from circle2d_mj.circle2d.physics import Physics
 from circle2d_mj.circle2d.scene import scene
 
@@ -197,24 +196,6 @@ def test_actions_beyond_one_are_clipped(actuation):
 
 
 @actuations
-def test_threads_change_nothing(actuation):
-    for level in (0, 2):
-        envs = [
-            Circle2DMuJoCoVectorEnv(40, level=level, actuation=actuation, num_threads=threads)
-            for threads in (1, 2)
-        ]
-        assert data_equivalence(*[e.reset(seed=1) for e in envs], exact=True)
-        for action in drift_left(level, steps=60, num_envs=40):
-            assert data_equivalence(*[e.step(action) for e in envs], exact=True)
-
-
-@pytest.mark.parametrize("threads", [0, -1, 2.0, True])
-def test_threads_are_a_positive_integer(threads):
-    with pytest.raises((TypeError, ValueError), match="num_threads must be"):
-        Circle2DMuJoCoVectorEnv(2, num_threads=threads)
-
-
-@actuations
 @pytest.mark.parametrize("level", [0, 3])
 def test_state_is_mujocos_and_all_there_is(level, actuation):
     """Columns as mj_getState gives them; a fresh environment goes on from them bit for bit."""
@@ -240,28 +221,3 @@ def test_state_is_mujocos_and_all_there_is(level, actuation):
         other.load_state_dict(state)
         again = [other.step(action) for action in actions[20:]]
         assert data_equivalence(results, again, exact=True)
-
-
-def test_the_model_is_compiled_once(monkeypatch):
-    made = []
-    monkeypatch.setattr(
-        physics_module, "scene", lambda *arguments: made.append(1) or scene(*arguments)
-    )
-    envs = Circle2DMuJoCoVectorEnv(3, level=0, max_episode_steps=5)
-    for seed in range(3):
-        envs.reset(seed=seed)
-        for action in drift_left(seed, steps=12, num_envs=3):
-            envs.step(action)
-    assert len(made) == 1
-
-
-def test_a_reset_forgets_everything():
-    """An episode does not depend on what came before it, warm starts included."""
-    used, fresh = (Circle2DMuJoCoEnv(level=0, actuation="force") for _ in range(2))
-    used.reset(seed=0)
-    for action in drift_left(5, num_envs=1):
-        used.step(action[0])
-    assert data_equivalence(used.reset(seed=9), fresh.reset(seed=9), exact=True)
-    assert data_equivalence(used.state_dict(), fresh.state_dict(), exact=True)
-    for action in drift_left(6, num_envs=1):
-        assert data_equivalence(used.step(action[0]), fresh.step(action[0]), exact=True)

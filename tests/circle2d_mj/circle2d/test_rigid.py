@@ -107,25 +107,6 @@ def test_sliding_along_the_rim_keeps_its_speed(level, start, end, actuation):
     assert speed.max() < 1.03
 
 
-@actuations
-def test_a_hard_push_slows_sliding_at_a_seam_for_a_moment_only(actuation):
-    """Pressed in deeper, the ball meets the next prism's corner a little early."""
-    speed = slide(actuation, 0, push=0.6)
-    assert speed.mean() > 0.97
-    assert np.percentile(speed, 5) > 0.97
-    assert speed.min() > 0.85
-
-
-def test_sliding_down_the_corridor_and_along_its_end():
-    worlds = Worlds(Circle2DConfig(level=0), "velocity", np.array([[-9.0, 2.2], [-0.8, -2.2]]))
-    action = np.array([[0.7, 0.3], [0.3, 0.7]])
-    worlds.step(action)
-    for _ in range(3):
-        worlds.step(action)
-        np.testing.assert_allclose(worlds.qvel.max(axis=1), 7.7, rtol=0.03)
-    np.testing.assert_allclose(worlds.qpos[[0, 1], [1, 0]], [2.25, -0.75], atol=0.01)
-
-
 @pytest.mark.parametrize(
     "parameters", [{}, {"init_region_size": 1.99, "init_radius_multiplier": 1.05}]
 )

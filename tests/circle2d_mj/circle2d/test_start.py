@@ -1,14 +1,12 @@
 """Start positions are uniform over the feasible part of the start area, and end."""
 
-import hashlib
-
 import numpy as np
 import pytest
 from scipy import stats
 
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
-from circle2d_mj.circle2d import start
-from circle2d_mj.circle2d.start import classify_cells
+from circle2d_mj.circle2d import region
+from circle2d_mj.circle2d.region import classify_cells
 from circle2d_mj.core.streams import Streams
 
 
@@ -72,26 +70,9 @@ def test_an_edge_that_touches_a_cutout_is_refused_before_memory_is_full(monkeypa
         assert len(low) <= 2**20
         return classify_cells(region, low, cell)
 
-    monkeypatch.setattr(start, "classify_cells", counted)
+    monkeypatch.setattr(region, "classify_cells", counted)
     with pytest.raises(ValueError, match="no feasible start"):
         Circle2DConfig(**EDGES, init_region_size=size)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "cells", "digest"),
-    [
-        (CONFIGS[0], 182, "33d58cf56455"),
-        (CONFIGS[1], 6972, "0cc24c0dba44"),
-        (CONFIGS[3], 1924, "f011e78fbf4b"),
-        (EDGES | {"init_region_size": 1.01}, 45056, "bedd34a59252"),
-    ],
-)
-def test_the_cells_of_version_v0(parameters, cells, digest):
-    """To the bit, since starts are drawn in them; recorded when splits had no other end."""
-    area = Circle2DConfig(**parameters).start_area
-    assert len(area._corners) == cells
-    kept = area._corners.tobytes() + area._size.tobytes()
-    assert hashlib.sha1(kept).hexdigest().startswith(digest)
 
 
 def test_the_starts_of_version_v0():

@@ -1,8 +1,5 @@
 """The tasks as gymnasium environments, and their physics beside plain MuJoCo."""
 
-import copy
-import pickle
-
 import gymnasium as gym
 import mujoco
 import numpy as np
@@ -12,12 +9,10 @@ from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode
 from safety_golden import parameters
 
-from circle2d_mj.assets import asset
 from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import worlds
 from circle2d_mj.safety.envs import SafetyEnv, SafetyVectorEnv
 from circle2d_mj.safety.families import ButtonTask, GoalTask, PushTask
-from circle2d_mj.safety.resting import STRIDE
 from circle2d_mj.safety.tasks import IDS, NAMES, TASKS
 
 # One of each kind of state: free objects, gremlins with timers, a box, none, a body, forces.
@@ -56,11 +51,6 @@ def test_ids(name):
     )
 
 
-def test_there_are_32_tasks():
-    assert len(TASKS) == 32
-    assert {f"{name}-v0" for name in TASKS if "Velocity" not in name} <= set(NAMES.values())
-
-
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 @pytest.mark.parametrize("task", ["SafetyPointCircle1", "SafetyCarGoal1"])
 def test_positions_of_the_point_are_those_that_mujoco_has(task, mode):
@@ -90,120 +80,6 @@ def test_observation_bounds():
     assert np.isposinf(space.high[:12]).all()
     equal(space.low[12:], 0)
     equal(space.high[12:], 1)
-
-
-@pytest.mark.parametrize("mode", list(AutoresetMode))
-@pytest.mark.parametrize("task", SOME)
-def test_native_equals_gymnasiums_own_vector_env(task, mode):
-    """Every value of 60 steps of 5 environments, bit for bit; infos but for same-step costs.
-
-    Positions in the info belong to the state that is observed, as gymnasium's do.
-    """
-    native = vector(task, 5, mode=mode)
-    sync = gym.vector.SyncVectorEnv(
-        [lambda: SafetyEnv(task, max_episode_steps=12)] * 5, autoreset_mode=mode
-    )
-    assert native.observation_space == sync.observation_space
-    assert native.action_space == sync.action_space
-    assert_alike(native.reset(seed=3), sync.reset(seed=3))
-    native.action_space.seed(0)
-    ends = 0
-    for _ in range(60):
-        actions = native.action_space.sample()
-        ours, theirs = native.step(actions), sync.step(actions)
-        done = ours[2] | ours[3]
-        ends += done.sum()
-        if mode is AutoresetMode.SAME_STEP and done.any():
-            # gymnasium gives the infos of the reset here; ours those of the step.
-            for key in set(native.simulation.info_keys) - {"x_position", "y_position"}:
-                final = theirs[4]["final_info"].get(key, np.zeros(5))[done]
-                equal(ours[4][key][done], final)
-                theirs[4][key] = np.where(done, ours[4][key], theirs[4][key])
-        for mine, its in zip(ours, theirs, strict=True):
-            assert_alike(mine, its)
-        if mode is AutoresetMode.DISABLED and done.any():
-            results = [e.reset(options={"reset_mask": done.copy()}) for e in (native, sync)]
-            assert_alike(results[0][0], results[1][0])
-    assert ends >= 15
-
-
-@pytest.mark.parametrize("task", SOME)
-def test_neighbours_and_threads_change_nothing(task):
-    """Environment i of 40, on two threads, is environment i of 3, bit for bit.
-
-    Episodes are long enough for objects to rest, and for gremlins to be on their path.
-    """
-    few, many = vector(task, 3, steps=30), vector(task, 40, steps=30, num_threads=2)
-    equal(few.reset(seed=7)[0], many.reset(seed=7)[0][:3])
-    many.action_space.seed(0)
-    for _ in range(40):
-        actions = many.action_space.sample()
-        mine, its = few.step(actions[:3]), many.step(actions)
-        for a, b in zip(mine[:4], its[:4], strict=True):
-            equal(a, b[:3])
-        for key in mine[4]:
-            equal(mine[4][key], its[4][key][:3])
-
-
-@pytest.mark.parametrize("name", SOME)
-def test_two_seeded_runs_are_equal_and_others_are_not(name):
-    def run(seed):
-        env = gym.make(IDS[name])
-        env.action_space.seed(0)
-        results = [env.reset(seed=seed)]
-        results += [env.step(env.action_space.sample()) for _ in range(30)]
-        return [*results, env.reset()]
-
-    first = run(7)
-    assert_alike(first, run(7))
-    assert not data_equivalence(first[0], run(8)[0])
-    assert not data_equivalence(first[0], first[-1])
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-@pytest.mark.parametrize("task", SOME)
-def test_copies_go_on_alike_and_apart(task, copied):
-    env = vector(task, 3)
-    env.reset(seed=1)
-    for _ in range(5):
-        env.step(env.action_space.sample())
-    twin, other = copied(env), copied(env)
-    equal(env.simulation.observe(), twin.simulation.observe())
-    other.step(-np.ones(env.action_space.shape))
-    for _ in range(40):
-        action = env.action_space.sample()
-        assert_alike(env.step(action), twin.step(action))
-    single = SafetyEnv(task, max_episode_steps=None)
-    single.reset(seed=1)
-    twin = copied(single)
-    assert_alike(
-        single.step(env.action_space.sample()[0] * 0), twin.step(env.action_space.sample()[0] * 0)
-    )
-
-
-@pytest.mark.parametrize("task", SOME)
-def test_state_and_restore(task):
-    """Into a used environment and into one that was never reset: resets and new goals included."""
-    env, used, new = (vector(task, 4, steps=30) for _ in range(3))
-    env.reset(seed=5)
-    used.reset(seed=99)
-    for _ in range(40):
-        env.step(env.action_space.sample())
-        used.step(env.action_space.sample())
-    state = env.state_dict()
-    assert all(len(array) == 4 for array in state.values())
-    kept = copy.deepcopy(state)
-    for other in (used, new):
-        other.load_state_dict(state)
-        equal(other.simulation.observe(), env.simulation.observe())
-    for _ in range(50):
-        action = env.action_space.sample()
-        results = [e.step(action) for e in (env, used, new)]
-        assert_alike(results[0], results[1])
-        assert_alike(results[0], results[2])
-    assert_alike(state, kept)  # neither stepping nor restoring has touched it
-    with pytest.raises(ValueError, match="state must hold"):
-        used.load_state_dict({**state, "mujoco": state["mujoco"][:, :-1]})
 
 
 def test_actions_are_clipped():
@@ -285,26 +161,6 @@ def test_objects_left_alone_are_as_in_plain_mujoco(cls, agent):
     assert max(worst) < 1e-5
 
 
-def test_nothing_moves_farther_than_the_stride():
-    """Objects that may rest are farther from all that moves than both can go in a step."""
-    farthest = 0.0
-    for cls in (GoalTask, PushTask):
-        for agent in ("Point", "Car"):
-            task, n = scattered(cls, agent, 2, 16), 16
-            rng, action = np.random.default_rng(0), np.tile(FORWARD[agent], (16, 1))
-            action[n // 2 :] += rng.uniform(-0.3, 0.3, (n // 2, 2))
-            rows = [0, *range(task.world.free.start, task.world.free.stop)]
-            for _ in range(60):
-                before = task.places
-                pushed = task.qvel[:, task.agent.nv :].reshape(n, -1, 6)
-                way = np.linalg.norm(pushed[:, :, :2], axis=2) * task.step_seconds
-                task.step(action)
-                moved = np.linalg.norm(task.places[:, rows] - before[:, rows], axis=-1)
-                moved[:, 1:] -= way
-                farthest = max(farthest, moved.max())
-    assert 0.02 < farthest < STRIDE
-
-
 def test_gremlins_and_timers_go_on_from_a_state():
     """In the middle of a gremlin's round and of a button's timer, into a new environment."""
     env, other = (vector("SafetyPointButton2", 6, steps=None) for _ in range(2))
@@ -342,23 +198,3 @@ def test_data_shows_the_world():
                 for body, place in zip(bodies, task.places[1, rows], strict=True):
                     np.testing.assert_allclose(data.body(body).xpos[:2], place, atol=1e-12)
         assert_alike(env.state_dict(), before)
-
-
-def test_bad_arguments():
-    with pytest.raises(ValueError, match=r"task must be one of \['SafetyPointGoal0'"):
-        SafetyVectorEnv("SafetyCarGoal3", max_episode_steps=None)
-    for name, value, error in [
-        ("num_envs", 0, ValueError),
-        ("num_envs", 1.5, TypeError),
-        ("num_threads", -1, ValueError),
-        ("max_episode_steps", 0, ValueError),
-        ("render_mode", "ansi", ValueError),
-    ]:
-        with pytest.raises(error, match=name):
-            SafetyVectorEnv("SafetyPointGoal1", **{"max_episode_steps": None, name: value})
-
-
-def test_assets():
-    assert asset("xml/circle2d.xml").is_file()
-    with pytest.raises(FileNotFoundError, match=r"no asset 'xml/circle.xml'; there are \["):
-        asset("xml/circle.xml")

@@ -86,8 +86,3 @@ def test_physical_parameters(task):
         assert "gremlin" in row["name"]
         np.testing.assert_allclose(model.eq_solref[row["id"]], row["solref"])
     assert model.neq == len(recorded["equality"])
-
-
-def test_a_model_is_compiled_once():
-    assert worlds.world("Car", "Goal", 2) is worlds.world("Car", "Goal", 2)
-    assert velocity.model("Ant") is velocity.model("Ant")

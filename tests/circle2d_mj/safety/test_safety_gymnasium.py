@@ -196,22 +196,6 @@ def test_pictures_have_the_size_asked_for(opengl):
     env.close()
 
 
-def test_pictures_in_rows():
-    """Three of 2 x 1 pixels: two rows, the last place empty, a pixel of black around each."""
-    pictures = np.arange(1, 7).reshape(3, 2, 1, 1)
-    expected = [
-        [0, 0, 0, 0, 0, 0],
-        [0, 1, 0, 0, 3, 0],
-        [0, 2, 0, 0, 4, 0],
-        [0, 0, 0, 0, 0, 0],
-        [0, 0, 0, 0, 0, 0],
-        [0, 5, 0, 0, 0, 0],
-        [0, 6, 0, 0, 0, 0],
-        [0, 0, 0, 0, 0, 0],
-    ]
-    equal(safety_gymnasium.vector.tile_images(pictures, padding=1)[..., 0], expected)
-
-
 def test_install():
     """In a process of its own, and refused where the package itself has been imported."""
     code = """
@@ -232,3 +216,19 @@ except RuntimeError as error:
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.startswith("safety_gymnasium has been imported already, from ")
+
+
+def test_pictures_in_rows():
+    """Three of 2 x 1 pixels: two rows, the last place empty, a pixel of black around each."""
+    pictures = np.arange(1, 7).reshape(3, 2, 1, 1)
+    expected = [
+        [0, 0, 0, 0, 0, 0],
+        [0, 1, 0, 0, 3, 0],
+        [0, 2, 0, 0, 4, 0],
+        [0, 0, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0, 0],
+        [0, 5, 0, 0, 0, 0],
+        [0, 6, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0, 0],
+    ]
+    equal(safety_gymnasium.vector.tile_images(pictures, padding=1)[..., 0], expected)

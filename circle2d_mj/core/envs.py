@@ -1,10 +1,14 @@
-"""The gymnasium side of every task: seeds, resets, time limits, autoreset, copies side by side."""
+"""The gymnasium side of every task: seeds, resets, time limits, autoreset, one copy or many."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+import os
+import platform
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -14,6 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from circle2d_mj.core.simulation import Simulation, State, checked_action, positive_integer
 from circle2d_mj.core.streams import Streams, keys_of_seeds
 from circle2d_mj.core.view import View
+
+Step = tuple[NDArray[np.floating], NDArray, NDArray, NDArray, dict[str, Any]]
+"""Observations, rewards, terminated, truncated, infos."""
 
 
 class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArray]):
@@ -40,8 +47,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
     ) -> None:
         if max_episode_steps is not None:
             positive_integer("max_episode_steps", max_episode_steps)
-        self.simulation = simulation
-        self.num_envs = simulation.num_envs
+        self.simulation, self.num_envs = simulation, simulation.num_envs
         self.max_episode_steps = max_episode_steps
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
@@ -59,16 +65,13 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         self._streams: Streams | None = None
         self._steps = np.zeros(self.num_envs, dtype=np.int64)
         self._finished = np.zeros(self.num_envs, dtype=bool)
+        self.recorded_info = simulation.recorded_info
+        """Numbers of the info that training records at each step, with their units."""
 
     @property
     def view(self) -> View | None:
         """Positions to record and pictures to draw them on; None without."""
         return self.simulation.view
-
-    @property
-    def recorded_info(self) -> dict[str, str]:
-        """Numbers of the info that training records at each step, with their units."""
-        return self.simulation.recorded_info
 
     def reset(
         self,
@@ -84,29 +87,23 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         info = {**zeros, **self.simulation.state_info()}
         return self.simulation.observe(), self._with_masks(info)
 
-    def step(
-        self, actions: ArrayLike
-    ) -> tuple[NDArray[np.floating], NDArray, NDArray, NDArray, dict[str, Any]]:
+    def step(self, actions: ArrayLike) -> Step:
         """Move every agent by its action, [num_envs, action size]."""
         results = self.advance(checked_action(actions, self.action_space.shape))
         self._with_masks(results[-1])
         return results
 
-    def advance(
-        self, actions: NDArray[np.float64]
-    ) -> tuple[NDArray[np.floating], NDArray, NDArray, NDArray, dict[str, Any]]:
+    def advance(self, actions: NDArray[np.float64]) -> Step:
         """Take a step with checked actions: finite, [num_envs, action size].
 
-        The info has none of gymnasium's masks `_cost`, ..., which say that every environment has a
-        value.
+        The info has none of gymnasium's masks `_cost`, ...: every environment has a value.
         """
         if self._streams is None:
             raise ResetNeeded("reset() must be called before the first step()")
         reward, terminated, of_step = self.simulation.step(actions)
         self._steps += 1
         limit = self.max_episode_steps
-        never = limit is None
-        truncated = np.zeros(self.num_envs, dtype=bool) if never else self._steps >= limit
+        truncated = np.zeros(self.num_envs, dtype=bool) if limit is None else self._steps >= limit
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             self._reset_finished(terminated, truncated, reward, *of_step.values())
         info: dict[str, Any] = {**of_step, **self.simulation.state_info()}
@@ -198,18 +195,13 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         if self._streams is None:
             fresh = self.np_random.integers(2**63, size=self.num_envs, dtype=np.uint64)
             self._streams = Streams(fresh)
-        seeded = [i for i in index if keys[i] is not None]
-        if seeded:
-            values = np.array([keys[i] for i in seeded], dtype=np.uint64)
-            self._streams.reseed(np.array(seeded), values)
+        if seeded := {i: keys[i] for i in index.tolist() if keys[i] is not None}:
+            self._streams.reseed(np.array([*seeded]), np.array([*seeded.values()], dtype=np.uint64))
 
     def _to_reset(self, options: dict[str, Any] | None) -> NDArray[np.intp]:
-        options = options or {}
-        if unknown := set(options) - {"reset_mask"}:
+        if unknown := set(options or {}) - {"reset_mask"}:
             raise ValueError(f"options may hold 'reset_mask' only, got {sorted(unknown)}")
-        if "reset_mask" not in options:
-            return np.arange(self.num_envs)
-        mask = options["reset_mask"]
+        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool))
         if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_):
             raise TypeError(f"options['reset_mask'] must be a bool array, got {mask!r}")
         if mask.shape != (self.num_envs,) or not mask.any():
@@ -225,3 +217,90 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         for key in self.simulation.info_keys:
             info[f"_{key}"] = np.ones(self.num_envs, dtype=bool)
         return info
+
+
+class TaskEnv(gym.Env[NDArray[np.floating], ArrayLike]):
+    """One environment of a task.
+
+    `info["cost"]` is a float (numpy's float64), on every step and from `reset`.
+    """
+
+    def __init__(self, envs: TaskVectorEnv) -> None:
+        self._envs = envs
+        self.render_mode = envs.render_mode
+        self.metadata = {k: v for k, v in envs.metadata.items() if k != "autoreset_mode"}
+        self.observation_space = copy.deepcopy(envs.single_observation_space)
+        self.action_space = copy.deepcopy(envs.single_action_space)
+        self.recorded_info = envs.recorded_info
+
+    @property
+    def view(self) -> View | None:
+        """Positions to record and pictures to draw them on; None without."""
+        return self._envs.view
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.floating], dict[str, Any]]:
+        """Start a new episode."""
+        super().reset(seed=seed)
+        observation, info = self._envs.reset(seed=seed, options=options)
+        self._show()
+        return observation[0], self._floats(info)
+
+    def step(
+        self, action: ArrayLike
+    ) -> tuple[NDArray[np.floating], float, bool, bool, dict[str, Any]]:
+        """Move the agent by its action, [action size]."""
+        action = checked_action(action, self.action_space.shape)
+        observation, reward, terminated, truncated, info = self._envs.advance(action[None])
+        self._show()
+        ends, info = (bool(terminated[0]), bool(truncated[0])), self._floats(info)
+        return observation[0], float(reward[0]), *ends, info
+
+    def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Draw the environment, [height, width, 3] uint8; None without render_mode "rgb_array"."""
+        frames = self._envs.render()
+        return None if frames is None else frames[0]
+
+    def close(self) -> None:
+        """Close the renderer and the viewer."""
+        self._envs.close_extras()  # `close` would do so only once
+
+    def state_dict(self) -> State:
+        """Return all that later steps and resets depend on: see `TaskVectorEnv.state_dict`.
+
+        The time limit of an environment from `gymnasium.make` is a wrapper's, and not part of it.
+        """
+        return self._envs.state_dict()
+
+    def load_state_dict(self, state: State) -> None:
+        """Load a state."""
+        self._envs.load_state_dict(state)
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._envs.render()
+
+    def _floats(self, info: dict[str, Any]) -> dict[str, np.float64]:
+        # numpy's float64 is a Python float with a dtype, which TorchRL's info reader needs.
+        return {key: info[key][0] for key in self._envs.simulation.info_keys}
+
+
+def without_time_limit(env: type[TaskEnv]) -> Callable[..., TaskEnv]:
+    """Return the function by which `gymnasium.make` makes an environment, without a time limit.
+
+    gymnasium adds its own `TimeLimit`. A second limit inside would end episodes early where a user
+    raises the first, as in `make(..., max_episode_steps=100)`.
+    """
+
+    def make(**kwargs: Any) -> TaskEnv:
+        return env(max_episode_steps=None, **kwargs)  # pyright: ignore[reportCallIssue]
+
+    make.metadata = env.metadata  # pyright: ignore[reportFunctionMemberAccess]
+    return make
+
+
+def render_modes() -> list[str]:
+    """Return the render modes available here: "human" only where a window could be opened."""
+    has_screen = platform.system() != "Linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
+    return ["rgb_array", "human"] if has_screen else ["rgb_array"]

@@ -1,0 +1,287 @@
+"""What every task keeps: gymnasium's checks, its vector environments' contract, seeds, states."""
+
+import copy
+import pickle
+from functools import partial
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from circle2d_mj import Circle2DEnv, Circle2DVectorEnv
+from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
+from circle2d_mj.safety.envs import SafetyEnv, SafetyVectorEnv
+
+# One of each kind of state: no physics, a rigid region, an open one, a soft one; free objects,
+# gremlins with timers, a box, none, a body, forces.
+SAFETY = ["SafetyPointGoal2", "SafetyCarButton1", "SafetyPointPush1", "SafetyCarCircle2"]
+SAFETY += ["SafetyHopperVelocity", "SafetyHumanoidVelocity"]
+KINEMATIC, PHYSICS = (
+    (Circle2DEnv, Circle2DVectorEnv),
+    (Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv),
+)
+TASKS = {
+    "kinematic rigid": (*KINEMATIC, {"level": 0}),
+    "kinematic": (*KINEMATIC, {"level": 3, "reset_on_cost": True}),
+    "rigid": (*PHYSICS, {"level": 0}),
+    "open": (*PHYSICS, {"level": 3, "reset_on_cost": True, "actuation": "force"}),
+    "soft": (*PHYSICS, {"level": 1, "contact": "soft", "randomize": {"mass": (0.5, 2.0)}}),
+}
+TASKS |= {name: (partial(SafetyEnv, name), partial(SafetyVectorEnv, name), {}) for name in SAFETY}
+VECTOR = [Circle2DVectorEnv, Circle2DMuJoCoVectorEnv, partial(SafetyVectorEnv, "SafetyPointGoal1")]
+tasks = pytest.mark.parametrize("task", TASKS)
+equal = np.testing.assert_array_equal
+
+
+def single(task, steps=12):
+    return TASKS[task][0](max_episode_steps=steps, **TASKS[task][2])
+
+
+def vector(task, n, steps=12, **options):
+    return TASKS[task][1](n, max_episode_steps=steps, **TASKS[task][2], **options)
+
+
+def action_of(env):
+    """Few to the right: agents come into the region."""
+    return np.minimum(env.action_space.sample(), 0.3)
+
+
+def assert_alike(mine, its):
+    assert data_equivalence(mine, its, exact=True), (mine, its)
+
+
+@pytest.mark.parametrize("level", range(4))
+@pytest.mark.parametrize("name", ["Circle2D", "Circle2DMuJoCo"])
+def test_gymnasiums_checks(name, level):
+    check_env(gym.make(f"{name}-{level}-v0").unwrapped)
+    other = gym.make(f"{name}-{level}-v0", sparse_reward=True, reset_on_cost=True)
+    check_env(other.unwrapped)
+
+
+@tasks
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_native_equals_gymnasiums_own_vector_env(task, mode):
+    """Every value of 60 steps of 5 environments, bit for bit; infos but for same-step costs.
+
+    Positions in the info belong to the state that is observed, as gymnasium's do.
+    """
+    native = vector(task, 5, autoreset_mode=mode)
+    sync = SyncVectorEnv([lambda: single(task)] * 5, autoreset_mode=mode)
+    assert native.observation_space == sync.observation_space
+    assert native.action_space == sync.action_space
+    assert native.metadata["autoreset_mode"] == sync.metadata["autoreset_mode"]
+    assert_alike(native.reset(seed=3), sync.reset(seed=3))
+    native.action_space.seed(0)
+    ends = 0
+    for _ in range(60):
+        actions = action_of(native)
+        ours, theirs = native.step(actions), sync.step(actions)
+        done = ours[2] | ours[3]
+        ends += done.sum()
+        if mode is AutoresetMode.SAME_STEP and done.any():
+            # gymnasium gives the infos of the reset here; ours those of the step, as the reward is.
+            for key in set(native.simulation.info_keys) - {"x_position", "y_position"}:
+                final = theirs[4]["final_info"].get(key, np.zeros(5))[done]
+                equal(ours[4][key][done], final)
+                theirs[4][key] = np.where(done, ours[4][key], theirs[4][key])
+        for mine, its in zip(ours, theirs, strict=True):
+            assert_alike(mine, its)
+        if mode is AutoresetMode.DISABLED and done.any():
+            results = [e.reset(options={"reset_mask": done.copy()}) for e in (native, sync)]
+            assert_alike(results[0][0], results[1][0])
+    assert ends >= 15
+
+
+@tasks
+def test_neighbours_and_threads_change_nothing(task):
+    """Environment i of 40, on two threads, is environment i of 3, bit for bit."""
+    threads = {} if "kinematic" in task else {"num_threads": 2}
+    few, many = vector(task, 3, steps=30), vector(task, 40, steps=30, **threads)
+    equal(few.reset(seed=7)[0], many.reset(seed=7)[0][:3])
+    many.action_space.seed(0)
+    for _ in range(40):
+        actions = action_of(many)
+        mine, its = few.step(actions[:3]), many.step(actions)
+        for a, b in zip(mine[:4], its[:4], strict=True):
+            equal(a, b[:3])
+        for key in mine[4]:
+            equal(mine[4][key], its[4][key][:3])
+
+
+@tasks
+def test_two_seeded_runs_are_equal_and_others_are_not(task):
+    def run(seed):
+        env = single(task, steps=50)
+        env.action_space.seed(0)
+        results = [env.reset(seed=seed)]
+        results += [env.step(action_of(env)) for _ in range(30)]
+        return [*results, env.reset()]
+
+    first = run(7)
+    assert_alike(first, run(7))
+    assert not data_equivalence(first[0], run(8)[0])
+    assert not data_equivalence(first[0], first[-1])
+
+
+@tasks
+def test_each_environment_has_a_seed_of_its_own(task):
+    whole = vector(task, 4)
+    start, _ = whole.reset(seed=10)
+    equal(vector(task, 4).reset(seed=[13, 10, 12, 11])[0], start[[3, 0, 2, 1]])
+    equal(vector(task, 4).reset(seed=np.arange(10, 14))[0], start)
+    kept, _ = whole.reset(seed=[10, None, 12, None])
+    equal(kept[[0, 2]], start[[0, 2]])
+    assert (kept[[1, 3]] != start[[1, 3]]).any()
+
+
+@tasks
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_copies_go_on_alike_and_apart(task, copied):
+    for env in (single(task), vector(task, 3)):
+        env.reset(seed=1)
+        for _ in range(5):
+            env.step(action_of(env))
+        twin, other = copied(env), copied(env)
+        other.step(-np.ones(env.action_space.shape))
+        for _ in range(30):
+            action = action_of(env)
+            results = env.step(action), twin.step(action)
+            assert_alike(*results)
+            if np.all(results[0][2] | results[0][3]):
+                assert_alike(env.reset(), twin.reset())
+
+
+@tasks
+def test_state_and_restore(task):
+    """Into a used environment and into one that was never reset: resets and new goals included."""
+    env, used, new = (vector(task, 4, steps=30) for _ in range(3))
+    env.reset(seed=5)
+    used.reset(seed=99)
+    for _ in range(40):
+        env.step(action_of(env))
+        used.step(action_of(env))
+    state = env.state_dict()
+    assert all(len(array) == 4 for array in state.values())
+    kept = copy.deepcopy(state)
+    for other in (used, new):
+        other.load_state_dict(state)
+    for _ in range(40):
+        action = action_of(env)
+        results = [e.step(action) for e in (env, used, new)]
+        assert_alike(results[0], results[1])
+        assert_alike(results[0], results[2])
+    assert_alike(state, kept)  # neither stepping nor restoring has touched it
+
+
+@tasks
+def test_returned_arrays_are_fresh(task):
+    envs = vector(task, 2)
+    results = [envs.reset(seed=0)]
+    kept = copy.deepcopy(results)
+    for _ in range(14):
+        results.append(envs.step(-np.ones(envs.action_space.shape)))
+        kept.append(copy.deepcopy(results[-1]))
+    assert_alike(results, kept)
+
+
+def test_unseeded_first_reset_follows_np_random():
+    starts = []
+    for _ in range(2):
+        env = Circle2DVectorEnv(2, level=1)
+        env.np_random = np.random.default_rng(5)
+        starts.append(env.reset()[0])
+    equal(*starts)
+    assert (Circle2DVectorEnv(2, level=1).reset()[0] != starts[0]).any()
+
+
+@pytest.mark.parametrize("name", ["Circle2D-1-v0", "Circle2DMuJoCo-1-v0"])
+def test_time_limit_belongs_to_make(name):
+    """`make(max_episode_steps=...)` may raise and lower the limit; the class has its own."""
+
+    def length(env):
+        env.reset(seed=0)
+        for steps in range(1, 200):
+            *_, truncated, _ = env.step(np.zeros(env.action_space.shape))
+            if np.all(truncated):
+                return steps
+        return None
+
+    for options, expected in (({}, 50), ({"max_episode_steps": 100}, 100)):
+        assert length(gym.make(name, **options)) == expected
+        assert length(gym.make_vec(name, num_envs=2, **options)) == expected
+    assert length(gym.make(name, max_episode_steps=-1)) is None
+    own = type(gym.make(name).unwrapped)
+    assert length(own(level=1)) == 50
+    assert length(own(level=1, max_episode_steps=None)) is None
+
+
+BAD_ACTIONS = [
+    [0.0], [[0.0, 0.0]], [0.0, np.nan], [np.inf, 0.0], [1e308, 0.0], ["0.5", "0.5"],
+    [0.5 + 1j, 0.5], np.array([0.5, 0.5], dtype=object), np.zeros(2, "M8[D]"), [10**400, 0.0],
+    np.ma.masked_array([0.5, 0.5], [True, False]), None,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("action", BAD_ACTIONS, ids=repr)
+@pytest.mark.parametrize("task", ["kinematic", "open", "SafetyPointGoal2"])
+def test_bad_actions_are_named_and_change_nothing(action, task):
+    env, twin = single(task), single(task)
+    env.reset(seed=0)
+    twin.reset(seed=0)
+    with pytest.raises(ValueError, match="action must"):
+        env.step(action)
+    assert_alike(env.step(np.ones(2)), twin.step(np.ones(2)))
+    envs = vector(task, 3)
+    envs.reset(seed=0)
+    with pytest.raises(ValueError, match=r"action must have shape \(3, 2\), got shape \(2,\)"):
+        envs.step([0.0, 0.0])
+
+
+@tasks
+def test_step_before_reset(task):
+    for env in (single(task), vector(task, 2)):
+        with pytest.raises(ResetNeeded, match="reset"):
+            env.step(env.action_space.sample())
+    with pytest.raises(ResetNeeded, match="first reset"):
+        vector(task, 2).reset(options={"reset_mask": np.array([True, False])})
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"start": 1}, ValueError),
+        ({"reset_mask": [True, False]}, TypeError),
+        ({"reset_mask": np.array([1, 0])}, TypeError),
+        ({"reset_mask": np.array([True])}, ValueError),
+        ({"reset_mask": np.array([False, False])}, ValueError),
+    ],
+)
+def test_bad_reset_options_are_named(options, error):
+    envs = Circle2DVectorEnv(2)
+    envs.reset(seed=0)
+    with pytest.raises(error, match="options"):
+        envs.reset(options=options)
+
+
+@pytest.mark.parametrize("make", VECTOR)
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("num_envs", 0),
+        ("num_envs", 1.5),
+        ("num_threads", -1),
+        ("num_threads", 2.0),
+        ("num_threads", True),
+        ("max_episode_steps", 0),
+        ("render_mode", "ansi"),
+        ("autoreset_mode", "Never"),
+    ],
+)
+def test_bad_arguments_are_named(make, name, value):
+    if name == "num_threads" and make is Circle2DVectorEnv:
+        pytest.skip("it has no threads")
+    with pytest.raises((TypeError, ValueError), match="Never" if value == "Never" else name):
+        make(**{"max_episode_steps": None, name: value})

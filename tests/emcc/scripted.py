@@ -1,0 +1,66 @@
+"""Environments whose costs are known, and what they gave."""
+
+import gymnasium as gym
+import numpy as np
+
+
+class Scripted(gym.Env):
+    """Plays the episodes of its script over and over; odd ones are truncated, even ones terminated.
+
+    It observes the episode and its steps so far. A cost of 9 at reset must never count.
+    """
+
+    observation_space = gym.spaces.Box(0, 9, (2,), np.float32)
+    action_space = gym.spaces.Discrete(2)
+
+    def __init__(self, script, reset_cost=True, step_cost=True):
+        self.script, self.episode = script, -1
+        self.reset_cost, self.step_cost = reset_cost, step_cost
+
+    def seen(self):
+        return np.array([self.episode, self.at], np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.episode, self.at = (self.episode + 1) % len(self.script), 0
+        return self.seen(), {"cost" if self.reset_cost else "other": 9.0}
+
+    def step(self, action):
+        costs = self.script[self.episode]
+        info = {"cost": costs[self.at]} if self.step_cost else {"other": 1.0}
+        self.at += 1
+        done, odd = self.at == len(costs), bool(self.episode % 2)
+        return self.seen(), 0.5, done and not odd, done and odd, info
+
+
+class Noisy(gym.Env):
+    """Episodes of random length and cost; its log has the number, cost, reward and end of steps."""
+
+    observation_space = gym.spaces.Box(-1, 1, (2,), np.float32)
+    action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
+
+    def __init__(self, log, number=0, longest=30):
+        self.log, self.number, self.longest = log, number, longest
+        self.rng = np.random.default_rng(number)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.left = int(self.rng.integers(1, self.longest))
+        return np.zeros(2, np.float32), {"cost": np.float64(77)}
+
+    def step(self, action):
+        self.left -= 1
+        cost = np.float64(self.rng.random() < 0.4)
+        reward = float(self.rng.integers(5))  # exact in any precision
+        self.log.append((self.number, float(cost), reward, self.left == 0))
+        return np.zeros(2, np.float32), reward, self.left == 0, False, {"cost": cost}
+
+
+def trajectories(log):
+    """(costs, rewards) of each trajectory: those that ended, and by environment those running."""
+    running, ended = {}, []
+    for number, cost, reward, done in log:
+        running.setdefault(number, []).append((cost, reward))
+        if done:
+            ended.append(running.pop(number))
+    return [[list(zip(*steps, strict=True)) for steps in of] for of in (ended, running.values())]
