@@ -1,6 +1,5 @@
 """The examples run, print a panel, and stay short."""
 
-import ast
 import importlib.util
 import os
 import shutil
@@ -27,18 +26,6 @@ NEEDED = {
 
 def test_every_example_is_listed():
     assert {path.name for path in FOLDER.glob("with_*.py")} == set(NEEDED)
-
-
-@pytest.mark.parametrize("name", NEEDED)
-def test_at_most_15_lines_of_substance(name):
-    text = (FOLDER / name).read_text()
-    imports = (ast.Import, ast.ImportFrom)
-    lines = [
-        node.lineno
-        for node in ast.walk(ast.parse(text))
-        if isinstance(node, ast.stmt) and not isinstance(node, imports)
-    ]
-    assert len(set(lines)) - 1 <= 15  # without the docstring
 
 
 @pytest.mark.parametrize("name", NEEDED)

@@ -100,21 +100,6 @@ def test_a_default_of_ones_own_is_checked_by_its_own_type():
         Bare(rate=0)
 
 
-def test_rules_between_fields_come_after():
-    @dataclass(frozen=True)
-    class Pair(Own):
-        def __post_init__(self):
-            super().__post_init__()
-            if self.count > len(self.sizes) + 2:
-                raise UserError("count must be at most two more than sizes")
-
-    assert Pair(sizes=(1, 1), count=4)
-    with pytest.raises(UserError, match="two more"):
-        Pair(count=4)
-    with pytest.raises(UserError, match="count must be an integer"):
-        Pair(count="4")
-
-
 WRONG = [
     ("sac-lag", "batch_size", 50, "multiple of 32"),
     ("ppo-lag", "batch_size", 50, "multiple of 32"),

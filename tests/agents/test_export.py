@@ -54,21 +54,6 @@ def test_the_cards_code_gives_our_actions(folder, tmp_path, monkeypatch, format)
     np.testing.assert_allclose(policy(OBSERVATIONS[:1]), ours[:1], rtol=0, atol=1e-6)
 
 
-def test_the_card(folder, tmp_path):
-    *_, path = export(folder, "safetensors", tmp_path)
-    card, config = path.read_text(), agents.resume(folder).config
-    assert f"(`{config.algorithm}`)" in card
-    assert "| task | `Walk-v0` |" in card
-    assert "| seeds | 0, 4 |" in card
-    assert re.search(r"\| environment steps \| [\d,]+( or [\d,]+)?; planned 1,500 \|", card)
-    assert re.search(r"\| commit \| ([0-9a-f]{40}(-dirty)?|not recorded \(version .*) \|", card)
-    assert "| observation | float32 [N, 2], as the task gives it |" in card
-    assert "| action | float32 [N, 1], in [-2, 2]; without noise |" in card
-    assert "--hidden 32 32" in card
-    (row,) = (line for line in card.splitlines() if ", mean of 2 " in line)
-    assert row in agents.report(folder).splitlines()
-
-
 def test_files_say_what_they_are(folder, tmp_path):
     import onnx
     from safetensors import safe_open
@@ -110,14 +95,6 @@ def test_an_earlier_policy(tmp_path):
     path, card = export(runs.folder, "safetensors", step=400)
     assert "| environment steps | 400; planned 800 |" in card.read_text()
     assert path.read_bytes() != export(runs.folder, "safetensors")[0].read_bytes()
-
-
-def test_policies_of_the_package(tmp_path):
-    """They hold no steps, as version 0.1 wrote them, and their card says so."""
-    folder = agents.pretrained("trpo-lag", "Circle2D-2-v0")
-    _, card = export(folder, "safetensors", tmp_path)
-    assert agents.load_policy(folder).step is None
-    assert "| environment steps | not recorded; planned 1,000,000 |" in card.read_text()
 
 
 def test_the_command_exports_policies_of_the_package_to_a_folder_of_ones_own(tmp_path, capsys):

@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gymnasium.vector import AsyncVectorEnv
 from small_trainings import assert_same, finished, of_run, results, small, trainer
 from toys import register
 
 from agents.algorithms import BUILT_IN, algorithm
-from agents.training import derive, evaluation
+from agents.training import derive
 from agents.training.config import TrainConfig
-from agents.training.environments import make_envs
 from agents.training.evaluation import evaluate_runs
 from agents.training.trainer import train
 
@@ -19,6 +17,8 @@ register()
 
 WITH_PID = ("trpo-lag pid", "sac-lag pid", "wcsac pid")
 EVERYTHING = (*BUILT_IN, *WITH_PID)
+FAMILIES = ("trpo-lag", "cpo", "ppo-lag", "sac-lb", "wcsac")
+"""One of each learner, and those with states of their own."""
 
 
 def config(name, seeds=(0, 1, 2), steps=450, **parameters):
@@ -54,7 +54,7 @@ def test_a_run_is_what_it_is_alone_and_without_a_stop(name, tmp_path):
     assert_same(found, expected)
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", FAMILIES)
 def test_a_poisoned_run_fails_alone(name, tmp_path):
     """NaN in the first weight of the second run's actor, after some epochs."""
     healthy, poisoned = finished(trainer(config(name))), trainer(config(name), tmp_path / "run")
@@ -96,7 +96,7 @@ def test_an_environment_that_gives_nan_fails_its_run(name, poisons):
         assert all(np.isfinite(values).all() for values in recorded)
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", FAMILIES)
 def test_records_are_of_what_the_environments_did(name):
     """Costs, rewards and lengths noted beside the training, and a row of metrics an epoch."""
     training, noted = trainer(config(name, (0, 1))), []
@@ -137,19 +137,6 @@ def test_the_deterministic_policy_gets_no_noise():
     assert (found["stochastic"].final_observations == -1).all()
 
 
-@pytest.mark.parametrize(
-    ("episodes", "native"), [(23, 23), (120, 100), (10_000, 100), (1_000_000, 10_000)]
-)
-def test_episodes_of_a_run_at_once(episodes, native, monkeypatch):
-    """At most a hundred, or a hundredth; ten where the environments are not native."""
-    made = []
-    monkeypatch.setattr(evaluation, "runs_envs", lambda config, each: made.append(each))
-    for how in ("auto", "sync"):
-        with pytest.raises(AttributeError):  # there are no environments
-            evaluate_runs(circle2d(vectorization=how), None, episodes)
-    assert made == [native, 10]
-
-
 def test_evaluation_in_parts_is_that_at_once():
     """A hundred episodes of a run with the task's own vector environment, else ten."""
     policy = trainer(circle2d(2)).learner.policy()
@@ -158,49 +145,6 @@ def test_evaluation_in_parts_is_that_at_once():
     for name in ("deterministic", "stochastic"):
         np.testing.assert_allclose(parts[name].returns, whole[name].returns, rtol=1e-6)
         assert all(len(set(returns)) == 120 for returns in whole[name].returns)
-
-
-def test_all_runs_fail_at_once():
-    training = finished(trainer(config("cpo", (0, 1), 300, poison=1.0)))
-    assert (training.failures != "").all()
-    assert list(training.recorder.take()) == ["metrics"]
-
-
-def test_what_each_algorithm_records():
-    metrics = {name: trainer(config(name)).learner.metrics for name in BUILT_IN}
-    on_policy = ("kl", "step_scale", "critic_loss", "cost_critic_loss", "std")
-    assert metrics["trpo-lag"] == (*on_policy, "multiplier")
-    assert metrics["cpo"] == (*on_policy, "case")
-    off_policy = {"critic_loss", "cost_critic_loss", "actor_loss", "temperature", "risk", "entropy"}
-    assert set(metrics["sac-lb"]) == off_policy
-    assert set(metrics["sac"]) == off_policy
-    assert set(metrics["sac-lag"]) == set(metrics["wcsac"]) == off_policy | {"multiplier"}
-    first_order = ("kl", "clipped", "critic_loss", "cost_critic_loss", "std")
-    assert metrics["ppo"] == first_order
-    assert metrics["ppo-lag"] == metrics["cup"] == metrics["ipo"] == (*first_order, "multiplier")
-    assert metrics["p3o"] == first_order
-    assert metrics["pcpo"] == metrics["cpo"]
-    assert metrics["crpo"] == metrics["c-trpo"] == metrics["trpo-lag"]
-    assert set(metrics["cal"]) == set(metrics["sac-lag"])
-
-
-def test_sync_and_async_give_the_same():
-    found = []
-    for vectorization in ("sync", "async"):
-        it = finished(
-            trainer(replace(config("trpo-lag", (0, 1), 300), vectorization=vectorization))
-        )
-        it.close()
-        found.append(arrays_of(it))
-    assert_same(*found)
-    envs = make_envs("Circle2D-1-v0", 2, {}, "async")
-    assert isinstance(envs.unwrapped, AsyncVectorEnv)
-    envs.close()
-
-
-def test_a_sync_circle2d_is_the_native_one():
-    found = [finished(trainer(circle2d(3, 400, vectorization=how))) for how in ("auto", "sync")]
-    assert_same(*map(arrays_of, found))
 
 
 def test_tensorboard(tmp_path):

@@ -138,11 +138,6 @@ def test_a_library_that_is_missing(module, options, hint, tmp_path, capsys, monk
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_long_name_is_not_printed_whole(tmp_path, capsys):
-    err = mistake([*TRAIN, "--out", str(tmp_path / "x"), "--task", "N" * 5000], capsys)
-    assert len(err) < 1000
-
-
 def test_a_folder_that_another_process_trains_in(folder, tmp_path, capsys):
     copy = tmp_path / "runs"
     shutil.copytree(folder, copy)

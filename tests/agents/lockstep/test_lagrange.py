@@ -100,14 +100,6 @@ def test_ten_steps_of_pid_by_hand():
     assert one.state.smoothed_cost[0].tolist() == [pytest.approx(2.828839)] * LANES
 
 
-@pytest.mark.parametrize("name", FORMS)
-def test_every_optimizer_starts_from_the_same_multiplier(name):
-    settings = {"initial_multiplier": 0.7, "multiplier_lr": 0.1}
-    optimizers = ("adam", "sgd", "pid")
-    configs = [Config(multiplier_optimizer=optimizer, **settings) for optimizer in optimizers]
-    assert len({*(One(FORMS[name], config, 1).value[0] for config in configs)}) == 1
-
-
 def test_a_law_by_hand():
     """λ ← λ·(1 + 0.1 (c - 4)) from 0.5: 0.5·1.2 = 0.6, 0.5·0.7 = 0.35; a cost of -8 gives
     0.5·(1 - 1.2) < 0, which is projected to 0."""
@@ -147,10 +139,3 @@ def test_several_follow_their_own_costs_and_limits():
     torch.testing.assert_close(values[:, 1], (1 + by_hand[:, 1].exp()).log())
     torch.testing.assert_close(values[:, ::2], by_hand[:, ::2])
     assert lagrange.names(rule) == ("multiplier", "multiplier_2", "multiplier_3")
-
-
-def test_an_algorithm_without_one():
-    assert lagrange.initial((), None, 3) == ()
-    assert lagrange.values((), (), 3).shape == (3, 0)
-    assert lagrange.follow((), None, (), COST) == ()
-    assert lagrange.names(()) == ()

@@ -57,12 +57,17 @@ def test_costs_and_observations_are_those_of_the_wrapper():
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_the_critics_alone_see_the_streak(name):
-    """One more weight for each unit of their first layer; the policy has as many as without."""
-    plain, of_streaks = (trained(name, streak_weight=w).learner for w in (0.0, 0.5))
+def test_the_critics_alone_see_the_streak_and_records_keep_the_plain_cost(name):
+    """One more weight for each unit of their first layer; the policy has as many as without. Walk's
+    steps cost 0 or 1, whatever is learned."""
+    both = [trained(name, streak_weight=w) for w in (0.0, 3.0)]
+    plain, of_streaks = (it.learner for it in both)
     assert of_streaks.nets.critic.sizes[0] == plain.nets.critic.sizes[0] + 1
     actors = [learner.state_dict()["actor"] for learner in (plain, of_streaks)]
     assert actors[0].shape == actors[1].shape
+    assert (actors[0] != actors[1]).any()
+    recorded = [it.recorder.take()["Walk-v0/0/costs/cost"] for it in both]
+    assert {*np.concatenate(recorded)} == {0.0, 1.0}
 
 
 @pytest.mark.parametrize("scale", [16.0, (16.0, 0.5)])
@@ -77,16 +82,6 @@ def test_the_scale_is_that_of_observations(name, scale):
         np.testing.assert_array_equal(value, expected[key], err_msg=key)
     without = trained(name).learner.state_dict()
     assert (without["actor"] != expected["actor"]).any()
-
-
-@pytest.mark.parametrize("name", FAMILIES)
-def test_records_keep_the_plain_cost(name):
-    """Walk's steps cost 0 or 1, whatever is learned."""
-    plain, weighted = (trained(name, streak_weight=w) for w in (0.0, 3.0))
-    recorded = [it.recorder.take()["Walk-v0/0/costs/cost"] for it in (plain, weighted)]
-    assert {*np.concatenate(recorded)} == {0.0, 1.0}
-    actors = [it.learner.state_dict()["actor"] for it in (plain, weighted)]
-    assert (actors[0] != actors[1]).any()
 
 
 @pytest.mark.parametrize("name", FAMILIES)

@@ -1,6 +1,5 @@
 """Both choices of settings that the paper does not print: their runs, and their table."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import pytest
 from small_runs import write_evaluated
 
 from agents.paper.grid import grid
-from agents.paper.presets import ablations, preset, unprinted
+from agents.paper.presets import ablations, preset
 from agents.reporting.report import table
 from agents.reporting.table import markdown
 
@@ -49,17 +48,6 @@ def test_the_grid_with_ablations():
         assert (config.seeds, config.steps) == ((0, 1, 2), 1000)
     # What takes longest still goes first.
     assert [config.algorithm for config in all_of.values()][-5:] == ["trpo-lag"] * 5
-
-
-def test_presets_take_what_gives_the_papers_results_on_circle2d():
-    for name in ALGORITHMS:
-        setting = unprinted(name)
-        if name == "cpo":
-            assert setting is None
-            assert ablations(name, SAFETY) == {}
-        else:
-            expected = "adam" if name == "trpo-lag" else "terminal"
-            assert getattr(preset(name, TASK), setting.field) == expected
 
 
 def test_a_table_says_what_of_its_presets_is_not_printed(tmp_path):
@@ -129,21 +117,6 @@ def test_both_choices_side_by_side(folder):
     (of_preset,) = (row for row in main_table if row[0] == "TRPO-Lag (100 steps), mean of 3")
     assert of_preset[5] == "**-14.00** range -20.00 to -10.00"
     assert "TRPO-Lag (multiplier_optimizer sgd" in (folder / "report.csv").read_text()
-
-
-def test_how_often_a_choice_is_the_nearest(folder):
-    """TRPO-Lag's choices differ in J_R alone, the gradient is nearer in it; of equal measures both
-    count. CPO has no other choice here."""
-    words = markdown(table(folder))
-    found = rows(words[words.index("Measures, over all tasks, in which") :])
-    assert found[2:] == [["TRPO-Lag, adam (preset)", "6 of 7"], ["TRPO-Lag, sgd", "7 of 7"]]
-
-
-def test_without_the_presets_runs_it_is_a_group_like_any_other(folder):
-    shutil.rmtree(folder / "trpo-lag")
-    words = markdown(table(folder))
-    assert "Other choices" not in words
-    assert "TRPO-Lag (multiplier_optimizer sgd, 100 steps), mean of 2" in words
 
 
 def test_each_part_of_sac_lb_streak_is_left_out_once():

@@ -90,17 +90,6 @@ def lines(out):
     return list(csv.DictReader((out / "compare.csv").read_text().splitlines()))
 
 
-def test_which_stands_against_which(tmp_path):
-    for name in ("trpo-lag", "cpo"):
-        write_runs(tmp_path / "a" / name, name, [-10.0, -12.0])
-        write_runs(tmp_path / "b" / name, name, [-11.0, -12.0])
-    write_runs(tmp_path / "b" / "wcsac", "wcsac", [-11.0, -12.0])
-    found = rows(markdown(compare(tmp_path / "a", tmp_path / "b")))
-    assert [name for name in found if name.startswith("B - A")] == [
-        *("B - A: CPO", "B - A: TRPO-Lag", "B - A: WCSAC - CPO", "B - A: WCSAC - TRPO-Lag")
-    ]
-
-
 def test_runs_too_few_for_a_test_are_named(tmp_path):
     """Complete separation: of 3 against 3 the least p is 2 / 20, of 3 against 4 it is 1 / 35, here
     times the number of measures. Of 6 against 6, 2 / 924, there is a p below .05."""
@@ -148,20 +137,6 @@ def test_over_tasks_few_runs_decide(tmp_path):
     assert 2 / 400 in [pytest.approx(float(value)) for kind, value in found if kind == "p"]
     assert "All tasks together" in (out / "compare.html").read_text()
     assert markdown(tables) == (out / "compare.md").read_text()
-
-
-def test_over_tasks_seeds_that_all_have(tmp_path):
-    """Task 1 has seeds 0 to 2, task 2 seeds 0 and 1: the last run of task 1 is not used."""
-    for side, name, streak in (("a", "trpo-lag", 4), ("b", "cpo", 3)):
-        write_runs(tmp_path / side / "1", name, [0.0, 0.0, 0.0], streak=streak)
-        write_runs(tmp_path / side / "2", name, [0.0, 0.0], "Circle2D-2-v0", streak=streak)
-    difference, p, _ = compare(tmp_path / "a", tmp_path / "b")[-1].rows
-    assert difference.name.endswith("2 tasks, 2 seeds against 2")
-    assert p.numbers[0].value == pytest.approx(4 * 2 / 6**2)
-    # One seed on a task allows no test.
-    write_runs(tmp_path / "a" / "3", "trpo-lag", [0.0], "Circle2D-3-v0")
-    write_runs(tmp_path / "b" / "3", "cpo", [0.0], "Circle2D-3-v0")
-    assert len(compare(tmp_path / "a", tmp_path / "b")) == 3
 
 
 def test_what_is_written(tmp_path, capsys):

@@ -1,23 +1,18 @@
 """Training curves against loops over the episodes."""
 
 import math
-import re
 from statistics import fmean, stdev
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
 
 from agents.paper.presets import preset
 from agents.reporting.figures import (
-    COLOURS,
     POINTS,
     WINDOW,
-    curves,
     episode_means,
     midpoints,
     running_emcc,
-    styles,
     thirds_emcc,
 )
 from agents.results.reading import Group, Run
@@ -121,43 +116,3 @@ def test_one_run_has_a_line_alone():
     curve = thirds_emcc(group(RUNS[:1]), 0.3)
     assert np.isfinite(curve.mean).all()
     assert np.isnan(curve.low).all()
-
-
-def test_curves_are_the_same_bytes_and_keep_an_algorithms_colour():
-    named = [("A", FIVE), ("three", THREE)]
-    svg = curves(named).content
-    assert svg == curves(named).content
-    text = svg.decode()
-    assert text.lstrip().startswith("<?xml")
-    drawn = {c: len(re.findall(f"stroke: {c.lower()}", text)) for c in COLOURS if c != "#000000"}
-    (colour,) = {style.colour for style in styles([FIVE.config])}
-    assert [c for c, count in drawn.items() if count] == [colour]
-    dashes = set(re.findall("stroke-dasharray: ([^;]+)", text))
-    assert len(dashes) == 2  # of one line, and the thirds' borders; the other is solid
-
-
-def test_no_band_below_a_cost_of_zero(monkeypatch):
-    """Two of five runs cost 9, three nothing: the t interval of the mean reaches below 0."""
-    of_ten = np.arange(10)
-    none = of_ten * 0
-    runs = [
-        EpisodeRecords(of_ten, of_ten * 400, none + 400, none - 1.0, none + c, none)
-        for c in (0, 0, 0, 9, 9)
-    ]
-    line = group(runs)
-    half = T_OF_4 * 9 * math.sqrt(0.3 / 5)
-    assert 3.6 - half < -1
-    assert np.nanmin(episode_means(line, "cost").low) == 0
-    drawn = []
-    fill = Axes.fill_between
-
-    def noted(self, x, low, high, **options):
-        drawn.append((np.nanmin(low), np.nanmax(high)))
-        return fill(self, x, low, high, **options)
-
-    monkeypatch.setattr(Axes, "fill_between", noted)
-    curves([("A", line)])
-    returns, costs, running = drawn
-    assert returns == (-1, -1)
-    assert costs == (0, pytest.approx(3.6 + half))
-    assert running == (0, 0)

@@ -9,7 +9,6 @@ from PIL import Image
 from agents.paper import introduction as example
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.envs import Circle2DEnv
-from circle2d_mj.circle2d.view import Circle2DView
 from emcc import mcc
 
 
@@ -48,27 +47,3 @@ def test_equal_costs_and_different_chains():
     _, words = example.two_trajectories(128)
     for part in ("chain 10, EMCC 0.20", "chain 3, EMCC 0.06", "cost rate (0.20) does"):
         assert part in words
-
-
-def test_the_levels_show_the_tasks(monkeypatch):
-    """Without the words, each picture is there once, from left to right."""
-    size = 200
-    monkeypatch.setattr(example, "LABELS", {})
-    shown, left = example.levels(size), 0
-    for level in range(4):
-        view = Circle2DView(Circle2DConfig(level=level))
-        task = view.overlay(view.background(size))[1:-1, 1:-1]  # less the frame
-        windows = np.lib.stride_tricks.sliding_window_view(shown, (1, *task.shape[1:]))[
-            ..., 0, :, :
-        ]
-        first_rows = np.argwhere((windows[:, :, 0] == task[0]).all(axis=(2, 3)))
-        places = [(y, x) for y, x in first_rows if np.array_equal(shown[y:, x:][:198, :198], task)]
-        assert len(places) == 1
-        assert places[0][1] > left
-        left = places[0][1] + size
-
-
-def test_files_hold_the_pictures_without_loss():
-    levels, trajectories = example.introduction()
-    np.testing.assert_array_equal(image_of(levels), example.levels(example.SIZE))
-    assert trajectories == example.introduction()[1]  # byte for byte

@@ -131,12 +131,6 @@ def test_paths_of_trained_policies(groups):
     assert one.costs == "M833 450h0M800 450h0M567 450h0"
 
 
-def test_maps_of_one_algorithm_stand_side_by_side(groups):
-    visited, trained = maps(played(groups[:1]), Scenes(), [])
-    assert (len(visited.columns), visited.rows) == (3, [TITLE])
-    assert (list(trained.columns), len(trained.cells)) == (["run 1", "run 2"], 1)
-
-
 @pytest.mark.parametrize("steps", [1, 2, 127, 128, 129, 500, 1001])
 def test_states_of_long_episodes(steps):
     shown = shown_states(steps)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from agents.paper.presets import preset
 from agents.paper.printed import printed
-from agents.reporting.figures import intervals_figure, profiles_figure, rates_figure
+from agents.reporting.figures import intervals_figure, profiles_figure
 from agents.reporting.tables import over_tasks, separated_table
 from agents.results.measures import RunData, measured
 from agents.results.reading import Group, Run
@@ -88,13 +88,6 @@ def test_a_dot_for_each_run_and_a_cross_for_each_printed_value(groups):
     (cross,) = set(re.findall(r'<path id="(\w+)" d="M -2.5 2.5 \nL 2.5 -2.5 \nM', text))
     assert len(re.findall(f'<use xlink:href="#{cross}"', text)) == len(groups) * columns
     assert text == intervals_figure(groups, printed).content.decode()
-
-
-def test_a_dot_for_each_run_and_third(groups):
-    text = rates_figure(groups).content.decode()
-    for colour in ("#0072b2", "#d55e00", "#e69f00"):
-        # One more is in the legend.
-        assert len(re.findall(f"<use [^>]*fill: {colour}", text)) == len(TASKS) * 3 * 6 + 1
 
 
 def test_profiles_are_shares_of_rollouts(groups, monkeypatch):

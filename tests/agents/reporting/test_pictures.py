@@ -1,6 +1,5 @@
 """Heat maps and films of runs: what they are of, and that files hold it."""
 
-import re
 import shutil
 
 import imageio.v3 as imageio
@@ -19,7 +18,6 @@ from agents.training.trainer import train
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.render import gl, renderer
-from circle2d_mj.render.figure import figure
 from circle2d_mj.render.gl import NoOpenGL
 
 
@@ -97,37 +95,6 @@ def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
     assert not np.array_equal(noisy[0].positions, episodes[0].positions)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["heatmap", "{folder}", "--part", "0.5"], r"part must be some of \[0.33, 0.66, 0.99\]"),
-        (["heatmap", "{folder}", "--alpha", "0"], r"alpha must be in \(0, 1\], got 0.0"),
-        (["heatmap", "{folder}", "--size", "7"], "size must be an even number"),
-        (["heatmap", "{folder}", "--out", "x.jpg"], "out must end in .png, got 'x.jpg'"),
-        (
-            ["heatmap", "{folder}", "--seeds", "5", "7"],
-            r"seeds must be some of \[5, 6\] not failed, got \[5, 7",
-        ),
-        (["heatmap", "nothing"], r"nothing is no folder"),
-        (["render", "{folder}", "--out", "film.avi"], "out must end in .png or .gif or .mp4"),
-        (["render", "{folder}", "--seed", "7"], r"no run of seed 7"),
-        (["render", "{folder}", "--episodes", "0"], r"episodes must be in \[1, 100\], got 0"),
-        (["scene", "--task-parameters", "level", "7"], "level must be one of"),
-        (["scene", "--task-parameters", "actuation", "magic"], "magic"),
-        (
-            ["scene", "--task-parameters", "constraint_radius", "1e200"],
-            "constraint_radius must be at least",
-        ),
-    ],
-)
-def test_mistakes(arguments, message, folder, capsys):
-    assert main([a.format(folder=folder) for a in arguments]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1
-    assert re.search(message, err), err
-
-
 def test_pictures_need_no_opengl(folder, tmp_path, monkeypatch):
     def nothing(*_):
         raise NoOpenGL("install one")
@@ -181,19 +148,3 @@ def test_heat_maps_of_several_folders_side_by_side(folder, tmp_path):
     edit_results(copy, **{f"{TASK}__5__failure": np.array("x")})
     left, right = columns()
     assert (left != right).any()
-
-
-def test_a_figure_puts_pictures_where_they_belong():
-    colours = [[(255, 0, 0), (0, 255, 0)], [(0, 0, 255), None]]
-    rows = [[c and np.full((64, 64, 3), c, np.uint8) for c in row] for row in colours]
-    image = figure(rows, ["a", "b"], title="t", row_titles=["x", "y"], captions=[["1", "2"]] * 2)
-    assert image.dtype == np.uint8
-    places = {}
-    for row in range(2):
-        for column in range(2):
-            if colours[row][column]:
-                found = np.argwhere((image == colours[row][column]).all(axis=-1))
-                assert len(found) == 62 * 62  # all but a frame of one pixel
-                places[row, column] = found.min(axis=0)
-    assert places[0, 0][0] == places[0, 1][0] < places[1, 0][0]
-    assert places[0, 0][1] == places[1, 0][1] < places[0, 1][1]

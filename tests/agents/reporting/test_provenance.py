@@ -1,6 +1,5 @@
 """How a report was made: commands that train the same again, machine, time from status.json."""
 
-import json
 import shlex
 import subprocess
 from dataclasses import asdict, replace
@@ -11,8 +10,8 @@ from small_runs import write_evaluated, write_status
 from agents.cli.main import main
 from agents.paper.presets import preset
 from agents.reporting import provenance
-from agents.reporting.provenance import command, heading, made, summary
-from agents.results.reading import Group, read
+from agents.reporting.provenance import command, made
+from agents.results.reading import read
 from agents.training import config
 from agents.training.config import TrainConfig
 
@@ -68,40 +67,6 @@ def test_what_is_told(tmp_path):
     groups = read([tmp_path], [])
     assert made(groups)["training time"] == "5 min, all processes together, of 1 of 2 folders"
     assert not {"machine", "training time"} & made(groups[:1]).keys()
-
-
-def test_every_machine_and_version_is_told(tmp_path):
-    write_evaluated(tmp_path, "cpo", costs=(1,))
-    chips = {f"{k}": {"seconds": 1, "machine": {"processor": k, "cores": 9}} for k in ("A", "B")}
-    chips["A"]["versions"] = {"torch": "9.9"}
-    (tmp_path / "status.json").write_text(json.dumps({"share": 1.0, "sessions": chips}))
-    told = made(read([tmp_path], []))
-    assert (told["machine"], told["versions"]) == ("A, 9 cores; B, 9 cores", "torch 9.9")
-
-
-def test_a_title_and_a_line_that_name_the_runs():
-    """Of algorithms in the registry's order, however the folders are called."""
-    hyperparameters = preset("wcsac", "Circle2D-1-v0")
-    one = TrainConfig("wcsac", ("Circle2D-1-v0",), tuple(range(10)), 1000, hyperparameters)
-    other = TrainConfig("cpo", ("Circle2D-2-v0",), (0, 3), 2000, preset("cpo", "Circle2D-2-v0"))
-    groups = [
-        Group(name, config.tasks[0], config, [], []) for name, config in (("a", one), ("b", other))
-    ]
-    assert heading(groups) == "CPO and WCSAC on Circle2D-1-v0 and Circle2D-2-v0"
-    assert heading(groups[:1]) == "WCSAC on Circle2D-1-v0"
-    assert summary(groups) == (
-        "0 runs, 2 tasks, 2 algorithms, seeds 0 to 9, 1,000 or 2,000 steps each"
-    )
-    again = replace(one, hyperparameters=replace(hyperparameters, cost_limit=1.0))
-    groups = [
-        Group("a", "Circle2D-1-v0", one, [], []),
-        Group("b", "Circle2D-1-v0", again, [], []),
-        Group("c", "Circle2D-2-v0", other, [], []),
-    ]
-    assert "1 algorithm, 2 settings, seeds 0 to 9" in summary(groups[:2])
-    assert "seeds 0, 3, 2,000 steps each" in summary(groups[2:])
-    many = [Group(f"{k}", f"Circle2D-{k}-v0", one, [], []) for k in range(6)]
-    assert heading(many) == "WCSAC on 6 tasks"
 
 
 def test_the_commit_is_told_where_it_is_known(tmp_path, monkeypatch):

@@ -79,18 +79,6 @@ def test_runs_left_out_are_in_no_mean_and_have_a_note_for_each_reason(tmp_path):
     assert "seed 2 |" not in words
 
 
-def test_a_title_for_each_table_and_one_legend(tmp_path):
-    for level in (1, 2):
-        write_evaluated(tmp_path / f"{level}", "cpo", (1, 2), task=f"Circle2D-{level}-v0")
-    words = markdown(report(tmp_path).blocks)
-    written = (tmp_path / "report.md").read_text()
-    titles = [line[3:] for line in written.splitlines() if line.startswith("## ")]
-    assert titles[:2] == ["Circle2D-1-v0", "Circle2D-2-v0"]
-    # The tables of the two tasks have one legend.
-    for text in (words, written):
-        assert text.count("J_R, J_C, CVaR: undiscounted") == 1
-
-
 def test_the_papers_misprint():
     """It prints 4.68 for a sum of numbers below 0."""
     for task in ("Circle2D-1-v0", "circle2d_mj:Circle2D-1-v0"):

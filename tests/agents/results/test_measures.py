@@ -17,7 +17,6 @@ from agents.results.measures import (
     Measure,
     RunData,
     measure,
-    measures,
     register,
     unregister,
 )
@@ -134,14 +133,6 @@ def test_the_mean_streak_by_hand():
     assert measure("mean_streak").compute(RunData(records, 30, {})) == 2.0
     safe = EpisodeRecords([0], [0], [10], [0], [0], [0], [0], [0])
     assert measure("mean_streak").compute(RunData(safe, 10, {})) == 0.0
-
-
-def test_names_are_single_and_single_words():
-    with pytest.raises(ValueError, match="there is a measure 'J_R' already"):
-        register(measure("J_R"))
-    with pytest.raises(ValueError, match="must be one word, got 'a b'"):
-        Measure("a b", "a", "", 2, "lower", lambda run: 0.0)
-    assert len({of.name for of in measures()}) == len(measures())
 
 
 def test_a_mean_of_what_is_not_known_is_not_known():

@@ -265,19 +265,3 @@ def test_what_stays_apart(tmp_path):
         chosen = replace(usual, discount=discount)
         write_evaluated(tmp_path / "y" / name, "trpo-lag", seeds, chosen, seeds=seeds)
     assert folders(read([tmp_path / "y"], [])) == ["a", "b"]
-
-
-@pytest.mark.parametrize("given", [".", "../runs", "../r", "{here}"])
-def test_notes_name_the_folder_however_it_is_given(tmp_path, monkeypatch, given):
-    folder = tmp_path / "runs"
-    write_evaluated(folder, "sac-lag", [2, 4])
-    (folder / "broken").mkdir()
-    (folder / "broken" / "config.json").write_text("{")
-    (tmp_path / "r").symlink_to(folder)
-    monkeypatch.chdir(folder)
-    edited(folder, rollouts=lambda a: a + 1)
-    notes = []
-    read([Path(given.format(here=folder))], notes)
-    assert notes[0].startswith("left out: runs/broken/config.json is damaged: ")
-    assert notes[1].startswith("left out: runs, seed 1: ")
-    assert str(tmp_path) not in "".join(notes)

@@ -21,14 +21,7 @@ def novelty_at(novelty, *places):
     return novelty.of(np.array(places, dtype=np.float32)[None])[0]
 
 
-def test_nothing_seen():
-    """With A = I the novelty is the norm of the features, 1."""
-    novelty = Novelty(1.0, [0, 1], 2)
-    states = np.random.default_rng(0).normal(size=(2, 50, 2)).astype(np.float32)
-    np.testing.assert_allclose(novelty.of(states), 1.0, rtol=1e-5)
-
-
-@pytest.mark.parametrize("visits", [1, 3, 99])
+@pytest.mark.parametrize("visits", [0, 1, 3, 99])
 def test_a_place_seen_some_times(visits):
     """A = I + n φ φᵀ, so φᵀ A⁻¹ φ = 1 / (1 + n) at norm 1 (Sherman and Morrison)."""
     novelty = Novelty(1.0, [0], 2)
@@ -70,31 +63,12 @@ def test_against_a_linear_solution():
         np.testing.assert_allclose(found[run], expected, rtol=1e-3)
 
 
-def test_the_length_is_the_unit():
-    """States and length both doubled: the same novelty."""
-    rng = np.random.default_rng(2)
-    states = rng.normal(size=(20, 1, 2)).astype(np.float32)
-    by_length = []
-    for factor in (np.float32(1), np.float32(2)):
-        novelty = Novelty(float(factor), [3], 2)
-        novelty.add(factor * states[:10], np.array([10]))
-        by_length.append(novelty.of(factor * states.transpose(1, 0, 2)))
-    np.testing.assert_allclose(*by_length, rtol=1e-5)
-
-
 def test_what_only_critics_see_does_not_count():
     novelty = Novelty(1.0, [0], 2)
     states = np.random.default_rng(3).normal(size=(20, 1, 3)).astype(np.float32)
     novelty.add(states, np.array([20]))
     of_all = novelty.of(states.transpose(1, 0, 2))
     np.testing.assert_array_equal(of_all, novelty.of(states.transpose(1, 0, 2)[..., :2].copy()))
-
-
-def test_runs_draw_their_own_features_and_keep_them():
-    """Of equal seeds equal ones, whatever runs are beside."""
-    alone, beside = Novelty(1.0, [4], 2), Novelty(1.0, [3, 4], 2)
-    np.testing.assert_array_equal(alone._frequencies[0], beside._frequencies[1])
-    assert (beside._frequencies[0] != beside._frequencies[1]).any()
 
 
 COUNTING = """

@@ -79,27 +79,3 @@ def test_what_ends_at_the_time_limit(time_limit, ends):
     last = np.arange(100) % 50 == 49
     for column, expected in zip((batch.terminal, batch.cost_terminal), ends, strict=True):
         np.testing.assert_array_equal(column.numpy(), np.tile(last & expected, (2, 1)))
-
-
-def test_episodes_start_elsewhere_and_the_policy_explores():
-    it = training(random_steps=0)
-    starts, spread = [], []
-    for _ in range(3):
-        it.run_epoch()
-        rows = it.learner._replay._rows[0]
-        starts.append(rows[it.steps[0] - 50, :2].copy())
-        observation = rows[it.steps[0] - 50 : it.steps[0], :2]
-        deterministic = it.learner.policy()(np.stack([observation] * 2), None)[0]
-        spread.append(np.abs(rows[it.steps[0] - 50 : it.steps[0], 2:4] - deterministic).mean())
-    assert len({tuple(s) for s in starts}) == 3
-    assert min(spread) > 0.1  # the untrained policy's deviation is about 1
-
-
-def test_metrics_are_means_over_gradient_steps():
-    """The temperature moves by its learning rate at most, so its mean stays near 1."""
-    it = training(gradient_steps=20)
-    for _ in range(6):
-        it.run_epoch()
-    temperature = recorded(it, "temperature")
-    assert np.isnan(temperature[4]).all()
-    np.testing.assert_allclose(temperature[5], 1.0, atol=20 * 3e-4 + 1e-6)

@@ -1,12 +1,10 @@
 """When checkpoints are written; status and progress, by a clock made by hand."""
 
-from io import StringIO
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rich.console import Console
-from small_runs import TRPO, write_status
+from small_runs import write_status
 from toy_family import known
 
 import agents
@@ -69,16 +67,6 @@ def test_writing_takes_2_percent_of_the_time_at_most(tmp_path, monkeypatch, cloc
     assert len(kept) == 2
     assert kept[-1] == "000001000.npz"
     assert len(list((runs.folder / "steps").iterdir())) == len(saved)
-
-
-def test_due_by_steps_too(tmp_path, clock):
-    def passes(epoch):
-        clock.now += 10.0
-
-    more = TRPO | {"checkpoint_every": 300, "steps": 1000, "seeds": (0, 1), "on_epoch": passes}
-    runs = agents.train("cpo", TASK, out=tmp_path / "x", **more)
-    names = sorted(path.stem for path in (runs.folder / "steps").iterdir())
-    assert names == ["000000300", "000000600", "000000900", "000001000"]
 
 
 def reading(*steps, failed=(), folder=None):
@@ -154,15 +142,3 @@ def test_progress_by_a_clock(capsys, clock):
         f"{told} 90 % after 35 s, 85 steps/s, {recent}, 2 s left",  # 20 s for 80 %, so for 10 %
         f"{told} 100 % after 40 s, 72 steps/s, {recent}, evaluating",
     ]
-
-
-def test_a_terminal_shows_the_same(monkeypatch, clock):
-    shown = StringIO()
-    console = Console(file=shown, force_terminal=True, width=150)
-    monkeypatch.setattr(progress, "Console", lambda stderr: console)
-    with show_progress(reading(0, 0).config) as on_epoch:
-        clock.now = 110.0
-        on_epoch(reading(500, 500))
-        clock.now = 140.0
-        on_epoch(reading(800, 800))
-    assert "20 steps/s return -4.00, cost 2.50 20 s left" in shown.getvalue()

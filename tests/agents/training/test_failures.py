@@ -182,21 +182,6 @@ def test_a_run_that_fails_right_after_a_checkpoint_keeps_its_episodes(tmp_path):
         assert words == f"failed at step {file['Walk-v0/0/length'].sum()}: its action is not finite"
 
 
-@pytest.mark.parametrize("algorithm", ["trpo-lag", "sac-lag"])
-@pytest.mark.parametrize("poisons", ["reward", "cost", "observation"])
-def test_a_number_that_is_not_finite_is_named(tmp_path, algorithm, poisons):
-    parameters = {"poison": 0.002, "poisons": poisons}
-    more = OPTIONS | {"seeds": range(5), "steps": 300, "task_parameters": parameters}
-    more |= SAC if algorithm == "sac-lag" else TRPO
-    runs = agents.train(algorithm, "Walk-v0", out=tmp_path / "x", **more)
-    [group] = runs.results
-    assert group.runs
-    reasons = [why for why in group.missing.values() if why.startswith("failed")]
-    assert reasons
-    for why in reasons:
-        assert re.fullmatch(rf"failed at step \d+: its {poisons} is not finite", why)
-
-
 def test_where_every_run_failed(tmp_path):
     more = OPTIONS | TRPO | {"task_parameters": {"poison": 1.0}, "out": tmp_path / "x"}
     words = "every run of .*x failed; the first failed at step .*: its reward is not finite"
@@ -259,12 +244,6 @@ def test_an_algorithm_of_one_s_own_that_does_not_trains(tmp_path):
     with two_families(), known("unequal", Algorithm("Toy", Numbers, Rule(), Unequal)):
         for name, options in (("toy", {}), ("sac-own", SAC), ("unequal", {})):
             agents.train(name, "Walk-v0", **OPTIONS | options)
-
-
-def test_environments_in_processes_end_with_a_training_that_is_stopped(tmp_path):
-    more = OPTIONS | TRPO | {"vectorization": "async", "on_epoch": lambda epoch: False}
-    agents.train("cpo", "Walk-v0", out=tmp_path / "x", **more)
-    assert not multiprocessing.active_children()
 
 
 def test_a_task_that_never_ends(monkeypatch):

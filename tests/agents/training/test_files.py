@@ -17,7 +17,7 @@ from agents.paper.presets import preset
 from agents.training import files
 from agents.training.config import TrainConfig, read_spaces
 from agents.training.environments import Spaces
-from agents.training.files import Arrays, locked, read_json, write_arrays, write_whole
+from agents.training.files import Arrays, read_json, write_arrays, write_whole
 
 TASK = "Circle2D-1-v0"
 
@@ -167,16 +167,6 @@ def test_a_folder_that_is_being_trained_is_said_to_be(tmp_path):
     assert results(tmp_path / "x") == before
 
 
-def test_patience_waits_for_a_lock(tmp_path):
-    process, held = hold(tmp_path)
-    assert held
-    process.stdin.write("done\n")
-    process.stdin.flush()
-    with locked(tmp_path, patience=60):
-        pass
-    process.communicate()
-
-
 def config(task=TASK, seeds=(0,), **changes):
     return TrainConfig("cpo", (task,), seeds, 100, preset("cpo", TASK), **changes)
 
@@ -265,15 +255,6 @@ def test_bounds_of_actions(tmp_path):
         edit(tmp_path, spaces=wrong)
         with pytest.raises(UserError, match=r"config\.json is damaged: spaces"):
             read_spaces(tmp_path)
-
-
-def test_what_memory_cannot_hold_is_refused_before_anything_is_written(tmp_path):
-    for changes in ({"replay_size": 10**11}, {"hidden": (65536,) * 9}):
-        with pytest.raises(
-            UserError, match=f"{next(iter(changes))} .* needs about .* GB of memory"
-        ):
-            agents.train("sac-lag", TASK, out=tmp_path / "x", **changes)
-    assert not (tmp_path / "x").exists()
 
 
 WRITER = """

@@ -80,16 +80,6 @@ def test_leaving_ends_those_that_run_and_starts_no_other():
     assert started == ["a"]
 
 
-def test_mistakes():
-    for arguments, words in (
-        ({"engine": "cloud"}, "engine must be local or ray, got 'cloud'"),
-        ({"count": 0}, "workers must be in"),
-        ({"address": "auto"}, "address is of a Ray cluster"),
-    ):
-        with pytest.raises(UserError, match=words), launcher(**arguments):
-            pass
-
-
 def test_processes_train_folders_and_leaving_writes_checkpoints(tmp_path):
     """A second one in the same folder waits for the lock; a folder that fails is told of."""
     short, long, bad = made(tmp_path / "a"), made(tmp_path / "b", 10**7), made(tmp_path / "c")

@@ -6,7 +6,6 @@ from small_runs import SAC, TRPO, differing, results, run_of
 
 import agents
 from agents.algorithms import algorithm
-from agents.paper.presets import PAPER_ALGORITHMS
 from agents.sac import OffPolicy
 from agents.training.config import RunId
 
@@ -18,7 +17,7 @@ SLOW = pytest.param("Circle2DMuJoCo-1-v0", marks=pytest.mark.slow)
 
 
 @pytest.mark.parametrize("task", ["Circle2DMuJoCo-0-v0", SLOW])
-@pytest.mark.parametrize("name", PAPER_ALGORITHMS)
+@pytest.mark.parametrize("name", ["cpo", "sac-lb"])
 def test_trains_resumes_and_is_independent_of_its_company(name, task, tmp_path):
     more = SAC if algorithm(name).family is OffPolicy else TRPO
     more = more | {"steps": 300, "checkpoint_every": 150, "task_parameters": TASKS[task]}

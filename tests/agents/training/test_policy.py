@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 from small_runs import SAC, TRPO, results
-from toys import Target
 
 import agents
 from agents.training import trainer as training
@@ -191,13 +190,6 @@ def test_policies_on_the_way(algorithm, tmp_path):
     assert at_end == 400
 
 
-def test_a_policy_kept_at_the_end_is_the_last(tmp_path):
-    more = {"seeds": 2, "steps": 200, "evaluate_every": 100}
-    out = trained(tmp_path / "x", "sac-lag", "Circle2D-1-v0", **more)
-    policies = [agents.load_policy(out, step=step)(OBSERVATIONS) for step in (200, None)]
-    np.testing.assert_array_equal(*policies)
-
-
 def test_the_policy_of_a_task_among_several(tmp_path):
     more = {"seeds": (0, 1), "evaluate_every": 100, "cost_limit": 5.0}
     tasks = ("Circle2D-1-v0", "circle2d_mj:Circle2D-2-v0")
@@ -249,14 +241,6 @@ def test_evaluation_of_policies_and_folders(folder):
     np.testing.assert_array_equal(drawn[0].returns, drawn[1].returns)
     assert not np.array_equal(drawn[0].returns, one.returns)
     assert results(folder) == before
-
-
-def test_an_evaluation_that_is_refused_closes_the_environment(folder, monkeypatch):
-    closed = []
-    monkeypatch.setattr(Target, "close", lambda env: closed.append(env))
-    with pytest.raises(agents.UserError, match="task 'Target-v0' has"):
-        agents.evaluate(folder, "Target-v0")
-    assert len(closed) == 1
 
 
 def test_evaluations_that_cannot_be(folder):

@@ -111,9 +111,8 @@ def test_drawn_episodes_begin_where_they_started(runs):
             assert place == "left"
 
 
-@pytest.mark.parametrize("how", ["sync", "async"])
-def test_every_vectorization_gives_the_same(runs, tmp_path, how):
-    more = OPTIONS | {"vectorization": how}
+def test_another_vectorization_gives_the_same(runs, tmp_path):
+    more = OPTIONS | {"vectorization": "async"}
     other = agents.train("trpo-lag", ("Drift-v0", "Blind-v0"), out=tmp_path / "x", **more)
     assert (other.folder / "results.npz").read_bytes() == (runs.folder / "results.npz").read_bytes()
 

@@ -17,7 +17,8 @@ from agents.training import trainer as module
 from agents.training.trainer import train
 
 OPTIONS = {"seeds": (3, 4), "steps": 240, "checkpoint_every": 60, "evaluate_every": 100}
-FAMILIES = {"trpo-lag": TRPO, "cpo": TRPO, "ppo-lag": TRPO, "sac-lag": SAC, "wcsac": SAC}
+FAMILIES = {"cpo": TRPO, "trpo-lag": TRPO, "sac-lag": SAC}
+"""Every other one stops once in test_families.py."""
 
 
 def trained(out, algorithm, task="Walk-v0", **more):
