@@ -114,3 +114,11 @@ def test_bad_rollouts_are_named():
         CostRecorder(1, rollout=0)
     with pytest.raises(ValueError, match="num_envs must be >= 1, got 0"):
         CostRecorder(0)
+
+
+def test_a_pause_does_not_end_a_streak():
+    recorder = CostRecorder(2)
+    recorder.step([1, 0], [0, 0], [False, False])
+    recorder.step([0, 0], [0, 0], [False, False], active=[False, True])
+    recorder.step([1, 0], [0, 0], [True, False])
+    assert rows(recorder) == [(0, 0, 2, 2.0, 2)]

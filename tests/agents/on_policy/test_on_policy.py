@@ -74,25 +74,6 @@ def test_an_epoch_by_hand(time_limit):
     assert epoch.cost.tolist() == [[(2.0 + 1.0) / 2]]
 
 
-@pytest.mark.parametrize("optimizer", ["adam", "sgd"])
-def test_multiplier_follows_the_cost_of_episodes(optimizer):
-    """λ₀ = 0.001, lr 0.005, d = 3. Episodes cost 5, 1 and 3 on average: λ rises, falls to 0, stays.
-
-    Adam's first step is the step size; the plain gradient's is 0.005·2 = 0.01.
-    """
-    config = TRPOLagConfig(cost_limit=3.0, multiplier_optimizer=optimizer, **SMALL)
-    it = learner(trpo_lag.RULE, config, seeds=(0, 1, 2))
-    rng, costs = np.random.default_rng(0), [4, 6, 0, 2, 3, 3]
-    rollout = episodes(
-        [10] * 6, lambda k, length: (*rng.normal(size=(2, 1, 1)), 0.0, costs[k] / 10, 0.0)
-    )
-    column, everyone = it.metrics.index("multiplier"), np.ones(3, bool)
-    used = [it.learn(rollout, epoch, everyone)[:, column] for epoch in range(2)]
-    np.testing.assert_allclose(used[0], 0.001, rtol=1e-6)
-    risen = 0.001 + (0.005 if optimizer == "adam" else 0.01)
-    np.testing.assert_allclose(used[1], [risen, 0.0, 0.001], rtol=1e-4, atol=1e-8)
-
-
 def noisy(seed, epoch):
     """Episodes of a seed and an epoch, of a cost of about 1; actions of deviation 1."""
 

@@ -28,34 +28,8 @@ def test_advantages_are_sums_of_errors(discount, gae_lambda):
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
 
 
-def test_a_cut_off_bootstraps_and_a_terminal_state_does_not():
-    """r = 1, 3; V = 4, 6, and 8 at the end; γ = λ = ½. δ_0 = 1 + ½·6 - 4 = 0.
-
-    Cut off: δ_1 = 3 + ½·8 - 6 = 1, so A = ¼, 1. Terminal: δ_1 = 3 - 6 = -3, so A = -¾, -3."""
-    reward, value, next_value = (np.array([pair, pair]).T for pair in ((1, 3), (4, 6), (6, 8)))
-    terminal = np.array([[False, False], [False, True]])
-    found = advantages(reward, value, next_value, terminal, np.ones((2, 2), bool), 0.5, 0.5)
-    assert found.T.tolist() == [[0.25, 1.0], [-0.75, -3.0]]
-
-
 def during(length, steps):
     return np.arange(steps)[:, None] < np.array(length)
-
-
-def test_packing_by_hand():
-    """Two runs of two episodes: 3 and 0 steps, 1 and 2 steps."""
-    packing = Packing(during([3, 0, 1, 2], 4), runs=2)
-    assert packing.steps.tolist() == [3, 3]
-    assert packing.size == BLOCK
-    values = np.array([[1, 9, 4, 5], [2, 9, 9, 6], [3, 9, 9, 9], [9, 9, 9, 9]])
-    packed = packing.pack(values)
-    assert packed.shape == (2, BLOCK)
-    assert packed[:, :3].tolist() == [[1, 2, 3], [4, 5, 6]]
-    assert not packed[:, 3:].any()
-    np.testing.assert_allclose(packing.weight[:, :3], 1 / 3, rtol=1e-6)
-    assert not packing.weight[:, 3:].any()
-    unpacked = [[1, 0, 4, 5], [2, 0, 0, 6], [3, 0, 0, 0], [0, 0, 0, 0]]
-    assert packing.unpack(packed).tolist() == unpacked
 
 
 def test_packing_round_trip():

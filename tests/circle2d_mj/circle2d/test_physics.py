@@ -1,7 +1,5 @@
 """The physics against plain MuJoCo, hand arithmetic, and itself after copies and resets."""
 
-import math
-
 import mujoco
 import numpy as np
 import pytest
@@ -149,41 +147,6 @@ def test_a_touch_within_a_step_costs_on_level_0():
     assert contact
     assert info["contact_force"] > 0
     assert 0 < info["penetration"] < 0.2
-
-
-def speeds(actuation, action, steps, speed=0.0):
-    physics = placed([[-14.0, 14.0]], level=1, actuation=actuation)
-    physics._qvel[:] = [[speed, 0.0]]
-    rows, start = [], physics.position[0, 0]
-    for _ in range(steps):
-        physics.step(np.array([[action, 0.0]]))
-        rows.append((physics._qvel[0, 0], physics.position[0, 0] - start))
-    return np.array(rows)
-
-
-def test_thrust_by_hand():
-    """m v' = F - d v with F/d the top speed and m/d = 0.1 s: v = 11 (1 - exp(-t / 0.1))."""
-    velocity, covered = speeds("force", 1.0, 20).T
-    after = 0.1 * np.arange(1, 21)
-    np.testing.assert_allclose(velocity[0] / TOP_SPEED, 1 - math.exp(-1), atol=0.03)
-    np.testing.assert_allclose(velocity, TOP_SPEED * (1 - np.exp(-after / 0.1)), atol=0.35)
-    assert velocity[-1] == pytest.approx(TOP_SPEED, rel=1e-6)
-    assert np.diff(covered)[-1] == pytest.approx(0.11 * 10, rel=1e-6)
-    # To roll out: v m/d = 1.1. To brake in full: 1.1 (1 - log 2), reached after 0.1 s log 2.
-    assert speeds("force", 0.0, 20, TOP_SPEED)[-1, 1] == pytest.approx(1.1, rel=0.01)
-    braking = placed([[-14.0, 14.0]], level=1, actuation="force")
-    braking._qvel[:], braking._ctrl[:] = [[TOP_SPEED, 0.0]], [[-110.0, 0.0]]
-    farthest = braking._batch.rollout(10, record=("qpos",))["qpos"][0, :, 0].max() + 14.0
-    assert farthest == pytest.approx(1.1 * (1 - math.log(2)), rel=0.2)  # in steps of 0.01 s
-
-
-def test_servo_by_hand():
-    """m v' = 20 (u - v): half a control step as time constant, and 1.1 a step behind by 0.55."""
-    velocity, covered = speeds("velocity", 1.0, 20).T
-    after = 0.1 * np.arange(1, 21)
-    np.testing.assert_allclose(velocity, TOP_SPEED * (1 - np.exp(-after / 0.05)), atol=0.5)
-    assert np.diff(covered)[-1] == pytest.approx(1.1, rel=1e-6)
-    assert covered[-1] == pytest.approx(20 * 1.1 - 0.55, abs=0.06)
 
 
 @actuations

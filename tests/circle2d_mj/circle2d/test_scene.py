@@ -137,19 +137,6 @@ def test_the_base_scene_loads_and_holds_no_region():
     np.testing.assert_array_equal(model.actuator_ctrlrange, without.actuator_ctrlrange)
 
 
-def test_the_whole_scene_scales():
-    """At another radius and arena every length is that much larger."""
-    config = Circle2DConfig(level=2, constraint_radius=30.0, init_radius_multiplier=2.0)
-    model = scene(config).compile()
-    usual = scene(Circle2DConfig(level=2)).compile()
-    assert model.geom("agent").size[0] == 3 * usual.geom("agent").size[0]
-    np.testing.assert_array_equal(model.jnt_range, [[-60, 60]] * 2)
-    np.testing.assert_allclose(model.actuator_ctrlrange, [[-33, 33]] * 2)
-    for ours, theirs in zip(prisms(model), prisms(usual), strict=True):
-        np.testing.assert_allclose(ours, 3 * theirs, atol=3e-5)
-    np.testing.assert_allclose(model.opt.ccd_tolerance, 3 * usual.opt.ccd_tolerance)
-
-
 @pytest.mark.parametrize("radius", [1e-3, 1e6])
 @pytest.mark.parametrize("level", [1, 2, 3])
 def test_slivers_compile(level, radius):

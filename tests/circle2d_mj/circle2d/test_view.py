@@ -76,39 +76,6 @@ def test_every_pixel_of_the_background(parameters, size):
     np.testing.assert_array_equal(image[sure], expected[sure])
 
 
-def test_circles_of_equal_reward():
-    """Every R/4 around the optimum; in an arena of 50 R as far apart as can be told apart."""
-    config = Circle2DConfig(optima_perturbation=(3.0, 5.0))
-    image = picture(config, 640).astype(int)
-    angles = np.deg2rad([10, 80, 100, 200, 260])
-    for radius in np.arange(1, 13) * 1.25:  # circles, and halfway between them
-        points = np.stack((3 + radius * np.cos(angles), 5 + radius * np.sin(angles)), axis=-1)
-        points = points[np.abs(points).max(axis=1) < 14.9]
-        columns, rows = ((points * (1, -1) + 15) * 640 / 30).astype(int).T
-        around = zip(columns, rows, strict=True)
-        darkest = [image[r - 1 : r + 2, c - 1 : c + 2].min() for c, r in around]
-        flat = np.isin(darkest, (canvas.FREE[0], canvas.REGION[0], view.START[2]))
-        assert flat.all() == (radius % 2.5 > 1), radius
-    wide = picture(Circle2DConfig(init_radius_multiplier=50.0), 640)
-    assert painted_like(wide, canvas.FREE).mean() > 0.7
-
-
-@pytest.mark.parametrize("optimum", [(4.0, -3.0), (-2.0, 7.5), (3.0, 0.0)])
-def test_cross_on_the_optimum(optimum):
-    config = Circle2DConfig(optima_perturbation=optimum)
-    image = picture(config, 640)
-    expected = (np.array(optimum) * (1, -1) + 15) * 640 / 30
-    rows, columns = np.nonzero((image < 100).all(axis=-1))
-    near = np.hypot(columns - expected[0], rows - expected[1]) < 20  # and not the outline
-    rows, columns = rows[near], columns[near]
-    assert np.abs((columns.mean() + 0.5, rows.mean() + 0.5) - expected).max() < 1
-    assert 15 < np.ptp(columns) < 30
-    assert 15 < np.ptp(rows) < 30
-    slopes = (columns - columns.mean()) * (rows - rows.mean())
-    assert (slopes > 20).any()
-    assert (slopes < -20).any()
-
-
 @pytest.mark.parametrize("level", range(4))
 def test_the_outline_lies_above_the_heat(level):
     """The region's edge, the corridor's walls among it, and the X show where all is covered."""

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib import colormaps
 
 from circle2d_mj.render import canvas
 
@@ -114,12 +113,6 @@ def test_a_pixel_shows_the_cell_of_its_centre(cells):
     np.testing.assert_array_equal((image != BLANK).any(axis=-1), visited[x, y])
 
 
-def test_the_heat_is_matplotlibs_viridis():
-    share = np.linspace(0, 1, 101)
-    expected = colormaps["viridis"](1 - share)[:, :3] * 255
-    assert np.abs(canvas.heat_colours(share) - expected).max() < 6
-
-
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.sampled_from([0.0, -1.0, 1.0, 2.5]), max_size=30))
 def test_chains_against_groupby(costs):
@@ -213,22 +206,6 @@ def test_a_dot_at_each_state():
 def test_paths_that_are_none(paths, costs, message):
     with pytest.raises(ValueError, match=message):
         canvas.with_trajectories(BLANK, ARENA, paths, costs)
-
-
-def test_nothing_drawn_is_nothing_changed():
-    for size in (64, 101):
-        background = np.random.default_rng(0).integers(0, 256, (size, size, 3), dtype=np.uint8)
-        nowhere = np.zeros((2 * size, 2 * size), dtype=bool)
-        for area in (nowhere, ~nowhere):
-            np.testing.assert_array_equal(canvas.with_outline(background, area), background)
-        np.testing.assert_array_equal(
-            canvas.with_trajectories(background, ARENA, [], []), background
-        )
-        np.testing.assert_array_equal(
-            canvas.with_counts(background, np.zeros((20, 20), np.int64), 0), background
-        )
-    one_state = canvas.with_trajectories(BLANK, ARENA, [[(3.0, 3.0)]], [[]])
-    assert 1 <= (~painted_like(one_state, 252)).sum() < 20
 
 
 def test_an_outline_follows_the_edge_of_an_area():
