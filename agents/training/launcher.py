@@ -4,6 +4,7 @@ cluster, each of one core."""
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib
 import os
 import signal
@@ -112,25 +113,17 @@ def launcher(
     """
     if count is not None and not 1 <= count <= MOST_WORKERS:
         raise UserError(f"workers must be in [1, {MOST_WORKERS}], got {count}")
-    if engine == "ray":
-        with _connected(address) as (ray, most):
-
-            def train_elsewhere(folder: Path, ending: threading.Event) -> str:
-                return _train_on_ray(ray, folder, imports, int(device == "cuda"), ending)
-
-            with Launcher(count or most, train_elsewhere) as made:
-                yield made
-        return
-    if engine != "local":
+    if engine not in ("local", "ray"):
         raise UserError(f"engine must be local or ray, got {engine!r}")
-    if address is not None:
+    if engine == "local" and address is not None:
         raise UserError("address is of a Ray cluster: it needs the engine ray")
-
-    def train_here(folder: Path, ending: threading.Event) -> str:
-        return _train_here(folder, ending, imports)
-
-    with Launcher(count or cores(), train_here) as made:
-        yield made
+    with contextlib.ExitStack() as stack:
+        most, train = cores(), functools.partial(_train_here, imports=imports)
+        if engine == "ray":
+            ray, most = stack.enter_context(_connected(address))
+            gpus = int(device == "cuda")
+            train = functools.partial(_train_on_ray, ray, imports=imports, gpus=gpus)
+        yield stack.enter_context(Launcher(count or most, train))
 
 
 def _train_here(folder: Path, ending: threading.Event, imports: Sequence[str]) -> str:
@@ -260,7 +253,7 @@ Files = Mapping[str, bytes]
 
 
 def _train_on_ray(
-    ray: Any, folder: Path, imports: Sequence[str], gpus: int, ending: threading.Event
+    ray: Any, folder: Path, ending: threading.Event, imports: Sequence[str], gpus: int
 ) -> str:
     """Train a folder as a task of Ray; why it failed, or nothing.
 
