@@ -103,3 +103,14 @@ def test_metrics_are_means_over_gradient_steps():
     temperature = recorded(it, "temperature")
     assert np.isnan(temperature[4]).all()
     np.testing.assert_allclose(temperature[5], 1.0, atol=20 * 3e-4 + 1e-6)
+
+
+@pytest.mark.parametrize("name", ["sac-lag", "trpo-lag"])
+def test_every_epoch_explores_by_other_noise(name):
+    task = "Circle2D-1-v0"
+    it = trainer(TrainConfig(name, (task,), (0, 1), 10_000, preset(name, task)))
+    observation = np.zeros((2 * it.learner.episodes, 2), np.float32)
+    taken = it.steps + 9_000  # beyond random actions
+    first, again, later = (it.learner.explorer(k, taken)(observation) for k in (0, 0, 1))
+    np.testing.assert_array_equal(first, again)
+    assert (first != later).all()
