@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import itertools
 import pickle
 import traceback
 from collections.abc import Iterable
@@ -69,9 +68,11 @@ def described(error: BaseException) -> str:
     words = f"{type(error).__name__}: {error}".removesuffix(": ")
     frames = traceback.extract_tb(error.__traceback__)
     others = ("gymnasium", "importlib", "concurrent")
-    names = (frame.filename for frame in frames)
-    theirs = [not n.startswith(OURS) and not any(other in n for other in others) for n in names]
-    own = list(itertools.compress(frames, theirs)) or frames
+    own = [
+        frame
+        for frame in frames
+        if not frame.filename.startswith(OURS) and not any(o in frame.filename for o in others)
+    ] or frames
     return f"{words} ({own[-1].filename}, line {own[-1].lineno})" if own else words
 
 

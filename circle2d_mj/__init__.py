@@ -43,9 +43,12 @@ def __getattr__(name: str) -> Any:
     if name in ("FromSafetyGymnasium", "SafetyGymnasiumAPI"):
         return getattr(import_module("circle2d_mj.core.wrappers"), name)
     if name == "__version__":
-        from importlib.metadata import version
+        from importlib.metadata import PackageNotFoundError, version
 
-        return version("circle2d-mj")
+        try:
+            return version("circle2d-mj")
+        except PackageNotFoundError as error:
+            raise AttributeError("circle2d_mj.__version__: circle2d-mj is not installed") from error
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

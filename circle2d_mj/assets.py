@@ -16,5 +16,7 @@ def asset(name: str) -> Path:
     for folder in _FOLDERS:
         if (folder / name).is_file():
             return folder / name
-    shipped = sorted(path.name for folder in _FOLDERS for path in folder.rglob("*.*"))
+    shipped = sorted(
+        path.relative_to(folder).as_posix() for folder in _FOLDERS for path in folder.rglob("*.*")
+    )
     raise FileNotFoundError(f"no asset {name!r}; there are {shipped}")

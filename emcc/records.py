@@ -264,7 +264,9 @@ class EpisodeRecords:
 
         columns = Columns(Path(path))
         needed, ids = {"length", "cost", "longest_streak"}, {"rollout", "start_step"}
-        if missing := (needed | ids if ids & columns.keys() else needed) - columns.keys():
+        if ids & columns.keys():
+            needed |= ids
+        if missing := needed - columns.keys():
             raise ValueError(f"{path}: the columns {', '.join(sorted(missing))} are missing")
         if not columns.complete:  # a number may have lost its last digits
             raise ValueError(f"{path}: the last line is cut off")

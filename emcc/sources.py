@@ -201,8 +201,10 @@ def from_minari(dataset: Any, threshold: float = 0.0) -> EpisodeRecords:
     for episode in dataset.iterate_episodes():
         name, steps = f"episode {episode.id}", len(episode.rewards)
         if "cost" not in (episode.infos or {}):
-            has = sorted(episode.infos or {})
-            raise ValueError(f"{name} has no 'cost' in its infos (it has {has}): record_infos=True")
+            raise ValueError(
+                f"{name} has no 'cost' in its infos (it has {sorted(episode.infos or {})}): record "
+                "with record_infos=True from an environment whose info has a cost"
+            )
         cost = as_array(episode.infos["cost"], f"costs of {name}").reshape(-1)
         if len(cost) != steps + 1:
             needed = "needed are those of the reset and of every step"

@@ -8,11 +8,10 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-import numpy as np
-
 from agents.errors import UserError, nearest
 
 if TYPE_CHECKING:  # torch takes a second to import, and a list of names does not need it
+    import numpy as np
     from numpy.typing import NDArray
 
     from agents.lockstep.rollout import Act, Policy, Rollout

@@ -119,18 +119,18 @@ def initial(multipliers: Sequence[Multiplier], config: Any, runs: int) -> tuple[
     A PID controller starts from the same multiplier as the others, as its integral term. Raises
     TypeError for a form with a law where the config has an optimiser, too.
     """
-    states: list[State] = []
-    for form in (multiplier.form for multiplier in multipliers):
-        if form.law and hasattr(config, "multiplier_optimizer"):
-            raise TypeError(f"the multiplier has a law: {config!r} must not have an optimizer")
-        start = getattr(config, "initial_multiplier", *[0.0] * bool(form.law))
-        parameter = torch.full((runs, LANES), float(start))
-        if not form.law and config.multiplier_optimizer == "pid":
-            value = form.value(parameter)
-            states.append(PIDState(value, value.clone(), torch.zeros_like(value)))
-        else:
-            states.append(MultiplierState(parameter, no_moments(parameter)))
-    return tuple(states)
+    return tuple(_initial(multiplier.form, config, runs) for multiplier in multipliers)
+
+
+def _initial(form: MultiplierForm, config: Any, runs: int) -> State:
+    start = getattr(config, "initial_multiplier", 0.0) if form.law else config.initial_multiplier
+    parameter = torch.full((runs, LANES), float(start))
+    if form.law and hasattr(config, "multiplier_optimizer"):
+        raise TypeError(f"the multiplier has a law: {config!r} must not have an optimizer")
+    if form.law or config.multiplier_optimizer != "pid":
+        return MultiplierState(parameter, no_moments(parameter))
+    value = form.value(parameter)
+    return PIDState(value, value.clone(), torch.zeros_like(value))
 
 
 def values(multipliers: Sequence[Multiplier], states: Sequence[State], runs: int) -> Tensor:
@@ -177,9 +177,10 @@ def _follow(multiplier: Multiplier, config: Any, state: State, cost: Tensor) -> 
         parameter = form.law(config, state.parameter, cost).to(state.parameter.dtype)
         parameter = parameter.expand_as(state.parameter).clamp(min=form.lowest)
         return MultiplierState(parameter, state.moments)
-    highest = getattr(config, multiplier.highest) if multiplier.highest else math.inf
     after = ascend(form, config, state, excess)
-    return after._replace(parameter=after.parameter.clamp(max=highest))
+    if not multiplier.highest:
+        return after
+    return after._replace(parameter=after.parameter.clamp(max=getattr(config, multiplier.highest)))
 
 
 def ascend(

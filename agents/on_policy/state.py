@@ -39,7 +39,7 @@ class Gaussian(NamedTuple):
     """[R, 1, A]"""
 
     def log_prob(self, action: Tensor) -> Tensor:
-        """Of actions [R, B, A] that were not clipped -> [R, B]."""
+        """Log density at actions [R, B, A] that were not clipped -> [R, B]."""
         z = (action - self.mean) / self.std
         return (-0.5 * z * z - self.log_std - 0.5 * math.log(2.0 * math.pi)).sum(dim=-1)
 

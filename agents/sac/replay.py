@@ -1,4 +1,4 @@
-"""What a run remembers: its transitions, which states it has seen, and the scale of its returns."""
+"""The memory of runs: transitions, the states that were seen, and the scale of returns."""
 
 from __future__ import annotations
 

@@ -64,10 +64,9 @@ def evaluate_runs(
     evaluated = {}
     with contextlib.closing(runs_envs(config, at_once)) as envs:
         for name in POLICIES:
-            how = (active, name == "stochastic")
-            columns, paths = [], []
+            columns, paths, noisy = [], [], name == "stochastic"
             for first in range(0, episodes, at_once):
-                rollout = play(envs, config, policy, episodes, first, at_once, *how)
+                rollout = play(envs, config, policy, episodes, first, at_once, active, noisy)
                 paths = paths or paths_of(envs, rollout, len(active), DRAWN)
                 values = (rollout.returns, rollout.cost_returns, rollout.length)
                 values = (*values, rollout.final_observation, rollout.diverged)

@@ -20,8 +20,12 @@ _BOUNDS = {  # lowest value, whether it is allowed, and highest value
     "corridor_height_factor": (0.0, False, 2.0),
     "init_region_size": (0.0, True, math.inf),
 }
-_SWITCHES = ("infeasible_region_penetratable", "reset_on_cost", "allow_infeasible_init")
-_SWITCHES = (*_SWITCHES, "sparse_reward")
+_SWITCHES = (
+    "infeasible_region_penetratable",
+    "reset_on_cost",
+    "allow_infeasible_init",
+    "sparse_reward",
+)
 
 
 @dataclass(frozen=True)

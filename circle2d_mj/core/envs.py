@@ -254,8 +254,13 @@ class TaskEnv(gym.Env[NDArray[np.floating], ArrayLike]):
         action = checked_action(action, self.action_space.shape)
         observation, reward, terminated, truncated, info = self._envs.advance(action[None])
         self._show()
-        ends, info = (bool(terminated[0]), bool(truncated[0])), self._floats(info)
-        return observation[0], float(reward[0]), *ends, info
+        return (
+            observation[0],
+            float(reward[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            self._floats(info),
+        )
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Draw the environment, [height, width, 3] uint8; None without render_mode "rgb_array"."""

@@ -87,14 +87,15 @@ LARGEST_ACTION = 1e150
 
 def checked_action(action: ArrayLike, shape: tuple[int, ...] | None) -> NDArray[np.float64]:
     """Return the action as float64. Raises ValueError for another shape, for what is no array of
-    real numbers, and for numbers that are not finite or larger than `LARGEST_ACTION`."""
+    real numbers (a masked array among them), and for numbers that are not finite or larger than
+    `LARGEST_ACTION`."""
     try:
         given = np.asarray(action)
     except (TypeError, ValueError, RuntimeError):  # a ragged list; a tensor with a gradient
         raise ValueError(f"action must be numbers of shape {shape}, got {action!r}") from None
     if given.dtype.kind not in "fiub":
         raise ValueError(f"action must be numbers (real), got {given.dtype} in {action!r}")
-    if isinstance(action, np.ma.MaskedArray):
+    if _is_masked(action):
         raise ValueError(f"action must not be masked, got {action!r}")
     values = given.astype(np.float64)
     if values.shape != shape:
@@ -104,6 +105,13 @@ def checked_action(action: ArrayLike, shape: tuple[int, ...] | None) -> NDArray[
             f"action must be finite, and at most {LARGEST_ACTION:g} in size, got {action!r}"
         )
     return values
+
+
+def _is_masked(action: Any) -> bool:
+    """Whether numpy would drop a mask of the action or of an array in it."""
+    if isinstance(action, (list, tuple)):
+        return any(_is_masked(part) for part in action if not isinstance(part, float))
+    return isinstance(action, np.ma.MaskedArray)
 
 
 def positive_integer(name: str, value: Any) -> int:

@@ -103,9 +103,11 @@ class Offscreen:
     def draw(self, data: Any, camera: int) -> NDArray[np.uint8]:
         """Draw the view of a camera of the model: [size, size, 3], its first row on top."""
         self._check_open()
-        self._camera.fixedcamid, mujoco = camera, self._mujoco
-        how = self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL
-        mujoco.mjv_updateScene(self._model, data, *how, self._scene)
+        mujoco, everything = self._mujoco, self._mujoco.mjtCatBit.mjCAT_ALL
+        self._camera.fixedcamid = camera
+        mujoco.mjv_updateScene(
+            self._model, data, self._option, None, self._camera, everything, self._scene
+        )
         with _current(self._context):
             mujoco.mjr_render(self._rectangle, self._scene, self._mjr)
             mujoco.mjr_readPixels(self._picture, None, self._rectangle, self._mjr)

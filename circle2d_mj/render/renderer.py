@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from circle2d_mj.assets import asset
 from circle2d_mj.circle2d.config import Circle2DConfig
@@ -57,10 +57,7 @@ class Renderer:
         from circle2d_mj.core.engine import mujoco
 
         if position is not None:
-            place = np.asarray(position)
-            if place.shape != (2,) or place.dtype.kind not in "iuf" or not np.isfinite(place).all():
-                raise ValueError(f"position must be two finite numbers, got {position!r}")
-            self._data.qpos[:] = place / self.config.arena
+            self._data.qpos[:] = _checked(position) / self.config.arena
         if floor is not None or self._painted:
             picture = self.background if floor is None else floor
             got, needed = (f"{[*p.shape]} {p.dtype}" for p in (picture, self.background))
@@ -107,6 +104,16 @@ class Renderer:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+
+def _checked(position: ArrayLike) -> NDArray[np.float64]:
+    try:
+        values = np.asarray(position, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (2,) or not np.isfinite(values).all():
+        raise ValueError(f"position must be two finite numbers, got {position!r}")
+    return values
 
 
 def _model(config: Circle2DConfig, size: int) -> Any:

@@ -148,7 +148,7 @@ def test_nothing_seen():
 
 
 def test_runs_draw_their_own_features_and_keep_them():
-    """Of equal seeds equal ones, whatever runs are beside."""
+    """Equal seeds draw equal features, whatever runs are beside."""
     alone, beside = Novelty(1.0, [4], 2), Novelty(1.0, [3, 4], 2)
     np.testing.assert_array_equal(alone._frequencies[0], beside._frequencies[1])
     assert (beside._frequencies[0] != beside._frequencies[1]).any()

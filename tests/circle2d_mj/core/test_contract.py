@@ -1,4 +1,4 @@
-"""What every task keeps: gymnasium's checks, its vector environments' contract, seeds, states."""
+"""The contract of every task: gymnasium's checks, its vector environments, seeds, states."""
 
 import copy
 import pickle
@@ -223,6 +223,14 @@ BAD_ACTIONS = [
     [0.5 + 1j, 0.5], np.array([0.5, 0.5], dtype=object), np.zeros(2, "M8[D]"), [10**400, 0.0],
     np.ma.masked_array([0.5, 0.5], [True, False]), None,
 ]  # fmt: skip
+
+
+def test_a_mask_inside_a_list_of_actions_is_not_dropped():
+    masked = np.ma.masked_array([0.5, 0.5], [True, False])
+    envs = gym.make_vec("Circle2D-1-v0", 2, vectorization_mode="vector_entry_point")
+    envs.reset(seed=0)
+    with pytest.raises(ValueError, match="action must not be masked"):
+        envs.step([[0.5, 0.5], masked])
 
 
 @pytest.mark.parametrize("action", BAD_ACTIONS, ids=repr)
