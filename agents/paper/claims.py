@@ -13,36 +13,34 @@ from agents.paper.evidence import (
     MIDDLE,
     Cell,
     Claim,
+    Count,
     Evidence,
-    Fact,
     Finding,
+    Value,
     Verdict,
     about,
     all_of,
     any_of,
     apart,
+    difference_in_words,
     equal,
     finding,
     gather,
-    judge,
     lower,
     mostly,
     none,
     opposite,
     short,
     some,
-    worded,
 )
 from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, preset
 from agents.paper.printed import choice_of
 from agents.reporting.page import Otherwise, Statement
-from agents.results.reading import Group, Run, one_place
-from agents.results.statistics import MARGIN, difference_of, equivalence_of, p_of
+from agents.results.reading import Group, Run
+from agents.results.statistics import MARGIN, equivalence_of, p_of
 from emcc.statistics import COST
 
 LIMIT = preset("cpo", LEVEL_TASKS[0]).cost_limit
-Count = Callable[[int, int, int], Verdict]
-"""A rule of `evidence`: number of runs that do something, of all, and parts of the claim."""
 
 
 def in_corridor(run: Run) -> bool:
@@ -68,18 +66,16 @@ def _straight_through(evidence: Evidence) -> list[Finding]:
     tasks = LEVEL_TASKS[1:]
     parts = 3 * len(tasks)
 
-    def rule(runs: Sequence[Run]) -> Verdict:
-        through = [run for run in runs if _straight(run)]
-        share = mostly(len(through), len(runs), parts)
-        costs, late = ([run.measures[name] for run in through] for name in ("J_C", LATE))
-        return all_of([share, about(costs, 9, parts), about(late, 0.2, parts)])
-
     findings = []
     for task in tasks:
         cell = evidence[task, "trpo-lag"]
         through = cell._replace(runs=tuple(filter(_straight, cell.runs)))
+        verdicts: list[Verdict] = [cell.judged(mostly, _straight, parts)]
+        if not cell.lacking:
+            means = (("J_C", 9), (LATE, 0.2))
+            verdicts += [about(through.values(name), claimed, parts) for name, claimed in means]
         facts = [*cell.share(_straight, "", "go through"), *through.means("J_C", LATE)]
-        findings.append(finding(short(task), judge(cell, rule), [cell], facts))
+        findings.append(finding(short(task), all_of(verdicts), [cell], facts))
     return findings
 
 
@@ -142,38 +138,34 @@ def _runs_that(
 ) -> Finding:
     """Whether each algorithm has runs that end in the corridor, or none has (the rule)."""
     cells = [evidence[task, name] for name in names]
-    verdict = all_of(
-        judge(cell, lambda runs: rule(sum(map(does, runs)), len(runs), parts)) for cell in cells
-    )
-    facts = [fact for cell in cells for fact in cell.share(does, cell.title, "")]
+    verdict = all_of(cell.judged(rule, does, parts) for cell in cells)
+    facts = ", ".join(fact for cell in cells for fact in cell.share(does, cell.title, ""))
     where = "in the corridor" + (" within the limit" if does is _safely else "")
     expected = "each has some" if rule is some else "none has any"
-    return finding(short(task), verdict, cells, facts, where, expected)
+    told = [f"{where}: {facts} (claimed: {expected})"] if facts else []
+    return finding(short(task), verdict, cells, told)
 
 
 def _low_cost(evidence: Evidence) -> list[Finding]:
     tasks = (LEVEL_TASKS[0], LEVEL_TASKS[1], LEVEL_TASKS[3])
-
-    def rule(runs: Sequence[Run]) -> Verdict:
-        return mostly(sum(map(_settled, runs)), len(runs), len(tasks))
-
     findings = []
     for task in tasks:
         cell = evidence[task, "wcsac"]
-        later = cell.mean("episode cost after the first third", _later_costs(cell.runs), None, COST)
+        later = cell.mean("episode cost after the first third", _later_cost, None, COST)
         facts = [*cell.share(_settled, "", "do so"), *cell.means("J_C"), *later]
-        findings.append(finding(short(task), judge(cell, rule), [cell], facts))
+        verdict = cell.judged(mostly, _settled, len(tasks))
+        findings.append(finding(short(task), verdict, [cell], facts))
     return findings
 
 
 def _settled(run: Run) -> bool:
-    return not in_corridor(run) and within(run) and _later_costs([run])[0] <= LIMIT
+    return not in_corridor(run) and within(run) and _later_cost(run) <= LIMIT
 
 
-def _later_costs(runs: Sequence[Run]) -> list[float]:
+def _later_cost(run: Run) -> float:
     """Mean cost return of the episodes that start after the first third of training."""
-    later = [3 * run.records.start_step >= run.records.total_steps for run in runs]
-    return [float(run.records.cost[rows].mean()) for run, rows in zip(runs, later, strict=True)]
+    later = 3 * run.records.start_step >= run.records.total_steps
+    return float(run.records.cost[later].mean())
 
 
 LOW_COST = Claim(
@@ -195,10 +187,7 @@ def _trend(evidence: Evidence) -> list[Finding]:
     findings, parts = [], len(PAPER_STEPS) * len(PAPER_ALGORITHMS)
     for name in PAPER_ALGORITHMS:
         cells = [evidence[task, name] for task in PAPER_STEPS]
-        falls: list[Verdict] = [
-            judge(cell, lambda runs: mostly(sum(map(_falls, runs)), len(runs), parts))
-            for cell in cells
-        ]
+        falls: list[Verdict] = [cell.judged(mostly, _falls, parts) for cell in cells]
         verdict = all_of(falls) if name in ON_POLICY else any_of(map(opposite, falls))
         facts = [fact for cell in cells for fact in _change(cell)]
         findings.append(finding(title(name), verdict, cells, facts))
@@ -215,11 +204,10 @@ def _change_of(run: Run) -> float | None:
     return None if late is None or early is None else late - early
 
 
-def _change(cell: Cell) -> list[Fact]:
+def _change(cell: Cell) -> list[str]:
     printed = cell.printed[LATE] - cell.printed[EARLY]
-    mean = cell.mean("by", list(map(_change_of, cell.runs)), printed)
     falls = cell.share(_falls, cell.named(short(cell.task)), "fall")
-    return [*falls, *(fact._replace(signed=True) for fact in mean)]
+    return [*falls, *cell.mean("by", _change_of, printed, signed=True)]
 
 
 TREND = Claim(
@@ -236,21 +224,21 @@ TREND = Claim(
 
 def _equal_rates(evidence: Evidence) -> list[Finding]:
     cpo, wcsac = cells = [evidence[LEVEL_TASKS[3], name] for name in ("cpo", "wcsac")]
-    decided = not cpo.lacking and not wcsac.lacking
+    measured = (
+        ("cost_rate", equal, RATE_MARGIN),
+        (MIDDLE, apart, EMCC_MARGIN),
+        (LATE, apart, EMCC_MARGIN),
+    )
     findings = []
-    measured = (("cost_rate", equal, RATE_MARGIN), (MIDDLE, apart, EMCC_MARGIN))
-    measured += ((LATE, apart, EMCC_MARGIN),)
     for name, rule, margin in measured:
-        a, b = ([run.measures[name] for run in cell.runs] for cell in cells)
-        printed = wcsac.printed[name] - cpo.printed[name]
+        a, b = cpo.values(name), wcsac.values(name)
         tests = (
             (f"p of equivalence within {margin:g}", equivalence_of(a, b, margin)),
             ("p of the difference", p_of(a, b)),
         )
-        gap = difference_of(a, b, one_place(cpo.runs) and one_place(wcsac.runs))
-        fact = Fact("WCSAC - CPO", gap, printed, signed=True, tests=tests)
-        verdict = rule(a, b, margin, len(measured)) if decided else "undecided"
-        facts = [fact] if cpo.runs and wcsac.runs else []
+        lacking = cpo.lacking or wcsac.lacking
+        verdict = "undecided" if lacking else rule(a, b, margin, len(measured))
+        facts = difference_in_words(cpo, wcsac, name, tests)
         findings.append(finding(name, verdict, cells, facts))
     return findings
 
@@ -266,35 +254,22 @@ EQUAL_RATES = Claim(
 )
 
 
-Side = tuple[Cell, Sequence[float | None]]
-"""The runs of an algorithm, and a value of each."""
-
-
-def _below(name: str, low: Side, high: Side, parts: int, printed: float | None) -> Finding:
-    """Whether the mean over the first runs is below that over the others."""
-    (a, first), (b, second) = low, high
-    verdict = "undecided" if a.lacking or b.lacking else lower(first, second, parts)
-    facts = []
-    if a.runs and b.runs:
-        gap = difference_of(first, second, one_place(a.runs) and one_place(b.runs))
-        tests = [("p", p_of(first, second))]
-        facts = [Fact(f"{b.title} - {a.title}", gap, printed, signed=True, tests=tests)]
-    return finding(name, verdict, [a, b], facts)
+def _below(a: Cell, b: Cell, of: Value, parts: int) -> tuple[Verdict, list[str]]:
+    """Whether the mean over the runs of a is below that over those of b, and the difference."""
+    sides = a.values(of), b.values(of)
+    verdict = "undecided" if a.lacking or b.lacking else lower(*sides, parts)
+    return verdict, difference_in_words(a, b, of, [("p", p_of(*sides))])
 
 
 def _lowest_late(evidence: Evidence) -> list[Finding]:
     tasks, others = LEVEL_TASKS[1:], [name for name in PAPER_ALGORITHMS if name != "trpo-lag"]
-    parts = 2 * len(tasks) * len(others)
     findings = []
-    for task, name in itertools.product(tasks, (MIDDLE, LATE)):
-        first, *_ = cells = [evidence[task, n] for n in ("trpo-lag", *others)]
-        low, *highs = ((cell, [run.measures[name] for run in cell.runs]) for cell in cells)
-        pairs = [
-            _below(name, low, high, parts, high[0].printed[name] - first.printed[name])
-            for high in highs
-        ]
-        verdict, facts = all_of(p.verdict for p in pairs), [f for p in pairs for f in p.facts]
-        findings.append(finding(f"{short(task)}, {name}", verdict, cells, facts))
+    for task, measure in itertools.product(tasks, (MIDDLE, LATE)):
+        low, *highs = cells = [evidence[task, name] for name in ("trpo-lag", *others)]
+        pairs = [_below(low, high, measure, 2 * len(tasks) * len(others)) for high in highs]
+        facts = [fact for _, facts in pairs for fact in facts]
+        verdict = all_of(verdict for verdict, _ in pairs)
+        findings.append(finding(f"{short(task)}, {measure}", verdict, cells, facts))
     return findings
 
 
@@ -312,13 +287,17 @@ POINT_CIRCLE, HOPPER = "circle2d_mj/SafetyPointCircle1-v0", "circle2d_mj/SafetyH
 
 def _costly_but_short(evidence: Evidence) -> list[Finding]:
     trpo, sac = (evidence[POINT_CIRCLE, name] for name in ("trpo-lag", "sac-lag"))
-    pairs = [("cost_rate", trpo, sac), ("J_C", trpo, sac)]
-    pairs += [(name, sac, trpo) for name in (EARLY, MIDDLE, LATE)]
+    cheaper = [(name, trpo, sac, name) for name in ("cost_rate", "J_C")]
+    shorter = [(name, sac, trpo, name) for name in (EARLY, MIDDLE, LATE)]
+    return _all_below([*cheaper, *shorter])
+
+
+def _all_below(pairs: Sequence[tuple[str, Cell, Cell, Value]]) -> list[Finding]:
+    """A finding by name for each two cells of which the first is to have the lower mean."""
     findings = []
-    for name, *cells in pairs:
-        low, high = ((cell, [run.measures[name] for run in cell.runs]) for cell in cells)
-        printed = high[0].printed[name] - low[0].printed[name]
-        findings.append(_below(name, low, high, len(pairs), printed))
+    for name, low, high, of in pairs:
+        verdict, facts = _below(low, high, of, len(pairs))
+        findings.append(finding(name, verdict, [low, high], facts))
     return findings
 
 
@@ -334,15 +313,13 @@ COSTLY_BUT_SHORT = Claim(
 
 def _short_episodes(evidence: Evidence) -> list[Finding]:
     trpo, sac = (evidence[HOPPER, name] for name in ("trpo-lag", "sac-lb"))
-    findings = []
-    for name, column in (("episode length", "length"), ("cost of an episode", "cost")):
-        low, high = (
-            (cell, [_early_mean(run, column) for run in cell.runs]) for cell in (trpo, sac)
-        )
-        findings.append(_below(name, low, high, 3, None))
-    low, high = ((cell, [run.measures[EARLY] for run in cell.runs]) for cell in (sac, trpo))
-    printed = trpo.printed[EARLY] - sac.printed[EARLY]
-    return [*findings, _below(EARLY, low, high, 3, printed)]
+    return _all_below(
+        [
+            ("episode length", trpo, sac, lambda run: _early_mean(run, "length")),
+            ("cost of an episode", trpo, sac, lambda run: _early_mean(run, "cost")),
+            (EARLY, sac, trpo, EARLY),
+        ]
+    )
 
 
 def _early_mean(run: Run, column: str) -> float:
@@ -407,5 +384,5 @@ def _checked(claim: Claim, evidence: Evidence, others: Mapping[str, Evidence]) -
         other = all_of(part.verdict for part in parts)
         if other != verdict:
             changed = [part for part in parts if part not in findings]
-            otherwise.append(Otherwise(choice, other, worded(changed)))
-    return Statement(claim.text, verdict, claim.rule, worded(findings), otherwise)
+            otherwise.append(Otherwise(choice, other, changed))
+    return Statement(claim.text, verdict, claim.rule, findings, otherwise)

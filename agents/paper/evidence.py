@@ -6,18 +6,30 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
-from agents.algorithms import algorithm
+from agents.algorithms import title
 from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, registered_id
 from agents.paper.printed import choice_of, paper_results
 from agents.reporting.table import Number, number, p_number
 from agents.results.measures import measure
 from agents.results.reading import Group, Run, one_place
-from agents.results.statistics import LEVEL, Values, equivalence_of, known, mean_of, p_of
+from agents.results.statistics import (
+    LEVEL,
+    Values,
+    difference_of,
+    equivalence_of,
+    known,
+    mean_of,
+    p_of,
+)
 from circle2d_mj.registration import KINEMATIC
-from emcc import Interval, Share, mean_interval, share
+from emcc import Interval, mean_interval, share
 from emcc.statistics import UNBOUNDED, Bounds
 
 Verdict = Literal["confirmed", "refuted", "undecided"]
+Count = Callable[[int, int, int], Verdict]
+"""A rule: number of runs that do something, of all, and parts of the claim."""
+Value = str | Callable[[Run], float | None]
+"""A measure's name, or another number of a run."""
 
 SEEDS, SAFETY_SEEDS = 10, 3
 """Complete runs of the paper's length that an algorithm needs to decide anything, on Circle2D and
@@ -27,6 +39,13 @@ EARLY, MIDDLE, LATE = "EMCC_0.33", "EMCC_0.66", "EMCC_0.99"
 HALF, RARE = 0.5, 0.05
 """Shares of runs: "the runs do" is more than half; "there are runs that do" is more than one in
 twenty."""
+
+
+class Finding(NamedTuple):
+    """A part of a claim: the numbers measured, in words, and the verdict on them."""
+
+    words: str
+    verdict: Verdict
 
 
 class Cell(NamedTuple):
@@ -46,7 +65,7 @@ class Cell(NamedTuple):
     @property
     def title(self) -> str:
         """The algorithm, with the other choice."""
-        return self.named(algorithm(self.algorithm).title)
+        return self.named(title(self.algorithm))
 
     def named(self, name: str) -> str:
         """A name, with the other choice."""
@@ -55,64 +74,72 @@ class Cell(NamedTuple):
     @property
     def printed(self) -> dict[str, float]:
         """The paper's numbers."""
-        return paper_results(self.task, algorithm(self.algorithm).title)
+        return paper_results(self.task, title(self.algorithm))
 
-    def share(self, does: Callable[[Run], bool], name: str, words: str) -> list[Fact]:
+    def values(self, of: Value) -> list[float | None]:
+        """A measure of each run, or another number of it."""
+        return [run.measures[of] if isinstance(of, str) else of(run) for run in self.runs]
+
+    def judged(self, rule: Count, does: Callable[[Run], bool], parts: int) -> Verdict:
+        """The verdict of a rule on the runs that do something; undecided where runs are lacking."""
+        if self.lacking:
+            return "undecided"
+        return rule(sum(map(does, self.runs)), len(self.runs), parts)
+
+    def share(self, does: Callable[[Run], bool], name: str, words: str) -> list[str]:
         """Share of runs that do something; nothing where there are no runs."""
-        counted = sum(map(does, self.runs))
-        return [Fact(name, share(counted, len(self.runs)), does=words)] if self.runs else []
+        if not self.runs:
+            return []
+        told = share(sum(map(does, self.runs)), len(self.runs))
+        counted = f"{told.count} of {told.runs} runs [{told.low:.2f}, {told.high:.2f}]"
+        return [f"{name} {counted} {words}".strip()]
 
     def mean(
         self,
         name: str,
-        values: Values,
+        of: Value,
         printed: float | None,
         bounds: Bounds = UNBOUNDED,
-    ) -> list[Fact]:
+        signed: bool = False,
+    ) -> list[str]:
         """Mean over the runs beside the paper's number; nothing where there are no runs."""
-        if not self.runs:
-            return []
-        return [Fact(name, mean_of(values, one_place(self.runs), bounds), printed)]
+        mean = mean_of(self.values(of), one_place(self.runs), bounds)
+        return [in_words(name, mean, printed, signed=signed)] if self.runs else []
 
-    def means(self, *measures: str) -> list[Fact]:
+    def means(self, *names: str) -> list[str]:
         """Means of measures."""
-        facts = []
-        for name in measures:
-            values = [run.measures[name] for run in self.runs]
-            facts += self.mean(name, values, self.printed[name], measure(name).bounds)
-        return facts
+        several = (self.mean(n, n, self.printed[n], measure(n).bounds) for n in names)
+        return [words for mean in several for words in mean]
 
 
-class Fact(NamedTuple):
-    """A number measured, beside the paper's."""
+def in_words(
+    name: str,
+    value: Interval | None,
+    printed: float | None,
+    tests: Sequence[tuple[str, float | None]] = (),
+    signed: bool = False,
+) -> str:
+    """A mean, or a signed difference, beside the paper's where it prints one, and p values, each
+    with the name of its test. value: None where a run lacks it."""
+    beside = [] if value is None else [f"n = {value.runs}"]
+    if printed is not None:
+        beside.append(f"paper {Number(printed, signed=signed)}")
+    beside += [f"{test}: {p_number(p)}" for test, p in tests]
+    return f"{name} {number(value, signed=signed)} ({'; '.join(beside)})".lstrip()
 
-    name: str
-    """A measure, an algorithm, a task."""
-    value: Share | Interval | None
-    """None where a run lacks it."""
-    printed: float | None = None
-    """The paper's, where it prints one."""
-    does: str = ""
-    """In words, behind a share: the thing that so many runs do."""
-    signed: bool = False
-    """Whether it is a change or a difference."""
-    tests: Sequence[tuple[str, float | None]] = ()
-    """P values, each with the name of its test."""
 
-
-class Finding(NamedTuple):
-    """A part of a claim: the numbers measured, and the verdict on them."""
-
-    where: str
-    """Task, algorithm or measure."""
-    verdict: Verdict
-    facts: Sequence[Fact]
-    lacking: Mapping[str, Sequence[str]]
-    """Algorithms or tasks that decide nothing, by the reason."""
-    about: str = ""
-    """In words, the event that the facts count, where their names do not say it."""
-    claimed: str = ""
-    """In words, the counts that the claim expects, likewise."""
+def difference_in_words(
+    a: Cell,
+    b: Cell,
+    of: Value,
+    tests: Sequence[tuple[str, float | None]],
+) -> list[str]:
+    """The mean over the runs of b less that over those of a; nothing where a side has no runs."""
+    if not (a.runs and b.runs):
+        return []
+    gap = difference_of(a.values(of), b.values(of), one_place(a.runs) and one_place(b.runs))
+    printed = b.printed[of] - a.printed[of] if isinstance(of, str) else None
+    return [in_words(f"{b.title} - {a.title}", gap, printed, tests, signed=True)]
 
 
 Evidence = Mapping[tuple[str, str], Cell]
@@ -138,34 +165,25 @@ def gather(groups: Sequence[Group], choice: str = "") -> Evidence:
 
 
 def _cell(groups: Sequence[Group], task: str, name: str, choice: str) -> Cell:
-    """Runs of the paper's length, one for each seed; where there are none, the longest of the
-    others, which decide nothing."""
-    lengths: dict[int, dict[int, Run]] = {}  # by steps and seed
+    """Runs of the paper's length that have all it prints, one for each seed; where there are none,
+    the longest of the others, which decide nothing."""
+    needed, printed = PAPER_STEPS[task], paper_results(task, title(name))
+    by_steps: dict[int, dict[int, Run]] = {}  # by seed
     for group in groups:
         config = group.config
         same = registered_id(group.task) == task and config.algorithm == name
         usual = not config.task_parameters and group.cost == config.costs[0]
-        if same and usual and group.runs and choice_of(group) == choice:
-            before = lengths.setdefault(config.steps, {})
-            measured = {run.seed: run for run in group.runs if _has(run, task, name)}
-            lengths[config.steps] = measured | before
-    lengths = {steps: runs for steps, runs in lengths.items() if runs}
-    if not lengths:
+        for run in group.runs if same and usual and choice_of(group) == choice else ():
+            if all(run.measures[measure] is not None for measure in printed):
+                by_steps.setdefault(config.steps, {}).setdefault(run.seed, run)
+    if not by_steps:
         return Cell(task, name, (), "no runs", choice=choice)
-    full = PAPER_STEPS[task]
-    steps = full if full in lengths else max(lengths)
-    lacking = ""
-    if steps != full:
-        lacking = f"{steps:,} of {full:,} steps"
-    elif len(lengths[steps]) < (needed := SEEDS if task in LEVEL_TASKS else SAFETY_SEEDS):
-        lacking = f"{len(lengths[steps])} of {needed} runs"
-    return Cell(task, name, tuple(lengths[steps].values()), lacking, steps == full, choice)
-
-
-def _has(run: Run, task: str, name: str) -> bool:
-    """Whether a run has all that the paper prints."""
-    printed = paper_results(task, algorithm(name).title)
-    return all(run.measures[measure] is not None for measure in printed)
+    steps = needed if needed in by_steps else max(by_steps)
+    runs, enough = tuple(by_steps[steps].values()), SEEDS if task in LEVEL_TASKS else SAFETY_SEEDS
+    lacking = f"{len(runs)} of {enough} runs" if len(runs) < enough else ""
+    if steps != needed:
+        lacking = f"{steps:,} of {needed:,} steps"
+    return Cell(task, name, runs, lacking, steps == needed, choice)
 
 
 def all_of(verdicts: Iterable[Verdict]) -> Verdict:
@@ -184,13 +202,11 @@ def any_of(verdicts: Iterable[Verdict]) -> Verdict:
 
 def opposite(verdict: Verdict) -> Verdict:
     """The verdict on the claim that it is not so."""
-    opposites: dict[Verdict, Verdict] = {"confirmed": "refuted", "refuted": "confirmed"}
-    return opposites.get(verdict, "undecided")
+    return _verdict(verdict == "refuted", verdict == "confirmed")
 
 
-def judge(cell: Cell, rule: Callable[[Sequence[Run]], Verdict]) -> Verdict:
-    """The rule's verdict; undecided where runs are lacking."""
-    return "undecided" if cell.lacking else rule(cell.runs)
+def _verdict(confirmed: bool, refuted: bool) -> Verdict:
+    return "confirmed" if confirmed else "refuted" if refuted else "undecided"
 
 
 def refuting(parts: int) -> float:
@@ -201,26 +217,22 @@ def refuting(parts: int) -> float:
 
 def mostly(count: int, runs: int, parts: int) -> Verdict:
     """The verdict on "the runs do": the share's interval is above a half; refuted where below."""
-    if share(count, runs).low > HALF:
-        return "confirmed"
-    return "refuted" if share(count, runs, refuting(parts)).high < HALF else "undecided"
+    wide = share(count, runs, refuting(parts))
+    return _verdict(share(count, runs).low > HALF, wide.high < HALF)
 
 
 def some(count: int, runs: int, parts: int) -> Verdict:
     """The verdict on "there are runs that do": the share's interval is above `RARE`; refuted where
     no run does and the interval is below a half."""
-    if share(count, runs).low > RARE:
-        return "confirmed"
-    nobody = count == 0 and share(count, runs, refuting(parts)).high < HALF
-    return "refuted" if nobody else "undecided"
+    wide = share(count, runs, refuting(parts))
+    return _verdict(share(count, runs).low > RARE, count == 0 and wide.high < HALF)
 
 
 def none(count: int, runs: int, parts: int) -> Verdict:
     """The verdict on "no run does": none does and the share's interval is below a half; refuted
     where the interval is above `RARE`."""
-    if count == 0 and share(count, runs).high < HALF:
-        return "confirmed"
-    return "refuted" if share(count, runs, refuting(parts)).low > RARE else "undecided"
+    wide = share(count, runs, refuting(parts))
+    return _verdict(count == 0 and share(count, runs).high < HALF, wide.low > RARE)
 
 
 def about(values: Values, printed: float, parts: int) -> Verdict:
@@ -230,12 +242,10 @@ def about(values: Values, printed: float, parts: int) -> Verdict:
     if numbers is None:
         return "undecided"
     mean, wide = mean_interval(numbers), mean_interval(numbers, refuting(parts))
-    if mean.low is None or mean.high is None or wide.low is None or wide.high is None:
+    if mean.kind != "t" or mean.low is None or mean.high is None:
         return "undecided"
-    if mean.kind == "t" and near[0] <= mean.low and mean.high <= near[1]:
-        return "confirmed"
-    farther = wide.low > near[1] or wide.high < near[0]
-    return "refuted" if mean.kind == "t" and farther else "undecided"
+    farther = wide.low > near[1] or wide.high < near[0]  # pyright: ignore
+    return _verdict(near[0] <= mean.low and mean.high <= near[1], farther)
 
 
 def equal(a: Values, b: Values, margin: float, parts: int) -> Verdict:
@@ -244,9 +254,7 @@ def equal(a: Values, b: Values, margin: float, parts: int) -> Verdict:
     equivalence, p = equivalence_of(a, b, margin), p_of(a, b)
     if equivalence is None or p is None:
         return "undecided"
-    if equivalence <= LEVEL:
-        return "confirmed"
-    return "refuted" if p <= LEVEL / parts else "undecided"
+    return _verdict(equivalence <= LEVEL, p <= LEVEL / parts)
 
 
 def apart(a: Values, b: Values, margin: float, parts: int) -> Verdict:
@@ -255,9 +263,8 @@ def apart(a: Values, b: Values, margin: float, parts: int) -> Verdict:
     equivalence, p = equivalence_of(a, b, margin), p_of(a, b)
     if equivalence is None or p is None:
         return "undecided"
-    if equivalence <= LEVEL / parts:
-        return "refuted"
-    return "confirmed" if p <= LEVEL else "undecided"
+    refuted = equivalence <= LEVEL / parts
+    return _verdict(p <= LEVEL and not refuted, refuted)
 
 
 def lower(a: Values, b: Values, parts: int) -> Verdict:
@@ -266,56 +273,21 @@ def lower(a: Values, b: Values, parts: int) -> Verdict:
     first, second, p = known(a), known(b), p_of(a, b)
     if first is None or second is None or p is None:
         return "undecided"
-    if sum(first) / len(first) < sum(second) / len(second):
-        return "confirmed" if p <= LEVEL else "undecided"
-    return "refuted" if p <= LEVEL / parts else "undecided"
+    below = sum(first) / len(first) < sum(second) / len(second)
+    return _verdict(below and p <= LEVEL, not below and p <= LEVEL / parts)
 
 
-def finding(
-    where: str,
-    verdict: Verdict,
-    cells: Sequence[Cell],
-    facts: Sequence[Fact],
-    about: str = "",
-    claimed: str = "",
-) -> Finding:
+def finding(where: str, verdict: Verdict, cells: Sequence[Cell], facts: Sequence[str]) -> Finding:
     """A finding that names the runs it lacks: by task where all are of one algorithm."""
     by_task = len(cells) > 1 and len({cell.algorithm for cell in cells}) == 1
     lacking: dict[str, list[str]] = {}
     for cell in (cell for cell in cells if cell.lacking):
-        name = short(cell.task) if by_task else cell.title
-        lacking.setdefault(cell.lacking, []).append(name)
-    return Finding(where, verdict, facts, lacking, about, claimed)
+        lacking.setdefault(cell.lacking, []).append(short(cell.task) if by_task else cell.title)
+    told = [", ".join(facts)] if facts else []
+    told += [f"{why}: {', '.join(names)}" for why, names in lacking.items()]
+    return Finding(f"{where}: {'; '.join(told)}", verdict)
 
 
 def short(task: str) -> str:
     """Circle2D-1 for Circle2D-1-v0, SafetyPointGoal1 for circle2d_mj/SafetyPointGoal1-v0."""
     return task.rpartition("/")[2].rpartition("-")[0]
-
-
-def worded(findings: Iterable[Finding]) -> list[tuple[str, str]]:
-    """Each finding in words, and its verdict."""
-    return [(_words(finding), finding.verdict) for finding in findings]
-
-
-def _words(finding: Finding) -> str:
-    """The place, the numbers, and the runs that are lacking."""
-    facts = ", ".join(map(_fact, finding.facts))
-    if facts and finding.about:
-        facts = f"{finding.about}: {facts} (claimed: {finding.claimed})"
-    lacking = [f"{why}: {', '.join(names)}" for why, names in finding.lacking.items()]
-    return f"{finding.where}: " + "; ".join([*([facts] if facts else []), *lacking])
-
-
-def _fact(fact: Fact) -> str:
-    value = fact.value
-    if isinstance(value, Share):
-        words = f"{value.count} of {value.runs} runs [{value.low:.2f}, {value.high:.2f}]"
-        return f"{fact.name} {words} {fact.does}".strip()
-    words, beside = str(number(value, signed=fact.signed)), []
-    if value is not None:
-        beside.append(f"n = {value.runs}")
-    if fact.printed is not None:
-        beside.append(f"paper {Number(fact.printed, signed=fact.signed)}")
-    beside += [f"{name}: {p_number(p)}" for name, p in fact.tests]
-    return f"{fact.name} {words} ({'; '.join(beside)})".lstrip()
