@@ -63,19 +63,16 @@ def _straight(run: Run) -> bool:
 
 
 def _straight_through(evidence: Evidence) -> list[Finding]:
-    tasks = LEVEL_TASKS[1:]
-    parts = 3 * len(tasks)
-
-    findings = []
-    for task in tasks:
+    findings, parts = [], 3 * len(LEVEL_TASKS[1:])
+    for task in LEVEL_TASKS[1:]:
         cell = evidence[task, "trpo-lag"]
         through = cell._replace(runs=tuple(filter(_straight, cell.runs)))
-        verdicts: list[Verdict] = [cell.judged(mostly, _straight, parts)]
+        verdict = cell.judged(mostly, _straight, parts)
         if not cell.lacking:
-            means = (("J_C", 9), (LATE, 0.2))
-            verdicts += [about(through.values(name), claimed, parts) for name, claimed in means]
+            cost, late = (through.values(name) for name in ("J_C", LATE))
+            verdict = all_of([verdict, about(cost, 9, parts), about(late, 0.2, parts)])
         facts = [*cell.share(_straight, "", "go through"), *through.means("J_C", LATE)]
-        findings.append(finding(short(task), all_of(verdicts), [cell], facts))
+        findings.append(finding(short(task), verdict, [cell], facts))
     return findings
 
 
