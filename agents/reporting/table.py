@@ -1,12 +1,12 @@
-"""Tables of typed cells, and their one renderer: Markdown, LaTeX, a terminal's lines; the page's
-template takes the same cells."""
+"""Tables of typed cells as Markdown and as a terminal's lines; the page's template takes the same
+cells."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from agents.errors import one_line
 from emcc import Interval, Share
@@ -14,10 +14,8 @@ from emcc import Interval, Share
 MISSING = "\N{EN DASH}"
 LEAST_WIDTH = 40
 """Characters of the narrowest terminal that tables are laid out for."""
-HEAD, WORDS = 12, 20
-"""Characters to which a column's head and the intervals in it, and its words, are broken."""
-GAP = 2
-"""Characters between a terminal's columns."""
+NARROW, WIDE = 12, 20
+"""Characters to which a terminal's columns of numbers, and those of words, are broken."""
 
 
 @dataclass(frozen=True)
@@ -155,15 +153,6 @@ class Table:
         legend = [plain(self.legend), ""] if self.legend else []
         return "\n".join([*legend, *(f"| {line} |" for line in padded), *notes, ""])
 
-    def latex(self) -> str:
-        """The rows as a tabular with the rules of booktabs."""
-        lines = [[_latex(cell) for cell in row.cells][: self.columns] for row in self.rows]
-        head = [_latex(cell) for cell in self.head][: self.columns]
-        body = [f"{' & '.join(line)} \\\\" for line in lines]
-        first = f"\\begin{{tabular}}{{l{'r' * (self.columns - 1)}}}\n\\toprule"
-        rules = [first, f"{' & '.join(head)} \\\\", "\\midrule", *body, "\\bottomrule"]
-        return "\n".join([*rules, "\\end{tabular}", ""])
-
 
 _INTERVAL = re.compile(r" \[[^\]]*\]")
 """Intervals in words."""
@@ -203,17 +192,6 @@ def _markdown(cell: Cell) -> str:
     return f"**{cell.text}** {cell.interval}".rstrip()
 
 
-def _latex(cell: Cell) -> str:
-    if isinstance(cell, Number):
-        text = f"\\textbf{{{cell.text}}}" if cell.marked else cell.text
-        written = f"{text} {cell.interval}".rstrip()
-    else:
-        escaped = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-        escaped |= {sign: f"\\{sign}" for sign in "&%$#_{}"}
-        written = "".join(escaped.get(letter, letter) for letter in one_line(cell))
-    return written.replace(MISSING, "--")
-
-
 def show(blocks: Sequence[Block], width: int | None = None, more: str = "") -> None:
     """Print the blocks of a report: laid out on a terminal, or where a width is given; as Markdown
     into a file or a pipe, for programs.
@@ -241,82 +219,61 @@ def _laid_out(block: Block, width: int) -> Iterator[Any]:
     from rich import box
     from rich.markdown import Markdown
     from rich.table import Table as Grid
-    from rich.text import Text
 
     if isinstance(block, str):
         yield from map(Markdown, re.split(r"\n\s*\n", block.strip()))
         return
     if block.legend:
         yield Markdown(plain(block.legend))
-    look = {"box": box.SIMPLE_HEAD, "padding": (0, GAP - 1, 0, 0)}
     for part in parts(block, width):
-        grid = Grid(**look, pad_edge=False, show_edge=False)
-        for place, (head, *_) in enumerate(part):
-            grid.add_column(Text(head[0]), justify="right" if place else "left", no_wrap=True)
-        for row in list(zip(*part, strict=True))[1:]:
-            grid.add_row(*(Text(words, "bold" if bold else "") for words, bold in row))
+        grid = Grid(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
+        for place, column in enumerate(part):
+            justify = "right" if place else "left"
+            grid.add_column(column.cells[0], width=column.width, justify=justify)
+        for row in list(zip(*(column.cells for column in part), strict=True))[1:]:
+            grid.add_row(*row)
         yield grid
     yield from (Markdown(f"Note: {plain(note)}") for note in block.notes)
 
 
-Column = list[tuple[str, bool]]
-"""The words of each cell in lines, its head first, and whether they are bold."""
+class Column(NamedTuple):
+    """A column of a terminal's table."""
+
+    cells: list[Any]
+    """As `rich.text.Text`, the head first."""
+    width: int
+    """Characters of a line, in which every word has room."""
 
 
 def parts(table: Table, width: int) -> list[list[Column]]:
     """Divide the columns of a table so that each part fits the width; every part begins with the
-    first column, and cells have line breaks where they may break.
-
-    A column that alone is wider than the width gets a part of its own.
-    """
-    first = (table.head[0], *(row.name for row in table.rows))
-    names = [(_name(plain(name), max(width * 2 // 5, 16)), False) for name in first]
-    divided, used = [[names]], _width(names)
-    columns = zip(table.head, *(row.cells for row in table.rows), strict=False)
-    for head, *cells in list(columns)[1 : table.columns]:
-        column = [(_broken(plain(head), HEAD), False), *map(_in_lines, cells)]
-        more = GAP + _width(column)
+    first column. A column that alone is wider than the width gets a part of its own."""
+    names = _column([table.head[0], *(row.name for row in table.rows)], max(width * 2 // 5, 16))
+    divided, used = [[names]], names.width
+    columns = list(zip(table.head, *(row.cells for row in table.rows), strict=False))
+    for cells in columns[1 : table.columns]:
+        words = any(isinstance(cell, str) and cell for cell in cells[1:])
+        column = _column(cells, WIDE if words else NARROW)
+        more = 2 + column.width  # and the gap
         if used + more > width and len(divided[-1]) > 1:
             divided.append([names])
-            used = _width(names)
+            used = names.width
         divided[-1].append(column)
         used += more
     return divided
 
 
-def _name(name: str, width: int) -> str:
-    """The name of a row; where it is too long, what follows the last comma has its own line."""
-    first, comma, last = name.rpartition(", ")
-    if len(name) <= width or not comma:
-        return _broken(name, width)
-    return f"{_broken(first + ',', width)}\n{_broken(last, width)}"
+def _column(cells: Sequence[Cell], most: int) -> Column:
+    """A column of at most so many characters, unless a word is longer. Intervals stand below their
+    number."""
+    from rich.text import Text
 
-
-def _in_lines(cell: Cell) -> tuple[str, bool]:
-    """A number or a count above its interval; words in lines of some width."""
-    if isinstance(cell, str):
-        return _broken(plain(cell), WORDS), False
-    lines = filter(None, (cell.text, _broken(cell.interval, HEAD)))
-    return "\n".join(lines), cell.marked
-
-
-def _broken(cell: str, width: int) -> str:
-    """A cell in lines of at most the width, where words allow it; short brackets stay together."""
-    lines: list[str] = []
-    for word in _words(cell, width):
-        joined = f"{lines[-1]} {word}" if lines else word
-        if lines and len(joined) <= width:
-            lines[-1] = joined
-        else:
-            lines.append(word)
-    return "\n".join(lines)
-
-
-def _words(cell: str, width: int) -> Iterator[str]:
-    """Words, with brackets as one word unless they are longer than the width."""
-    for word in re.findall(r"(?:\[[^\]]*\]|\([^)]*\)|\S)+", cell):
-        yield from [word] if len(word) <= width else word.split()
-
-
-def _width(column: Column) -> int:
-    return max(len(line) for words, _ in column for line in words.split("\n"))
+    lines = [
+        plain(cell) if isinstance(cell, str) else f"{cell.text}\n{cell.interval}".rstrip()
+        for cell in cells
+    ]
+    word = max(len(word) for line in lines for word in line.split() or [""])
+    longest = max(len(line) for text in lines for line in text.split("\n"))
+    bold = [not isinstance(cell, str) and cell.marked for cell in cells]
+    shown = [Text(line, "bold" if b else "") for line, b in zip(lines, bold, strict=True)]
+    return Column(shown, min(longest, max(word, most)))
