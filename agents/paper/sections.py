@@ -15,12 +15,12 @@ from agents.paper.introduction import introduction
 from agents.paper.presets import MARGIN, PAPER_ALGORITHMS, ablations, is_circle2d, unprinted
 from agents.paper.printed import choice_of, paper_results, printed, split
 from agents.reporting.figures import Figure
+from agents.reporting.overall import differences_over_tasks
 from agents.reporting.page import Section
 from agents.reporting.table import Number, Row, Table, number
 from agents.reporting.tables import (
     Reference,
     caption,
-    differences_over_tasks,
     mark,
     mean_row,
     means,
@@ -29,20 +29,10 @@ from agents.reporting.tables import (
 )
 from agents.results.frame import by_task, hyperparameter_changes, name_of, unusual_steps
 from agents.results.measures import measure, measures
-from agents.results.reading import Group
-from agents.results.statistics import (
-    INTERVALS,
-    LEVEL,
-    Pair,
-    Summary,
-    group_mean,
-    mean_of,
-    summaries,
-    two_sets,
-)
+from agents.results.reading import Group, Run
+from agents.results.statistics import INTERVALS, LEVEL, Pair, group_mean, two_sets
 from emcc import emcc_by_part
 from emcc.parts import ALPHA, PARTS
-from emcc.statistics import SHARE
 
 CLAIMS = "The paper's claims"
 METHOD = (
@@ -79,6 +69,7 @@ TIES_MEANING = (
     "quantile counts, as in the paper's equation and all other tables; split: exactly a tenth of "
     "the rollouts counts"
 )
+EMCCS = [f"EMCC_{part}" for part in PARTS]
 MARKING = "of the choices the mean that is nearest to the paper's"
 
 
@@ -100,18 +91,23 @@ class Paper(NamedTuple):
 def sections(groups: Sequence[Group]) -> Paper:
     """The paper's part of a report on some groups."""
     usual, pairs = split(groups)
-    choices = {
-        CHOICES: choices_table(pairs),
-        NEAREST: nearest_table(pairs),
-        PARTS_TITLE: parts_table(pairs),
-        f"{PARTS_TITLE}, all tasks together": parts_over_tasks(pairs),
+    choices = _by_preset(pairs)
+    of_paper, of_parts = (
+        [own for own in choices if (own[0].config.algorithm in PAPER_ALGORITHMS) == is_paper]
+        for is_paper in (True, False)
+    )
+    tables = {
+        CHOICES: choices_table(of_paper, "choice", f"{CHOICES}: {CHOICES_MEANING}"),
+        NEAREST: nearest_table(of_paper),
+        PARTS_TITLE: choices_table(of_parts, "part", f"{PARTS_TITLE}: {PARTS_MEANING}"),
+        f"{PARTS_TITLE}, all tasks together": parts_over_tasks(of_parts),
     }
     circle2d = any(is_circle2d(group.task) and group.runs for group in usual)
     return Paper(
         usual,
         printed,
         {task: _notes([g for g in usual if g.task == task]) for task in {g.task for g in usual}},
-        {name: table for name, table in choices.items() if table is not None},
+        {name: table for name, table in tables.items() if table is not None},
         {TIES: ties_table(usual)},
         claims_section(groups),
         introduction() if circle2d else [],
@@ -145,87 +141,70 @@ def claims_section(groups: Sequence[Group]) -> Section | None:
     return Section(CLAIMS, statements=statements, method=METHOD) if statements else None
 
 
-def choices_table(pairs: Sequence[Pair]) -> Table | None:
+Choices = Sequence[Sequence[Group]]
+"""The group of each preset, followed by those of the other choices."""
+
+
+def choices_table(choices: Choices, kind: str, words: str) -> Table | None:
     """For each task and algorithm the preset's means, those of the other choices, and the paper's.
 
     Marked is, of each measure, the choice whose mean is nearest to what the paper prints. None
-    where no algorithm of the paper has other choices.
+    where there are no choices. kind: the word for a choice; words: their meaning.
     """
     rows: list[Row] = []
-    marked, shown = set(), []
-    for choices in _by_preset(pairs):
-        name = choices[0].config.algorithm
-        if name not in PAPER_ALGORITHMS:
-            continue
-        complete = [group for group in choices if group.runs]
-        told = summaries(complete)
-        reference = printed(choices[0].task, name)
-        if reference and len(complete) > 1:
-            marked |= {(len(rows) + row, m) for row, m in _nearer(told, reference.values)}
-        rows += map(_row, complete, told)
+    marked: set[tuple[int, str]] = set()
+    for own in choices:
+        task, name = own[0].task, own[0].config.algorithm
+        complete = [group for group in own if group.runs]
+        reference = printed(task, name)
         if reference:
-            rows.append(printed_row(f"{choices[0].task}, {title(name)}", reference))
-        shown += choices
+            marked |= {(len(rows) + k, m) for k, m in _nearest(complete, reference.values)}
+        for group in complete:
+            words_of = [task, title(name), _choice(group), *unusual_steps(group.config, task)]
+            rows.append(mean_row(group, ", ".join(words_of)))
+        if reference:
+            rows.append(printed_row(f"{task}, {title(name)}", reference))
     if not rows:
         return None
-    words = f"{CHOICES}: {CHOICES_MEANING}. {caption(shown)}"
-    return measures_table(words, "task, algorithm and choice", mark(rows, marked), marking=MARKING)
+    legend = f"{words}. {caption([group for own in choices for group in own])}"
+    head = f"task, algorithm and {kind}"
+    return measures_table(legend, head, mark(rows, marked), marking=MARKING)
 
 
-def nearest_table(pairs: Sequence[Pair]) -> Table | None:
+def nearest_table(choices: Choices) -> Table | None:
     """In how many measures, over all tasks, each choice of an algorithm is the nearest to the
     paper; None where nothing can be compared."""
     nearest: Counter[tuple[str, str]] = Counter()
     compared: Counter[tuple[str, str]] = Counter()
-    for choices in _by_preset(pairs):
-        complete = [group for group in choices if group.runs]
-        name = title(choices[0].config.algorithm)
-        values = paper_results(choices[0].task, name)
-        places = list(_nearer(summaries(complete), values)) if len(complete) > 1 else []
-        for row, group in enumerate(complete):
+    for own in choices:
+        name, complete = title(own[0].config.algorithm), [group for group in own if group.runs]
+        found = list(_nearest(complete, paper_results(own[0].task, name)))
+        for k, group in enumerate(complete):
             key = name, _choice(group)
-            compared[key] += len({m for _, m in places})
-            nearest[key] += sum(place == row for place, _ in places)
+            compared[key] += len({m for _, m in found})
+            nearest[key] += sum(place == k for place, _ in found)
     rows = [
         Row(f"{name}, {choice}", [Number(nearest[name, choice], total=total)])
         for (name, choice), total in compared.items()
         if total
     ]
-    if not rows:
-        return None
     words = "Measures, over all tasks, in which a choice's mean is the nearest to the paper's"
-    return Table(words, ["algorithm and choice", "nearest"], rows)
+    return Table(words, ["algorithm and choice", "nearest"], rows) if rows else None
 
 
-def parts_table(pairs: Sequence[Pair]) -> Table | None:
-    """For each task SAC-LB-Streak's means, and those without one of its parts; None without any."""
-    groups = [group for choices in _streak_choices(pairs) for group in choices if group.runs]
-    if not groups:
-        return None
-    words = f"{PARTS_TITLE}: {PARTS_MEANING}. {caption(groups)}"
-    rows = list(map(_row, groups, summaries(groups)))
-    return measures_table(words, "task, algorithm and part", rows)
-
-
-def parts_over_tasks(pairs: Sequence[Pair]) -> Table | None:
+def parts_over_tasks(choices: Choices) -> Table | None:
     """Differences, over all tasks, of SAC-LB-Streak's runs without each part; None of one task."""
-    named: dict[str, list[Pair]] = {}
-    for usual, *others in _streak_choices(pairs):
+    named = []
+    for usual, *others in choices:
         for other in others:
-            apart = filter(None, [other.apart])
-            words = [_choice(other), *unusual_steps(other.config, other.task), *apart]
-            named.setdefault(f"B - A: {', '.join(words)} - preset", []).append((usual, other))
-    sets = {name: two_sets(same) for name, same in named.items()}
-    return differences_over_tasks({name: two for name, two in sets.items() if two})
-
-
-def _streak_choices(pairs: Sequence[Pair]) -> list[list[Group]]:
-    return [c for c in _by_preset(pairs) if c[0].config.algorithm not in PAPER_ALGORITHMS]
+            words = [_choice(other), *unusual_steps(other.config, other.task), other.apart]
+            name = f"B - A: {', '.join(filter(None, words))} - preset"
+            named.append((name, (usual, other)))
+    return differences_over_tasks(two_sets(named))
 
 
 def _by_preset(pairs: Sequence[Pair]) -> list[list[Group]]:
-    """The group of each preset, followed by those of the other choices: by algorithm, then by task,
-    choices in the order of `presets.ablations`."""
+    """The choices: by algorithm, then by task, each in the order of `presets.ablations`."""
     beside: dict[int, list[Group]] = {}
     for usual, other in sorted(pairs, key=_place):
         beside.setdefault(id(usual), [usual]).append(other)
@@ -238,21 +217,15 @@ def _place(pair: Pair) -> tuple[int, str, int]:
     return list(ALGORITHMS).index(name), task, where
 
 
-def _nearer(
-    told: Sequence[Mapping[str, Summary]], values: Mapping[str, float]
-) -> Iterator[tuple[int, str]]:
-    """Place and measure of the means that are nearest to the paper's numbers, as printed."""
-    known = [means(summary) for summary in told]
-    for m in measures():
+def _nearest(groups: Sequence[Group], values: Mapping[str, float]) -> Iterator[tuple[int, str]]:
+    """Place and measure of the means that are nearest to the paper's numbers, as printed; nothing
+    of a single group."""
+    known = [means(group) for group in groups] if len(groups) > 1 else []
+    for m in measures() if known else ():
         ours = [group[m.name] for group in known]
         if m.name in values and None not in ours:
             off = [abs(round(mean, m.digits) - values[m.name]) for mean in ours if mean is not None]
-            yield from ((row, m.name) for row, far in enumerate(off) if isclose(far, min(off)))
-
-
-def _row(group: Group, summary: Mapping[str, Summary]) -> Row:
-    words = [group.task, title(group.config.algorithm), _choice(group)]
-    return mean_row(group, summary, ", ".join([*words, *unusual_steps(group.config, group.task)]))
+            yield from ((k, m.name) for k, far in enumerate(off) if isclose(far, min(off)))
 
 
 def _choice(group: Group) -> str:
@@ -268,26 +241,19 @@ def ties_table(groups: Sequence[Group]) -> Table:
 
     The records of training decide it: no run is trained for it.
     """
-    columns = [measure(f"EMCC_{part}") for part in PARTS]
+    columns = [measure(name) for name in EMCCS]
     rows: list[Row] = []
     for group in (group for own in by_task(groups).values() for group in own):
         name = f"{group.task}, {name_of(group)}"
         values = paper_results(group.task, title(group.config.algorithm))
-        kept = [group_mean(group, m.name) for m in columns]
-        divided = [mean_of(third, group.one_place, SHARE) for third in _split(group)]
-        cells: list[list[Number]] = [[], []]
-        for m, pair in zip(columns, zip(kept, divided, strict=True), strict=True):
-            goal = values.get(m.name)
-            off = [
-                abs(round(mean.value, m.digits) - goal)
-                for mean in pair
-                if mean and goal is not None
+        both = [group, replace(group, runs=[_with_ties_split(group, run) for run in group.runs])]
+        nearest = set(_nearest(both, values))
+        for k, (way, own) in enumerate(zip(("kept", "split"), both, strict=True)):
+            cells = [
+                replace(number(group_mean(own, m.name), m.digits), marked=(k, m.name) in nearest)
+                for m in columns
             ]
-            for k, mean in enumerate(pair):
-                nearer = len(off) == 2 and isclose(off[k], min(off))
-                cells[k].append(replace(number(mean, m.digits), marked=nearer))
-        for way, numbers in zip(("kept", "split"), cells, strict=True):
-            rows.append(Row(f"{name}, ties {way}, mean of {len(group.runs)}", numbers, kind="mean"))
+            rows.append(Row(f"{name}, ties {way}, mean of {len(own.runs)}", cells, kind="mean"))
         if values:
             theirs = [Number(values.get(m.name), m.digits) for m in columns]
             rows.append(Row(f"{name}, paper", theirs, kind="paper"))
@@ -295,10 +261,8 @@ def ties_table(groups: Sequence[Group]) -> Table:
     return Table(f"{TIES_MEANING}; mean {INTERVALS}", head, rows, marking=MARKING)
 
 
-def _split(group: Group) -> list[list[float]]:
-    """EMCC with split ties of each run, by third."""
-    runs = [
-        emcc_by_part(*run.records.mcc_per_rollout(), group.config.steps, ALPHA, "split").values()
-        for run in group.runs
-    ]
-    return [list(third) for third in zip(*runs, strict=True)]
+def _with_ties_split(group: Group, run: Run) -> Run:
+    by_part = emcc_by_part(*run.records.mcc_per_rollout(), group.config.steps, ALPHA, "split")
+    return replace(
+        run, measures={**run.measures, **dict(zip(EMCCS, by_part.values(), strict=True))}
+    )

@@ -3,43 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from agents.errors import UserError
 from agents.reporting.figures import curves
 from agents.reporting.numbers import difference_lines, group_lines, numbers_csv
+from agents.reporting.overall import TASKS, differences_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import made
-from agents.reporting.table import Number, Row, Table, markdown, number
-from agents.reporting.tables import (
-    PValues,
-    caption,
-    differences_over_tasks,
-    holm,
-    mean_row,
-    measures_table,
-    p_row,
-    run_rows,
-    tests,
-)
+from agents.reporting.table import Number, Table, markdown
+from agents.reporting.tables import caption, difference_rows, mean_row, measures_table, run_rows
 from agents.results.frame import changes, in_order, name_of, with_distinct_titles
 from agents.results.measures import measures
 from agents.results.reading import Group, name_of_all, read
-from agents.results.statistics import (
-    LEVEL,
-    Difference,
-    Pair,
-    TwoSets,
-    differences,
-    summaries,
-    two_sets,
-)
+from agents.results.statistics import LEVEL, Difference, Pair, differences, holm, two_sets
 from agents.training.files import write_whole
 
-TOGETHER = "All tasks together"
 METHOD = (
     "B - A: difference of the means [Welch's 95 % t interval, of five seeds or more on both sides "
     "that end in one place]; p: two-sided permutation test of Welch's t, corrected for the {} "
@@ -87,14 +68,15 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     by_task = _by_task(a, b, sides, notes)
     pairs = [pair for both in by_task.values() for pair in both.pairs]
     tested = {_key(*pair): differences(*pair) for pair in pairs}
-    p_values, sets = holm(tested), _over_tasks(pairs)
+    sets = two_sets((_name(*pair), pair) for pair in pairs)
+    corrected, tests = holm(tested)
     *_, last = by_task
     tables = {
-        task: _table(task, both, tested, p_values, notes if task == last else [])
+        task: _table(task, both, corrected, tests, notes if task == last else [])
         for task, both in by_task.items()
     }
     if (together := differences_over_tasks(sets)) is not None:
-        tables[TOGETHER] = together
+        tables[TASKS] = together
     if out is None:
         return list(tables.values())
     out.mkdir(parents=True, exist_ok=True)
@@ -138,29 +120,19 @@ def _by_task(
     }
 
 
-def _table(
-    task: str, sides: Sides, tested: Tested, p_values: PValues, notes: Sequence[str]
-) -> Table:
-    """Means of both sides, the differences, then every run."""
-    named = list(zip(("A: ", "B: "), sides, strict=True))
-    rows = [
-        mean_row(group, summary, prefix + name_of(group))
-        for prefix, groups in named
-        for group, summary in zip(groups, summaries(groups), strict=True)
-    ]
+def _table(task: str, sides: Sides, tested: Tested, tests: int, notes: Sequence[str]) -> Table:
+    """Means of both sides, the differences, then every run.
+
+    tested: with corrected p values; tests: their number.
+    """
+    rows = [mean_row(group, name) for name, group in sides.named]
     for pair in sides.pairs:
-        told, empty = tested[_key(*pair)], [Number(None)]
-        gaps = [number(told[m.name].gap, m.digits, signed=True) for m in measures()]
-        better = [number(told[m.name].better) for m in measures()]
-        rows.append(Row(_name(*pair), gaps + empty, kind="difference"))
-        p = p_row(_key(*pair), measures(), p_values)
-        rows.append(replace(p, numbers=[*p.numbers, *empty]))
-        rows.append(Row("P(B better)", better + empty, kind="test"))
-    for prefix, groups in named:
+        told = tested[_key(*pair)]
+        rows += difference_rows(_name(*pair), told, measures(), beside=[Number(None)])
+    for prefix, groups in zip(("A: ", "B: "), sides, strict=True):
         rows += [row for group in in_order(groups) for row in run_rows(group, prefix)]
-    number_of_tests = tests(p_values)
-    words = f"{caption([*sides.a, *sides.b])}; {METHOD.format(number_of_tests)}"
-    return measures_table(words, task, rows, [*notes, *_too_few(task, sides, number_of_tests)])
+    words = f"{caption([*sides.a, *sides.b])}; {METHOD.format(tests)}"
+    return measures_table(words, task, rows, [*notes, *_too_few(task, sides, tests)])
 
 
 def _key(a: Group, b: Group) -> tuple[str, str, str]:
@@ -174,15 +146,6 @@ def _settings(group: Group) -> tuple[str, dict[str, Any]]:
 def _name(a: Group, b: Group) -> str:
     titles = [name_of(group) for group in (b, a)]
     return f"B - A: {titles[0] if titles[0] == titles[1] else ' - '.join(titles)}"
-
-
-def _over_tasks(pairs: Iterable[Pair]) -> dict[str, TwoSets]:
-    """Pairs that stand against each other on two tasks or more, by their name."""
-    named: dict[str, list[Pair]] = {}
-    for pair in pairs:
-        named.setdefault(_name(*pair), []).append(pair)
-    sets = {name: two_sets(same) for name, same in named.items()}
-    return {name: two for name, two in sets.items() if two}
 
 
 def _too_few(task: str, sides: Sides, number_of_tests: int) -> list[str]:

@@ -11,8 +11,8 @@ from agents.reporting.tables import Reference, ends_words
 from agents.results.frame import name_of
 from agents.results.measures import measures
 from agents.results.reading import Group
-from agents.results.statistics import Difference, places, summaries, within_limit
-from emcc import Interval, Share
+from agents.results.statistics import Difference, group_mean, known, places, within_limit
+from emcc import Interval, iqm
 
 Line = Sequence[str | int | float | None]
 SHARE = ("seeds", "share", "share_low", "share_high")
@@ -48,17 +48,20 @@ def report_lines(groups: Sequence[Group], printed: Reference) -> Iterator[Line]:
 
 def group_lines(groups: Sequence[Group], prefix: str = "") -> Iterator[Line]:
     """The means of each group with their intervals and its shares, then its runs."""
-    for group, summary in zip(groups, summaries(groups), strict=True):
+    for group in groups:
         task, name, folder = group.task, prefix + name_of(group), group.folder
         if group.runs:
-            means = {measure: told.mean for measure, told in summary.items()}
+            means = {m.name: group_mean(group, m.name) for m in measures()}
             yield from _interval_lines(task, name, "mean", means, folder, len(group.runs))
-            middle = {measure: told.iqm for measure, told in summary.items()}
+            values = {m.name: known(group.values(m.name)) for m in measures()}
+            middle = {name: iqm(numbers) for name, numbers in values.items() if numbers}
             yield _line(task, name, "iqm", middle, folder)
-            for place, share in places(group).items():
-                yield _share_line(task, name, "ends in", share, folder, place)
-            if share := within_limit(group, group.limit):
-                yield _share_line(task, name, "within limit", share, folder)
+            shares = [("ends in", place, share) for place, share in places(group).items()]
+            if share := within_limit(group):
+                shares.append(("within limit", "", share))
+            for kind, place, share in shares:
+                told = (share.runs, share.value, share.low, share.high)
+                yield _line(task, name, kind, {}, folder, ends=place, share=told)
         for run in group.runs:
             yield _line(task, name, "run", run.measures, folder, run.seed, ends_words(run))
 
@@ -87,11 +90,6 @@ def _interval_lines(
         ends = {m: getattr(mean, end) for m, mean in known.items()}
         if any(value is not None for value in ends.values()):
             yield _line(task, name, f"{kind} {words if ranges else end}", ends, folder)
-
-
-def _share_line(task: str, name: str, kind: str, share: Share, folder: str, ends: str = "") -> Line:
-    numbers = (share.runs, share.value, share.low, share.high)
-    return _line(task, name, kind, {}, folder, ends=ends, share=numbers)
 
 
 def _line(

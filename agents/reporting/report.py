@@ -17,24 +17,17 @@ from agents.reporting.figures import (
 )
 from agents.reporting.maps import Scenes, maps
 from agents.reporting.numbers import numbers_csv, report_lines
+from agents.reporting.overall import RATES, tables_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import heading, made, summary
-from agents.reporting.ranks import orders_table, ranks_table
 from agents.reporting.replay import replay_data
 from agents.reporting.table import Block, Table, markdown, plain
-from agents.reporting.tables import (
-    over_tasks,
-    panel_table,
-    recorded_table,
-    separated_table,
-    task_table,
-)
+from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.frame import with_distinct_titles
 from agents.results.reading import Group, archive_of, name_of_all, read, write_archive
 from agents.training.files import write_whole
 
-RUNS, RATES, TASKS = "Every run", "Cost rate against EMCC", "All tasks together"
-RANKS, ORDERS = "Ranks over tasks", "What EMCC orders otherwise than the cost rate"
+RUNS = "Every run"
 
 
 class Report(NamedTuple):
@@ -80,24 +73,22 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
         for task, groups in by_task.items()
     }
     together = _figures_together(paper)
-    common = {RATES: separated_table(paper.usual), TASKS: over_tasks(paper.usual)}
-    common |= {RANKS: ranks_table(paper.usual), ORDERS: orders_table(paper.usual)}
-    main = _task_tables(by_task, paper, notes) | paper.tables
-    main |= {name: table for name, table in common.items() if table is not None}
-    tables = main | paper.details | _recorded(by_task) | _panels(by_task)
+    over_tasks = tables_over_tasks(paper.usual)
+    main = _task_tables(by_task, paper, notes) | paper.tables | over_tasks
+    tables = main | paper.details | _details(by_task)
     if archive is not None:
         write_archive(archive, everything)
-    shown = [paper.claims] if paper.claims else []
-    shown += [Section(name, common.get(name), figures) for name, figures in together.items()]
-    shown += [Section("Replay of training", replay=replay)] if replay["runs"] else []
-    shown += [
-        drawn.get(name, Section(name))._replace(table=table)
-        for name, table in tables.items()
-        if name not in together
+    shown = [
+        *([paper.claims] if paper.claims else []),
+        *(Section(name, over_tasks.get(name), figures) for name, figures in together.items()),
+        *([Section("Replay of training", replay=replay)] if replay["runs"] else []),
+        *(
+            drawn.get(name, Section(name))._replace(table=table)
+            for name, table in tables.items()
+            if name not in together
+        ),
+        *([Section("Circle2D and EMCC", figures=intro)] if (intro := paper.introduction) else []),
     ]
-    shown += (
-        [Section("Circle2D and EMCC", figures=paper.introduction)] if paper.introduction else []
-    )
     out.mkdir(parents=True, exist_ok=True)
     title = f"{heading(paper.usual)} ({name_of_all(everything)})"
     html = page(title, shown, made(everything), summary(paper.usual), scenes.all)
@@ -181,13 +172,12 @@ def _task_tables(
     }
 
 
-def _recorded(by_task: dict[str, list[Group]]) -> dict[str, Table]:
-    """Tables of the numbers that tasks have recorded at each step, by title."""
-    told = {f"{task}: recorded at each step": recorded_table(g) for task, g in by_task.items()}
-    return {title: table for title, table in told.items() if table is not None}
-
-
-def _panels(by_task: dict[str, list[Group]]) -> dict[str, Table]:
-    """The panel of cost measures of each task, by title."""
-    complete = {task: groups for task, groups in by_task.items() if any(g.runs for g in groups)}
-    return {f"{task}: panel of cost measures": panel_table(g) for task, g in complete.items()}
+def _details(by_task: dict[str, list[Group]]) -> dict[str, Table]:
+    """Of each task, by title: the numbers recorded at each step, and the panel of cost measures."""
+    recorded = {f"{task}: recorded at each step": recorded_table(g) for task, g in by_task.items()}
+    panels = {
+        f"{task}: panel of cost measures": panel_table(groups)
+        for task, groups in by_task.items()
+        if any(group.runs for group in groups)
+    }
+    return {name: table for name, table in recorded.items() if table is not None} | panels

@@ -1,45 +1,35 @@
-"""The tables of a report: each a pivot of the runs' frame, or of tests on it."""
+"""The tables of a report on each task: its measures, the panel of costs, and numbers recorded at
+each step."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, count, number, p_number
-from agents.results.frame import by_task, changes, in_order, name_of, title_of
+from agents.results.frame import in_order, name_of
 from agents.results.measures import Measure, measure, measures
 from agents.results.reading import Group, Run
 from agents.results.statistics import (
     INTERVALS,
-    LEVEL,
-    MARGIN,
-    Comparison,
     Difference,
-    Summary,
-    TwoSets,
     Values,
-    bootstrapped,
-    common_measures,
-    comparisons,
-    corrected,
-    difference_of,
-    matrices,
+    common_limit,
+    group_mean,
     mean_of,
     places,
-    summaries,
     within_limit,
 )
-from emcc import emcc_by_part, iqm, longest_streaks, panel
+from emcc import emcc_by_part, longest_streaks, panel
 from emcc.panels import SEVERITY, WINDOW, CostMeasures, Panel, cost_measures
 from emcc.panels import rows as panel_rows
 from emcc.parts import ALPHA, PARTS, rollouts_by_part
-from emcc.statistics import COST, FEWEST_RUNS, SHARE, Bounds
+from emcc.statistics import COST, SHARE, Bounds
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -71,15 +61,13 @@ def task_table(
     What is best among the means, and among the printed numbers, is marked: see `best`.
     """
     task, groups = groups[0].task, in_order(groups)
-    told = dict(zip(map(id, groups), summaries(groups), strict=True))
     rows: list[Row] = []
     ours, others = {}, {}
     for name in dict.fromkeys(group.config.algorithm for group in groups):
         for group in groups:
             if group.config.algorithm == name and group.runs:
-                summary = told[id(group)]
-                ours[len(rows)] = means(summary), within(group)
-                rows.append(mean_row(group, summary))
+                ours[len(rows)] = means(group), within(group)
+                rows.append(mean_row(group, name_of(group)))
         if reference := printed(task, name):
             others[len(rows)] = reference.values, reference.within
             rows.append(printed_row(title(name), reference))
@@ -132,23 +120,24 @@ def caption(groups: Sequence[Group]) -> str:
     )
 
 
-def means(summary: Mapping[str, Summary]) -> dict[str, float | None]:
+def means(group: Group) -> dict[str, float | None]:
     """The mean of each measure; None where a run lacks it."""
-    return {name: told.mean and told.mean.value for name, told in summary.items()}
+    several = {m.name: group_mean(group, m.name) for m in measures()}
+    return {name: mean and mean.value for name, mean in several.items()}
 
 
 def within(group: Group) -> bool | None:
     """Whether all runs of a group keep its cost limit; None where that is not known."""
-    share = within_limit(group, group.limit)
+    share = within_limit(group)
     return share and share.count == share.runs
 
 
-def mean_row(group: Group, summary: Mapping[str, Summary], name: str = "") -> Row:
+def mean_row(group: Group, name: str) -> Row:
     """The row of the means of a group, with their intervals over seeds, and of its shares."""
-    cells = [number(summary[m.name].mean, m.digits) for m in measures()]
-    cells.append(count(within_limit(group, group.limit)))
+    cells = [number(group_mean(group, m.name), m.digits) for m in measures()]
     ends = "; ".join(f"{place} {count(share)}" for place, share in places(group).items())
-    return Row(f"{name or name_of(group)}, mean of {len(group.runs)}", cells, ends, kind="mean")
+    name = f"{name}, mean of {len(group.runs)}"
+    return Row(name, [*cells, count(within_limit(group))], ends, kind="mean")
 
 
 def printed_row(name: str, printed: Printed) -> Row:
@@ -159,12 +148,31 @@ def printed_row(name: str, printed: Printed) -> Row:
 
 def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:
     """A row for each run of a group."""
-    limit = group.limit
     for run in group.runs:
         cells = [Number(run.measures.get(m.name), m.digits) for m in measures()]
-        share = within_limit(replace(group, runs=[run]), limit)
+        share = within_limit(replace(group, runs=[run]))
         cells.append(Number(share and share.count, total=1))
         yield Row(f"{prefix}{name_of(group)}, seed {run.seed}", cells, ends_words(run))
+
+
+def difference_rows(
+    name: str,
+    told: Mapping[str, Difference],
+    columns: Sequence[Measure],
+    more_digits: int = 0,
+    beside: Sequence[Number] = (),
+) -> list[Row]:
+    """The rows of B - A of some measures, of its p values, and of P(B better).
+
+    told: with corrected p values; more_digits: than means have; beside: further cells of each row.
+    """
+    both = [(m, told[m.name]) for m in columns]
+    gaps = [number(d.gap, m.digits + more_digits, signed=True) for m, d in both]
+    return [
+        Row(name, [*gaps, *beside], kind="difference"),
+        Row("p", [*(p_number(d.p) for _, d in both), *beside], kind="test"),
+        Row("P(B better)", [*(number(d.better) for _, d in both), *beside], kind="test"),
+    ]
 
 
 def ends_words(run: Run) -> str:
@@ -267,10 +275,8 @@ def panel_table(groups: Sequence[Group]) -> Table:
     unconstrained algorithm by that of the others, where they have one.
     """
     groups = [group for group in in_order(groups) if group.runs]
-    own = [group.limit for group in groups]
-    shared = {limit for limit in own if limit is not None}
-    usual = shared.pop() if len(shared) == 1 else None
-    limits = [usual if limit is None else limit for limit in own]
+    usual = common_limit(groups)
+    limits = [usual if group.limit is None else group.limit for group in groups]
     # One window for all columns, since a row names it.
     window = min(WINDOW, *(len(run.records) for group in groups for run in group.runs))
     panels: list[list[Panel]] = [
@@ -383,135 +389,3 @@ def _emcc_above(
     streaks = longest_streaks(steps, run.records.length, threshold)
     records = replace(run.records, longest_streak=streaks, cost_steps=None, streaks=None)
     return emcc_by_part(*records.mcc_per_rollout(), total, ALPHA)
-
-
-SEPARATED = ("cost rate A", "cost rate B", "B - A", "p equal", "EMCC A", "EMCC B", "B - A", "p")
-
-
-def separated_table(groups: Sequence[Group]) -> Table | None:
-    """Pairs that EMCC tells apart and the cost rate does not, with the counts in a sentence; None
-    where there is nothing to compare."""
-    pairs = comparisons([group for own in by_task(groups).values() for group in own])
-    if not pairs:
-        return None
-    not_told = [pair for pair in pairs if pair.rate_p > LEVEL]
-    equal = [pair for pair in not_told if pair.equal_rates]
-    shown = [pair for pair in equal if pair.separated]
-    differ = sum(pair.emcc_p <= LEVEL for pair in not_told)
-    words = (
-        f"Of {len(pairs)} comparisons the cost rate does not tell {len(not_told)} apart, of which "
-        f"EMCC tells {differ} apart; {len(equal)} have equal cost rates, of which EMCC tells "
-        f"{len(shown)} apart: these are listed. Compared are all pairs on a task in each third of "
-        f"training, of {FEWEST_RUNS} seeds or more. Cost rates are equal where their permutation "
-        f"test has p > {LEVEL:g} and means differ by less than {MARGIN:g} (p equal: equivalence "
-        f"test, ≤ {LEVEL:g}). EMCC (α = {ALPHA:g}) differs where its p, corrected for "
-        f"{len(pairs)} tests (Holm), is at most {LEVEL:g}. Differences with Welch's 95 % t "
-        "interval, where all runs of either end in one place"
-    )
-    return Table(words, ["A and B", *SEPARATED], list(map(_separated_row, shown)))
-
-
-def _separated_row(pair: Comparison) -> Row:
-    names = " and ".join(name_of(group) for group in (pair.a, pair.b))
-    cells = []
-    for sides, p in ((pair.rates, pair.equivalence_p), (pair.emccs, pair.emcc_p)):
-        cells += [Number(float(np.mean(side)), 3) for side in sides]
-        gap = difference_of(*sides, pair.one_place)
-        cells += [number(gap, 3, signed=True), p_number(p)]
-    return Row(f"{pair.a.task}, {PARTS[pair.part]}: {names}", cells, kind="difference")
-
-
-TEST = (
-    "permutation test of Welch's t of the means over seeds and tasks, runs exchanged within tasks, "
-    "corrected for"
-)
-"""The test of both tables over tasks, before the number of comparisons."""
-
-
-def over_tasks(groups: Sequence[Group]) -> Table | None:
-    """Measures of training over all tasks, of the algorithms that have presets' runs of one length
-    on each.
-
-    None where there are not two tasks with five seeds each.
-    """
-    columns = common_measures()
-    tasks = list(dict.fromkeys(group.task for group in groups if group.runs))
-    named: dict[str, dict[str, Group]] = {}
-    for group in in_order(groups):
-        if group.runs and not changes(group.config, group.task):
-            beside = named.setdefault(title_of(group.config, group.task), {})
-            same = beside.setdefault(group.task, group)
-            beside[group.task] = max(same, group, key=lambda g: len(g.runs))
-    common = {name: list(own.values()) for name, own in named.items() if len(own) == len(tasks)}
-    runs = {name: matrices(own, FEWEST_RUNS) for name, own in common.items()}
-    runs = {name: values for name, values in runs.items() if values}
-    if len(tasks) < 2 or not runs:
-        return None
-    rows = []
-    for name, values in runs.items():
-        cells = [number(bootstrapped(iqm, values.get(m.name)), m.digits) for m in columns]
-        seeds = len(next(iter(values.values())))
-        rows.append(Row(f"{name}, {seeds} seeds", cells, kind="mean"))
-    tested = {
-        f"P({a} better than {b})": TwoSets(runs[b], runs[a], len(tasks)).differences(gaps=False)
-        for a, b in combinations(runs, 2)
-    }
-    p_values = holm(tested)
-    for name, told in tested.items():
-        rows.append(Row(name, [number(told[m.name].better) for m in columns], kind="test"))
-        rows.append(p_row(name, columns, p_values))
-    words = (
-        f"Over {len(tasks)} tasks, presets' runs: interquartile mean of all seeds and tasks; P: "
-        "probability that a run of the first is better than one of the second on a task, equal "
-        f"ones half; [95 % bootstrap interval]; p: {TEST} the {tests(p_values)} comparisons of "
-        f"this table (Holm). Algorithms with {FEWEST_RUNS} common seeds or more on every task"
-    )
-    return Table(words, [f"{len(tasks)} tasks", *(m.head for m in columns)], rows)
-
-
-def differences_over_tasks(sets: Mapping[str, TwoSets]) -> Table | None:
-    """Differences B - A of the means over all tasks, with a test of each; None of no sets.
-
-    sets: by the name of their rows.
-    """
-    if not sets:
-        return None
-    columns = common_measures()
-    tested = {name: two.differences() for name, two in sets.items()}
-    p_values = holm(tested)
-    rows = []
-    for name, told in tested.items():
-        # A digit more than means have: over tasks small differences can be told from none.
-        gaps = [number(told[m.name].gap, m.digits + 1, signed=True) for m in columns]
-        better = [number(told[m.name].better) for m in columns]
-        rows += [
-            Row(f"{name}, {sets[name].size}", gaps, kind="difference"),
-            p_row(name, columns, p_values),
-            Row("P(B better)", better, kind="test"),
-        ]
-    words = (
-        "Over all tasks that both have: B - A, difference of the means over seeds and tasks [95 % "
-        f"bootstrap interval, of {FEWEST_RUNS} seeds or more]; p: {TEST} the {tests(p_values)} "
-        "comparisons of this table (Holm); P(B better): probability that a run of B is better than "
-        "one of A on a task, equal ones half"
-    )
-    return Table(words, ["over all tasks", *(m.head for m in columns)], rows)
-
-
-PValues = Mapping[tuple[Any, str], float | None]
-"""P values by the pair compared and the measure's name."""
-
-
-def holm(tested: Mapping[Any, Mapping[str, Difference]]) -> PValues:
-    """The p values of all comparisons of a table, corrected together."""
-    return corrected({(k, m): d.p for k, told in tested.items() for m, d in told.items()})
-
-
-def tests(p_values: PValues) -> int:
-    """Number of p values that are known."""
-    return sum(p is not None for p in p_values.values())
-
-
-def p_row(pair: Any, columns: Sequence[Measure], p_values: PValues) -> Row:
-    """The row of the corrected p values of one pair."""
-    return Row("p", [p_number(p_values[pair, m.name]) for m in columns], kind="test")

@@ -1,4 +1,4 @@
-"""Groups of runs by name and as one tidy frame, of which all tables are pivots."""
+"""Groups of runs by name, in order, and as one tidy frame."""
 
 from __future__ import annotations
 
@@ -42,14 +42,6 @@ def frame(groups: Sequence[Group]) -> pandas.DataFrame:
     ]
     made = pd.DataFrame(rows, columns=list(COLUMNS))
     return made.astype({"part": float, "value": float})
-
-
-def by_run(tidy: pandas.DataFrame) -> pandas.DataFrame:
-    """A row for each group and seed, a column for each measure's name."""
-    parts = tidy["part"].map(lambda part: "" if part != part else f"_{part:g}")
-    named = tidy.assign(name=tidy["measure"] + parts)
-    wide = named.pivot(index=["group", "seed"], columns="name", values="value")
-    return wide.reindex(columns=[m.name for m in measures()])
 
 
 def with_distinct_titles(groups: Sequence[Group]) -> list[Group]:

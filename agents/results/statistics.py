@@ -1,4 +1,4 @@
-"""Statistics of runs: group-bys of the tidy frame that call `emcc`.
+"""Statistics of runs, which call `emcc`.
 
 A measure that one of the runs lacks has no mean over them. Each number has a random generator of
 its own: none depends on which others are asked for.
@@ -7,18 +7,17 @@ its own: none depends on which others are asked for.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 import emcc
-from agents.results.frame import by_run, frame
 from agents.results.measures import Measure, measure, measures
-from agents.results.reading import Group, one_place
+from agents.results.reading import Group
 from emcc import EpisodeRecords, Interval, Share
 from emcc.parts import ALPHA, PARTS, rollouts_by_part
 from emcc.statistics import FEWEST_RUNS, UNBOUNDED, Bounds
@@ -91,30 +90,9 @@ def _two_sides(a: Values, b: Values) -> tuple[list[float], list[float]] | None:
     return first, second
 
 
-def corrected(p_values: Mapping[Key, float | None]) -> dict[Key, float | None]:
-    """P values corrected for their number by Holm's method; those not known stay so."""
-    tested = {key: p for key, p in p_values.items() if p is not None}
-    adjusted = emcc.holm(list(tested.values())) if tested else ()
-    return dict(p_values) | {key: float(p) for key, p in zip(tested, adjusted, strict=True)}
-
-
-class Summary(NamedTuple):
-    """A measure over the runs of a group; None where a run lacks it."""
-
-    mean: Interval | None
-    iqm: float | None
-
-
-def summaries(groups: Sequence[Group]) -> list[dict[str, Summary]]:
-    """For each group its measures by name; none of a group without runs."""
-    told: list[dict[str, Summary]] = [{} for _ in groups]
-    runs: Any = by_run(frame(groups))
-    for number, own in runs.groupby(level="group"):
-        for m in measures():
-            values = known(own[m.name].tolist())
-            mean = mean_of(values or [], groups[number].one_place, m.bounds)
-            told[number][m.name] = Summary(mean, emcc.iqm(values) if values else None)
-    return told
+def group_mean(group: Group, name: str) -> Interval | None:
+    """Mean of a measure over a group's runs: see `mean_of`."""
+    return mean_of(group.values(name), group.one_place, measure(name).bounds)
 
 
 def places(group: Group) -> dict[str, Share]:
@@ -125,9 +103,15 @@ def places(group: Group) -> dict[str, Share]:
     return {place: emcc.share(ends.count(place), len(group.runs)) for place in counted}
 
 
-def within_limit(group: Group, limit: float | None) -> Share | None:
-    """Share of a group's runs whose J_C is at most the limit; None where that is not known."""
-    costs = known(group.values("J_C"))
+def common_limit(groups: Iterable[Group]) -> float | None:
+    """The cost limit of some groups; None where those that have one differ."""
+    limits = {group.limit for group in groups} - {None}
+    return limits.pop() if len(limits) == 1 else None
+
+
+def within_limit(group: Group) -> Share | None:
+    """Share of a group's runs whose J_C is within its limit; None where that is not known."""
+    costs, limit = known(group.values("J_C")), group.limit
     if costs is None or limit is None:
         return None
     return emcc.share(sum(cost <= limit for cost in costs), len(costs))
@@ -162,6 +146,21 @@ def _better(m: Measure, a: list[float] | None, b: list[float] | None) -> Interva
     sides = (a, b) if m.better == "lower" else (b, a)
     rng = np.random.default_rng(0)
     return emcc.bootstrap(emcc.probability_of_improvement, *sides, rng=rng)
+
+
+def holm(
+    tested: Mapping[Key, Mapping[str, Difference]],
+) -> tuple[dict[Key, dict[str, Difference]], int]:
+    """The differences of all pairs with their p values corrected for their number by Holm's method,
+    and that number. Those not known stay so."""
+    known = [(k, m, d.p) for k, told in tested.items() for m, d in told.items() if d.p is not None]
+    adjusted = emcc.holm([p for *_, p in known]) if known else ()
+    p_values = {(k, m): float(p) for (k, m, _), p in zip(known, adjusted, strict=True)}
+    corrected = {
+        k: {m: d._replace(p=p_values.get((k, m))) for m, d in told.items()}
+        for k, told in tested.items()
+    }
+    return corrected, len(known)
 
 
 class Third(NamedTuple):
@@ -223,33 +222,26 @@ class Comparison(NamedTuple):
         """Whether EMCC tells them apart and the cost rate does not."""
         return self.equal_rates and self.emcc_p <= LEVEL
 
-    @property
-    def one_place(self) -> bool:
-        """Whether all runs of either end in one place."""
-        return self.a.one_place and self.b.one_place
-
 
 def comparisons(groups: Sequence[Group]) -> list[Comparison]:
     """All pairs of groups on a task, in each third. Groups of fewer than five runs are in none."""
-    pairs = list(_compared(groups))
-    p_values = corrected({k: p_of(*pair.emccs) for k, pair in enumerate(pairs)})
-    return [pair._replace(emcc_p=p_values[k]) for k, pair in enumerate(pairs)]
-
-
-def _compared(groups: Sequence[Group]) -> Iterator[Comparison]:
     enough = [group for group in groups if len(group.runs) >= FEWEST_RUNS]
     by_third = {id(group): thirds_of(group) for group in enough}
+    compared = []
     for a, b in combinations(enough, 2):
         for part in PARTS if a.task == b.task else ():
             sides = by_third[id(a)][part], by_third[id(b)][part]
-            rates, emccs = (
-                ([getattr(run, name) for run in sides[0]], [getattr(run, name) for run in sides[1]])
-                for name in ("cost_rate", "emcc")
+            rates = [run.cost_rate for run in sides[0]], [run.cost_rate for run in sides[1]]
+            emccs = [run.emcc for run in sides[0]], [run.emcc for run in sides[1]]
+            equal = emcc.equivalence_test(*rates, MARGIN, rng=np.random.default_rng(0))
+            rate_p, emcc_p = (
+                emcc.permutation_test(*both, rng=np.random.default_rng(0))
+                for both in (rates, emccs)
             )
-            rate_p, equivalence_p = p_of(*rates), equivalence_of(*rates, MARGIN)
-            assert rate_p is not None
-            assert equivalence_p is not None
-            yield Comparison(a, b, part, rates, emccs, rate_p, equivalence_p, 1.0)
+            compared.append(Comparison(a, b, part, rates, emccs, rate_p, equal, emcc_p))
+    p_values = emcc.holm([pair.emcc_p for pair in compared]) if compared else ()
+    corrected_pairs = zip(compared, p_values, strict=True)
+    return [pair._replace(emcc_p=float(p)) for pair, p in corrected_pairs]
 
 
 Matrices = Mapping[str, NDArray[np.float64]]
@@ -267,14 +259,15 @@ def matrices(groups: Sequence[Group], fewest: int) -> Matrices:
 
     Empty where these are fewer than `fewest`.
     """
-    runs: Any = by_run(frame(groups))
-    tasks = runs.groupby(level="seed").size()
-    seeds = tasks.index[tasks == len(groups)]
+    seeds = sorted(set.intersection(*(set(group.seeds) for group in groups)))
     if len(seeds) < fewest:
         return {}
-    values = {m.name: runs[m.name].unstack("group").loc[seeds] for m in common_measures()}
-    complete = {name: table for name, table in values.items() if not table.isna().any(axis=None)}
-    return {name: np.ascontiguousarray(table) for name, table in complete.items()}
+    runs = [{run.seed: run.measures for run in group.runs} for group in groups]
+    values = {
+        m.name: np.array([[own[seed].get(m.name) for own in runs] for seed in seeds], float)
+        for m in common_measures()
+    }
+    return {name: table for name, table in values.items() if not np.isnan(table).any()}
 
 
 def bootstrapped(
@@ -287,13 +280,17 @@ def bootstrapped(
     return emcc.bootstrap(statistic, *there, rng=np.random.default_rng(0), resamples=1_000)
 
 
-@dataclass(frozen=True)
-class TwoSets:
-    """Values of two sets of runs on the same tasks. What a side does not know is None."""
+class TwoSets(NamedTuple):
+    """Values of two sets of runs on the same tasks; measures that a side does not know are not
+    there."""
 
     a: Matrices
     b: Matrices
-    tasks: int
+
+    @property
+    def tasks(self) -> int:
+        """Number of tasks."""
+        return next(iter(self.a.values())).shape[1]
 
     @property
     def size(self) -> str:
@@ -318,15 +315,15 @@ class TwoSets:
         return told
 
 
-def two_sets(pairs: Sequence[Pair]) -> TwoSets | None:
-    """The values of groups A and B, a pair for each task; None of fewer than two tasks, or where a
-    side has fewer than two seeds that all tasks have."""
-    if len(pairs) < 2:
-        return None
-    a, b = (matrices(groups, 2) for groups in zip(*pairs, strict=True))
-    return TwoSets(a, b, len(pairs)) if a and b else None
-
-
-def group_mean(group: Group, name: str) -> Interval | None:
-    """Mean of a measure over a group's runs: see `mean_of`."""
-    return mean_of(group.values(name), one_place(group.runs), measure(name).bounds)
+def two_sets(named: Iterable[tuple[str, Pair]]) -> dict[str, TwoSets]:
+    """The values of groups A and B, a pair for each task, by their name; of those that are there on
+    two tasks or more, with two seeds or more that all tasks have."""
+    by_name: dict[str, list[Pair]] = {}
+    for name, pair in named:
+        by_name.setdefault(name, []).append(pair)
+    sets = {}
+    for name, pairs in by_name.items():
+        a, b = (matrices(groups, 2) for groups in zip(*pairs, strict=True))
+        if len(pairs) > 1 and a and b:
+            sets[name] = TwoSets(a, b)
+    return sets

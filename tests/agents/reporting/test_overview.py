@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from agents.paper.presets import preset
 from agents.paper.printed import printed
 from agents.reporting.figures import intervals_figure, profiles_figure
-from agents.reporting.tables import over_tasks, separated_table
+from agents.reporting.overall import over_tasks, separated_table
 from agents.results.measures import RunData, measured
 from agents.results.reading import Group, Run
 from agents.results.statistics import comparisons, thirds

@@ -6,7 +6,7 @@ import pytest
 import agents
 from agents import algorithms
 from agents.cli.main import main
-from agents.reporting.ranks import order_row, ranks_and_wins
+from agents.reporting.overall import order_row, ranks_and_wins
 
 MINE = '''
 """CPO by another name."""

@@ -1,0 +1,333 @@
+"""Tables over all tasks: what EMCC tells apart, means with their tests, ranks and orders."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.algorithms import title
+from agents.reporting.table import Number, Row, Table, number, p_number
+from agents.reporting.tables import difference_rows
+from agents.results.frame import by_task, changes, in_order, name_of, title_of
+from agents.results.reading import Group, Run
+from agents.results.statistics import (
+    LEVEL,
+    MARGIN,
+    Comparison,
+    TwoSets,
+    bootstrapped,
+    common_limit,
+    common_measures,
+    comparisons,
+    difference_of,
+    holm,
+    known,
+    matrices,
+    thirds_of,
+)
+from emcc import iqm
+from emcc.parts import ALPHA, PARTS
+from emcc.statistics import FEWEST_RUNS
+
+RATES, TASKS = "Cost rate against EMCC", "All tasks together"
+RANKS, ORDERS = "Ranks over tasks", "What EMCC orders otherwise than the cost rate"
+RESAMPLES = 1_000
+FEWEST_ALGORITHMS, FEWEST_TASKS = 3, 2
+"""Of the tables of ranks and orders."""
+
+Cells = Mapping[str, Mapping[str, Group]]
+"""A group by the algorithm's title and the task; every algorithm has all tasks."""
+Draws = NDArray[np.float64]
+"""[RESAMPLES + 1, ...]: the runs as they are, then as they were drawn again"""
+
+
+def tables_over_tasks(groups: Sequence[Group]) -> dict[str, Table]:
+    """All of them by title, but those for which there is too little."""
+    cells = comparable(groups)
+    made = {RATES: separated_table(groups), TASKS: over_tasks(groups)}
+    if len(cells) >= FEWEST_ALGORITHMS and len(tasks_of(cells)) >= FEWEST_TASKS:
+        names = dict.fromkeys(title(g.config.algorithm) for g in groups if g.runs)
+        left_out = [name for name in names if name not in cells]
+        made |= {RANKS: ranks_table(cells, left_out), ORDERS: orders_table(cells)}
+    return {name: table for name, table in made.items() if table is not None}
+
+
+def tasks_of(cells: Cells) -> list[str]:
+    """The tasks, which every algorithm has."""
+    return list(next(iter(cells.values()), ()))
+
+
+def on_every_task(groups: Sequence[Group], name: Callable[[Group], str]) -> Cells:
+    """The groups of the names that are there on every task; of several that of most runs."""
+    named: dict[str, dict[str, Group]] = {}
+    for group in groups:
+        own = named.setdefault(name(group), {})
+        own[group.task] = max(own.get(group.task, group), group, key=lambda g: len(g.runs))
+    tasks = dict.fromkeys(group.task for group in groups)
+    complete = {name: own for name, own in named.items() if len(own) == len(tasks)}
+    return {name: {task: own[task] for task in tasks} for name, own in complete.items()}
+
+
+def of_presets(groups: Iterable[Group]) -> list[Group]:
+    """Groups with complete runs and preset settings, in the order of the algorithms."""
+    return [g for g in in_order(groups) if g.runs and not changes(g.config, g.task)]
+
+
+def comparable(groups: Iterable[Group]) -> Cells:
+    """The runs of presets that can be compared: on each task those of the length that most
+    algorithms have there; of the algorithms that have runs on every task."""
+    usual = of_presets(groups)
+    lengths: dict[str, Counter[int]] = {}
+    for group in usual:
+        lengths.setdefault(group.task, Counter())[group.config.steps] += 1
+    most = {
+        task: max(count.items(), key=lambda pair: pair[::-1])[0] for task, count in lengths.items()
+    }
+    alike = [group for group in usual if group.config.steps == most[group.task]]
+    return on_every_task(alike, lambda group: title(group.config.algorithm))
+
+
+SEPARATED = ("cost rate A", "cost rate B", "B - A", "p equal", "EMCC A", "EMCC B", "B - A", "p")
+
+
+def separated_table(groups: Sequence[Group]) -> Table | None:
+    """Pairs that EMCC tells apart and the cost rate does not, with the counts in a sentence; None
+    where there is nothing to compare."""
+    pairs = comparisons([group for own in by_task(groups).values() for group in own])
+    if not pairs:
+        return None
+    not_told = [pair for pair in pairs if pair.rate_p > LEVEL]
+    equal = [pair for pair in not_told if pair.equal_rates]
+    shown = [pair for pair in equal if pair.separated]
+    differ = sum(pair.emcc_p <= LEVEL for pair in not_told)
+    words = (
+        f"Of {len(pairs)} comparisons the cost rate does not tell {len(not_told)} apart, of which "
+        f"EMCC tells {differ} apart; {len(equal)} have equal cost rates, of which EMCC tells "
+        f"{len(shown)} apart: these are listed. Compared are all pairs on a task in each third of "
+        f"training, of {FEWEST_RUNS} seeds or more. Cost rates are equal where their permutation "
+        f"test has p > {LEVEL:g} and means differ by less than {MARGIN:g} (p equal: equivalence "
+        f"test, ≤ {LEVEL:g}). EMCC (α = {ALPHA:g}) differs where its p, corrected for "
+        f"{len(pairs)} tests (Holm), is at most {LEVEL:g}. Differences with Welch's 95 % t "
+        "interval, where all runs of either end in one place"
+    )
+    return Table(words, ["A and B", *SEPARATED], list(map(_separated_row, shown)))
+
+
+def _separated_row(pair: Comparison) -> Row:
+    names = " and ".join(name_of(group) for group in (pair.a, pair.b))
+    one_place = pair.a.one_place and pair.b.one_place
+    cells = []
+    for sides, p in ((pair.rates, pair.equivalence_p), (pair.emccs, pair.emcc_p)):
+        cells += [Number(float(np.mean(side)), 3) for side in sides]
+        gap = difference_of(*sides, one_place)
+        cells += [number(gap, 3, signed=True), p_number(p)]
+    return Row(f"{pair.a.task}, {PARTS[pair.part]}: {names}", cells, kind="difference")
+
+
+TEST = (
+    "permutation test of Welch's t of the means over seeds and tasks, runs exchanged within tasks, "
+    "corrected for"
+)
+"""The test of both tables over tasks, before the number of comparisons."""
+
+
+def over_tasks(groups: Sequence[Group]) -> Table | None:
+    """Measures of training over all tasks, of the algorithms that have presets' runs of one length
+    on each.
+
+    None where there are not two tasks with five seeds each.
+    """
+    columns = common_measures()
+    cells = on_every_task(of_presets(groups), lambda group: title_of(group.config, group.task))
+    runs = {name: matrices(list(own.values()), FEWEST_RUNS) for name, own in cells.items()}
+    runs = {name: values for name, values in runs.items() if values}
+    tasks = len(tasks_of(cells))
+    if tasks < 2 or not runs:
+        return None
+    rows = []
+    for name, values in runs.items():
+        middle = [number(bootstrapped(iqm, values.get(m.name)), m.digits) for m in columns]
+        seeds = len(next(iter(values.values())))
+        rows.append(Row(f"{name}, {seeds} seeds", middle, kind="mean"))
+    tested, tests = holm(
+        {
+            f"P({a} better than {b})": TwoSets(runs[b], runs[a]).differences(gaps=False)
+            for a, b in combinations(runs, 2)
+        }
+    )
+    for name, told in tested.items():
+        _, p, better = difference_rows("", told, columns)
+        rows += [Row(name, better.numbers, kind="test"), p]
+    words = (
+        f"Over {tasks} tasks, presets' runs: interquartile mean of all seeds and tasks; P: "
+        "probability that a run of the first is better than one of the second on a task, equal "
+        f"ones half; [95 % bootstrap interval]; p: {TEST} the {tests} comparisons of "
+        f"this table (Holm). Algorithms with {FEWEST_RUNS} common seeds or more on every task"
+    )
+    return Table(words, [f"{tasks} tasks", *(m.head for m in columns)], rows)
+
+
+def differences_over_tasks(sets: Mapping[str, TwoSets]) -> Table | None:
+    """Differences B - A of the means over all tasks, with a test of each; None of no sets.
+
+    sets: by the name of their rows.
+    """
+    if not sets:
+        return None
+    columns = common_measures()
+    tested, tests = holm({name: two.differences() for name, two in sets.items()})
+    rows = []
+    for name, told in tested.items():
+        # A digit more than means have: over tasks small differences can be told from none.
+        rows += difference_rows(f"{name}, {sets[name].size}", told, columns, more_digits=1)
+    words = (
+        "Over all tasks that both have: B - A, difference of the means over seeds and tasks [95 % "
+        f"bootstrap interval, of {FEWEST_RUNS} seeds or more]; p: {TEST} the {tests} "
+        "comparisons of this table (Holm); P(B better): probability that a run of B is better than "
+        "one of A on a task, equal ones half"
+    )
+    return Table(words, ["over all tasks", *(m.head for m in columns)], rows)
+
+
+def ranked_values(cells: Cells) -> dict[str, list[list[NDArray[np.float64]]] | None]:
+    """Values of the runs, the lower the better, for each task and algorithm, by the head of their
+    column; None where some lack."""
+
+    def values(run: Run, limit: float | None) -> dict[str, float | None]:
+        own = run.measures.get
+        found = {f"EMCC_{part}": own(f"EMCC_{part}") for part in PARTS}
+        found["cost rate"], j_r = own("cost_rate"), own("J_R")
+        above = None if limit is None else float((run.records.cost > limit).mean())
+        return found | {"violation rate": above, "J_R": None if j_r is None else -j_r}
+
+    heads = [*(f"EMCC_{part}" for part in PARTS), "cost rate", "violation rate", "J_R"]
+    tables = {head: [] for head in heads}
+    for task in tasks_of(cells):
+        groups = [own[task] for own in cells.values()]
+        limit = common_limit(groups)
+        found = [[values(run, limit) for run in group.runs] for group in groups]
+        for head, table in tables.items():
+            table.append([known([run[head] for run in runs]) for runs in found])
+    return {
+        head: [[np.array(runs) for runs in task] for task in table]
+        if all(map(all, table))
+        else None
+        for head, table in tables.items()
+    }
+
+
+def weights(runs: Sequence[NDArray[np.float64]], rng: np.random.Generator) -> Draws:
+    """The share of every run of a task, all algorithms in turn, in the mean of its own
+    algorithm."""
+    counts = [rng.multinomial(len(r), np.full(len(r), 1 / len(r)), RESAMPLES) for r in runs]
+    drawn = [
+        np.concatenate([np.ones((1, len(r))), c]) / len(r)
+        for r, c in zip(runs, counts, strict=True)
+    ]
+    return np.concatenate(drawn, axis=1)
+
+
+def ranks_and_wins(table: Sequence[Sequence[NDArray[np.float64]]]) -> tuple[Draws, Draws]:
+    """Each algorithm's mean rank over tasks, of the means over runs, 1 the best, and the
+    probability that a run of it is better than one of another algorithm on the same task, equal
+    ones half: [RESAMPLES + 1, algorithms] each."""
+    from scipy.stats import rankdata
+
+    rng, ranks, wins = np.random.default_rng(0), [], []
+    for runs in table:
+        share, flat = weights(runs, rng), np.concatenate(runs)
+        owner = np.repeat(np.arange(len(runs)), [len(r) for r in runs])
+        own = (owner[:, None] == np.arange(len(runs))).astype(float)
+        ranks.append(rankdata((share * flat) @ own, axis=1))
+        better = (flat[:, None] < flat) + 0.5 * (flat[:, None] == flat)
+        better *= owner[:, None] != owner
+        wins.append((share * (share @ better.T)) @ own / (len(runs) - 1))
+    return np.mean(ranks, axis=0), np.mean(wins, axis=0)
+
+
+def cell(draws: NDArray[np.float64], enough: bool, digits: int, signed: bool = False) -> Number:
+    """The number of some draws, with their 95 % interval where there are enough runs."""
+    low, high = np.quantile(draws[1:], [0.025, 0.975]).tolist() if enough else (None, None)
+    return Number(float(draws[0]), digits, low, high, signed=signed)
+
+
+def ranks_table(cells: Cells, left_out: Sequence[str]) -> Table:
+    """Mean ranks over tasks with their intervals, and the probability of improvement over the other
+    algorithms. left_out: names of those that are not on every task."""
+    ranked = {
+        head: ranks_and_wins(table) if table else None
+        for head, table in ranked_values(cells).items()
+    }
+    emcc, rate = ranked[f"EMCC_{max(PARTS)}"], ranked["cost rate"]
+    rows, tasks = [], len(tasks_of(cells))
+    for k, (name, own) in enumerate(cells.items()):
+        seeds = [len(group.runs) for group in own.values()]
+        enough = min(seeds) > 1 and sum(seeds) >= FEWEST_RUNS
+        for what, digits in ((0, 1), (1, 2)):
+            numbers = [
+                cell(draws[what][:, k], enough, digits) if draws else Number(None)
+                for draws in ranked.values()
+            ]
+            moved = Number(None)
+            if emcc and rate:
+                gap = emcc[what][:, k] - rate[what][:, k]
+                moved = cell(gap, enough, digits, signed=True)
+            words = "P(better)" if what else f"{name}, {min(seeds)} to {max(seeds)} seeds"
+            kind = "test" if what else "mean"
+            rows.append(Row(words, [*numbers, moved], kind=kind))
+    words = (
+        f"Over {tasks} tasks and {len(cells)} algorithms: mean rank of the means over seeds, "
+        "1 the best (J_R: the highest, costs or not); P(better): probability that a run is better "
+        "than one of another algorithm on the same task, equal ones half, mean over tasks and "
+        "algorithms; [95 % stratified bootstrap interval, seeds drawn again within each task]. The "
+        "last column: by EMCC in the last third less that by the cost rate. Violation rate: share "
+        "of training's episodes above the limit"
+    )
+    notes = [f"Not on every task, and left out: {', '.join(left_out)}."] if left_out else []
+    head = [f"{tasks} tasks", *ranked, f"EMCC_{max(PARTS)} less cost rate", ""]
+    return Table(words, head, rows, notes)
+
+
+def orders_table(cells: Cells) -> Table:
+    """Where EMCC orders algorithms otherwise than the cost rate of the same third, and by how
+    much."""
+    rows = []
+    for task in tasks_of(cells):
+        found = {name: thirds_of(own[task]) for name, own in cells.items()}
+        for part, third in PARTS.items():
+            rates = {name: [run.cost_rate for run in of[part]] for name, of in found.items()}
+            emccs = {name: [run.emcc for run in of[part]] for name, of in found.items()}
+            rows.append(order_row(f"{task}, {third}", rates, emccs))
+    words = (
+        "Pairs of algorithms of which the one with the lower mean cost rate has the higher mean "
+        "EMCC in the same third of training; tau: Kendall's rank correlation of both orders; the "
+        "pair whose EMCC differs most, A before B by the cost rate and after it by EMCC, with the "
+        f"differences A - B [Welch's 95 % t interval, of {FEWEST_RUNS} seeds or more]"
+    )
+    head = ["task and third", "otherwise", "tau", "cost rate A - B", "EMCC A - B", "A, B"]
+    return Table(words, head, rows)
+
+
+def order_row(name: str, rates: Mapping[str, list[float]], emccs: Mapping[str, list[float]]) -> Row:
+    """The pairs of a task and third that the two measures order otherwise."""
+    from scipy.stats import kendalltau
+
+    rate, emcc = ({k: float(np.mean(v)) for k, v in of.items()} for of in (rates, emccs))
+    pairs = [
+        pair if rate[pair[0]] < rate[pair[1]] else pair[::-1] for pair in combinations(rate, 2)
+    ]
+    swapped = [(a, b) for a, b in pairs if rate[a] < rate[b] and emcc[a] > emcc[b]]
+    tau = float(np.asarray(kendalltau(list(rate.values()), list(emcc.values())))[0])
+    counts = [
+        Number(len(swapped), total=len(pairs)),
+        Number(None if np.isnan(tau) else tau, 2, signed=True),
+    ]
+    if not swapped:
+        return Row(name, [*counts, Number(None), Number(None)], kind="difference")
+    a, b = max(swapped, key=lambda pair: emcc[pair[0]] - emcc[pair[1]])
+    gaps = [number(difference_of(of[b], of[a]), 3, signed=True) for of in (rates, emccs)]
+    return Row(name, [*counts, *gaps], f"{a}, {b}", kind="difference")
