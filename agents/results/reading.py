@@ -94,11 +94,6 @@ class Part:
     """The folder's config.json."""
 
     @property
-    def seeds(self) -> tuple[int, ...]:
-        """Seeds of its runs."""
-        return self.config.seeds
-
-    @property
     def recorded(self) -> Mapping[str, Any]:
         """`config.json`."""
         return read_json(self.path / CONFIG)
@@ -150,32 +145,38 @@ class Group:
         """States visited in each third of training, of all complete runs. Raises UserError."""
         prefix, weights, parts = file_name(self.task) + "/", [], []
         for part in self.parts:
-            if not any(seed in part.seeds for seed in self.seeds):
-                continue
-            if prefix + "visits" not in part.arrays:
+            count = sum(seed in part.config.seeds for seed in self.seeds)
+            if count and prefix + "visits" not in part.arrays:
                 raise UserError("it has no positions")
-            counts, about = part.arrays[prefix + "visits"], part.arrays[prefix + "visited"]
-            pairs = zip(counts.astype(np.int64), about.tolist(), strict=True)
-            parts.append([Visits(c, value, int(n), int(every)) for c, (value, n, every) in pairs])
-            weights.append(sum(seed in part.seeds for seed in self.seeds))
-        return [_together(weights, third) for third in zip(*parts, strict=True)]
+            if count:
+                weights.append(count)
+                counts = part.arrays[prefix + "visits"].astype(np.int64)
+                parts.append((counts, part.arrays[prefix + "visited"]))
+        counts = np.sum([counts for counts, _ in parts], axis=0)
+        about = np.array([about for _, about in parts])  # [parts, thirds, (EMCC, rollouts, of)]
+        emcc = np.average(about[..., 0], axis=0, weights=weights)
+        rollouts = about[..., 1:].sum(axis=0).astype(int).tolist()
+        thirds = zip(counts, emcc.tolist(), rollouts, strict=True)
+        return [Visits(visited, value, *number) for visited, value, number in thirds]
 
     def trained(self, seeds: Sequence[int]) -> dict[int, list[Episode] | None]:
         """Episodes of the trained policies, by seed; None of one that met a number which is not
         finite. Those of the first `derive.DRAWN_POLICIES` runs are there. Raises UserError."""
-        return {seed: self._trained(seed) for seed in seeds}
-
-    def _trained(self, seed: int) -> list[Episode] | None:
-        arrays, prefix = self._arrays(seed)
-        if f"{prefix}evaluation/deterministic/returns" not in arrays:
-            return None
-        if f"{prefix}trained/length" not in arrays:
-            raise UserError(f"the policy of seed {seed} has no episodes to draw")
-        names = ("length", "positions", "costs")
-        length, positions, costs = (arrays[f"{prefix}trained/{name}"] for name in names)
-        ends = np.cumsum(length)[:-1]
-        paths = np.split(positions, ends + np.arange(1, len(length)))
-        return [Episode(*pair) for pair in zip(paths, np.split(costs, ends), strict=True)]
+        episodes: dict[int, list[Episode] | None] = {}
+        for seed in seeds:
+            arrays, prefix = self._arrays(seed)
+            if f"{prefix}evaluation/deterministic/returns" not in arrays:
+                episodes[seed] = None
+                continue
+            if f"{prefix}trained/length" not in arrays:
+                raise UserError(f"the policy of seed {seed} has no episodes to draw")
+            names = ("length", "positions", "costs")
+            length, positions, costs = (arrays[f"{prefix}trained/{name}"] for name in names)
+            ends = np.cumsum(length)[:-1]
+            paths = np.split(positions, ends + np.arange(1, len(length)))
+            pairs = zip(paths, np.split(costs, ends), strict=True)
+            episodes[seed] = [Episode(*pair) for pair in pairs]
+        return episodes
 
     def replay(self, run: Run) -> Replay:
         """The episode of highest MCC in each window of a run's training. Raises UserError."""
@@ -208,18 +209,8 @@ class Group:
         return _costs(arrays, f"{prefix}info/{name}/")
 
     def _arrays(self, seed: int) -> tuple[Mapping[str, NDArray], str]:
-        part = next(part for part in self.parts if seed in part.seeds)
+        part = next(part for part in self.parts if seed in part.config.seeds)
         return part.arrays, RunId(self.task, seed).prefix
-
-
-def _together(weights: Sequence[int], visits: Sequence[Visits]) -> Visits:
-    """Visits of one part of training in several folders, of so many runs each."""
-    return Visits(
-        np.sum([part.counts for part in visits], axis=0),
-        float(np.average([part.emcc for part in visits], weights=weights)),
-        sum(part.rollouts for part in visits),
-        sum(part.of for part in visits),
-    )
 
 
 def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> list[Group]:
@@ -349,11 +340,8 @@ def results_of(path: AnyPath, config: TrainConfig) -> Mapping[str, NDArray]:
     """`results.npz` of a training, or what it would hold by now. Raises UserError."""
     if (path / RESULTS).is_file() or not isinstance(path, Path):
         return Arrays(path / RESULTS)
-    failures = None
-    for checkpoint in reversed(numbered(path, CHECKPOINTS).values()):
-        state = Arrays(checkpoint)
-        failures = state.get("failures")
-        break
+    checkpoints = list(numbered(path, CHECKPOINTS).values())
+    failures = Arrays(checkpoints[-1]).get("failures") if checkpoints else None
     return derive.derived(path, config, failures)
 
 
@@ -434,18 +422,18 @@ def _read_run(
 
 def _evaluation(arrays: Mapping[str, NDArray], run: RunId, cost: int) -> dict[str, dict[str, Any]]:
     """Means and values per episode of each policy that was evaluated."""
-    evaluation = {}
+    evaluation: dict[str, dict[str, Any]] = {}
     for policy in POLICIES:
         prefix = f"{run.prefix}evaluation/{policy}/"
         if prefix + "returns" in arrays:
             returns, costs = arrays[prefix + "returns"], arrays[prefix + "costs"][:, cost]
-            means = {"J_R": float(np.mean(returns)), "J_C": float(np.mean(costs))}
-            means[f"CVaR_{CVAR_ALPHA:g}"] = cvar(costs, CVAR_ALPHA)
-            lengths = arrays[prefix + "lengths"]
-            evaluation[policy] = means | {
+            evaluation[policy] = {
+                "J_R": float(np.mean(returns)),
+                "J_C": float(np.mean(costs)),
+                f"CVaR_{CVAR_ALPHA:g}": cvar(costs, CVAR_ALPHA),
                 "returns": returns,
                 "cost_returns": costs,
-                "lengths": lengths,
+                "lengths": arrays[prefix + "lengths"],
             }
     return evaluation if "deterministic" in evaluation else {}
 
@@ -456,13 +444,12 @@ def _places(
     """Episodes by the place where they end, and those of each place by the way to it."""
     if prefix + "places" not in arrays:
         return {}, {}
-    places, ways = arrays[prefix + "places"].tolist(), {}
-    if prefix + "ways" in arrays:
-        for (place, way), count in Counter(
-            zip(places, arrays[prefix + "ways"].tolist(), strict=True)
-        ).items():
-            if way:
-                ways.setdefault(place, {})[way] = count
+    places = arrays[prefix + "places"].tolist()
+    by_way = arrays[prefix + "ways"].tolist() if prefix + "ways" in arrays else [""] * len(places)
+    ways: dict[str, dict[str, int]] = {}
+    for (place, way), count in Counter(zip(places, by_way, strict=True)).items():
+        if way:
+            ways.setdefault(place, {})[way] = count
     return dict(Counter(places)), ways
 
 
@@ -472,15 +459,14 @@ def _pooled(groups: Sequence[Group], notes: list[str]) -> list[Group]:
     A group stays alone where one of these has a seed that another has too: one of the two is a
     second training of the same runs, which must not count twice.
     """
-    alike: list[list[Group]] = []
+    alike: dict[str, list[Group]] = {}
     for group in groups:
-        same = next((others for others in alike if _equal(others[0], group)), None)
-        if same is None:
-            alike.append([group])
-        else:
-            same.append(group)
+        config = group.config
+        where = (group.task, group.cost, config.costs, sorted(config.task_parameters.items()))
+        settings = (config.algorithm, config.steps, config.hyperparameters)
+        alike.setdefault(repr((where, settings)), []).append(group)
     pooled = []
-    for same in alike:
+    for same in alike.values():
         seeds = [seed for group in same for seed in group.config.seeds]
         if len(same) == 1 or len(set(seeds)) < len(seeds):
             pooled += same
@@ -500,12 +486,6 @@ def _pooled(groups: Sequence[Group], notes: list[str]) -> list[Group]:
     return pooled
 
 
-def _equal(a: Group, b: Group) -> bool:
-    names = ("algorithm", "task_parameters", "steps", "hyperparameters", "costs")
-    same = all(getattr(a.config, name) == getattr(b.config, name) for name in names)
-    return same and (a.task, a.cost) == (b.task, b.cost)
-
-
 def write_archive(path: Path, groups: Sequence[Group]) -> None:
     """Pack the trainings of some groups into one file, whole or not at all, without checkpoints and
     steps: see `derive.packed_results`."""
@@ -514,9 +494,8 @@ def write_archive(path: Path, groups: Sequence[Group]) -> None:
         archive.comment = name_of_all(groups).encode()
         for folder, part in sorted(parts.items()):
             prefix = "" if folder == "." else folder + "/"
-            contents = {CONFIG: (part.path / CONFIG).read_bytes()}
-            if (part.path / STATUS).is_file():
-                contents[STATUS] = (part.path / STATUS).read_bytes()
+            files = [name for name in (CONFIG, STATUS) if (part.path / name).is_file()]
+            contents = {name: (part.path / name).read_bytes() for name in files}
             contents[RESULTS] = derive.packed_results(part.arrays)
             for name, data in contents.items():
                 archive.writestr(zipfile.ZipInfo(prefix + name), data)  # of a fixed date
