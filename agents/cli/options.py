@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import tyro
 
+from agents.checks import In
 from agents.errors import OTHER_NAMES, OwnCodeError, UserError, described
 
 T = TypeVar("T")
@@ -32,10 +33,23 @@ Imports = Annotated[
     ),
 ]
 """The option `--import`, of every command that may meet a user's own algorithms and tasks."""
-MEANT = {f"--{a.replace('_', '-')}": f"--{b.replace('_', '-')}" for a, b in OTHER_NAMES.items()}
-"""Other programs' options, and what they are here."""
 LEAST_WIDTH = 40
 """Characters of the narrowest terminal that tables are laid out for."""
+Width = Annotated[
+    int | None,
+    In(LEAST_WIDTH),
+    tyro.conf.arg(
+        help="Characters of a line that tables fit; by default the terminal's. Into a file or a "
+        "pipe they are printed as Markdown."
+    ),
+]
+"""The option `--width`, of every command that prints tables."""
+Task = Annotated[str | None, tyro.conf.arg(help="Task of the runs, where a folder has several.")]
+"""The option `--task`, of commands on the runs of one task."""
+Size = Annotated[int, In(64, 4096), tyro.conf.arg(help="Pixels along each side of a picture.")]
+"""The option `--size`, of commands that draw."""
+MEANT = {f"--{a.replace('_', '-')}": f"--{b.replace('_', '-')}" for a, b in OTHER_NAMES.items()}
+"""Other programs' options, and what they are here."""
 
 
 def parse(options: type[T], command: str, args: Sequence[str]) -> T:
@@ -116,12 +130,6 @@ _REGISTRY = tyro.constructors.ConstructorRegistry()
 _REGISTRY.primitive_rule(_integers)
 
 
-def check_width(width: int | None) -> None:
-    """Raise UserError for a line that is too short for a table."""
-    if width is not None and width < LEAST_WIDTH:
-        raise UserError(f"width must be at least {LEAST_WIDTH}, got {width}")
-
-
 def check_suffix(path: Path, *allowed: str) -> None:
     """Raise UserError for a file to be written that has none of these suffixes, or no folder."""
     if path.suffix.lower() not in allowed:
@@ -129,12 +137,6 @@ def check_suffix(path: Path, *allowed: str) -> None:
     for part in path.parents:
         if part.is_file():
             raise UserError(f"out must lie in a folder, but {str(part)!r} is a file")
-
-
-def check_size(size: int) -> None:
-    """Raise UserError for a picture's size that is not even and in [64, 4096] pixels."""
-    if not 64 <= size <= 4096 or size % 2:
-        raise UserError(f"size must be an even number in [64, 4096], got {size}")
 
 
 def one_for_each(name: str, given: Sequence[T], folders: Iterable[Path]) -> Sequence[T | None]:

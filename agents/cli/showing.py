@@ -6,18 +6,20 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from agents.algorithms import title
+from agents.checks import In, Settings
 from agents.cli.options import (
     Folder,
     Folders,
     Imports,
-    check_size,
+    Size,
+    Task,
+    Width,
     check_suffix,
-    check_width,
     literals,
     one_for_each,
     parse,
@@ -35,7 +37,7 @@ from emcc.parts import ALPHA, PARTS
 
 
 @dataclass(frozen=True)
-class ReportOptions:
+class ReportOptions(Settings):
     """Print the table of trained runs beside the paper's; write report.md, report.csv,
     and index.html with training curves and heat maps as well."""
 
@@ -48,9 +50,7 @@ class ReportOptions:
     out: Path | None = None
     """Folder for the report; by default the folder of the runs, or a folder beside the archive with
     its name. Required with several FOLDERs."""
-    width: int | None = None
-    """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
-    are printed as Markdown."""
+    width: Width = None
     imports: Imports = ()
 
 
@@ -59,7 +59,6 @@ def report(args: Sequence[str]) -> int:
     from agents.reporting.report import report as write_report
 
     options = parse(ReportOptions, "report", args)
-    check_width(options.width)
     with working("reading runs and drawing figures"):
         written = write_report(*options.folders, archive=options.archive, out=options.out)
     show(written.blocks, options.width, str(written.page))
@@ -67,7 +66,7 @@ def report(args: Sequence[str]) -> int:
 
 
 @dataclass(frozen=True)
-class CompareOptions:
+class CompareOptions(Settings):
     """Print the tables of two sets of runs, such as your algorithm's and a baseline's, with the
     differences B - A, their 95 % intervals over seeds, and permutation tests, on each task and over
     all tasks together."""
@@ -80,9 +79,7 @@ class CompareOptions:
     out: Path | None = None
     """Folder for compare.md, compare.csv, and compare.html with the training curves of both; by
     default nothing is written."""
-    width: int | None = None
-    """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
-    are printed as Markdown."""
+    width: Width = None
     imports: Imports = ()
 
 
@@ -91,7 +88,6 @@ def compare(args: Sequence[str]) -> int:
     from agents.reporting.compare import compare as compare_runs
 
     options = parse(CompareOptions, "compare", args)
-    check_width(options.width)
     with working("reading runs and drawing figures"):
         tables = compare_runs(options.a, options.b, options.out)
     show(tables, options.width)
@@ -99,7 +95,7 @@ def compare(args: Sequence[str]) -> int:
 
 
 @dataclass(frozen=True)
-class HeatmapOptions:
+class HeatmapOptions(Settings):
     """Draw which states the agents visited in training, in the rollouts that dominate EMCC, of the
     runs of a folder together: a PNG. Several folders are drawn beside each other."""
 
@@ -107,18 +103,16 @@ class HeatmapOptions:
     """Folders of runs on tasks that offer positions."""
     part: tuple[float, ...] = tuple(PARTS)
     """Parts of training, named as EMCC names them: 0.33, 0.66, 0.99."""
-    alpha: float = ALPHA
+    alpha: Annotated[float, In(above=0, high=1)] = ALPHA
     """Share of a part's rollouts, those of the highest MCC; 1 draws all."""
-    task: str | None = None
-    """Task of the runs, where a folder has several."""
+    task: Task = None
     seeds: tuple[int, ...] | None = None
     """Seeds of the runs; by default all but those that failed."""
     names: tuple[str, ...] = ()
     """Titles, one for each folder; by default the algorithm with its settings, and the task."""
     out: Path | None = None
     """File to write; by default heatmap.png in the first folder."""
-    size: int = 640
-    """Pixels along each side of a map."""
+    size: Size = 640
     imports: Imports = ()
 
 
@@ -131,9 +125,6 @@ def heatmap(args: Sequence[str]) -> int:
         raise UserError("heatmap needs a folder of runs")
     if not options.part or not set(options.part) <= set(PARTS):
         raise UserError(f"part must be some of {list(PARTS)}, got {list(options.part)}")
-    check_size(options.size)
-    if not 0 < options.alpha <= 1:
-        raise UserError(f"alpha must be in (0, 1], got {options.alpha}")
     out = options.out or options.folders[0] / "heatmap.png"
     check_suffix(out, ".png")
     names = one_for_each("names", options.names, options.folders)
@@ -144,7 +135,7 @@ def heatmap(args: Sequence[str]) -> int:
 
 
 @dataclass(frozen=True)
-class RenderOptions:
+class RenderOptions(Settings):
     """Draw episodes of trained policies: all in one picture (.png), or as a film (.gif, .mp4).
 
     Several folders are drawn side by side, each with its name and what it has cost so far.
@@ -158,8 +149,7 @@ class RenderOptions:
     here for a policy of the package."""
     episodes: int = 3
     """The first episodes of the evaluation."""
-    task: str | None = None
-    """Task of the runs, where a folder has several."""
+    task: Task = None
     seed: tuple[int, ...] = ()
     """Seed of the run: one for all folders, or one for each; by default a folder's first."""
     names: tuple[str, ...] = ()
@@ -171,8 +161,7 @@ class RenderOptions:
     draws it, with shadows, and contact forces as arrows."""
     camera: Camera = "top"
     """Where frames of MuJoCo are seen from: above, the side, or behind the agent."""
-    size: int = 640
-    """Pixels along each side of a panel."""
+    size: Size = 640
     imports: Imports = ()
 
 
@@ -186,7 +175,6 @@ def render(args: Sequence[str]) -> int:
         raise UserError("render needs a folder of runs")
     names = one_for_each("names", options.names, folders)
     seeds = one_for_each("seed", options.seed * (1 if options.seed[1:] else len(folders)), folders)
-    check_size(options.size)
     beside = folders[0] if folders[0] == options.folders[0] else Path()
     by_mujoco = options.frames == "mujoco"
     out = options.out or beside / ("film.gif" if by_mujoco else "trajectories.png")
@@ -198,9 +186,8 @@ def render(args: Sequence[str]) -> int:
         seed = config.seeds[0] if seed is None else seed
         run = chosen_run(folder, config, seed, options.task)
         how = (options.episodes, options.stochastic, camera)
-        shown = pictures.evaluation_episodes(folder, run, *how)
+        episodes, view = pictures.evaluation_episodes(folder, run, *how)
         heading = name or f"{title(config.algorithm)}, seed {run.seed}"
-        episodes, view = shown
         panels.append(pictures.Panel(heading, view, episodes))
     if out.suffix.lower() == ".png":
         pictures.write_picture(out, pictures.picture(panels, options.size))
@@ -227,8 +214,7 @@ class ExportOptions:
     comes with the package."""
     seeds: tuple[int, ...] | None = None
     """Seeds of the runs to export; by default all."""
-    task: str | None = None
-    """Task of the runs, where a folder has several."""
+    task: Task = None
     step: int | None = None
     """Environment steps of the training at which the policy was kept, a multiple of its
     --evaluate-every; by default the newest checkpoint's."""

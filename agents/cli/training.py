@@ -15,18 +15,18 @@ import gymnasium as gym
 import numpy as np
 import tyro
 from rich.console import Console
-from rich.live import Live
-from rich.table import Table
+from rich.markup import escape
 
 from agents import api
 from agents.algorithms import ALGORITHMS
+from agents.checks import Settings
 from agents.cli import signals
 from agents.cli.options import (
     BackendChoice,
     Folder,
     Folders,
     Imports,
-    check_width,
+    Width,
     import_modules,
     literals,
     parse,
@@ -260,7 +260,7 @@ def evaluate(args: Sequence[str]) -> int:
 
 
 @dataclass(frozen=True)
-class ReproduceOptions:
+class ReproduceOptions(Settings):
     """Run the paper's experiments, or a part of them, and write the report.
 
     Given again, the same command goes on where it was interrupted.
@@ -313,16 +313,13 @@ class ReproduceOptions:
     RAY_ADDRESS, or else a cluster of this machine is started."""
     shard: str | None = None
     """I/N, such as 1/4: train the I-th of N equal parts, for job arrays. Writes no report."""
-    width: int | None = None
-    """Characters of a line that tables fit; by default the terminal's. Into a file or a pipe they
-    are printed as Markdown."""
+    width: Width = None
     imports: Imports = ()
 
 
 def reproduce(args: Sequence[str]) -> int:
     """Run `circle2d reproduce`; returns the exit status."""
     options = parse(ReproduceOptions, "reproduce", args)
-    check_width(options.width)
     check_folder(options.out)
     for source in options.beside:
         if not source.exists() and archive_of(source) is None:
@@ -420,46 +417,39 @@ def _train_all(configs: Mapping[Path, TrainConfig], trainings: Launcher) -> dict
     for folder in left:
         trainings.submit(folder)
 
+    def over(folder: Path) -> bool:
+        return folder not in left or trainings.jobs[folder].done()
+
     def done() -> float:
-        shares = (
-            1.0 if folder not in left or trainings.jobs[folder].done() else share_done(folder)
-            for folder in work
-        )
-        return sum(share * of for share, of in zip(shares, work.values(), strict=True)) / sum(
-            work.values()
-        )
+        finished = sum(w * (1.0 if over(f) else share_done(f)) for f, w in work.items())
+        return finished / sum(work.values())
 
     started, before, told = time.monotonic(), done(), set[Path]()
     console = Console(stderr=True)
-    with Live(console=console, auto_refresh=False) as live:
+    with console.status("") as status:
 
         def on_change() -> None:
             share, seconds = done(), time.monotonic() - started
-            rest = seconds * (1 - share) / (share - before) if share > before else None
-            over = sum(folder not in left or trainings.jobs[folder].done() for folder in configs)
-            headline = f"{100 * share:.0f} % done, {over} of {len(configs)} trainings"
-            headline += "" if rest is None else f", {duration(rest)} left"
+            headline = f"{100 * share:.0f} % done, {sum(map(over, configs))} of {len(configs)} "
+            headline += "trainings"
+            if share > before:
+                rest = seconds * (1 - share) / (share - before)
+                headline += f", {duration(rest)} left"
             if console.is_terminal:
-                live.update(_table(headline, trainings.running), refresh=True)
+                status.update("\n".join([headline, *map(_progress, trainings.running)]))
                 return
-            for folder in (folder for folder in left if trainings.jobs[folder].done()):
-                if folder not in told:
-                    told.add(folder)
-                    how = "failed" if folder in trainings.failed else "done"
-                    words = f"{folder}: {how} after {seconds:.0f} s; {headline}"
-                    print(words, file=sys.stderr, flush=True)
+            for folder in (f for f in left if over(f) and f not in told):
+                told.add(folder)
+                how = "failed" if folder in trainings.failed else "done"
+                words = f"{folder}: {how} after {seconds:.0f} s; {headline}"
+                print(words, file=sys.stderr, flush=True)
 
         trainings.wait(on_change)
     return trainings.failed
 
 
-def _table(headline: str, running: Sequence[Path]) -> Table:
-    """A row for each training that runs now."""
-    shown = Table(title=headline)
-    for name, justify in (("training", "left"), ("done", "right"), ("steps/s", "right")):
-        shown.add_column(name, justify=justify)  # pyright: ignore[reportArgumentType]
-    for folder in running:
-        speed = callbacks.speed(folder)
-        words = "" if speed is None else f"{speed:,.0f}"
-        shown.add_row(str(folder), f"{100 * share_done(folder):.0f} %", words)
-    return shown
+def _progress(folder: Path) -> str:
+    """A line on a training that runs now."""
+    speed = callbacks.speed(folder)
+    per_second = "" if speed is None else f", {speed:,.0f} steps/s"
+    return escape(f"{folder}: {100 * share_done(folder):.0f} %{per_second}")
