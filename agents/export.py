@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -18,8 +18,7 @@ from agents.paper.printed import printed
 from agents.reporting.provenance import command
 from agents.reporting.tables import task_table
 from agents.results.reading import read
-from agents.training.config import TrainConfig, read_spaces
-from agents.training.environments import Spaces
+from agents.training.config import CONFIG, TrainConfig, read_spaces
 from agents.training.files import read_json, write_whole
 from agents.training.policy import Policy, load_policy
 
@@ -54,28 +53,28 @@ def export(
     `load_policy`. Returns the files, the card last. Raises UserError where there is no policy, or
     one that diverged, and where the library of the format is missing.
     """
-    write = {"safetensors": _write_safetensors, "onnx": _write_onnx}.get(format)
-    if write is None:
+    if format not in _FORMATS:
         raise UserError(f"format must be safetensors or onnx, got {format!r}")
-    config = TrainConfig.read(folder)
+    write, loading = _FORMATS[format]
+    config, recorded = TrainConfig.read(folder), read_json(folder / CONFIG)
     policies = {seed: load_policy(folder, seed, step, task) for seed in seeds or config.seeds}
-    task = next(iter(policies.values())).task
     networks = {seed: _network(policy, seed) for seed, policy in policies.items()}
-    about = {"task": task, "algorithm": config.algorithm, "commit": _commit(folder)}
+    first = next(iter(policies))
+    task, commit = policies[first].task, _commit(recorded)
+    about = {"task": task, "algorithm": config.algorithm, "commit": commit}
     out = folder / "exported" if out is None else out
-    files = {seed: out / f"seed-{seed}.{format}" for seed in networks}
     contents = {
-        files[seed]: write(networks[seed], about | {"seed": str(seed), "step": _steps([policy])})
+        out / f"seed-{seed}.{format}": write(
+            networks[seed], about | {"seed": str(seed), "step": _steps([policy])}
+        )
         for seed, policy in policies.items()
     }
     out.mkdir(parents=True, exist_ok=True)
     for path, content in contents.items():
         write_whole(path, content)
-    network = next(iter(networks.values()))
-    loading = _loading(format, next(iter(files.values())).name, network)
-    card = _card(folder, config, task, policies, loading)
-    write_whole(out / "README.md", card)
-    return [*files.values(), out / "README.md"]
+    code = "\n".join(loading(next(iter(contents)).name, networks[first]))
+    write_whole(out / "README.md", _card(folder, config, recorded, policies, code))
+    return [*contents, out / "README.md"]
 
 
 def _network(policy: Policy, seed: int) -> Exported:
@@ -162,48 +161,57 @@ def _steps(policies: Iterable[Policy], format: str = "d") -> str:
     return " or ".join(f"{step:{format}}" for step in sorted(taken)) or "not recorded"
 
 
-def _commit(folder: Path) -> str:
+def _commit(recorded: Mapping[str, Any]) -> str:
     """Commit of the code that began the training, or why it is not known."""
-    content = read_json(folder / "config.json")
-    version = (content.get("versions") or {}).get("circle2d-mj", "unknown")
-    return content.get("commit") or f"not recorded (version {version})"
+    version = (recorded.get("versions") or {}).get("circle2d-mj", "unknown")
+    return recorded.get("commit") or f"not recorded (version {version})"
 
 
 def _card(
-    folder: Path, config: TrainConfig, task: str, policies: Mapping[int, Policy], loading: str
+    folder: Path,
+    config: TrainConfig,
+    recorded: Mapping[str, Any],
+    policies: Mapping[int, Policy],
+    code: str,
 ) -> str:
-    """The model card. policies: by seed. loading: code that reads a file."""
-    content = read_json(folder / "config.json")
-    versions = content.get("versions") or {}
+    """The model card. recorded: `config.json`; policies: by seed; code: that reads a file."""
+    task, name = next(iter(policies.values())).task, title(config.algorithm)
+    spaces, versions = read_spaces(folder), recorded.get("versions") or {}
+    bounds = ", ".join(f"[{a:g}, {b:g}]" for a, b in zip(spaces.low, spaces.high, strict=True))
     parameters = f" with {config.task_parameters}" if config.task_parameters else ""
     facts = {
-        "algorithm": f"{title(config.algorithm)} (`{config.algorithm}`)",
+        "algorithm": f"{name} (`{config.algorithm}`)",
         "task": f"`{task}`{parameters}",
         "seeds": ", ".join(map(str, policies)),
         "environment steps": f"{_steps(policies.values(), ',')}; planned {config.steps:,}",
-        "commit": _commit(folder),
+        "commit": _commit(recorded),
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
-        "trained by": f"`{command(config, 'runs', content)}`",
-        **_spaces(read_spaces(folder)),
-    }
-    return "\n".join(
-        [
-            *("---", "library_name: circle2d-mj", "pipeline_tag: reinforcement-learning", "---"),
-            *("", f"# {title(config.algorithm)} on {task}", "", "| | |", "| --- | --- |"),
-            *(f"| {name} | {text} |" for name, text in facts.items() if text),
-            *("", "## Results", "", _results(folder).strip()),
-            *("", "## Loading", "", "```python", loading.strip(), "```", ""),
-        ]
-    )
-
-
-def _spaces(spaces: Spaces) -> dict[str, str]:
-    """The rows on observations and actions."""
-    bounds = ", ".join(f"[{a:g}, {b:g}]" for a, b in zip(spaces.low, spaces.high, strict=True))
-    return {
+        "trained by": f"`{command(config, 'runs', recorded)}`",
         "observation": f"float32 [N, {spaces.observation_size}], as the task gives it",
         "action": f"float32 [N, {len(spaces.low)}], in {bounds}; without noise",
     }
+    rows = "\n".join(f"| {name} | {text} |" for name, text in facts.items() if text)
+    return f"""---
+library_name: circle2d-mj
+pipeline_tag: reinforcement-learning
+---
+
+# {name} on {task}
+
+| | |
+| --- | --- |
+{rows}
+
+## Results
+
+{_results(folder).strip()}
+
+## Loading
+
+```python
+{code}
+```
+"""
 
 
 def _results(folder: Path) -> str:
@@ -217,32 +225,44 @@ def _results(folder: Path) -> str:
     return "\n".join([task_table(groups, printed).markdown(), *words])
 
 
-def _loading(format: Format, file: str, network: Exported) -> str:
+def _load_onnx(file: str, network: Exported) -> list[str]:
     """Code that reads a file and gives `policy(observation)`, a function of [N, size]."""
-    return "\n".join(_LOADING[format](file, network))
+    return [
+        "import numpy as np",
+        "import onnxruntime",
+        "",
+        f'session = onnxruntime.InferenceSession("{file}")',
+        "",
+        "",
+        "def policy(observation):",
+        '    inputs = {"observation": np.asarray(observation, np.float32)}',
+        "    return session.run(None, inputs)[0]",
+    ]
 
 
-def _load_onnx(file: str, network: Exported) -> Iterator[str]:
-    yield from ("import numpy as np", "import onnxruntime", "")
-    yield f'session = onnxruntime.InferenceSession("{file}")'
-    yield from ("", "", "def policy(observation):")
-    yield '    inputs = {"observation": np.asarray(observation, np.float32)}'
-    yield "    return session.run(None, inputs)[0]"
-
-
-def _load_safetensors(file: str, network: Exported) -> Iterator[str]:
-    yield from ("import numpy as np", "from safetensors.numpy import load_file", "")
-    yield f'net = load_file("{file}")'
-    yield from ("", "", "def policy(observation):", "    x = np.asarray(observation, np.float32)")
+def _load_safetensors(file: str, network: Exported) -> list[str]:
+    """See `_load_onnx`."""
+    layers = []
     for name, kind in network.layers:
-        yield f'    x = x @ net["{name}.weight"].T + net["{name}.bias"]'
-        if kind:
-            yield f"    x = {KINDS[kind].format('x')}"
-    yield "    share = (np.clip(x, -1, 1) + 1) / 2"
-    yield '    return net["low"] + (net["high"] - net["low"]) * share'
+        layers.append(f'    x = x @ net["{name}.weight"].T + net["{name}.bias"]')
+        layers += [f"    x = {KINDS[kind].format('x')}"] if kind else []
+    return [
+        "import numpy as np",
+        "from safetensors.numpy import load_file",
+        "",
+        f'net = load_file("{file}")',
+        "",
+        "",
+        "def policy(observation):",
+        "    x = np.asarray(observation, np.float32)",
+        *layers,
+        "    share = (np.clip(x, -1, 1) + 1) / 2",
+        '    return net["low"] + (net["high"] - net["low"]) * share',
+    ]
 
 
-_LOADING: dict[Format, Callable[[str, Exported], Iterator[str]]] = {
-    "onnx": _load_onnx,
-    "safetensors": _load_safetensors,
+_FORMATS = {
+    "safetensors": (_write_safetensors, _load_safetensors),
+    "onnx": (_write_onnx, _load_onnx),
 }
+"""Functions that give a file's content, and the lines of code that read it."""

@@ -150,7 +150,7 @@ class RenderOptions(Settings):
     episodes: int = 3
     """The first episodes of the evaluation."""
     task: Task = None
-    seed: tuple[int, ...] = ()
+    seed: tuple[int, ...] | None = None
     """Seed of the run: one for all folders, or one for each; by default a folder's first."""
     names: tuple[str, ...] = ()
     """Titles above the panels, one for each folder; by default the algorithm and the seed."""
@@ -174,7 +174,8 @@ def render(args: Sequence[str]) -> int:
     if not folders:
         raise UserError("render needs a folder of runs")
     names = one_for_each("names", options.names, folders)
-    seeds = one_for_each("seed", options.seed * (1 if options.seed[1:] else len(folders)), folders)
+    given = options.seed or ()
+    seeds = one_for_each("seed", given * len(folders) if len(given) == 1 else given, folders)
     beside = folders[0] if folders[0] == options.folders[0] else Path()
     by_mujoco = options.frames == "mujoco"
     out = options.out or beside / ("film.gif" if by_mujoco else "trajectories.png")

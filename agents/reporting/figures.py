@@ -112,11 +112,12 @@ def svg_of(figure: Any) -> bytes:
     figure.savefig(image, format="svg", dpi=PIXELS, metadata={"Date": None})
     pyplot.close(figure)
 
-    # Places to a hundredth of a point: half the size, and nothing that an eye could see.
-    def hundredths(attribute: re.Match[str]) -> str:
-        return re.sub(r"-?\d+\.\d{3,}", lambda x: f"{float(x.group()):.2f}", attribute.group())
+    # Places to a fraction of a point: a third of the size, and nothing that an eye could see.
+    def shorter(attribute: re.Match[str]) -> str:
+        digits = 1 if attribute[1] == "d" else 2
+        return re.sub(r"-?\d+\.\d{2,}", lambda x: f"{float(x[0]):.{digits}f}", attribute[0])
 
-    return re.sub(r' (?:d|x|y)="[^"]*"', hundredths, image.getvalue()).encode()
+    return re.sub(r' (d|x|y)="[^"]*"', shorter, image.getvalue()).encode()
 
 
 def legend(names: Collection[str]) -> tuple[int, float]:

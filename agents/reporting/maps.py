@@ -1,24 +1,30 @@
-"""Maps of runs: heat of visited states in training, and the paths of trained policies.
+"""Maps of runs: heat of visited states in training, the paths of trained policies, and the replay
+of training.
 
 On the page the picture below and the one on top are there once for each task; what lies between is
-an image of a pixel for each cell, or an SVG path in thousandths of the picture's side.
+an image of a pixel for each cell, or an SVG path in thousandths of the picture's side. The replay
+has, for every run, the episode of highest MCC in each window of training, and the running EMCC:
+positions on a grid of 1024 points along each side of the box of those shown, EMCC with three
+digits; all else is exact. The page's script, `templates/replay.js`, reads it.
 """
 
 from __future__ import annotations
 
+import base64
 import io
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 from agents.errors import UserError
+from agents.reporting.figures import emcc_along
 from agents.results.frame import in_order, name_of
 from agents.results.measures import measure
 from agents.results.reading import Group, Run
-from agents.training.derive import DRAWN_POLICIES, Episode, Visits
+from agents.training.derive import DRAWN_POLICIES, GRID_MAX, WINDOWS, Episode, Replay, Visits
 from agents.training.environments import view_of
 from agents.training.evaluation import DRAWN
 from agents.training.files import DamagedFile
@@ -35,6 +41,10 @@ STATES = 128
 """States of an episode, at most, that are drawn: of a longer one every second, third, ... one."""
 SHADES = 31
 """Colours of a heat map."""
+BITS = 10
+"""Bits of a coordinate: the last of the grid's points along a side is 2**BITS - 1."""
+DIGITS = 1000
+"""EMCC is stored as a multiple of 1 / DIGITS."""
 
 
 class Ground(NamedTuple):
@@ -81,13 +91,8 @@ def heat_figure(columns: Sequence[Column], titles: Sequence[str], size: int) -> 
     names = [column.title for column in columns]
     if len(columns) == 1:
         return figure(pictures, titles, title=names[0], captions=captions, most_visits=most)
-    return figure(
-        list(zip(*pictures, strict=True)),
-        names,
-        row_titles=titles,
-        captions=list(zip(*captions, strict=True)),
-        most_visits=most,
-    )
+    rows, words = list(zip(*pictures, strict=True)), list(zip(*captions, strict=True))
+    return figure(rows, names, row_titles=titles, captions=words, most_visits=most)
 
 
 def visits_words(visits: Visits) -> str:
@@ -95,10 +100,10 @@ def visits_words(visits: Visits) -> str:
     return f"EMCC {visits.emcc:.2f} ({visits.rollouts:,} of {visits.of:,} rollouts)"
 
 
-def png(picture: Picture) -> bytes:
-    """The picture as a PNG, as small as can be without loss."""
-    file = io.BytesIO()
-    Image.fromarray(picture).save(file, "PNG", optimize=True)
+def png(picture: Picture | Image.Image, **how: Any) -> bytes:
+    """The picture as a PNG, as small as can be without loss. how: further options of Pillow."""
+    image = picture if isinstance(picture, Image.Image) else Image.fromarray(picture)
+    image.save(file := io.BytesIO(), "PNG", **({"optimize": True} | how))
     return file.getvalue()
 
 
@@ -111,9 +116,7 @@ def heat_png(counts: NDArray[np.int64], most: int) -> bytes:
     image = Image.fromarray(np.where(counts > 0, shade, 0).astype(np.uint8), "P")
     colours = canvas.heat_colours(np.linspace(0.0, 1.0, SHADES))
     image.putpalette([0, 0, 0, *colours.ravel().tolist()])
-    file = io.BytesIO()
-    image.save(file, "PNG", optimize=True, transparency=0)
-    return file.getvalue()
+    return png(image, transparency=0)
 
 
 class Scene(NamedTuple):
@@ -321,3 +324,73 @@ def _line(points: NDArray[np.int64]) -> str:
     """Points as a path relative from one to the next, which takes half the letters."""
     (x, y), *steps = [points[0].tolist(), *np.diff(points, axis=0).tolist()]
     return f"{x} {y}l" + " ".join(f"{dx} {dy}" for dx, dy in steps) if steps else f"{x} {y}h0"
+
+
+def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> dict[str, Any]:
+    """The data of the player; no runs where none has recorded positions and costs.
+
+    What cannot be replayed of a task with positions goes into the notes.
+    """
+    runs = []
+    for group in in_order(groups):
+        scene = scenes.get(group, notes) if group.runs else None
+        if scene is None:
+            continue
+        named = {"task": group.task, "algorithm": name_of(group)}
+        for run in group.runs:
+            try:
+                replay = group.replay(run)
+            except DamagedFile:
+                raise
+            except UserError as error:
+                notes.append(f"no replay of {group.title}: {error}")
+                break
+            if not all(len(episode.points) for episode in replay.episodes):
+                notes.append(f"no replay of {group.title}: it has no positions")
+                break
+            numbers = _run(run, replay, group.config.steps)
+            runs.append({**named, "scene": scene.number, **numbers})
+    extents = [list(scene.extent) for scene in scenes.all]
+    return {
+        "windows": WINDOWS,
+        "bits": BITS,
+        "digits": DIGITS,
+        "states": STATES,
+        "parts": list(PARTS),
+        "extents": extents,
+        "runs": runs,
+    }
+
+
+def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
+    """One run's entry: numbers of each episode, then all points and all costs in a row."""
+    episodes = replay.episodes
+    points = [episode.points[shown_states(len(episode.points))] for episode in episodes]
+    costs = np.concatenate([episode.costs for episode in episodes])
+    lengths = {len(episode.costs) for episode in episodes}
+    return {
+        "seed": run.seed,
+        "steps": steps,
+        "box": replay.box.ravel().tolist(),
+        "window": [episode.window for episode in episodes],
+        "start": [episode.start_step for episode in episodes],
+        # One number where all episodes are as long, none where cost steps cost 1.
+        "length": lengths.pop() if len(lengths) == 1 else [len(e.costs) for e in episodes],
+        "cost": [float(e.costs.sum()) for e in episodes] if set(costs) - {0.0, 1.0} else None,
+        "points": _text(_packed(np.concatenate(points))),
+        "unsafe": _text(np.packbits(costs > 0)),
+        "emcc": [
+            None if np.isnan(value) else round(value * DIGITS)
+            for value in emcc_along(run.records, steps, ALPHA)
+        ],
+    }
+
+
+def _packed(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Points [N, 2] on the coarser grid: x and y of one after another, `BITS` bits each."""
+    coarse = np.round(points.astype(np.float64) * ((2**BITS - 1) / GRID_MAX)).astype(np.uint16)
+    return np.packbits(coarse.reshape(-1, 1) >> np.arange(BITS)[::-1] & 1)
+
+
+def _text(data: NDArray[np.uint8]) -> str:
+    return base64.b64encode(data.tobytes()).decode()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
-import secrets
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,14 +16,14 @@ from PIL import Image, ImageDraw, ImageOps
 
 from agents.errors import UserError
 from agents.lockstep.rollout import Rollout
-from agents.reporting.maps import Column, Ground, heat_figure
+from agents.reporting.maps import Column, Ground, heat_figure, png
 from agents.results.frame import title_of
 from agents.results.reading import results_of, run_records
 from agents.training.config import RunId, TrainConfig
 from agents.training.derive import Episode, Steps, count_visits
 from agents.training.environments import make_envs, registered, view_of
 from agents.training.evaluation import EPISODES, paths_of, play, runs_envs
-from agents.training.files import write_whole
+from agents.training.files import whole, write_whole
 from agents.training.policy import chosen_run, load_policy
 from circle2d_mj.core.view import Picture, View
 from circle2d_mj.render import canvas
@@ -236,44 +234,31 @@ def _even(picture: Picture) -> Picture:
 
 
 def write_picture(path: Path, picture: Picture) -> None:
-    """Write an image file, whole or not at all."""
-    import imageio.v3 as imageio
-
+    """Write a PNG, whole or not at all."""
     _prepare(path)
-    write_whole(path, imageio.imwrite("<bytes>", picture, extension=path.suffix))
+    write_whole(path, png(picture))
 
 
 def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:
     """Write `total` frames into a .gif or .mp4 file, whole or not at all, showing progress."""
-    _prepare(path)
+    import imageio.v2 as imageio
     from rich.console import Console
     from rich.progress import track
 
+    _prepare(path)
     shown = track(frames, "drawing", total, console=Console(stderr=True), transient=True)
-    if path.suffix.lower() == ".gif":
-        import imageio.v3 as imageio
-
-        pictures = np.array(list(shown))
-        timing: dict[str, Any] = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0}
-        write_whole(path, imageio.imwrite("<bytes>", pictures, extension=".gif", **timing))
-    else:
-        _write_stream(path, shown)
-
-
-def _write_stream(path: Path, frames: Iterable[Picture]) -> None:
-    """Write a file frame by frame."""
-    import imageio.v2 as imageio
-
-    temporary = path.with_name(f".{secrets.token_hex(8)}.{path.name}")
-    try:
+    with whole(path) as file:
+        if path.suffix.lower() == ".gif":
+            first, *others = map(Image.fromarray, shown)
+            timing = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0}
+            first.save(file, "GIF", save_all=True, append_images=others, **timing)
+            return
         # Blocks of two pixels: sizes are even, and would be changed to multiples of 16 otherwise.
-        writer: Any = imageio.get_writer(temporary, fps=FRAMES_A_SECOND, macro_block_size=2)
+        how: Any = {"format": ".mp4", "fps": FRAMES_A_SECOND, "macro_block_size": 2}
+        writer: Any = imageio.get_writer(file, **how)  # pyright: ignore[reportArgumentType]
         with writer:
-            for frame in frames:
+            for frame in shown:
                 writer.append_data(frame)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _prepare(path: Path) -> None:
@@ -346,9 +331,7 @@ class _KeepFrames(VectorWrapper):
 def _png(frame: Any) -> bytes:
     if np.ndim(frame) != 3 or np.shape(frame)[-1] != 3:
         raise ValueError(f"render() must give [height, width, 3], got {list(np.shape(frame))}")
-    file = io.BytesIO()
-    Image.fromarray(np.asarray(frame, np.uint8)).save(file, "PNG", compress_level=1)
-    return file.getvalue()
+    return png(np.asarray(frame, np.uint8), optimize=False, compress_level=1)
 
 
 def _without_frames(task: str, error: Exception) -> UserError:

@@ -15,12 +15,11 @@ from agents.reporting.figures import (
     rates_figure,
     task_figures,
 )
-from agents.reporting.maps import Scenes, maps
+from agents.reporting.maps import Scenes, maps, replay_data
 from agents.reporting.numbers import numbers_csv, report_lines
 from agents.reporting.overall import RATES, tables_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import heading, made, summary
-from agents.reporting.replay import replay_data
 from agents.reporting.table import Block, Table, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.frame import with_distinct_titles

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 from agents.errors import OwnCodeError, described
@@ -131,55 +131,41 @@ def measured(data: RunData, run: str) -> dict[str, float | None]:
     return values
 
 
-def _evaluated(
-    name: str,
-    better: Literal["lower", "higher"],
-    bounds: Bounds,
-    word: str = "",
-    detail: bool = False,
-) -> Measure:
-    """A mean over the episodes of the trained policy."""
-
-    def compute(run: RunData) -> float | None:
-        return run.evaluated(name)
-
-    how = {"bounds": bounds, "detail": detail}
-    return Measure(name, name, "", 2, better, compute, "policy", word, **how)
-
-
-def _emcc(part: float) -> Measure:
-    """EMCC of a third of training."""
-
-    def compute(run: RunData) -> float:
-        return run.emcc_by_part[part]
-
-    name = f"EMCC_{part}"
-    return Measure(name, name, "", 2, "lower", compute, word="EMCC", bounds=SHARE, part=part)
-
-
 def _cost_rate(run: RunData) -> float:
     return cost_rate(run.records.cost, run.records.length)
 
 
+def _mean_streak(run: RunData) -> float | None:
+    return run.records.mean_streak
+
+
+def _emcc(run: RunData, part: float) -> float:
+    return run.emcc_by_part[part]
+
+
+for _part in PARTS:
+    _name, _value = f"EMCC_{_part}", partial(_emcc, part=_part)
+    _how = {"word": "EMCC", "bounds": SHARE, "part": _part}
+    register(Measure(_name, _name, "", 2, "lower", _value, **_how))
+register(Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate, bounds=COST))
+for _name, _better, _how in (
+    ("J_R", "higher", {}),
+    ("J_C", "lower", {"bounds": COST}),
+    ("CVaR_0.5", "lower", {"bounds": COST, "word": "CVaR", "detail": True}),
+):
+    _value = partial(RunData.evaluated, name=_name)
+    register(Measure(_name, _name, "", 2, _better, _value, "policy", **_how))
 MEAN_STREAK = Measure(
     "mean_streak",
     "mean streak",
     "steps",
     2,
     "neither",  # fewer and longer, or more and shorter: neither is better by itself
-    lambda run: run.records.mean_streak,
+    _mean_streak,
     note="mean streak: the mean length of training's streaks of cost steps",
     bounds=COST,
     detail=True,
 )
-for _measure in (
-    *map(_emcc, PARTS),
-    Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate, bounds=COST),
-    _evaluated("J_R", "higher", UNBOUNDED),
-    _evaluated("J_C", "lower", COST),
-    _evaluated("CVaR_0.5", "lower", COST, "CVaR", detail=True),
-    MEAN_STREAK,
-):
-    register(_measure)
+register(MEAN_STREAK)
 BUILT_IN = measures()
 """The measures of every report: they raise where a run is damaged alone."""

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from small_runs import STREAKS, chain, edit_results, evaluate, groups_of, write_runs
 
-from agents.reporting.maps import Scenes
+from agents.reporting.maps import Scenes, replay_data
 from agents.reporting.page import script_json
-from agents.reporting.replay import replay_data
 
 
 @pytest.fixture
