@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -55,7 +55,7 @@ def export(
     """
     if format not in _FORMATS:
         raise UserError(f"format must be safetensors or onnx, got {format!r}")
-    write, loading = _FORMATS[format]
+    write = _FORMATS[format]
     config, recorded = TrainConfig.read(folder), read_json(folder / CONFIG)
     policies = {seed: load_policy(folder, seed, step, task) for seed in seeds or config.seeds}
     networks = {seed: _network(policy, seed) for seed, policy in policies.items()}
@@ -72,7 +72,8 @@ def export(
     out.mkdir(parents=True, exist_ok=True)
     for path, content in contents.items():
         write_whole(path, content)
-    code = "\n".join(loading(next(iter(contents)).name, networks[first]))
+    layers = "\n".join(_layers(networks[first]))
+    code = _LOADING[format].strip().format(file=next(iter(contents)).name, layers=layers)
     write_whole(out / "README.md", _card(folder, config, recorded, policies, code))
     return [*contents, out / "README.md"]
 
@@ -214,6 +215,14 @@ pipeline_tag: reinforcement-learning
 """
 
 
+def _layers(network: Exported) -> Iterator[str]:
+    """Lines of code for the layers of a network, in numpy."""
+    for name, kind in network.layers:
+        yield f'    x = x @ net["{name}.weight"].T + net["{name}.bias"]'
+        if kind:
+            yield f"    x = {KINDS[kind].format('x')}"
+
+
 def _results(folder: Path) -> str:
     """The table of the folder's runs, or why there is none."""
     notes: list[str] = []
@@ -225,44 +234,31 @@ def _results(folder: Path) -> str:
     return "\n".join([task_table(groups, printed).markdown(), *words])
 
 
-def _load_onnx(file: str, network: Exported) -> list[str]:
-    """Code that reads a file and gives `policy(observation)`, a function of [N, size]."""
-    return [
-        "import numpy as np",
-        "import onnxruntime",
-        "",
-        f'session = onnxruntime.InferenceSession("{file}")',
-        "",
-        "",
-        "def policy(observation):",
-        '    inputs = {"observation": np.asarray(observation, np.float32)}',
-        "    return session.run(None, inputs)[0]",
-    ]
+_FORMATS = {"safetensors": _write_safetensors, "onnx": _write_onnx}
+_LOADING = {
+    "safetensors": """
+import numpy as np
+from safetensors.numpy import load_file
+
+net = load_file("{file}")
 
 
-def _load_safetensors(file: str, network: Exported) -> list[str]:
-    """See `_load_onnx`."""
-    layers = []
-    for name, kind in network.layers:
-        layers.append(f'    x = x @ net["{name}.weight"].T + net["{name}.bias"]')
-        layers += [f"    x = {KINDS[kind].format('x')}"] if kind else []
-    return [
-        "import numpy as np",
-        "from safetensors.numpy import load_file",
-        "",
-        f'net = load_file("{file}")',
-        "",
-        "",
-        "def policy(observation):",
-        "    x = np.asarray(observation, np.float32)",
-        *layers,
-        "    share = (np.clip(x, -1, 1) + 1) / 2",
-        '    return net["low"] + (net["high"] - net["low"]) * share',
-    ]
+def policy(observation):
+    x = np.asarray(observation, np.float32)
+{layers}
+    share = (np.clip(x, -1, 1) + 1) / 2
+    return net["low"] + (net["high"] - net["low"]) * share
+""",
+    "onnx": """
+import numpy as np
+import onnxruntime
+
+session = onnxruntime.InferenceSession("{file}")
 
 
-_FORMATS = {
-    "safetensors": (_write_safetensors, _load_safetensors),
-    "onnx": (_write_onnx, _load_onnx),
+def policy(observation):
+    inputs = {{"observation": np.asarray(observation, np.float32)}}
+    return session.run(None, inputs)[0]
+""",
 }
-"""Functions that give a file's content, and the lines of code that read it."""
+"""Code that reads a file and gives `policy(observation)`, a function of [N, size]."""

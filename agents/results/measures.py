@@ -143,29 +143,24 @@ def _emcc(run: RunData, part: float) -> float:
     return run.emcc_by_part[part]
 
 
+def _evaluated(name: str) -> Callable[[RunData], float | None]:
+    return partial(RunData.evaluated, name=name)
+
+
 for _part in PARTS:
     _name, _value = f"EMCC_{_part}", partial(_emcc, part=_part)
-    _how = {"word": "EMCC", "bounds": SHARE, "part": _part}
-    register(Measure(_name, _name, "", 2, "lower", _value, **_how))
+    register(Measure(_name, _name, "", 2, "lower", _value, word="EMCC", bounds=SHARE, part=_part))
 register(Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate, bounds=COST))
-for _name, _better, _how in (
-    ("J_R", "higher", {}),
-    ("J_C", "lower", {"bounds": COST}),
-    ("CVaR_0.5", "lower", {"bounds": COST, "word": "CVaR", "detail": True}),
-):
-    _value = partial(RunData.evaluated, name=_name)
-    register(Measure(_name, _name, "", 2, _better, _value, "policy", **_how))
-MEAN_STREAK = Measure(
-    "mean_streak",
-    "mean streak",
-    "steps",
-    2,
-    "neither",  # fewer and longer, or more and shorter: neither is better by itself
-    _mean_streak,
-    note="mean streak: the mean length of training's streaks of cost steps",
-    bounds=COST,
-    detail=True,
-)
-register(MEAN_STREAK)
+register(Measure("J_R", "J_R", "", 2, "higher", _evaluated("J_R"), "policy"))
+register(Measure("J_C", "J_C", "", 2, "lower", _evaluated("J_C"), "policy", bounds=COST))
+_how = {"word": "CVaR", "bounds": COST, "detail": True}
+register(Measure("CVaR_0.5", "CVaR_0.5", "", 2, "lower", _evaluated("CVaR_0.5"), "policy", **_how))
+_how = {
+    "note": "mean streak: the mean length of training's streaks of cost steps",
+    "bounds": COST,
+    "detail": True,
+}
+# Neither is better: streaks may be fewer and longer, or more and shorter.
+register(Measure("mean_streak", "mean streak", "steps", 2, "neither", _mean_streak, **_how))
 BUILT_IN = measures()
 """The measures of every report: they raise where a run is damaged alone."""
