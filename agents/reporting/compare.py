@@ -27,8 +27,8 @@ METHOD = (
     "comparisons made here (Holm); P(B better): probability that a run of B is better than one of "
     "A, equal ones half [95 % bootstrap interval]"
 )
-Tested = Mapping[tuple[str, str, str], Mapping[str, Difference]]
-"""The differences of pairs, by their task and the folders of A and of B."""
+Tested = Mapping[tuple[int, int], Mapping[str, Difference]]
+"""The differences of pairs, by the identities of their groups."""
 
 
 class Sides(NamedTuple):
@@ -45,11 +45,13 @@ class Sides(NamedTuple):
 
     @property
     def pairs(self) -> list[Pair]:
-        """Each group of B with the one of A of its algorithm and settings, or with all."""
+        """Each group of B with the one of A of its algorithm and settings, or with all, of the same
+        cost."""
         pairs = []
         for b in self.b:
-            same = [a for a in self.a if _settings(a) == _settings(b)]
-            pairs += [(a, b) for a in same or self.a]
+            of_cost = [a for a in self.a if a.cost == b.cost]
+            same = [a for a in of_cost if _settings(a) == _settings(b)]
+            pairs += [(a, b) for a in same or of_cost]
         return pairs
 
 
@@ -58,10 +60,10 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
 
     a, b: folders, archives, or folders of archives, as `report` takes them. A group of B stands
     against the one of A with the same algorithm and settings, or where there is none against every
-    group of A on the task. The last table has one test over all tasks of each pair that is there on
-    two tasks or more. With out, writes `compare.md`, `compare.csv`, and `compare.html` with
-    training curves, both sides in one figure. Raises UserError where a side has no complete run, or
-    the two have no task in common.
+    group of A on the task, of the same cost. The last table has one test over all tasks of each
+    pair that is there on two tasks or more. With out, writes `compare.md`, `compare.csv`, and
+    `compare.html` with training curves, both sides in one figure. Raises UserError where a side has
+    no complete run, or the two have no task in common.
     """
     notes = [f"A is {a}, B is {b}."]
     sides = [with_distinct_titles(read([side], notes)) for side in (a, b)]
@@ -135,8 +137,8 @@ def _table(task: str, sides: Sides, tested: Tested, tests: int, notes: Sequence[
     return measures_table(words, task, rows, [*notes, *_too_few(task, sides, tests)])
 
 
-def _key(a: Group, b: Group) -> tuple[str, str, str]:
-    return a.task, a.folder, b.folder
+def _key(a: Group, b: Group) -> tuple[int, int]:
+    return id(a), id(b)
 
 
 def _settings(group: Group) -> tuple[str, dict[str, Any]]:

@@ -21,6 +21,7 @@ from agents.results.reading import Group
 from agents.results.statistics import (
     INTERVALS,
     Third,
+    common_limit,
     group_mean,
     known,
     mean_of,
@@ -43,6 +44,8 @@ CROWDED, PIXELS = 60, 120
 """Lines and areas of a panel beyond which they are pixels, and pixels of an inch. The page of very
 many runs would have many megabytes else."""
 DOT: dict[str, Any] = {"linestyle": "", "alpha": 0.55, "markeredgewidth": 0}
+BELOW: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "handlelength": 3}
+"""Look of a legend below a figure."""
 POINTS = 50
 """Points of a curve along the training."""
 WINDOW = 0.1
@@ -201,8 +204,7 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
     EMCC of the thirds and, where episodes differ in it, their length. Equal input gives equal
     bytes."""
     groups = [group for _, group in named]
-    limits, task = {group.limit for group in groups}, groups[0].task
-    limit = limits.pop() if len(limits) == 1 else None
+    limit, task = common_limit(groups), groups[0].task
     columns, height = legend([name for name, _ in named])
     looks = styles([group.config for group in groups])
     lengths = {n for group in groups for run in group.runs for n in np.unique(run.records.length)}
@@ -223,9 +225,7 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
         if limit is not None:
             costs.axhline(limit, label="cost limit", color="#888888", linewidth=0.9)
         _label(axes, max(group.config.steps for group in groups))
-        handles, labels = costs.get_legend_handles_labels()
-        below = {"loc": "outside lower center", "frameon": False, "handlelength": 3.2}
-        figure.legend(handles, labels, ncols=columns, **below)
+        figure.legend(*costs.get_legend_handles_labels(), ncols=columns, **BELOW)
         svg = svg_of(figure)
     words = (
         f"Training's episodes. Lines and markers: mean over seeds; areas and bars: {INTERVALS}. "
@@ -426,6 +426,5 @@ def _facets(
         for axis in axes[-1]:
             axis.set_xlabel(labels[0])
         axes[0][0].set_ylim(-0.03, 1.03)
-        below = {"loc": "outside lower center", "frameon": False, "handlelength": 3}
-        figure.legend(handles.values(), handles, ncols=legend_columns, **below)
+        figure.legend(handles.values(), handles, ncols=legend_columns, **BELOW)
         return svg_of(figure)

@@ -193,29 +193,27 @@ def differences_over_tasks(sets: Mapping[str, TwoSets]) -> Table | None:
     return Table(words, ["over all tasks", *(m.head for m in columns)], rows)
 
 
+def ranked(run: Run, limit: float | None) -> dict[str, float | None]:
+    """The numbers of a run by which algorithms are ranked, the lower the better, by their head;
+    None for what it lacks."""
+    found = {f"EMCC_{part}": run.measures.get(f"EMCC_{part}") for part in PARTS}
+    found["cost rate"], j_r = run.measures.get("cost_rate"), run.measures.get("J_R")
+    above = None if limit is None else float((run.records.cost > limit).mean())
+    return found | {"violation rate": above, "J_R": None if j_r is None else -j_r}
+
+
 def ranked_values(cells: Cells) -> dict[str, list[list[NDArray[np.float64]]] | None]:
-    """Values of the runs, the lower the better, for each task and algorithm, by the head of their
-    column; None where some lack."""
-
-    def values(run: Run, limit: float | None) -> dict[str, float | None]:
-        own = run.measures.get
-        found = {f"EMCC_{part}": own(f"EMCC_{part}") for part in PARTS}
-        found["cost rate"], j_r = own("cost_rate"), own("J_R")
-        above = None if limit is None else float((run.records.cost > limit).mean())
-        return found | {"violation rate": above, "J_R": None if j_r is None else -j_r}
-
-    heads = [*(f"EMCC_{part}" for part in PARTS), "cost rate", "violation rate", "J_R"]
-    tables = {head: [] for head in heads}
+    """`ranked` of the runs, by head, then for each task and algorithm; None where some lack."""
+    tables: dict[str, list[list[list[float] | None]]] = {}
     for task in tasks_of(cells):
         groups = [own[task] for own in cells.values()]
         limit = common_limit(groups)
-        found = [[values(run, limit) for run in group.runs] for group in groups]
-        for head, table in tables.items():
-            table.append([known([run[head] for run in runs]) for runs in found])
+        found = [[ranked(run, limit) for run in group.runs] for group in groups]
+        for head in found[0][0]:
+            values = [known([run[head] for run in runs]) for runs in found]
+            tables.setdefault(head, []).append(values)
     return {
-        head: [[np.array(runs) for runs in task] for task in table]
-        if all(map(all, table))
-        else None
+        head: [[np.array(v) for v in values] for values in table] if all(map(all, table)) else None
         for head, table in tables.items()
     }
 
@@ -258,11 +256,11 @@ def cell(draws: NDArray[np.float64], enough: bool, digits: int, signed: bool = F
 def ranks_table(cells: Cells, left_out: Sequence[str]) -> Table:
     """Mean ranks over tasks with their intervals, and the probability of improvement over the other
     algorithms. left_out: names of those that are not on every task."""
-    ranked = {
+    drawn = {
         head: ranks_and_wins(table) if table else None
         for head, table in ranked_values(cells).items()
     }
-    emcc, rate = ranked[f"EMCC_{max(PARTS)}"], ranked["cost rate"]
+    emcc, rate = drawn[f"EMCC_{max(PARTS)}"], drawn["cost rate"]
     rows, tasks = [], len(tasks_of(cells))
     for k, (name, own) in enumerate(cells.items()):
         seeds = [len(group.runs) for group in own.values()]
@@ -270,7 +268,7 @@ def ranks_table(cells: Cells, left_out: Sequence[str]) -> Table:
         for what, digits in ((0, 1), (1, 2)):
             numbers = [
                 cell(draws[what][:, k], enough, digits) if draws else Number(None)
-                for draws in ranked.values()
+                for draws in drawn.values()
             ]
             moved = Number(None)
             if emcc and rate:
@@ -288,7 +286,7 @@ def ranks_table(cells: Cells, left_out: Sequence[str]) -> Table:
         "of training's episodes above the limit"
     )
     notes = [f"Not on every task, and left out: {', '.join(left_out)}."] if left_out else []
-    head = [f"{tasks} tasks", *ranked, f"EMCC_{max(PARTS)} less cost rate", ""]
+    head = [f"{tasks} tasks", *drawn, f"EMCC_{max(PARTS)} less cost rate", ""]
     return Table(words, head, rows, notes)
 
 

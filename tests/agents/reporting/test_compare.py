@@ -202,3 +202,12 @@ def test_over_tasks_seeds_that_all_have(tmp_path):
     write_runs(tmp_path / "a" / "3", "trpo-lag", [0.0], "Circle2D-3-v0")
     write_runs(tmp_path / "b" / "3", "cpo", [0.0], "Circle2D-3-v0")
     assert len(compare(tmp_path / "a", tmp_path / "b")) == 3
+
+
+def test_each_cost_stands_against_itself(tmp_path):
+    """Cost steps of A are 2 and 4 of 10, and of the second cost 6 and 8; those of B one fewer."""
+    for side, first, second in (("a", (2, 4), (6, 8)), ("b", (1, 3), (5, 7))):
+        write_evaluated(tmp_path / side, "cpo", first, second=second)
+    found = rows(markdown(compare(tmp_path / "a", tmp_path / "b")))
+    gaps = {name: cells[3] for name, cells in found.items() if name.startswith("B - A")}
+    assert list(gaps.values()) == ["-0.10", "-0.10"]
