@@ -2,7 +2,7 @@ r"""A training by OmniSafe 0.5, with the cost and the reward of every step kept 
 
 Writes steps.npz: reward, cost and end of every step. Epochs are of ten episodes. What only one side
 has is off: normalised observations, the stop at a KL divergence, the decay of the step size, the
-critics' weight decay. The multiplier sees the epoch's own episodes. Both sides, with equal settings:
+critics' weight decay. The multiplier sees the epoch's own episodes. Both sides, equal settings:
 
 python omnisafe_run.py PPOLag --seed 0 --steps 500000 --out omnisafe/ppo-lag-0
 python omnisafe_run.py CPO --seed 0 --steps 500000 --out omnisafe/cpo-0

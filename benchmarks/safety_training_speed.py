@@ -5,9 +5,9 @@
 PYTHON: an interpreter where omnisafe 0.5.0 and safety-gymnasium 1.0.0 are installed; OmniSafe runs
 on these. Stable-Baselines3, which has no constraint and so PPO alone, runs on the task of this
 package. All: 10,000 steps an epoch, 10 passes, networks of 64 and 64, equal minibatches; what only
-one side has is off. Speeds are of CPU time, one thread, rollout, updates and records included, of the second
-epoch; the first one compiles. Each measurement has a process of its own; all take turns, and
-medians are printed.
+one side has is off. Speeds are of CPU time, one thread, rollout, updates and records included, of
+the second epoch; the first one compiles. Each measurement has a process of its own; all take turns.
+Medians are printed, of speeds and of their ratios to OmniSafe's and to Stable-Baselines3's.
 """
 
 import argparse
@@ -94,6 +94,14 @@ def speed(command):
     return float(done.stdout.split()[-1])
 
 
+def median(turns, kind, over=None):
+    """Median speed of one kind, or of its ratio to another; empty where one is not measured."""
+    if not {kind, over} <= {*turns[0], None}:
+        return ""
+    values = [turn[kind] / (turn[over] if over else 1) for turn in turns]
+    return f"{statistics.median(values):,.{1 if over else 0}f}"
+
+
 def main():
     """Print a row for each algorithm."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -105,27 +113,21 @@ def main():
     options = parser.parse_args()
     if options.one:
         name, runs = options.one
-        print(stable_baselines3() if runs == "sb3" else ours(name, int(runs)))
+        print(stable_baselines3() if runs == "SB3" else ours(name, int(runs)))
         return
-    heads = [f"ours, {n} run{'s' * (n > 1)} | over OmniSafe | over SB3" for n in options.runs]
-    print(f"| algorithm | OmniSafe, 1 run | SB3, 1 run | {' | '.join(heads)} |")
-    print(f"| {' | '.join(['---'] * (3 + 3 * len(heads)))} |")
+    heads = [f"ours, {n} run{'s' * (n > 1)} | ratios" for n in options.runs]
+    print(f"| algorithm | OmniSafe | SB3 | {' | '.join(heads)} |")
+    print(f"| {' | '.join(['---'] * (3 + 2 * len(heads)))} |")
     for name in options.algorithms:
         sizes = [str(BATCH[name]), str(EPOCH), str(EPOCHS)]
         commands = {"OmniSafe": [options.omnisafe, "-c", OMNISAFE, THEIRS[name], *sizes]}
-        for kind in (*(["sb3"] if name == "ppo" else []), *options.runs):
+        for kind in (*(["SB3"] if name == "ppo" else []), *options.runs):
             commands[kind] = [sys.executable, __file__, "--one", name, str(kind)]
         turns = [{k: speed(line) for k, line in commands.items()} for _ in range(options.turns)]
-
-        def median(kind, over=None):
-            if {kind, over} - {*commands, None}:
-                return "–"
-            speeds = [turn[kind] / (turn[over] if over else 1) for turn in turns]
-            return f"{statistics.median(speeds):,.{1 if over else 0}f}"
-
-        cells = [median("OmniSafe"), median("sb3")]
+        cells = [median(turns, "OmniSafe"), median(turns, "SB3")]
         for n in options.runs:
-            cells += [median(n), median(n, "OmniSafe"), median(n, "sb3")]
+            ratios = [median(turns, n, peer) for peer in ("OmniSafe", "SB3")]
+            cells += [median(turns, n), ", ".join(filter(None, ratios))]
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
 
 

@@ -95,7 +95,8 @@ class StreakCostVectorEnv(VectorSteps):
             self.single_observation_space = _with_streak(env.single_observation_space)
             self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
-    def _after_reset(self, where: NDArray[np.bool_], observations: Any, infos: Any) -> Any:
+    def _after_reset(self, where: NDArray[np.bool_], *result: Any) -> Any:
+        observations, infos = result
         self._streak[where] = 0
         return _observed(observations, self._streak, self.scale), infos
 

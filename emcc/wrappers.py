@@ -136,7 +136,11 @@ class RecordEnvCosts(
 
 
 class VectorSteps(VectorWrapper):
-    """Knows which environments take a step, in every autoreset mode; subclasses add the rest."""
+    """Knows which environments take a step, in every autoreset mode.
+
+    Subclasses say what `reset` and `step` return then. where, active, done: masks [num_envs] of the
+    environments that were reset, that took a step, and whose episode ended with it.
+    """
 
     def __init__(self, env: VectorEnv) -> None:
         super().__init__(env)
@@ -163,6 +167,12 @@ class VectorSteps(VectorWrapper):
         elif self._mode == "Disabled":
             self._finished |= done
         return self._after_step(active, done, *result)
+
+    def _after_reset(self, where: NDArray[np.bool_], *result: Any) -> Any:
+        raise NotImplementedError
+
+    def _after_step(self, active: NDArray[np.bool_], done: NDArray[np.bool_], *result: Any) -> Any:
+        raise NotImplementedError
 
 
 class RecordVectorCosts(_Recorded, VectorSteps):
