@@ -12,29 +12,29 @@ other papers report.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from emcc.panels import Panel, panel
 from emcc.parts import cost_rate, cvar, emcc, emcc_by_part, worst
-from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords
-from emcc.sources import from_minari, from_tensordict, read
-from emcc.statistics import (
-    Interval,
-    Share,
-    bootstrap,
-    equivalence_test,
-    holm,
-    iqm,
-    mean_difference,
-    mean_interval,
-    permutation_test,
-    probability_of_improvement,
-    profile,
-    share,
-)
 from emcc.streaks import count_streaks, longest_streak, longest_streaks, mcc, streak_bounds
 
 if TYPE_CHECKING:
     from emcc import sb3
+    from emcc.panels import Panel, panel
+    from emcc.recorder import CostRecorder
+    from emcc.sources import from_minari, from_tensordict, read
+    from emcc.statistics import (
+        Interval,
+        Share,
+        bootstrap,
+        equivalence_test,
+        holm,
+        iqm,
+        mean_difference,
+        mean_interval,
+        permutation_test,
+        probability_of_improvement,
+        profile,
+        share,
+    )
     from emcc.streak_cost import StreakCost
     from emcc.wrappers import RecordCosts
 
@@ -48,24 +48,34 @@ __all__ = [
 ]
 # fmt: on
 
-_WRAPPERS = {
-    "RecordCosts": ("wrappers", "gymnasium>=0.28"),
-    "StreakCost": ("streak_cost", "gymnasium>=1.1"),
+_LATE = {
+    "panels": ("Panel", "panel"),
+    "recorder": ("CostRecorder",),
+    "sources": ("from_minari", "from_tensordict", "read"),
+    "statistics": (
+        *("Interval", "Share", "bootstrap", "equivalence_test", "holm", "iqm", "mean_difference"),
+        *("mean_interval", "permutation_test", "probability_of_improvement", "profile", "share"),
+    ),
+    "streak_cost": ("StreakCost",),
+    "wrappers": ("RecordCosts",),
 }
-"""Name -> its module, which is imported when the name is first asked for, and what that needs."""
+"""Names by the module that has them, which is imported when one is first asked for."""
+_NEEDS = {"wrappers": "gymnasium>=0.28", "streak_cost": "gymnasium>=1.1"}
+"""Packages that a module takes beside numpy."""
 
 
 def __getattr__(name: str) -> Any:
     if name == "sb3":  # needs stable-baselines3
         return import_module("emcc.sb3")
-    if name not in _WRAPPERS:
+    module = next((module for module, names in _LATE.items() if name in names), None)
+    if module is None:
         raise AttributeError(f"module 'emcc' has no attribute {name!r}")
-    module, needed = _WRAPPERS[name]
     try:
         return getattr(import_module(f"emcc.{module}"), name)
     except ImportError as error:  # gymnasium is missing, or too old to have a name
-        if (error.name or "").partition(".")[0] != "gymnasium":
+        if module not in _NEEDS or (error.name or "").partition(".")[0] != "gymnasium":
             raise
+        needed = _NEEDS[module]
         raise ImportError(
             f"emcc.{name} needs {needed}: pip install '{needed}'; without it, "
             "emcc.CostRecorder takes the costs of steps"

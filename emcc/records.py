@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from emcc.arrays import as_array, as_integers, as_steps, check_range, named
 from emcc.parts import ALPHA, emcc, emcc_by_part, rollouts_by_part
 from emcc.streaks import count_streaks, longest_streaks
-from emcc.table import Columns
 
 COLUMNS = {  # of the CSV file, in the order of the fields of EpisodeRecords
     "rollout": int,
@@ -261,6 +260,8 @@ class EpisodeRecords:
         order of training: each episode is a rollout then, and without a column `return` returns
         are 0. ValueError: a damaged file, or other columns.
         """
+        from emcc.table import Columns  # of files alone
+
         columns = Columns(Path(path))
         needed, ids = {"length", "cost", "longest_streak"}, {"rollout", "start_step"}
         if ids & columns.keys():
