@@ -1,12 +1,13 @@
-"""PPO-Lag and CPO on SafetyPointGoal1 beside OmniSafe on the original: environment steps a second.
+"""Training on SafetyPointGoal1 beside OmniSafe and Stable-Baselines3: environment steps a second.
 
     python benchmarks/safety_training_speed.py --omnisafe PYTHON [--runs 1 12] [--turns 3]
 
-PYTHON: an interpreter where omnisafe 0.5.0 and safety-gymnasium 1.0.0 are installed. Both sides:
-10,000 steps an epoch, 10 passes, networks of 64 and 64, equal minibatches; what only one side has
-is off. Speeds are of CPU time, one thread, rollout, updates and records included, of the second
-epoch; the first one compiles. Each measurement has a process of its own; all take turns, and
-medians are printed.
+PYTHON: an interpreter where omnisafe 0.5.0 and safety-gymnasium 1.0.0 are installed; OmniSafe runs
+on these. Stable-Baselines3, which has no constraint and so PPO alone, runs on the task of this
+package. All: 10,000 steps an epoch, 10 passes, networks of 64 and 64, equal minibatches; what only
+one side has is off. Speeds are of CPU time, one thread, rollout, updates and records included, of
+the second epoch; the first one compiles. Each measurement has a process of its own; all take turns.
+Medians are printed, of speeds and of their ratios to OmniSafe's and to Stable-Baselines3's.
 """
 
 import argparse
@@ -20,8 +21,9 @@ import time
 from pathlib import Path
 
 EPOCH, EPOCHS = 10_000, 2
-BATCH = {"ppo-lag": 64, "cpo": 128}
-THEIRS = {"ppo-lag": "PPOLag", "cpo": "CPO"}
+TASK = "circle2d_mj/SafetyPointGoal1-v0"
+BATCH = {"ppo": 64, "ppo-lag": 64, "cpo": 128}
+THEIRS = {"ppo": "PPO", "ppo-lag": "PPOLag", "cpo": "CPO"}
 # Runs in OmniSafe's Python.
 OMNISAFE = """
 import contextlib, os, sys, tempfile, time
@@ -56,8 +58,7 @@ def ours(name, runs):
     config = algorithm(name).config(episodes=EPOCH // 1000, critic_iterations=10)
     if hasattr(config, "batch_size"):
         config = algorithm(name).config(**vars(config) | {"batch_size": BATCH[name]})
-    task = "circle2d_mj/SafetyPointGoal1-v0"
-    training = TrainConfig(name, (task,), tuple(range(runs)), EPOCHS * EPOCH, config)
+    training = TrainConfig(name, (TASK,), tuple(range(runs)), EPOCHS * EPOCH, config)
     with tempfile.TemporaryDirectory() as folder:
         training.write(Path(folder))
         with contextlib.closing(Trainer(Path(folder), training)) as trainer:
@@ -68,11 +69,37 @@ def ours(name, runs):
             return (trainer.steps.sum() - before) / (time.process_time() - start)
 
 
+def stable_baselines3():
+    """Speed of one run of its PPO."""
+    import gymnasium as gym
+    import stable_baselines3 as sb3
+    import torch
+
+    import circle2d_mj  # noqa: F401  (registers the task)
+
+    torch.set_num_threads(1)
+    learning = {"n_steps": EPOCH, "batch_size": BATCH["ppo"], "n_epochs": 10, "device": "cpu"}
+    layers = {"net_arch": [64, 64]}
+    model = sb3.PPO("MlpPolicy", gym.make(TASK), policy_kwargs=layers, **learning)
+    model.learn(EPOCH)
+    start = time.process_time()
+    model.learn((EPOCHS - 1) * EPOCH, reset_num_timesteps=False)
+    return (EPOCHS - 1) * EPOCH / (time.process_time() - start)
+
+
 def speed(command):
     """The last line that a process prints."""
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     return float(done.stdout.split()[-1])
+
+
+def median(turns, kind, over=None):
+    """Median speed of one kind, or of its ratio to another; empty where one is not measured."""
+    if not {kind, over} <= {*turns[0], None}:
+        return ""
+    values = [turn[kind] / (turn[over] if over else 1) for turn in turns]
+    return f"{statistics.median(values):,.{1 if over else 0}f}"
 
 
 def main():
@@ -85,20 +112,22 @@ def main():
     parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
-        print(ours(options.one[0], int(options.one[1])))
+        name, runs = options.one
+        print(stable_baselines3() if runs == "SB3" else ours(name, int(runs)))
         return
-    heads = [f"{n} run{'s' * (n > 1)} | over it" for n in options.runs]
-    print(f"| algorithm | OmniSafe, 1 run | {' | '.join(heads)} |")
-    print(f"| {' | '.join(['---'] * (2 + 2 * len(heads)))} |")
+    heads = [f"ours, {n} run{'s' * (n > 1)} | ratios" for n in options.runs]
+    print(f"| algorithm | OmniSafe | SB3 | {' | '.join(heads)} |")
+    print(f"| {' | '.join(['---'] * (3 + 2 * len(heads)))} |")
     for name in options.algorithms:
         sizes = [str(BATCH[name]), str(EPOCH), str(EPOCHS)]
-        commands = [[options.omnisafe, "-c", OMNISAFE, THEIRS[name], *sizes]]
-        commands += [[sys.executable, __file__, "--one", name, str(n)] for n in options.runs]
-        turns = [[speed(command) for command in commands] for _ in range(options.turns)]
-        cells = [f"{statistics.median(turn[0] for turn in turns):,.0f}"]
-        for k in range(1, len(commands)):
-            cells.append(f"{statistics.median(turn[k] for turn in turns):,.0f}")
-            cells.append(f"{statistics.median(turn[k] / turn[0] for turn in turns):.1f}")
+        commands = {"OmniSafe": [options.omnisafe, "-c", OMNISAFE, THEIRS[name], *sizes]}
+        for kind in (*(["SB3"] if name == "ppo" else []), *options.runs):
+            commands[kind] = [sys.executable, __file__, "--one", name, str(kind)]
+        turns = [{k: speed(line) for k, line in commands.items()} for _ in range(options.turns)]
+        cells = [median(turns, "OmniSafe"), median(turns, "SB3")]
+        for n in options.runs:
+            ratios = [median(turns, n, peer) for peer in ("OmniSafe", "SB3")]
+            cells += [median(turns, n), ", ".join(filter(None, ratios))]
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
 
 

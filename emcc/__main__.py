@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
+from emcc.arrays import named
 from emcc.panels import INTERVALS, WINDOW, mean_cell, panel, panel_table
 from emcc.parts import ALPHA, PARTS, TIES, cost_rate, emcc, rollouts_by_part
 from emcc.sources import Run, read_runs
@@ -108,10 +109,8 @@ def _emcc_table(groups: Sequence[Sequence[Run]], alpha: float, ties: str) -> Tab
 def _emcc_by_part(run: Run, alpha: float, ties: str) -> list[float | None]:
     """EMCC of each third; None where no rollout starts in it."""
     mcc, starts = run.records.mcc_per_rollout()
-    try:
+    with named(run.source):
         parts = rollouts_by_part(starts, run.total_steps)
-    except ValueError as error:
-        raise ValueError(f"{run.source}: {error}") from error
     return [emcc(mcc[chosen], alpha, ties) if chosen.any() else None for chosen in parts.values()]
 
 
@@ -120,10 +119,8 @@ def _panel_table(group: Sequence[Run], options: argparse.Namespace) -> Table:
     # One window for all runs, since a row names it.
     window = min(options.window, *(len(run.records) or 1 for run in group))
     choices = {"ties": options.ties, "window": window, "total_steps": first.total_steps}
-    try:
+    with named(first.source):
         panels = [panel(run.records, options.limit, options.alpha, **choices) for run in group]
-    except ValueError as error:
-        raise ValueError(f"{first.source}: {error}") from error
     seeds = f"seeds {' '.join(run.seed for run in group)}" if first.seed else ""
     words = first.source, first.algorithm, _task(first), seeds
     return panel_table(panels, ", ".join(filter(None, words)))

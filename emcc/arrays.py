@@ -6,10 +6,25 @@ than are allowed.
 
 import math
 import operator
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+
+@contextmanager
+def named(source: Any) -> Iterator[None]:
+    """Puts the file, or the run, in front of what is wrong with its content."""
+    try:
+        yield
+    except KeyError as error:
+        raise ValueError(f"{source}: missing: {error.args[0]}") from error
+    except (TypeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(f"{source}: {error}") from error
 
 
 def as_array(values: ArrayLike, name: str) -> NDArray[Any]:

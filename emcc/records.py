@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_integers, as_steps, check_range
+from emcc.arrays import as_array, as_integers, as_steps, check_range, named
 from emcc.parts import ALPHA, emcc, emcc_by_part, rollouts_by_part
 from emcc.streaks import count_streaks, longest_streaks
 
@@ -277,10 +277,8 @@ class EpisodeRecords:
         arrays.setdefault("rollout", np.arange(len(length)))
         arrays.setdefault("start_step", np.cumsum(length) - length)
         arrays.setdefault("return", np.zeros(len(length)))
-        try:
+        with named(path):
             return cls(*(arrays.get(name) for name in COLUMNS))  # pyright: ignore[reportArgumentType]
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
 
 
 def check_records(records: Any, name: str = "records", fewest: int = 1) -> None:

@@ -8,9 +8,7 @@ import json
 import os
 import re
 import zipfile
-import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from emcc.arrays import as_array, as_count
+from emcc.arrays import as_array, as_count, named
 from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords
 from emcc.table import Columns
@@ -64,7 +62,7 @@ def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
     ValueError: something that cannot be understood, by its path.
     """
     if path.is_dir() or path.suffix == ".zip":
-        with _named(path):
+        with named(path):
             folder = zipfile.Path(path) if path.is_file() else path
         runs = [run for inner in _run_folders(folder) for run in _read_run_folder(inner, threshold)]
         if not runs:
@@ -75,17 +73,6 @@ def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
     reader = _read_numpy if path.suffix in (".npy", ".npz") else _read_csv
     records = reader(path, threshold)
     return [Run(str(path), records, records.total_steps)]
-
-
-@contextmanager
-def _named(path: Any) -> Iterator[None]:
-    """Puts the path in front of what is wrong with a file's content."""
-    try:
-        yield
-    except KeyError as error:
-        raise ValueError(f"{path}: missing: {error.args[0]}") from error
-    except (TypeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def _run_folders(folder: Any) -> Iterator[Any]:
@@ -101,7 +88,7 @@ def _run_folders(folder: Any) -> Iterator[Any]:
 def _read_run_folder(folder: Any, threshold: float) -> Iterator[Run]:
     """The runs of one training: a run for each cost of each task and seed in config.json, with its
     arrays TASK/SEED/* in results.npz."""
-    with _named(folder / "config.json"):
+    with named(folder / "config.json"):
         config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
         algorithm, steps = config["algorithm"], as_count(config["steps"], "steps")
         costs = config.get("costs", ["cost"])
@@ -113,7 +100,7 @@ def _read_run_folder(folder: Any, threshold: float) -> Iterator[Run]:
     for task, seed in keys:
         prefix = f"{re.sub('[/:]', '-', task)}/{seed}/"
         for cost in costs:
-            with _named(results):
+            with named(results):
                 records = _records(arrays, prefix, cost, threshold)
             yield Run(str(folder), records, steps, task, algorithm, seed, cost)
 
@@ -137,7 +124,7 @@ def _records(arrays: Any, prefix: str, cost: str, threshold: float) -> EpisodeRe
 
 def _arrays(path: Any) -> Any:
     """The arrays of a numpy file by their names; path: pathlib.Path or zipfile.Path."""
-    with _named(path):
+    with named(path):
         content: Any = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
     return {"costs": content} if isinstance(content, np.ndarray) else content
 
@@ -146,7 +133,7 @@ def _read_numpy(path: Path, threshold: float) -> EpisodeRecords:
     arrays = _arrays(path)
     if unknown := [name for name in arrays if name not in ARRAYS]:
         raise ValueError(f"{path}: holds {', '.join(unknown)}; known are {sorted(ARRAYS)}")
-    with _named(path):
+    with named(path):
         given = {"costs": arrays["costs"], **arrays}
         return EpisodeRecords.from_costs(**given, threshold=threshold)
 
@@ -184,7 +171,7 @@ def _read_csv(path: Path, threshold: float) -> EpisodeRecords:
         raise ValueError(f"{path}: every episode has one row: sums of episodes have no EMCC")
     numbers = {name: number for number, name in enumerate(dict.fromkeys(rollouts))}
     ids = [numbers[rollouts[row]] for row in last] if "rollout" in columns else None
-    with _named(path):
+    with named(path):
         lengths = np.diff(last, prepend=-1)
         return EpisodeRecords.from_costs(costs, lengths, None, ids, threshold)
 

@@ -5,13 +5,14 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.spaces import Box
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from emcc.arrays import as_array, as_number
+from emcc.arrays import as_number
 from emcc.recorder import cost_of, costs_of
 from emcc.streaks import weighted
+from emcc.wrappers import VectorSteps
 
 
 def StreakCost(
@@ -78,12 +79,10 @@ class StreakCostEnv(gym.Wrapper):
         return self._observed(observation), reward, bool(terminated), bool(truncated), info
 
     def _observed(self, observation: Any) -> Any:
-        if self.scale is None:
-            return observation
-        return np.append(observation, np.asarray(self._streak / self.scale, observation.dtype))
+        return _observed(observation, self._streak, self.scale)
 
 
-class StreakCostVectorEnv(VectorWrapper):
+class StreakCostVectorEnv(VectorSteps):
     """`StreakCost` of a VectorEnv."""
 
     def __init__(
@@ -91,45 +90,28 @@ class StreakCostVectorEnv(VectorWrapper):
     ) -> None:
         super().__init__(env)
         self.weight, self.scale, self.threshold = weight, scale, threshold
-        try:
-            self._mode = AutoresetMode(env.metadata.get("autoreset_mode"))
-        except ValueError as error:
-            raise ValueError(f"{env}: metadata['autoreset_mode']: {error}") from error
         self._streak = np.zeros(env.num_envs, dtype=np.int64)
-        self._finished = np.zeros(env.num_envs, dtype=bool)  # and not reset yet
         if scale is not None:
             self.single_observation_space = _with_streak(env.single_observation_space)
             self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
-    def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Reset the environments, or those in options["reset_mask"]; their streaks are over."""
-        where = np.array((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool)))
-        observations, infos = self.env.reset(seed=seed, options=options)
+    def _after_reset(self, where: NDArray[np.bool_], *result: Any) -> Any:
+        observations, infos = result
         self._streak[where] = 0
-        self._finished &= ~where
-        return self._observed(observations), infos
+        return _observed(observations, self._streak, self.scale), infos
 
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step the environments; costs are weighted, plain costs are not."""
-        observations, rewards, terminated, truncated, infos = self.env.step(actions)
-        active = ~self._finished
-        done = as_array(terminated, "terminated") | as_array(truncated, "truncated")
-        plain = np.zeros(self.num_envs)
-        if active.any():
-            plain = costs_of(infos, active, done)
+    def _after_step(self, active: NDArray[np.bool_], done: NDArray[np.bool_], *result: Any) -> Any:
+        observations, rewards, terminated, truncated, infos = result
+        plain = costs_of(infos, active, done) if active.any() else np.zeros(self.num_envs)
         self._streak = np.where(active & (plain > self.threshold), self._streak + 1, 0)
         costs = {"cost": weighted(plain, self._streak, self.weight), "plain_cost": plain}
         infos = {**infos, **_with_masks(costs, active)}
-        if self._mode == AutoresetMode.SAME_STEP:
+        if self._mode == AutoresetMode.SAME_STEP.value:
             if done.any():
                 infos = self._with_final(infos, costs, done)
             self._streak = np.where(done, 0, self._streak)  # of the next episodes already
-        else:
-            resets = self._mode == AutoresetMode.NEXT_STEP
-            self._finished = (done & active) if resets else self._finished | done
-        return self._observed(observations), rewards, terminated, truncated, infos
+        observations = _observed(observations, self._streak, self.scale)
+        return observations, rewards, terminated, truncated, infos
 
     def _with_final(
         self, infos: dict[str, Any], costs: dict[str, NDArray], done: NDArray[np.bool_]
@@ -137,17 +119,17 @@ class StreakCostVectorEnv(VectorWrapper):
         """The infos with the streak in the last observations, and the costs of the last steps."""
         final = {**infos.get("final_info", {}), **_with_masks(costs, done)}
         observations = infos["final_obs"].copy()
-        for index in np.flatnonzero(done) if self.scale is not None else ():
-            last = observations[index]
-            streak = np.asarray(self._streak[index] / self.scale, last.dtype)
-            observations[index] = np.append(last, streak)
+        for index in np.flatnonzero(done):
+            observations[index] = _observed(observations[index], self._streak[index], self.scale)
         return {**infos, "final_info": final, "final_obs": observations}
 
-    def _observed(self, observations: Any) -> Any:
-        if self.scale is None:
-            return observations
-        column = (self._streak / self.scale).astype(observations.dtype)
-        return np.concatenate((observations, column[:, None]), axis=1)
+
+def _observed(observation: Any, streak: Any, scale: float | None) -> Any:
+    """An observation, or one of each environment, with its streak behind it."""
+    if scale is None:
+        return observation
+    shown = np.asarray(streak / scale, observation.dtype)
+    return np.concatenate((observation, shown[..., None]), axis=-1)
 
 
 def _with_masks(costs: dict[str, NDArray], where: NDArray[np.bool_]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from emcc.arrays import as_array
 from emcc.recorder import CostRecorder, cost_of, costs_of
@@ -135,41 +135,63 @@ class RecordEnvCosts(
         return result
 
 
-class RecordVectorCosts(_Recorded, VectorWrapper):
-    """`RecordCosts` of a VectorEnv."""
+class VectorSteps(VectorWrapper):
+    """Knows which environments take a step, in every autoreset mode.
+
+    Subclasses say what `reset` and `step` return then. where, active, done: masks [num_envs] of the
+    environments that were reset, that took a step, and whose episode ended with it.
+    """
+
+    def __init__(self, env: VectorEnv) -> None:
+        super().__init__(env)
+        self._mode = _autoreset_mode(env)
+        self._finished = np.zeros(env.num_envs, dtype=bool)  # and not reset yet
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Reset the environments, or those in options["reset_mask"]."""
+        mask = (options or {}).get("reset_mask")
+        where = np.ones(self.num_envs, dtype=bool) if mask is None else np.array(mask)
+        result = super().reset(seed=seed, options=options)
+        self._finished &= ~where
+        return self._after_reset(where, *result)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step the environments."""
+        result = super().step(actions)
+        active = ~self._finished
+        done = as_array(result[2], "terminated") | as_array(result[3], "truncated")
+        if self._mode == "NextStep":
+            self._finished = done & active
+        elif self._mode == "Disabled":
+            self._finished |= done
+        return self._after_step(active, done, *result)
+
+    def _after_reset(self, where: NDArray[np.bool_], *result: Any) -> Any:
+        raise NotImplementedError
+
+    def _after_step(self, active: NDArray[np.bool_], done: NDArray[np.bool_], *result: Any) -> Any:
+        raise NotImplementedError
+
+
+class RecordVectorCosts(_Recorded, VectorSteps):
+    """`RecordCosts` of a VectorEnv; the steps of episodes that a reset ends are kept."""
 
     def __init__(
         self, env: VectorEnv, rollout: int | str, threshold: float, costs: Sequence[str]
     ) -> None:
         super().__init__(env)
-        self._mode = _autoreset_mode(env)
         self._record(env.num_envs, rollout, threshold, costs)
-        self._waiting = np.zeros(env.num_envs, dtype=bool)  # finished, and not reset yet
 
-    def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Reset the environments, or those in options["reset_mask"]; the steps of running episodes
-        are kept."""
-        mask = (options or {}).get("reset_mask")
-        where = np.ones(self.num_envs, dtype=bool) if mask is None else np.array(mask)
-        result = super().reset(seed=seed, options=options)
+    def _after_reset(self, where: NDArray[np.bool_], *result: Any) -> Any:
         self._cut(where)
-        self._waiting &= ~where
         return result
 
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step the environments and record the costs of those that took a step."""
-        result = super().step(actions)
-        _, rewards, terminated, truncated, infos = result
-        active = ~self._waiting
-        done = as_array(terminated, "terminated") | as_array(truncated, "truncated")
+    def _after_step(self, active: NDArray[np.bool_], done: NDArray[np.bool_], *result: Any) -> Any:
+        _, rewards, _, _, infos = result
         for name, recorder in self.recorders.items() if active.any() else ():
             recorder.step(costs_of(infos, active, done, name), rewards, done, active)
-        if self._mode == "NextStep":
-            self._waiting = done & active
-        elif self._mode == "Disabled":
-            self._waiting |= done
         return result
 
 

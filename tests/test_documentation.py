@@ -203,7 +203,6 @@ def test_every_algorithm_has_a_page_and_every_hyper_parameter_a_row():
         page = TEXTS[f"docs/algorithms/{name}.md"]
         assert f"# {algorithm.title}\n" in page
         assert "**Source**" in page
-        assert f"`circle2d train {name} --help`" in page
         on_site = made.on_site(f"algorithms/{name}", page)
         assert on_site.rstrip().endswith(f"```{{include}} ../made/hyperparameters/{name}.md\n```")
         assert f"algorithms/{name}.md" in TEXTS["docs/algorithms.md"]

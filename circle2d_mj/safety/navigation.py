@@ -25,7 +25,7 @@ _QUIET = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 
 
 class NavigationTask(MuJoCoTask):
-    """`num_envs` copies of a task: an agent ("Point", "Car") in a scene of the family.
+    """`num_envs` copies of a task: an agent (one of `AGENTS`) in a scene of the family.
 
     | info | meaning | unit |
     | --- | --- | --- |
@@ -46,7 +46,7 @@ class NavigationTask(MuJoCoTask):
         model, scene = self.world.model, self.world.scene
         super().__init__(model, num_envs, num_threads, SUBSTEPS, agent=agent, level=level)
         self.agent = self.world.agent
-        self.action_space = action_space()
+        self.action_space = action_space(self.agent)
         self.observation_space = self._space()
         hazard = self.world.kinds.get("hazards")
         radius = hazard.size[0] if hazard else 0.0
@@ -162,7 +162,7 @@ class NavigationTask(MuJoCoTask):
         self._mocap_pos[index, self._first_gremlin :] = self._rests.at_rest[index] + offset
 
     def step(self, action: Floats) -> Outcome:
-        """Move all agents by their actions, [num_envs, 2], and renew the goals that they reach."""
+        """Move all agents by their actions, [num_envs, nu], and renew the goals that they reach."""
         before = self._lengths()
         self.advance(action)
         self._look()
@@ -287,7 +287,7 @@ class NavigationTask(MuJoCoTask):
         self.batch.forward()
 
     def _space(self) -> Box:
-        """12 or 24 unbounded sensors, 16 bins in [0, 1] for each lidar."""
+        """The agent's unbounded sensors, 16 bins in [0, 1] for each lidar."""
         bins = len(self.world.scene.lidars) * rules.LIDAR_BINS
         low = np.concatenate((np.full(self.agent.sensors, -np.inf), np.zeros(bins)))
         high = np.concatenate((np.full(self.agent.sensors, np.inf), np.ones(bins)))

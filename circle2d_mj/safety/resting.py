@@ -22,8 +22,6 @@ AT_REST = 1e-8
 have yet to settle by micrometres."""
 ON_PATH = 1e-13
 """How far a gremlin may be from its path, m, m/s and rad/s: rounding"""
-STRIDE = 0.1
-"""How far an agent, or what stood and is pushed, may move within a step, m: see the tests"""
 SETTLED = 0.5
 """Time after which a gremlin may be on its path, s; until then it catches up with its target."""
 
@@ -45,8 +43,9 @@ class Resting:
         (kind,) = (k for k in world.kinds.values() if k.physics in ("free", "driven"))
         self._batch, self._free = batch, world.free
         self._qpos, self._qvel = qpos, qvel
-        self._of_agent = world.agent.radius + kind.radius + STRIDE + self.way
-        self._of_object = 2 * kind.radius + STRIDE + self.way
+        stride = world.agent.stride + self.way
+        self._of_agent = world.agent.radius + kind.radius + stride
+        self._of_object = 2 * kind.radius + stride
         self._seconds = SUBSTEPS * world.model.opt.timestep
         first = world.model.body(worlds.names(kind, 1)[0]).geomadr[0]
         shape = (*qpos.shape[:2], -1)  # [num_envs, k, geoms of one]

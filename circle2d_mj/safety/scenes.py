@@ -59,7 +59,7 @@ class Scene(NamedTuple):
 
 
 AGENT_KEEPOUT = 0.4
-BOX = {"Point": (0.2, 0.001), "Car": (0.125, 0.0005)}
+BOX = {"Point": (0.2, 0.001), "Car": (0.125, 0.0005), "Doggo": (0.2, 0.001)}
 """Half-width and density of the box to push, by agent; the half-width is its keepout, too"""
 
 

@@ -30,7 +30,7 @@ TASKS = {
         {"agent": agent, "level": level},
     )
     for family, levels in _FAMILIES.items()
-    for agent in ("Point", "Car")
+    for agent in ("Point", "Car", "Doggo")
     for level in range(levels)
 } | {
     f"Safety{body}Velocity": SafetyTask(

@@ -82,7 +82,7 @@ def world(agent_name: str, family: str, level: int) -> World:
             for name in names(kind, placed.number):
                 _add_object(spec, name, kind)
         start = stop
-    touch = _add_touch_sensors(spec, scene, family, kinds)
+    touch = _add_touch_sensors(spec, agent, scene, family, kinds)
     if not free:
         # One tree of bodies is one island: no need to search for others.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
@@ -213,13 +213,13 @@ def _add_geom(
 
 
 def _add_touch_sensors(
-    spec: mujoco.MjSpec, scene: Scene, family: str, kinds: dict[str, Kind]
+    spec: mujoco.MjSpec, agent: Agent, scene: Scene, family: str, kinds: dict[str, Kind]
 ) -> dict[str, slice]:
     """Add a sensor for each object whose touch is asked for; return where they are in the data."""
     asked = {cost.removesuffix("_contact") for cost in scene.costs}
     asked |= {"buttons"} if family == "Button" else set()
     touch: dict[str, slice] = {}
-    start = 3 * len(spec.sensors)  # the agent's have three numbers each
+    start = agent.sensed  # the agent's sensors lead
     for placed in scene.placed:
         kind = kinds[placed.kind]
         if placed.kind not in asked or kind.physics == "none":

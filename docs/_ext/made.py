@@ -48,7 +48,8 @@ def on_site(name: str, text: str) -> str:
     metric = "```{include} made/metric.md\n:heading-offset: 1\n```"
     text = re.sub(r"(?m)^\[[^\]]*\]\(\.\./emcc/README\.md\)$", metric, text)
     if name.startswith("algorithms/"):
-        text += f"\n```{{include}} ../made/hyperparameters/{Path(name).name}.md\n```\n"
+        table = f"../made/hyperparameters/{Path(name).name}.md"
+        text += f"\n## Hyper-parameters\n\n```{{include}} {table}\n```\n"
     return copies.relinked(ROOT, text, folder, folder)
 
 

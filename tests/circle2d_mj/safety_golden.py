@@ -41,6 +41,11 @@ class Step:
         return self._raw["obs"][self._segment, self._t + 1]
 
 
+def recorded(task):
+    """Whether there are steps of a task: of the Doggo's one of each family has some."""
+    return (FOLDER / f"{task}.npz").exists()
+
+
 def steps(task):
     with np.load(FOLDER / f"{task}.npz") as file:
         raw = dict(file)

@@ -105,6 +105,17 @@ def test_vector_environments(mode):
             waits[i] = bool(over and mode != SAME)
 
 
+def test_a_reset_of_one_environment_keeps_the_streak_of_another():
+    scripts = [[[1.0], [1.0]], [[1.0] * 4]]
+    envs = SyncVectorEnv([partial(Scripted, of) for of in scripts], autoreset_mode=DISABLED)
+    envs = StreakCost(envs, WEIGHT, scale=SCALE)
+    envs.reset()
+    envs.step(np.zeros(2, int))
+    observations, _ = envs.reset(options={"reset_mask": np.array([True, False])})
+    assert (observations[:, 2] * SCALE).tolist() == [0, 1]
+    assert envs.step(np.zeros(2, int))[4]["cost"].tolist() == [1, 1 + WEIGHT]
+
+
 def test_plain_costs_are_recorded_inside_and_outside():
     inner = RecordCosts(Scripted(SCRIPTS[0]))
     env = RecordCosts(StreakCost(inner, WEIGHT))

@@ -7,6 +7,7 @@ import pytest
 
 import circle2d_mj
 import emcc
+from circle2d_mj.safety.agents import AGENTS
 
 IDS = sorted(
     name
@@ -24,7 +25,7 @@ def test_stable_baselines3(task):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     env = gym.make(task)
     with warnings.catch_warnings():
-        if "SafetyPoint" in task or "SafetyCar" in task:  # see `agents.action_space`
+        if any(f"Safety{agent}" in task for agent in AGENTS):  # see `agents.action_space`
             warnings.filterwarnings("ignore", "Your action space has dtype float64")
         if "Humanoid" in task:  # torques up to 0.4, as in gymnasium
             warnings.filterwarnings("ignore", "We recommend you to use a symmetric")

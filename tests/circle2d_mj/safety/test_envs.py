@@ -17,7 +17,7 @@ from circle2d_mj.safety.tasks import IDS, NAMES, TASKS
 
 # One of each kind of state: free objects, gremlins with timers, a box, none, a body, forces.
 SOME = ["SafetyPointGoal2", "SafetyCarButton1", "SafetyPointPush1", "SafetyCarCircle2"]
-SOME += ["SafetyHopperVelocity", "SafetyHumanoidVelocity"]
+SOME += ["SafetyDoggoGoal2", "SafetyHopperVelocity", "SafetyHumanoidVelocity"]
 equal = np.testing.assert_array_equal
 
 
@@ -102,27 +102,28 @@ def test_actions_are_clipped():
 
 
 def scattered(cls, agent, level, n):
-    """Agents that drive straight at free objects from a short way off."""
+    """Agents a short way off free objects, which they face."""
     task = cls(agent, level, n)
     task.start(Streams(np.arange(n, dtype=np.uint64)), np.arange(n))
     for _ in range(40):  # what is placed settles
-        task.step(np.zeros((n, 2)))
+        task.step(np.zeros((n, task.agent.nu)))
     places, first = task.places, task.world.free.start
     turns = np.arange(16) * 2 * np.pi / 16
     ways = np.stack((np.cos(turns), np.sin(turns)), axis=1)
-    starts = places[:, first, None] - 0.9 * ways
+    starts = places[:, first, None] - AWAY[agent] * ways
     others = np.delete(places[:, None], [0, first], axis=2)
     room = np.linalg.norm(starts[:, :, None] - others, axis=-1).min(axis=2)
     angle, place = turns[room.argmax(axis=1)], starts[np.arange(n), room.argmax(axis=1)]
-    pose = task.agent.qpos(place, angle + CAR_TURN[agent])
+    pose = task.agent.qpos(place, angle + TURN[agent])
     task.qpos[:, : task.agent.nq] = pose
     task.qvel[:, : task.agent.nv] = 0.0
     task.load_state_dict(task.state_dict())
     return task
 
 
-CAR_TURN = {"Point": 0.0, "Car": np.pi / 2}  # its front is its -y axis
-FORWARD = {"Point": [0.3, 0.0], "Car": [0.5, 0.5]}
+AWAY = {"Point": 0.9, "Car": 0.9, "Doggo": 0.45}
+TURN = {"Point": 0.0, "Car": np.pi / 2, "Doggo": 0.0}  # the Car's front is its -y axis
+FORWARD = {"Point": [0.3, 0.0], "Car": [0.5, 0.5]}  # the Doggo kicks about itself
 
 
 def ten_substeps(task, data, action, rest):
@@ -136,18 +137,22 @@ def ten_substeps(task, data, action, rest):
         mujoco.mj_step(task.model, data)
 
 
-@pytest.mark.parametrize("cls", [GoalTask, PushTask, ButtonTask])
-@pytest.mark.parametrize("agent", ["Point", "Car"])
-def test_objects_left_alone_are_as_in_plain_mujoco(cls, agent):
+CASES = [(agent, cls) for agent in AWAY for cls in (GoalTask, PushTask, ButtonTask)]
+CASES.remove(("Doggo", PushTask))  # the box is always within its reach here
+
+
+@pytest.mark.parametrize(("agent", "cls"), CASES)
+def test_objects_left_alone_are_as_in_plain_mujoco(agent, cls):
     """Every step beside ten of mj_step with all contacts in, while agents run into objects."""
     n = 4
     task = scattered(cls, agent, 2, n)
     left_alone, near, worst = 0, 0, []
-    control = np.tile(FORWARD[agent], (n, 1))
-    rows = task.world.free
+    rng, rows = np.random.default_rng(0), task.world.free
     rest = task.state_dict()["layout"][:, rows] if cls is ButtonTask else np.zeros((n, 0, 2))
     for _ in range(90):
         plain = [task.batch.get_data(i) for i in range(n)]
+        kicks = rng.uniform(-1.0, 1.0, (n, task.agent.nu))
+        control = np.tile(FORWARD[agent], (n, 1)) if agent in FORWARD else kicks
         task.step(control)
         alone = task._rests._collides[0][:, :, 0] == 0
         left_alone += alone.sum()

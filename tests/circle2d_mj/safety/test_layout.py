@@ -32,7 +32,7 @@ def names(task):
     return found
 
 
-@pytest.mark.parametrize("agent", ["Point", "Car"])
+@pytest.mark.parametrize("agent", ["Point", "Car", "Doggo"])
 @pytest.mark.parametrize("family", ["Goal", "Button", "Push", "Circle", "Run"])
 def test_placements(family, agent):
     """Keepouts and extents are those that the original's task had; the agent's start costs 0."""

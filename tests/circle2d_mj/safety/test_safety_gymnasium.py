@@ -87,7 +87,7 @@ def agent_sensors(env):
 def test_bad_ids():
     for make in (safety_gymnasium.make, safety_gymnasium.vector.make):
         with pytest.raises(ValueError, match=r"id must be one of \['SafetyAntVelocity-v1', "):
-            make("SafetyDoggoGoal1-v0")
+            make("SafetyRacecarGoal1-v0")
 
 
 def test_a_single_environment_in_safepos_wrappers():
