@@ -12,7 +12,14 @@ from agents.algorithms import ALGORITHMS, title
 from agents.paper.claims import LIMIT, check_claims
 from agents.paper.evidence import SAFETY_SEEDS, SEEDS
 from agents.paper.introduction import introduction
-from agents.paper.presets import MARGIN, PAPER_ALGORITHMS, ablations, is_circle2d, unprinted
+from agents.paper.presets import (
+    MARGIN,
+    PAPER_ALGORITHMS,
+    ablations,
+    is_circle2d,
+    registered_id,
+    unprinted,
+)
 from agents.paper.printed import choice_of, paper_results, printed, split
 from agents.reporting.figures import Figure
 from agents.reporting.overall import differences_over_tasks
@@ -31,10 +38,12 @@ from agents.results.frame import by_task, hyperparameter_changes, name_of, unusu
 from agents.results.measures import measure, measures
 from agents.results.reading import Group, Run
 from agents.results.statistics import INTERVALS, LEVEL, Pair, group_mean, two_sets
+from circle2d_mj.registration import KINEMATIC, PHYSICS
 from emcc import emcc_by_part
 from emcc.parts import ALPHA, PARTS
 
 CLAIMS = "The paper's claims"
+CLAIMS_WITH_PHYSICS = f"{CLAIMS}, on Circle2D with physics, of which it has no runs"
 METHOD = (
     "A claim is confirmed where all its parts are, refuted where one is, undecided otherwise. Runs "
     f"with the presets' settings and of the paper's length count, {SEEDS} or more of an algorithm "
@@ -84,7 +93,7 @@ class Paper(NamedTuple):
     tables: dict[str, Table]
     """Tables of other choices, by title."""
     details: dict[str, Table]
-    claims: Section | None
+    claims: list[Section]
     introduction: list[Figure]
 
 
@@ -109,7 +118,7 @@ def sections(groups: Sequence[Group]) -> Paper:
         {task: _notes([g for g in usual if g.task == task]) for task in {g.task for g in usual}},
         {name: table for name, table in tables.items() if table is not None},
         {TIES: ties_table(usual)},
-        claims_section(groups),
+        claims_sections(groups),
         introduction() if circle2d else [],
     )
 
@@ -135,10 +144,21 @@ def _notes(groups: Sequence[Group]) -> list[str]:
     return notes
 
 
-def claims_section(groups: Sequence[Group]) -> Section | None:
-    """The paper's claims with their verdicts; None where no run can tell."""
-    statements = check_claims(groups)
-    return Section(CLAIMS, statements=statements, method=METHOD) if statements else None
+def claims_sections(groups: Sequence[Group]) -> list[Section]:
+    """The paper's claims with their verdicts, and the same on the tasks with physics, of which the
+    paper has no runs; nothing where no run can tell."""
+    same = {PHYSICS[level]: task for level, task in KINEMATIC.items()}
+    physics = [
+        replace(group, task=same[registered_id(group.task)])
+        for group in groups
+        if registered_id(group.task) in same
+    ]
+    found = {CLAIMS: check_claims(groups), CLAIMS_WITH_PHYSICS: check_claims(physics)}
+    return [
+        Section(title, statements=statements, method=METHOD)
+        for title, statements in found.items()
+        if statements
+    ]
 
 
 Choices = Sequence[Sequence[Group]]

@@ -78,7 +78,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     if archive is not None:
         write_archive(archive, everything)
     shown = [
-        *([paper.claims] if paper.claims else []),
+        *paper.claims,
         *(Section(name, over_tasks.get(name), figures) for name, figures in together.items()),
         *([Section("Replay of training", replay=replay)] if replay["runs"] else []),
         *(
@@ -92,7 +92,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     title = f"{heading(paper.usual)} ({name_of_all(everything)})"
     html = page(title, shown, made(everything), summary(paper.usual), scenes.all)
     write_whole(out / "index.html", html)
-    verdicts = [paper.claims.statements_markdown()] if paper.claims else []
+    verdicts = [section.statements_markdown() for section in paper.claims]
     titled = [block for name, table in tables.items() for block in (f"## {plain(name)}\n", table)]
     ending = "Figures, heat maps and replay: index.html\n"
     write_whole(out / "report.md", markdown([*verdicts, *titled, ending]))

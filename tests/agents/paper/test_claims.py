@@ -9,7 +9,7 @@ import pytest
 from agents.paper.claims import CLAIMS, check_claims
 from agents.paper.evidence import all_of, gather
 from agents.paper.presets import PAPER_STEPS, preset
-from agents.paper.sections import claims_section
+from agents.paper.sections import CLAIMS_WITH_PHYSICS, claims_sections
 from agents.reporting.page import page
 from agents.results.reading import Group, Run
 from agents.training.config import TrainConfig
@@ -221,12 +221,28 @@ def test_another_choice_that_changes_a_verdict(world):
         "in the corridor: SAC-Lag with bootstrap 0 of 10 runs [0.00, 0.31], SAC-LB 10 of 10 runs "
         "[0.69, 1.00] (claimed: each has some)"
     )
-    section = claims_section([ten, *groups])
+    [section] = claims_sections([ten, *groups])
     text = section.statements_markdown()
     assert f"With bootstrap: refuted\n\n- Circle2D-0: {words}: refuted\n" in text
     html = unescape(page("x", [section], {}))
     assert 'With bootstrap: <span class="refuted">refuted</span>' in html
     assert html.count(words) == 1
+
+
+def test_runs_with_physics_have_claims_of_their_own(world):
+    """The same rules; runs with physics do not decide the paper's claims, nor others theirs."""
+    world = {(task, name): runs for (task, name), runs in world.items() if task in LEVEL}
+    groups = [group(task, name, runs) for (task, name), runs in world.items()]
+    with_physics = [
+        replace(own, task=own.task.replace("Circle2D", "Circle2DMuJoCo")) for own in groups
+    ]
+    [kinematic] = claims_sections(groups)
+    [physics] = claims_sections(with_physics)
+    assert physics.title == CLAIMS_WITH_PHYSICS
+    assert physics.statements == kinematic.statements
+    other = [replace(own, runs=own.runs[:3]) for own in with_physics]
+    both = claims_sections([*groups, *other])
+    assert [section.statements == kinematic.statements for section in both] == [True, False]
 
 
 def test_two_folders_of_other_seeds_count_together(world):
@@ -242,7 +258,8 @@ def test_what_is_missing_is_named(world):
     del world[SAFETY[2], "cpo"]
     world[LEVEL[3], "wcsac"] = world[LEVEL[3], "wcsac"][:3]
     groups = [group(task, name, runs) for (task, name), runs in world.items()]
-    text = claims_section(groups).statements_markdown()
+    [section] = claims_sections(groups)
+    text = section.statements_markdown()
     assert "; no runs: SafetyHopperVelocity: undecided" in text
     assert "; 3 of 10 runs: WCSAC: undecided" in text
 
