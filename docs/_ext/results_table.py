@@ -17,6 +17,8 @@ RESULTS = Path(__file__).parents[2] / "results"
 EMCC = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")
 SAFETY_MEASURES = (*EMCC, "cost_rate")
 LEVELS = tuple(f"Circle2D-{level}-v0" for level in range(4))
+PHYSICS = {f"Circle2DMuJoCo-{level}-v0": f"Circle2D-{level}-v0" for level in (1, 2, 3)}
+"""Levels of the grid with physics, and the same without."""
 ALGORITHMS = ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC")
 LIMIT = 5.0
 UNITS = "SAC-LB (input_scale 15.0)"
@@ -86,13 +88,61 @@ def grid() -> list[str]:
         for name in ALGORITHMS:
             own = runs(lines, task, name)
             at = (lines.kind == "paper") & (lines.task == task) & (lines.algorithm == name)
-            cells = [
-                f"{ours} ({paper})"
-                for ours, paper in zip(means(own), means(lines[at]), strict=True)
-            ]
-            cells[0] = cells[0].replace(" (", "(").replace(" ", "/").replace("(", " (")
-            rows.append(_row(task[9], name, *cells, _counts(own)))
+            rows.append(_row(task[9], name, *_beside(own, lines[at]), _counts(own)))
     return rows
+
+
+def physics() -> list[str]:
+    """A row for each algorithm: EMCC by third on each level with physics, that without it in
+    brackets."""
+    lines, kinematic, rows = report("physics"), report("circle2d"), []
+    for name in ALGORITHMS:
+        pairs = [
+            (runs(lines, task, name), runs(kinematic, same, name)) for task, same in PHYSICS.items()
+        ]
+        rows.append(_row(name, *(_beside(own, other)[0] for own, other in pairs)))
+    return rows
+
+
+def physics_against_kinematic() -> list[str]:
+    """A row for each algorithm over the levels: how much higher means are with physics, and the
+    runs that solve their level and those within the limit, without physics in brackets. p values:
+    permutation tests, runs exchanged within a level, corrected for all of the table (Holm)."""
+    lines, kinematic, gaps, tests, counts = report("physics"), report("circle2d"), {}, {}, {}
+    for name in ALGORITHMS:
+        without, having = (
+            [runs(of, task, name) for task in tasks]
+            for of, tasks in ((kinematic, PHYSICS.values()), (lines, PHYSICS))
+        )
+        for measure in SAFETY_MEASURES:
+            sides = [
+                np.transpose([own[measure].to_numpy() for own in side])
+                for side in (without, having)
+            ]
+            gaps[name, measure] = sides[1].mean() - sides[0].mean()
+            rng = np.random.default_rng(0)
+            tests[name, measure] = emcc.permutation_test(*sides, rng=rng)
+        counts[name] = [
+            f"{count(chosen(pd.concat(having)))} ({int(chosen(pd.concat(without)).sum())})"
+            for chosen in (solved, within)
+        ]
+    p = dict(zip(tests, emcc.holm(list(tests.values())).tolist(), strict=True))
+    return [
+        _row(
+            name,
+            *(f"{_gap(gaps[name, m])} ({_p(p[name, m])})" for m in SAFETY_MEASURES),
+            *counts[name],
+        )
+        for name in ALGORITHMS
+    ]
+
+
+def _beside(own: pd.DataFrame, other: pd.DataFrame) -> list[str]:
+    """Means of some lines, those of others in brackets."""
+    pairs = list(zip(means(own), means(other), strict=True))
+    (ours, theirs), *others = pairs
+    first = f"{ours.replace(' ', '/')} ({theirs.replace(' ', '/')})"
+    return [first, *(f"{a} ({b})" for a, b in others)]
 
 
 def _counts(own: pd.DataFrame) -> str:
@@ -200,6 +250,7 @@ def _row(*cells: str) -> str:
 
 PAGES = {
     "README.md": (grid, equal_rates),
+    "physics/README.md": (physics, physics_against_kinematic),
     "solve/README.md": (solving, compared, parts),
 }
 """The tables of each page."""
