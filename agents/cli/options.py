@@ -6,6 +6,7 @@ import ast
 import contextlib
 import importlib
 import io
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice, takewhile
 from pathlib import Path
@@ -99,7 +100,8 @@ def _in_a_line(message: str) -> str:
     lines = [line.strip("│| ") for line in message.splitlines()]
     inside = [line for line in lines if not (set(line) <= set("─- ") or line[0] in "╭╰+")]
     words = takewhile(lambda line: not line.startswith(("For full help", "Argument help")), inside)
-    return " ".join(words) or "the options cannot be understood"
+    told = re.sub(r"^Error parsing \w+: ", "", " ".join(words))  # by the name of our class
+    return told or "the options cannot be understood"
 
 
 def _integers(info: Any) -> Any:

@@ -9,6 +9,7 @@ import pytest
 from agents.paper.claims import CLAIMS, check_claims
 from agents.paper.evidence import all_of, gather
 from agents.paper.presets import PAPER_STEPS, preset
+from agents.paper.printed import paper_results
 from agents.paper.sections import CLAIMS_WITH_PHYSICS, claims_sections
 from agents.reporting.page import page
 from agents.results.reading import Group, Run
@@ -91,6 +92,16 @@ def verdict_of(world, claim):
 def test_all_confirmed(world):
     assert len(CLAIMS) == 9
     assert verdicts(world) == ["confirmed"] * 9
+
+
+def test_differences_are_of_the_second_less_the_first(world):
+    """SAC-Lag's cost rate is .2, TRPO-Lag's .1."""
+    groups = [group(task, name, runs) for (task, name), runs in world.items()]
+    (words, verdict), *_ = check_claims(groups)[7].findings
+    assert words.startswith("cost_rate: SAC-Lag - TRPO-Lag +0.10 [")
+    printed = [paper_results(SAFETY[0], name)["cost_rate"] for name in ("SAC-Lag", "TRPO-Lag")]
+    assert f"; paper {printed[0] - printed[1]:+.2f}; " in words
+    assert verdict == "confirmed"
 
 
 def test_claims_on_tasks_without_runs_are_left_out(world):

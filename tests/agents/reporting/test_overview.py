@@ -1,6 +1,7 @@
 """Figures and tables over all tasks, against counts and means worked out here."""
 
 import re
+from dataclasses import replace
 from itertools import product
 from statistics import fmean
 
@@ -11,7 +12,7 @@ from matplotlib.axes import Axes
 from agents.paper.presets import preset
 from agents.paper.printed import printed
 from agents.reporting.figures import intervals_figure, profiles_figure
-from agents.reporting.overall import over_tasks, separated_table
+from agents.reporting.overall import RANKS, over_tasks, separated_table, tables_over_tasks
 from agents.results.measures import RunData, measured
 from agents.results.reading import Group, Run
 from agents.results.statistics import comparisons, thirds
@@ -183,3 +184,24 @@ def test_no_interval_of_a_difference_where_runs_end_in_different_places(groups):
     mixed = group(TASKS[0], "wcsac", [*elsewhere[:3], *groups[2].runs[3:]])
     (row, *_) = separated_table([groups[1], mixed]).rows
     assert [row.numbers[k].low for k in (2, 6)] == [None, None]
+
+
+def test_ranks_of_what_can_be_compared(groups):
+    """CPO has the highest return; WCSAC, at 4 an episode, violates no limit of 5 and costs least. A
+    longer training of CPO with more runs is of a length that no other algorithm has."""
+    changed = []
+    for of in groups:
+        runs = of.runs
+        if of.config.algorithm == "cpo":
+            runs = [replace(r, measures={**r.measures, "J_R": -1.0}) for r in runs]
+        elif of.config.algorithm == "wcsac":
+            runs = [run(seed, 4, 4) for seed in range(6)]
+        changed.append(replace(of, runs=runs))
+    more = group(TASKS[0], "cpo", [run(seed, 1, 1) for seed in range(8)])
+    changed.append(replace(more, config=replace(more.config, steps=STEPS + 100)))
+    table = tables_over_tasks(changed)[RANKS]
+    rows = {row.name: [cell.value for cell in row.numbers[3:6]] for row in table.rows}
+    assert table.head[4:7] == ["cost rate", "violation rate", "J_R"]
+    assert rows["TRPO-Lag, 6 to 6 seeds"] == [3, 2.5, 2.5]
+    assert rows["CPO, 6 to 6 seeds"] == [2, 2.5, 1]
+    assert rows["WCSAC, 6 to 6 seeds"] == [1, 1, 2.5]
