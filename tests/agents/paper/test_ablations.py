@@ -3,13 +3,19 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_runs import write_evaluated
 
 from agents.paper.grid import grid
 from agents.paper.presets import ablations, preset
+from agents.paper.sections import ties_table
 from agents.reporting.report import table
 from agents.reporting.table import markdown
+from agents.results.measures import measures
+from agents.results.reading import Group, Run
+from agents.training.config import TrainConfig
+from emcc import EpisodeRecords
 
 ALGORITHMS = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
 TASK, SAFETY = "Circle2D-1-v0", "circle2d_mj/SafetyPointGoal1-v0"
@@ -193,3 +199,24 @@ def test_how_often_a_choice_is_the_nearest(folder):
     words = markdown(table(folder))
     found = rows(words[words.index("Measures, over all tasks, in which") :])
     assert found[2:] == [["TRPO-Lag, adam (preset)", "6 of 7"], ["TRPO-Lag, sgd", "7 of 7"]]
+
+
+def test_ties_split_instead_of_kept():
+    """Of each third's 99 rollouts nine have an MCC of .5, the others of 0, as the quantile: kept,
+    all count, 9 * .5 / 99; split, a tenth of them, 9 * .5 / 9.9 or 10."""
+    number = np.arange(300)
+    streak = np.where(number % 11 == 5, 5, 0)
+    zero = np.zeros(300)
+    records = EpisodeRecords(number, 10 * number, np.full(300, 10), zero, streak, streak)
+    config = TrainConfig("cpo", (TASK,), (0,), 3000, preset("cpo", TASK))
+    kept = {f"EMCC_{part}": 9 * 0.5 / 99 for part in (0.33, 0.66, 0.99)}
+    run = Run(0, dict.fromkeys(m.name for m in measures()) | kept, 100, {}, records)
+    rows = ties_table([Group("cpo", TASK, config, [run], [])]).rows
+    assert [row.name.partition("ties ")[2] for row in rows[:2]] == [
+        "kept, mean of 1",
+        "split, mean of 1",
+    ]
+    assert [[f"{cell.value:.2f}" for cell in row.numbers] for row in rows[:2]] == [
+        ["0.05"] * 3,
+        ["0.45"] * 3,
+    ]
