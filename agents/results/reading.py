@@ -10,7 +10,7 @@ import itertools
 import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -459,14 +459,15 @@ def _pooled(groups: Sequence[Group], notes: list[str]) -> list[Group]:
     A group stays alone where one of these has a seed that another has too: one of the two is a
     second training of the same runs, which must not count twice.
     """
-    alike: dict[str, list[Group]] = {}
+    settings, alike = [], []
     for group in groups:
-        config = group.config
-        where = (group.task, group.cost, config.costs, sorted(config.task_parameters.items()))
-        settings = (config.algorithm, config.steps, config.hyperparameters)
-        alike.setdefault(repr((where, settings)), []).append(group)
+        own = _settings(group)
+        if own not in settings:
+            settings.append(own)
+            alike.append([])
+        alike[settings.index(own)].append(group)
     pooled = []
-    for same in alike.values():
+    for same in alike:
         seeds = [seed for group in same for seed in group.config.seeds]
         if len(same) == 1 or len(set(seeds)) < len(seeds):
             pooled += same
@@ -484,6 +485,13 @@ def _pooled(groups: Sequence[Group], notes: list[str]) -> list[Group]:
         listed = (f"{g.title} (seeds {', '.join(map(str, g.config.seeds))})" for g in same)
         notes.append(f"of equal settings, with other seeds, so counted as one: {'; '.join(listed)}")
     return pooled
+
+
+def _settings(group: Group) -> tuple[Any, ...]:
+    """All that groups have in common which differ in their seeds alone; 5 equals 5.0."""
+    config = group.config
+    training = (config.algorithm, config.steps, config.costs, config.task_parameters)
+    return group.task, group.cost, *training, asdict(config.hyperparameters)
 
 
 def write_archive(path: Path, groups: Sequence[Group]) -> None:

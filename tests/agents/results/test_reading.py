@@ -235,11 +235,13 @@ def test_several_sources_are_one(tmp_path):
 
 
 def test_folders_that_differ_in_their_seeds_count_as_one(tmp_path):
-    """The same numbers as of one training with all seeds."""
+    """The same numbers as of one training with all seeds; a limit of 5 is one of 5.0."""
     more = TRPO | {"steps": 300}
+    folders = {"whole": ((0, 1, 2), 5.0), "p/first": ((0, 1), 5.0), "p/later": ((2,), 5)}
     with few_episodes():
-        for name, seeds in (("whole", (0, 1, 2)), ("p/first", (0, 1)), ("p/later", (2,))):
-            agents.train("trpo-lag", TASK, seeds=seeds, out=tmp_path / name, **more)
+        for name, (seeds, limit) in folders.items():
+            more |= {"seeds": seeds, "cost_limit": limit}
+            agents.train("trpo-lag", TASK, out=tmp_path / name, **more)
     notes = []
     [pooled], [whole] = read([tmp_path / "p"], notes), read([tmp_path / "whole"], [])
     assert pooled.seeds == [0, 1, 2]
