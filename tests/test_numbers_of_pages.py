@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
 SOURCES = {
     "circle2d": ["runs.zip"],
+    "physics": ["runs.zip"],
     "solve": ["runs.zip", "units.zip"],
     "solve/safety": ["runs.zip"],
 }
@@ -129,6 +130,33 @@ def test_the_sentences():
     assert "in 22 of 28 measures, the preset in 6" in text
     assert "Of 120 comparisons" in report and "4 have equal cost rates" in report
     assert "0.125  | 0.071  | -0.054 | 0.045" in report
+
+
+def test_the_page_with_physics():
+    """Verdicts, counts and the test of its sentences."""
+    report, text = page("results/physics/report.md"), page("results/physics/README.md")
+    verdicts = re.findall(r"^### \d\. .* \*\*(\w+)\*\*$", report, re.M)
+    assert [verdict[0] for verdict in verdicts] == [*"CUURCRR"]
+    assert "1 confirmed, 2 and 3 undecided, 4, 6 and 7 refuted" in text
+    grids = ("physics", results_table.PHYSICS), ("circle2d", results_table.PHYSICS.values())
+    with_physics, without = (
+        {
+            name: [runs(results_table.report(grid), task, name) for task in tasks]
+            for name in results_table.ALGORITHMS
+        }
+        for grid, tasks in grids
+    )
+    sides = [solved(pd.concat(own["SAC-LB"])) for own in (with_physics, without)]
+    table = [[int(side.sum()), int((~side).sum())] for side in sides]
+    p = results_table.p_value(scipy.stats.fisher_exact(table).pvalue)
+    assert f"in {count(sides[0])} runs instead of {int(sides[1].sum())} (Fisher's" in text
+    assert f"{p})" in text
+    for name in ("TRPO-Lag", "SAC-Lag"):
+        own = pd.concat(with_physics[name])
+        assert own.ends_in.str.startswith("corridor, through").all() and not solved(own).any()
+    assert f"SAC-LB alone does, in {count(sides[0])}" in " ".join(page("README.md").split())
+    kept = [int(results_table.within(own["CPO"][-1]).sum()) for own in (with_physics, without)]
+    assert kept == [4, 10]
 
 
 def test_the_levels_that_sac_lb_streak_solves():

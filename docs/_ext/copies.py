@@ -9,6 +9,7 @@ from pathlib import Path
 TEXTS = {
     "metric.md": "emcc/README.md",
     "results.md": "results/README.md",
+    "physics.md": "results/physics/README.md",
     "solving.md": "results/solve/README.md",
     "benchmarks.md": "benchmarks/README.md",
     "changelog.md": "CHANGELOG.md",

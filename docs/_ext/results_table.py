@@ -1,4 +1,4 @@
-"""The tables of results/README.md and results/solve/README.md, from the reports' numbers.
+"""The tables of the pages of results/, from the reports' numbers.
 
 python docs/_ext/results_table.py
 """
