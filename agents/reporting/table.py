@@ -248,12 +248,15 @@ class Column(NamedTuple):
 def parts(table: Table, width: int) -> list[list[Column]]:
     """Divide the columns of a table so that each part fits the width; every part begins with the
     first column. A column that alone is wider than the width gets a part of its own."""
-    names = _column([table.head[0], *(row.name for row in table.rows)], max(width * 2 // 5, 16))
+    most = max(width * 2 // 5, 16)
+    first = (table.head[0], *(row.name for row in table.rows))
+    names = _column([_name(plain(name), most) for name in first], most)
     divided, used = [[names]], names.width
     columns = list(zip(table.head, *(row.cells for row in table.rows), strict=False))
     for cells in columns[1 : table.columns]:
         words = any(isinstance(cell, str) and cell for cell in cells[1:])
-        column = _column(cells, WIDE if words else NARROW)
+        shown = [plain(cell) if isinstance(cell, str) else cell for cell in cells]
+        column = _column(shown, WIDE if words else NARROW)
         more = 2 + column.width  # and the gap
         if used + more > width and len(divided[-1]) > 1:
             divided.append([names])
@@ -263,13 +266,19 @@ def parts(table: Table, width: int) -> list[list[Column]]:
     return divided
 
 
+def _name(name: str, width: int) -> str:
+    """The name of a row; of one that is too long what follows the last comma has its own line."""
+    first, comma, last = name.rpartition(", ")
+    return name if len(name) <= width or not comma else f"{first},\n{last}"
+
+
 def _column(cells: Sequence[Cell], most: int) -> Column:
     """A column of at most so many characters, unless a word is longer. Intervals stand below their
     number."""
     from rich.text import Text
 
     lines = [
-        plain(cell) if isinstance(cell, str) else f"{cell.text}\n{cell.interval}".rstrip()
+        cell if isinstance(cell, str) else f"{cell.text}\n{cell.interval}".rstrip()
         for cell in cells
     ]
     word = max(len(word) for line in lines for word in line.split() or [""])
