@@ -37,7 +37,7 @@ RATES, TASKS = "Cost rate against EMCC", "All tasks together"
 RANKS, ORDERS = "Ranks over tasks", "What EMCC orders otherwise than the cost rate"
 RESAMPLES = 1_000
 FEWEST_ALGORITHMS, FEWEST_TASKS = 3, 2
-"""Of the tables of ranks and orders."""
+"""The fewest of each that have tables of ranks and orders."""
 
 Cells = Mapping[str, Mapping[str, Group]]
 """A group by the algorithm's title and the task; every algorithm has all tasks."""

@@ -172,7 +172,7 @@ def _task_tables(
 
 
 def _details(by_task: dict[str, list[Group]]) -> dict[str, Table]:
-    """Of each task, by title: the numbers recorded at each step, and the panel of cost measures."""
+    """The numbers recorded at each step, and the panel of cost measures, of each task by title."""
     recorded = {f"{task}: recorded at each step": recorded_table(g) for task, g in by_task.items()}
     panels = {
         f"{task}: panel of cost measures": panel_table(groups)

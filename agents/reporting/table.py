@@ -240,7 +240,7 @@ class Column(NamedTuple):
     """A column of a terminal's table."""
 
     cells: list[Any]
-    """As `rich.text.Text`, the head first."""
+    """Cells as `rich.text.Text`, the head first."""
     width: int
     """Characters of a line, in which every word has room."""
 

@@ -202,7 +202,7 @@ def test_how_often_a_choice_is_the_nearest(folder):
 
 
 def test_ties_split_instead_of_kept():
-    """Of each third's 99 rollouts nine have an MCC of .5, the others of 0, as the quantile: kept,
+    """Nine of each third's 99 rollouts have an MCC of .5, the others of 0, as the quantile: kept,
     all count, 9 * .5 / 99; split, a tenth of them, 9 * .5 / 9.9 or 10."""
     number = np.arange(300)
     streak = np.where(number % 11 == 5, 5, 0)
