@@ -274,7 +274,8 @@ def ranks_table(cells: Cells, left_out: Sequence[str]) -> Table:
             if emcc and rate:
                 gap = emcc[what][:, k] - rate[what][:, k]
                 moved = cell(gap, enough, digits, signed=True)
-            words = "P(better)" if what else f"{name}, {min(seeds)} to {max(seeds)} seeds"
+            number_of_seeds = " to ".join(map(str, sorted({min(seeds), max(seeds)})))
+            words = "P(better)" if what else f"{name}, {number_of_seeds} seeds"
             kind = "test" if what else "mean"
             rows.append(Row(words, [*numbers, moved], kind=kind))
     words = (

@@ -129,15 +129,20 @@ class Table:
         return self.caption + (f"; bold: {self.marking}" if marked and self.marking else "")
 
     def brief(self) -> Table:
-        """The means without intervals, details, legend and notes; all rows of a table without
-        means."""
+        """The means without intervals, details, legend and notes, a number of runs that all have in
+        common in the head; all rows of a table without means."""
+        found = [_SIZE.search(row.name) for row in self.rows if row.kind == "mean"]
+        sizes = {size and size[1] for size in found}
+        common = sizes.pop() if len(sizes) == 1 else None
         rows = []
         for row in [r for r in self.rows if r.kind in ("mean", "paper")] or self.rows:
             shown = zip(self.head[1:], row.numbers, strict=False)
             numbers = [replace(n, low=None, high=None) for h, n in shown if h not in self.details]
-            name, ends = row.name.replace(", mean of ", ", n = "), _INTERVAL.sub("", row.ends)
+            name = _SIZE.sub("" if common else r", n = \1", row.name)
+            ends = _INTERVAL.sub("", row.ends)
             rows.append(replace(row, name=name, numbers=numbers, ends=ends))
-        return Table("", [head for head in self.head if head not in self.details], rows)
+        first, *others = [head for head in self.head if head not in self.details]
+        return Table("", [first + (f", n = {common}" if common else ""), *others], rows)
 
     def markdown(self) -> str:
         """The legend, the rows, and a paragraph for each note."""
@@ -156,6 +161,8 @@ class Table:
 
 _INTERVAL = re.compile(r" \[[^\]]*\]")
 """Intervals in words."""
+_SIZE = re.compile(r", mean of (\d+)$")
+"""The number of runs, at the end of a mean's name."""
 Block = Table | str
 """A part of a report: a table, or paragraphs of Markdown."""
 

@@ -202,6 +202,6 @@ def test_ranks_of_what_can_be_compared(groups):
     table = tables_over_tasks(changed)[RANKS]
     rows = {row.name: [cell.value for cell in row.numbers[3:6]] for row in table.rows}
     assert table.head[4:7] == ["cost rate", "violation rate", "J_R"]
-    assert rows["TRPO-Lag, 6 to 6 seeds"] == [3, 2.5, 2.5]
-    assert rows["CPO, 6 to 6 seeds"] == [2, 2.5, 1]
-    assert rows["WCSAC, 6 to 6 seeds"] == [1, 1, 2.5]
+    assert rows["TRPO-Lag, 6 seeds"] == [3, 2.5, 2.5]
+    assert rows["CPO, 6 seeds"] == [2, 2.5, 1]
+    assert rows["WCSAC, 6 seeds"] == [1, 1, 2.5]
