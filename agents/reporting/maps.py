@@ -45,6 +45,8 @@ BITS = 10
 """Bits of a coordinate: the last of the grid's points along a side is 2**BITS - 1."""
 DIGITS = 1000
 """EMCC is stored as a multiple of 1 / DIGITS."""
+REPLAYED = 200
+"""Runs of a replay, at most: each adds 12 kB to the page."""
 
 
 class Ground(NamedTuple):
@@ -329,15 +331,19 @@ def _line(points: NDArray[np.int64]) -> str:
 def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> dict[str, Any]:
     """The data of the player; no runs where none has recorded positions and costs.
 
-    What cannot be replayed of a task with positions goes into the notes.
+    Of more than `REPLAYED` runs it has the first seeds of each group. That, and what cannot be
+    replayed of a task with positions, goes into the notes.
     """
-    runs = []
+    runs, most = [], max((len(group.runs) for group in groups), default=0)
+    if sum(len(group.runs) for group in groups) > REPLAYED:
+        most = max(1, REPLAYED // len(groups))
+        notes.append(f"the replay has {most} seeds of each algorithm")
     for group in in_order(groups):
         scene = scenes.get(group, notes) if group.runs else None
         if scene is None:
             continue
         named = {"task": group.task, "algorithm": name_of(group)}
-        for run in group.runs:
+        for run in group.runs[:most]:
             try:
                 replay = group.replay(run)
             except DamagedFile:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from small_runs import STREAKS, chain, edit_results, evaluate, groups_of, write_runs
 
+from agents.reporting import maps
 from agents.reporting.maps import Scenes, replay_data
 from agents.reporting.page import script_json
 
@@ -65,6 +66,14 @@ def test_runs_that_cannot_be_replayed(runs):
     data = replay_data(groups_of(runs.folder / "a"), Scenes(), notes)
     assert [run["seed"] for run in data["runs"]] == [0]
     assert notes == ["no replay of a: it has no positions"]
+
+
+def test_of_many_runs_the_first_seeds(runs, monkeypatch):
+    monkeypatch.setattr(maps, "REPLAYED", 1)
+    notes = []
+    data = replay_data(groups_of(runs.folder / "a") * 2, Scenes(), notes)
+    assert [run["seed"] for run in data["runs"]] == [0, 0]
+    assert notes == ["the replay has 1 seeds of each algorithm"]
 
 
 def test_names_cannot_end_the_script():
