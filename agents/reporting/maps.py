@@ -337,7 +337,7 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
     runs, most = [], max((len(group.runs) for group in groups), default=0)
     if sum(len(group.runs) for group in groups) > REPLAYED:
         most = max(1, REPLAYED // len(groups))
-        notes.append(f"the replay has {most} seeds of each algorithm")
+        notes.append(f"seeds of each algorithm in the replay: {most}")
     for group in in_order(groups):
         scene = scenes.get(group, notes) if group.runs else None
         if scene is None:

@@ -73,7 +73,7 @@ def test_of_many_runs_the_first_seeds(runs, monkeypatch):
     notes = []
     data = replay_data(groups_of(runs.folder / "a") * 2, Scenes(), notes)
     assert [run["seed"] for run in data["runs"]] == [0, 0]
-    assert notes == ["the replay has 1 seeds of each algorithm"]
+    assert notes == ["seeds of each algorithm in the replay: 1"]
 
 
 def test_names_cannot_end_the_script():
