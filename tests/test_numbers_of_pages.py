@@ -12,6 +12,7 @@ from results_table import LEVELS, UNITS, count, runs, short, solved
 
 import agents
 import emcc
+from agents.paper.presets import PAPER_ALGORITHMS
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
@@ -20,6 +21,11 @@ SOURCES = {
     "physics": ["runs.zip"],
     "solve": ["runs.zip", "units.zip"],
     "solve/safety": ["runs.zip"],
+    "baselines": [
+        "runs.zip",
+        *(f"../solve/runs.zip/{task}-sac-lb-streak" for task in LEVELS),
+        *(f"../circle2d/runs.zip/{task}/{name}" for task in LEVELS for name in PAPER_ALGORITHMS),
+    ],
 }
 """The archives of each published report."""
 
@@ -157,6 +163,45 @@ def test_the_page_with_physics():
     assert f"SAC-LB alone does, in {count(sides[0])}" in " ".join(page("README.md").split())
     kept = [int(results_table.within(own["CPO"][-1]).sum()) for own in (with_physics, without)]
     assert kept == [4, 10]
+
+
+def test_the_page_of_the_benchmark():
+    """Where its runs end, ranks, and comparisons."""
+    report, text = page("results/baselines/report.md"), page("results/baselines/README.md")
+    text = " ".join(text.split())
+    lines = results_table.report("baselines")
+    found = {
+        name: pd.concat([runs(lines, task, name) for task in LEVELS])
+        for name in results_table.baseline_ranks()
+    }
+    assert len(found) == 16 and {len(own) for own in found.values()} == {40}
+    waiting = {
+        name: int(own.ends_in.str.contains("rim|cut-out").sum())
+        for name, own in found.items()
+    }
+    waits = {name: waiting[name] for name in ("C-TRPO", "CPO", "PCPO", "P3O", "CRPO")}
+    assert waits == {"C-TRPO": 40, "CPO": 40, "PCPO": 40, "P3O": 39, "CRPO": 38}
+    solving = {name: int(solved(own).sum()) for name, own in found.items() if solved(own).any()}
+    others = [solving[name] for name in solving if not name.startswith("SAC-LB")]
+    assert f"four algorithms solve a level at all, in {sum(others)} of their 160" in text
+    assert len(others) == 4
+    inside = [
+        int((own.ends_in.str.startswith("cost region") & (own.task != LEVELS[0])).sum())
+        for own in map(found.get, ("IPO", "FOCOPS", "PPO-Lag"))
+    ]
+    assert "in {}, {} and {} of 30 runs".format(*inside) in text
+    ranks = results_table.page_table("baselines", "Ranks over tasks").iloc[::2]
+    moved = {
+        row.iloc[0].split(",")[0]: row["EMCC_0.99 less cost rate"] for _, row in ranks.iterrows()
+    }
+    assert [moved[name] for name in ("P3O", "CPPO-PID", "C-TRPO", "SAC-Lag", "WCSAC")] == [
+        *("+3.2 [+1.2, +4.2]", "+3.2 [+1.2, +4.0]", "+2.0 [+1.5, +3.8]"),
+        *("-3.0 [-3.8, -1.8]", "-2.8 [-3.0, -1.5]"),
+    ]
+    assert "Of 1440 comparisons" in report
+    assert "40 have equal cost rates, of which EMCC tells 9 apart" in report
+    told = results_table.page_table("baselines", "Cost rate against EMCC")["A and B"]
+    assert told.str.endswith("SAC-LB and SAC-LB-Streak").sum() == 7
 
 
 def test_the_levels_that_sac_lb_streak_solves():

@@ -1,4 +1,5 @@
-"""Draw the README's figure, cost rate against EMCC a dot for each run, from reports' numbers.
+"""Draw figures from reports' numbers: the README's, cost rate against EMCC a dot for each run, and
+the benchmark's, ranks by either.
 
 python docs/_ext/readme_figure.py
 """
@@ -10,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
+from results_table import baseline_ranks
 
 from agents.algorithms import ALGORITHMS
 from agents.reporting.figures import COLOURS, MARKERS
@@ -17,6 +20,9 @@ from agents.reporting.figures import COLOURS, MARKERS
 RESULTS = Path(__file__).parents[2] / "results"
 REPORTS = tuple(RESULTS / grid / "report.csv" for grid in ("circle2d", "solve"))
 PICTURE = RESULTS / "pictures" / "cost-rate-emcc.png"
+RANKS = RESULTS / "pictures" / "ranks.png"
+APART = 0.55
+"""Ranks between two names, at least, so that they can be read."""
 
 
 def runs(paths: Sequence[Path]) -> dict[str, list[tuple[float, float]]]:
@@ -54,5 +60,36 @@ def draw(paths: Sequence[Path], picture: Path) -> None:
     figure.savefig(picture, dpi=110, bbox_inches="tight")
 
 
+def draw_ranks(picture: Path) -> None:
+    """Write the benchmark's mean ranks by the cost rate, left, and by late EMCC, right, a line for
+    each algorithm."""
+    order = [algorithm.title for algorithm in ALGORITHMS.values()]
+    ranks = {name: found[::-1] for name, found in baseline_ranks().items()}
+    by_rate, by_emcc = (apart([both[side] for both in ranks.values()]) for side in (0, 1))
+    figure, axes = plt.subplots(figsize=(7, 5.6))
+    for (name, both), left, right in zip(ranks.items(), by_rate, by_emcc, strict=True):
+        place = order.index(name)
+        look = {"color": COLOURS[place % len(COLOURS)], "linewidth": 1 + abs(both[1] - both[0]) / 2}
+        axes.plot((0, 1), both, marker=MARKERS[place % len(MARKERS)], markersize=6, **look)
+        axes.text(-0.04, left, f"{name}  {both[0]:.1f}", ha="right", va="center", fontsize=9)
+        axes.text(1.04, right, f"{both[1]:.1f}  {name}", ha="left", va="center", fontsize=9)
+    axes.invert_yaxis()
+    axes.set(xlim=(-0.5, 1.5))
+    axes.set_title(
+        "mean rank by the cost rate and by EMCC in the last third, 1 the best", fontsize=10
+    )
+    axes.axis("off")
+    figure.savefig(picture, dpi=110, bbox_inches="tight")
+
+
+def apart(heights: Sequence[float]) -> list[float]:
+    """The heights moved down where they would be closer than `APART` to the one above."""
+    moved, last = list(heights), -np.inf
+    for k in np.argsort(heights, kind="stable"):
+        moved[k] = last = max(heights[k], last + APART)
+    return moved
+
+
 if __name__ == "__main__":
     draw(REPORTS, PICTURE)
+    draw_ranks(RANKS)

@@ -137,6 +137,51 @@ def physics_against_kinematic() -> list[str]:
     ]
 
 
+def baselines() -> list[str]:
+    """A row for each algorithm of the benchmark: means over the levels, runs that solve their
+    level and runs within the limit, and its mean rank over the levels by late EMCC and by the cost
+    rate, with 95 % intervals. In the order of the first rank."""
+    lines, texts = report("baselines"), baseline_rank_texts()
+    rows = []
+    for name in baseline_ranks():
+        found = pd.concat([runs(lines, task, name) for task in LEVELS])
+        thirds, *others = means(found)
+        counts = (count(solved(found)), count(within(found)))
+        rows.append(_row(name, thirds.replace(" ", "/"), *others, *counts, *texts[name]))
+    return rows
+
+
+def baseline_rank_texts() -> dict[str, tuple[str, str]]:
+    """The mean rank over the levels by late EMCC, and by the cost rate, as the page has them."""
+    table = page_table("baselines", "Ranks over tasks").iloc[::2]  # the others are probabilities
+    columns = table[[table.columns[0], "EMCC_0.99", "cost rate"]].to_numpy()
+    return {name.split(",")[0]: (late, rate) for name, late, rate in columns}
+
+
+def baseline_ranks() -> dict[str, tuple[float, float]]:
+    """Both ranks, without their intervals, in the order of the first."""
+    found = {
+        name: (float(late.split()[0]), float(rate.split()[0]))
+        for name, (late, rate) in baseline_rank_texts().items()
+    }
+    return dict(sorted(found.items(), key=lambda pair: pair[1]))
+
+
+def orders() -> list[str]:
+    """A row for each level and third of training: pairs of algorithms that EMCC orders otherwise
+    than the cost rate does, Kendall's tau of both orders, and the pair whose EMCC differs most."""
+    table = page_table("baselines", "What EMCC orders otherwise than the cost rate")
+    return [_row(name[9] + name[13:], *others) for name, *others in table.to_numpy()]
+
+
+def page_table(grid: str, heading: str) -> pd.DataFrame:
+    """The first table below a heading of a grid's report.md, its cells as they are written."""
+    text = (RESULTS / grid / "report.md").read_text().split(f"## {heading}\n", 1)[1]
+    lines = [line for line in text.split("\n## ", 1)[0].splitlines() if line.startswith("|")]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return pd.DataFrame(cells[2:], columns=cells[0])
+
+
 def _beside(own: pd.DataFrame, other: pd.DataFrame) -> list[str]:
     """Means of some lines, those of others in brackets."""
     pairs = list(zip(means(own), means(other), strict=True))
@@ -251,6 +296,7 @@ def _row(*cells: str) -> str:
 PAGES = {
     "README.md": (grid, equal_rates),
     "physics/README.md": (physics, physics_against_kinematic),
+    "baselines/README.md": (baselines, orders),
     "solve/README.md": (solving, compared, parts),
 }
 """The tables of each page."""
