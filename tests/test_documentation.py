@@ -83,7 +83,8 @@ def recorded():
 def commands():
     """Page and words of every `circle2d` and `make` command that is shown."""
     for name, text in TEXTS.items():
-        shown = re.findall(r"^((?:circle2d|make) .*)$", text, re.MULTILINE)
+        lines = text.replace("\\\n", " ")
+        shown = re.findall(r"^((?:circle2d|make) .*)$", lines, re.MULTILINE)
         shown += [
             re.sub(r"\s+", " ", code) for code in re.findall(r"`((?:circle2d|make) [^`]*)`", text)
         ]
