@@ -35,8 +35,7 @@ from agents.training.config import RESULTS, STEPS, RunId, TrainConfig, file_name
 from agents.training.environments import recorded_of, view_of
 from agents.training.evaluation import EPISODES, Episodes, evaluate_runs
 from agents.training.files import Arrays, numbered, write_arrays
-from circle2d_mj.core.view import TellsWays, View
-from circle2d_mj.render import canvas
+from circle2d_mj.core.view import TellsWays, View, histogram
 from emcc import EpisodeRecords, count_streaks, emcc, longest_streaks, worst
 from emcc.parts import ALPHA, PARTS, rollouts_by_part
 
@@ -281,7 +280,7 @@ def count_visits(
             dominating = in_part[worst(mcc[in_part], alpha)]
             rollouts = np.unique(records.rollout)[dominating]
             rows = np.repeat(np.isin(records.rollout, rollouts), records.length)
-            counts += canvas.count_visits(view.extent, positions[rows], CELLS)
+            counts += histogram(view.extent, positions[rows], CELLS)
             values.append(emcc(mcc[in_part], alpha))
             chosen, every = chosen + len(dominating), every + len(in_part)
         visits.append(Visits(counts, float(np.mean(values)), chosen, every))
