@@ -122,7 +122,7 @@ def _model(config: Circle2DConfig, size: int) -> Any:
     Lengths are in units of the arena's half-width, so that tasks too large, small or narrow for the
     physics can be drawn too.
     """
-    from circle2d_mj.circle2d.scene import BASE, BASE_RADIUS
+    from circle2d_mj.circle2d.physics_config import BASE, BASE_RADIUS
     from circle2d_mj.core.engine import mujoco
 
     spec = mujoco.MjSpec.from_file(str(asset(BASE)))
