@@ -40,13 +40,12 @@ from agents.reporting.report import report, table
 from agents.reporting.table import show
 from agents.results.reading import archive_of
 from agents.training import callbacks, evaluation, trainer
-from agents.training.callbacks import duration, share_done
+from agents.training.callbacks import duration, share_done, working
 from agents.training.config import RESULTS, Device, TrainConfig
 from agents.training.derive import write_results
 from agents.training.environments import Vectorization, check_task, registered, task_id
 from agents.training.files import Arrays, check_folder, locked, remove_unfinished
 from agents.training.launcher import EngineName, Launcher, launcher
-from agents.training.progress import working
 from circle2d_mj.circle2d.config import LEVELS
 
 

@@ -10,10 +10,9 @@ from toy_family import known
 import agents
 from agents.paper.presets import preset
 from agents.training import callbacks, progress, trainer
-from agents.training.callbacks import StatusFile, sessions, share_done, speed
+from agents.training.callbacks import StatusFile, sessions, share_done, show_progress, speed
 from agents.training.config import TrainConfig
 from agents.training.files import read_json
-from agents.training.progress import show_progress
 
 TASK, STEPS = "Circle2D-1-v0", 1000
 

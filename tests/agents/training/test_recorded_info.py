@@ -25,7 +25,7 @@ def steps_of(folder, name, run="Pressed-v0/3"):
 
 def unpacked(folder, name):
     with np.load(folder / "results.npz") as arrays:
-        return unpack_costs(lambda key: arrays[f"Pressed-v0/3/info/{name}/{key}"], True)
+        return unpack_costs(arrays, f"Pressed-v0/3/info/{name}/")
 
 
 @pytest.fixture(scope="module")
