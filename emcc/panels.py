@@ -233,7 +233,7 @@ class Row(NamedTuple):
 
     def value(self, measures: CostMeasures) -> float | None:
         """Its number; None of measures that lack the field, as thirds of training lack two."""
-        value = getattr(measures, self.field, None)
+        value: Any = getattr(measures, self.field, None)
         return value if self.level is None else value[self.level]
 
 

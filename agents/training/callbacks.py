@@ -102,7 +102,7 @@ def keep_policies(trainer: Trainer) -> Callable[[Trainer], None]:
         )
         state = trainer.learner.state_dict()
         kept = {k: v for k, v in state.items() if is_of_policy(k)} or state
-        for k in np.flatnonzero(due):
+        for k in np.flatnonzero(due).tolist():
             arrays = {name: array[k : k + 1] for name, array in kept.items()}
             for name, result in results.items():
                 if not result.void[k]:

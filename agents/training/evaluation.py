@@ -132,7 +132,9 @@ def paths_of(
         located, before = part.with_start, len(paths) * each
         for start in range(0, part.num_envs, each):
             paths.append([])
-            for k in range(start, start + min(each, most)) if located is not None else ():
+            if located is None:
+                continue
+            for k in range(start, start + min(each, most)):
                 steps, costs = rollout.length[before + k], rollout.cost[:, before + k, 0]
                 paths[-1].append((located[: steps + 1, k], costs[:steps]))
     return paths

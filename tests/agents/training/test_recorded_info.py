@@ -46,7 +46,7 @@ def test_every_step_is_recorded(runs):
         assert arrays["Pressed-v0/info"].tolist() == [["x", "m"], ["beyond", "m"]]
         for name, values in (("x", x), ("beyond", beyond)):
             prefix = f"Pressed-v0/3/info/{name}/"
-            found = unpack_costs(lambda key, prefix=prefix: arrays[prefix + key], True)
+            found = unpack_costs(arrays, prefix)
             np.testing.assert_allclose(found, values, rtol=2**-16)
 
 
