@@ -146,11 +146,10 @@ class Meter:
         """Progress by now."""
         now, going = time.monotonic(), trainer.failures == ""
         steps = int(trainer.steps[going].min(initial=self._steps))
-        total, share = int(trainer.steps.sum()), min(1.0, steps / self._steps)
-        working = now - CLOCK.seconds
-        self._first = self._first or (working, total, share)
-        seconds, more, gained = working - self._first[0], total - self._first[1], share
-        gained -= self._first[2]
+        share = min(1.0, steps / self._steps)
+        taken = (now - CLOCK.seconds, int(trainer.steps.sum()), share)
+        self._first = self._first or taken
+        seconds, more, gained = (b - a for a, b in zip(self._first, taken, strict=True))
         known = seconds > 0 and gained > 0
         speed = more / seconds if known else None
         left = seconds * (1 - share) / gained if known else None

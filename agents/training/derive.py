@@ -147,11 +147,10 @@ def write_results(
         drawn = evaluated["deterministic"].paths[k]
         first = config.seeds.index(run.seed) < DRAWN_POLICIES
         if drawn and first and not evaluated["deterministic"].void[k]:
-            paths = [positions for positions, _ in drawn]
-            arrays[run.prefix + "trained/length"] = np.array([len(costs) for _, costs in drawn])
+            paths, costs = zip(*drawn, strict=True)
+            arrays[run.prefix + "trained/length"] = np.array([*map(len, costs)])
             arrays[run.prefix + "trained/positions"] = np.concatenate(paths)
-            costs = np.concatenate([costs for _, costs in drawn])
-            arrays[run.prefix + "trained/costs"] = costs.astype(np.float64)
+            arrays[run.prefix + "trained/costs"] = np.concatenate(costs).astype(np.float64)
     write_arrays(folder / RESULTS, arrays, zipfile.ZIP_DEFLATED)
     return evaluated
 
