@@ -379,9 +379,7 @@ def _train(folder: Path, on_epoch: OnEpoch | None, progress: bool) -> trainer.Tr
     with contextlib.ExitStack() as stack:
         own: list[trainer.Callback] = []
         if progress:
-            from agents.training.progress import show_progress
-
-            own.append(stack.enter_context(show_progress(TrainConfig.read(folder))))
+            own.append(stack.enter_context(callbacks.show_progress(TrainConfig.read(folder))))
         if on_epoch:
             own.append(callbacks.follower(on_epoch))
         trained = trainer.train(folder, *own)

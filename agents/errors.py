@@ -22,7 +22,8 @@ class OwnCodeError(UserError):
     `__cause__`. The command line shows its traceback and exits with status 1."""
 
     def __reduce__(self) -> Any:  # a cause is lost in the pickle of an exception
-        cause, trace = self.__cause__, _traceback(self.__cause__)
+        cause = self.__cause__
+        trace = "" if cause is None else "".join(traceback.format_exception(cause))
         try:
             pickle.loads(pickle.dumps(cause))
         except Exception:  # whatever the user's class of exception raises
@@ -53,10 +54,6 @@ def _with_cause(
     if cause is not None:
         cause.__cause__ = _RemoteTraceback(trace)
     return error
-
-
-def _traceback(error: BaseException | None) -> str:
-    return "" if error is None else "".join(traceback.format_exception(error))
 
 
 OURS = tuple(str(Path(__file__).parents[1] / name) for name in ("agents", "circle2d_mj", "emcc"))

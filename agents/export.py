@@ -14,7 +14,7 @@ from torch import nn
 
 from agents.algorithms import title
 from agents.errors import UserError
-from agents.paper.printed import printed
+from agents.paper.evidence import printed
 from agents.reporting.provenance import command
 from agents.reporting.tables import task_table
 from agents.results.reading import read

@@ -9,11 +9,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import UserError
-from agents.training.config import NO_RUNS, RunId, TrainConfig
+from agents.training.config import NO_RUNS, TrainConfig
 from emcc import EpisodeRecords
 
 if TYPE_CHECKING:
@@ -105,22 +104,16 @@ class Runs:
         if rows not in get_args(Rows):
             raise UserError(f"rows must be {', '.join(get_args(Rows))}, got {rows!r}")
         try:
-            import pandas as pd
+            import pandas  # noqa: F401  # an extra
         except ImportError as error:
             raise ImportError("to_pandas needs pandas: pip install 'circle2d-mj[train]'") from error
-        if rows == "measures":
-            from agents.results.frame import frame
+        from agents.results import frame
 
-            return frame(self.results)
-        about, frames, columns_of = self._about(), [], _episodes if rows == "episodes" else _updates
-        for folder, config, arrays in self._arrays():
-            for run in config.runs:
-                columns = columns_of(arrays, run, config)
-                count = len(next(iter(columns.values())))
-                first = about[folder] | {"task": run.task} | about[folder] | {"seed": run.seed}
-                # Lists, since a hyper-parameter may be a tuple.
-                frames.append(pd.DataFrame({k: [v] * count for k, v in first.items()} | columns))
-        return pd.concat(frames, ignore_index=True)
+        if rows == "measures":
+            return frame.frame(self.results)
+        about = self._about()
+        trainings = [(about[f], config, arrays) for f, config, arrays in self._arrays()]
+        return frame.long_frame(trainings, rows)
 
     def _arrays(self) -> list[tuple[Path, TrainConfig, Mapping[str, NDArray]]]:
         from agents.results.reading import results_of
@@ -174,29 +167,3 @@ def load_runs(*folders: str | os.PathLike[str]) -> Runs:
     if not paths:
         raise UserError("load_runs needs a folder of runs")
     return Runs(list(paths))
-
-
-def _episodes(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) -> dict[str, Any]:
-    """Columns of the episodes of a run; further costs by their names."""
-    from agents.results.reading import run_records
-
-    first, *others = config.costs
-    records = run_records(arrays, run, first)
-    names = ("rollout", "start_step", "length", "return", "cost", "longest_streak")
-    names = (*names, "cost_steps", "streaks")
-    columns = {name: getattr(records, "reward" if name == "return" else name) for name in names}
-    for other in others:
-        of_other = run_records(arrays, run, other)
-        columns |= {other: of_other.cost, f"{other}_longest_streak": of_other.longest_streak}
-    return columns
-
-
-def _updates(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) -> dict[str, Any]:
-    """Columns of the updates of a run; `step`: environment steps taken by then."""
-    values = arrays[f"{run.prefix}updates"]
-    rollouts = arrays[f"{run.prefix}rollouts"].astype(np.int64)
-    lengths = arrays[f"{run.prefix}length"].astype(np.int64)
-    steps = np.add.reduceat(lengths, np.cumsum(rollouts) - rollouts).cumsum()
-    return {"rollout": np.arange(len(values)), "step": steps} | dict(
-        zip(arrays["metrics"].tolist(), values.T, strict=True)
-    )

@@ -21,7 +21,7 @@ from circle2d_mj.registration import register
 
 if TYPE_CHECKING:
     from circle2d_mj import render
-    from circle2d_mj.core.wrappers import FromSafetyGymnasium, SafetyGymnasiumAPI
+    from circle2d_mj.safety.six_values import FromSafetyGymnasium, SafetyGymnasiumAPI
 
     __version__: str
 
@@ -41,7 +41,7 @@ def __getattr__(name: str) -> Any:
     if name == "render":
         return import_module("circle2d_mj.render")
     if name in ("FromSafetyGymnasium", "SafetyGymnasiumAPI"):
-        return getattr(import_module("circle2d_mj.core.wrappers"), name)
+        return getattr(import_module("circle2d_mj.safety.six_values"), name)
     if name == "__version__":
         from importlib.metadata import PackageNotFoundError, version
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
@@ -219,44 +219,48 @@ def _feasible(
 
 
 class Row(NamedTuple):
-    """A measure in a table: its title, its value in one stretch of training, decimal places, and
-    the values that there can be."""
+    """A measure in a table."""
 
     title: str
-    value: Callable[[Measures], float | None]
+    field: str
+    """Of `Panel`."""
     digits: int = 3
+    """Decimal places."""
     bounds: Bounds = COST
+    """Values that there can be."""
+    level: float | None = None
+    """Of `LEVELS`, in `mcc_above`."""
+
+    def value(self, measures: CostMeasures) -> float | None:
+        """Its number; None of measures that lack the field, as thirds of training lack two."""
+        value: Any = getattr(measures, self.field, None)
+        return value if self.level is None else value[self.level]
 
 
 def rows(panel: Panel) -> list[Row]:
     """The rows of a panel's table; those that need a limit only where there is one."""
     windows = f"{panel.window} episodes"
     tail = f"α = {panel.alpha:g}" + (f", ties {panel.ties}" if panel.ties != "all" else "")
-    mcc = [(f"P(MCC > {tau:g})", lambda m, tau=tau: m.mcc_above[tau]) for tau in LEVELS]
     listed = [
-        Row(f"EMCC ({tail})", lambda m: m.emcc, 3, SHARE),
-        Row("mean MCC", lambda m: m.mcc, 3, SHARE),
-        *(Row(title, value, 3, SHARE) for title, value in mcc),
-        Row("longest streak (steps)", lambda m: m.longest_streak, 0),
-        Row("mean streak (steps)", lambda m: m.mean_streak, 2),
-        Row("cost rate (per step)", lambda m: m.cost_rate),
-        Row(f"peak cost rate ({windows})", lambda m: m.peak_rate),
-        Row(f"CVaR of episode cost ({tail})", lambda m: m.cvar, 2),
-        Row("95th percentile of episode cost", lambda m: m.p95, 2),
-        Row("highest episode cost", lambda m: m.maximum, 2),
+        Row(f"EMCC ({tail})", "emcc", 3, SHARE),
+        Row("mean MCC", "mcc", 3, SHARE),
+        *(Row(f"P(MCC > {tau:g})", "mcc_above", 3, SHARE, tau) for tau in LEVELS),
+        Row("longest streak (steps)", "longest_streak", 0),
+        Row("mean streak (steps)", "mean_streak", 2),
+        Row("cost rate (per step)", "cost_rate"),
+        Row(f"peak cost rate ({windows})", "peak_rate"),
+        Row(f"CVaR of episode cost ({tail})", "cvar", 2),
+        Row("95th percentile of episode cost", "p95", 2),
+        Row("highest episode cost", "maximum", 2),
     ]
     if panel.limit is not None:
-        first, share = (
-            lambda m, name=name: getattr(m, name, None)  # thirds of training have neither
-            for name in ("steps_to_feasible", "feasible_share")
-        )
         listed += [
-            Row("violation rate V", lambda m: m.violation_rate, 3, SHARE),
-            Row("severity D", lambda m: m.severity, 3, SEVERITY),
-            Row("severity of violations D+", lambda m: m.severity_of_violations),
-            Row("cost regret", lambda m: m.regret, 1),
-            Row(f"steps until {windows} are within the limit", first, 0),
-            Row("share of training within it from then on", share, 3, SHARE),
+            Row("violation rate V", "violation_rate", 3, SHARE),
+            Row("severity D", "severity", 3, SEVERITY),
+            Row("severity of violations D+", "severity_of_violations"),
+            Row("cost regret", "regret", 1),
+            Row(f"steps until {windows} are within the limit", "steps_to_feasible", 0),
+            Row("share of training within it from then on", "feasible_share", 3, SHARE),
         ]
     return listed
 

@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -84,8 +84,7 @@ class EpisodeRecords:
 
     def _columns(self) -> dict[str, NDArray]:
         """The columns that there are, by their names in the file."""
-        arrays = (getattr(self, field.name) for field in fields(self))
-        named = zip(COLUMNS, arrays, strict=True)
+        named = zip(COLUMNS, vars(self).values(), strict=True)
         return {name: array for name, array in named if array is not None}
 
     def __len__(self) -> int:
@@ -145,10 +144,8 @@ class EpisodeRecords:
         """The trajectories of the rollouts that start in each third; total_steps as above."""
         rollouts = np.unique(self.rollout)
         parts = rollouts_by_part(self.mcc_per_rollout()[1], self._total(total_steps))
-        return {
-            part: self.select(np.isin(self.rollout, rollouts[where]))
-            for part, where in parts.items()
-        }
+        rows = {part: np.isin(self.rollout, rollouts[where]) for part, where in parts.items()}
+        return {part: self.select(of_part) for part, of_part in rows.items()}
 
     def _total(self, total_steps: int | None) -> int:
         if total_steps is None and len(self) and self.start_step.max() >= self.total_steps:

@@ -77,7 +77,8 @@ class Table:
             return "".join(f"# {line}\n" for line in (self.caption, *self.notes)) + body.getvalue()
         if form == "latex":
             comments = [f"% {line}" for line in (self.caption, *self.notes)]
-            rows = [" & ".join(map(_escape, row)) + r" \\" for row in (self.head, *self.rows)]
+            escaped = ([cell.translate(LATEX) for cell in row] for row in (self.head, *self.rows))
+            rows = [" & ".join(row) + r" \\" for row in escaped]
             top = (rf"\begin{{tabular}}{{l{'r' * (len(self.head) - 1)}}}", r"\toprule", rows[0])
             end = (r"\bottomrule", r"\end{tabular}", "")
             return "\n".join([*comments, *top, r"\midrule", *rows[1:], *end])
@@ -96,17 +97,10 @@ class Table:
         return "\n".join([self.caption, "", *body, *notes, ""])
 
 
-def _escape(text: str) -> str:
-    """Plain text for LaTeX."""
-    return "".join(_LATEX.get(character, character) for character in text)
-
-
-_LATEX = {
-    **{character: rf"\{character}" for character in "&%$#_{}"},
-    **{character: f"${character}$" for character in "<>|"},
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "α": r"$\alpha$",
-    MISSING: "--",
-}
+LATEX = str.maketrans(
+    {character: rf"\{character}" for character in "&%$#_{}"}
+    | {character: f"${character}$" for character in "<>|"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    | {"α": r"$\alpha$", MISSING: "--"}
+)
+"""Characters that are written otherwise in LaTeX."""

@@ -27,10 +27,10 @@ from agents.cli.options import (
 from agents.errors import UserError
 from agents.export import Format
 from agents.reporting.table import show
+from agents.training.callbacks import working
 from agents.training.config import TrainConfig
 from agents.training.environments import task_id, unscaled
 from agents.training.policy import chosen_run, folder_of
-from agents.training.progress import working
 from circle2d_mj.circle2d.config import Camera
 from circle2d_mj.registration import PHYSICS
 from emcc.parts import ALPHA, PARTS

@@ -20,7 +20,7 @@ from rich.markup import escape
 from agents import api
 from agents.algorithms import ALGORITHMS
 from agents.checks import Settings
-from agents.cli import signals
+from agents.cli.main import AfterEpoch
 from agents.cli.options import (
     BackendChoice,
     Folder,
@@ -40,13 +40,12 @@ from agents.reporting.report import report, table
 from agents.reporting.table import show
 from agents.results.reading import archive_of
 from agents.training import callbacks, evaluation, trainer
-from agents.training.callbacks import duration, share_done
+from agents.training.callbacks import duration, share_done, working
 from agents.training.config import RESULTS, Device, TrainConfig
 from agents.training.derive import write_results
 from agents.training.environments import Vectorization, check_task, registered, task_id
 from agents.training.files import Arrays, check_folder, locked, remove_unfinished
 from agents.training.launcher import EngineName, Launcher, launcher
-from agents.training.progress import working
 from circle2d_mj.circle2d.config import LEVELS
 
 
@@ -116,7 +115,7 @@ def train(args: Sequence[str]) -> int:
         check_task(task, values["task_parameters"], options.costs)
         check_enough_steps(task, values["task_parameters"], options.steps, own)
     values |= {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
-    with signals.AfterEpoch(options.imports) as after_epoch:
+    with AfterEpoch(options.imports) as after_epoch:
         runs = api.train(name, **values, progress=True, on_epoch=after_epoch)
     return _finish(runs.folders, after_epoch)
 
@@ -152,7 +151,7 @@ def check_enough_steps(
         )
 
 
-def _finish(folders: Sequence[Path], after_epoch: signals.AfterEpoch) -> int:
+def _finish(folders: Sequence[Path], after_epoch: AfterEpoch) -> int:
     """Print the table of every folder, and the failures; returns the exit status.
 
     after_epoch: says whether a signal stopped the training, of which one line is printed then.
@@ -207,7 +206,7 @@ def resume(args: Sequence[str]) -> int:
         if (note := callbacks.other_session(folder)) and not grid.finished(folder):
             _say(f"{folder}: {note}")
     done = [folder for folder in options.folders if grid.finished(folder)]
-    with signals.AfterEpoch(options.imports) as after_epoch:
+    with AfterEpoch(options.imports) as after_epoch:
         api.resume(*options.folders, progress=True, on_epoch=after_epoch)
     for folder in done:
         _say(f"{folder}: was done already: evaluated again")

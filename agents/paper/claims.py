@@ -22,6 +22,7 @@ from agents.paper.evidence import (
     all_of,
     any_of,
     apart,
+    choice_of,
     difference_in_words,
     equal,
     finding,
@@ -34,7 +35,6 @@ from agents.paper.evidence import (
     some,
 )
 from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, preset
-from agents.paper.printed import choice_of
 from agents.reporting.page import Otherwise, Statement
 from agents.results.reading import Group, Run
 from agents.results.statistics import MARGIN, equivalence_of, p_of

@@ -1,15 +1,26 @@
-"""Claims and their evidence: the runs that count, findings as numbers, rules and verdicts."""
+"""Claims and their evidence: the paper's numbers, the runs that count, findings, and verdicts."""
 
 from __future__ import annotations
 
+import functools
 import itertools
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Literal, NamedTuple
+from importlib.resources import files
+from typing import Any, Literal, NamedTuple
 
 from agents.algorithms import title
-from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, registered_id
-from agents.paper.printed import choice_of, paper_results
+from agents.paper.grid import ablations
+from agents.paper.presets import (
+    PAPER_ALGORITHMS,
+    PAPER_SEEDS,
+    PAPER_STEPS,
+    preset,
+    registered_id,
+)
 from agents.reporting.table import Number, number, p_number
+from agents.reporting.tables import Printed
+from agents.results.frame import hyperparameter_changes
 from agents.results.measures import measure
 from agents.results.reading import Group, Run, one_place
 from agents.results.statistics import (
@@ -41,6 +52,50 @@ HALF, RARE = 0.5, 0.05
 twenty."""
 
 
+def paper_results(task: str, title: str) -> dict[str, float]:
+    """The paper's numbers for an algorithm on a task, by measure; empty where it prints none.
+
+    title: of the algorithm, as the paper prints it.
+    """
+    name = registered_id(task)
+    name = name.removesuffix("-v0") if name.startswith("Circle2D-") else name.split("/")[-1]
+    return {
+        measure: _as_meant(name, title, measure, values[title])
+        for measure, values in _numbers()["results"].get(name, {}).items()
+        if title in values
+    }
+
+
+@functools.cache
+def _numbers() -> dict[str, Any]:
+    return json.loads(files("agents.paper").joinpath("printed.json").read_text())
+
+
+def _as_meant(task: str, title: str, measure: str, value: float) -> float:
+    """The paper prints 4.68 here; no return of this task can be positive."""
+    is_misprint = (task, title, measure) == ("Circle2D-1", "TRPO-Lag", "J_R")
+    return -value if is_misprint else value
+
+
+def printed(task: str, algorithm: str) -> Printed | None:
+    """The paper's numbers for an algorithm on a task, as tables take them."""
+    values = paper_results(task, title(algorithm))
+    if not values:
+        return None
+    within = values["J_C"] <= preset(algorithm, task).cost_limit
+    return Printed(values, within, f"paper ({PAPER_SEEDS} seeds)")
+
+
+def choice_of(group: Group) -> str | None:
+    """The name in `grid.ablations` of a group's hyper-parameters; empty where they are the
+    preset's, None where they are others."""
+    config = group.config
+    for name, other in ablations(config.algorithm, group.task).items():
+        if other == config.hyperparameters:
+            return name
+    return None if hyperparameter_changes(config, group.task) else ""
+
+
 class Finding(NamedTuple):
     """A part of a claim: the numbers measured, in words, and the verdict on them."""
 
@@ -60,7 +115,7 @@ class Cell(NamedTuple):
     full: bool = False
     """Whether they have the paper's length."""
     choice: str = ""
-    """The other choice, a name of `presets.ablations`; empty for the preset."""
+    """The other choice, a name of `grid.ablations`; empty for the preset."""
 
     @property
     def title(self) -> str:

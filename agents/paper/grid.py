@@ -1,19 +1,30 @@
-"""The paper's experiments as data: which trainings there are, and in which order."""
+"""The paper's experiments as data: which trainings there are, in which order, and the choices of
+settings that it does not print."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from agents.algorithms import algorithm
 from agents.errors import UserError
-from agents.paper.presets import PAPER_SEEDS, PAPER_STEPS, is_circle2d, preset, usual_steps
-from agents.paper.presets import ablations as ablations_of
+from agents.paper.presets import (
+    PAPER_ALGORITHMS,
+    PAPER_SEEDS,
+    PAPER_STEPS,
+    is_circle2d,
+    is_off_policy,
+    length_scale,
+    preset,
+    usual_steps,
+)
 from agents.training.config import CONFIG, RESULTS, Device, TrainConfig, file_name
 from agents.training.environments import spaces_of
 from agents.training.files import Arrays
-from circle2d_mj.circle2d.config import LEVELS
+from circle2d_mj.circle2d.config import LEVELS, Circle2DConfig
 from circle2d_mj.registration import KINEMATIC, PHYSICS
 
 SEEDS = tuple(range(PAPER_SEEDS))
@@ -56,7 +67,7 @@ def grid(
     seeds: Sequence[int],
     steps: int | None = None,
     device: Device = "cpu",
-    ablations: bool = False,
+    with_ablations: bool = False,
     task_parameters: Mapping[str, Any] | None = None,
 ) -> dict[Path, TrainConfig]:
     """The trainings of every algorithm on every task with its preset, by folder; what takes longest
@@ -64,9 +75,9 @@ def grid(
 
     The folder of an algorithm is `out/ALGORITHM` where all tasks train in it together: they have
     equal presets and spaces, and are few. Otherwise each task has its own, `out/TASK/ALGORITHM`.
-    steps: of each run; by default the usual ones of its task. ablations: those with other choices
-    of what the paper does not print as well, in folders like trpo-lag-sgd. Raises UserError for
-    what is unknown. Of eager updates, until a backend is chosen.
+    steps: of each run; by default the usual ones of its task. with_ablations: those of `ablations`
+    as well, in folders like trpo-lag-sgd. Raises UserError for what is unknown. Of eager updates,
+    until a backend is chosen.
     """
     tasks = list(dict.fromkeys(tasks))
     order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, UNKNOWN_WORK))
@@ -74,7 +85,7 @@ def grid(
     for name in order:
         choices: dict[str, dict[str, Any]] = {}  # hyper-parameters by folder, then task
         for task in tasks:
-            others = ablations_of(name, task) if ablations else {}
+            others = ablations(name, task) if with_ablations else {}
             chosen = {name: preset(name, task)} | {f"{name}-{k}": v for k, v in others.items()}
             for folder, hyperparameters in chosen.items():
                 choices.setdefault(folder, {})[task] = hyperparameters
@@ -177,3 +188,97 @@ def finished(folder: Path) -> bool:
 def has_failures(folder: Path) -> bool:
     """Whether a run of a training that is finished met a NaN or an infinite number."""
     return finished(folder) and any(name.endswith("/failure") for name in Arrays(folder / RESULTS))
+
+
+class Unprinted(NamedTuple):
+    """A hyper-parameter that the paper does not print, and that decides how runs end."""
+
+    field: str
+    choices: dict[str, str]
+    """Both, each with its meaning in words."""
+
+
+MULTIPLIER = Unprinted(
+    "multiplier_optimizer",
+    {
+        "adam": "the multiplier ascends by Adam",
+        "sgd": "the multiplier ascends by the plain gradient",
+    },
+)
+TIME_LIMIT = Unprinted(
+    "time_limit",
+    {
+        "terminal": "the last step of an episode counts as terminal",
+        "bootstrap": "values bootstrap at the time limit of an episode",
+    },
+)
+
+
+def unprinted(name: str) -> Unprinted | None:
+    """The hyper-parameter that decides and that the paper does not print; None where there is none.
+
+    The printed step size of TRPO-Lag's multiplier fits one optimiser or the other; whether step 50
+    ends an episode of Circle2D for good decides where the off-policy methods end up. What either
+    choice gives beside the paper's results: results/README.md. (The multipliers of SAC-Lag and
+    WCSAC ascend by Adam, as everything else of theirs does.)
+    """
+    if name == "trpo-lag":
+        return MULTIPLIER
+    off_policy = name in PAPER_ALGORITHMS and is_off_policy(algorithm(name).config)
+    return TIME_LIMIT if off_policy else None
+
+
+LIBRARY = {"variance_target": "unsquared", "damping_gradient": "through"}
+"""WCSAC as in a later library of the paper's group: see `WCSACConfig`."""
+
+
+PARTS = {
+    "streak": ("streak_weight",),
+    "brown": ("random_exponent",),
+    "share": ("random_share",),
+    "novelty": ("novelty_bonus",),
+    "horizon": ("time_limit",),
+    "scale": ("input_scale",),
+    "speed": ("learning_rate", "temperature_lr", "batch_size", "gradient_steps"),
+}
+"""The hyper-parameters that SAC-LB-Streak has on Circle2D in the place of SAC-LB's, by part."""
+MARGIN = 1.5
+"""How far the cost limit falls in the control that has a margin instead of the streak cost."""
+
+
+def ablations(name: str, task: str) -> dict[str, Any]:
+    """The preset with one thing changed, by the change's name: several for each algorithm.
+
+    For the paper's algorithms: other choices of what the paper does not print. On Circle2D the unit
+    of observations is one of them: "units" is that of length instead of the half arena. For
+    SAC-LB-Streak on Circle2D: SAC-LB's values for one of its `PARTS`, and a lower cost limit in the
+    place of the streak cost. Without the unit of length the bonus for new states keeps its length
+    between positions; with physics it counts a place anew at every speed.
+    """
+    if name == "sac-lb-streak":
+        return _without_parts(task) if is_circle2d(task) else {}
+    if name not in PAPER_ALGORITHMS:
+        return {}
+    config, setting = preset(name, task), unprinted(name)
+    units = is_circle2d(task)
+    found = {"units": replace(config, input_scale=length_scale(task))} if units else {}
+    if setting is None:
+        return found
+    (other,) = set(setting.choices) - {getattr(config, setting.field)}
+    found[other] = replace(config, **{setting.field: other})
+    if units and setting is TIME_LIMIT:
+        found[f"{other}-units"] = replace(found[other], input_scale=length_scale(task))
+    return found | ({"library": replace(config, **LIBRARY)} if name == "wcsac" else {})
+
+
+def _without_parts(task: str) -> dict[str, Any]:
+    config, plain = preset("sac-lb-streak", task), preset("sac-lb", task)
+    found = {
+        f"without-{part}": replace(config, **{field: getattr(plain, field) for field in fields})
+        for part, fields in PARTS.items()
+    }
+    # In the unit of the networks' inputs the same distance between positions.
+    length = config.novelty_length / Circle2DConfig().arena
+    found["without-scale"] = replace(found["without-scale"], novelty_length=length)
+    lower = config.cost_limit - MARGIN
+    return found | {"margin": replace(found["without-streak"], cost_limit=lower)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from inspect import get_annotations
-from typing import Any, NamedTuple
+from typing import Any
 
 from agents.algorithms import RESERVED, algorithm
 from agents.errors import OTHER_NAMES, UserError, nearest
@@ -56,21 +56,21 @@ def preset(name: str, task: str) -> Any:
     """
     config = algorithm(name).config()
     kind = type(config)
-    of_task = _of_task(config, _is_off_policy(config), registered_id(task))
-    return replace(config, **{of: v for of, v in of_task.items() if not _redefines(kind, of)})
+    printed = _printed(config, registered_id(task))
+    return replace(config, **{k: v for k, v in printed.items() if not _redefines(kind, k)})
 
 
-def _of_task(config: Any, off_policy: bool, task: str) -> dict[str, Any]:
+def _printed(config: Any, task: str) -> dict[str, Any]:
     """Hyper-parameters that the paper prints for a task and that are not the defaults."""
     if is_circle2d(task):
-        # Table Circle2DResults, caption; for the time limit see `unprinted`: on-policy bootstraps.
+        # Table Circle2DResults, caption; for the time limit, on-policy the default: `unprinted`.
         found = {"cost_limit": 5.0} if hasattr(config, "cost_limit") else {}
-        found |= {"time_limit": "terminal"} if off_policy else {}
+        found |= {"time_limit": "terminal"} if is_off_policy(config) else {}
         in_lengths = getattr(config, "in_lengths", False)
         return found | ({"input_scale": length_scale(task)} if in_lengths else {})
     if task.removeprefix("circle2d_mj/") in NAMES.values():
         # Table HP_SafetyGymnasium, for the whole suite; the cost limit, 25, is the default.
-        if off_policy:
+        if is_off_policy(config):
             return {"random_steps": 50_000, "replay_size": 500_000}
         if "PointCircle1" in task and hasattr(config, "episodes"):
             return {"episodes": 20}
@@ -95,104 +95,11 @@ def preset_with(name: str, task: str, given: Mapping[str, Any]) -> Any:
     return replace(config, **{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
 
 
-def _is_off_policy(config: Any) -> bool:
+def is_off_policy(config: Any) -> bool:
+    """Whether an algorithm of that config learns from a replay."""
     return hasattr(config, "replay_size")
 
 
 def usual_steps(task: str) -> int:
     """Environment steps of a run: the paper's on its tasks, `STEPS` on any other."""
     return PAPER_STEPS.get(registered_id(task), STEPS)
-
-
-class Unprinted(NamedTuple):
-    """A hyper-parameter that the paper does not print, and that decides how runs end."""
-
-    field: str
-    choices: dict[str, str]
-    """Both, each with its meaning in words."""
-
-
-MULTIPLIER = Unprinted(
-    "multiplier_optimizer",
-    {
-        "adam": "the multiplier ascends by Adam",
-        "sgd": "the multiplier ascends by the plain gradient",
-    },
-)
-TIME_LIMIT = Unprinted(
-    "time_limit",
-    {
-        "terminal": "the last step of an episode counts as terminal",
-        "bootstrap": "values bootstrap at the time limit of an episode",
-    },
-)
-
-
-def unprinted(name: str) -> Unprinted | None:
-    """The hyper-parameter that decides and that the paper does not print; None where there is none.
-
-    The printed step size of TRPO-Lag's multiplier fits one optimiser or the other; whether step 50
-    ends an episode of Circle2D for good decides where the off-policy methods end up. What either
-    choice gives beside the paper's results: results/README.md. (The multipliers of SAC-Lag and
-    WCSAC ascend by Adam, as everything else of theirs does.)
-    """
-    if name == "trpo-lag":
-        return MULTIPLIER
-    off_policy = name in PAPER_ALGORITHMS and _is_off_policy(algorithm(name).config)
-    return TIME_LIMIT if off_policy else None
-
-
-LIBRARY = {"variance_target": "unsquared", "damping_gradient": "through"}
-"""WCSAC as in a later library of the paper's group: see `WCSACConfig`."""
-
-
-PARTS = {
-    "streak": ("streak_weight",),
-    "brown": ("random_exponent",),
-    "share": ("random_share",),
-    "novelty": ("novelty_bonus",),
-    "horizon": ("time_limit",),
-    "scale": ("input_scale",),
-    "speed": ("learning_rate", "temperature_lr", "batch_size", "gradient_steps"),
-}
-"""The hyper-parameters that SAC-LB-Streak has on Circle2D in the place of SAC-LB's, by part."""
-MARGIN = 1.5
-"""How far the cost limit falls in the control that has a margin instead of the streak cost."""
-
-
-def ablations(name: str, task: str) -> dict[str, Any]:
-    """The preset with one thing changed, by the change's name: several for each algorithm.
-
-    For the paper's algorithms: other choices of what the paper does not print. On Circle2D the unit
-    of observations is one of them: "units" is that of length instead of the half arena. For
-    SAC-LB-Streak on Circle2D: SAC-LB's values for one of its `PARTS`, and a lower cost limit in the
-    place of the streak cost. Without the unit of length the bonus for new states keeps its length
-    between positions; with physics it counts a place anew at every speed.
-    """
-    if name == "sac-lb-streak":
-        return _without_parts(task) if is_circle2d(task) else {}
-    if name not in PAPER_ALGORITHMS:
-        return {}
-    config, setting = preset(name, task), unprinted(name)
-    units = is_circle2d(task)
-    found = {"units": replace(config, input_scale=length_scale(task))} if units else {}
-    if setting is None:
-        return found
-    (other,) = set(setting.choices) - {getattr(config, setting.field)}
-    found[other] = replace(config, **{setting.field: other})
-    if units and setting is TIME_LIMIT:
-        found[f"{other}-units"] = replace(found[other], input_scale=length_scale(task))
-    return found | ({"library": replace(config, **LIBRARY)} if name == "wcsac" else {})
-
-
-def _without_parts(task: str) -> dict[str, Any]:
-    config, plain = preset("sac-lb-streak", task), preset("sac-lb", task)
-    found = {
-        f"without-{part}": replace(config, **{field: getattr(plain, field) for field in fields})
-        for part, fields in PARTS.items()
-    }
-    # In the unit of the networks' inputs the same distance between positions.
-    length = config.novelty_length / Circle2DConfig().arena
-    found["without-scale"] = replace(found["without-scale"], novelty_length=length)
-    lower = config.cost_limit - MARGIN
-    return found | {"margin": replace(found["without-streak"], cost_limit=lower)}

@@ -10,17 +10,10 @@ from typing import NamedTuple
 
 from agents.algorithms import ALGORITHMS, title
 from agents.paper.claims import LIMIT, check_claims
-from agents.paper.evidence import SAFETY_SEEDS, SEEDS
+from agents.paper.evidence import SAFETY_SEEDS, SEEDS, choice_of, paper_results, printed
+from agents.paper.grid import MARGIN, ablations, unprinted
 from agents.paper.introduction import introduction
-from agents.paper.presets import (
-    MARGIN,
-    PAPER_ALGORITHMS,
-    ablations,
-    is_circle2d,
-    registered_id,
-    unprinted,
-)
-from agents.paper.printed import choice_of, paper_results, printed, split
+from agents.paper.presets import PAPER_ALGORITHMS, is_circle2d, registered_id
 from agents.reporting.figures import Figure
 from agents.reporting.overall import differences_over_tasks
 from agents.reporting.page import Section
@@ -121,6 +114,31 @@ def sections(groups: Sequence[Group]) -> Paper:
         claims_sections(groups),
         introduction() if circle2d else [],
     )
+
+
+def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group]]]:
+    """The groups to report as usual, and the pairs of a preset's group and an ablated one.
+
+    Ablated is a group with another choice of what the paper does not print (`grid.ablations`)
+    while nothing else differs from the preset, where the preset's group is there too; without it,
+    it is a group like any other.
+    """
+    pairs = []
+    for group in groups:
+        if not choice_of(group):
+            continue
+        beside = [other for other in groups if _is_preset_of(other, group)]
+        if beside:  # of several, such as published runs and a trial, that of most runs
+            pairs.append((max(beside, key=lambda other: len(other.runs)), group))
+    ablated = {id(group) for _, group in pairs}
+    return [group for group in groups if id(group) not in ablated], pairs
+
+
+def _is_preset_of(group: Group, ablated: Group) -> bool:
+    """Whether a group is that of the preset, on equal terms with an ablated one."""
+    names = ("algorithm", "task_parameters", "steps")
+    equal = all(getattr(group.config, n) == getattr(ablated.config, n) for n in names)
+    return equal and group.task == ablated.task and choice_of(group) == ""
 
 
 def _notes(groups: Sequence[Group]) -> list[str]:
@@ -224,7 +242,7 @@ def parts_over_tasks(choices: Choices) -> Table | None:
 
 
 def _by_preset(pairs: Sequence[Pair]) -> list[list[Group]]:
-    """The choices: by algorithm, then by task, each in the order of `presets.ablations`."""
+    """The choices: by algorithm, then by task, each in the order of `grid.ablations`."""
     beside: dict[int, list[Group]] = {}
     for usual, other in sorted(pairs, key=_place):
         beside.setdefault(id(usual), [usual]).append(other)

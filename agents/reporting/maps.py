@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from PIL import Image
 
 from agents.errors import UserError
@@ -309,17 +309,13 @@ def paths(extent: Extent, episodes: Sequence[Episode]) -> tuple[str, str]:
     ways, costly = [], []
     for positions, costs in episodes:
         at = shown_states(len(positions))
-        points = _units(extent, positions[at])
+        points = np.round(canvas.pixels(extent, positions[at], SIDE)).astype(np.int64)
         ways.append(f"M{_line(points)}")
         # The start has no cost; the steps between two drawn states count for the later one.
         cost = np.concatenate((np.zeros(len(positions) - len(costs)), costs)) > 0
         cost = np.logical_or.reduceat(cost, np.concatenate(([0], at[:-1] + 1)))
         costly += [f"M{x} {y}h0" for x, y in points[cost].tolist()]
     return "".join(ways), "".join(costly)
-
-
-def _units(extent: Extent, positions: ArrayLike) -> NDArray[np.int64]:
-    return np.round(canvas.pixels(extent, positions, SIDE)).astype(np.int64)
 
 
 def _line(points: NDArray[np.int64]) -> str:

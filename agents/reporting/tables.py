@@ -26,10 +26,10 @@ from agents.results.statistics import (
     within_limit,
 )
 from emcc import emcc_by_part, longest_streaks, panel
-from emcc.panels import SEVERITY, WINDOW, CostMeasures, Panel, cost_measures
+from emcc.panels import WINDOW, CostMeasures, Panel, cost_measures
 from emcc.panels import rows as panel_rows
 from emcc.parts import ALPHA, PARTS, rollouts_by_part
-from emcc.statistics import COST, SHARE, Bounds
+from emcc.statistics import SHARE, Bounds
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -252,17 +252,9 @@ def _list(chosen: Iterable[Measure]) -> str:
     return f"{', '.join(first)} and {last}" if first else last
 
 
-PANEL_OF_POLICIES = (
-    ("cost rate (per step)", "cost_rate", 3, COST),
-    (f"CVaR of episode cost (α = {ALPHA:g})", "cvar", 2, COST),
-    ("95th percentile of episode cost", "p95", 2, COST),
-    ("highest episode cost", "maximum", 2, COST),
-    ("violation rate V", "violation_rate", 3, SHARE),
-    ("severity D", "severity", 3, SEVERITY),
-    ("severity of violations D+", "severity_of_violations", 3, COST),
-)
-"""Rows for the episodes of the final policies: title, field of `CostMeasures`, decimal places, and
-the values that there can be."""
+OF_POLICIES = ("cost_rate", "cvar", "p95", "maximum")
+OF_POLICIES = (*OF_POLICIES, "violation_rate", "severity", "severity_of_violations")
+"""Fields of `CostMeasures` that are shown for the episodes of the final policies too."""
 POLICIES = {"stochastic": "policy with its noise", "deterministic": "policy without noise"}
 """Final policies, in the words of the rows."""
 
@@ -295,7 +287,8 @@ def panel_table(groups: Sequence[Group]) -> Table:
     everyone = [run for column in panels for run in column]
     limited = [run for run in everyone if run.limit is not None]
     rows = []
-    for line in panel_rows((limited or everyone)[0]):
+    lines = panel_rows((limited or everyone)[0])
+    for line in lines:
         values = [[line.value(run) for run in column] for column in panels]
         rows.append(row(f"training: {line.title}", values, line.digits, line.bounds))
     for policy, words in POLICIES.items():
@@ -303,9 +296,10 @@ def panel_table(groups: Sequence[Group]) -> Table:
             [_evaluated(run, policy, limit) for run in group.runs]
             for group, limit in zip(groups, limits, strict=True)
         ]
-        for name, field, digits, bounds in PANEL_OF_POLICIES if any(map(any, measured)) else ():
-            values = [[run and getattr(run, field) for run in column] for column in measured]
-            rows.append(row(f"{words}: {name}", values, digits, bounds))
+        for line in lines if any(map(any, measured)) else ():
+            if line.field in OF_POLICIES:
+                values = [[run and line.value(run) for run in column] for column in measured]
+                rows.append(row(f"{words}: {line.title}", values, line.digits, line.bounds))
     head = [groups[0].task, *map(name_of, groups), ""]  # the last is for places
     return Table(_panel_caption(groups, limits), head, rows)
 

@@ -1,17 +1,21 @@
-"""Groups of runs by name, in order, and as one tidy frame."""
+"""Groups of runs by name, in order, and runs as frames."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from agents.algorithms import ALGORITHMS, title
 from agents.paper.presets import preset, usual_steps  # the settings that runs are named against
 from agents.results.measures import measures
-from agents.results.reading import Group
-from agents.training.config import TrainConfig
+from agents.results.reading import Group, run_records
+from agents.training.config import RunId, TrainConfig
+from emcc.records import COLUMNS as RECORD_COLUMNS
 
 if TYPE_CHECKING:
     import pandas
@@ -42,6 +46,49 @@ def frame(groups: Sequence[Group]) -> pandas.DataFrame:
     ]
     made = pd.DataFrame(rows, columns=list(COLUMNS))
     return made.astype({"part": float, "value": float})
+
+
+def long_frame(
+    trainings: Iterable[tuple[Mapping[str, Any], TrainConfig, Mapping[str, NDArray]]],
+    rows: Literal["episodes", "updates"],
+) -> pandas.DataFrame:
+    """A row for each episode, or each epoch's update, of every run so far.
+
+    trainings: columns that tell each from the others, its configuration, and its results.
+    """
+    import pandas as pd
+
+    frames, columns_of = [], _episodes if rows == "episodes" else _updates
+    for about, config, arrays in trainings:
+        for run in config.runs:
+            columns = columns_of(arrays, run, config)
+            count = len(next(iter(columns.values())))
+            first = {**about, "task": run.task, "seed": run.seed}
+            # Lists, since a hyper-parameter may be a tuple.
+            frames.append(pd.DataFrame({k: [v] * count for k, v in first.items()} | columns))
+    return pd.concat(frames, ignore_index=True)
+
+
+def _episodes(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) -> dict[str, Any]:
+    """Columns of the episodes of a run; further costs by their names."""
+    first, *others = config.costs
+    records = run_records(arrays, run, first)
+    columns = {k: getattr(records, "reward" if k == "return" else k) for k in RECORD_COLUMNS}
+    for other in others:
+        of_other = run_records(arrays, run, other)
+        columns |= {other: of_other.cost, f"{other}_longest_streak": of_other.longest_streak}
+    return columns
+
+
+def _updates(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) -> dict[str, Any]:
+    """Columns of the updates of a run; `step`: environment steps taken by then."""
+    values = arrays[f"{run.prefix}updates"]
+    rollouts = arrays[f"{run.prefix}rollouts"].astype(np.int64)
+    lengths = arrays[f"{run.prefix}length"].astype(np.int64)
+    steps = np.add.reduceat(lengths, np.cumsum(rollouts) - rollouts).cumsum()
+    return {"rollout": np.arange(len(values)), "step": steps} | dict(
+        zip(arrays["metrics"].tolist(), values.T, strict=True)
+    )
 
 
 def with_distinct_titles(groups: Sequence[Group]) -> list[Group]:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
+from operator import attrgetter
 from typing import Any, Literal
 
 from agents.errors import OwnCodeError, described
@@ -135,21 +136,17 @@ def _cost_rate(run: RunData) -> float:
     return cost_rate(run.records.cost, run.records.length)
 
 
-def _mean_streak(run: RunData) -> float | None:
-    return run.records.mean_streak
-
-
-def _emcc(run: RunData, part: float) -> float:
-    return run.emcc_by_part[part]
-
-
 def _evaluated(name: str) -> Callable[[RunData], float | None]:
-    return partial(RunData.evaluated, name=name)
+    return lambda run: run.evaluated(name)
+
+
+def _emcc(part: float) -> Callable[[RunData], float | None]:
+    return lambda run: run.emcc_by_part[part]
 
 
 for _part in PARTS:
-    _name, _value = f"EMCC_{_part}", partial(_emcc, part=_part)
-    register(Measure(_name, _name, "", 2, "lower", _value, word="EMCC", bounds=SHARE, part=_part))
+    _how = {"word": "EMCC", "bounds": SHARE, "part": _part}
+    register(Measure(f"EMCC_{_part}", f"EMCC_{_part}", "", 2, "lower", _emcc(_part), **_how))
 register(Measure("cost_rate", "cost rate", "", 2, "lower", _cost_rate, bounds=COST))
 register(Measure("J_R", "J_R", "", 2, "higher", _evaluated("J_R"), "policy"))
 register(Measure("J_C", "J_C", "", 2, "lower", _evaluated("J_C"), "policy", bounds=COST))
@@ -161,6 +158,7 @@ _how = {
     "detail": True,
 }
 # Neither is better: streaks may be fewer and longer, or more and shorter.
-register(Measure("mean_streak", "mean streak", "steps", 2, "neither", _mean_streak, **_how))
+_value = attrgetter("records.mean_streak")
+register(Measure("mean_streak", "mean streak", "steps", 2, "neither", _value, **_how))
 BUILT_IN = measures()
 """The measures of every report: they raise where a run is damaged alone."""

@@ -195,7 +195,7 @@ class Group:
     def costs(self, run: Run) -> NDArray[np.float64]:
         """Costs of all steps of a run, [steps]."""
         arrays, prefix = self._arrays(run.seed)
-        return _costs(arrays, f"{prefix}costs/{self.cost}/")
+        return derive.unpack_costs(arrays, f"{prefix}costs/{self.cost}/")
 
     @property
     def recorded(self) -> dict[str, str]:
@@ -206,7 +206,7 @@ class Group:
     def steps(self, run: Run, name: str) -> NDArray[np.float64]:
         """A number that was recorded at each step of a run, [steps], to five digits."""
         arrays, prefix = self._arrays(run.seed)
-        return _costs(arrays, f"{prefix}info/{name}/")
+        return derive.unpack_costs(arrays, f"{prefix}info/{name}/")
 
     def _arrays(self, seed: int) -> tuple[Mapping[str, NDArray], str]:
         part = next(part for part in self.parts if seed in part.config.seeds)
@@ -380,17 +380,12 @@ def _left_out(folder: str, missing: Mapping[int, str]) -> list[str]:
     ]
 
 
-def _costs(arrays: Mapping[str, NDArray], prefix: str) -> NDArray[np.float64]:
-    return derive.unpack_costs(lambda name: arrays[prefix + name], prefix + "values" in arrays)
-
-
 def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> EpisodeRecords:
     """Episodes of a run so far. Raises UserError where there are none, or they are damaged."""
     if f"{run.prefix}length" not in arrays:
         raise UserError("has no checkpoint yet")
-    has_values = f"{run.prefix}costs/{cost}/values" in arrays
     try:
-        return derive.records_of(lambda name: arrays[run.prefix + name], cost, has_values)
+        return derive.records_of(arrays, run.prefix, cost)
     except UserError:
         raise
     except UNREADABLE as error:

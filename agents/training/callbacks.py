@@ -1,4 +1,4 @@
-"""Callbacks of a training, epoch by epoch: status, policies on the way, TensorBoard."""
+"""Callbacks of a training, epoch by epoch: status, progress, policies on the way, TensorBoard."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from agents.errors import UserError
 from agents.lockstep.backend import CLOCK
 from agents.training import evaluation
-from agents.training.config import STATUS, is_of_policy, made_with, policy_path
+from agents.training.config import STATUS, TrainConfig, is_of_policy, made_with, policy_path
 from agents.training.files import AnyPath, read_json, write_arrays, write_json
 
 if TYPE_CHECKING:
@@ -102,13 +102,12 @@ def keep_policies(trainer: Trainer) -> Callable[[Trainer], None]:
         )
         state = trainer.learner.state_dict()
         kept = {k: v for k, v in state.items() if is_of_policy(k)} or state
-        for k in np.flatnonzero(due):
+        for k in np.flatnonzero(due).tolist():
             arrays = {name: array[k : k + 1] for name, array in kept.items()}
             for name, result in results.items():
                 if not result.void[k]:
-                    arrays[f"evaluation/{name}/returns"] = result.returns[k]
-                    arrays[f"evaluation/{name}/costs"] = result.costs[k]
-                    arrays[f"evaluation/{name}/lengths"] = result.lengths[k]
+                    of_run = result.of_run(k).items()
+                    arrays |= {f"evaluation/{name}/{key}": values for key, values in of_run}
             path = policy_path(trainer.folder, config.runs[k], int(now[k] // every * every))
             path.parent.mkdir(parents=True, exist_ok=True)
             write_arrays(path, arrays)
@@ -147,15 +146,85 @@ class Meter:
         """Progress by now."""
         now, going = time.monotonic(), trainer.failures == ""
         steps = int(trainer.steps[going].min(initial=self._steps))
-        total, share = int(trainer.steps.sum()), min(1.0, steps / self._steps)
-        working = now - CLOCK.seconds
-        self._first = self._first or (working, total, share)
-        seconds, more, gained = working - self._first[0], total - self._first[1], share
-        gained -= self._first[2]
+        share = min(1.0, steps / self._steps)
+        taken = (now - CLOCK.seconds, int(trainer.steps.sum()), share)
+        self._first = self._first or taken
+        seconds, more, gained = (b - a for a, b in zip(self._first, taken, strict=True))
         known = seconds > 0 and gained > 0
         speed = more / seconds if known else None
         left = seconds * (1 - share) / gained if known else None
         return Reading(now - self._started, steps, share, speed, left)
+
+
+def working(on: str) -> contextlib.AbstractContextManager[object]:
+    """Show on a terminal that work goes on whose end cannot be foreseen."""
+    from rich.console import Console
+
+    return Console(stderr=True).status(on)
+
+
+@contextlib.contextmanager
+def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
+    """Show steps, speed, recent returns and the time left of a training on stderr.
+
+    Yields the callback. A bar on a terminal; elsewhere a line for every tenth of the training.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
+    from rich.text import Text
+
+    class Compiling(ProgressColumn):
+        """For how long the compiler has been working; empty where it is not."""
+
+        def render(self, task: Task) -> Text:
+            began = CLOCK.began
+            return Text("" if began is None else f"compiling, {time.monotonic() - began:.0f} s")
+
+    fields = (TextColumn(f"{{task.fields[{name}]}}") for name in ("speed", "recent", "left"))
+    percentage = TextColumn("{task.percentage:.0f} %")
+    columns = (TextColumn("{task.description}"), BarColumn(), percentage, Compiling(), *fields)
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        yield Display(config, console, bar)
+
+
+class Display:
+    """Progress of a training, seen from the process that goes on with it."""
+
+    def __init__(self, config: TrainConfig, console: Any, bar: Any) -> None:
+        self.title = f"{config.algorithm} {' '.join(config.tasks)} x {len(config.runs)}"
+        self.console, self.bar = console, bar
+        self.task = bar.add_task(self.title, total=config.steps, speed="", recent="", left="")
+        self.meter, self.shown = Meter(config.steps), time.monotonic()
+        self.compiled = self.compiled_before = CLOCK.seconds
+        self.tenth = -1
+
+    def __call__(self, trainer: Trainer) -> None:
+        """Show progress where that is due."""
+        now, done = self.meter.read(trainer), trainer.done
+        is_tenth = int(10 * now.share) > self.tenth
+        if time.monotonic() - self.shown < EVERY_SECONDS and not done and not is_tenth:
+            return
+        self.shown = time.monotonic()
+        if CLOCK.seconds > self.compiled:
+            self.compiled = CLOCK.seconds
+            self._print(f"compiled in {self.compiled - self.compiled_before:.0f} s")
+        per_second = "" if now.steps_per_second is None else f"{now.steps_per_second:,.0f} steps/s"
+        left = "" if now.seconds_left is None else f"{duration(now.seconds_left)} left"
+        recent = "return {:.2f}, cost {:.2f}".format(*trainer.recorder.recent)
+        if done:  # an evaluation follows
+            recent, left = f"{recent}, evaluating", ""
+        shown: dict[str, Any] = {"speed": per_second, "recent": recent, "left": left}
+        self.bar.update(self.task, completed=now.steps, **shown)
+        if is_tenth or done:
+            self.tenth = int(10 * now.share)
+            after = f"{int(100 * now.share)} % after {now.seconds:.0f} s"
+            self._print(", ".join(filter(None, (after, per_second, recent, left))))
+
+    def _print(self, text: str) -> None:
+        """A line on stderr where that is no terminal."""
+        if not self.console.is_terminal:
+            print(f"{self.title}: {text}", file=self.console.file, flush=True)
 
 
 class StatusFile:

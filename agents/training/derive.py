@@ -22,7 +22,8 @@ from __future__ import annotations
 import contextlib
 import io
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,9 +36,8 @@ from agents.training.config import RESULTS, STEPS, RunId, TrainConfig, file_name
 from agents.training.environments import recorded_of, view_of
 from agents.training.evaluation import EPISODES, Episodes, evaluate_runs
 from agents.training.files import Arrays, numbered, write_arrays
-from circle2d_mj.core.view import TellsWays, View
-from circle2d_mj.render import canvas
-from emcc import EpisodeRecords, count_streaks, emcc, longest_streaks, worst
+from circle2d_mj.core.view import TellsWays, View, histogram
+from emcc import EpisodeRecords, emcc, worst
 from emcc.parts import ALPHA, PARTS, rollouts_by_part
 
 CELLS = 160
@@ -139,8 +139,7 @@ def write_results(
         view = view_of(run.task, config.task_parameters)
         for name, result in evaluated.items():
             if not result.void[k]:
-                own = {"returns": result.returns[k], "costs": result.costs[k]}
-                own["lengths"] = result.lengths[k]
+                own = result.of_run(k)
                 if name == "deterministic":
                     own |= places_of(view, result.final_observations[k], result.costs[k, :, 0])
                 prefix = f"{run.prefix}evaluation/{name}/"
@@ -148,11 +147,10 @@ def write_results(
         drawn = evaluated["deterministic"].paths[k]
         first = config.seeds.index(run.seed) < DRAWN_POLICIES
         if drawn and first and not evaluated["deterministic"].void[k]:
-            paths = [positions for positions, _ in drawn]
-            arrays[run.prefix + "trained/length"] = np.array([len(costs) for _, costs in drawn])
+            paths, costs = zip(*drawn, strict=True)
+            arrays[run.prefix + "trained/length"] = np.array([*map(len, costs)])
             arrays[run.prefix + "trained/positions"] = np.concatenate(paths)
-            costs = np.concatenate([costs for _, costs in drawn])
-            arrays[run.prefix + "trained/costs"] = costs.astype(np.float64)
+            arrays[run.prefix + "trained/costs"] = np.concatenate(costs).astype(np.float64)
     write_arrays(folder / RESULTS, arrays, zipfile.ZIP_DEFLATED)
     return evaluated
 
@@ -209,9 +207,7 @@ def _run(
         costs = steps.get(run, f"costs/{name}")
         assert costs is not None
         arrays |= {f"costs/{name}/{key}": array for key, array in pack_costs(costs).items()}
-    return arrays, records_of(
-        arrays.__getitem__, config.costs[0], f"costs/{config.costs[0]}/values" in arrays
-    )
+    return arrays, records_of(arrays, "", config.costs[0])
 
 
 def smallest(values: NDArray[np.int64]) -> NDArray:
@@ -231,30 +227,22 @@ def pack_costs(costs: NDArray[np.floating]) -> dict[str, NDArray]:
     return packed
 
 
-def unpack_costs(arrays: Callable[[str], NDArray], has_values: bool) -> NDArray[np.float64]:
-    """The costs that `pack_costs` was given."""
-    unsafe = np.unpackbits(arrays("unsafe"), count=int(arrays("steps"))).astype(bool)
+def unpack_costs(arrays: Mapping[str, NDArray], prefix: str) -> NDArray[np.float64]:
+    """The costs whose arrays, named below a prefix, `pack_costs` has made."""
+    steps = int(arrays[prefix + "steps"])
+    unsafe = np.unpackbits(arrays[prefix + "unsafe"], count=steps).astype(bool)
     costs = unsafe.astype(np.float64)
-    if has_values:
-        costs[unsafe] = arrays("values")
+    if prefix + "values" in arrays:
+        costs[unsafe] = arrays[prefix + "values"]
     return costs
 
 
-def records_of(arrays: Callable[[str], NDArray], cost: str, has_values: bool) -> EpisodeRecords:
-    """The episodes of a run by its arrays, with one of its costs."""
-    costs = unpack_costs(lambda name: arrays(f"costs/{cost}/{name}"), has_values)
-    length = arrays("length").astype(np.int64)
-    start = np.cumsum(length) - length
-    rollouts = arrays("rollouts")
-    return EpisodeRecords(
-        np.repeat(np.arange(len(rollouts)), rollouts),
-        start,
-        length,
-        arrays("return"),
-        np.add.reduceat(costs, start),
-        longest_streaks(costs, length),
-        *count_streaks(costs, length),
-    )
+def records_of(arrays: Mapping[str, NDArray], prefix: str, cost: str) -> EpisodeRecords:
+    """The episodes of a run by its arrays, named below a prefix, with one of its costs."""
+    costs, rollouts = unpack_costs(arrays, f"{prefix}costs/{cost}/"), arrays[prefix + "rollouts"]
+    ids, length = np.repeat(np.arange(len(rollouts)), rollouts), arrays[prefix + "length"]
+    records = EpisodeRecords.from_costs(costs, length.astype(np.int64), None, ids)
+    return replace(records, reward=arrays[prefix + "return"])
 
 
 def count_visits(
@@ -281,7 +269,7 @@ def count_visits(
             dominating = in_part[worst(mcc[in_part], alpha)]
             rollouts = np.unique(records.rollout)[dominating]
             rows = np.repeat(np.isin(records.rollout, rollouts), records.length)
-            counts += canvas.count_visits(view.extent, positions[rows], CELLS)
+            counts += histogram(view.extent, positions[rows], CELLS)
             values.append(emcc(mcc[in_part], alpha))
             chosen, every = chosen + len(dominating), every + len(in_part)
         visits.append(Visits(counts, float(np.mean(values)), chosen, every))

@@ -44,6 +44,10 @@ class Episodes(NamedTuple):
     """The first `DRAWN` episodes of each run whose task has a view: positions [T + 1, 2], the start
     first, and costs [T]"""
 
+    def of_run(self, k: int) -> dict[str, NDArray]:
+        """The numbers of the k-th run's episodes that are kept, by name."""
+        return {"returns": self.returns[k], "costs": self.costs[k], "lengths": self.lengths[k]}
+
 
 def evaluate_runs(
     config: TrainConfig, policy: RunsPolicy, episodes: int, active: NDArray[np.bool_] | None = None
@@ -122,18 +126,15 @@ def paths_of(
     envs: SideBySide, rollout: Rollout, runs: int, most: int
 ) -> list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]]:
     """`Episodes.paths` of a rollout, `most` of each run."""
-    each, column = envs.num_envs // runs, 0
+    each = envs.num_envs // runs
     paths: list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]] = []
     for part in envs.parts:
-        located = part.with_start
+        located, before = part.with_start, len(paths) * each
         for start in range(0, part.num_envs, each):
-            drawn = range(start, start + min(each, most)) if located is not None else ()
-            lengths = rollout.length[column : column + part.num_envs]
-            costs = rollout.cost[:, column : column + part.num_envs, 0]
-            paths.append(
-                [(located[: lengths[k] + 1, k], costs[: lengths[k], k]) for k in drawn]
-                if located is not None
-                else []
-            )
-        column += part.num_envs
+            paths.append([])
+            if located is None:
+                continue
+            for k in range(start, start + min(each, most)):
+                steps, costs = rollout.length[before + k], rollout.cost[:, before + k, 0]
+                paths[-1].append((located[: steps + 1, k], costs[:steps]))
     return paths

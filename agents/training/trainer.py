@@ -330,9 +330,8 @@ class Recorder:
             self._append(run, "length", lengths[k].astype(np.int64))
             self._append(run, "return", returns[k].astype(np.float64))
             self._append(run, "updates", metrics[k][None].astype(np.float32))
-            streaks = longest_streaks(
-                np.concatenate([costs[s, k, e, 0] for e, s in enumerate(during)]), lengths[k]
-            )
+            first = np.concatenate([costs[steps, k, e, 0] for e, steps in enumerate(during)])
+            streaks = longest_streaks(first, lengths[k])
             numbers = {"return": returns[k].mean(), "cost": totals[k, :, 0].mean()}
             numbers |= {"length": lengths[k].mean(), "mcc": (streaks / lengths[k]).max()}
             numbers |= {name: totals[k, :, c].mean() for c, name in enumerate(self.costs) if c > 0}

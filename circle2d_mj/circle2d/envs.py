@@ -18,8 +18,7 @@ from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.circle2d.task import Dynamics, Kinematic
 from circle2d_mj.core.envs import TaskEnv, TaskVectorEnv, render_modes, without_time_limit
-from circle2d_mj.core.simulation import Outcome, State, positive_integer
-from circle2d_mj.core.streams import Streams
+from circle2d_mj.core.simulation import Outcome, positive_integer
 
 if TYPE_CHECKING:
     from circle2d_mj.circle2d.physics import Physics
@@ -41,6 +40,9 @@ class Circle2D:
         bounds = np.array(dynamics.observation_bounds, dtype=np.float32)
         self.observation_space: Box = Box(-bounds, bounds)
         self.action_space: Box = Box(-1.0, 1.0, (2,), np.float32)
+        # The dynamics hold all of the state.
+        self.start, self.observe = dynamics.start, dynamics.observe
+        self.state_dict, self.load_state_dict = dynamics.state_dict, dynamics.load_state_dict
         self._drawer: Any = None
         self._window: Any = None
 
@@ -51,10 +53,6 @@ class Circle2D:
 
         return Circle2DView(self.config)
 
-    def start(self, streams: Streams, index: NDArray[np.intp]) -> None:
-        """Place the agents `index` at random in the start area."""
-        self.dynamics.start(streams, index)
-
     def step(self, action: NDArray[np.float64]) -> Outcome:
         """Move all agents by their actions, [num_envs, 2]."""
         contact, more = self.dynamics.step(action)
@@ -63,21 +61,9 @@ class Circle2D:
         ends = costs > 0 if self.config.reset_on_cost else np.zeros(self.num_envs, dtype=bool)
         return Outcome(task.reward(self.config, ended), ends, {"cost": costs, **more})
 
-    def observe(self) -> NDArray[np.float32]:
-        """Return the observations: [num_envs, 2 or 4] float32."""
-        return self.dynamics.observe()
-
     def state_info(self) -> dict[str, NDArray[np.float64]]:
         """Return nothing: the observation holds the positions."""
         return {}
-
-    def state_dict(self) -> State:
-        """Return all that steps depend on."""
-        return self.dynamics.state_dict()
-
-    def load_state_dict(self, state: State) -> None:
-        """Load a state."""
-        self.dynamics.load_state_dict(state)
 
     def frame(self, index: int) -> NDArray[np.uint8]:
         """Draw the agent `index` in its arena: [640, 640, 3]."""

@@ -8,9 +8,10 @@ from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from circle2d_mj.circle2d.config import Camera, Circle2DConfig, PhysicsConfig, check_names
+from circle2d_mj.circle2d.config import Camera, Circle2DConfig, check_names
 from circle2d_mj.circle2d.envs import MAX_EPISODE_STEPS, Circle2DEnv, Circle2DVectorEnv
 from circle2d_mj.circle2d.physics import Physics
+from circle2d_mj.circle2d.physics_config import PhysicsConfig
 from circle2d_mj.core.envs import without_time_limit
 
 

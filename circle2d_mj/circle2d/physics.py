@@ -11,9 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj.circle2d import task
-from circle2d_mj.circle2d.config import Camera, Circle2DConfig, PhysicsConfig
+from circle2d_mj.circle2d.config import Camera, Circle2DConfig
+from circle2d_mj.circle2d.physics_config import (
+    PhysicsConfig,
+    completed,
+    full_action,
+    softness,
+    top_speed,
+)
 from circle2d_mj.circle2d.region import StartArea
-from circle2d_mj.circle2d.scene import OVERHANG, completed, full_action, scene, softness, top_speed
+from circle2d_mj.circle2d.scene import OVERHANG, scene
 from circle2d_mj.circle2d.task import Move
 from circle2d_mj.core.engine import Batch, mujoco
 from circle2d_mj.core.simulation import State, positive_integer

@@ -6,43 +6,40 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj.assets import asset
-from circle2d_mj.circle2d.config import Circle2DConfig, PhysicsConfig
+from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.circle2d.physics_config import (
+    BASE,
+    BASE_RADIUS,
+    PhysicsConfig,
+    completed,
+    full_action,
+    softness,
+    span,
+)
 from circle2d_mj.circle2d.region import CostRegion
 from circle2d_mj.core.engine import mujoco
 
-BASE = "xml/circle2d.xml"
-BASE_RADIUS = 10.0
-"""R of the scene in that file; a scene of another R is that much larger or smaller."""
 HEIGHT = 0.1
 """Height of the prisms as a multiple of R. The ball moves at half of it and touches sides only."""
 SHEER = 0.35
 """Opacity of a region in which the ball can be"""
 OVERLAP = 0.2
 """How far a soft region's prisms reach into each other, as a multiple of R"""
-DRAG, STIFFNESS = 10.0, 200.0
-"""Defaults of a motor's damping, N·s/m, and of a soft region's stiffness, N/m."""
 VERTICES = 256
 """Vertices of the polygon that stands for the disc and has the disc's area"""
 OVERHANG = 1e-4
 """Greatest distance of that polygon's edge from the circle, as a multiple of R"""
-# Radii for which lengths, their squares and MuJoCo's float32 meshes keep their digits.
-_RADII = (1e-3, 1e6)
 # MuJoCo takes the height that the top camera sees, a length, for an angle: below 180.
 _MAX_FOVY = 179.0
 # A contact is listed within margin + gap; its force sets in at the margin, which lies too deep
 # inside the region to be reached. It lies no deeper, since XML keeps six digits of the sum.
 _NEVER = -1.0
-# Impedance of the stiffest and the least stiff contact: see `softness`.
-_IMPEDANCE = (1e-4, 0.9999)
-# Share of the ball's radius that it may cover in a physics step where the region is rigid.
-_LARGEST_STEP = 0.8
 
 
 def scene(
@@ -66,128 +63,6 @@ def scene(
         _set_contact(spec, physics)
         _add_region(spec, config, physics)
     return spec
-
-
-def completed(config: Circle2DConfig, physics: PhysicsConfig) -> PhysicsConfig:
-    """The physics with what it leaves open: numbers of the base scene, and defaults of the task.
-
-    Raises ValueError for a constraint_radius outside [1e-3, 1e6], a contact that contradicts
-    infeasible_region_penetratable, a rigid corridor that the ball does not fit into, a ball so fast
-    that it could pass into a rigid region, and a stiffness that the timestep does not resolve.
-    """
-    low, high = _RADII
-    radius, penetratable = config.constraint_radius, config.infeasible_region_penetratable
-    if not low <= radius <= high:
-        raise ValueError(
-            f"constraint_radius must be in [{low:g}, {high:g}] in the MuJoCo mode, got {radius!r}"
-        )
-    contact = physics.contact or ("none" if penetratable else "rigid")
-    if (contact == "rigid") == penetratable:
-        raise ValueError(
-            f"contact {contact!r} contradicts infeasible_region_penetratable={penetratable}"
-        )
-    base = mujoco.MjSpec.from_file(str(asset(BASE)))
-    ball, [servo, _], [joint, _] = base.geom("agent"), base.actuators, base.joints
-    given: dict[str, Any] = {"contact": contact}
-
-    def complete(name: str, value: Any) -> None:
-        if getattr(physics, name) is None:
-            given[name] = float(value)
-
-    complete("timestep", base.option.timestep)
-    complete("mass", base.body("agent").mass)
-    complete("ball_radius", ball.size[0] * (radius / BASE_RADIUS))
-    if contact != "none":
-        complete("friction", ball.friction[0] if ball.condim > 1 else 0.0)
-    if contact == "soft":
-        complete("stiffness", STIFFNESS)
-        complete("damping_ratio", 1.0)
-    moves_by_force = physics.actuation == "force"
-    complete("damping", DRAG if moves_by_force else joint.damping[0])
-    timestep = given.get("timestep", physics.timestep)
-    speed = config.full_step / (physics.substeps * timestep)
-    if not moves_by_force:
-        complete("gain", servo.gainprm[0])
-        complete("max_speed", speed)
-    elif physics.max_force is None:
-        speed = speed if physics.max_speed is None else physics.max_speed
-        given |= {"max_force": speed * given.get("damping", physics.damping), "max_speed": None}
-    whole = replace(physics, **given)
-    _check(config, whole)
-    return whole
-
-
-def _check(config: Circle2DConfig, physics: PhysicsConfig) -> None:
-    if physics.contact == "rigid":
-        assert physics.ball_radius is not None
-        assert physics.timestep is not None
-        narrowest = 2 * physics.ball_radius / config.constraint_radius
-        factor = config.corridor_height_factor
-        if factor <= narrowest:
-            raise ValueError(
-                f"corridor_height_factor must be above {narrowest:g} where the region is rigid, "
-                f"so that the agent's body fits into the corridor, got {factor!r}"
-            )
-        fastest = _LARGEST_STEP * physics.ball_radius / (math.sqrt(2) * physics.timestep)
-        if (speed := top_speed(config, physics)) > fastest:
-            raise ValueError(
-                f"the ball may reach {speed:g} m/s on each axis, with which it could pass into the "
-                f"rigid region: at most {fastest:g} with ball_radius {physics.ball_radius:g} and "
-                f"timestep {physics.timestep:g}; lower max_speed, max_force or timestep"
-            )
-    if physics.contact == "soft":
-        stiffest, lightest = span(physics, "stiffness")[1], span(physics, "mass")[0]
-        ratio = span(physics, "damping_ratio")[1]
-        most = lightest * _fastest_spring(physics.timestep, ratio) / (1 - _IMPEDANCE[1])
-        if stiffest > most:
-            raise ValueError(
-                f"stiffness must be at most {most:g} with mass {lightest:g}, damping_ratio "
-                f"{ratio:g} and timestep {physics.timestep:g}, got {stiffest!r}"
-            )
-
-
-def span(physics: PhysicsConfig, name: str) -> tuple[float, float]:
-    """Least and greatest value of a parameter, which may be drawn."""
-    value = getattr(physics, name)
-    return physics.randomize.get(name, (value, value))
-
-
-def top_speed(config: Circle2DConfig, physics: PhysicsConfig) -> float:
-    """Greatest speed along an axis that the actuators can give the ball, m/s."""
-    if physics.actuation == "velocity":
-        return span(physics, "max_speed")[1]
-    force, drag = span(physics, "max_force")[1], span(physics, "damping")[0]
-    without_drag = math.sqrt(2 * force * 2 * config.arena / span(physics, "mass")[0])
-    return min(force / drag, without_drag) if drag > 0 else without_drag
-
-
-def full_action(physics: PhysicsConfig) -> str:
-    """The parameter that is the control of a full action."""
-    return "max_speed" if physics.actuation == "velocity" else "max_force"
-
-
-def softness(
-    physics: PhysicsConfig, stiffness: Any, damping_ratio: Any, mass: Any
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """MuJoCo's solref [..., 2] and impedance [...] of a spring and damper: floats or arrays [...].
-
-    In contact at rest MuJoCo's force is `m·k·depth / (1 - d)`, with solref (-k, -b) and constant
-    impedance d; so `k = K (1 - d) / m`. The contact also takes a share d off other forces: d is
-    next to 0. Where a spring of stiffness K would be faster than two physics steps, the shortest
-    time constant of MuJoCo's own contacts, d is as near to 1 as keeps k there: the law at rest
-    stays, and the limit is a rigid region. Source: MuJoCo's documentation, "Solver parameters".
-    """
-    low, high = _IMPEDANCE
-    fastest = _fastest_spring(physics.timestep, damping_ratio)
-    slack = np.clip(fastest * mass / stiffness, 1.0 - high, 1.0 - low)
-    rate = np.asarray(stiffness * slack / mass)
-    return np.stack((-rate, -2.0 * damping_ratio * np.sqrt(rate)), axis=-1), 1.0 - slack
-
-
-def _fastest_spring(timestep: float | None, damping_ratio: Any) -> Any:
-    """Greatest stiffness over mass that physics steps resolve, 1/s²."""
-    assert timestep is not None
-    return np.square(0.5 / (timestep * np.maximum(damping_ratio, 1.0)))
 
 
 def _scale(spec: mujoco.MjSpec, config: Circle2DConfig) -> None:

@@ -10,13 +10,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.core.view import Extent, Picture
-from circle2d_mj.render import canvas
-from circle2d_mj.render.canvas import FINER, FREE, REGION
 
 START, START_IN_REGION = (222, 238, 218), (166, 190, 160)
 WALL = (90, 90, 90)
@@ -73,7 +70,11 @@ class Circle2DView:
     def background(self, size: int) -> Picture:
         """Paint the cost region grey, with a dark rim where it is rigid, the start area green, and
         circles of equal reward every R/4 (in wide arenas R/2, R, ...): [size, size, 3]."""
-        config, fine = self.config, size * FINER
+        from PIL import Image
+
+        from circle2d_mj.render import canvas
+
+        config, fine = self.config, size * canvas.FINER
         points = canvas.points_of_pixels(self.extent, fine)
         x, y = points[..., 0], points[..., 1]
         inside = config.region.contains(points)
@@ -81,7 +82,7 @@ class Circle2DView:
         starts = (left <= x) & (x <= right) & (low <= y) & (y <= high)
         if not config.allow_infeasible_init:
             starts &= ~inside
-        image = np.where(inside[..., None], REGION, FREE).astype(np.float64)
+        image = np.where(inside[..., None], canvas.REGION, canvas.FREE).astype(np.float64)
         image[starts] = np.where(inside[starts, None], START_IN_REGION, START)
         if not config.infeasible_region_penetratable:
             image[inside & ~canvas.eroded(inside, max(fine // 160, 1))] = WALL
@@ -92,11 +93,13 @@ class Circle2DView:
         line = 0.6 * 2 * config.arena / size  # half of 1.2 pixels
         on_ring = np.abs(distance - ring * np.round(distance / ring)) < line
         image[on_ring] *= RING_SHADE
-        return np.asarray(Image.fromarray(np.round(image).astype(np.uint8)).reduce(FINER))
+        return np.asarray(Image.fromarray(np.round(image).astype(np.uint8)).reduce(canvas.FINER))
 
     def overlay(self, picture: Picture) -> Picture:
         """Add the outline of the cost region, with corridor and cut-outs, and an X on the
         optimum."""
+        from circle2d_mj.render import canvas
+
         outlined = canvas.with_outline(picture, _region(self.config, len(picture)))
         return canvas.with_cross(outlined, self.extent, self.config.optima_perturbation)
 
@@ -104,6 +107,8 @@ class Circle2DView:
 @lru_cache(maxsize=1)  # the pictures of a film have it in common
 def _region(config: Circle2DConfig, size: int) -> NDArray[np.bool_]:
     """Test whether the pixels of a picture `FINER` times as large lie in the cost region."""
+    from circle2d_mj.render import canvas
+
     arena = config.arena
-    points = canvas.points_of_pixels((-arena, arena, -arena, arena), size * FINER)
+    points = canvas.points_of_pixels((-arena, arena, -arena, arena), size * canvas.FINER)
     return config.region.contains(points)

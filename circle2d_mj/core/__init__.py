@@ -1,1 +1,1 @@
-"""The gymnasium side of any task: environments, random streams, wrappers."""
+"""The gymnasium side of any task: environments and random streams."""

@@ -1,4 +1,4 @@
-"""View of a task: positions to record, and pictures to draw them on."""
+"""View of a task: positions to record and to count, and pictures to draw them on."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Picture = NDArray[np.uint8]
 """[height, width, 3], its first row on top."""
 Extent = tuple[float, float, float, float]
 """left, right, bottom and top of a picture, in the unit of the positions it shows"""
+# A ball pressed against the arena's edge leaves the picture by up to 1 % of its width.
+_BEYOND = 0.02
 
 
 class View(Protocol):
@@ -65,3 +67,27 @@ class TellsWays(Protocol):
         positions: [N, 2], where the episodes ended; costs: [N], of whole episodes.
         """
         ...
+
+
+def histogram(extent: Extent, positions: ArrayLike, cells: int) -> NDArray[np.int64]:
+    """Count the visits to each cell of a picture: [cells, cells], the top row first.
+
+    positions: [N, 2]. Positions up to 2 % of the picture's width or height beyond its edge, as of a
+    ball pressed against it, count for the cell at the edge; positions farther out are not counted,
+    so that the sum of the counts is the number of positions in the picture. Raises ValueError for
+    another shape and for positions that are not finite.
+    """
+    positions = np.asarray(positions)
+    if positions.ndim != 2 or positions.shape[1] != 2:
+        raise ValueError(f"positions must have shape [N, 2], got {list(positions.shape)}")
+    if not np.isfinite(positions).all():
+        raise ValueError("positions must be finite")
+    left, right, bottom, top = extent
+    column = (positions[:, 0] - left) * (cells / (right - left))
+    row = (top - positions[:, 1]) * (cells / (top - bottom))
+    edge = _BEYOND * cells
+    shown = np.minimum(column, row) >= -edge
+    shown &= np.maximum(column, row) <= cells + edge
+    index = np.clip(row[shown].astype(np.int32), 0, cells - 1) * np.int32(cells)
+    index += np.clip(column[shown].astype(np.int32), 0, cells - 1)
+    return np.bincount(index, minlength=cells * cells).reshape(cells, cells)

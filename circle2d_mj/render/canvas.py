@@ -31,8 +31,6 @@ QUANTILE = 0.99
 """Share of the visited cells that the scale of the heat covers: see `most_visits`"""
 FINER = 2
 """Factor by which shapes are painted larger and averaged, so that their edges are smooth"""
-# A ball pressed against the arena's edge leaves the picture by up to 1 % of its width.
-_BEYOND = 0.02
 
 
 def points_of_pixels(extent: Extent, size: int) -> NDArray[np.float64]:
@@ -55,35 +53,11 @@ def pixels(extent: Extent, points: ArrayLike, size: int) -> NDArray[np.float64]:
     return (points - (left, top)) * (size / (right - left), size / (bottom - top))
 
 
-def count_visits(extent: Extent, positions: ArrayLike, cells: int) -> NDArray[np.int64]:
-    """Count the visits to each cell of a picture: [cells, cells], the top row first.
-
-    positions: [N, 2]. Positions up to 2 % of the picture's width or height beyond its edge, as of a
-    ball pressed against it, count for the cell at the edge; positions farther out are not counted,
-    so that the sum of the counts is the number of positions in the picture. Raises ValueError for
-    another shape and for positions that are not finite.
-    """
-    positions = np.asarray(positions)
-    if positions.ndim != 2 or positions.shape[1] != 2:
-        raise ValueError(f"positions must have shape [N, 2], got {list(positions.shape)}")
-    if not np.isfinite(positions).all():
-        raise ValueError("positions must be finite")
-    left, right, bottom, top = extent
-    column = (positions[:, 0] - left) * (cells / (right - left))
-    row = (top - positions[:, 1]) * (cells / (top - bottom))
-    edge = _BEYOND * cells
-    shown = np.minimum(column, row) >= -edge
-    shown &= np.maximum(column, row) <= cells + edge
-    index = np.clip(row[shown].astype(np.int32), 0, cells - 1) * np.int32(cells)
-    index += np.clip(column[shown].astype(np.int32), 0, cells - 1)
-    return np.bincount(index, minlength=cells * cells).reshape(cells, cells)
-
-
 def most_visits(counts: Sequence[NDArray[np.int64]], quantile: float = QUANTILE) -> int:
     """Return the number of visits for the darkest colour of heat maps on one scale; at least 1.
 
-    counts: of each map, see `count_visits`. The `quantile` of the counts of all visited cells: a
-    few cells above it, as where agents wait for an episode's end, would flatten the scale.
+    counts: of each map, see `core.view.histogram`. The `quantile` of the counts of all visited
+    cells: a few cells above it, as where agents wait for an episode's end, would flatten the scale.
     """
     visited = np.concatenate([np.zeros(0, dtype=np.int64), *(c[c > 0] for c in counts)])
     return int(np.quantile(visited, quantile, method="higher")) if len(visited) else 1
@@ -108,8 +82,8 @@ def heat_share(counts: NDArray[np.int64], most: int) -> NDArray[np.float64]:
 def with_counts(picture: Picture, counts: NDArray[np.int64], most: int) -> Picture:
     """Colour the visited cells of a picture by their number of visits.
 
-    counts: [cells, cells], see `count_visits`; most: visits that get the darkest colour, as do more
-    than that; pictures that are to be compared have it in common. See `most_visits`.
+    counts: [cells, cells], see `core.view.histogram`; most: visits that get the darkest colour, as
+    do more than that; pictures that are to be compared have it in common. See `most_visits`.
     """
     cell = ((np.arange(len(picture)) + 0.5) * len(counts) / len(picture)).astype(np.intp)
     colours = heat_colours(heat_share(counts, most))[cell[:, None], cell]

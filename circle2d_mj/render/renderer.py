@@ -15,7 +15,7 @@ from circle2d_mj.assets import asset
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.core.simulation import positive_integer
-from circle2d_mj.core.view import Picture
+from circle2d_mj.core.view import Picture, histogram
 from circle2d_mj.render import canvas
 from circle2d_mj.render.gl import Offscreen, check_backend
 
@@ -90,7 +90,7 @@ class Renderer:
         the darkest colour stands for, by default `canvas.most_visits`.
         """
         cells = positive_integer("cells", cells)
-        counts = canvas.count_visits(self._view.extent, positions, cells)
+        counts = histogram(self._view.extent, positions, cells)
         most = canvas.most_visits([counts]) if most is None else positive_integer("most", most)
         heat = canvas.with_counts(self._ground, counts, most)
         return self.frame(floor=self._view.overlay(heat))
@@ -122,7 +122,7 @@ def _model(config: Circle2DConfig, size: int) -> Any:
     Lengths are in units of the arena's half-width, so that tasks too large, small or narrow for the
     physics can be drawn too.
     """
-    from circle2d_mj.circle2d.scene import BASE, BASE_RADIUS
+    from circle2d_mj.circle2d.physics_config import BASE, BASE_RADIUS
     from circle2d_mj.core.engine import mujoco
 
     spec = mujoco.MjSpec.from_file(str(asset(BASE)))

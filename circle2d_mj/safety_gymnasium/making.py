@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from circle2d_mj.core.wrappers import SixValueEnv
+from circle2d_mj.safety.six_values import SixValueEnv
 from circle2d_mj.safety.tasks import NAMES
 from circle2d_mj.safety_gymnasium.wrappers import SafeAutoResetWrapper
 

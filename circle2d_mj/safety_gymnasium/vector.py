@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from circle2d_mj.core.wrappers import SixValueVectorEnv
+from circle2d_mj.safety.six_values import SixValueVectorEnv
 from circle2d_mj.safety_gymnasium.making import _check_id
 from circle2d_mj.safety_gymnasium.making import make as make_one
 from circle2d_mj.safety_gymnasium.wrappers import SafeAutoResetWrapper, Six

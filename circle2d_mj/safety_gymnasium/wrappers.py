@@ -10,7 +10,7 @@ from gymnasium.wrappers import RescaleAction
 from gymnasium.wrappers.utils import RunningMeanStd
 from numpy.typing import NDArray
 
-from circle2d_mj.core.wrappers import FromSafetyGymnasium, SafetyGymnasiumAPI
+from circle2d_mj.safety.six_values import FromSafetyGymnasium, SafetyGymnasiumAPI
 
 __all__ = [
     "Gymnasium2SafetyGymnasium",

@@ -14,8 +14,9 @@ from hyperparameters import texts
 
 from agents.paper.presets import PAPER_STEPS
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
-from circle2d_mj.circle2d.config import LEVELS, PhysicsConfig
+from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
+from circle2d_mj.circle2d.physics_config import PhysicsConfig
 from circle2d_mj.registration import KINEMATIC, PHYSICS
 from circle2d_mj.safety import agents as safety_agents
 from circle2d_mj.safety import families

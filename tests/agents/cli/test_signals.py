@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.cli import showing, signals
-from agents.cli.main import main
+from agents.cli import showing
+from agents.cli.main import AfterEpoch, Ended, handling_signals, main
 from agents.training.callbacks import Epoch
 from agents.training.trainer import Trainer
 
@@ -80,9 +80,9 @@ def test_ignored_signals_stay_ignored_and_handlers_come_back():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     own = signal.getsignal(signal.SIGTERM)
     try:
-        with signals.handled():
+        with handling_signals():
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-            with pytest.raises(signals.Ended):
+            with pytest.raises(Ended):
                 os.kill(os.getpid(), signal.SIGTERM)
         assert signal.getsignal(signal.SIGTERM) is own
     finally:
@@ -90,7 +90,7 @@ def test_ignored_signals_stay_ignored_and_handlers_come_back():
 
 
 def test_the_command_that_goes_on_names_the_users_modules():
-    follow = signals.AfterEpoch(["my_algorithm"])
+    follow = AfterEpoch(["my_algorithm"])
     follow(Epoch(Path("runs/a"), "mine", "Circle2D-1-v0", 100, {0: {"step": 50.0}}))
     follow.number = signal.SIGINT
     assert "'circle2d resume runs/a --import my_algorithm' goes on" in follow.words()

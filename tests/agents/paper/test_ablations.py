@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from small_runs import write_evaluated
 
-from agents.paper.grid import grid
-from agents.paper.presets import ablations, preset
+from agents.paper.grid import ablations, grid
+from agents.paper.presets import preset
 from agents.paper.sections import ties_table
 from agents.reporting.report import table
 from agents.reporting.table import markdown
@@ -23,7 +23,7 @@ TASK, SAFETY = "Circle2D-1-v0", "circle2d_mj/SafetyPointGoal1-v0"
 
 def test_the_grid_with_ablations():
     arguments = (Path("x"), [TASK, SAFETY], ALGORITHMS, (0, 1, 2), 1000)
-    usual, all_of = grid(*arguments), grid(*arguments, ablations=True)
+    usual, all_of = grid(*arguments), grid(*arguments, with_ablations=True)
     assert {folder: all_of[folder] for folder in usual} == usual
     safety = f"x/{SAFETY.replace('/', '-')}"
     added = {str(f): c for f, c in all_of.items() if f not in usual}

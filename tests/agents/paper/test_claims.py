@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from agents.paper.claims import CLAIMS, check_claims
-from agents.paper.evidence import all_of, gather
+from agents.paper.evidence import all_of, gather, paper_results
 from agents.paper.presets import PAPER_STEPS, preset
-from agents.paper.printed import paper_results
 from agents.paper.sections import CLAIMS_WITH_PHYSICS, claims_sections
 from agents.reporting.page import page
 from agents.results.reading import Group, Run

@@ -7,7 +7,8 @@ import pytest
 import agents
 from agents import algorithms
 from agents.algorithms import ALGORITHMS
-from agents.paper.presets import PAPER_ALGORITHMS, preset, unprinted
+from agents.paper.grid import unprinted
+from agents.paper.presets import PAPER_ALGORITHMS, preset
 
 SHARED = {"batch_size": 256, "discount": 0.99, "learning_rate": 3e-4, "cost_limit": 5}
 SHARED |= {"hidden": (64, 64)}

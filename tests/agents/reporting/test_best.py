@@ -3,8 +3,8 @@
 import json
 from importlib.resources import files
 
+from agents.paper.evidence import paper_results
 from agents.paper.presets import preset
-from agents.paper.printed import paper_results
 from agents.reporting.tables import best
 
 MEASURES = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")

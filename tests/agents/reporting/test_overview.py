@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
+from agents.paper.evidence import printed
 from agents.paper.presets import preset
-from agents.paper.printed import printed
 from agents.reporting.figures import intervals_figure, profiles_figure
 from agents.reporting.overall import RANKS, over_tasks, separated_table, tables_over_tasks
 from agents.results.measures import RunData, measured

@@ -3,7 +3,7 @@
 import numpy as np
 from small_runs import chain, edit_results, write_evaluated
 
-from agents.paper.printed import paper_results
+from agents.paper.evidence import paper_results
 from agents.reporting.report import report, table
 from agents.reporting.table import markdown
 

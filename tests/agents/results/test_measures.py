@@ -9,7 +9,7 @@ from small_runs import groups_of, write_evaluated
 from agents.errors import OwnCodeError
 from agents.paper import presets
 from agents.paper.evidence import gather
-from agents.paper.presets import ablations
+from agents.paper.grid import ablations
 from agents.reporting.compare import compare
 from agents.reporting.report import report
 from agents.reporting.table import markdown

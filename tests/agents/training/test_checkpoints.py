@@ -9,11 +9,10 @@ from toy_family import known
 
 import agents
 from agents.paper.presets import preset
-from agents.training import callbacks, progress, trainer
-from agents.training.callbacks import StatusFile, sessions, share_done, speed
+from agents.training import callbacks, trainer
+from agents.training.callbacks import StatusFile, sessions, share_done, show_progress, speed
 from agents.training.config import TrainConfig
 from agents.training.files import read_json
-from agents.training.progress import show_progress
 
 TASK, STEPS = "Circle2D-1-v0", 1000
 
@@ -30,7 +29,7 @@ class Clock:
 def clock(monkeypatch):
     """Whose `now` is the time; the compiler took none of it."""
     own = Clock()
-    for module in (callbacks, progress, trainer):
+    for module in (callbacks, trainer):
         monkeypatch.setattr(module, "time", own)
     monkeypatch.setattr(callbacks.CLOCK, "seconds", 0.0)
     return own

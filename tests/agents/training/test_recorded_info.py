@@ -25,7 +25,7 @@ def steps_of(folder, name, run="Pressed-v0/3"):
 
 def unpacked(folder, name):
     with np.load(folder / "results.npz") as arrays:
-        return unpack_costs(lambda key: arrays[f"Pressed-v0/3/info/{name}/{key}"], True)
+        return unpack_costs(arrays, f"Pressed-v0/3/info/{name}/")
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_every_step_is_recorded(runs):
         assert arrays["Pressed-v0/info"].tolist() == [["x", "m"], ["beyond", "m"]]
         for name, values in (("x", x), ("beyond", beyond)):
             prefix = f"Pressed-v0/3/info/{name}/"
-            found = unpack_costs(lambda key, prefix=prefix: arrays[prefix + key], True)
+            found = unpack_costs(arrays, prefix)
             np.testing.assert_allclose(found, values, rtol=2**-16)
 
 

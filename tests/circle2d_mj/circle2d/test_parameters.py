@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from agents.cli.main import main
-from circle2d_mj.circle2d.config import DRAWN
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
+from circle2d_mj.circle2d.physics_config import DRAWN
 
 SOFT = {"level": 1, "contact": "soft"}
 BALL = 0.25  # its radius at R = 10

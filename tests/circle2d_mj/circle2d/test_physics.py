@@ -7,9 +7,9 @@ from gymnasium.utils.env_checker import data_equivalence
 
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d import task
-from circle2d_mj.circle2d.config import PhysicsConfig
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
 from circle2d_mj.circle2d.physics import Physics
+from circle2d_mj.circle2d.physics_config import PhysicsConfig
 from circle2d_mj.circle2d.scene import scene
 
 TOP_SPEED = 11.0  # of R = 10: 0.11 R in a control step of 0.1 s

@@ -6,9 +6,9 @@ import pytest
 from mujoco.batch import Batch
 
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
-from circle2d_mj.circle2d.config import PhysicsConfig
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
 from circle2d_mj.circle2d.physics import Physics
+from circle2d_mj.circle2d.physics_config import PhysicsConfig
 from circle2d_mj.circle2d.scene import scene
 from circle2d_mj.core.streams import Streams
 

@@ -7,8 +7,8 @@ from mujoco.batch import Batch
 
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.assets import asset
-from circle2d_mj.circle2d.config import PhysicsConfig
-from circle2d_mj.circle2d.scene import BASE, scene
+from circle2d_mj.circle2d.physics_config import BASE, PhysicsConfig
+from circle2d_mj.circle2d.scene import scene
 
 LEVELS = range(4)
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from circle2d_mj.core.view import histogram
 from circle2d_mj.render import canvas
 
 SIZE = 160
@@ -16,7 +17,7 @@ ARENA = (-15.0, 15.0, -15.0, 15.0)
 
 def with_heat(positions, cells):
     """The heat of some positions on a blank picture, scaled to the most visits, and these."""
-    counts = canvas.count_visits(ARENA, positions, cells)
+    counts = histogram(ARENA, positions, cells)
     most = int(counts.max())
     return canvas.with_counts(BLANK, counts, most), most
 
@@ -35,7 +36,7 @@ def test_visits_against_numpys_histogram(extent, cells):
     positions = np.random.default_rng(cells).uniform((left, bottom), (right, top), (20_000, 2))
     edges = np.linspace(left, right, cells + 1), np.linspace(bottom, top, cells + 1)
     x_by_y, _, _ = np.histogram2d(*positions.T, bins=edges)
-    np.testing.assert_array_equal(canvas.count_visits(extent, positions, cells), x_by_y.T[::-1])
+    np.testing.assert_array_equal(histogram(extent, positions, cells), x_by_y.T[::-1])
 
 
 def test_visits_at_the_edge():
@@ -45,9 +46,9 @@ def test_visits_at_the_edge():
     expected = np.zeros((30, 30))
     expected[[0, 0, -1, -1], [0, -1, 0, -1]] = [1, 2, 3, 4]
     for scale in (1.0, 1 - 1e-12, 1.014):
-        counts = canvas.count_visits(ARENA, repeated * scale, 30)
+        counts = histogram(ARENA, repeated * scale, 30)
         np.testing.assert_array_equal(counts, expected)
-    assert canvas.count_visits(ARENA, repeated.astype(np.float32), 30).sum() == 10
+    assert histogram(ARENA, repeated.astype(np.float32), 30).sum() == 10
 
 
 @pytest.mark.parametrize("extent", EXTENTS)
@@ -225,7 +226,7 @@ def test_an_outline_follows_the_edge_of_an_area():
 
 def test_visits_outside_are_not_counted():
     positions = [(0.0, 16.0), (-16.0, 0.0), (0.0, -1e9), (1e300, 1.0), (3.0, 4.0)]
-    assert canvas.count_visits(ARENA, positions, 30).sum() == 1
+    assert histogram(ARENA, positions, 30).sum() == 1
 
 
 def test_one_hot_cell_does_not_flatten_the_scale():

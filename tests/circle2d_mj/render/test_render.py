@@ -13,6 +13,7 @@ import circle2d_mj
 from circle2d_mj import Circle2DConfig, Circle2DEnv, Circle2DVectorEnv
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
 from circle2d_mj.circle2d.view import Circle2DView
+from circle2d_mj.core.view import histogram
 from circle2d_mj.render import canvas
 from circle2d_mj.render.renderer import Renderer
 
@@ -94,7 +95,7 @@ def test_trajectories_and_heat_are_what_is_painted():
             ),
             (
                 renderer.heatmap(path, cells=25, most=5),
-                canvas.with_counts(ground, canvas.count_visits(view.extent, path, 25), 5),
+                canvas.with_counts(ground, histogram(view.extent, path, 25), 5),
             ),
         ):
             np.testing.assert_array_equal(picture, view.overlay(painted))

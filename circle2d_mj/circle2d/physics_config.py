@@ -1,0 +1,258 @@
+"""The physics of a Circle2D task: its parameters, their checks, and what they leave open."""
+
+# mujoco has no stubs for MjSpec.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from circle2d_mj.assets import asset
+from circle2d_mj.circle2d.config import Circle2DConfig, check_names, finite
+from circle2d_mj.core.engine import mujoco
+
+BASE = "xml/circle2d.xml"
+BASE_RADIUS = 10.0
+"""R of the scene in that file; a scene of another R is that much larger or smaller."""
+DRAG, STIFFNESS = 10.0, 200.0
+"""Defaults of a motor's damping, N·s/m, and of a soft region's stiffness, N/m."""
+# Radii for which lengths, their squares and MuJoCo's float32 meshes keep their digits.
+_RADII = (1e-3, 1e6)
+# Impedance of the stiffest and the least stiff contact: see `softness`.
+_IMPEDANCE = (1e-4, 0.9999)
+# Share of the ball's radius that it may cover in a physics step where the region is rigid.
+_LARGEST_STEP = 0.8
+Actuation = Literal["velocity", "force"]
+Contact = Literal["rigid", "soft", "none"]
+CostRule = Literal["contact", "force"]
+DRAWN = ("mass", "friction", "damping", "gain", "max_speed", "max_force", "stiffness")
+DRAWN = (*DRAWN, "damping_ratio")
+"""Parameters of the physics that `randomize` may draw."""
+
+
+@dataclass(frozen=True)
+class PhysicsConfig:
+    """The physics of a Circle2D task in MuJoCo.
+
+    None is what assets/xml/circle2d.xml holds, or what the text says. A parameter that has no
+    effect beside the others (a stiffness of a rigid region) must stay None. Raises TypeError or
+    ValueError, naming the parameter, for a value that is not allowed.
+    """
+
+    mass: float | None = None
+    """Mass of the ball, kg; None: 1."""
+    friction: float | None = None
+    """Coulomb's coefficient between ball and region; None: 0, it slides freely."""
+    damping: float | None = None
+    """Drag of the medium on the ball, N·s/m; None: 0 with velocity, 10 with force."""
+    actuation: Actuation = "velocity"
+    """velocity: servos whose target is the action; force: motors whose thrust is the action."""
+    gain: float | None = None
+    """Servo: force per difference of speed, N·s/m; None: 20."""
+    max_speed: float | None = None
+    """Speed that a full action asks for on each axis, m/s, with force that it reaches against the
+    damping; None: 0.11 R in a step."""
+    max_force: float | None = None
+    """Greatest force of each actuator, N; None: servos have no limit, motors the thrust that holds
+    max_speed against the damping."""
+    substeps: int = 10
+    """Physics steps in a step of the task."""
+    timestep: float | None = None
+    """Length of a physics step, s; None: 0.01."""
+    ball_radius: float | None = None
+    """Radius of the ball, m; None: 0.025 R."""
+    contact: Contact | None = None
+    """rigid: the region cannot be entered; soft: it pushes back like a spring; none: it is detected
+    without force; None: the level's, rigid on level 0 and none on levels 1 to 3."""
+    stiffness: float | None = None
+    """Soft region: its force per depth of the ball in it, N/m; None: 200."""
+    damping_ratio: float | None = None
+    """Soft region: its damping over the critical one of the ball; None: 1."""
+    cost: CostRule = "contact"
+    """contact: a step costs 1 where the ball touched a region that pushes, or where its centre
+    ended in one that does not; force: where the region's force exceeded force_limit."""
+    force_limit: float | None = None
+    """Largest force of the region that costs nothing, N."""
+    randomize: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Ranges, lower and upper end, from which parameters are drawn anew, uniformly, at every
+    reset."""
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("actuation", Actuation), ("contact", Contact), ("cost", CostRule)):
+            value, words = getattr(self, name), get_args(allowed)
+            if value not in words and not (name == "contact" and value is None):
+                raise ValueError(f"{name} must be one of {words}, got {value!r}")
+        if type(self.substeps) is not int or self.substeps < 1:
+            raise ValueError(f"substeps must be a positive integer, got {self.substeps!r}")
+        for name in (*DRAWN, "timestep", "ball_radius", "force_limit"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, self._checked(name, value))
+        self._refuse_without_effect()
+        if (self.cost == "force") != (self.force_limit is not None):
+            given = f"got cost={self.cost!r}, force_limit={self.force_limit!r}"
+            raise ValueError(f"force_limit must be given with cost='force', and only then, {given}")
+        if self.cost == "force" and self.contact == "none":
+            raise ValueError("cost 'force' needs a region that pushes: contact 'rigid' or 'soft'")
+        object.__setattr__(self, "randomize", self._ranges())
+
+    def _checked(self, name: str, value: Any) -> float:
+        number = finite(name, value)
+        zero = name in ("friction", "damping", "damping_ratio", "force_limit")
+        if number < 0 or (number == 0 and not zero):
+            raise ValueError(f"{name} must be {'at least' if zero else 'above'} 0, got {value!r}")
+        return number
+
+    def _refuse_without_effect(self) -> None:
+        """ValueError for a parameter that is given though nothing depends on it."""
+        by_force, contact = self.actuation == "force", f"contact={self.contact!r}"
+        useless = {
+            "gain": by_force and "actuation='force'",
+            "max_speed": by_force
+            and self.max_force is not None
+            and "actuation='force' and max_force",
+            "stiffness": self.contact != "soft" and contact,
+            "damping_ratio": self.contact != "soft" and contact,
+            "friction": self.contact == "none" and contact,
+        }
+        for name, beside in useless.items():
+            if beside and (getattr(self, name) is not None or name in self.randomize):
+                raise ValueError(f"{name} has no effect with {beside}: leave it out")
+
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        if not isinstance(self.randomize, Mapping):
+            raise TypeError(f"randomize must be ranges by name, got {self.randomize!r}")
+        check_names(self.randomize, DRAWN, "randomize: ")
+        ranges = {}
+        for name in sorted(self.randomize):
+            given = self.randomize[name]
+            try:
+                low, high = given
+            except (TypeError, ValueError):
+                raise ValueError(f"randomize: {name} must be (low, high), got {given!r}") from None
+            low, high = self._checked(name, low), self._checked(name, high)
+            if low > high:
+                raise ValueError(f"randomize: {name} must be (low, high), got {given!r}")
+            ranges[name] = (low, high)
+        return ranges
+
+
+def completed(config: Circle2DConfig, physics: PhysicsConfig) -> PhysicsConfig:
+    """The physics with what it leaves open: numbers of the base scene, and defaults of the task.
+
+    Raises ValueError for a constraint_radius outside [1e-3, 1e6], a contact that contradicts
+    infeasible_region_penetratable, a rigid corridor that the ball does not fit into, a ball so fast
+    that it could pass into a rigid region, and a stiffness that the timestep does not resolve.
+    """
+    low, high = _RADII
+    radius, penetratable = config.constraint_radius, config.infeasible_region_penetratable
+    if not low <= radius <= high:
+        raise ValueError(
+            f"constraint_radius must be in [{low:g}, {high:g}] in the MuJoCo mode, got {radius!r}"
+        )
+    contact = physics.contact or ("none" if penetratable else "rigid")
+    if (contact == "rigid") == penetratable:
+        raise ValueError(
+            f"contact {contact!r} contradicts infeasible_region_penetratable={penetratable}"
+        )
+    base = mujoco.MjSpec.from_file(str(asset(BASE)))
+    ball, [servo, _], [joint, _] = base.geom("agent"), base.actuators, base.joints
+    by_force = physics.actuation == "force"
+    usual = {
+        "timestep": base.option.timestep,
+        "mass": base.body("agent").mass,
+        "ball_radius": ball.size[0] * (radius / BASE_RADIUS),
+        "damping": DRAG if by_force else joint.damping[0],
+    }
+    speed = config.full_step / (physics.substeps * (physics.timestep or usual["timestep"]))
+    if contact != "none":
+        usual["friction"] = ball.friction[0] if ball.condim > 1 else 0.0
+    if contact == "soft":
+        usual |= {"stiffness": STIFFNESS, "damping_ratio": 1.0}
+    if not by_force:
+        usual |= {"gain": servo.gainprm[0], "max_speed": speed}
+    given: dict[str, Any] = {k: float(v) for k, v in usual.items() if getattr(physics, k) is None}
+    if by_force and physics.max_force is None:
+        speed = speed if physics.max_speed is None else physics.max_speed
+        given |= {"max_force": speed * given.get("damping", physics.damping), "max_speed": None}
+    whole = replace(physics, contact=contact, **given)
+    _check(config, whole)
+    return whole
+
+
+def _check(config: Circle2DConfig, physics: PhysicsConfig) -> None:
+    if physics.contact == "rigid":
+        assert physics.ball_radius is not None
+        assert physics.timestep is not None
+        narrowest = 2 * physics.ball_radius / config.constraint_radius
+        factor = config.corridor_height_factor
+        if factor <= narrowest:
+            raise ValueError(
+                f"corridor_height_factor must be above {narrowest:g} where the region is rigid, "
+                f"so that the agent's body fits into the corridor, got {factor!r}"
+            )
+        fastest = _LARGEST_STEP * physics.ball_radius / (math.sqrt(2) * physics.timestep)
+        if (speed := top_speed(config, physics)) > fastest:
+            raise ValueError(
+                f"the ball may reach {speed:g} m/s on each axis, with which it could pass into the "
+                f"rigid region: at most {fastest:g} with ball_radius {physics.ball_radius:g} and "
+                f"timestep {physics.timestep:g}; lower max_speed, max_force or timestep"
+            )
+    if physics.contact == "soft":
+        stiffest, lightest = span(physics, "stiffness")[1], span(physics, "mass")[0]
+        ratio = span(physics, "damping_ratio")[1]
+        most = lightest * _fastest_spring(physics.timestep, ratio) / (1 - _IMPEDANCE[1])
+        if stiffest > most:
+            raise ValueError(
+                f"stiffness must be at most {most:g} with mass {lightest:g}, damping_ratio "
+                f"{ratio:g} and timestep {physics.timestep:g}, got {stiffest!r}"
+            )
+
+
+def span(physics: PhysicsConfig, name: str) -> tuple[float, float]:
+    """Least and greatest value of a parameter, which may be drawn."""
+    value = getattr(physics, name)
+    return physics.randomize.get(name, (value, value))
+
+
+def top_speed(config: Circle2DConfig, physics: PhysicsConfig) -> float:
+    """Greatest speed along an axis that the actuators can give the ball, m/s."""
+    if physics.actuation == "velocity":
+        return span(physics, "max_speed")[1]
+    force, drag = span(physics, "max_force")[1], span(physics, "damping")[0]
+    without_drag = math.sqrt(2 * force * 2 * config.arena / span(physics, "mass")[0])
+    return min(force / drag, without_drag) if drag > 0 else without_drag
+
+
+def full_action(physics: PhysicsConfig) -> str:
+    """The parameter that is the control of a full action."""
+    return "max_speed" if physics.actuation == "velocity" else "max_force"
+
+
+def softness(
+    physics: PhysicsConfig, stiffness: Any, damping_ratio: Any, mass: Any
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """MuJoCo's solref [..., 2] and impedance [...] of a spring and damper: floats or arrays [...].
+
+    In contact at rest MuJoCo's force is `m·k·depth / (1 - d)`, with solref (-k, -b) and constant
+    impedance d; so `k = K (1 - d) / m`. The contact also takes a share d off other forces: d is
+    next to 0. Where a spring of stiffness K would be faster than two physics steps, the shortest
+    time constant of MuJoCo's own contacts, d is as near to 1 as keeps k there: the law at rest
+    stays, and the limit is a rigid region. Source: MuJoCo's documentation, "Solver parameters".
+    """
+    low, high = _IMPEDANCE
+    fastest = _fastest_spring(physics.timestep, damping_ratio)
+    slack = np.clip(fastest * mass / stiffness, 1.0 - high, 1.0 - low)
+    rate = np.asarray(stiffness * slack / mass)
+    return np.stack((-rate, -2.0 * damping_ratio * np.sqrt(rate)), axis=-1), 1.0 - slack
+
+
+def _fastest_spring(timestep: float | None, damping_ratio: Any) -> Any:
+    """Greatest stiffness over mass that physics steps resolve, 1/s²."""
+    assert timestep is not None
+    return np.square(0.5 / (timestep * np.maximum(damping_ratio, 1.0)))
