@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+from pathlib import Path
 
 import numpy as np
 
@@ -139,6 +140,17 @@ def write_status(folder, share, speed=None, **sessions):
     each = {name: {"seconds": seconds} for name, seconds in sessions.items()}
     content = {"share": share, "steps_per_second": speed, "sessions": each}
     (folder / "status.json").write_text(json.dumps(content))
+
+
+def processes(*words):
+    """Ids of the processes whose command line has one of some words."""
+    found = set()
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):  # it ended meanwhile
+            line = path.read_bytes()
+            if any(str(word).encode() in line for word in words):
+                found.add(int(path.parent.name))
+    return found
 
 
 NO_RESULTS = ("status.json", "report.md", "report.csv", ".lock", "worker.log")

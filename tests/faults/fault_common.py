@@ -17,7 +17,6 @@ from pathlib import Path
 from agents.cli.main import main
 from agents.training import trainer
 
-SMALL = ["--steps", "150", "--checkpoint-every", "50", "--seeds", "0", "1"]
 SAC = ["--random-steps", "50", "--gradient-steps", "1", "--batch-size", "32"]
 EVERY = 100
 """Tries after which a line tells of them: the whole suite takes long."""
@@ -101,11 +100,9 @@ def forked(act: Callable[[], int]) -> Done:
                     sys.stderr.flush()
                 os._exit(status)
         _, code = os.waitpid(pid, 0)
-        texts = []
         for file in (out, err):
             file.seek(0)
-            texts.append(file.read())
-    return Done(os.waitstatus_to_exitcode(code), *texts)
+        return Done(os.waitstatus_to_exitcode(code), out.read(), err.read())
 
 
 def here(args: list[str]) -> Done:

@@ -17,14 +17,13 @@ sys.path[:0] = [str(Path(__file__).parent), str(ROOT / "tests" / "agents"), str(
 from fault_common import Tally, often  # noqa: E402
 from fault_damage import try_damage  # noqa: E402
 from fault_inputs import try_arrays, try_options  # noqa: E402
-from fault_kills import scenes, try_disks, try_kills, try_signals  # noqa: E402
-from fault_programs import try_environments, try_reproduce  # noqa: E402
+from fault_kills import scenes, try_disks, try_kills, try_signals, try_tasks  # noqa: E402
 
 
 def main():
     """Run as many faults of each kind as the options say."""
     parser = argparse.ArgumentParser(description=__doc__)
-    counts = {"kills": 800, "compiled": 200, "reproduce": 8, "disks": 150, "signals": 100}
+    counts = {"kills": 800, "compiled": 200, "disks": 150, "signals": 100}
     counts |= {"damage": 2000, "options": 1500, "arrays": 9000, "environments": 40}
     for name, count in counts.items():
         parser.add_argument(f"--{name}", type=int, default=count)
@@ -46,8 +45,7 @@ def main():
             try_options(tally, chosen.options, rng, root)
         if chosen.arrays:
             try_arrays(tally, chosen.arrays, rng)
-        try_environments(tally, chosen.environments, rng, root)
-        try_reproduce(tally, chosen.reproduce, rng, root)
+        try_tasks(tally, chosen.environments, rng, root)
         if chosen.compiled:  # last: the process holds compiled code from here on
             compiled = scenes(root / "compiled", "compiled")
             try_kills(tally, compiled, chosen.compiled, rng, " (compiled)")

@@ -81,13 +81,9 @@ def solver_step(g, b, c, root):
     g, b = g / np.linalg.norm(g), b / np.linalg.norm(b)
     plane = {"type": "ineq", "fun": lambda x: -(share + b @ x), "jac": lambda x: -b}
     ball = {"type": "ineq", "fun": lambda x: 1.0 - x @ x, "jac": lambda x: -2.0 * x}
+    how = {"method": "SLSQP", "options": {"ftol": 1e-12, "maxiter": 500}}
     found = minimize(
-        lambda x: -g @ x,
-        -share * b,
-        jac=lambda x: -g,
-        constraints=[plane, ball],
-        method="SLSQP",
-        options={"ftol": 1e-12, "maxiter": 500},
+        lambda x: -g @ x, -share * b, jac=lambda x: -g, constraints=[plane, ball], **how
     )
     return torch.linalg.solve(root.T, RADIUS * torch.from_numpy(found.x))
 
@@ -136,9 +132,8 @@ def test_where_costs_do_not_depend_on_the_policy(size):
 
 def test_random_runs_against_geometry():
     """500 in one batch; the cases must be those of the geometry as well."""
-    share, cosine = (
-        torch.rand(2, 500, generator=torch.Generator().manual_seed(0)).double() * 3 - 1.5
-    )
+    generator = torch.Generator().manual_seed(0)
+    share, cosine = torch.rand(2, 500, generator=generator).double() * 3 - 1.5
     cosine = cosine.clamp(-0.99, 0.99)
     runs = [one_run(*pair, seed) for seed, pair in enumerate(zip(share, cosine, strict=True))]
     found = cpo.step(CPOConfig(), problem_of(runs))

@@ -1,17 +1,24 @@
 """Commands do what they say: their output, their files, their status."""
 
 import csv
+import dataclasses
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
+import toys
 
 from agents.cli.main import main
+from agents.cli.training import TrainOptions
+from agents.errors import EXTRA
+from agents.paper.presets import preset
 from agents.training import trainer
 from agents.training.callbacks import share_done
 from agents.training.config import TrainConfig
@@ -74,31 +81,19 @@ def test_settings_reach_the_training(tmp_path):
     tasks = ["--task", "Circle2D-1", "circle2d_mj:Circle2D-3-v0"]
     assert main([*TRAIN, *tasks, *options, "--steps", "1.5e2", "--out", str(out)]) == 0
     config = TrainConfig.read(out)
-    assert [run.prefix for run in config.runs] == [
-        f"{task}/{seed}/"
-        for task in ("Circle2D-1-v0", "circle2d_mj-Circle2D-3-v0")
-        for seed in (0, 1)
-    ]
+    names = ("Circle2D-1-v0", "circle2d_mj-Circle2D-3-v0")
+    assert [run.prefix for run in config.runs] == [f"{n}/{seed}/" for n in names for seed in (0, 1)]
     assert (config.steps, config.hyperparameters.replay_size) == (150, 20_000)
     assert config.task_parameters == {"constraint_radius": 3.0}
     own = config.hyperparameters
     assert (own.cost_limit, own.hidden, own.activation) == (3.0, (32, 16), "relu")
 
 
-def help_of(capsys, *command):
-    with pytest.raises(SystemExit) as done:
-        main([*command, "--help"])
-    assert done.value.code == 0
-    return re.sub(r"[│\s]+", " ", capsys.readouterr().out)
-
-
 def test_help_names_every_option_with_its_default(capsys):
-    import dataclasses
-
-    from agents.cli.training import TrainOptions
-    from agents.paper.presets import preset
-
-    text = help_of(capsys, "train", "sac-lag")
+    with pytest.raises(SystemExit) as done:
+        main(["train", "sac-lag", "--help"])
+    assert done.value.code == 0
+    text = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
     own = preset("sac-lag", "Circle2D-1-v0")
     for field in (*dataclasses.fields(TrainOptions), *dataclasses.fields(own)):
         name = "import" if field.name == "imports" else field.name
@@ -127,9 +122,8 @@ def test_a_failed_run_is_named_and_the_status_is_1(tmp_path, capsys, monkeypatch
     assert main([*TRAIN, *options]) == 1
     table, err = capsys.readouterr()
     # NaN actions void the sixth episode at its first step.
-    assert err.splitlines()[-1].startswith(
-        f"circle2d: {out}: Circle2D-1-v0, seed 4: failed at step 250"
-    )
+    said = f"circle2d: {out}: Circle2D-1-v0, seed 4: failed at step 250"
+    assert err.splitlines()[-1].startswith(said)
     assert "failed at step 250" in table
     assert "mean of 2" in table
     assert main(["resume", str(out)]) == 1
@@ -156,43 +150,18 @@ def test_a_damaged_folder_does_not_hide_the_others(folder, tmp_path, capsys):
     assert "no complete runs" in capsys.readouterr().err
 
 
-OWN = """
-import gymnasium as gym, numpy as np
-
-class Broken(gym.Env):
-    observation_space = action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
-
-    def reset(self, *, seed=None, options=None):
-        self.t = 0
-        return np.zeros(1, np.float32), {}
-
-    def step(self, action):
-        self.t += 1
-        assert self.t < 30, "the spring broke"
-        return np.zeros(1, np.float32), 0.0, False, False, {"cost": 0.0}
-
-gym.register("Broken-v0", Broken, max_episode_steps=40)
-"""
-
-
-def run(*command, **how):
-    """A command in a process of its own."""
-    started = [sys.executable, "-m", "agents.cli", *command]
-    return subprocess.run(started, capture_output=True, text=True, check=False, **how)
-
-
-def test_an_error_of_the_users_own_shows_its_traceback(tmp_path):
-    (tmp_path / "my_broken.py").write_text(OWN)
-    options = ["--import", "my_broken", "--task", "Broken", "--out", "x"]
-    done = run(*TRAIN, *options, cwd=tmp_path)
-    assert done.returncode == 1
-    *trace, last = done.stderr.splitlines()
+def test_an_error_of_the_users_own_shows_its_traceback(tmp_path, capsys, monkeypatch):
+    toys.register()
+    command = [*TRAIN, "--task", "Broken", "--task-parameters", "how", "raise", "at", "30"]
+    assert main([*command, "--out", str(tmp_path / "x")]) == 1
+    *trace, last = capsys.readouterr().err.splitlines()
     assert "Traceback (most recent call last):" in trace
-    assert "AssertionError: the spring broke" in trace
-    assert re.search(r"circle2d: .*Broken-v0.*step 30.*my_broken\.py, line \d+", last)
+    assert "LookupError: motor" in trace
+    assert re.search(r"circle2d: .*Broken-v0.*step 10 .*toys\.py, line \d+", last)
     (tmp_path / "my_typo.py").write_text("1 / 0\n")
-    done = run("report", "x", "--import", "my_typo", cwd=tmp_path)
-    assert (done.returncode, "ZeroDivisionError" in done.stderr) == (1, True)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["report", str(tmp_path), "--import", "my_typo"]) == 1
+    assert "ZeroDivisionError" in capsys.readouterr().err
 
 
 def test_nobody_reads_on():
@@ -205,6 +174,33 @@ def test_nobody_reads_on():
 @pytest.mark.slow
 def test_training_touches_no_opengl(tmp_path):
     command = ["train", "trpo-lag", "--seeds", "0", "--steps", "1100", "--backend", "eager"]
-    done = run(*command, "--out", "x", cwd=tmp_path, env=os.environ | {"MUJOCO_GL": "nonsense"})
-    assert done.returncode == 0, done.stderr
+    started = [sys.executable, "-m", "agents.cli", *command, "--out", "x"]
+    subprocess.run(started, check=True, cwd=tmp_path, env=os.environ | {"MUJOCO_GL": "nonsense"})
     assert json.loads((tmp_path / "x" / "config.json").read_text())["algorithm"] == "trpo-lag"
+
+
+HEAVY = ("torch", "tyro", "matplotlib", "rich", "mujoco", "OpenGL")
+
+
+@pytest.mark.parametrize(("arguments", "status"), [(["--help"], 0), (["trian"], 2)])
+def test_no_heavy_import_before_a_command(arguments, status):
+    code = f"""
+import sys
+from agents.cli.main import main
+assert main({arguments}) == {status}
+assert not set({HEAVY}) & set(sys.modules), sorted(set({HEAVY}) & set(sys.modules))
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_importing_agents_is_light():
+    code = f"import sys, agents; assert not set({HEAVY}) & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_packages_that_an_installation_may_lack():
+    """Those the commands name are those of the extra [train], imageio apart, which is in the base,
+    and the rest of what these bring."""
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
+    names = [re.match(r"\w+", text)[0] for text in project["optional-dependencies"]["train"]]
+    assert set(EXTRA) == set(names) - {"imageio"}

@@ -58,10 +58,7 @@ def mistake(arguments, capsys):
         ([*TO, "--seeds", "-1"], "seeds must be in"),
         ([*TO, "--seeds", "٣"], "seeds|٣"),
         ([*TO, "--learning-rate", "0"], "learning_rate must be above 0"),
-        ([*TO, "--discount", "1.5"], "discount must be .*at most 1, got 1.5"),
         ([*TO, "--learning-rate", "1" + "0" * 400], "learning_rate must be a finite number"),
-        ([*TO, "--batch-size", "100"], "batch_size must be a multiple of 32, got 100"),
-        ([*TO, "--hidden", "4294967296"], "hidden must be"),
         ([*TO, "--hidden", "60000", "60000"], "hidden .* needs about [0-9.,]+ GB of memory"),
         ([*TO, "--replay-size", "4294967296"], "replay_size .* GB .* for 2 runs"),
         ([*TO, "--step-timeout", "5"], "vectorization must be async, got auto"),
@@ -102,10 +99,8 @@ def mistake(arguments, capsys):
         ([*REPRODUCE, "--workers", "0"], r"workers must be in \[1, 1024\], got 0"),
         ([*REPRODUCE, "--steps", "100"], "for a table, got 100"),
         ([*REPRODUCE, "--address", "host:1"], "needs the engine ray"),
-        *(
-            ([*REPRODUCE, "--shard", given], f"I/N with I from 1 to N, .* got '{given}'")
-            for given in ("0/2", "3/2", "a/b")
-        ),
+        ([*REPRODUCE, "--shard", "0/2"], "I/N with I from 1 to N, .* got '0/2'"),
+        ([*REPRODUCE, "--shard", "a/b"], "I/N with I from 1 to N, .* got 'a/b'"),
         (["reproduce", "--out", "{folder}/config.json"], "but '.*config.json' is a file"),
     ],
     ids=lambda given: " ".join(given)[:60] if isinstance(given, (list, tuple)) else "",

@@ -61,13 +61,6 @@ def test_surrogate_and_its_gradient_by_hand():
     assert slope[0, 0] == 0  # the weight's: all observations are 0
 
 
-def test_where_nothing_has_moved_the_slope_is_that_of_the_plain_surrogate():
-    """At the old policy every ratio is 1 and nothing is clipped: the slope is E[A a]."""
-    step = five_steps()
-    slope = torch.func.grad(lambda p: clipped_surrogate(p, step)[0].sum())(line(0.0))
-    assert slope[0, BIAS].item() == pytest.approx((2.0 - 1.0 - 1.0 + 1.0 + 0.75) / 5)
-
-
 def test_rows_of_weight_zero_do_not_count():
     """Not even one whose ratio overflows."""
     step = five_steps()

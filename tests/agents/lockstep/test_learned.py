@@ -3,9 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from small_trainings import small
 from small_trainings import trained as in_full
 from toys import Walk, register
 
@@ -82,19 +80,6 @@ def test_the_scale_is_that_of_observations(name, scale):
         np.testing.assert_array_equal(value, expected[key], err_msg=key)
     without = trained(name).learner.state_dict()
     assert (without["actor"] != expected["actor"]).any()
-
-
-@pytest.mark.parametrize("name", FAMILIES)
-def test_a_policy_takes_observations_as_the_task_gives_them(name, tmp_path):
-    keywords = {**vars(small(name, input_scale=(7.0, 0.3)))}
-    agents.train(name, "Walk-v0", seeds=[0], steps=300, out=tmp_path, **keywords)
-    policy = agents.load_policy(tmp_path)
-    observations = np.random.default_rng(0).normal(size=(50, 2)).astype(np.float32)
-    module = policy.to_torch()
-    with torch.no_grad():
-        found = module(torch.from_numpy(observations)).numpy()
-    np.testing.assert_allclose(found, policy(observations), atol=1e-5)
-    assert np.ptp(found) > 0
 
 
 def test_a_scale_for_each_number_needs_as_many(tmp_path):

@@ -6,7 +6,7 @@ import pytest
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from agents.errors import UserError
+from agents.errors import TaskFailure, UserError
 from agents.lockstep.rollout import collect
 from agents.training.wrappers import SideBySide
 from circle2d_mj import Circle2DEnv, Circle2DVectorEnv
@@ -48,19 +48,15 @@ def test_side_by_side():
     assert rollout.length.tolist() == [2, 7, 4, 3, 3, 0]
     for k, truncates in enumerate((False, True)):
         own = slice(3 * k, 3 * k + 3)
-        alone = collect(
-            scripted(truncates=truncates), seeds[own], lambda obs: -0.1 * obs, active[own]
-        )
-        end = len(alone.reward)
-        of_part = rollout.of(own)
+        envs = scripted(truncates=truncates)
+        alone = collect(envs, seeds[own], lambda obs: -0.1 * obs, active[own])
+        of_part, during = rollout.of(own), alone.during
         np.testing.assert_array_equal(of_part.length, alone.length)
         for ours, theirs in zip(of_part[:7], alone[:7], strict=True):
-            during = alone.during
-            np.testing.assert_array_equal(ours[:end][during], theirs[during])
+            np.testing.assert_array_equal(ours[: len(during)][during], theirs[during])
+    silent = SideBySide([scripted(), scripted(gives_cost=False)], ("cost",))
     with pytest.raises(UserError, match="gives no info"):
-        collect(
-            SideBySide([scripted(), scripted(gives_cost=False)], ("cost",)), seeds, lambda obs: obs
-        )
+        collect(silent, seeds, lambda obs: obs)
 
 
 @pytest.mark.parametrize("truncates", [False, True])
@@ -91,9 +87,8 @@ def test_native_and_sync_environments_give_the_same():
 
     parameters = {"level": 2, "reset_on_cost": True}
     native = Circle2DVectorEnv(3, autoreset_mode="Disabled", **parameters)
-    sync = SyncVectorEnv(
-        [lambda: Circle2DEnv(**parameters)] * 3, autoreset_mode=AutoresetMode.DISABLED
-    )
+    makers = [lambda: Circle2DEnv(**parameters)] * 3
+    sync = SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
     ours, theirs = collect(native, seeds, act), collect(sync, seeds, act)
     assert ours.length.min() < 50
     np.testing.assert_array_equal(ours.length, theirs.length)
@@ -155,5 +150,5 @@ def test_actions_are_kept_as_chosen_and_taken_clipped():
 def test_an_episode_that_never_ends(monkeypatch):
     monkeypatch.setattr("agents.lockstep.rollout.MAX_STEPS", 6)
     assert collect(scripted(), [2, 6, 4], lambda observation: observation).length.max() == 6
-    with pytest.raises(UserError, match="has not ended after 6 steps"):
+    with pytest.raises(TaskFailure, match="has not ended after 6 steps"):
         collect(scripted(), [2, 7, 4], lambda observation: observation)

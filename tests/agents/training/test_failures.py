@@ -8,7 +8,6 @@ import re
 import time
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import toy_family
@@ -244,21 +243,6 @@ def test_an_algorithm_of_one_s_own_that_does_not_trains(tmp_path):
     with two_families(), known("unequal", Algorithm("Toy", Numbers, Rule(), Unequal)):
         for name, options in (("toy", {}), ("sac-own", SAC), ("unequal", {})):
             agents.train(name, "Walk-v0", **OPTIONS | options)
-
-
-def test_a_task_that_never_ends(monkeypatch):
-    class Endless(toys.Walk):
-        def step(self, action):
-            observation, reward, _, _, info = super().step(action)
-            return observation, reward, False, False, info
-
-    monkeypatch.setattr("agents.lockstep.rollout.MAX_STEPS", 60)
-    gym.register("Endless-v0", Endless, disable_env_checker=True)
-    try:
-        with pytest.raises(TaskFailure, match="has not ended after 60 steps"):
-            agents.train("cpo", "Endless-v0", **OPTIONS | TRPO)
-    finally:
-        del gym.registry["Endless-v0"]
 
 
 def test_a_process_ends_with_its_parent():

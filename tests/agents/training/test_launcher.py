@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from small_runs import TRPO, results
+from small_runs import TRPO, processes, results
 
 import agents
 from agents.api import configs_of
@@ -115,18 +115,6 @@ with launcher(count=1) as trainings:
 """
 
 
-def processes_of(folder):
-    found = []
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            words = path.read_bytes().split(b"\0")
-        except OSError:  # it ended meanwhile
-            continue
-        if b"resume" in words and str(folder).encode() in words:
-            found.append(int(path.parent.name))
-    return found
-
-
 @pytest.mark.parametrize(
     "number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
 )
@@ -135,10 +123,10 @@ def test_processes_end_with_a_parent_that_is_killed(tmp_path, number):
     folder = made(tmp_path / "x", 10**7)
     parent = subprocess.Popen([sys.executable, "-c", PARENT, str(folder)])
     wait_until(lambda: (folder / "status.json").exists())
-    assert processes_of(folder)
+    assert processes(folder)
     os.kill(parent.pid, number)
     parent.wait()
-    wait_until(lambda: not processes_of(folder), 60)
+    wait_until(lambda: not processes(folder), 60)
     assert agents.load_policy(folder, seed=0).step > 0
 
 
