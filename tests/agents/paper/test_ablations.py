@@ -3,19 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from small_runs import write_evaluated
 
 from agents.paper.grid import grid
 from agents.paper.presets import ablations, preset
-from agents.paper.sections import ties_table
 from agents.reporting.report import table
 from agents.reporting.table import markdown
-from agents.results.measures import measures
-from agents.results.reading import Group, Run
-from agents.training.config import TrainConfig
-from emcc import EpisodeRecords
 
 ALGORITHMS = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
 TASK, SAFETY = "Circle2D-1-v0", "circle2d_mj/SafetyPointGoal1-v0"
@@ -54,19 +48,6 @@ def test_the_grid_with_ablations():
         assert (config.seeds, config.steps) == ((0, 1, 2), 1000)
     # What takes longest still goes first.
     assert [config.algorithm for config in all_of.values()][-5:] == ["trpo-lag"] * 5
-
-
-def test_a_table_says_what_of_its_presets_is_not_printed(tmp_path):
-    for task in (TASK, SAFETY):
-        for name in ("trpo-lag", "cpo", "sac-lb"):
-            write_runs(tmp_path / task / name, name, [-10.0], task=task)
-    by_circle2d, by_safety = markdown(table(tmp_path)).split(f"| {SAFETY}")
-    decides = "The paper does not print this choice, which decides where runs end.\n"
-    assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {decides}" in by_circle2d
-    assert f"SAC-LB: the last step of an episode counts as terminal. {decides}" in by_circle2d
-    told = "The paper does not print this choice.\n"
-    assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {told}" in by_safety
-    assert f"SAC-LB: values bootstrap at the time limit of an episode. {told}" in by_safety
 
 
 def write_runs(folder, name, j_r, hyperparameters=None, ends=((-0.5, 0.0),), task=TASK):
@@ -199,24 +180,3 @@ def test_how_often_a_choice_is_the_nearest(folder):
     words = markdown(table(folder))
     found = rows(words[words.index("Measures, over all tasks, in which") :])
     assert found[2:] == [["TRPO-Lag, adam (preset)", "6 of 7"], ["TRPO-Lag, sgd", "7 of 7"]]
-
-
-def test_ties_split_instead_of_kept():
-    """Nine of each third's 99 rollouts have an MCC of .5, the others of 0, as the quantile: kept,
-    all count, 9 * .5 / 99; split, a tenth of them, 9 * .5 / 9.9 or 10."""
-    number = np.arange(300)
-    streak = np.where(number % 11 == 5, 5, 0)
-    zero = np.zeros(300)
-    records = EpisodeRecords(number, 10 * number, np.full(300, 10), zero, streak, streak)
-    config = TrainConfig("cpo", (TASK,), (0,), 3000, preset("cpo", TASK))
-    kept = {f"EMCC_{part}": 9 * 0.5 / 99 for part in (0.33, 0.66, 0.99)}
-    run = Run(0, dict.fromkeys(m.name for m in measures()) | kept, 100, {}, records)
-    rows = ties_table([Group("cpo", TASK, config, [run], [])]).rows
-    assert [row.name.partition("ties ")[2] for row in rows[:2]] == [
-        "kept, mean of 1",
-        "split, mean of 1",
-    ]
-    assert [[f"{cell.value:.2f}" for cell in row.numbers] for row in rows[:2]] == [
-        ["0.05"] * 3,
-        ["0.45"] * 3,
-    ]

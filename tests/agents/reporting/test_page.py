@@ -63,9 +63,8 @@ def test_a_page_escapes_and_keeps_every_cell():
     text = page("<title>", [Section("A <task>", table, [image])], {"seeds": "0 < 1"})
     shown = Page(text)
     assert shown.cells == ["a & b", "1.00[0.50, 2.00]", "–", "<end>"]
-    assert [dict(i) for i in shown.images] == [
-        {"alt": 'curves "of": A <task>', "src": "data:image/png;base64,iVBORw=="}
-    ]
+    image = {"alt": 'curves "of": A <task>', "src": "data:image/png;base64,iVBORw=="}
+    assert [dict(i) for i in shown.images] == [image]
     assert shown.links == shown.ids == ["a-task", "how-it-was-made"]
     for escaped in ("caption &lt;1&gt;", "note &lt;x&gt;", "&lt;title&gt;", "0 &lt; 1", "s &lt; w"):
         assert escaped in text
@@ -91,17 +90,10 @@ def test_the_report_of_a_small_grid(tmp_path):
     assert set(shown.links) <= set(shown.ids)
     assert "<title>TRPO-Lag on Circle2D-1-v0 (" in text
     assert "2 runs, 1 task, 1 algorithm, seeds 0, 1, 2,000 steps each" in text
-    assert [image["alt"] for image in shown.images] == [
-        "Every run: A dot for each run",
-        "Cost rate against EMCC: A marker for each run in a third of its training",
-        "Profiles of MCC: Cost rate against EMCC",
-        "Training curves: Circle2D-1-v0",
-        "The four levels: Circle2D and EMCC",
-        "Why EMCC: Circle2D and EMCC",
-    ]
-    assert sorted(p.name for p in tmp_path.iterdir() if p.is_file()) == [
-        *("index.html", "report.csv", "report.md"),
-    ]
+    assert len(shown.images) == 6
+    assert all(image["alt"] for image in shown.images)
+    files = {p.name for p in tmp_path.iterdir() if p.is_file()}
+    assert files == {"index.html", "report.csv", "report.md"}
     assert "torch 2" in text
     report(tmp_path)
     assert (tmp_path / "index.html").read_text() == text

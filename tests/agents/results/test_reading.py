@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import toys
-from small_runs import TRPO, few_episodes, results, write_evaluated, write_runs
+from small_runs import TRPO, few_episodes, results, write_evaluated
 
 import agents
 from agents.errors import UserError
@@ -192,19 +192,6 @@ def test_numbers_that_cannot_be_are_left_out(tmp_path, changes):
     assert group.seeds == [0]
     assert len(notes) == 1
     assert "seed 1" in notes[0]
-
-
-def test_measures_by_hand(tmp_path):
-    config = write_runs(tmp_path / "open")
-    assert config.tasks == ("Circle2D-3-v0",)
-    records = agents.load_runs(tmp_path / "open").records[tmp_path / "open", 0]
-    assert records.longest_streak[:4].tolist() == [0, 4, 5, 1]
-    write_evaluated(tmp_path / "done", "cpo", costs=(3, 4))
-    [group] = read([tmp_path / "done"], [])
-    assert group.values("cost_rate") == [0.3, 0.4]
-    assert group.values("EMCC_0.33") == [0.3, 0.4]
-    assert group.values("J_R") == [-9.0, -9.0]
-    assert group.values("J_C") == [4.25, 4.25]
 
 
 def folders(groups):

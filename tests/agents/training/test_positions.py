@@ -9,16 +9,13 @@ from small_runs import TRPO
 import agents
 from agents.errors import UserError
 from agents.results.reading import read
-from agents.training import derive
 from agents.training.derive import (
     GRID_MAX,
     five_digits,
     pack_costs,
-    replay_rows,
     unpack_costs,
 )
 from agents.training.environments import view_of
-from emcc import EpisodeRecords
 
 OPTIONS = TRPO | {"seeds": (3, 4), "steps": 60, "episodes": 3}
 
@@ -152,35 +149,6 @@ def sum_rollouts(group, part):
         low, high = ((0, 0.33), (0.33, 0.66), (0.66, 0.99))[part]
         count += int(((starts >= low - 1e-9) & (starts < high - 1e-9)).sum())
     return count
-
-
-def test_a_heat_map_counts_where_the_worst_rollouts_were():
-    """Two rollouts in each third, of one of which every step costs."""
-    length = np.full(6, 10)
-    streak = np.array([0, 10, 10, 0, 0, 10])
-    records = EpisodeRecords(
-        np.arange(6), np.arange(0, 60, 10), length, np.zeros(6), streak, streak
-    )
-    positions = np.repeat(np.arange(6), 10)[:, None] * [1.0, 0.0] + [0.05, 0.05]
-    visits = derive.count_visits(Wide(), [(records, positions.astype(np.float32))], 60)
-    for part, rollout in zip(visits, (1, 2, 5), strict=True):
-        row, column = np.argwhere(part.counts).T
-        assert part.counts.sum() == 10
-        assert column.tolist() == [int((rollout + 0.05) / 8 * derive.CELLS)]
-        assert row.tolist() == [int((8 - 0.05) / 8 * derive.CELLS)]
-        assert (part.emcc, part.rollouts, part.of) == (1.0, 1, 2)
-
-
-class Wide:
-    extent = (0.0, 8.0, 0.0, 8.0)
-
-
-def test_the_replay_takes_the_worst_of_each_window():
-    few = EpisodeRecords(
-        np.arange(4), [0, 1, 2, 3], [1, 1, 1, 1], np.zeros(4), [0, 1, 1, 0], [0, 1, 1, 0]
-    )
-    assert replay_rows(few, 240) == [(0, 1)]  # the first of two equal ones
-    assert replay_rows(few, 60) == [(0, 0), (1, 1), (2, 2), (3, 3)]
 
 
 @pytest.mark.parametrize("values", [(0.0, 1.0), (0.0, 0.25, 1.0, 3.5), (0.0,), (2.0,)])

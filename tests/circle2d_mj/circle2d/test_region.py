@@ -79,16 +79,6 @@ def test_the_fewest_cost_steps_through_the_region(level, height):
     assert np.ceil(region.crossing() / config.full_step) - 1 == steps
 
 
-def test_one_point_and_many_agree_bitwise():
-    region = CostRegion(Circle2DConfig(level=3))
-    points = np.random.default_rng(0).uniform(-12, 12, (2000, 2))
-    points[:40, 0] = np.linspace(-10, 10, 40)
-    points[:40, 1] = 2.5
-    together = region.contains(points)
-    alone = [bool(region.contains(point)) for point in points]
-    np.testing.assert_array_equal(together, alone)
-
-
 def test_no_region_between_cutouts_that_touch():
     config = Circle2DConfig(level=2, corridor_height_factor=1.2)  # the upper one reaches it
     assert config.region.crossing() == 0

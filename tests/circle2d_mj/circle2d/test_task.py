@@ -35,14 +35,6 @@ def test_an_edit_of_the_cost_changes_the_environments(mode, level, monkeypatch):
     np.testing.assert_array_equal(costs(envs), 3.0 * before + 0.25 * above)
 
 
-@MODES
-def test_an_edited_cost_ends_episodes(mode, monkeypatch):
-    monkeypatch.setattr(task, "cost", lambda config, position, contact: np.full(4, 0.5))
-    envs = mode(4, level=2, reset_on_cost=True)
-    envs.reset(seed=0)
-    assert envs.step(WEST)[2].all()
-
-
 def test_an_edited_cost_does_not_move_a_rigid_wall(monkeypatch):
     """The wall is the region, whatever touching it costs."""
     free = Circle2DVectorEnv(4, level=0)
@@ -52,13 +44,3 @@ def test_an_edited_cost_does_not_move_a_rigid_wall(monkeypatch):
     assert not costs(edited).any()
     np.testing.assert_array_equal(edited.position, free.position)
     assert (edited.position[:, 0] > 5).all()
-
-
-def test_the_length_of_a_step_scales_with_the_radius():
-    for radius in (0.5, 10.0):
-        envs = Circle2DVectorEnv(4, level=1, constraint_radius=radius)
-        envs.reset(seed=0)
-        before = envs.position
-        envs.step(WEST)
-        np.testing.assert_allclose(before - envs.position, [[0.11 * radius, 0.0]] * 4, atol=1e-12)
-        assert envs.config.full_step == pytest.approx(0.11 * radius)
