@@ -140,13 +140,6 @@ def test_the_scale_follows_training_and_resumes():
     np.testing.assert_array_equal(again.of(array(plain.reward)), scaled)
 
 
-def test_nothing_seen():
-    """With A = I the novelty is the norm of the features, 1."""
-    novelty = Novelty(1.0, [0, 1], 2)
-    states = np.random.default_rng(0).normal(size=(2, 50, 2)).astype(np.float32)
-    np.testing.assert_allclose(novelty.of(states), 1.0, rtol=1e-5)
-
-
 def test_runs_draw_their_own_features_and_keep_them():
     """Equal seeds draw equal features, whatever runs are beside."""
     alone, beside = Novelty(1.0, [4], 2), Novelty(1.0, [3, 4], 2)

@@ -18,9 +18,8 @@ shapes = given(st.integers(1, 3), st.floats(0.001, 2.0))
 
 
 def region_of(level, height=0.5, radius=R):
-    return Circle2DConfig(
-        level=level, corridor_height_factor=height, constraint_radius=radius
-    ).region
+    shape = {"corridor_height_factor": height, "constraint_radius": radius}
+    return Circle2DConfig(level=level, **shape).region
 
 
 def edges_of(piece):

@@ -19,10 +19,8 @@ from circle2d_mj.safety.envs import SafetyEnv, SafetyVectorEnv
 # gremlins with timers, a box, none, a body, forces.
 SAFETY = ["SafetyPointGoal2", "SafetyCarButton1", "SafetyPointPush1", "SafetyCarCircle2"]
 SAFETY += ["SafetyHopperVelocity", "SafetyHumanoidVelocity"]
-KINEMATIC, PHYSICS = (
-    (Circle2DEnv, Circle2DVectorEnv),
-    (Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv),
-)
+KINEMATIC = (Circle2DEnv, Circle2DVectorEnv)
+PHYSICS = (Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv)
 TASKS = {
     "kinematic rigid": (*KINEMATIC, {"level": 0}),
     "kinematic": (*KINEMATIC, {"level": 3, "reset_on_cost": True}),
@@ -274,19 +272,13 @@ def test_bad_reset_options_are_named(options, error):
         envs.reset(options=options)
 
 
+WRONG_ARGUMENTS = {"num_envs": (0, 1.5), "num_threads": (-1, 2.0, True), "max_episode_steps": (0,)}
+WRONG_ARGUMENTS |= {"render_mode": ("ansi",), "autoreset_mode": ("Never",)}
+
+
 @pytest.mark.parametrize("make", VECTOR)
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("num_envs", 0),
-        ("num_envs", 1.5),
-        ("num_threads", -1),
-        ("num_threads", 2.0),
-        ("num_threads", True),
-        ("max_episode_steps", 0),
-        ("render_mode", "ansi"),
-        ("autoreset_mode", "Never"),
-    ],
+    ("name", "value"), [(name, value) for name, of in WRONG_ARGUMENTS.items() for value in of]
 )
 def test_bad_arguments_are_named(make, name, value):
     if name == "num_threads" and make is Circle2DVectorEnv:

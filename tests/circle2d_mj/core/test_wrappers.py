@@ -67,12 +67,8 @@ def test_values():
         _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.0]))
         expected = 3.0 if observation[0] + 0.1 * (k + 1) > 0.5 else 0.0
         assert info == {"more": 1, "cost": expected}
-        assert [type(v) for v in (reward, terminated, truncated, info["cost"])] == [
-            float,
-            bool,
-            bool,
-            np.float64,
-        ]
+        kinds = [type(value) for value in (reward, terminated, truncated, info["cost"])]
+        assert kinds == [float, bool, bool, np.float64]
     assert info["cost"] == 3.0
     assert env.render().shape == (4, 4, 3)
     env.close()
@@ -163,12 +159,8 @@ def test_six_values():
     for _ in range(20):
         observation, reward, step_cost, terminated, truncated, info = env.step([-1.0, 0.0])
         assert step_cost == info["cost"]
-        assert (observation.shape, type(reward), terminated, truncated) == (
-            (2,),
-            float,
-            False,
-            False,
-        )
+        assert observation.shape == (2,)
+        assert (type(reward), terminated, truncated) == (float, False, False)
         cost += step_cost
     assert cost >= 9
     ends = [env.step([0.0, 0.0])[3:5] for _ in range(30)]
