@@ -28,15 +28,12 @@ def test_import_loads_numpy_alone():
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
-@pytest.mark.parametrize(
-    ("module", "name", "library"),
-    [
-        ("gymnasium", "RecordCosts", "gymnasium"),
-        ("gymnasium", "StreakCost", "gymnasium"),
-        ("stable_baselines3", "sb3", "stable-baselines3"),
-    ],
-)
-def test_a_missing_library_is_named(module, name, library, monkeypatch):
+MISSING = {"RecordCosts": "gymnasium", "StreakCost": "gymnasium", "sb3": "stable-baselines3"}
+
+
+@pytest.mark.parametrize(("name", "library"), MISSING.items())
+def test_a_missing_library_is_named(name, library, monkeypatch):
+    module = library.replace("-", "_")
     for loaded in [m for m in sys.modules if m.startswith(("emcc", module))]:
         monkeypatch.delitem(sys.modules, loaded)
     monkeypatch.setitem(sys.modules, module, None)
@@ -60,10 +57,8 @@ def test_the_source_is_of_python_3_10():
 def test_the_wheel_holds_the_package_and_works(tmp_path):
     pytest.importorskip("hatchling")
     tomllib = pytest.importorskip("tomllib")  # Python 3.11
-    alone, together = (
-        tomllib.loads((folder / "pyproject.toml").read_text())["project"]
-        for folder in (PACKAGE, PACKAGE.parent)
-    )
+    files = [folder / "pyproject.toml" for folder in (PACKAGE, PACKAGE.parent)]
+    alone, together = (tomllib.loads(file.read_text())["project"] for file in files)
     assert alone["version"] == together["version"]
     done = python("-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path, cwd=PACKAGE)
     assert done.returncode == 0, done.stderr

@@ -19,34 +19,20 @@ ENVIRONMENTS = {
 COSTS_OF_ENVIRONMENTS = """
 import gymnasium as gym
 import numpy as np
+from scripted import Scripted
 
 import emcc
 
-
-class Alternating(gym.Env):
-    observation_space = gym.spaces.Box(0, 1, (1,), np.float32)
-    action_space = gym.spaces.Discrete(2)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.step_count = 0
-        return np.zeros(1, np.float32), {}
-
-    def step(self, action):
-        self.step_count += 1
-        done = self.step_count == 4
-        return np.zeros(1, np.float32), 1.0, done, False, {"cost": float(self.step_count > 2)}
-
-
-env = emcc.RecordCosts(Alternating())
+SCRIPT = [[0.0, 0.0, 1.0, 1.0]]
+env = emcc.RecordCosts(Scripted(SCRIPT))
 for _ in range(3):
     env.reset(seed=0)
-    while not env.step(0)[2]:
-        pass
+    for _ in range(4):
+        env.step(0)
 assert env.records.longest_streak.tolist() == [2, 2, 2], env.records
 assert env.records.emcc() == 0.5
 if gym.__version__.split(".")[0] == "0":
-    envs = emcc.RecordCosts(gym.vector.SyncVectorEnv([Alternating, Alternating]))
+    envs = emcc.RecordCosts(gym.vector.SyncVectorEnv([lambda: Scripted(SCRIPT)] * 2))
     envs.reset(seed=0)
     for _ in range(8):
         envs.step(np.zeros(2, int))
@@ -61,12 +47,9 @@ def interpreter(version):
     for command in (sys.executable, f"python{version}"):
         try:
             # pyenv's shims run the version that is named so.
-            done = subprocess.run(
-                [command, "-c", code],
-                env=os.environ | {"PYENV_VERSION": version},
-                capture_output=True,
-                text=True,
-            )
+            env = os.environ | {"PYENV_VERSION": version}
+            how = {"env": env, "capture_output": True, "text": True}
+            done = subprocess.run([command, "-c", code], **how)
         except OSError:
             continue
         if done.returncode == 0 and ".".join(done.stdout.split("\n")[1:3]) == version:
@@ -111,5 +94,6 @@ def test_alone(wheel, tmp_path, version, packages):
     assert " passed" in report
     run(tmp_path, "venv/bin/python", "-m", "emcc", "--help")
     if any("gymnasium" in name for name in packages):
-        table = run(tmp_path, "venv/bin/python", "-c", COSTS_OF_ENVIRONMENTS)
+        python = str(tmp_path / "venv/bin/python")
+        table = run(tmp_path / "tests", python, "-c", COSTS_OF_ENVIRONMENTS)
         assert "violation rate V" in table

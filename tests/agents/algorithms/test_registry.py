@@ -4,9 +4,11 @@ toy_family.py."""
 import inspect
 import json
 import math
+import re
 import subprocess
 import sys
 from dataclasses import make_dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,30 +24,7 @@ from agents.training.config import TrainConfig
 
 register_tasks()
 
-SAC_FIXED = '''
-"""SAC that pays a fixed price for costs."""
-
-from dataclasses import dataclass
-
-from agents.algorithms import Algorithm, register
-from agents.algorithms.sac_lag import critic_loss, risk
-from agents.sac import CostRule, OffPolicy, SACConfig
-
-
-@dataclass(frozen=True)
-class Config(SACConfig):
-    """Hyper-parameters of SAC-Fixed."""
-
-    price: float = 1.0
-    """Price of a unit of the discounted cost return Q_c, in units of reward."""
-
-
-def penalty(config, risk, multipliers):
-    return config.price * risk
-
-
-register("sac-fixed", Algorithm("SAC-Fixed", Config, CostRule(risk, critic_loss, penalty), OffPolicy))
-'''  # noqa: E501
+PAGE = Path(__file__).parents[3] / "docs" / "extending.md"
 
 
 @pytest.fixture(autouse=True)
@@ -55,10 +34,12 @@ def nothing_stays(monkeypatch):
 
 @pytest.fixture
 def sac_fixed(tmp_path, monkeypatch):
-    (tmp_path / "my_sac.py").write_text(SAC_FIXED)
+    """The page's algorithm, of the module my_algorithm."""
+    (code,) = re.findall(r"```python\n# my_algorithm\.py\n(.*?)```", PAGE.read_text(), re.S)
+    (tmp_path / "my_algorithm.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "my_sac", raising=False)
-    __import__("my_sac")
+    monkeypatch.delitem(sys.modules, "my_algorithm", raising=False)
+    __import__("my_algorithm")
 
 
 def test_names_are_listed_without_torch():
@@ -140,7 +121,7 @@ def test_the_module_that_registers(sac_fixed, tmp_path):
     script = {"__name__": "__main__", "agents": agents, "lag": lag}
     exec("agents.register('of-script', lag)", script)
     names = ("sac-lag", "sac-fixed", "lag-again", "of-script")
-    expected = ["agents.algorithms.sac_lag", "my_sac", __name__, "__main__"]
+    expected = ["agents.algorithms.sac_lag", "my_algorithm", __name__, "__main__"]
     assert [module_of(name) for name in names] == expected
     with pytest.raises(UserError, match="of-script is registered in the running script"):
         agents.sweep("of-script", grid={"cost_limit": (1.0, 2.0)}, steps=100, out=tmp_path / "x")
@@ -163,5 +144,7 @@ def test_to_go_on_the_module_of_ones_own_is_needed(sac_fixed, tmp_path):
     small = {"batch_size": 32, "hidden": (32, 32), "random_steps": 50}
     agents.train("sac-fixed", "Walk-v0", seeds=(0, 1), steps=300, out=tmp_path / "runs", **small)
     algorithms._algorithms.registered.clear()
-    with pytest.raises(UserError, match=r"'sac-fixed' of .* is not registered here: import my_sac"):
+    with pytest.raises(
+        UserError, match=r"'sac-fixed' of .* is not registered here: import my_algorithm"
+    ):
         agents.resume(tmp_path / "runs")

@@ -173,41 +173,6 @@ def test_ties_split_instead_of_kept(raw):
                 assert is_mean(cell, of, column(runs, of), runs), (name, way, cell)
 
 
-def test_pairs_that_emcc_separates(raw):
-    """The counts of the sentence and the rows, by the rule that it prints."""
-    out, numbers = raw
-    parts = ("0.33", "0.66", "0.99")
-    of = {part: [column(numbers[k], f"rate_{part}") for k in ("cpo", "wcsac")] for part in parts}
-    emcc = {part: [column(numbers[k], f"EMCC_{part}") for k in ("cpo", "wcsac")] for part in parts}
-    p_values = sorted((permuted(*pair, abs), part) for part, pair in emcc.items())
-    holm, worst = {}, 0.0
-    for k, (p, part) in enumerate(p_values):
-        worst = max(worst, min(1.0, (3 - k) * p))
-        holm[part] = worst
-    not_told, equal = [], []
-    for part, (a, b) in of.items():
-        shifts = (([x + 0.02 for x in a], b), ([x + 0.02 for x in b], a))
-        tost = max(permuted(*pair, lambda t: t) for pair in shifts)
-        not_told += [part] if permuted(a, b, abs) > 0.05 else []
-        equal += [(part, tost)] if part in not_told and tost <= 0.05 else []
-    shown = [(part, tost) for part, tost in equal if holm[part] <= 0.05]
-    differ = sum(holm[part] <= 0.05 for part in not_told)
-    assert (
-        f"Of 3 comparisons the cost rate does not tell {len(not_told)} apart, of which EMCC tells "
-        f"{differ} apart; {len(equal)} have equal cost rates, of which EMCC tells {len(shown)} "
-        "apart: these are listed." in (out / "report.md").read_text()
-    )
-    rows = table_after(out, "Compared are all pairs", "A and B")
-    assert len(rows) == len(shown)
-    for (part, tost), (name, *cells) in zip(shown, rows, strict=True):
-        assert name.endswith("CPO and WCSAC")
-        told = [float(re.split(r" \[", cell)[0].lstrip("<")) for cell in cells]
-        means = [[fmean(values) for values in side[part]] for side in (of, emcc)]
-        rates, emccs = ([*pair, pair[1] - pair[0]] for pair in means)
-        expected = [*rates, tost, *emccs, holm[part]]
-        assert told == pytest.approx(expected, abs=0.00051)
-
-
 def test_the_numbers_for_a_program(raw):
     """The same as in the tables, with all digits that float32 leaves."""
     out, numbers = raw
@@ -261,33 +226,6 @@ def check_shares(lines, numbers, names):
         told = [float(line[name]) for name in ("share", "share_low", "share_high")]
         assert told == pytest.approx([expected[key] / N, *clopper_pearson(expected[key], N)])
         assert int(line["seeds"]) == N
-
-
-def test_what_is_best_is_marked(raw):
-    out, numbers = raw
-    text, *_ = (out / "report.md").read_text().partition("task, algorithm and choice")
-    marks = {}
-    for line in text.splitlines():
-        name, *cells = (cell.strip() for cell in line.strip("| ").split("|"))
-        marks[name] = {m for m, c in zip(MEASURES, cells, strict=False) if c.startswith("**")}
-    means = {
-        f"{TITLES[name]}, mean of {N}": [round(fmean(column(numbers[name], m)), 2) for m in PRINTED]
-        for name in EPISODES
-    }
-    papers = {f"{TITLES[name]}, paper (3 seeds)": PAPER[name] for name in EPISODES}
-    within = {f"{TITLES[name]}, mean of {N}": numbers[name] for name in EPISODES}
-    within = {name: all(run["J_C"] <= LIMIT for run in runs) for name, runs in within.items()}
-    within |= {name: values[5] <= LIMIT for name, values in papers.items()}
-    for compared in (means, papers):
-        best = {name: set() for name in compared}
-        for k, measure in enumerate(PRINTED[:4]):
-            for name, values in compared.items():
-                if values[k] == min(other[k] for other in compared.values()):
-                    best[name].add(measure)
-        safe = {name: values[4] for name, values in compared.items() if within[name]}
-        for name, value in safe.items():
-            best[name] |= set(PRINTED[4:]) if value == max(safe.values()) else set()
-        assert {name: marks[name] for name in compared} == best
 
 
 def test_the_numbers_of_the_claims(raw):

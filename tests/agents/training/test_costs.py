@@ -71,10 +71,8 @@ def test_evaluations_of_each_cost(runs):
 
 def test_a_second_cost_changes_nothing_that_limits_the_first(runs, tmp_path):
     config = runs.config
-    own = TRPO if config.algorithm == "trpo-lag" else SAC
-    alone = agents.train(
-        config.algorithm, "TwoCosts-v0", out=tmp_path / "x", **(BOTH | {"costs": "cost"}), **own
-    )
+    own = BOTH | {"costs": "cost"} | (TRPO if config.algorithm == "trpo-lag" else SAC)
+    alone = agents.train(config.algorithm, "TwoCosts-v0", out=tmp_path / "x", **own)
     first = [run.measures for group in runs.results if group.cost == "cost" for run in group.runs]
     assert [run.measures for run in alone.results[0].runs] == first
     assert list(config.limits) == ["cost"]

@@ -98,11 +98,8 @@ def test_processes_train_folders_and_leaving_writes_checkpoints(tmp_path):
     assert agents.load_policy(long, seed=1).step > 0
     train(made(tmp_path / "alone"))
     ours, theirs = results(short), results(tmp_path / "alone")
-    assert ours.keys() == theirs.keys()
-    changing = {"results.npz"}  # here with few evaluated episodes
-    assert {k: v for k, v in ours.items() if k not in changing} == {
-        k: v for k, v in theirs.items() if k not in changing
-    }
+    assert ours.pop("results.npz") and theirs.pop("results.npz")  # here of few evaluated episodes
+    assert ours == theirs
 
 
 PARENT = """
