@@ -68,9 +68,8 @@ def test_a_poisoned_run_fails_alone(name, tmp_path):
     poisoned.save()
     assert (poisoned.failures != "").tolist() == [False, True, False]
     assert step <= poisoned.steps[1] <= step + 40 * poisoned.learner.episodes
-    derive.write_results(
-        poisoned.folder, poisoned.config, poisoned.learner.policy(), poisoned.failures, 5
-    )
+    of_run_ = poisoned.learner.policy(), poisoned.failures, 5
+    derive.write_results(poisoned.folder, poisoned.config, *of_run_)
     arrays = results(poisoned.folder)
     assert [f"Walk-v0/{run}/failure" in arrays for run in range(3)] == [False, True, False]
     returns = [f"Walk-v0/{run}/evaluation/deterministic/returns" in arrays for run in range(3)]

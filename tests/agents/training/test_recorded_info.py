@@ -44,10 +44,8 @@ def test_every_step_is_recorded(runs):
     with np.load(runs.folder / "results.npz") as arrays:
         assert not [name for name in arrays if name.startswith("Walk") and "info" in name]
         assert arrays["Pressed-v0/info"].tolist() == [["x", "m"], ["beyond", "m"]]
-        for name, values in (("x", x), ("beyond", beyond)):
-            prefix = f"Pressed-v0/3/info/{name}/"
-            found = unpack_costs(lambda key, prefix=prefix: arrays[prefix + key], True)
-            np.testing.assert_allclose(found, values, rtol=2**-16)
+    for name, values in (("x", x), ("beyond", beyond)):
+        np.testing.assert_allclose(unpacked(runs.folder, name), values, rtol=2**-16)
 
 
 def test_another_vectorization_and_a_resumed_training_record_the_same(runs, tmp_path):
@@ -78,20 +76,16 @@ def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypat
 
 
 def test_what_cannot_be_recorded(monkeypatch):
-    monkeypatch.setattr(Pressed, "recorded_info", {"x": "m", "depth": "m"})
-    with pytest.raises(UserError, match=r"gives no info\['depth'\]; it gives \['beyond', 'cost'"):
-        agents.train("trpo-lag", "Pressed-v0", **OPTIONS)
-    monkeypatch.setattr(Pressed, "recorded_info", ["x"])
-    with pytest.raises(UserError, match=r"recorded_info of .* must be units by name, got"):
-        agents.train("trpo-lag", "Pressed-v0", **OPTIONS)
-    monkeypatch.setattr(Pressed, "recorded_info", {"x": "m"})
-    monkeypatch.setattr(
-        Pressed,
-        "step",
-        lambda env, action: (*Walk.step(env, action)[:4], {"cost": 0.0, "x": "far"}),
-    )
-    with pytest.raises(UserError, match=r"gives info\['x'\] = 'far', which is no number"):
-        agents.train("trpo-lag", "Pressed-v0", **OPTIONS)
+    def told(recorded, words):
+        monkeypatch.setattr(Pressed, "recorded_info", recorded)
+        with pytest.raises(UserError, match=words):
+            agents.train("trpo-lag", "Pressed-v0", **OPTIONS)
+
+    told({"x": "m", "depth": "m"}, r"gives no info\['depth'\]; it gives \['beyond', 'cost'")
+    told(["x"], "recorded_info of .* must be units by name, got")
+    far = {"cost": 0.0, "x": "far"}
+    monkeypatch.setattr(Pressed, "step", lambda env, action: (*Walk.step(env, action)[:4], far))
+    told({"x": "m"}, r"gives info\['x'\] = 'far', which is no number")
 
 
 def test_the_table_of_what_is_recorded_by_hand(runs):
@@ -109,10 +103,8 @@ def test_the_table_of_what_is_recorded_by_hand(runs):
     shares: dict[float, list[list[float]]] = {0.0: [[], [], []], limit: [[], [], []]}
     for rollout in np.unique(records.rollout):
         lengths = records.length[records.rollout == rollout]
-        third, longest = (
-            int(100 * start / 300 >= 33) + int(100 * start / 300 >= 66),
-            {0.0: 0, limit: 0},
-        )
+        third = int(100 * start / 300 >= 33) + int(100 * start / 300 >= 66)
+        longest = {0.0: 0, limit: 0}
         for length in lengths:
             for threshold in longest:
                 streak = longest_streak(beyond[start : start + length], threshold)
@@ -122,9 +114,8 @@ def test_the_table_of_what_is_recorded_by_hand(runs):
             values[third].append(longest[threshold])
     for k, row in enumerate(table.rows):
         share, median, most, highest, above, high = (cell.value for cell in row.numbers)
-        part = beyond[
-            [i for i in range(300) if (33 * k <= i / 3 < 33 * (k + 1)) or (i == 297 and k == 2)]
-        ]
+        in_part = [(33 * k <= i / 3 < 33 * (k + 1)) or (i == 297 and k == 2) for i in range(300)]
+        part = beyond[in_part]
         assert share == pytest.approx((part > 0).mean())
         told = np.percentile(part[part > 0], [50, 90, 100])
         np.testing.assert_allclose([median, most, highest], told)

@@ -123,15 +123,15 @@ def test_starts_touch_nothing(parameters):
     assert 10.25 < np.hypot(*starts.T).min() < 10.26
 
 
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        {"level": 1},
-        {"level": 3, "init_region_size": 1.9, "init_radius_multiplier": 1.05},
-        {"level": 2, "allow_infeasible_init": True, "init_region_size": 2.5},
-        {"level": 0, "allow_infeasible_init": True, "constraint_radius": 3.0},
-    ],
-)
+STARTS = [
+    {"level": 1},
+    {"level": 3, "init_region_size": 1.9, "init_radius_multiplier": 1.05},
+    {"level": 2, "allow_infeasible_init": True, "init_region_size": 2.5},
+    {"level": 0, "allow_infeasible_init": True, "constraint_radius": 3.0},
+]
+
+
+@pytest.mark.parametrize("parameters", STARTS)
 def test_starts_are_those_of_the_papers_mode_but_for_room_for_the_body(parameters):
     starts = []
     for make in (Circle2DVectorEnv, Circle2DMuJoCoVectorEnv):
@@ -147,14 +147,9 @@ def test_starts_are_those_of_the_papers_mode_but_for_room_for_the_body(parameter
 @pytest.mark.parametrize("level", [0, 3])
 def test_starts_inside(level, actuation):
     """Each step that ends inside costs 1; who starts there may leave, and nothing explodes."""
-    envs = Circle2DMuJoCoVectorEnv(
-        200,
-        level=level,
-        infeasible_region_penetratable=False,
-        actuation=actuation,
-        allow_infeasible_init=True,
-        init_region_size=2.0,
-    )
+    own = {"infeasible_region_penetratable": False, "actuation": actuation}
+    own |= {"allow_infeasible_init": True, "init_region_size": 2.0}
+    envs = Circle2DMuJoCoVectorEnv(200, level=level, **own)
     envs.reset(seed=0)
     started_inside = envs.config.region.contains(envs.position)
     assert 50 < started_inside.sum() < 150

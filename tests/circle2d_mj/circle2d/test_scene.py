@@ -99,11 +99,9 @@ def prisms(model):
     return corners
 
 
-NUMBERS = [
-    *("geom_margin", "geom_gap", "geom_size", "geom_solimp", "geom_condim", "body_mass"),
-    *("jnt_range", "jnt_solimp", "dof_damping", "cam_pos", "cam_fovy"),
-    *("actuator_ctrlrange", "actuator_gainprm", "actuator_biasprm"),
-]
+NUMBERS = [f"geom_{name}" for name in ("margin", "gap", "size", "solimp", "condim")]
+NUMBERS += ["body_mass", "jnt_range", "jnt_solimp", "dof_damping", "cam_pos", "cam_fovy"]
+NUMBERS += [f"actuator_{name}" for name in ("ctrlrange", "gainprm", "biasprm")]
 
 
 @pytest.mark.parametrize("actuation", ["velocity", "force"])
@@ -113,9 +111,8 @@ def test_written_out_and_read_again(level, actuation):
     spec = scene(config, PhysicsConfig(actuation=actuation))
     model = spec.compile()
     read = mujoco.MjModel.from_xml_string(spec.to_xml())
-    assert [read.geom(i).name for i in range(read.ngeom)] == [
-        model.geom(i).name for i in range(model.ngeom)
-    ]
+    names, read_names = ([m.geom(i).name for i in range(m.ngeom)] for m in (model, read))
+    assert read_names == names
     for ours, theirs in zip(prisms(model), prisms(read), strict=True):
         np.testing.assert_allclose(theirs, ours, atol=1e-5)
     for name in NUMBERS:
@@ -142,7 +139,6 @@ def test_the_base_scene_loads_and_holds_no_region():
 def test_slivers_compile(level, radius):
     """Cut-outs that leave next to nothing of the disc, or of a piece of it."""
     for height in (2.0, 1.999, 2.0**0.5, 1.41407, 0.051):
-        config = Circle2DConfig(
-            level=level, constraint_radius=radius, corridor_height_factor=height
-        )
+        parameters = {"constraint_radius": radius, "corridor_height_factor": height}
+        config = Circle2DConfig(level=level, **parameters)
         assert scene(config).compile().nmesh >= 1

@@ -81,11 +81,8 @@ def test_the_starts_of_version_v0():
     """Seeds mean the same in every release of v0; recorded from the first one."""
     envs = Circle2DVectorEnv(3, level=1)
     envs.reset(seed=0)
-    recorded = [
-        [12.131493842771306, -1.020089754856599],
-        [14.481883460739482, 0.8080393588534207],
-        [11.951850056593685, -0.007837696066417266],
-    ]
+    recorded = [[12.131493842771306, -1.020089754856599], [14.481883460739482, 0.8080393588534207]]
+    recorded += [[11.951850056593685, -0.007837696066417266]]
     np.testing.assert_allclose(envs.position, recorded, rtol=1e-14)
 
 
