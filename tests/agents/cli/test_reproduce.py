@@ -1,5 +1,7 @@
 """`circle2d reproduce`: all of the grid is trained, wherever it was stopped; failures are named."""
 
+import contextlib
+import io
 import re
 import signal
 import subprocess
@@ -29,11 +31,11 @@ def results(folder):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A grid that ran in a process of its own: its folder, and what it printed on stderr."""
+    """The folder of a grid, and what was printed on stderr, which is no terminal."""
     out = tmp_path_factory.mktemp("grid") / "whole"
-    done = subprocess.run([*STARTED, str(out)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return out, done.stderr
+    with contextlib.redirect_stderr(io.StringIO()) as err:
+        assert main([*COMMAND, str(out)]) == 0
+    return out, err.getvalue()
 
 
 def test_it_trains_and_reports_all(whole):

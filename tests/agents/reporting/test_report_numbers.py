@@ -20,13 +20,14 @@ from by_hand import (
     permuted,
     share_words,
 )
+from small_runs import few_episodes
 
 from agents.cli.main import main
 from agents.paper import presets
 from agents.reporting.report import report
 from circle2d_mj.core.envs import TaskEnv
 
-TASK, SEEDS, STEPS, EVALUATED, LIMIT = "Circle2D-3-v0", (3, 4, 5, 6, 7), 1500, 100, 5
+TASK, SEEDS, STEPS, EVALUATED, LIMIT = "Circle2D-3-v0", (3, 4, 5, 6, 7), 1500, 20, 5
 EPISODES = {"cpo": 10, "wcsac": 1}  # an epoch
 PRINTED = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
 MEASURES = (*PRINTED, "mean_streak")
@@ -69,7 +70,8 @@ def raw(written, tmp_path_factory):
         written.clear()
         command = ["train", name, "--task", TASK, "--steps", str(STEPS)]
         command += ["--seeds", *map(str, SEEDS), "--vectorization", "sync", "--backend", "eager"]
-        assert main([*command, *options, "--out", str(out / (name + choice))]) == 0
+        with few_episodes(EVALUATED):
+            assert main([*command, *options, "--out", str(out / (name + choice))]) == 0
         numbers[name + choice] = numbers_of(list(written.values()), EPISODES[name])
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(presets.PAPER_STEPS, TASK, STEPS)

@@ -14,7 +14,7 @@ from agents.paper import presets
 from agents.paper.evidence import gather
 from agents.paper.presets import ablations, preset
 from agents.reporting.compare import compare
-from agents.reporting.report import report
+from agents.reporting.report import report, table
 from agents.reporting.table import markdown
 from agents.results.frame import COLUMNS, frame
 from agents.results.measures import (
@@ -99,7 +99,7 @@ def lines(path):
 
 def test_an_evaluation_that_is_not_finite(tmp_path):
     write_evaluated(tmp_path / "cpo", "cpo", costs=(4, 4), returns=(-9.0, float("nan")))
-    words = markdown(report(tmp_path).blocks)
+    words = markdown(table(tmp_path))
     assert "seed 1: J_R is not finite: nan" in words
     assert "CPO (100 steps), mean of 1" in words
 
