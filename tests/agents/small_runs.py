@@ -130,6 +130,13 @@ def edit_results(folder, **changes):
     write_arrays(folder / "results.npz", {n: a for n, a in arrays.items() if a is not None})
 
 
+def cells(markdown):
+    """Cells of all tables of a text, by rows that have a name."""
+    lines = (line for line in markdown.splitlines() if line.startswith("|"))
+    rows = ([cell.strip() for cell in line.split("|")[1:-1]] for line in lines)
+    return [row for row in rows if row[0].strip("-")]
+
+
 def groups_of(*folders):
     """The groups of folders, which are not named after each other."""
     return [group for folder in folders for group in read_folder(folder, folder.name)]

@@ -59,15 +59,6 @@ def test_counts_equal_groupby(trajectories, threshold):
     assert found.tolist() == [sum(unsafe for unsafe, _ in of_one) for of_one in groups]
 
 
-def test_equals_groupby_with_the_real_block():
-    rng = np.random.default_rng(0)
-    lengths = np.array([1, 7, 3 * streaks._BLOCK, 5, 50, streaks._BLOCK - 3, 1, 1000])
-    costs = rng.random(lengths.sum()) < 0.9
-    costs[8 : 2 * streaks._BLOCK + 11] = True  # one streak over two borders
-    parts = np.split(costs, np.cumsum(lengths)[:-1])
-    assert longest_streaks(costs, lengths).tolist() == [by_groupby(part) for part in parts]
-
-
 def test_figure_1_of_the_paper():
     """Two trajectories of about the same cost: one long violation, and several short ones."""
     left = [0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0]
@@ -153,13 +144,6 @@ def test_the_quantile_is_not_moved_by_rounding(count, alpha):
     values = np.arange(1, count + 1)
     assert cvar(values, alpha, "all") == pytest.approx((2 * count - tail) / 2, rel=1e-13)
     assert cvar(values, alpha, "split") == pytest.approx((2 * count - tail + 1) / 2, rel=1e-13)
-
-
-def test_ties_at_the_quantile():
-    values = [0.9] + [0.5] * 5 + [0.0] * 4
-    assert emcc(values, 0.2, "all") == pytest.approx((0.9 + 5 * 0.5) / 6)
-    assert emcc(values, 0.2, "split") == pytest.approx((0.9 + 0.5) / 2)
-    assert emcc(values, 0.15, "split") == pytest.approx((0.9 + 0.5 * 0.5) / 1.5)
 
 
 @pytest.mark.parametrize("ties", ["all", "split"])

@@ -66,14 +66,6 @@ def test_evaluate_replaces_what_reports_show(folder, tmp_path, capsys):
         assert results["Circle2D-1-v0/0/evaluation/deterministic/returns"].shape == (7,)
 
 
-def test_resume_of_a_finished_training_changes_nothing(folder, capsys):
-    names = list(folder.rglob("*.npz"))
-    before = [path.read_bytes() for path in names]
-    assert main(["resume", str(folder)]) == 0
-    assert [path.read_bytes() for path in names] == before
-    assert "was done already: evaluated again" in capsys.readouterr().err
-
-
 def test_settings_reach_the_training(tmp_path):
     out = tmp_path / "x"
     options = ["--cost-limit", "3", "--hidden", "32", "16", "--activation", "relu"]

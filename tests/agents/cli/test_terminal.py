@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from small_runs import cells
 
 from agents.reporting.table import Number, Row, Table, show
 
@@ -33,10 +34,9 @@ def test_tables_fit_and_lose_nothing(width, capsys):
 def test_into_a_pipe_it_is_markdown(capsys):
     show([TABLE, CLAIMS])
     out = capsys.readouterr().out
-    rows = [line.split("|")[1:-1] for line in out.splitlines() if line.startswith("|")]
+    rows = cells(out)
     expected = [NAMES[0], "**0.81** [0.80, 0.82]", "0.21", "-4.00 [-4.03, -3.96]", "1"]
-    assert [cell.strip() for cell in rows[2]] == expected
-    assert len(rows) == 2 + len(NAMES)
+    assert (rows[1], len(rows)) == (expected, 1 + len(NAMES))
     assert out.endswith(f"\n\nNote: a note.\n\n{CLAIMS}\n")
 
 

@@ -47,14 +47,6 @@ def test_the_stream_seed_of_a_task_does_not_change():
     assert stream_seed(7, "Circle2D-3-v0") == int.from_bytes(printed, "little")
 
 
-def test_distributions():
-    gaussian = take(normal, range(50), Purpose.EXPLORATION, 0, n=200)
-    assert (gaussian.mean(), gaussian.std()) == pytest.approx((0, 1), abs=0.02)
-    flat = take(uniform, range(50), Purpose.EXPLORATION, 0, n=200)
-    assert -1 <= flat.min() < flat.max() < 1
-    assert (flat.mean(), flat.std()) == pytest.approx((0, 1 / np.sqrt(3)), abs=0.02)
-
-
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0])
 def test_correlated_numbers_are_uniform_and_have_their_spectrum(exponent):
     """The slope of log power over log frequency, of the Gaussian below the uniform numbers.

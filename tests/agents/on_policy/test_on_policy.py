@@ -134,28 +134,6 @@ def test_a_run_that_takes_no_part_stays_as_it_is(monkeypatch):
         np.testing.assert_array_equal(value[0], alone[name][0], err_msg=name)
 
 
-def test_learns_what_pays():
-    """Reward -(a - 0.5)², cost where the second component is positive: both components obey."""
-    config = TRPOLagConfig(cost_limit=0.0, initial_multiplier=1.0, **SMALL)
-    it = learner(trpo_lag.RULE, config, seeds=(0, 1))
-    zeros = np.zeros((4, OBSERVATION), np.float32)
-    for epoch in range(25):
-        act = it.explorer(epoch, np.zeros(2, np.int64))
-        actions = np.stack([act(zeros) for _ in range(100)])
-
-        def draw(k, length, actions=actions):
-            action = actions[:, k]
-            cost = (action[:, 1:] > 0).astype(float)
-            return 0.0, action, -((action[:, 0] - 0.5) ** 2), cost, 0.0
-
-        metrics = it.learn(episodes([100] * 4, draw), epoch, np.ones(2, bool))
-    mean = it.policy()(zeros.reshape(2, 2, OBSERVATION), None)[:, 0]
-    assert (np.abs(mean[:, 0] - 0.5) < 0.2).all()
-    assert (mean[:, 1] < -0.5).all()
-    std = metrics[:, METRICS.index("std")]
-    assert (std < 0.9).all()
-
-
 @pytest.mark.parametrize(("discount", "gae_lambda"), [(0.99, 0.95), (0.9, 1.0), (0.9, 0.0)])
 def test_advantages_are_sums_of_errors(discount, gae_lambda):
     """A_t = Σ_k (γλ)^k δ_{t+k} to the episode's end; some end terminally, some are cut off. What

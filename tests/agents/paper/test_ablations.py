@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from small_runs import write_evaluated
+from small_runs import cells, write_evaluated
 
 from agents.paper.grid import grid
 from agents.paper.presets import ablations, preset
@@ -69,36 +69,27 @@ def folder(tmp_path):
     return tmp_path
 
 
-def rows(markdown):
-    lines = (line for line in markdown.splitlines() if line.startswith("|"))
-    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
-
-
 def test_both_choices_side_by_side(folder):
     words = markdown(table(folder))
     start = words.index("Other choices of what the paper does not print")
     end = words.index("Measures, over all tasks, in which")
-    main_table, ablated = rows(words[:start]), rows(words[start:end])
-    assert [row[0] for row in ablated[2:]] == [
+    main_table, ablated = cells(words[:start]), cells(words[start:end])
+    assert [row[0] for row in ablated[1:]] == [
         f"{TASK}, TRPO-Lag, adam (preset), 100 steps, mean of 3",
         f"{TASK}, TRPO-Lag, sgd, 100 steps, mean of 2",
         f"{TASK}, TRPO-Lag, paper (3 seeds)",
     ]
-    of_preset, of_other, of_paper = ablated[2:]
+    of_preset, of_other, of_paper = ablated[1:]
     assert of_preset[5] == "-14.00 range -20.00 to -10.00"
     assert of_other[5] == "**-2.00** range -3.00 to -1.00"  # 2.68 from the paper, not 9.32
     assert of_paper[5] == "-4.68"
     assert of_preset[6].startswith("**4.25**")  # of two equal ones either
     assert of_other[6].startswith("**4.25**")
     # Of 3 of 3 runs the lower end is the third root of .025; of 2 of 2 the square root.
-    assert of_preset[9:] == [
-        "3 of 3 [0.29, 1.00]",
-        "corridor, round 2 of 3 [0.09, 0.99]; right rim 1 of 3 [0.01, 0.91]",
-    ]
-    assert of_other[9:] == [
-        "2 of 2 [0.16, 1.00]",
-        "corridor, round 1 of 2 [0.01, 0.99]; right rim 1 of 2 [0.01, 0.99]",
-    ]
+    ends = "corridor, round 2 of 3 [0.09, 0.99]; right rim 1 of 3 [0.01, 0.91]"
+    assert of_preset[9:] == ["3 of 3 [0.29, 1.00]", ends]
+    ends = "corridor, round 1 of 2 [0.01, 0.99]; right rim 1 of 2 [0.01, 0.99]"
+    assert of_other[9:] == ["2 of 2 [0.16, 1.00]", ends]
     # The best J_R of the main table is the preset's, though the ablated runs' is higher.
     assert not any("sgd" in row[0] for row in main_table)
     (of_preset,) = (row for row in main_table if row[0] == "TRPO-Lag (100 steps), mean of 3")
@@ -143,7 +134,7 @@ def test_parts_have_a_table_of_their_own(tmp_path):
     words = markdown(table(tmp_path))
     assert "Other choices of what the paper does not print" not in words
     start = words.index("SAC-LB-Streak without one of its parts")
-    main_table, of_parts = rows(words[:start]), rows(words[start:])[2:]
+    main_table, of_parts = cells(words[:start]), cells(words[start:])[1:]
     assert [row[0] for row in of_parts] == [
         f"{TASK}, SAC-LB-Streak, {choice or 'preset'}, 100 steps, mean of 2" for choice in choices
     ]
@@ -164,9 +155,9 @@ def test_parts_over_all_tasks(tmp_path):
             folder, config = tmp_path / task / choice, choices[choice]
             write_runs(folder, "sac-lb-streak", [0.0, 0.0], config, task=task, ends=ENDS)
     words = markdown(table(tmp_path))
-    found = rows(words[words.index("| over all tasks") :])
+    found = cells(words[words.index("| over all tasks") :])
     name = "B - A: without-streak, 100 steps - preset"
-    assert found[2:5] == [
+    assert found[1:4] == [
         [f"{name}, 2 tasks, 2 seeds against 2", *["+0.000"] * 4],
         ["p", *["1.000"] * 4],
         ["P(B better)", *["0.50"] * 4],
@@ -178,5 +169,5 @@ def test_how_often_a_choice_is_the_nearest(folder):
     """TRPO-Lag's choices differ in J_R alone, the gradient is nearer in it; of equal measures both
     count. CPO has no other choice here."""
     words = markdown(table(folder))
-    found = rows(words[words.index("Measures, over all tasks, in which") :])
-    assert found[2:] == [["TRPO-Lag, adam (preset)", "6 of 7"], ["TRPO-Lag, sgd", "7 of 7"]]
+    found = cells(words[words.index("Measures, over all tasks, in which") :])
+    assert found[1:] == [["TRPO-Lag, adam (preset)", "6 of 7"], ["TRPO-Lag, sgd", "7 of 7"]]

@@ -154,12 +154,6 @@ def test_tasks_train_together_where_they_are_alike_and_few():
     assert set(other) == {apart[0], Path("x/circle2d_mj-SafetyPointGoal1-v0/cpo")}
 
 
-def test_lengths_are_the_papers():
-    tasks = ["Circle2D-1-v0", "Circle2DMuJoCo-1-v0", "circle2d_mj/SafetyPointGoal1-v0"]
-    configs = grid.grid(Path("x"), tasks, ["cpo"], (0,))
-    assert [config.steps for config in configs.values()] == [10**6, 10**6, 10**7]
-
-
 def test_unknown_levels():
     with pytest.raises(UserError, match="levels"):
         grid.circle2d_tasks((), mujoco=True)

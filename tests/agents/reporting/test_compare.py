@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import scipy.stats
-from small_runs import chain, write_evaluated
+from small_runs import cells, chain, write_evaluated
 
 from agents.cli.main import main
 from agents.reporting.compare import compare
@@ -26,9 +26,7 @@ def write_runs(folder, name, j_r, task="Circle2D-1-v0", streak=4):
 
 def rows(words):
     """Cells by the row's name, which here says of most runs that they took 100 steps."""
-    words = words.replace(" (100 steps)", "")
-    cells = [[c.strip() for c in line.split("|")[1:-1]] for line in words.splitlines()]
-    return {row[0]: row[1:] for row in cells if row}
+    return {row[0]: row[1:] for row in cells(words.replace(" (100 steps)", ""))}
 
 
 def test_by_hand(tmp_path):
@@ -183,5 +181,5 @@ def test_each_cost_stands_against_itself(tmp_path):
     for side, first, second in (("a", (2, 4), (6, 8)), ("b", (1, 3), (5, 7))):
         write_evaluated(tmp_path / side, "cpo", first, second=second)
     found = rows(markdown(compare(tmp_path / "a", tmp_path / "b")))
-    gaps = {name: cells[3] for name, cells in found.items() if name.startswith("B - A")}
+    gaps = {name: own[3] for name, own in found.items() if name.startswith("B - A")}
     assert list(gaps.values()) == ["-0.10", "-0.10"]

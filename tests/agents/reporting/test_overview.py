@@ -8,6 +8,7 @@ from statistics import fmean
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from small_runs import cells
 
 import agents
 from agents import algorithms
@@ -269,11 +270,7 @@ def test_a_method_of_ones_own_beside_published_ones(tmp_path, monkeypatch, capsy
     assert main([*command, "--beside", "published.zip"]) == 0
     report = (tmp_path / "mine" / "report.md").read_text()
     ranks = report.split("## Ranks over tasks")[1].split("## ")[0]
-    rows = {
-        line.split("|")[1].strip(): line.split("|")[2]
-        for line in ranks.splitlines()[2:]
-        if "seeds" in line[:40]
-    }
+    rows = {row[0]: row[1] for row in cells(ranks)}
     assert set(rows) >= {f"{name}, 3 to 3 seeds" for name in ("CPO", "TRPO-Lag", "Mine")}
     # Equal algorithms with equal seeds have equal ranks.
     assert rows["CPO, 3 to 3 seeds"].split("[")[0] == rows["Mine, 3 to 3 seeds"].split("[")[0]

@@ -4,7 +4,7 @@ import json
 from importlib.resources import files
 
 import numpy as np
-from small_runs import chain, edit_results, write_evaluated
+from small_runs import cells, chain, edit_results, write_evaluated
 
 from agents.paper.presets import preset
 from agents.paper.printed import paper_results
@@ -33,10 +33,7 @@ def by_hand(folder, **options):
 
 def test_a_table_by_hand(tmp_path):
     by_hand(tmp_path, returns=(-10.0, -20.0))
-    rows = [
-        line.split("|")[1:-1] for line in markdown(table(tmp_path)).splitlines() if "| SAC" in line
-    ]
-    rows = [[cell.strip() for cell in row] for row in rows]
+    rows = [row for row in cells(markdown(table(tmp_path))) if row[0].startswith("SAC")]
     # Starts 0 10 20 30 | 40 50 60 | 70 80 90 of 100 steps. The highest tenth of three or four
     # values is the highest alone: .8, .4, 1. CVaR: of 1 3 6 7 those from 3 on. Costs: 46
     # of 100 steps, in 11 chains: one of each episode with costs, and three more.
@@ -56,7 +53,7 @@ def test_ways_in_words(tmp_path):
     """Of four episodes three end in the corridor: with the costs 4, 5 and 12 one came round."""
     by_hand(tmp_path, evaluated=((4.0, 5.0, 12.0, 0.0), (0.0, 0.0, 3.0, 50.0)))
     words = markdown(table(tmp_path))
-    rows = [line.split("|")[-2].strip() for line in words.splitlines() if "| SAC" in line]
+    rows = [row[-1] for row in cells(words) if row[0].startswith("SAC")]
     one = "1 of 2 [0.01, 0.99]"
     assert rows[0] == f"corridor, through {one}; corridor, round {one}"
     assert rows[2:] == ["corridor (75 %, 25 % round, 50 % through)", "corridor, round (75 %)"]
@@ -108,7 +105,7 @@ def test_equal_runs_of_several_folders_have_names_of_their_own(tmp_path):
     for folder, name in {"first": "cpo", "second": "cpo", "alone": "trpo-lag"}.items():
         write_evaluated(tmp_path / "runs" / folder, name, costs=(1, 2))
     text = markdown(report(tmp_path / "runs").blocks)
-    names = [line.split("|")[1].strip() for line in text.splitlines() if line.startswith("| ")]
+    names = [row[0] for row in cells(text)]
     ours = [name for name in names if "100 steps" in name]
     for folder in ("first", "second"):
         label = f"CPO (100 steps, in runs/{folder})"

@@ -20,6 +20,7 @@ from by_hand import (
     permuted,
     share_words,
 )
+from small_runs import cells as cells_of
 from small_runs import few_episodes
 
 from agents.cli.main import main
@@ -99,13 +100,6 @@ def column(runs, name):
     return [run[name] for run in runs]
 
 
-def rows_of(markdown):
-    """The rows of all tables, without their marks: name and cells."""
-    lines = [line.split("|")[1:-1] for line in markdown.splitlines() if "|" in line]
-    cells = [[cell.strip().replace("**", "") for cell in line] for line in lines]
-    return [row for row in cells if row[0] and set(row[0]) != {"-"}]
-
-
 def check_rows(rows, numbers):
     """Every row is known and every number right; returns how many rows there were."""
     preset, other = "terminal (preset)", "bootstrap"
@@ -145,7 +139,7 @@ def table_after(out, start, head):
     """The rows below the head that begins so, of the part of the report that begins there."""
     text = (out / "report.md").read_text()
     _, _, text = text[text.index(start) :].partition(f"| {head}")
-    return rows_of("| " + text.partition("\n\n")[0])
+    return cells_of("| " + text.partition("\n\n")[0].replace("**", ""))
 
 
 def test_the_tables(raw):
@@ -155,11 +149,11 @@ def test_the_tables(raw):
     check_rows(rows, numbers)
     page = (out / "index.html").read_text()
     for row in rows:
-        cells = [re.escape(cell) for cell in row]
-        cells = [re.sub(r"\\ (\\\[|range\\ )", r"(?:<br><small>| )\1", cell) for cell in cells]
+        own = [re.escape(cell) for cell in row]
+        own = [re.sub(r"\\ (\\\[|range\\ )", r"(?:<br><small>| )\1", cell) for cell in own]
         start = r"<td(?: class=\"(?:best|words)\")?>"
         between = rf"(?:</small>)?</td>{start}"
-        assert re.search(f"{start}{between.join(cells)}(?:</small>)?</td>", page), row
+        assert re.search(f"{start}{between.join(own)}(?:</small>)?</td>", page), row
 
 
 def test_ties_split_instead_of_kept(raw):

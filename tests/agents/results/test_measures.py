@@ -7,7 +7,7 @@ from statistics import fmean, stdev
 import numpy as np
 import pytest
 import scipy.stats
-from small_runs import groups_of, write_evaluated
+from small_runs import cells, groups_of, write_evaluated
 
 from agents.errors import OwnCodeError
 from agents.paper import presets
@@ -86,9 +86,7 @@ def test_a_measure_from_outside_is_everywhere(outside, tmp_path):
 
 def rows(markdown):
     """Cells of the first table by the name of the row and the head of the column."""
-    lines = markdown[markdown.index("| ") :].partition("\n\n")[0].splitlines()
-    table = [line.split("|")[1:-1] for line in lines if line.startswith("|")]
-    head, _, *others = ([cell.strip() for cell in line] for line in table)
+    head, *others = cells(markdown[markdown.index("| ") :].partition("\n\n")[0])
     return {row[0]: dict(zip(head, row, strict=True)) for row in others}
 
 

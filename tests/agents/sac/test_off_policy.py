@@ -176,12 +176,3 @@ def test_holds_the_first_and_the_last_transitions(capacity, kept):
             assert found == expected
         first = rows(replay.gather(everything))[run, :kept]
         np.testing.assert_array_equal(first, np.array(held[run][:kept], np.float32).reshape(-1, 13))
-
-
-def test_restore():
-    replay, other = Replay(2, 50, 3, 2, 2), Replay(2, 50, 3, 2, 2)
-    fill(replay, 50)
-    other.load_state_dict({k: v.copy() for k, v in replay.state_dict().items()})
-    index = np.random.default_rng(1).integers(replay.size.min(), size=(2, 64))
-    np.testing.assert_array_equal(rows(replay.gather(index)), rows(other.gather(index)))
-    np.testing.assert_array_equal(replay.stored, other.stored)

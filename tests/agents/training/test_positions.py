@@ -108,12 +108,6 @@ def test_drawn_episodes_begin_where_they_started(runs):
             assert place == "left"
 
 
-def test_another_vectorization_gives_the_same(runs, tmp_path):
-    more = OPTIONS | {"vectorization": "async"}
-    other = agents.train("trpo-lag", ("Drift-v0", "Blind-v0"), out=tmp_path / "x", **more)
-    assert (other.folder / "results.npz").read_bytes() == (runs.folder / "results.npz").read_bytes()
-
-
 def test_visits_and_replay_by_hand(runs):
     """Against the positions of all steps: loops instead of arrays."""
     group = next(group for group in read([runs.folder], []) if group.task == "Drift-v0")

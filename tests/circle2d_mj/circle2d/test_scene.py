@@ -36,16 +36,8 @@ def is_near_the_edge(region, points, distance):
     return (region.contains(ring) != region.contains(points)[:, None]).any(axis=1)
 
 
-@pytest.mark.parametrize("level", [1, 2, 3])
-def test_a_million_points(level):
-    config = Circle2DConfig(level=level)
-    points = np.random.default_rng(level).uniform(-15, 15, (1_000_000, 2))
-    wrong = Contacts(scene(config).compile(), 10_000)(points) != config.region.contains(points)
-    assert wrong.sum() <= 20
-    assert is_near_the_edge(config.region, points[wrong], 1e-3 * 10).all()
-
-
 OTHERS = [
+    *({"level": level} for level in (1, 2, 3)),
     {"level": 1, "constraint_radius": 3.0, "corridor_height_factor": 0.1},
     {"level": 2, "constraint_radius": 1e-3, "corridor_height_factor": 1.0},
     {"level": 3, "constraint_radius": 1e6, "corridor_height_factor": 0.1},
@@ -55,7 +47,7 @@ OTHERS = [
 
 
 @pytest.mark.parametrize("parameters", OTHERS)
-def test_other_configurations(parameters):
+def test_contacts_are_the_regions(parameters):
     """50 000 points all over the arena, and as many at the rim: where those are wrong, they count
     as rarely as a million points all over the arena would fall there."""
     config = Circle2DConfig(**parameters)

@@ -132,18 +132,3 @@ def test_ways_into_the_corridor():
     assert ways([0.0, 9.0], level=1, allow_infeasible_init=True) == ["", ""]
     assert ways([0.0, 9.0], level=1, init_region_size=2.5) == ["", ""]
     assert ways([0.0, 9.0], level=2, corridor_height_factor=0.9) == ["", ""]
-
-
-@pytest.mark.parametrize("angle", np.linspace(0, 90, 10))
-def test_who_walks_straight_in_comes_through(angle):
-    """By the environment: at full speed from the rim at an angle to the corridor's inner end."""
-    config, turn = Circle2DConfig(level=1), np.deg2rad(angle)
-    env = Circle2DEnv(config=config)
-    env.reset(seed=0)
-    at, goal = 10.5 * np.array([np.cos(turn), np.sin(turn)]), np.array([-0.6, 2.4])
-    env.load_state_dict({**env.state_dict(), "position": at[None]})
-    cost = 0.0
-    while np.abs(goal - at).max() > 1e-6:
-        _, _, _, _, info = env.step(np.clip((goal - at) / config.full_step, -1, 1))
-        at, cost = env.position.copy(), cost + info["cost"]
-    assert Circle2DView(config).ways(at[None], np.array([cost])) == ["through"]
