@@ -8,7 +8,7 @@ import numpy as np
 
 from agents.paper.presets import preset
 from agents.results.reading import read_folder
-from agents.training import derive, evaluation
+from agents.training import derive, evaluation, trainer
 from agents.training.config import TrainConfig
 from agents.training.environments import view_of
 from agents.training.files import write_arrays
@@ -119,6 +119,22 @@ def write_evaluated(
             results |= {f"{run.prefix}evaluation/{policy}/{n}": a for n, a in found.items()}
     write_arrays(folder / "results.npz", results)
     return config
+
+
+def steps_of(folder, run, name):
+    """A column of all steps of a run, "task/seed", from the files of a training's steps."""
+    files = [np.load(path) for path in sorted((folder / "steps").iterdir())]
+    return np.concatenate([file[f"{run}/{name}"] for file in files])
+
+
+@contextlib.contextmanager
+def checkpoints_often():
+    """A checkpoint whenever one is due by steps."""
+    before, trainer.WRITING_SHARE = trainer.WRITING_SHARE, 1e9
+    try:
+        yield
+    finally:
+        trainer.WRITING_SHARE = before
 
 
 def edit_results(folder, **changes):

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.cli.main import main
-from agents.training import trainer
 
 SAC = ["--random-steps", "50", "--gradient-steps", "1", "--batch-size", "32"]
 EVERY = 100
@@ -45,16 +44,6 @@ class Tally:
         rows.append(("all", *(sum(row[k] for row in rows) for k in (1, 2, 3))))
         head = "| fault | tried | clean | defects |\n| --- | ---: | ---: | ---: |\n"
         return head + "".join(f"| {a} | {b:,} | {c:,} | {d:,} |\n" for a, b, c, d in rows)
-
-
-@contextlib.contextmanager
-def often():
-    """Checkpoints are written meanwhile whenever they are due by steps."""
-    before, trainer.WRITING_SHARE = trainer.WRITING_SHARE, 1e9
-    try:
-        yield
-    finally:
-        trainer.WRITING_SHARE = before
 
 
 @dataclass

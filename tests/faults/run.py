@@ -14,10 +14,11 @@ os.environ.setdefault("TORCHINDUCTOR_COMPILE_THREADS", "1")  # threads do not su
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(Path(__file__).parent), str(ROOT / "tests" / "agents"), str(ROOT)]
 
-from fault_common import Tally, often  # noqa: E402
+from fault_common import Tally  # noqa: E402
 from fault_damage import try_damage  # noqa: E402
 from fault_inputs import try_arrays, try_options  # noqa: E402
 from fault_kills import scenes, try_disks, try_kills, try_signals, try_tasks  # noqa: E402
+from small_runs import checkpoints_often  # noqa: E402
 
 
 def main():
@@ -31,7 +32,7 @@ def main():
     chosen = parser.parse_args()
     rng, tally, started = random.Random(chosen.seed), Tally(), time.monotonic()
     warnings.simplefilter("ignore")
-    with tempfile.TemporaryDirectory() as folder, often():
+    with tempfile.TemporaryDirectory() as folder, checkpoints_often():
         root = Path(folder)
         (root / "eager").mkdir()
         (root / "compiled").mkdir()

@@ -47,6 +47,13 @@ def test_the_stream_seed_of_a_task_does_not_change():
     assert stream_seed(7, "Circle2D-3-v0") == int.from_bytes(printed, "little")
 
 
+@pytest.mark.parametrize(("draw", "deviation"), [(normal, 1.0), (uniform, 1 / np.sqrt(3))])
+def test_distributions(draw, deviation):
+    drawn = take(draw, range(50), Purpose.EXPLORATION, 0, n=200)
+    assert (drawn.mean(), drawn.std()) == pytest.approx((0, deviation), abs=0.02)
+    assert draw is normal or -1 <= drawn.min() < drawn.max() < 1
+
+
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0])
 def test_correlated_numbers_are_uniform_and_have_their_spectrum(exponent):
     """The slope of log power over log frequency, of the Gaussian below the uniform numbers.

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from agents.paper.presets import preset
 from agents.reporting.tables import panel_table
@@ -64,6 +65,21 @@ def test_limits():
     assert cells(table)["training: cost regret"] == ["2.0", "2.0"]
     table = panel_table([a_group("sac")])
     assert "no limit" in table.caption
+
+
+@pytest.mark.parametrize("ends", ["corridor", "middle"])
+def test_intervals_are_t_or_the_range_where_runs_end_in_different_places(ends):
+    """Cost rates 0, ¼, ... 1 of five runs: deviation √(10/16/4), half-width 2.776445 of it / √5."""
+    group, runs = a_group("cpo", seeds=range(5)), []
+    for k, run in enumerate(group.runs):
+        records = EpisodeRecords.from_costs(np.arange(4.0) < k, [4])
+        runs.append(dataclasses.replace(run, records=records, ends={ends if k else "corridor": 1}))
+    half = 2.776445 * np.sqrt(10 / 16 / 4 / 5)
+    interval = (
+        f"[{0.5 - half:.3f}, {0.5 + half:.3f}]" if ends == "corridor" else "range 0.000 to 1.000"
+    )
+    table = panel_table([dataclasses.replace(group, runs=runs)])
+    assert cells(table)["training: cost rate (per step)"] == [f"0.500 {interval}"]
 
 
 def test_one_window_for_all_columns():

@@ -17,7 +17,6 @@ from by_hand import (
     near,
     of_evaluation,
     of_training,
-    permuted,
     share_words,
 )
 from small_runs import cells as cells_of
@@ -222,57 +221,3 @@ def check_shares(lines, numbers, names):
         told = [float(line[name]) for name in ("share", "share_low", "share_high")]
         assert told == pytest.approx([expected[key] / N, *clopper_pearson(expected[key], N)])
         assert int(line["seeds"]) == N
-
-
-def test_the_numbers_of_the_claims(raw):
-    out, numbers = raw
-    before, _, claims = (out / "report.md").read_text().partition("## The paper's claims")
-    assert before == ""
-    level = TASK.removesuffix("-v0")
-    for name, runs in ((name, numbers[name]) for name in EPISODES):
-        change = [run["EMCC_0.99"] - run["EMCC_0.33"] for run in runs]
-        printed = PAPER[name][2] - PAPER[name][0]
-        pattern = rf"- {TITLES[name]}: {level} (\d) of {N} runs (\[.*?\]) fall, by (.*?) "
-        ((falls, share, told),) = re.findall(
-            rf"{pattern}\(n = {N}; paper {re.escape(f'{printed:+.2f}')}\)", claims
-        )
-        assert int(falls) == sum(value < 0 for value in change)
-        assert share_words(int(falls), N).endswith(share)
-        assert is_mean(told, "change", change, runs)
-    inside = {
-        name: sum(run["ends"].startswith("corridor") and run["J_C"] <= LIMIT for run in runs)
-        for name, runs in numbers.items()
-    }
-    (told,) = re.findall(rf"- {level}: in the corridor within the limit: (.*?) \(claimed", claims)
-    words = [share_words(inside[name], N).replace(" [", " runs [") for name in ("cpo", "wcsac")]
-    assert told == f"CPO {words[0]}, WCSAC {words[1]}"
-    pattern = rf"- {level}: (\d) of {N} runs \[.*?\] do so, J_C (.*?) \(n = {N}; paper 0\.01\), "
-    pattern += rf"episode cost after the first third (.*?) \(n = {N}\)"
-    ((settled, cost, later),) = re.findall(pattern, claims)
-    runs = numbers["wcsac"]
-    assert int(settled) == sum(
-        not run["ends"].startswith("corridor") and max(run["J_C"], run["later"]) <= LIMIT
-        for run in runs
-    )
-    assert is_mean(cost, "J_C", column(runs, "J_C"), runs)
-    assert is_mean(later, "later", column(runs, "later"), runs)
-    check_differences(claims, numbers)
-    assert "5 of 10 runs: CPO, WCSAC: undecided" in claims
-
-
-def check_differences(claims, numbers):
-    pattern = r"- (\S+): WCSAC - CPO (\S+)(?: \[(\S+), (\S+)\])? \(n = 5; paper (\S+); "
-    pattern += r"p of equivalence within (\S+): (\S+); p of the difference: (\S+)\)"
-    gaps = re.findall(pattern, claims)
-    assert [name for name, *_ in gaps] == ["cost_rate", "EMCC_0.66", "EMCC_0.99"]
-    for name, told, low, high, printed, margin, p_equal, p in gaps:
-        k, margin = MEASURES.index(name), float(margin)
-        a, b = (column(numbers[of], name) for of in ("cpo", "wcsac"))
-        assert near(told, fmean(b) - fmean(a))
-        assert near(printed, PAPER["wcsac"][k] - PAPER["cpo"][k])
-        places = [{run["ends"].partition(" (")[0] for run in numbers[of]} for of in EPISODES]
-        assert bool(low) == bool(high) == all(len(of) == 1 for of in places)
-        shifts = (([x + margin for x in a], b), ([x + margin for x in b], a))
-        tost = max(permuted(*pair, lambda t: t) for pair in shifts)
-        assert float(p_equal.lstrip("<")) == pytest.approx(max(tost, 0.001), abs=0.00051)
-        assert float(p.lstrip("<")) == pytest.approx(permuted(a, b, abs), abs=0.00051)

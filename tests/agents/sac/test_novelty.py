@@ -29,6 +29,11 @@ def test_a_place_seen_some_times(visits):
     assert novelty_at(novelty, (3.0, -1.0)) == pytest.approx(1 / np.sqrt(1 + visits), rel=1e-4)
 
 
+def test_nothing_seen():
+    """With A = I the novelty is the norm of the features, 1."""
+    assert novelty_at(Novelty(1.0, [0], 2), (3.0, -1.0), (0.0, 2.0)) == pytest.approx(1, rel=1e-5)
+
+
 def test_two_places():
     """After one visit of s, φ(t)ᵀ A⁻¹ φ(t) = 1 - k² / 2, where k is the product of their features
     and about exp(-d² / 2): .88 at half a length and 0 far away."""

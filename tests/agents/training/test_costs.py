@@ -3,7 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from small_runs import SAC, TRPO
+from small_runs import SAC, TRPO, steps_of
 from toys import TwoCosts
 
 import agents
@@ -20,23 +20,14 @@ def runs(request, tmp_path_factory):
     return agents.train(request.param, "TwoCosts-v0", out=out, **BOTH, **own)
 
 
-def costs_of(runs, seed, cost):
-    """All steps, from the files of steps."""
-    parts = [np.load(path) for path in sorted((runs.folder / "steps").iterdir())]
-    costs, lengths = (
-        np.concatenate([part[f"TwoCosts-v0/{seed}/{name}"] for part in parts])
-        for name in (f"costs/{cost}", "length")
-    )
-    return costs, lengths
-
-
 @pytest.mark.parametrize("cost", ["cost", "cost_2"])
 def test_records_and_measures_of_each_cost(runs, cost):
     records = runs.records_of(cost)
     [group] = [group for group in runs.results if group.cost == cost]
     assert group.apart == ("" if cost == "cost" else "cost_2")
     for run in group.runs:
-        costs, lengths = costs_of(runs, run.seed, cost)
+        names = (f"costs/{cost}", "length")
+        costs, lengths = (steps_of(runs.folder, f"TwoCosts-v0/{run.seed}", n) for n in names)
         assert set(np.unique(costs)) == ({0.0, 1.0} if cost == "cost" else {0.0, 0.25})
         ours = records[runs.folder, run.seed]
         ends = np.cumsum(lengths)

@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_runs import SAC, TRPO, few_episodes, results
+from small_runs import SAC, TRPO, checkpoints_often, few_episodes, results
 from toy_family import known
 
 import agents
 from agents.api import configs_of
 from agents.errors import UserError
 from agents.results.reading import read
-from agents.training import trainer
 from agents.training.trainer import train
 
 SETTINGS = {"seeds": (0, 1), "steps": 120, "checkpoint_every": 30, "evaluate_every": 60}
@@ -26,15 +25,7 @@ SETTINGS = {"seeds": (0, 1), "steps": 120, "checkpoint_every": 30, "evaluate_eve
 
 @pytest.fixture(autouse=True, scope="module")
 def toy():
-    with known(), few_episodes(1):
-        yield
-
-
-@pytest.fixture(autouse=True, scope="module")
-def often():
-    """A checkpoint whenever one is due by steps."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trainer, "WRITING_SHARE", 1e9)
+    with known(), few_episodes(1), checkpoints_often():
         yield
 
 

@@ -12,22 +12,22 @@ import numpy as np
 import pytest
 import toy_family
 import toys
-from small_runs import SAC, TRPO
+from small_runs import SAC, TRPO, checkpoints_often
 from toy_family import Linear, Numbers, Rule, known
 
 import agents
 from agents.algorithms import Algorithm
 from agents.errors import OwnCodeError, RunsFailed, TaskFailure, UserError
 from agents.sac import OffPolicy
-from agents.training import trainer
 from agents.training.environments import make_envs
 
 OPTIONS = {"seeds": (0, 1), "steps": 100, "checkpoint_every": 20}
 
 
 @pytest.fixture(autouse=True)
-def often(monkeypatch):
-    monkeypatch.setattr(trainer, "WRITING_SHARE", 1e9)
+def often():
+    with checkpoints_often():
+        yield
 
 
 def line(function, words):

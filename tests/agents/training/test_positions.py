@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
-from small_runs import TRPO
+from small_runs import TRPO, steps_of
 
 import agents
 from agents.errors import UserError
@@ -67,11 +67,6 @@ def tasks():
 def runs(tmp_path_factory):
     out = tmp_path_factory.mktemp("drift") / "x"
     return agents.train("trpo-lag", ("Drift-v0", "Blind-v0"), out=out, **OPTIONS)
-
-
-def steps_of(folder, run, name):
-    files = [np.load(path) for path in sorted((folder / "steps").iterdir())]
-    return np.concatenate([file[f"{run}/{name}"] for file in files])
 
 
 def test_positions_come_from_observation_and_info(runs):

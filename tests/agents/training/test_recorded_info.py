@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_runs import SAC, TRPO
+from small_runs import SAC, TRPO, steps_of
 from toys import Pressed, Walk
 
 import agents
@@ -16,11 +16,6 @@ from agents.training.derive import unpack_costs
 from emcc import longest_streak
 
 OPTIONS = TRPO | {"seeds": (3, 4), "steps": 300}
-
-
-def steps_of(folder, name, run="Pressed-v0/3"):
-    files = [np.load(path) for path in sorted((folder / "steps").iterdir())]
-    return np.concatenate([file[f"{run}/{name}"] for file in files])
 
 
 def unpacked(folder, name):
@@ -36,9 +31,11 @@ def runs(tmp_path_factory):
 
 def test_every_step_is_recorded(runs):
     """Beside a task that records nothing; x > 0.5 costs 1, in the same step."""
-    x, beyond, costs = (steps_of(runs.folder, n) for n in ("info/x", "info/beyond", "costs/cost"))
+    x, beyond, costs = (
+        steps_of(runs.folder, "Pressed-v0/3", n) for n in ("info/x", "info/beyond", "costs/cost")
+    )
     assert x.dtype == beyond.dtype == np.float32
-    assert len(x) == steps_of(runs.folder, "length").sum()
+    assert len(x) == steps_of(runs.folder, "Pressed-v0/3", "length").sum()
     np.testing.assert_array_equal(x > 0.5, costs)
     np.testing.assert_allclose(beyond, np.maximum(x - 0.5, 0), atol=1e-7)
     with np.load(runs.folder / "results.npz") as arrays:
