@@ -104,7 +104,7 @@ def test_differences_are_of_the_second_less_the_first(world):
     groups = [group(task, name, runs) for (task, name), runs in world.items()]
     checked = check_claims(groups)
     for k, told in {
-        1: "Circle2D-0 10 of 10 runs [0.69, 1.00] fall, by -0.30 [-0.30, -0.30] (n = 10; paper +0.01",
+        1: "Circle2D-0 10 of 10 runs [0.69, 1.00] fall, by -0.30 [-0.30, -0.30] (n = 10; paper +",
         3: "J_C 1.04 [1.02, 1.07] (n = 10; paper 1.65), episode cost after the first third 1.00 [",
         5: "EMCC_0.66: WCSAC - CPO +0.25 [+0.24, +0.26] (n = 10; paper +0.26; p of equivalence "
         "within 0.05: 1.000; p of the difference: <0.001)",
