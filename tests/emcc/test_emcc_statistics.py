@@ -7,13 +7,13 @@ from statistics import variance
 
 import numpy as np
 import pytest
-import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emcc import equivalence_test, holm, permutation_test, statistics
 
 pytest.importorskip("scipy", minversion="1.15")
+import scipy.stats
 
 SIMULATIONS = 1_500
 RNG = np.random.default_rng(0)

@@ -1,4 +1,5 @@
-"""Commands do what they say: their output, their files, their status."""
+"""Commands do what they say: their output, their files, their status. Signals: the first ends a
+training after its epoch with a checkpoint, the second at once."""
 
 import csv
 import dataclasses
@@ -6,8 +7,10 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import time
 import tomllib
 from pathlib import Path
 
@@ -15,13 +18,14 @@ import numpy as np
 import pytest
 import toys
 
+from agents.cli import showing, signals
 from agents.cli.main import main
 from agents.cli.training import TrainOptions
 from agents.errors import EXTRA
 from agents.paper.presets import preset
-from agents.training import trainer
-from agents.training.callbacks import share_done
+from agents.training.callbacks import Epoch, share_done
 from agents.training.config import TrainConfig
+from agents.training.trainer import Trainer
 
 TRAIN = ["train", "sac-lag", "--seeds", "0", "1", "--steps", "600", "--backend", "eager"]
 
@@ -101,14 +105,14 @@ def test_help_names_every_option_with_its_default(capsys):
 
 
 def test_a_failed_run_is_named_and_the_status_is_1(tmp_path, capsys, monkeypatch):
-    run_epoch = trainer.Trainer.run_epoch
+    run_epoch = Trainer.run_epoch
 
     def poisoned(self):
         if self.epoch == 5:
             self.learner._state.actor[1, 0] = np.nan
         run_epoch(self)
 
-    monkeypatch.setattr(trainer.Trainer, "run_epoch", poisoned)
+    monkeypatch.setattr(Trainer, "run_epoch", poisoned)
     out = tmp_path / "runs"
     options = ["--seeds", "3", "4", "5", "--random-steps", "0", "--out", str(out)]
     assert main([*TRAIN, *options]) == 1
@@ -196,3 +200,90 @@ def test_packages_that_an_installation_may_lack():
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
     names = [re.match(r"\w+", text)[0] for text in project["optional-dependencies"]["train"]]
     assert set(EXTRA) == set(names) - {"imageio"}
+
+
+ONE = ["train", "sac-lag", "--seeds", "0", "--steps", "600", "--random-steps", "300"]
+ONE += ["--backend", "eager", "--out"]
+
+
+def kill_in_epoch(monkeypatch, numbers, epoch=3):
+    """Send signals to this process while an epoch is trained."""
+    run_epoch = Trainer.run_epoch
+
+    def interrupted(self):
+        run_epoch(self)
+        if self.epoch == epoch:
+            for number in numbers:
+                os.kill(os.getpid(), number)
+
+    monkeypatch.setattr(Trainer, "run_epoch", interrupted)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_first_ends_after_the_epoch_with_a_checkpoint(number, tmp_path, capsys, monkeypatch):
+    out = tmp_path / "x"
+    with monkeypatch.context() as patch:
+        kill_in_epoch(patch, [number])
+        assert main([*ONE, str(out)]) == 128 + number
+    err = capsys.readouterr().err.splitlines()
+    assert err[-1] == (
+        f"circle2d: interrupted by {number.name} after 150 of 600 steps, with a checkpoint; "
+        f"'circle2d resume {out}' goes on"
+    )
+    with np.load(out / "checkpoints" / "000000150.npz") as state:
+        assert state["epoch"] == 3
+    assert not (out / "results.npz").exists()
+    if number is signal.SIGINT:
+        assert main(["resume", str(out)]) == 0
+        assert main([*ONE, str(tmp_path / "whole")]) == 0
+        assert (out / "results.npz").read_bytes() == (tmp_path / "whole/results.npz").read_bytes()
+
+
+def test_the_second_ends_at_once(tmp_path, capsys, monkeypatch):
+    kill_in_epoch(monkeypatch, [signal.SIGINT, signal.SIGTERM])
+    assert main([*ONE, str(tmp_path / "x")]) == 143
+    assert "interrupted by SIGTERM; " in capsys.readouterr().err.splitlines()[-1]
+    assert not list((tmp_path / "x").glob("checkpoints/*"))
+
+
+@pytest.mark.slow
+def test_ctrl_c_while_modules_are_imported():
+    """At several times of the start, all processes at once."""
+    command = [sys.executable, "-m", "agents.cli", "train", "sac-lag", "--help"]
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    processes = [subprocess.Popen(command, text=True, **pipes) for _ in range(3)]
+    time.sleep(0.4)  # Python itself begins
+    for process in processes:
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+    for process in processes:
+        _, err = process.communicate(timeout=60)
+        assert "Traceback" not in err
+        assert process.returncode in (130, -signal.SIGINT, 0)
+
+
+def test_ignored_signals_stay_ignored_and_handlers_come_back():
+    """As under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    own = signal.getsignal(signal.SIGTERM)
+    try:
+        with signals.handled():
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            with pytest.raises(signals.Ended):
+                os.kill(os.getpid(), signal.SIGTERM)
+        assert signal.getsignal(signal.SIGTERM) is own
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_the_command_that_goes_on_names_the_users_modules():
+    follow = signals.AfterEpoch(["my_algorithm"])
+    follow(Epoch(Path("runs/a"), "mine", "Circle2D-1-v0", 100, {0: {"step": 50.0}}))
+    follow.number = signal.SIGINT
+    assert "'circle2d resume runs/a --import my_algorithm' goes on" in follow.words()
+
+
+def test_a_command_that_is_no_training_ends_at_once(monkeypatch, capsys):
+    monkeypatch.setattr(showing, "scene", lambda args: os.kill(os.getpid(), signal.SIGTERM) or 0)
+    assert main(["scene"]) == 143
+    assert capsys.readouterr().err.startswith("circle2d: interrupted by SIGTERM;")

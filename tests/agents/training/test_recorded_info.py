@@ -1,11 +1,13 @@
-"""Numbers of the info that a task has recorded: at every step, and nowhere else."""
+"""Numbers of the info: those that a task has recorded, and a second cost, evaluated and with EMCC
+of its own."""
 
 from dataclasses import replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from small_runs import SAC, TRPO, steps_of
-from toys import Pressed, Walk
+from toys import Pressed, TwoCosts, Walk
 
 import agents
 import emcc
@@ -24,35 +26,35 @@ def unpacked(folder, name):
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
+def pressed(tmp_path_factory):
     out = tmp_path_factory.mktemp("pressed") / "x"
     return agents.train("trpo-lag", ("Pressed-v0", "Walk-v0"), out=out, **OPTIONS)
 
 
-def test_every_step_is_recorded(runs):
+def test_every_step_is_recorded(pressed):
     """Beside a task that records nothing; x > 0.5 costs 1, in the same step."""
     x, beyond, costs = (
-        steps_of(runs.folder, "Pressed-v0/3", n) for n in ("info/x", "info/beyond", "costs/cost")
+        steps_of(pressed.folder, "Pressed-v0/3", n) for n in ("info/x", "info/beyond", "costs/cost")
     )
     assert x.dtype == beyond.dtype == np.float32
-    assert len(x) == steps_of(runs.folder, "Pressed-v0/3", "length").sum()
+    assert len(x) == steps_of(pressed.folder, "Pressed-v0/3", "length").sum()
     np.testing.assert_array_equal(x > 0.5, costs)
     np.testing.assert_allclose(beyond, np.maximum(x - 0.5, 0), atol=1e-7)
-    with np.load(runs.folder / "results.npz") as arrays:
+    with np.load(pressed.folder / "results.npz") as arrays:
         assert not [name for name in arrays if name.startswith("Walk") and "info" in name]
         assert arrays["Pressed-v0/info"].tolist() == [["x", "m"], ["beyond", "m"]]
     for name, values in (("x", x), ("beyond", beyond)):
-        np.testing.assert_allclose(unpacked(runs.folder, name), values, rtol=2**-16)
+        np.testing.assert_allclose(unpacked(pressed.folder, name), values, rtol=2**-16)
 
 
-def test_another_vectorization_and_a_resumed_training_record_the_same(runs, tmp_path):
+def test_another_vectorization_and_a_resumed_training_record_the_same(pressed, tmp_path):
     more = OPTIONS | {"vectorization": "async", "checkpoint_every": 100}
     tasks = ("Pressed-v0", "Walk-v0")
     stop = {"on_epoch": lambda epoch: epoch.runs["Pressed-v0", 3]["step"] < 150}
     agents.train("trpo-lag", tasks, out=tmp_path / "x", **more, **stop)
     agents.resume(tmp_path / "x")
     other = (tmp_path / "x" / "results.npz").read_bytes()
-    assert other == (runs.folder / "results.npz").read_bytes()
+    assert other == (pressed.folder / "results.npz").read_bytes()
 
 
 def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypatch):
@@ -85,13 +87,13 @@ def test_what_cannot_be_recorded(monkeypatch):
     told({"x": "m"}, r"gives info\['x'\] = 'far', which is no number")
 
 
-def test_the_table_of_what_is_recorded_by_hand(runs):
+def test_the_table_of_what_is_recorded_by_hand(pressed):
     """Of one run: shares, percentiles and streaks of each third, counted in loops."""
-    group = next(group for group in read([runs.folder], []) if group.task == "Pressed-v0")
+    group = next(group for group in read([pressed.folder], []) if group.task == "Pressed-v0")
     one = replace(group, runs=group.runs[:1])
     table = recorded_table([one])
     assert table is not None
-    beyond = unpacked(runs.folder, "beyond")
+    beyond = unpacked(pressed.folder, "beyond")
     assert [", ".join(row.name.split(", ")[-2:]) for row in table.rows] == [
         f"beyond (m), {part}" for part in (0.33, 0.66, 0.99)
     ]  # x may be negative
@@ -118,3 +120,98 @@ def test_the_table_of_what_is_recorded_by_hand(runs):
         np.testing.assert_allclose([median, most, highest], told)
         assert above == pytest.approx(emcc.emcc(shares[0.0][k], 0.1))
         assert high == pytest.approx(emcc.emcc(shares[limit][k], 0.1))
+
+
+BOTH = {"seeds": (0, 1), "steps": 300, "costs": ("cost", "cost_2")}
+
+
+@pytest.fixture(scope="module", params=["trpo-lag", "sac-lag"])
+def runs(request, tmp_path_factory):
+    own = TRPO if request.param == "trpo-lag" else SAC
+    out = tmp_path_factory.mktemp("costs") / "x"
+    return agents.train(request.param, "TwoCosts-v0", out=out, **BOTH, **own)
+
+
+@pytest.mark.parametrize("cost", ["cost", "cost_2"])
+def test_records_and_measures_of_each_cost(runs, cost):
+    records = runs.records_of(cost)
+    [group] = [group for group in runs.results if group.cost == cost]
+    assert group.apart == ("" if cost == "cost" else "cost_2")
+    for run in group.runs:
+        names = (f"costs/{cost}", "length")
+        costs, lengths = (steps_of(runs.folder, f"TwoCosts-v0/{run.seed}", n) for n in names)
+        assert set(np.unique(costs)) == ({0.0, 1.0} if cost == "cost" else {0.0, 0.25})
+        ours = records[runs.folder, run.seed]
+        ends = np.cumsum(lengths)
+        episodes = np.split(costs, ends[:-1])
+        np.testing.assert_array_equal(ours.cost, [episode.sum() for episode in episodes])
+        streaks = [emcc.longest_streak(episode) for episode in episodes]
+        np.testing.assert_array_equal(ours.longest_streak, streaks)
+        np.testing.assert_array_equal(run.records.cost, ours.cost)
+        np.testing.assert_array_equal(group.costs(run), costs)
+        per_rollout = len(lengths) // (ours.rollout[-1] + 1)
+        rollouts = [episodes[k : k + per_rollout] for k in range(0, len(episodes), per_rollout)]
+        starts = (ends - lengths)[::per_rollout]
+        expected = emcc.emcc_by_part([emcc.mcc(r) for r in rollouts], starts, 300)
+        for part, value in expected.items():
+            assert run.measures[f"EMCC_{part:.2f}"] == pytest.approx(value)
+        assert run.measures["cost_rate"] == pytest.approx(costs.mean())
+
+
+def test_evaluations_of_each_cost(runs):
+    found = {g.cost: [run.evaluation["deterministic"] for run in g.runs] for g in runs.results}
+    with np.load(runs.folder / "results.npz") as arrays:
+        for k, cost in enumerate(("cost", "cost_2")):
+            for seed, evaluation in enumerate(found[cost]):
+                own = arrays[f"TwoCosts-v0/{seed}/evaluation/deterministic/costs"][:, k]
+                np.testing.assert_array_equal(evaluation["cost_returns"], own)
+                assert evaluation["J_C"] == own.mean()
+    policy = agents.load_policy(runs, seed=1)
+    both = [agents.evaluate(policy, episodes=3, cost=cost).costs for cost in ("cost", "cost_2")]
+    assert not np.array_equal(*both)
+    assert set(np.unique(both[1] % 0.25)) == {0.0}
+
+
+def test_a_second_cost_changes_nothing_that_limits_the_first(runs, tmp_path):
+    config = runs.config
+    own = BOTH | {"costs": "cost"} | (TRPO if config.algorithm == "trpo-lag" else SAC)
+    alone = agents.train(config.algorithm, "TwoCosts-v0", out=tmp_path / "x", **own)
+    first = [run.measures for group in runs.results if group.cost == "cost" for run in group.runs]
+    assert [run.measures for run in alone.results[0].runs] == first
+    assert list(config.limits) == ["cost"]
+
+
+def test_epochs_and_frames_name_further_costs():
+    epochs = []
+    runs = agents.train("cpo", "TwoCosts-v0", on_epoch=epochs.append, **BOTH, **TRPO)
+    first = runs.records_of("cost_2")[runs.folder, 1].cost[:2].mean()
+    assert epochs[0].runs[1]["cost_2"] == pytest.approx(first)
+    frame = runs.to_pandas("episodes")
+    column = frame[frame.seed == 1]["cost_2"].to_numpy()
+    np.testing.assert_array_equal(column, runs.records_of("cost_2")[runs.folder, 1].cost)
+
+
+@pytest.mark.parametrize("vectorization", ["auto", "async"])
+def test_a_cost_that_the_task_lacks(tmp_path, vectorization):
+    for task in ("Walk-v0", "Circle2D-1-v0"):
+        with pytest.raises(UserError, match=rf"task '{task}'.* gives no info\['cost_2'\]"):
+            agents.train("cpo", task, out=tmp_path / "x", vectorization=vectorization, **BOTH)
+        assert not (tmp_path / "x").exists()
+    for costs, words in ((("cost", "cost"), "costs must be different"), ((), "at least one")):
+        with pytest.raises(UserError, match=words):
+            agents.train("cpo", "Walk-v0", out=tmp_path / "x", **BOTH | {"costs": costs})
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_cost_that_is_not_finite_is_named():
+    class Bad(TwoCosts):
+        def step(self, action):
+            *others, info = super().step(action)
+            return *others, info | {"cost_2": np.nan}
+
+    gym.register("Bad-v0", Bad, disable_env_checker=True)
+    try:
+        with pytest.raises(UserError, match="its cost_2 is not finite"):
+            agents.train("cpo", "Bad-v0", **BOTH, **TRPO)
+    finally:
+        del gym.registry["Bad-v0"]
