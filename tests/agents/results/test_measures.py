@@ -17,13 +17,7 @@ from agents.reporting.compare import compare
 from agents.reporting.report import report, table
 from agents.reporting.table import markdown
 from agents.results.frame import COLUMNS, frame
-from agents.results.measures import (
-    Measure,
-    measure,
-    measures,
-    register,
-    unregister,
-)
+from agents.results.measures import Measure, measure, measures, register, unregister
 from agents.results.reading import read
 from agents.results.statistics import difference_of, group_mean, mean_of
 

@@ -14,13 +14,7 @@ from small_runs import TRPO, few_episodes, results, write_evaluated
 import agents
 from agents.errors import UserError
 from agents.paper.presets import preset
-from agents.results.reading import (
-    folders_below,
-    name_of_source,
-    read,
-    read_folder,
-    write_archive,
-)
+from agents.results.reading import folders_below, name_of_source, read, read_folder, write_archive
 from agents.training.files import write_arrays
 
 TASK = "Circle2D-1-v0"

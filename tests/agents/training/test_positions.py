@@ -9,12 +9,7 @@ from small_runs import TRPO, steps_of
 import agents
 from agents.errors import UserError
 from agents.results.reading import read
-from agents.training.derive import (
-    GRID_MAX,
-    five_digits,
-    pack_costs,
-    unpack_costs,
-)
+from agents.training.derive import GRID_MAX, five_digits, pack_costs, unpack_costs
 from agents.training.environments import view_of
 
 OPTIONS = TRPO | {"seeds": (3, 4), "steps": 60, "episodes": 3}
