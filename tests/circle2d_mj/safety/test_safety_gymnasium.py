@@ -67,13 +67,9 @@ def test_the_agent_as_model_based_code_reads_it(name):
     seconds = env.unwrapped._envs.simulation.step_seconds
     np.testing.assert_allclose(agent.vel, (agent.pos - before) / seconds, atol=0.1)
     x, y, _ = (env.task.goal.pos * [1, 1, 0] - agent.pos) @ agent.mat
-    lidar = observation[agent_sensors(env) :][:16]
+    lidar = observation[env.unwrapped._envs.simulation.agent.sensors :][:16]
     nearest = int(np.arctan2(y, x) * 16 / (2 * np.pi) % 16)
     assert lidar[nearest] == pytest.approx(1 - np.hypot(x, y) / 3)
-
-
-def agent_sensors(env):
-    return env.unwrapped._envs.simulation.agent.sensors
 
 
 def test_bad_ids():
