@@ -98,12 +98,9 @@ def test_a_sweep_on_a_task_of_the_running_script(tmp_path, monkeypatch):
         pass
 
     monkeypatch.setattr(Script, "__module__", "__main__")
-    gym.register("OfAScript-v0", Script)
-    try:
-        with pytest.raises(agents.UserError, match="OfAScript-v0 is registered in the running"):
-            agents.sweep("cpo", "OfAScript-v0", grid={"cost_limit": (1.0,)}, out=tmp_path / "x")
-    finally:
-        gym.registry.pop("OfAScript-v0", None)
+    words = "OfAScript-v0 is registered in the running"
+    with toys.registered(OfAScript=Script), pytest.raises(agents.UserError, match=words):
+        agents.sweep("cpo", "OfAScript-v0", grid={"cost_limit": (1.0,)}, out=tmp_path / "x")
     assert not (tmp_path / "x").exists()
 
 

@@ -2,11 +2,10 @@
 
 import re
 
-import gymnasium as gym
 import imageio.v3 as imageio
 import numpy as np
 import pytest
-from toys import Walk
+from toys import Walk, registered
 
 import agents
 from agents.cli.main import main
@@ -42,13 +41,11 @@ class Undrawn(Drawn):
 def walks(tmp_path_factory):
     """Folders of runs on tasks without a view."""
     folder = tmp_path_factory.mktemp("walks")
-    for cls in (Walk, Drawn, Undrawn):
-        gym.register(f"{cls.__name__}Film-v0", cls)
-        task = f"{cls.__name__}Film-v0"
-        agents.train("trpo-lag", task, seeds=4, steps=100, episodes=2, out=folder / cls.__name__)
-    yield folder
-    for cls in (Walk, Drawn, Undrawn):
-        del gym.registry[f"{cls.__name__}Film-v0"]
+    more = {"seeds": 4, "steps": 100, "episodes": 2}
+    with registered(WalkFilm=Walk, DrawnFilm=Drawn, UndrawnFilm=Undrawn):
+        for name in ("Walk", "Drawn", "Undrawn"):
+            agents.train("trpo-lag", f"{name}Film-v0", out=folder / name, **more)
+        yield folder
 
 
 def test_a_task_without_a_view_is_filmed_by_its_frames(walks, tmp_path):

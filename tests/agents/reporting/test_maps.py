@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from small_runs import STREAKS, chain, edit_results, evaluate, groups_of, write_runs
+from toys import registered
 
 from agents.reporting.figures import task_figures
 from agents.reporting.maps import (
@@ -168,13 +169,9 @@ def test_a_cost_between_two_drawn_states_is_shown():
 
 
 def test_tasks_without_a_view_have_curves_alone(groups):
-    gym.register("NoView-v0", lambda: NoView())
-    try:
-        other = [replace(g, task="NoView-v0") for g in groups]
-        notes = []
+    other, notes = [replace(g, task="NoView-v0") for g in groups], []
+    with registered(NoView=NoView):
         assert maps(other, Scenes(), notes) == []
-    finally:
-        del gym.registry["NoView-v0"]
     (curves,) = task_figures(other)
     assert "the cost limit, 5." in curves.caption
     assert notes == []

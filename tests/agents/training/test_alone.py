@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from small_runs import SAC, TRPO, differing, results, run_of
 from toy_family import known
-from toys import Walk
+from toys import Walk, registered
 
 import agents
 from agents.errors import UserError
@@ -91,9 +91,8 @@ def test_equal_trainings_leave_equal_bytes_by_any_vectorization(tmp_path, algori
 
 
 def test_tasks_that_do_not_fit_together_are_refused(tmp_path):
-    gym.register("Wide-v0", Walk, disable_env_checker=True, kwargs={"scale": 1.0})
-    gym.register("Four-v0", type("Four", (Walk,), {"action_space": gym.spaces.Box(-1, 1, (1,))}))
-    try:
+    four = type("Four", (Walk,), {"action_space": gym.spaces.Box(-1, 1, (1,))})
+    with registered(Wide=Walk, Four=four):
         with pytest.raises(UserError, match="equal observations and actions"):
             trained(tmp_path / "x", "cpo", ("Walk-v0", "Four-v0"), 0)
         assert not (tmp_path / "x").exists()
@@ -101,6 +100,4 @@ def test_tasks_that_do_not_fit_together_are_refused(tmp_path):
             agents.train("sac-lb", ("Walk-v0", "Circle2D-1-v0"), out=tmp_path / "x")
         with known():
             trained(tmp_path / "y", "toy", ("Walk-v0", "Wide-v0"), 0)
-    finally:
-        del gym.registry["Wide-v0"], gym.registry["Four-v0"]
     assert not (tmp_path / "x").exists()

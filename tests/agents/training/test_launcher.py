@@ -18,17 +18,13 @@ from agents.training import launcher as module
 from agents.training.launcher import Launcher, launcher, new_files, take_in
 from agents.training.trainer import train
 
-TASK = "Circle2D-1-v0"
 
-
-def made(folder, steps=200, seeds=(0, 1), task=TASK, **more):
-    own = {"seeds": seeds, "steps": steps, "checkpoint_every": 100}
-    [config] = configs_of("trpo-lag", task, [TRPO_OWN | more], "eager", own)
+def made(folder, steps=200):
+    own = {"seeds": (0, 1), "steps": steps, "checkpoint_every": 100}
+    hyperparameters = {name: value for name, value in TRPO.items() if name != "backend"}
+    [config] = configs_of("trpo-lag", "Circle2D-1-v0", [hyperparameters], "eager", own)
     config.write(folder)
     return folder
-
-
-TRPO_OWN = {name: value for name, value in TRPO.items() if name != "backend"}
 
 
 def wait_until(condition, seconds=300):

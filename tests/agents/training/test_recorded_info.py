@@ -3,11 +3,10 @@ of its own."""
 
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from small_runs import SAC, TRPO, steps_of
-from toys import Pressed, TwoCosts, Walk
+from toys import Pressed, TwoCosts, Walk, registered
 
 import agents
 import emcc
@@ -209,9 +208,5 @@ def test_a_cost_that_is_not_finite_is_named():
             *others, info = super().step(action)
             return *others, info | {"cost_2": np.nan}
 
-    gym.register("Bad-v0", Bad, disable_env_checker=True)
-    try:
-        with pytest.raises(UserError, match="its cost_2 is not finite"):
-            agents.train("cpo", "Bad-v0", **BOTH, **TRPO)
-    finally:
-        del gym.registry["Bad-v0"]
+    with registered(Bad=Bad), pytest.raises(UserError, match="its cost_2 is not finite"):
+        agents.train("cpo", "Bad-v0", **BOTH, **TRPO)
