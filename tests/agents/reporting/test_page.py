@@ -37,12 +37,9 @@ class Page(HTMLParser):
             self.images.append(attributes)
         if "id" in attributes:
             self.ids.append(attributes["id"])
-        for name, value in attributes.items():
-            if name in ("src", "href", "xlink:href"):
-                if value.startswith("#"):
-                    self.links.append(value[1:])
-                elif not value.startswith("data:"):
-                    self.fetched.append(value)
+        targets = [attributes[n] for n in ("src", "href", "xlink:href") if n in attributes]
+        self.links += [of[1:] for of in targets if of.startswith("#")]
+        self.fetched += [of for of in targets if not of.startswith(("#", "data:"))]
 
     def handle_startendtag(self, tag, attributes):
         self.handle_starttag(tag, attributes)

@@ -77,24 +77,24 @@ def test_no_push_brings_the_centre_in(level, actuation):
     assert pressed > 500  # overlaps of a fifth of the body's radius: they do push
 
 
-def slide(actuation, level, push, start=-1.45, end=1.2, thrust=0.75):
+def frame(angle):
+    """Outwards and along the rim."""
+    return np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+
+
+def slide(actuation, level, push, start, end, thrust=0.75):
     """Speed along the rim over the commanded one, after each physics step from start to end."""
     config = Circle2DConfig(level=level, infeasible_region_penetratable=False)
-    radius = 10 + BODY
-    worlds = Worlds(config, actuation, radius * np.array([[np.cos(start), np.sin(start)]]))
-    speeds = []
+    radius, speeds = 10 + BODY, []
+    worlds = Worlds(config, actuation, radius * frame(start)[0][None])
     while (angle := np.arctan2(*worlds.qpos[0, ::-1])) < end:
-        normal, tangent = (np.array(v) for v in _frame(angle))
+        normal, tangent = frame(angle)
         worlds.step(thrust * tangent - push * normal, nstep=1)
-        _, tangent = _frame(np.arctan2(*worlds.qpos[0, ::-1]))
+        _, tangent = frame(np.arctan2(*worlds.qpos[0, ::-1]))
         speeds.append(worlds.qvel[0] @ tangent / (thrust * 11))
         assert len(speeds) < 1000
         assert abs(np.hypot(*worlds.qpos[0]) - radius) < 0.02
     return np.array(speeds[60:])
-
-
-def _frame(angle):
-    return (np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))
 
 
 @actuations
