@@ -15,15 +15,9 @@ from agents import algorithms
 from agents.cli.main import main
 from agents.paper.presets import preset
 from agents.paper.printed import printed
+from agents.reporting import overall
 from agents.reporting.figures import intervals_figure, profiles_figure
-from agents.reporting.overall import (
-    RANKS,
-    order_row,
-    over_tasks,
-    ranks_and_wins,
-    separated_table,
-    tables_over_tasks,
-)
+from agents.reporting.overall import over_tasks, separated_table
 from agents.results.measures import RunData, measured
 from agents.results.reading import Group, Run
 from agents.results.statistics import comparisons, thirds
@@ -76,13 +70,9 @@ def test_thirds_of_a_run_by_hand():
 def test_rollouts_of_several_episodes_stay_together():
     """Rollouts of two episodes of 100 steps; the last third begins within the third one, which
     belongs to the second third as a whole."""
-    columns = (
-        np.full(8, 100),
-        np.zeros(8),
-        [10, 0, 20, 0, 30, 40, 0, 0],
-        [10, 0, 5, 0, 30, 20, 0, 0],
-    )
-    records = EpisodeRecords([0, 0, 1, 1, 2, 2, 3, 3], 100 * np.arange(8), *columns)
+    cost, streak = [10, 0, 20, 0, 30, 40, 0, 0], [10, 0, 5, 0, 30, 20, 0, 0]
+    number, length = np.arange(8), np.full(8, 100)
+    records = EpisodeRecords(number // 2, 100 * number, length, np.zeros(8), cost, streak)
     found = thirds(records, 800)
     # They start at 0, 25, 50 and 75 %.
     assert [of.cost_rate for of in found.values()] == pytest.approx([30 / 400, 70 / 200, 0.0])
@@ -204,7 +194,7 @@ def test_ranks_of_what_can_be_compared(groups):
         changed.append(replace(of, runs=runs))
     more = group(TASKS[0], "cpo", [run(seed, 1, 1) for seed in range(8)])
     changed.append(replace(more, config=replace(more.config, steps=STEPS + 100)))
-    table = tables_over_tasks(changed)[RANKS]
+    table = overall.tables_over_tasks(changed)[overall.RANKS]
     rows = {row.name: [cell.value for cell in row.numbers[3:6]] for row in table.rows}
     assert table.head[4:7] == ["cost rate", "violation rate", "J_R"]
     assert rows["TRPO-Lag, 6 to 6 seeds"] == [3, 2.5, 2.5]
@@ -236,7 +226,7 @@ def test_ranks_and_probability_of_improvement():
     third, which ties with one run, with ¼: (1 + .375)/2."""
     first = [np.array(v) for v in ([1.0, 1.0], [2.0], [3.0, 3.0, 3.0])]
     second = [np.array(v) for v in ([1.0, 3.0], [2.0, 2.0], [1.0, 1.0])]
-    ranks, wins = ranks_and_wins([first, second])
+    ranks, wins = overall.ranks_and_wins([first, second])
     assert ranks[0].tolist() == [1.75, 2.25, 2.0]
     assert wins[0, 0] == pytest.approx(0.6875)
     # Drawn again, the runs (1, 3) are (1, 1) with ¼: tied with the third for the best.
@@ -248,7 +238,7 @@ def test_what_is_ordered_otherwise():
     """Of three pairs one, A and B: .1 before .2, but .5 after .2; tau = (2 - 1)/3."""
     rates = {"A": [0.1, 0.1], "B": [0.3, 0.1], "C": [0.3, 0.3]}
     emccs = {"A": [0.5, 0.5], "B": [0.1, 0.3], "C": [0.6, 0.6]}
-    row = order_row("task", rates, emccs)
+    row = overall.order_row("task", rates, emccs)
     counted, tau, rate, emcc = (cell.value for cell in row.numbers)
     assert (counted, row.numbers[0].total, row.ends) == (1, 3, "A, B")
     assert (tau, rate, emcc) == pytest.approx((1 / 3, -0.1, 0.3))
