@@ -9,8 +9,9 @@ from small_runs import TRPO, steps_of
 import agents
 from agents.errors import UserError
 from agents.results.reading import read
-from agents.training.derive import GRID_MAX, five_digits, pack_costs, unpack_costs
+from agents.training.derive import GRID_MAX, five_digits, pack_costs, replay_rows, unpack_costs
 from agents.training.environments import view_of
+from emcc import EpisodeRecords
 
 OPTIONS = TRPO | {"seeds": (3, 4), "steps": 60, "episodes": 3}
 
@@ -133,6 +134,14 @@ def sum_rollouts(group, part):
         low, high = ((0, 0.33), (0.33, 0.66), (0.66, 0.99))[part]
         count += int(((starts >= low - 1e-9) & (starts < high - 1e-9)).sum())
     return count
+
+
+def test_the_replay_takes_the_worst_of_each_window():
+    few = EpisodeRecords(
+        np.arange(4), [0, 1, 2, 3], [1, 1, 1, 1], np.zeros(4), [0, 1, 1, 0], [0, 1, 1, 0]
+    )
+    assert replay_rows(few, 240) == [(0, 1)]  # the first of two equal ones
+    assert replay_rows(few, 60) == [(0, 0), (1, 1), (2, 2), (3, 3)]
 
 
 @pytest.mark.parametrize("values", [(0.0, 1.0), (0.0, 0.25, 1.0, 3.5), (0.0,), (2.0,)])
