@@ -68,7 +68,7 @@ def test_a_page_escapes_and_keeps_every_cell():
 
 
 def test_the_report_of_a_small_grid(tmp_path):
-    configs = grid(tmp_path, ["Circle2D-1-v0"], ["trpo-lag"], (0, 1), 1000)
+    configs = grid(tmp_path, ["Circle2D-1-v0"], ["trpo-lag"], (0, 1), 1500)
     prepare(configs)
     for folder in configs:
         train(folder)
@@ -85,7 +85,7 @@ def test_the_report_of_a_small_grid(tmp_path):
     assert [name for name in shown.ids if name in order] == order
     assert set(shown.links) <= set(shown.ids)
     assert "<title>TRPO-Lag on Circle2D-1-v0 (" in text
-    assert "2 runs, 1 task, 1 algorithm, seeds 0, 1, 1,000 steps each" in text
+    assert "2 runs, 1 task, 1 algorithm, seeds 0, 1, 1,500 steps each" in text
     assert len(shown.images) == 6
     assert all(image["alt"] for image in shown.images)
     files = {p.name for p in tmp_path.iterdir() if p.is_file()}
