@@ -194,8 +194,9 @@ def test_data_shows_the_world():
         equal(data.qpos, task.qpos[1])
         if hasattr(task, "places"):
             for kind, rows in task.world.rows.items():
-                numbered = worlds.names(task.world.kinds[kind], rows.stop - rows.start)
-                bodies = ["agent"] if kind == "agent" else numbered
+                bodies = ["agent"]
+                if kind != "agent":
+                    bodies = worlds.names(task.world.kinds[kind], rows.stop - rows.start)
                 for body, place in zip(bodies, task.places[1, rows], strict=True):
                     np.testing.assert_allclose(data.body(body).xpos[:2], place, atol=1e-12)
         assert_alike(env.state_dict(), before)
