@@ -57,17 +57,16 @@ def train_randomly(env):
     ],
 )
 def test_the_code_of_a_page_runs(name, request, tmp_path, monkeypatch):
-    """Its examples one after another, as a reader would type them; a random agent stands for the
-    reader's."""
+    """Its examples one after another, as a reader would type them, but with shorter trainings; a
+    random agent stands for the reader's."""
     if name in DRAWING:
         request.getfixturevalue("opengl")
     monkeypatch.chdir(tmp_path)
     env = gym.make("circle2d_mj:Circle2D-1-v0")
     names = {"your_env": env, "your_training": train_randomly}
-    if name == "emcc/README.md":
-        names["records"] = recorded()
+    names |= {"records": recorded()} if name == "emcc/README.md" else {}
     for code in code_of(TEXTS[name]):
-        exec(compile(code, name, "exec"), names)
+        exec(compile(code.replace("20_000", "3_000"), name, "exec"), names)
     if "your_env" in TEXTS[name] and "env" in names:
         assert names["env"].records.total_steps == 500
 
@@ -85,11 +84,8 @@ def commands():
     for name, text in TEXTS.items():
         lines = text.replace("\\\n", " ")
         shown = re.findall(r"^((?:circle2d|make) .*)$", lines, re.MULTILINE)
-        shown += [
-            re.sub(r"\s+", " ", code) for code in re.findall(r"`((?:circle2d|make) [^`]*)`", text)
-        ]
-        for line in shown:
-            yield name, tuple(shlex.split(line, comments=True))
+        shown += re.findall(r"`((?:circle2d|make) [^`]*)`", text)
+        yield from ((name, tuple(shlex.split(line, comments=True))) for line in shown)
 
 
 def options_of(command, words):
@@ -127,12 +123,7 @@ def test_a_command_that_is_shown_exists(name, words):
 def test_every_command_is_in_the_table_of_commands():
     for command in COMMANDS:
         assert f"\n| `{command}` | " in TEXTS["docs/training.md"]
-
-
-def test_commands_are_found():
-    """The search above finds what it should."""
-    found = {words[1] for _, words in commands()}
-    assert found >= {"train", "resume", "report", "compare", "render", "demo", "test"}
+    assert {words[1] for _, words in commands()} >= {"train", "resume", "report", "demo", "test"}
 
 
 @pytest.mark.parametrize("name", TEXTS)

@@ -8,15 +8,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = (
-    "index",
-    "training",
-    "made/tasks/Circle2D-1-v0",
-    "algorithms/wcsac",
-    "made/api/emcc",
-    "made/results",
-    "made/emcc_of_your_logs/index",
-)
+PAGES = ("index", "training", "made/tasks/Circle2D-1-v0", "algorithms/wcsac", "made/api/emcc")
+PAGES += ("made/results", "made/emcc_of_your_logs/index")
 """One page of each kind."""
 pytestmark = pytest.mark.slow
 
@@ -37,19 +30,12 @@ def site(tmp_path_factory):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 400])
-def test_pages_in_a_browser(browser, site, width, scheme):
+def test_pages_in_a_browser(opened_page, site, width, scheme):
     """No error, nothing fetched, no overflow, no serious finding of axe, pictures with a text."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
-    said, serious = [], []
-    size = {"width": width, "height": 900}
-    context = browser.new_context(viewport=size, color_scheme=scheme)
-    page = context.new_page()
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("requestfailed", lambda request: said.append(request.url))
-    page.on("request", lambda r: r.url.startswith(("file:", "data:")) or said.append(r.url))
+    serious = []
     for name in PAGES:
-        page.goto((site / f"{name}.html").as_uri())
+        page = opened_page(site / f"{name}.html", width, scheme)
         assert page.evaluate("document.documentElement.scrollWidth") <= width, name
         broken = "[...document.images].filter(image => !image.naturalWidth).length"
         assert page.evaluate(broken) == 0, name
@@ -60,6 +46,4 @@ def test_pages_in_a_browser(browser, site, width, scheme):
             for rule in found
             if rule["impact"] in ("serious", "critical")
         ]
-    context.close()
     assert serious == []
-    assert said == []

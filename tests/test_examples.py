@@ -33,22 +33,11 @@ def test_it_runs(name, tmp_path):
     for module in NEEDED[name]:
         if importlib.util.find_spec(module) is None:
             pytest.skip(f"needs {module}")
-    done = subprocess.run(
-        [sys.executable, FOLDER / name],
-        cwd=tmp_path,
-        env={
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(
-                filter(None, [str(FOLDER.parent), os.environ.get("PYTHONPATH")])
-            ),
-            "MINARI_DATASETS_PATH": str(tmp_path),
-            "OMP_NUM_THREADS": "1",
-            "RAY_ADDRESS": "local",  # not a cluster that another program left behind
-        },
-        timeout=600,
-        capture_output=True,
-        encoding="utf-8",
-    )
+    here = os.pathsep.join(filter(None, [str(FOLDER.parent), os.environ.get("PYTHONPATH")]))
+    env = {"PYTHONPATH": here, "MINARI_DATASETS_PATH": str(tmp_path), "OMP_NUM_THREADS": "1"}
+    env |= {"RAY_ADDRESS": "local"}  # not a cluster that another program left behind
+    how = {"cwd": tmp_path, "env": os.environ | env, "timeout": 600, "encoding": "utf-8"}
+    done = subprocess.run([sys.executable, FOLDER / name], capture_output=True, **how)
     assert done.returncode == 0, done.stderr
     assert "violation rate V" in done.stdout
     assert "limit 5" in done.stdout
@@ -57,9 +46,8 @@ def test_it_runs(name, tmp_path):
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("slurm/*.sbatch")), ids=lambda path: path.name)
 def test_batch_scripts(path):
     subprocess.run(["bash", "-n", path], check=True)
-    shellcheck = shutil.which(
-        "shellcheck", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    )
+    where = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    shellcheck = shutil.which("shellcheck", path=where)
     if shellcheck is None:
         pytest.skip("needs shellcheck")
     subprocess.run([shellcheck, path], check=True)

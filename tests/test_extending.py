@@ -51,9 +51,8 @@ def command_of(module):
 def trained(folder, module):
     """Train by the page's command for a module; its help and the table name what it adds."""
     name, title, changed, said = ALGORITHMS[module]
-    done = circle2d(
-        folder, *command_of(module), "--backend", "eager", "--seeds", "0", "--steps", "1100"
-    )
+    short = ("--backend", "eager", "--seeds", "0", "--steps", "1100")
+    done = circle2d(folder, *command_of(module), *short)
     assert f"{title} ({changed}, 1,100 steps), mean of 1" in done.stdout
     assert json.loads((folder / "runs/config.json").read_text())["algorithm"] == name
     text = circle2d(folder, "train", name, "--import", module, "--help").stdout
@@ -102,10 +101,8 @@ def test_two_limits_on_two_costs(folder):
     second = runs.records_of("cost_2")
     assert set(second) == set(runs.records)
     assert all(np.array_equal(second[key].length, of.length) for key, of in runs.records.items())
-    assert (
-        "J_C"
-        in circle2d(folder, "evaluate", "runs", "--episodes", "2", "--import", "my_limits").stdout
-    )
+    evaluate = ("evaluate", "runs", "--episodes", "2", "--import", "my_limits")
+    assert "J_C" in circle2d(folder, *evaluate).stdout
 
 
 @pytest.mark.slow

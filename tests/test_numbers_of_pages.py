@@ -98,70 +98,79 @@ def test_the_verdicts():
     assert told in " ".join(page("README.md").split())
 
 
+def told(name, *sentences):
+    """A page has them all, however its lines break."""
+    text = " ".join(page(name).split())
+    assert [sentence for sentence in sentences if sentence not in text] == []
+
+
+def share(chosen, words=" runs"):
+    ends = emcc.share(int(chosen.sum()), len(chosen))
+    return f"{count(chosen)}{words} [{short(ends.low)}, {short(ends.high)}]"
+
+
+def on(lines, name, tasks):
+    """The runs of an algorithm on some tasks."""
+    return pd.concat([runs(lines, task, name) for task in tasks])
+
+
+def fisher(*sides):
+    table = [[int(side.sum()), int((~side).sum())] for side in sides]
+    return results_table.p_value(scipy.stats.fisher_exact(table).pvalue)
+
+
 def test_the_sentences():
     """Counts over several levels, which no report has."""
     lines = results_table.report("circle2d")
 
-    def of(name, levels):
-        return pd.concat([runs(lines, LEVELS[level], name) for level in levels])
+    def ends(name, end, levels=LEVELS[1:]):
+        return on(lines, name, levels).ends_in.str.startswith(end)
 
-    def ends(name, end, levels=(1, 2, 3)):
-        return of(name, levels).ends_in.str.startswith(end)
-
-    def share(chosen):
-        ends = emcc.share(int(chosen.sum()), len(chosen))
-        return f"{count(chosen)} runs [{short(ends.low)}, {short(ends.high)}]"
-
-    every = range(4)
     bootstrap = "{} (time_limit bootstrap)"
-    waiting = of(bootstrap.format("SAC-LB"), every).ends_in
+    waiting = on(lines, bootstrap.format("SAC-LB"), LEVELS).ends_in
     assert len(waiting) == 40 and waiting.str.contains("rim").all()
-    on_level_0 = [ends(bootstrap.format(name), "corridor", [0]) for name in ("SAC-Lag", "SAC-LB")]
+    on_0 = [ends(bootstrap.format(name), "corridor", LEVELS[:1]) for name in ("SAC-Lag", "SAC-LB")]
     cpo, sgd = "CPO (input_scale 15.0)", "TRPO-Lag (multiplier_optimizer sgd)"
-    text = " ".join(page("results/README.md").split())
-    for sentence in (
-        f"CPO waits at the rim or in a cut-out: {share(ends('CPO', 'corridor', every))} end",
+    told(
+        "results/README.md",
+        f"CPO waits at the rim or in a cut-out: {share(ends('CPO', 'corridor', LEVELS))} end",
         f"SAC-Lag goes straight through in {share(ends('SAC-Lag', 'corridor, through'))}",
         f"WCSAC enters the corridor in {share(ends('WCSAC', 'corridor, through'))}",
-        f"SAC-LB alone solves them, in {share(solved(of('SAC-LB', (1, 2, 3))))}",
+        f"SAC-LB alone solves them, in {share(solved(on(lines, 'SAC-LB', LEVELS[1:])))}",
         f"instead of Adam {share(ends(sgd, 'corridor, through'))}",
-        f"with `bootstrap` {share(pd.concat(on_level_0))} of SAC-Lag and SAC-LB end",
-        f"SAC-LB solves levels 1 to 3 in {share(solved(of(UNITS, (1, 2, 3))))}",
-        f"but {share(ends(cpo, 'corridor', every))} end in the corridor",
-    ):
-        assert sentence in text, sentence
+        f"with `bootstrap` {share(pd.concat(on_0))} of SAC-Lag and SAC-LB end",
+        f"SAC-LB solves levels 1 to 3 in {share(solved(on(lines, UNITS, LEVELS[1:])))}",
+        f"but {share(ends(cpo, 'corridor', LEVELS))} end in the corridor",
+        "in 22 of 28 measures, the preset in 6",
+    )
     report = page("results/circle2d/report.md")
     nearest = re.findall(r"^\| CPO, (\w+) +\| (\d+ of \d+) *\|$", report, re.M)
     assert dict(nearest) == {"preset": "6 of 28", "units": "22 of 28"}
-    assert "in 22 of 28 measures, the preset in 6" in text
     assert "Of 120 comparisons" in report and "4 have equal cost rates" in report
     assert "0.125  | 0.071  | -0.054 | 0.045" in report
 
 
 def test_the_page_with_physics():
     """Verdicts, counts and the test of its sentences."""
-    report, text = page("results/physics/report.md"), page("results/physics/README.md")
-    verdicts = re.findall(r"^### \d\. .* \*\*(\w+)\*\*$", report, re.M)
+    verdicts = re.findall(r"^### \d\. .* \*\*(\w+)\*\*$", page("results/physics/report.md"), re.M)
     assert [verdict[0] for verdict in verdicts] == [*"CUURCRR"]
-    assert "1 confirmed, 2 and 3 undecided, 4, 6 and 7 refuted" in text
-    grids = ("physics", results_table.PHYSICS), ("circle2d", results_table.PHYSICS.values())
-    with_physics, without = (
-        {
-            name: [runs(results_table.report(grid), task, name) for task in tasks]
-            for name in results_table.ALGORITHMS
-        }
-        for grid, tasks in grids
+    physics, circle2d = map(results_table.report, ("physics", "circle2d"))
+    tasks = results_table.PHYSICS
+    sides = [
+        solved(on(*of)) for of in ((physics, "SAC-LB", tasks), (circle2d, "SAC-LB", tasks.values()))
+    ]
+    told(
+        "results/physics/README.md",
+        "1 confirmed, 2 and 3 undecided, 4, 6 and 7 refuted",
+        f"in {count(sides[0])} runs instead of {int(sides[1].sum())} (Fisher's",
+        f"{fisher(*sides)})",
     )
-    sides = [solved(pd.concat(own["SAC-LB"])) for own in (with_physics, without)]
-    table = [[int(side.sum()), int((~side).sum())] for side in sides]
-    p = results_table.p_value(scipy.stats.fisher_exact(table).pvalue)
-    assert f"in {count(sides[0])} runs instead of {int(sides[1].sum())} (Fisher's" in text
-    assert f"{p})" in text
     for name in ("TRPO-Lag", "SAC-Lag"):
-        own = pd.concat(with_physics[name])
+        own = on(physics, name, tasks)
         assert own.ends_in.str.startswith("corridor, through").all() and not solved(own).any()
-    assert f"SAC-LB alone does, in {count(sides[0])}" in " ".join(page("README.md").split())
-    kept = [int(results_table.within(own["CPO"][-1]).sum()) for own in (with_physics, without)]
+    told("README.md", f"SAC-LB alone does, in {count(sides[0])}")
+    last = (physics, [*tasks][-1]), (circle2d, [*tasks.values()][-1])
+    kept = [int(results_table.within(runs(lines, task, "CPO")).sum()) for lines, task in last]
     assert kept == [4, 10]
 
 
@@ -176,8 +185,7 @@ def test_the_page_of_the_benchmark():
     }
     assert len(found) == 16 and {len(own) for own in found.values()} == {40}
     waiting = {
-        name: int(own.ends_in.str.contains("rim|cut-out").sum())
-        for name, own in found.items()
+        name: int(own.ends_in.str.contains("rim|cut-out").sum()) for name, own in found.items()
     }
     waits = {name: waiting[name] for name in ("C-TRPO", "CPO", "PCPO", "P3O", "CRPO")}
     assert waits == {"C-TRPO": 40, "CPO": 40, "PCPO": 40, "P3O": 39, "CRPO": 38}
@@ -205,49 +213,30 @@ def test_the_page_of_the_benchmark():
 
 
 def test_the_levels_that_sac_lb_streak_solves():
-    """The sentences of the README and of its own page."""
-    lines = results_table.report("solve")
-    kinds = {"Circle2D-{}-v0": range(4), "Circle2DMuJoCo-{}-v0": range(2)}
-    for name, levels in kinds.items():
-        own = pd.concat([runs(lines, name.format(k), "SAC-LB-Streak") for k in levels])
-        told = {4: f"Of 40 runs, ten on each level, {int(solved(own).sum())} end in the corridor"}
-        told[2] = f"with physics, {count(solved(own))} do"
-        assert told[len(levels)] in " ".join(page("README.md").split())
+    """The sentences of the README and of its own page, beside SAC-LB in units of length."""
+    grid, lines = results_table.report("circle2d"), results_table.report("solve")
+    streak, units = (solved(on(lines, name, LEVELS)) for name in ("SAC-LB-Streak", UNITS))
+    physics = solved(on(lines, "SAC-LB-Streak", [f"Circle2DMuJoCo-{k}-v0" for k in range(2)]))
+    told(
+        "README.md",
+        f"Of 40 runs, ten on each level, {int(streak.sum())} end in the corridor",
+        f"with physics, {count(physics)} do",
+    )
     own = pd.concat([results_table._part(lines, task, "-without-horizon") for task in LEVELS])
     others = own[~solved(own)].ends_in
     assert (len(own), len(others), others.str.contains("rim").sum()) == (12, 5, 4)
-    own = results_table._part(lines, LEVELS[0], "-without-novelty")
-    assert count(solved(own)) == "0 of 3"
-    for level in (2, 3):
-        late = runs(lines, LEVELS[level], "SAC-LB-Streak")["EMCC_0.99"].mean()
-        assert short(late, 4) in page("results/solve/README.md")
-
-
-def test_sac_lb_in_units_of_length_against_the_preset():
-    """Fisher's exact test of the runs on levels 1 to 3 that solve them: fresh seeds."""
-    grid, fresh = results_table.report("circle2d"), results_table.report("solve")
-    sides = [
-        pd.concat([solved(runs(lines, task, name)) for task in LEVELS[1:]])
-        for lines, name in ((grid, "SAC-LB"), (fresh, UNITS))
-    ]
-    table = [[int(side.sum()), int((~side).sum())] for side in sides]
-    p = scipy.stats.fisher_exact(table).pvalue
-    text = " ".join(page("results/solve/README.md").split())
-    told = f"{count(sides[1])} instead of {count(sides[0])} (Fisher's exact test, "
-    assert f"{told}{results_table.p_value(p)})" in text
-    share = emcc.share(int(sides[1].sum()), len(sides[1]))
-    told = f"in {count(sides[1])} runs [{short(share.low)}, {short(share.high)}]: the strongest"
-    assert told in " ".join(page("results/README.md").split())
-    every = [
-        pd.concat([solved(runs(fresh, task, name)) for task in LEVELS])
-        for name in ("SAC-LB-Streak", UNITS)
-    ]
-    table = [[int(side.sum()), int((~side).sum())] for side in every]
-    p = results_table.p_value(scipy.stats.fisher_exact(table).pvalue)
-    assert f"They do: {count(every[0])} runs instead of {count(every[1])} ({p})" in text
-    for side in every:
-        share = emcc.share(int(side.sum()), len(side))
-        assert f"{count(side)} runs [{short(share.low)}, {short(share.high)}]." in text
+    assert count(solved(results_table._part(lines, LEVELS[0], "-without-novelty"))) == "0 of 3"
+    late = [runs(lines, task, "SAC-LB-Streak")["EMCC_0.99"].mean() for task in LEVELS[2:]]
+    of_units = [solved(on(*of, LEVELS[1:])) for of in ((lines, UNITS), (grid, "SAC-LB"))]
+    instead = f"{count(of_units[0])} instead of {count(of_units[1])}"
+    told(
+        "results/solve/README.md",
+        *(short(value, 4) for value in late),
+        f"{instead} (Fisher's exact test, {fisher(*reversed(of_units))})",
+        f"They do: {count(streak)} runs instead of {count(units)} ({fisher(streak, units)})",
+        *(f"{share(side)}." for side in (streak, units)),
+    )
+    told("results/README.md", f"in {share(of_units[0])}: the strongest")
 
 
 def test_the_example_of_ties():

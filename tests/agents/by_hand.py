@@ -7,8 +7,7 @@ arrays.
 import math
 import re
 from collections import Counter
-from itertools import combinations
-from statistics import fmean, stdev, variance
+from statistics import fmean, stdev
 
 TIME_LIMIT = 50  # kept by gymnasium's wrapper, above what is written down
 T_OF_4 = 2.7764451  # Student's t of 4 degrees of freedom, of five runs, 97.5 %
@@ -115,7 +114,7 @@ def place(x, y):
 
 def bounds(measure):
     """Between which a mean can be: EMCC is a share, costs and streaks are not below 0."""
-    if measure in ("J_R", "change"):
+    if measure == "J_R":
         return -math.inf, math.inf
     return 0.0, 1.0 if measure.startswith(("EMCC", "split")) else math.inf
 
@@ -164,22 +163,3 @@ def clopper_pearson(count, n):
 def share_words(count, n):
     low, high = clopper_pearson(count, n)
     return f"{count} of {n} [{low:.2f}, {high:.2f}]"
-
-
-def welch(a, b):
-    """t, squared with its sign; without a spread as far out as can be."""
-    gap = fmean(a) - fmean(b)
-    spread = variance(a) / len(a) + variance(b) / len(b)
-    if spread < 1e-18:
-        return math.copysign(math.inf, gap) if abs(gap) > 1e-12 else 0.0
-    return gap * abs(gap) / spread
-
-
-def permuted(a, b, extreme):
-    """Share of all divisions of the runs whose t is as extreme as the one observed."""
-    pooled, found = [*a, *b], []
-    for chosen in combinations(range(len(pooled)), len(a)):
-        others = [pooled[k] for k in range(len(pooled)) if k not in chosen]
-        found.append(extreme(welch([pooled[k] for k in chosen], others)))
-    observed = extreme(welch(a, b))
-    return fmean(t >= observed - 1e-9 * abs(observed) for t in found)

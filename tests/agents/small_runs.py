@@ -2,12 +2,13 @@
 
 import contextlib
 import json
+from pathlib import Path
 
 import numpy as np
 
 from agents.paper.presets import preset
 from agents.results.reading import read_folder
-from agents.training import derive, evaluation
+from agents.training import derive, evaluation, trainer
 from agents.training.config import TrainConfig
 from agents.training.environments import view_of
 from agents.training.files import write_arrays
@@ -120,6 +121,22 @@ def write_evaluated(
     return config
 
 
+def steps_of(folder, run, name):
+    """A column of all steps of a run, "task/seed", from the files of a training's steps."""
+    files = [np.load(path) for path in sorted((folder / "steps").iterdir())]
+    return np.concatenate([file[f"{run}/{name}"] for file in files])
+
+
+@contextlib.contextmanager
+def checkpoints_often():
+    """A checkpoint whenever one is due by steps."""
+    before, trainer.WRITING_SHARE = trainer.WRITING_SHARE, 1e9
+    try:
+        yield
+    finally:
+        trainer.WRITING_SHARE = before
+
+
 def edit_results(folder, **changes):
     """Other arrays in `results.npz`, by their names with two underscores for each slash; None of
     one that is to be missing."""
@@ -127,6 +144,13 @@ def edit_results(folder, **changes):
         arrays = dict(file)
     arrays |= {name.replace("__", "/"): array for name, array in changes.items()}
     write_arrays(folder / "results.npz", {n: a for n, a in arrays.items() if a is not None})
+
+
+def cells(markdown):
+    """Cells of all tables of a text, by rows that have a name."""
+    lines = (line for line in markdown.splitlines() if line.startswith("|"))
+    rows = ([cell.strip() for cell in line.split("|")[1:-1]] for line in lines)
+    return [row for row in rows if row[0].strip("-")]
 
 
 def groups_of(*folders):
@@ -139,6 +163,17 @@ def write_status(folder, share, speed=None, **sessions):
     each = {name: {"seconds": seconds} for name, seconds in sessions.items()}
     content = {"share": share, "steps_per_second": speed, "sessions": each}
     (folder / "status.json").write_text(json.dumps(content))
+
+
+def processes(*words):
+    """Ids of the processes whose command line has one of some words."""
+    found = set()
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):  # it ended meanwhile
+            line = path.read_bytes()
+            if any(str(word).encode() in line for word in words):
+                found.add(int(path.parent.name))
+    return found
 
 
 NO_RESULTS = ("status.json", "report.md", "report.csv", ".lock", "worker.log")

@@ -135,17 +135,11 @@ def test_hyperparameters_of_all(name):
             for wrong in (math.nan, math.inf, -math.inf, "1"):
                 with pytest.raises(UserError, match=field):
                     config(**{field: wrong})
-    for field, wrong in (
-        ("activation", "gelu"),
-        ("hidden", ()),
-        ("hidden", (0,)),
-        ("hidden", 64),
-        ("input_scale", 0.0),
-        ("input_scale", (1.0, -1.0)),
-        ("input_scale", ()),
-    ):
-        with pytest.raises(UserError, match=field):
-            config(**{field: wrong})
+    wrong = {"activation": ("gelu",), "hidden": ((), (0,), 64)}
+    for field, values in (wrong | {"input_scale": (0.0, (1.0, -1.0), ())}).items():
+        for value in values:
+            with pytest.raises(UserError, match=field):
+                config(**{field: value})
     if name in ("cpo", "sac-lb"):
         with pytest.raises(TypeError, match="multiplier_optimizer"):
             config(multiplier_optimizer="pid")

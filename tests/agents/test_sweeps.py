@@ -68,25 +68,25 @@ gymnasium.register("OfAModule-v0", Mine, max_episode_steps=40)
 """
 
 
-@pytest.mark.parametrize(
-    "task", ["my_walk:OfAModule-v0", pytest.param("OfAModule-v0", marks=pytest.mark.slow)]
-)
-def test_a_sweep_on_a_task_from_a_module_of_the_users(tmp_path, monkeypatch, task):
-    """Its processes import the module, be it named or not."""
-    (tmp_path / "my_walk.py").write_text(MODULE)
+@pytest.fixture
+def importable(tmp_path, monkeypatch):
+    """A folder from which this process and others import."""
     monkeypatch.syspath_prepend(tmp_path)
     path = os.pathsep.join([str(tmp_path), str(Path(toys.__file__).parent)])
     monkeypatch.setenv("PYTHONPATH", path, prepend=os.pathsep)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "task", ["my_walk:OfAModule-v0", pytest.param("OfAModule-v0", marks=pytest.mark.slow)]
+)
+def test_a_sweep_on_a_task_from_a_module_of_the_users(importable, task):
+    """Its processes import the module, be it named or not."""
+    (importable / "my_walk.py").write_text(MODULE)
     importlib.import_module("my_walk")
     try:
-        runs = agents.sweep(
-            *("cpo", task),
-            grid={"cost_limit": (1.0,)},
-            steps=50,
-            episodes=1,
-            seeds=0,
-            out=tmp_path / "x",
-        )
+        more = {"grid": {"cost_limit": (1.0,)}, "steps": 50, "episodes": 1, "seeds": 0}
+        runs = agents.sweep("cpo", task, **more, out=importable / "x")
         assert runs.records[runs.folder, 0].total_steps >= 50
     finally:
         gym.registry.pop("OfAModule-v0", None)
@@ -98,38 +98,20 @@ def test_a_sweep_on_a_task_of_the_running_script(tmp_path, monkeypatch):
         pass
 
     monkeypatch.setattr(Script, "__module__", "__main__")
-    gym.register("OfAScript-v0", Script)
-    try:
-        with pytest.raises(agents.UserError, match="OfAScript-v0 is registered in the running"):
-            agents.sweep("cpo", "OfAScript-v0", grid={"cost_limit": (1.0,)}, out=tmp_path / "x")
-    finally:
-        gym.registry.pop("OfAScript-v0", None)
+    words = "OfAScript-v0 is registered in the running"
+    with toys.registered(OfAScript=Script), pytest.raises(agents.UserError, match=words):
+        agents.sweep("cpo", "OfAScript-v0", grid={"cost_limit": (1.0,)}, out=tmp_path / "x")
     assert not (tmp_path / "x").exists()
 
 
-def test_a_sweep_in_which_a_training_fails(tmp_path, monkeypatch):
+def test_a_sweep_in_which_a_training_fails(importable):
     """The error of its process is told, with its place."""
-    (tmp_path / "poisoned.py").write_text(
-        "import gymnasium\nfrom toys import Walk\n"
-        "class Poisoned(Walk):\n"
-        "    def step(self, action):\n"
-        "        if self.t > 5:\n"
-        "            raise LookupError('motor')\n"
-        "        return super().step(action)\n"
-        "gymnasium.register('Poison-v0', Poisoned, disable_env_checker=True)\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    path = os.pathsep.join([str(tmp_path), str(Path(toys.__file__).parent)])
-    monkeypatch.setenv("PYTHONPATH", path, prepend=os.pathsep)
+    (importable / "my_toys.py").write_text("import toys\n\ntoys.register()\n")
     more = {"grid": {"cost_limit": (1.0,)}, "steps": 50, "episodes": 1, "seeds": 0}
-    more |= {"backend": "eager", "out": tmp_path / "x"}
-    try:
-        with pytest.raises(
-            RunsFailed, match=r"cost_limit=1.0 failed: .*LookupError: motor .*line 6"
-        ):
-            agents.sweep("cpo", "poisoned:Poison-v0", **more)
-    finally:
-        gym.registry.pop("Poison-v0", None)
+    more |= {"task_parameters": {"how": "raise", "at": 5}, "out": importable / "x"}
+    words = r"cost_limit=1.0 failed: .*LookupError: motor .*toys\.py, line \d+"
+    with pytest.raises(RunsFailed, match=words):
+        agents.sweep("cpo", "my_toys:Broken-v0", backend="eager", **more)
 
 
 @pytest.mark.slow

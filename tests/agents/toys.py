@@ -1,5 +1,6 @@
 """Small tasks that tests register and train in."""
 
+import contextlib
 import os
 import time
 
@@ -143,6 +144,18 @@ class Pressed(Walk):
     def step(self, action):
         *others, info = super().step(action)
         return *others, info | {"x": self.x, "beyond": max(self.x - 0.5, 0.0)}
+
+
+@contextlib.contextmanager
+def registered(**classes):
+    """Tasks by name, "-v0" apart, which gymnasium knows meanwhile."""
+    for name, cls in classes.items():
+        gym.register(f"{name}-v0", cls, disable_env_checker=True)
+    try:
+        yield
+    finally:
+        for name in classes:
+            del gym.registry[f"{name}-v0"]
 
 
 def register():

@@ -14,13 +14,8 @@ from circle2d_mj.registration import CIRCLE2D, SAFETY
 
 
 def run(code, folder):
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        check=False,
-    )
+    command = [sys.executable, "-W", "error", "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 
@@ -48,11 +43,9 @@ print([m for m in heavy if m in sys.modules])
 
 
 def test_what_else_the_package_offers(tmp_path):
-    """Each in a process that has imported the package alone."""
-    code = "import circle2d_mj; print(circle2d_mj.render.Renderer.__module__)"
-    assert run(code, tmp_path) == "circle2d_mj.render.renderer"
-    code = "import circle2d_mj; print(circle2d_mj.__version__)"
-    assert run(code, tmp_path) == version("circle2d-mj")
+    """In a process that has imported the package alone."""
+    code = "import circle2d_mj as c; print(c.__version__, c.render.Renderer.__module__)"
+    assert run(code, tmp_path) == f"{version('circle2d-mj')} circle2d_mj.render.renderer"
     with pytest.raises(AttributeError, match="'circle2d_mj' has no attribute 'Circle2d'"):
         _ = circle2d_mj.Circle2d
     with pytest.raises(AttributeError, match=r"'circle2d_mj\.render' has no attribute 'Window'"):

@@ -16,22 +16,15 @@ TEN = [0.1, 0.2, 0.6, 0.2, 0.3, 0.3, 0.0, 0.1, 0.9, 0.0]  # of 10 rollouts, at 0
 # [0, 33 %) has four, [33 %, 66 %) three, [66 %, 99 %] three of them.
 
 
-FAILED = {"failure": np.array("failed at step 40: its reward is not finite")}
-
-
 def costs_of(mcc_values):
     """One episode of 10 steps per rollout, with one streak and nothing else."""
     return [np.arange(10) < round(10 * value) for value in mcc_values]
 
 
-def records_of(mcc_values):
-    return emcc.EpisodeRecords.from_costs(costs_of(mcc_values))
-
-
 def write_run(folder, by_seed, steps=100, task="A-v0"):
-    runs = {
-        (task, seed): written.arrays_of(costs_of(m)) if m else FAILED for seed, m in by_seed.items()
-    }
+    failed = {"failure": np.array("failed at step 40: its reward is not finite")}
+    arrays = {k: written.arrays_of(costs_of(m)) if m else failed for k, m in by_seed.items()}
+    runs = {(task, seed): of for seed, of in arrays.items()}
     return written.write_run(folder, runs, steps=steps)
 
 
@@ -54,7 +47,7 @@ def test_a_run(tmp_path, capsys):
 
 
 def test_alpha_and_ties_are_used_and_named(tmp_path, capsys):
-    records_of(TEN).save(tmp_path / "a.csv")
+    emcc.EpisodeRecords.from_costs(costs_of(TEN)).save(tmp_path / "a.csv")
     (row,), _ = table(capsys, tmp_path / "a.csv")  # alpha 0.1: of so few values the largest
     assert [row[part] for part in PARTS] == ["0.600", "0.300", "0.900"]
     (row,), (caption,) = table(capsys, tmp_path / "a.csv", "--alpha", 0.5, "--ties", "split")
@@ -95,10 +88,9 @@ def test_without_scipy_an_interval_is_refused_and_a_range_is_not(tmp_path, capsy
 def test_folders_tasks_and_costs_are_apart(tmp_path, capsys):
     write_run(tmp_path / "a", {0: TEN})
     write_run(tmp_path / "b", {0: TEN}, task="B-v0")
-    arrays = written.arrays_of(costs_of(TEN))
-    other = written.arrays_of(costs_of([0.5] * 10), "cost_2")
-    runs = {("A-v0", 1): arrays | other}
-    written.write_run(tmp_path / "c", runs, steps=100, costs=["cost", "cost_2"])
+    arrays = written.arrays_of(costs_of(TEN)) | written.arrays_of(costs_of([0.5] * 10), "cost_2")
+    both = ["cost", "cost_2"]
+    written.write_run(tmp_path / "c", {("A-v0", 1): arrays}, steps=100, costs=both)
     rows, _ = table(capsys, tmp_path)
     assert [row["task"] for row in rows] == ["A-v0", "B-v0", "A-v0", "A-v0 (cost_2)"]
     assert [row["EMCC_0.33"] for row in rows] == ["0.600"] * 3 + ["0.500"]
@@ -113,15 +105,12 @@ def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):
     assert (row["steps"], row["EMCC_0.99"]) == ("100", "0.900")
 
 
-def test_a_run_without_an_episode_is_no_zero(tmp_path, capsys):
+def test_a_run_without_an_episode_is_no_zero_and_a_mean_needs_all_runs(tmp_path, capsys):
     write_run(tmp_path / "a", {0: TEN, 1: []})
     (row,), _ = table(capsys, tmp_path, status=1)
     assert {row[name] for name in (*PARTS, "cost rate")} == {DASH}
-
-
-def test_a_mean_over_runs_needs_all_of_them(tmp_path, capsys):
-    write_run(tmp_path / "a", {0: TEN, 1: TEN[:5]})
-    (row,), _ = table(capsys, tmp_path, status=1)
+    write_run(tmp_path / "b", {0: TEN, 1: TEN[:5]})
+    (row,), _ = table(capsys, tmp_path / "b", status=1)
     assert row["EMCC_0.33"] == "0.600 range 0.600 to 0.600"
     assert row["EMCC_0.99"] == DASH
 

@@ -47,12 +47,8 @@ def test_rollouts_of_n_steps_cut_the_running_episode():
     """Episodes of 5 steps, rollouts of 4: the streak over the cut becomes two."""
     recorder = CostRecorder(1, rollout=4)
     feed(recorder, [0, 1, 1, 1, 1, 0, 0, 1, 1, 1], done_at=(5, 10))
-    assert rows(recorder) == [
-        (0, 0, 4, 3.0, 3),
-        (1, 4, 1, 1.0, 1),
-        (1, 5, 3, 1.0, 1),
-        (2, 8, 2, 2.0, 2),
-    ]
+    expected = [(0, 0, 4, 3.0, 3), (1, 4, 1, 1.0, 1), (1, 5, 3, 1.0, 1), (2, 8, 2, 2.0, 2)]
+    assert rows(recorder) == expected
 
 
 def test_steps_are_counted_over_all_environments():
@@ -108,23 +104,21 @@ def test_bad_steps_are_named(step, message):
 
 
 def test_bad_rollouts_are_named():
-    with pytest.raises(TypeError, match="rollout must be an integer, got 'epoch'"):
-        CostRecorder(1, rollout="epoch")
-    with pytest.raises(ValueError, match="rollout must be >= 1, got 0"):
-        CostRecorder(1, rollout=0)
-    with pytest.raises(ValueError, match="num_envs must be >= 1, got 0"):
-        CostRecorder(0)
+    for arguments, error, message in (
+        ((1, "epoch"), TypeError, "rollout must be an integer, got 'epoch'"),
+        ((1, 0), ValueError, "rollout must be >= 1, got 0"),
+        ((0,), ValueError, "num_envs must be >= 1, got 0"),
+    ):
+        with pytest.raises(error, match=message):
+            CostRecorder(*arguments)
 
 
-def test_a_pause_does_not_end_a_streak():
+def test_a_pause_ends_no_streak_and_an_episodes_end_leaves_no_empty_piece():
     recorder = CostRecorder(2)
     recorder.step([1, 0], [0, 0], [False, False])
     recorder.step([0, 0], [0, 0], [False, False], active=[False, True])
     recorder.step([1, 0], [0, 0], [True, False])
     assert rows(recorder) == [(0, 0, 2, 2.0, 2)]
-
-
-def test_a_rollout_that_ends_with_an_episode_has_no_empty_piece():
     recorder = CostRecorder(1, rollout=2)
     feed(recorder, [1, 1, 1, 1], done_at=(2, 4))
     assert rows(recorder) == [(0, 0, 2, 2.0, 2), (1, 2, 2, 2.0, 2)]

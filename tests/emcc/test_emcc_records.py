@@ -1,4 +1,4 @@
-"""Records of a run: their checks, their MCC, and the file that gives them back bit for bit."""
+"""Records of a run: their checks, their MCC, their file, bit for bit, and records put together."""
 
 import itertools
 from dataclasses import fields
@@ -8,28 +8,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emcc import EpisodeRecords, count_streaks, longest_streaks
+from emcc import CostRecorder, EpisodeRecords, count_streaks, longest_streaks
 
 HEADER = "rollout,start_step,length,return,cost,longest_streak,cost_steps,streaks"
 OF_0_1 = "rollout,start_step,length,return,cost,longest_streak"
 
 
 def records(**changes):
-    columns = {
-        "rollout": [3, 0, 3],
-        "start_step": [50, 0, 40],
-        "length": [10, 40, 20],
-        "reward": [-1.5, 2.0, 0.1],
-        "cost": [4.0, 8.0, 0.0],
-        "longest_streak": [4, 8, 0],
-        "cost_steps": [4, 10, 0],
-        "streaks": [1, 2, 0],
-    }
+    columns = {"rollout": [3, 0, 3], "start_step": [50, 0, 40], "length": [10, 40, 20]}
+    columns |= {"reward": [-1.5, 2.0, 0.1], "cost": [4.0, 8.0, 0.0], "longest_streak": [4, 8, 0]}
+    columns |= {"cost_steps": [4, 10, 0], "streaks": [1, 2, 0]}
     return EpisodeRecords(**{**columns, **changes})
-
-
-def columns_of(entry):
-    return [getattr(entry, field.name) for field in fields(entry)]
 
 
 def test_mcc_per_rollout_in_order_of_id():
@@ -70,7 +59,8 @@ def test_save_and_load_give_the_same_bits(tmp_path_factory, table):
     before = EpisodeRecords(*zip(*table, strict=True)) if table else EpisodeRecords(*([[]] * 8))
     before.save(folder / "a.csv")
     after = EpisodeRecords.load(folder / "a.csv")
-    for old, new in zip(columns_of(before), columns_of(after), strict=True):
+    for field in fields(before):
+        old, new = getattr(before, field.name), getattr(after, field.name)
         assert (old.dtype, old.tobytes()) == (new.dtype, new.tobytes())
     after.save(folder / "b.csv")
     assert (folder / "a.csv").read_bytes() == (folder / "b.csv").read_bytes()
@@ -129,14 +119,11 @@ def test_costs_of_each_trajectory_or_joined_are_the_same(costs):
     expected = EpisodeRecords.from_costs(joined, lengths, rewards).to_csv()
     split = np.split(rewards, np.cumsum(lengths)[:-1])
     arrays = tuple(np.array(of) for of in costs)
-    for given_costs, given_lengths, given_rewards in [
-        (costs, None, split),
-        (arrays, None, rewards),
-        (arrays, lengths, split),
-        (joined, lengths, split),
-    ]:
-        found = EpisodeRecords.from_costs(given_costs, given_lengths, given_rewards)
-        assert found.to_csv() == expected
+    for given_ in (
+        *((costs, None, split), (arrays, None, rewards)),
+        *((arrays, lengths, split), (joined, lengths, split)),
+    ):
+        assert EpisodeRecords.from_costs(*given_).to_csv() == expected
 
 
 @pytest.mark.parametrize(
@@ -199,3 +186,82 @@ def test_damaged_files_are_named_with_the_place(tmp_path, text, message):
     with pytest.raises(ValueError, match=message) as error:
         EpisodeRecords.load(path)
     assert str(path) in str(error.value)
+
+
+COLUMNS = ("start_step", "length", "reward", "cost", "longest_streak", "cost_steps", "streaks")
+
+
+def play(seed, envs=3, steps=200, rollout="episode"):
+    """The same steps in one recorder of all environments, and in one for each."""
+    rng = np.random.default_rng(seed)
+    together = CostRecorder(envs, rollout if rollout == "episode" else envs * rollout)
+    apart = [CostRecorder(1, rollout) for _ in range(envs)]
+    for _ in range(steps):
+        cost, reward = (rng.random(envs) < 0.5) * 1.0, rng.random(envs)
+        done = rng.random(envs) < 0.1
+        together.step(cost, reward, done)
+        for env, recorder in enumerate(apart):
+            recorder.step(cost[env : env + 1], reward[env : env + 1], done[env : env + 1])
+    return together.records, [recorder.records for recorder in apart]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_interleaved_environments_are_as_recorded_together(seed):
+    together, apart = play(seed)
+    merged = EpisodeRecords.merge(apart, interleaved=True)
+    for name in COLUMNS:
+        assert getattr(merged, name).tolist() == getattr(together, name).tolist()
+    assert merged.emcc_by_part(total_steps=600) == together.emcc_by_part(total_steps=600)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rollouts_that_environments_share(seed):
+    together, apart = play(seed, rollout=32)
+    merged = EpisodeRecords.merge(apart, shared_rollouts=True)
+    assert merged.rollout.tolist() == together.rollout.tolist()
+    ours, theirs = (of.mcc_per_rollout() for of in (merged, together))
+    assert [column.tolist() for column in ours] == [column.tolist() for column in theirs]
+    by_env = EpisodeRecords.merge(apart)
+    assert by_env.emcc(alpha=1) < merged.emcc(alpha=1)  # a maximum over fewer trajectories
+
+
+def test_sessions_one_after_another():
+    first = EpisodeRecords([0, 1], [0, 3], [3, 2], [1, 2], [1, 0], [1, 0], [1, 0], [1, 0])
+    second = EpisodeRecords([0, 0], [0, 4], [4, 1], [3, 4], [2, 1], [2, 1], [2, 1], [1, 1])
+    merged = EpisodeRecords.merge([first, second], interleaved=False)
+    assert merged.rollout.tolist() == [0, 1, 2, 2]
+    assert merged.start_step.tolist() == [0, 3, 5, 9]
+    assert merged.reward.tolist() == [1, 2, 3, 4]
+
+
+def test_mistakes_of_merging_are_named():
+    with pytest.raises(ValueError, match="no records to merge"):
+        EpisodeRecords.merge([])
+    with pytest.raises(TypeError, match="must be EpisodeRecords, got CostRecorder"):
+        EpisodeRecords.merge([CostRecorder(1)])  # pyright: ignore[reportArgumentType]
+    one = EpisodeRecords([0], [2], [3], [0], [1], [1])
+    with pytest.raises(ValueError, match="shared_rollouts needs interleaved"):
+        EpisodeRecords.merge([one], interleaved=False, shared_rollouts=True)
+
+
+def test_recent_rollouts():
+    recorder = CostRecorder(2, "manual")
+    for count in (3, 1, 2):
+        for _ in range(count):
+            recorder.step([1.0, 0.0], [0.0, 0.0], [True, False])
+        recorder.end_rollout()
+    assert recorder.recent(1).rollout.tolist() == [2, 2, 2]
+    assert recorder.recent(2).rollout.tolist() == [1, 1, 2, 2, 2]
+    assert recorder.recent(9).rollout.tolist() == recorder.records.rollout.tolist()
+    assert len(CostRecorder(1).recent(3)) == 0
+
+
+def test_merging_with_nothing_finished_and_with_columns_that_some_lack():
+    old = EpisodeRecords([0], [0], [3], [0], [1], [1])
+    empty = EpisodeRecords(*[[]] * 8)
+    one = EpisodeRecords([0], [2], [3], [0], [1], [1], [1], [1])
+    assert EpisodeRecords.merge([empty, one]).start_step.tolist() == [4]
+    assert EpisodeRecords.merge([empty, one], interleaved=False).start_step.tolist() == [2]
+    assert len(EpisodeRecords.merge([empty, empty])) == 0
+    merged = EpisodeRecords.merge([one, old])
+    assert (len(merged), merged.cost_steps, merged.streaks) == (2, None, None)

@@ -18,12 +18,8 @@ def episodes(count=200, seed=1):
 
 
 def streak(costs):
-    """The longest streak, by a loop."""
-    longest = running = 0
-    for cost in costs:
-        running = running + 1 if cost else 0
-        longest = max(longest, running)
-    return longest
+    """The longest streak."""
+    return max(map(len, "".join(map(str, costs)).split("0")))
 
 
 def by_hand(costs):
@@ -42,11 +38,7 @@ def write(path, head, rows):
     return path
 
 
-STEPS = [
-    (cost, t == len(costs) - 1, k)
-    for k, costs in enumerate(episodes())
-    for t, cost in enumerate(costs)
-]
+STEPS = [(c, t == len(of) - 1, k) for k, of in enumerate(episodes()) for t, c in enumerate(of)]
 SUMS = [(sum(costs), len(costs), streak(costs)) for costs in episodes()]
 LAYOUTS = {
     "episode": ("episode,cost", [(k, cost) for cost, _, k in STEPS]),
@@ -56,15 +48,9 @@ LAYOUTS = {
         "terminated,cost,truncated",
         [(end and k % 2 == 0, cost, end and k % 2 == 1) for cost, end, k in STEPS],
     ),
-    "still running": (
-        "cost,done",
-        [(cost, int(end and k < STEPS[-1][2])) for cost, end, k in STEPS],
-    ),
+    "still running": ("cost,done", [(c, int(end and k < STEPS[-1][2])) for c, end, k in STEPS]),
     "both": ("episode,cost,done", [(k, cost, end) for cost, end, k in STEPS]),
-    "episodes that end unmarked": (
-        "episode,cost,terminated",
-        [(k, cost, end and k % 2 == 0) for cost, end, k in STEPS],
-    ),
+    "unmarked ends": ("episode,cost,terminated", [(k, c, e and k % 2 == 0) for c, e, k in STEPS]),
     "blanks": (" cost , done", [(f" {cost} ", f" {end}") for cost, end, _ in STEPS]),
     "a byte order mark": ("\ufeffcost,done", [(cost, end) for cost, end, _ in STEPS]),
     "empty lines": ("\n\ncost,done", [(cost, f"{end}\n") for cost, end, _ in STEPS]),
@@ -154,22 +140,16 @@ def records_of(costs, threshold=0.0):
     return emcc.EpisodeRecords.from_costs(costs, rewards=rewards, threshold=threshold)
 
 
-def made(seed):
-    return episodes(50, seed)
-
-
 def described(runs):
-    return [
-        (run.task, run.algorithm, run.seed, run.cost, run.total_steps, run.records.to_csv())
-        for run in runs
-    ]
+    names = ("task", "algorithm", "seed", "cost", "total_steps")
+    return [(*(getattr(run, n) for n in names), run.records.to_csv()) for run in runs]
 
 
 @pytest.fixture
 def two_tasks(tmp_path):
     """A run folder of two tasks and two seeds; the rows that it must give."""
     keys = [(task, seed) for task in ("A-v0", "m/B-v1") for seed in (0, 3)]
-    runs = {key: made(number) for number, key in enumerate(keys)}
+    runs = {key: episodes(50, number) for number, key in enumerate(keys)}
     folder = write_run(tmp_path / "runs" / "first", {key: arrays_of(runs[key]) for key in runs})
     expected = [
         (task, "cpo", str(seed), "cost", 10_000, records_of(costs).to_csv())
@@ -200,13 +180,13 @@ def test_one_run_is_read_as_records(two_tasks, tmp_path):
     folder, _ = two_tasks
     with pytest.raises(ValueError, match="one run is needed, but there are 4"):
         emcc.read(folder)
-    write_run(tmp_path / "one", {("A-v0", 5): arrays_of(made(5))})
-    assert emcc.read(tmp_path / "one").to_csv() == records_of(made(5)).to_csv()
+    write_run(tmp_path / "one", {("A-v0", 5): arrays_of(episodes(50, 5))})
+    assert emcc.read(tmp_path / "one").to_csv() == records_of(episodes(50, 5)).to_csv()
 
 
 def test_every_named_cost_has_records_of_its_own(tmp_path):
     """Costs of any size are values beside the bits; a threshold counts the steps that cost more."""
-    first = made(1)
+    first = episodes(50)
     second = [4.0 * episode[::-1] + 2.0 * (episode > 0) for episode in first]
     arrays = arrays_of(first) | arrays_of(second, "cost_2")
     arrays |= arrays_of([0 * episode for episode in first], "never")
@@ -241,13 +221,8 @@ def test_folders_that_are_no_runs_are_named(two_tasks, tmp_path):
     with pytest.raises(ValueError, match=r"bad\.zip: File is not a zip"):
         emcc.read(tmp_path / "bad.zip")
     config = json.loads((folder / "config.json").read_text())
-    for changed in (
-        [1],
-        {"task": "A-v0"},
-        config | {"steps": "many"},
-        config | {"steps": 0},
-        config | {"tasks": None},
-    ):
+    wrong = [config | {"steps": "many"}, config | {"steps": 0}, config | {"tasks": None}]
+    for changed in ([1], {"task": "A-v0"}, *wrong):
         (folder / "config.json").write_text(json.dumps(changed))
         with pytest.raises(ValueError, match=r"first/config\.json: "):
             emcc.read(folder)
@@ -261,6 +236,6 @@ def test_folders_that_are_no_runs_are_named(two_tasks, tmp_path):
     (folder / "results.npz").unlink()
     with pytest.raises(ValueError, match=r"first: no results\.npz"):
         emcc.read(folder)
-    arrays = arrays_of(made(0)) | {"length": np.zeros(50, int)}
+    arrays = arrays_of(episodes(50, 0)) | {"length": np.zeros(50, int)}
     with pytest.raises(ValueError, match=r"run/results\.npz: "):
         emcc.read(write_run(tmp_path / "run", {("A-v0", 0): arrays}))

@@ -131,8 +131,7 @@ def test_stable_baselines_callback_records_plain_costs():
     algorithms = pytest.importorskip("stable_baselines3")
     from emcc.sb3 import EMCCCallback
 
-    callback = EMCCCallback()
-    env = StreakCost(Scripted(SCRIPTS[0]), WEIGHT)
+    callback, env = EMCCCallback(), StreakCost(Scripted(SCRIPTS[0]), WEIGHT)
     algorithms.A2C("MlpPolicy", env, n_steps=8).learn(8, callback)
     assert callback.episodes.cost.tolist() == [4.0, 2.0, 2.0]
 

@@ -1,13 +1,27 @@
-"""Streaks and the MCC of a rollout, against a loop that shares no code with them."""
+"""Streaks and the MCC of a rollout against a loop that shares no code with them; EMCC and CVaR
+against the definitions in exact fractions, and by parts of training."""
 
 import itertools
+from fractions import Fraction
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emcc import count_streaks, longest_streak, longest_streaks, mcc, streak_bounds, streaks
+from emcc import (
+    cost_rate,
+    count_streaks,
+    cvar,
+    emcc,
+    emcc_by_part,
+    longest_streak,
+    longest_streaks,
+    mcc,
+    streak_bounds,
+    streaks,
+    worst,
+)
 
 
 def by_groupby(costs, threshold=0.0):
@@ -43,15 +57,6 @@ def test_counts_equal_groupby(trajectories, threshold):
     assert cost_steps.tolist() == [sum(c > threshold for c in part) for part in trajectories]
     groups = [itertools.groupby(part, key=lambda cost: cost > threshold) for part in trajectories]
     assert found.tolist() == [sum(unsafe for unsafe, _ in of_one) for of_one in groups]
-
-
-def test_equals_groupby_with_the_real_block():
-    rng = np.random.default_rng(0)
-    lengths = np.array([1, 7, 3 * streaks._BLOCK, 5, 50, streaks._BLOCK - 3, 1, 1000])
-    costs = rng.random(lengths.sum()) < 0.9
-    costs[8 : 2 * streaks._BLOCK + 11] = True  # one streak over two borders
-    parts = np.split(costs, np.cumsum(lengths)[:-1])
-    assert longest_streaks(costs, lengths).tolist() == [by_groupby(part) for part in parts]
 
 
 def test_figure_1_of_the_paper():
@@ -94,6 +99,97 @@ def test_bounds_hold_and_are_tight(length):
     assert streak_bounds(length, length) == (length, length)
 
 
+@pytest.mark.filterwarnings("ignore:Creating an ndarray from ragged")  # numpy 1.23 warns first
+@pytest.mark.parametrize("costs", ["text", ["a"], [None], [[1], [1, 2]], object()])
+def test_costs_that_are_no_numbers(costs):
+    with pytest.raises(TypeError, match="costs must be"):
+        longest_streak(costs)
+
+
+def tail_by_definition(values, alpha, ties):
+    """alpha and values: Fractions. "split" repeats each value until the share is a whole number."""
+    if ties == "all":
+        count = len(values)
+        reached = [v for v in values if sum(w <= v for w in values) >= (1 - alpha) * count]
+        kept = [v for v in values if v >= min(reached)]
+    else:
+        copies = sorted((v for v in values for _ in range(alpha.denominator)), reverse=True)
+        kept = copies[: alpha.numerator * len(values)]
+    return sum(kept) / len(kept)
+
+
+shares = st.fractions(0, 1, max_denominator=8)
+alphas = st.fractions(Fraction(1, 40), 1, max_denominator=40)
+
+
+@given(st.lists(shares, min_size=1, max_size=40), alphas, st.sampled_from(["all", "split"]))
+def test_equals_the_definition(values, alpha, ties):
+    expected = float(tail_by_definition(values, alpha, ties))
+    floats = [float(value) for value in values]
+    assert emcc(floats, float(alpha), ties) == pytest.approx(expected, rel=1e-12)
+    if ties == "all":
+        is_worst = worst(floats, float(alpha))
+        kept = [value for value, chosen in zip(values, is_worst, strict=True) if chosen]
+        assert float(sum(kept) / len(kept)) == pytest.approx(expected, rel=1e-12)
+        assert len(kept) == sum(value >= min(kept) for value in values)
+    scaled = [10 * value - 5 for value in floats]
+    assert cvar(scaled, float(alpha), ties) == pytest.approx(10 * expected - 5, abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [10, 20, 30, 70, 1000, 10_000])
+@pytest.mark.parametrize("alpha", [0.1, 0.3, 0.7, 1 - 0.9, 1 - 0.3])
+def test_the_quantile_is_not_moved_by_rounding(count, alpha):
+    """Values 1..n: F^-1(1 - alpha) is the value (1 - alpha) n, and it is kept."""
+    tail = round(alpha * count)
+    values = np.arange(1, count + 1)
+    assert cvar(values, alpha, "all") == pytest.approx((2 * count - tail) / 2, rel=1e-13)
+    assert cvar(values, alpha, "split") == pytest.approx((2 * count - tail + 1) / 2, rel=1e-13)
+
+
+@pytest.mark.parametrize("ties", ["all", "split"])
+def test_alpha_1_is_the_mean_and_a_tiny_alpha_the_maximum(ties):
+    values = [0.25, 0.0, 1.0, 0.5]
+    assert emcc(values, 1.0, ties) == np.mean(values)
+    assert emcc(values, 1e-15, ties) == 1.0
+
+
+def test_parts_are_exact_at_their_borders():
+    """Each rollout has an MCC of its own: a value in the wrong part would show."""
+    total = 10_000
+    starts = [0, 3299, 3300, 6599, 6600, 9900, 9901, 9999]
+    values = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+    parts = emcc_by_part(values, starts, total, alpha=1.0)
+    assert parts == {
+        0.33: pytest.approx(0.15),
+        0.66: pytest.approx(0.35),
+        0.99: pytest.approx(0.55),  # 9900 is still in, the last 1 % is in no part
+    }
+
+
+@pytest.mark.parametrize("total", [100, 700, 4300, 10**6, 10**12 + 100])
+def test_borders_belong_to_the_later_part(total):
+    border = total // 100 * 33
+    starts = np.array([border - 1, border, total // 100 * 66])
+    assert emcc_by_part([0.1, 0.2, 0.3], starts, total) == {0.33: 0.1, 0.66: 0.2, 0.99: 0.3}
+
+
+def test_parts_take_alpha_and_ties():
+    values, starts = [0.9, 0.5, 0.5, 0.0] * 3, [0, 1, 2, 3, 40, 41, 42, 43, 70, 71, 72, 73]
+    assert set(emcc_by_part(values, starts, 100, 0.5, "split").values()) == {0.7}
+    everything = emcc_by_part(values, starts, 100, 0.5, "all")
+    assert everything == dict.fromkeys((0.33, 0.66, 0.99), pytest.approx(1.9 / 3))
+    assert emcc_by_part(values, starts, 100) == dict.fromkeys((0.33, 0.66, 0.99), 0.9)
+
+
+def test_cost_rate():
+    assert cost_rate([1.0, 0.0, 2.0], 3) == 1.0
+    assert cost_rate(5.0, [10, 10]) == 0.25
+    assert cost_rate([2.0, 3.0], [10, 10]) == cost_rate([2.0, 3.0], 20) == 0.25
+    assert cost_rate([1.0, 0.0, 0.0, 1.0], [1, 3]) == 0.5
+    assert cost_rate([2.0, 3.0], [10]) == cost_rate([5.0], [4, 6]) == 0.5
+
+
+VALUES, STARTS = [0.1, 0.2, 0.3], [0, 40, 70]
 BAD = {
     "no step": (lambda: longest_streak([]), "costs must have at least one value"),
     "two axes": (lambda: longest_streak([[0, 1]]), r"costs must be 1-D, got shape \(1, 2\)"),
@@ -112,6 +208,31 @@ BAD = {
     "S < 0": (lambda: streak_bounds(-1, 3), "unsafe_steps .* got -1"),
     "T = 0": (lambda: streak_bounds(0, 0), "length .* got 0"),
     "S = 1/2": (lambda: streak_bounds(0.5, 3), "unsafe_steps must be whole numbers .* got 0.5"),
+    "no values": (lambda: emcc([]), "mcc_values must have at least one value"),
+    "a sum": (lambda: emcc([0.5, 8.0]), r"mcc_values .* in \[0, 1\], got 8.0 at index 1"),
+    "NaN MCC": (lambda: emcc([np.nan]), "mcc_values .* got nan"),
+    "NaN return": (lambda: cvar([1, np.nan]), "values .* got nan at index 1"),
+    "alpha 0": (lambda: emcc([0.1], 0.0), r"alpha must be in \(0, 1\], got 0.0"),
+    "alpha > 1": (lambda: emcc([0.1], 1.1), r"alpha must be in \(0, 1\], got 1.1"),
+    "alpha NaN": (lambda: cvar([0.1], np.nan), "alpha must be finite"),
+    "ties": (lambda: emcc([0.1], 0.5, "some"), "ties must be one of .*all.*split.*, got 'some'"),
+    "empty part": (
+        lambda: emcc_by_part([0.1, 0.2], [0, 70], 100),
+        "no rollout starts in part 0.66 of 100 training steps; they start at steps 0 to 70",
+    ),
+    "start": (lambda: emcc_by_part(VALUES, [0, 40, 100], 100), "start_steps .* got 100 at index 2"),
+    "start < 0": (lambda: emcc_by_part(VALUES, [-1, 40, 70], 100), "start_steps .* got -1"),
+    "a start of .5": (
+        lambda: emcc_by_part(VALUES, [0.5, 40, 70], 100),
+        "start_steps must be whole",
+    ),
+    "total": (lambda: emcc_by_part(VALUES, STARTS, 0), "total_steps must be >= 1, got 0"),
+    "unequal": (lambda: emcc_by_part(VALUES, [0, 40], 100), "3 mcc_values, but 2 start_steps"),
+    "no steps": (lambda: cost_rate([0.0], 0), "steps add up to 0"),
+    "negative cost": (lambda: cost_rate([-1.0], 5), "costs .* got -1.0"),
+    "no costs": (lambda: cost_rate([], 10), "0 costs do not fit 1 lengths of 10 steps"),
+    "more costs": (lambda: cost_rate([1, 1, 1], 2), "3 costs do not fit"),
+    "other costs": (lambda: cost_rate([1, 2, 3], [5, 5]), "3 costs do not fit 2 lengths"),
 }
 
 
@@ -121,8 +242,12 @@ def test_bad_input_is_named(call, message):
         call()
 
 
-@pytest.mark.filterwarnings("ignore:Creating an ndarray from ragged")  # numpy 1.23 warns first
-@pytest.mark.parametrize("costs", ["text", ["a"], [None], [[1], [1, 2]], object()])
-def test_costs_that_are_no_numbers(costs):
-    with pytest.raises(TypeError, match="costs must be"):
-        longest_streak(costs)
+@pytest.mark.parametrize("alpha", ["0.5", None, [0.5]])
+def test_alpha_must_be_a_number(alpha):
+    with pytest.raises(TypeError, match="alpha must be a number"):
+        emcc([0.1], alpha)
+
+
+def test_total_steps_must_be_an_integer():
+    with pytest.raises(TypeError, match=r"total_steps must be an integer, got 100\.5"):
+        emcc_by_part(VALUES, STARTS, 100.5)  # pyright: ignore[reportArgumentType]

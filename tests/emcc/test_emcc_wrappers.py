@@ -40,21 +40,11 @@ def play(envs, steps):
 
 
 # Worked out by hand from SCRIPTS. Columns: rollout, start step, length, cost, longest streak.
-EIGHT_STEPS = [
-    (0, 0, 3, 2.0, 2),
-    (1, 6, 1, 2.0, 1),
-    (2, 0, 5, 4.0, 3),
-    (3, 8, 2, 1.0, 1),
-    (4, 10, 3, 1.0, 1),
-]
+EIGHT_STEPS = [(0, 0, 3, 2.0, 2), (1, 6, 1, 2.0, 1), (2, 0, 5, 4.0, 3)]
+EIGHT_STEPS += [(3, 8, 2, 1.0, 1), (4, 10, 3, 1.0, 1)]
 # A resetting step takes the place of a step: env 0 resets in steps 4, 6 and 9, env 1 in step 6.
-NINE_STEPS_WITH_RESETS = [
-    (0, 0, 3, 2.0, 2),
-    (1, 7, 1, 2.0, 1),
-    (2, 0, 5, 4.0, 3),
-    (3, 9, 2, 1.0, 1),
-    (4, 9, 3, 1.0, 1),
-]
+NINE_STEPS_WITH_RESETS = [(0, 0, 3, 2.0, 2), (1, 7, 1, 2.0, 1), (2, 0, 5, 4.0, 3)]
+NINE_STEPS_WITH_RESETS += [(3, 9, 2, 1.0, 1), (4, 9, 3, 1.0, 1)]
 KNOWN = {  # steps of the vector environment, trajectories, environment steps
     NEXT: (9, NINE_STEPS_WITH_RESETS, 14),
     SAME: (8, EIGHT_STEPS, 16),
@@ -114,10 +104,8 @@ def test_finished_environments_wait_for_their_reset():
 def run_single(env, episodes=3):
     for _ in range(episodes):
         env.reset()
-        done = False
-        while not done:
-            _, _, terminated, truncated, _ = env.step(0)
-            done = terminated or truncated
+        while not any(env.step(0)[2:4]):
+            pass
     return env
 
 
@@ -155,11 +143,8 @@ def test_a_reset_in_mid_episode_keeps_the_piece():
 
 def test_the_spec_makes_the_same_wrapper_again():
     env = RecordCosts(gym.make("CartPole-v1"), rollout=7)
-    assert env.spec.additional_wrappers[-1].kwargs == {
-        "rollout": 7,
-        "threshold": 0.0,
-        "costs": ("cost",),
-    }
+    made_with = {"rollout": 7, "threshold": 0.0, "costs": ("cost",)}
+    assert env.spec.additional_wrappers[-1].kwargs == made_with
 
 
 class TwoCosts(Scripted):
@@ -208,14 +193,14 @@ def test_costs_that_gymnasium_may_have_rounded_are_refused():
 
 
 def test_what_cannot_be_recorded_is_named():
-    silent = RecordCosts(Scripted(SCRIPTS[0], step_cost=False))
-    silent.reset()
-    with pytest.raises(KeyError, match="the environment's info has no 'cost'"):
-        silent.step(0)
-    silent = RecordCosts(vector(NEXT, step_cost=False))
-    silent.reset()
-    with pytest.raises(KeyError, match="the environment's info has no 'cost'"):
-        silent.step([0, 0])
+    for silent, action in (
+        (Scripted(SCRIPTS[0], step_cost=False), 0),
+        (vector(NEXT, step_cost=False), [0, 0]),
+    ):
+        silent = RecordCosts(silent)
+        silent.reset()
+        with pytest.raises(KeyError, match="the environment's info has no 'cost'"):
+            silent.step(action)
     makers = [partial(Scripted, SCRIPTS[0], step_cost=give) for give in (True, False)]
     half_silent = RecordCosts(SyncVectorEnv(makers))
     half_silent.reset()

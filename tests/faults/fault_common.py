@@ -15,9 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.cli.main import main
-from agents.training import trainer
 
-SMALL = ["--steps", "150", "--checkpoint-every", "50", "--seeds", "0", "1"]
 SAC = ["--random-steps", "50", "--gradient-steps", "1", "--batch-size", "32"]
 EVERY = 100
 """Tries after which a line tells of them: the whole suite takes long."""
@@ -46,16 +44,6 @@ class Tally:
         rows.append(("all", *(sum(row[k] for row in rows) for k in (1, 2, 3))))
         head = "| fault | tried | clean | defects |\n| --- | ---: | ---: | ---: |\n"
         return head + "".join(f"| {a} | {b:,} | {c:,} | {d:,} |\n" for a, b, c, d in rows)
-
-
-@contextlib.contextmanager
-def often():
-    """Checkpoints are written meanwhile whenever they are due by steps."""
-    before, trainer.WRITING_SHARE = trainer.WRITING_SHARE, 1e9
-    try:
-        yield
-    finally:
-        trainer.WRITING_SHARE = before
 
 
 @dataclass
@@ -101,11 +89,9 @@ def forked(act: Callable[[], int]) -> Done:
                     sys.stderr.flush()
                 os._exit(status)
         _, code = os.waitpid(pid, 0)
-        texts = []
         for file in (out, err):
             file.seek(0)
-            texts.append(file.read())
-    return Done(os.waitstatus_to_exitcode(code), *texts)
+        return Done(os.waitstatus_to_exitcode(code), out.read(), err.read())
 
 
 def here(args: list[str]) -> Done:

@@ -29,14 +29,8 @@ NUMBERS = ["0", "-1", "1", "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "1
 
 def many(count, number=0):
     """Settings of hypothesis for so many examples (one at least), the same each time."""
-    quiet = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
-    checks = settings(
-        max_examples=max(1, count),
-        deadline=None,
-        database=None,
-        suppress_health_check=quiet,
-        phases=[Phase.generate],
-    )
+    how = {"deadline": None, "database": None, "suppress_health_check": [*HealthCheck]}
+    checks = settings(max_examples=max(1, count), phases=[Phase.generate], **how)
     return lambda function: seed(number)(checks(function))
 
 
@@ -78,9 +72,8 @@ def try_options(tally: Tally, count, rng, root):
             return
         algorithm = data.draw(st.sampled_from(sorted(ALGORITHMS)))
         command = ["train", algorithm, "--out", str(out), "--backend", "eager"]
-        for name in data.draw(
-            st.lists(st.sampled_from(options_of(algorithm)), min_size=1, max_size=2)
-        ):
+        names = st.lists(st.sampled_from(options_of(algorithm)), min_size=1, max_size=2)
+        for name in data.draw(names):
             command += [f"--{name.replace('_', '-')}", data.draw(values)]
         done = here(command)
         tally.note("options of train", _problem(done, out, command))
@@ -109,9 +102,9 @@ ODD = st.sampled_from([
     10**400, [10**400], -(10**400), math.nan, math.inf, [math.nan], [1e308, 1e308],
     [-1e308, 1e308],
     np.ma.masked_array([1.0, 2.0], [True, False]), np.array([None]), np.array(["1"]), object(),
-    np.array(["2020-01-01"], dtype="M8[D]"), np.array([1], dtype="m8[s]"), 
-    datetime.date(2020, 1, 1),
-    np.array([(1, 2)], dtype=[("a", int), ("b", float)]), True, [True, False], np.float16(65504),
+    np.array(["2020-01-01"], dtype="M8[D]"), np.array([1], dtype="m8[s]"),
+    datetime.date(2020, 1, 1), np.array([(1, 2)], dtype=[("a", int), ("b", float)]), True,
+    [True, False], np.float16(65504),
     np.array([2**64 - 1], dtype=np.uint64), np.longdouble("1e4000"), [np.longdouble("1e4000")],
     range(3), iter([1]), lambda: 1, np.zeros((0, 3)), np.zeros((2, 0)), np.array(5), [5, "a"],
 ])  # fmt: skip

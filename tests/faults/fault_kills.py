@@ -1,4 +1,4 @@
-"""SIGKILL, full disks and signals at random file operations of every command."""
+"""SIGKILL, full disks and signals at random file operations of every command; failing tasks."""
 
 import errno
 import os
@@ -7,24 +7,17 @@ import shutil
 import signal
 import sys
 
-from fault_common import (
-    SAC,
-    SMALL,
-    Done,
-    Tally,
-    difference,
-    forked,
-    fresh,
-    here,
-    leftovers,
-)
-from small_runs import results
+import toys
+from fault_common import SAC, Done, Tally, difference, forked, fresh, here, leftovers
+from small_runs import processes, results
 
 import agents
 from agents.cli.main import main
 from agents.errors import UserError
 from agents.results.reading import read
+from agents.training.files import numbered
 
+SMALL = ["--steps", "150", "--seeds", "0", "1", "--checkpoint-every"]
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 EVENTS = ("open", "os.rename", "os.mkdir", "os.remove")
 
@@ -154,7 +147,7 @@ def measures(folder):
 def scenes(root, backend="eager", names=()):
     """Every command that writes, but for reproduce. names: some of them; by default all, with
     compiled updates those that train."""
-    options = [*SMALL, "--backend", backend]
+    options = [*SMALL, "50", "--backend", backend]
     whole, stopped = root / "whole", root / "stopped"
     sac = ["train", "sac-lag", "--evaluate-every", "100", *SAC, *options]
     cpo = ["train", "cpo", "--episodes", "1", *options]
@@ -207,22 +200,22 @@ def signal_of(rng):
     return lambda file: os.kill(os.getpid(), number), (0, 128 + number)
 
 
-WEIGHTS = {"report": 1, "film": 2, "heatmap": 3}
-"""How often commands are tried that take seconds; the others 10."""
+def chosen(found, count, rng):
+    """Random commands; those that take seconds are rarer."""
+    weights = {"report": 1, "film": 2, "heatmap": 3}
+    return rng.choices(found, [weights.get(scene.name, 10) for scene in found], k=count)
 
 
 def try_kills(tally: Tally, found, count, rng, words=""):
     """SIGKILL at random operations of random commands."""
-    weights = [WEIGHTS.get(scene.name, 10) for scene in found]
-    for scene in rng.choices(found, weights, k=count):
+    for scene in chosen(found, count, rng):
         problem = scene.fault(rng, kill_of(rng), (-signal.SIGKILL, 0))
         tally.note(f"SIGKILL{words}: {scene.name}", problem)
 
 
 def try_disks(tally: Tally, found, count, rng):
     """Full disks, and files that cannot grow."""
-    weights = [WEIGHTS.get(scene.name, 10) for scene in found]
-    for k, scene in enumerate(rng.choices(found, weights, k=count)):
+    for k, scene in enumerate(chosen(found, count, rng)):
         if k % 3:
             tally.note("full disk", scene.fault(rng, no_space, (0, 2), lasting=True))
         else:
@@ -231,7 +224,31 @@ def try_disks(tally: Tally, found, count, rng):
 
 def try_signals(tally: Tally, found, count, rng):
     """SIGTERM, SIGINT and SIGHUP at random operations."""
-    weights = [WEIGHTS.get(scene.name, 10) for scene in found]
-    for scene in rng.choices(found, weights, k=count):
+    for scene in chosen(found, count, rng):
         act, allowed = signal_of(rng)
         tally.note("SIGTERM, SIGINT, SIGHUP", scene.fault(rng, act, allowed))
+
+
+HOW = ("observation", "reward", "cost", "raise", "complex", "missing", "negative", "die", "hang")
+
+
+def try_tasks(tally: Tally, count, rng, root):
+    """Tasks that fail: a traceback, one line, status 1, a whole checkpoint, no process left."""
+    toys.register()
+    out = root / "failing"
+    for _ in range(count):
+        how, at, apart = rng.choice(HOW), rng.randrange(21, 140), rng.random() < 0.4
+        shutil.rmtree(out, ignore_errors=True)
+        command = ["train", "sac-lag", "--task", "Broken-v0", *SMALL, "20", *SAC]
+        command += ["--backend", "eager", "--task-parameters", "how", how, "at", str(at)]
+        if apart or how in ("die", "hang"):
+            command += ["--vectorization", "async", "--step-timeout", "1.5"]
+        done = forked(lambda it=(*command, "--out", str(out)): main(it))
+        told = [line for line in done.err.splitlines() if line.startswith("circle2d: ")]
+        problem = "" if (done.status, len(told)) == (1, 1) else f"{done.status}: {done.err[-600:]}"
+        newest = max(numbered(out, "checkpoints"), default=0)
+        if not problem and newest != (at - 1) // 20 * 20:  # episodes have 20 steps
+            problem = f"checkpoint at {newest}"
+        if not problem and (left := processes(out)):
+            problem = f"processes are left: {left}"
+        tally.note("failing environments", f"{how} at {at}: {problem}" if problem else "")

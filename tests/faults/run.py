@@ -14,17 +14,17 @@ os.environ.setdefault("TORCHINDUCTOR_COMPILE_THREADS", "1")  # threads do not su
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(Path(__file__).parent), str(ROOT / "tests" / "agents"), str(ROOT)]
 
-from fault_common import Tally, often  # noqa: E402
+from fault_common import Tally  # noqa: E402
 from fault_damage import try_damage  # noqa: E402
 from fault_inputs import try_arrays, try_options  # noqa: E402
-from fault_kills import scenes, try_disks, try_kills, try_signals  # noqa: E402
-from fault_programs import try_environments, try_reproduce  # noqa: E402
+from fault_kills import scenes, try_disks, try_kills, try_signals, try_tasks  # noqa: E402
+from small_runs import checkpoints_often  # noqa: E402
 
 
 def main():
     """Run as many faults of each kind as the options say."""
     parser = argparse.ArgumentParser(description=__doc__)
-    counts = {"kills": 800, "compiled": 200, "reproduce": 8, "disks": 150, "signals": 100}
+    counts = {"kills": 800, "compiled": 200, "disks": 150, "signals": 100}
     counts |= {"damage": 2000, "options": 1500, "arrays": 9000, "environments": 40}
     for name, count in counts.items():
         parser.add_argument(f"--{name}", type=int, default=count)
@@ -32,7 +32,7 @@ def main():
     chosen = parser.parse_args()
     rng, tally, started = random.Random(chosen.seed), Tally(), time.monotonic()
     warnings.simplefilter("ignore")
-    with tempfile.TemporaryDirectory() as folder, often():
+    with tempfile.TemporaryDirectory() as folder, checkpoints_often():
         root = Path(folder)
         (root / "eager").mkdir()
         (root / "compiled").mkdir()
@@ -46,8 +46,7 @@ def main():
             try_options(tally, chosen.options, rng, root)
         if chosen.arrays:
             try_arrays(tally, chosen.arrays, rng)
-        try_environments(tally, chosen.environments, rng, root)
-        try_reproduce(tally, chosen.reproduce, rng, root)
+        try_tasks(tally, chosen.environments, rng, root)
         if chosen.compiled:  # last: the process holds compiled code from here on
             compiled = scenes(root / "compiled", "compiled")
             try_kills(tally, compiled, chosen.compiled, rng, " (compiled)")

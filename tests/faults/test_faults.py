@@ -3,10 +3,11 @@
 import random
 
 import pytest
-from fault_common import Tally, often
+from fault_common import Tally
 from fault_damage import try_damage
 from fault_inputs import try_arrays, try_options
 from fault_kills import scenes, try_disks, try_kills, try_signals
+from small_runs import checkpoints_often
 
 QUICK = ("train", "resume", "evaluate")
 
@@ -15,7 +16,7 @@ QUICK = ("train", "resume", "evaluate")
 def test_a_few_faults(tmp_path):
     """A process that is killed, a full disk, a signal, a damaged file, an odd option or array."""
     rng, tally = random.Random(1), Tally()
-    with often():
+    with checkpoints_often():
         found = scenes(tmp_path, names=QUICK)
         try_kills(tally, found, 5, rng)
         try_disks(tally, found, 2, rng)

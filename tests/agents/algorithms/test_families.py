@@ -21,11 +21,11 @@ FAMILIES = ("trpo-lag", "cpo", "ppo-lag", "sac-lb", "wcsac")
 """One of each learner, and those with states of their own."""
 
 
-def config(name, seeds=(0, 1, 2), steps=300, **parameters):
+def config(name, seeds=(0, 1, 2), steps=210, **parameters):
     """name: of an algorithm, and its multiplier's optimiser if it is not the default."""
     name, _, optimizer = name.partition(" ")
     own = small(name, **({"multiplier_optimizer": optimizer} if optimizer else {}))
-    return TrainConfig(name, ("Walk-v0",), seeds, steps, own, parameters, checkpoint_every=200)
+    return TrainConfig(name, ("Walk-v0",), seeds, steps, own, parameters, checkpoint_every=100)
 
 
 def arrays_of(it):
@@ -43,7 +43,7 @@ def test_a_run_is_what_it_is_alone_and_without_a_stop(name, tmp_path):
     assert_same(of_run(alone, 0), of_run(whole, 1))
     whole.save()
     stopped = trainer(config(name), tmp_path / "stopped")
-    while stopped.steps.min() < 200:
+    while stopped.steps.min() < 100:
         stopped.run_epoch()
     stopped.save()
     resumed = trainer(config(name), tmp_path / "stopped")
@@ -58,7 +58,7 @@ def test_a_run_is_what_it_is_alone_and_without_a_stop(name, tmp_path):
 def test_a_poisoned_run_fails_alone(name, tmp_path):
     """NaN in the first weight of the second run's actor, after some epochs."""
     healthy, poisoned = finished(trainer(config(name))), trainer(config(name), tmp_path / "run")
-    while poisoned.steps[1] < 200:
+    while poisoned.steps[1] < 100:
         poisoned.run_epoch()
     step = int(poisoned.steps[1])
     poisoned.learner._state.actor[1, 0] = np.nan
@@ -68,9 +68,8 @@ def test_a_poisoned_run_fails_alone(name, tmp_path):
     poisoned.save()
     assert (poisoned.failures != "").tolist() == [False, True, False]
     assert step <= poisoned.steps[1] <= step + 40 * poisoned.learner.episodes
-    derive.write_results(
-        poisoned.folder, poisoned.config, poisoned.learner.policy(), poisoned.failures, 5
-    )
+    of_run_ = poisoned.learner.policy(), poisoned.failures, 5
+    derive.write_results(poisoned.folder, poisoned.config, *of_run_)
     arrays = results(poisoned.folder)
     assert [f"Walk-v0/{run}/failure" in arrays for run in range(3)] == [False, True, False]
     returns = [f"Walk-v0/{run}/evaluation/deterministic/returns" in arrays for run in range(3)]

@@ -1,61 +1,30 @@
-"""Algorithms by name: listed without torch, registered from outside, a family of one's own."""
+"""Algorithms by name: listed without torch, and registered from outside; a family of one's own:
+toy_family.py."""
 
 import inspect
 import json
 import math
+import re
 import subprocess
 import sys
-from dataclasses import dataclass, make_dataclass, replace
+from dataclasses import make_dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from small_trainings import assert_same, finished, trained, trainer
+from small_trainings import assert_same, trained
 from toys import register as register_tasks
 
 import agents
 from agents import algorithms
-from agents.algorithms import (
-    ALGORITHMS,
-    BUILT_IN,
-    RESERVED,
-    Algorithm,
-    Learner,
-    algorithm,
-    module_of,
-    register,
-    title,
-)
+from agents.algorithms import ALGORITHMS, BUILT_IN, RESERVED, algorithm, module_of, register, title
 from agents.errors import UserError
-from agents.lockstep import tree
 from agents.paper.presets import preset
 from agents.training.config import TrainConfig
 
 register_tasks()
 
-SAC_FIXED = '''
-"""SAC that pays a fixed price for costs."""
-
-from dataclasses import dataclass
-
-from agents.algorithms import Algorithm, register
-from agents.algorithms.sac_lag import critic_loss, risk
-from agents.sac import CostRule, OffPolicy, SACConfig
-
-
-@dataclass(frozen=True)
-class Config(SACConfig):
-    """Hyper-parameters of SAC-Fixed."""
-
-    price: float = 1.0
-    """Price of a unit of the discounted cost return Q_c, in units of reward."""
-
-
-def penalty(config, risk, multipliers):
-    return config.price * risk
-
-
-register("sac-fixed", Algorithm("SAC-Fixed", Config, CostRule(risk, critic_loss, penalty), OffPolicy))
-'''  # noqa: E501
+PAGE = Path(__file__).parents[3] / "docs" / "extending.md"
 
 
 @pytest.fixture(autouse=True)
@@ -65,10 +34,12 @@ def nothing_stays(monkeypatch):
 
 @pytest.fixture
 def sac_fixed(tmp_path, monkeypatch):
-    (tmp_path / "my_sac.py").write_text(SAC_FIXED)
+    """The page's algorithm, of the module my_algorithm."""
+    (code,) = re.findall(r"```python\n# my_algorithm\.py\n(.*?)```", PAGE.read_text(), re.S)
+    (tmp_path / "my_algorithm.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "my_sac", raising=False)
-    __import__("my_sac")
+    monkeypatch.delitem(sys.modules, "my_algorithm", raising=False)
+    __import__("my_algorithm")
 
 
 def test_names_are_listed_without_torch():
@@ -81,13 +52,9 @@ print(json.dumps([*names, PAPER_ALGORITHMS, "torch" in sys.modules]))
 """  # noqa: E501
     said = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
     names, count, has_ppo, own, before, paper, after = json.loads(said.stdout)
-    assert names == list(BUILT_IN)
+    assert (names, count) == (list(BUILT_IN), len(BUILT_IN))
     assert paper == ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
-    assert count == len(names)
-    assert has_ppo
-    assert own == "my-own"
-    assert not before
-    assert not after
+    assert (has_ppo, own, before, after) == (True, "my-own", False, False)
 
 
 def test_an_unknown_one_is_an_error_that_lists_the_others():
@@ -95,6 +62,9 @@ def test_an_unknown_one_is_an_error_that_lists_the_others():
         algorithm("dqn")
     with pytest.raises(KeyError):
         ALGORITHMS["dqn"]
+    usual = TrainConfig("ppo", ("Walk-v0",), (0,), 60, algorithm("ppo").config())
+    with pytest.raises(UserError, match="PPOConfig"):
+        replace(usual, hyperparameters=algorithm("sac").config())
 
 
 def test_from_a_file_of_ones_own(sac_fixed):
@@ -116,25 +86,22 @@ def test_reserved_are_the_names_of_parameters():
     assert names <= set(RESERVED)
 
 
+OF_TRAIN = ("device", str, "cpu")
+"""A hyper-parameter of the name of a parameter of `train`."""
+
+
 def test_what_register_refuses(sac_fixed):
     own = algorithm("sac-fixed")
     for name in ("sac", "sac-fixed", "", "My-Own", "my own", "my--own", "../own", 3):
         with pytest.raises(UserError, match=repr(name)):
             register(name, own)
     loose, incomplete, named = (
-        make_dataclass("Config", fields, frozen=frozen)
-        for fields, frozen in (
-            ([("a", int, 1)], False),
-            ([("a", int)], True),
-            ([("device", str, "cpu")], True),
-        )
+        make_dataclass("Config", [field], frozen=frozen)
+        for field, frozen in ((("a", int, 1), False), (("a", int), True), (OF_TRAIN, True))
     )
     cpo, ppo = algorithm("cpo"), algorithm("ppo-lag")
     for wrong, named_in_message in (
-        *(
-            (own._replace(config=config), "config of 'own'")
-            for config in (loose, dict, loose(), None)
-        ),
+        *((own._replace(config=c), "config of 'own'") for c in (loose, dict, loose(), None)),
         (own._replace(config=incomplete), r"Config\.a of 'own' needs a default"),
         (own._replace(config=named), r"Config\.device of 'own'"),
         *((other._replace(rule=own.rule), "rule") for other in (cpo, ppo)),
@@ -151,11 +118,10 @@ def test_the_module_that_registers(sac_fixed, tmp_path):
     """Not that of the config, which may be the package's own. Processes cannot import a script."""
     lag = algorithm("sac-lag")
     register("lag-again", lag)
-    exec(
-        "agents.register('of-script', lag)", {"__name__": "__main__", "agents": agents, "lag": lag}
-    )
+    script = {"__name__": "__main__", "agents": agents, "lag": lag}
+    exec("agents.register('of-script', lag)", script)
     names = ("sac-lag", "sac-fixed", "lag-again", "of-script")
-    expected = ["agents.algorithms.sac_lag", "my_sac", __name__, "__main__"]
+    expected = ["agents.algorithms.sac_lag", "my_algorithm", __name__, "__main__"]
     assert [module_of(name) for name in names] == expected
     with pytest.raises(UserError, match="of-script is registered in the running script"):
         agents.sweep("of-script", grid={"cost_limit": (1.0, 2.0)}, steps=100, out=tmp_path / "x")
@@ -178,65 +144,7 @@ def test_to_go_on_the_module_of_ones_own_is_needed(sac_fixed, tmp_path):
     small = {"batch_size": 32, "hidden": (32, 32), "random_steps": 50}
     agents.train("sac-fixed", "Walk-v0", seeds=(0, 1), steps=300, out=tmp_path / "runs", **small)
     algorithms._algorithms.registered.clear()
-    with pytest.raises(UserError, match=r"'sac-fixed' of .* is not registered here: import my_sac"):
+    with pytest.raises(
+        UserError, match=r"'sac-fixed' of .* is not registered here: import my_algorithm"
+    ):
         agents.resume(tmp_path / "runs")
-
-
-@dataclass(frozen=True)
-class ClimbConfig:
-    """Of the family below."""
-
-    step: float = 0.1
-    """How far the action moves at most."""
-
-
-class Climb:
-    """A family of its own: one number a run, the action, which follows the better half of two."""
-
-    episodes = 2
-    metrics = ("action",)
-
-    def __init__(self, config, rule, seeds, observation_size, action_size):
-        self.config, self.seeds, self.size = config, seeds, action_size
-        self.action = np.zeros(len(seeds))
-
-    def policy(self):
-        action = np.tile(self.action[:, None, None].astype(np.float32), self.size)
-        return lambda observation, _: np.repeat(action, observation.shape[1], axis=1)
-
-    def explorer(self, epoch, steps):
-        tried = np.repeat(self.action, 2) + np.tile([-1, 1], len(self.seeds)) * self.config.step
-        return lambda observation: np.tile(tried[:, None], self.size).astype(np.float32)
-
-    def learn(self, rollout, epoch, active):
-        better = rollout.returns.reshape(-1, 2).argmax(axis=1)
-        self.action += np.where(active, (2 * better - 1) * self.config.step, 0.0)
-        return np.where(active, self.action, np.nan)[:, None]
-
-    def finite(self):
-        return np.isfinite(self.action)
-
-    def state_dict(self):
-        return {"action": self.action}
-
-    def load_state_dict(self, state):
-        self.action = tree.expect("action", state, self.action.shape, np.float64).copy()
-
-
-def test_a_family_of_ones_own_trains_and_resumes(tmp_path):
-    """`Target` pays for a = 0.8."""
-    register("climb", Algorithm("Climb", ClimbConfig, None, Climb))
-    config = TrainConfig("climb", ("Target-v0",), (0, 1), 60, ClimbConfig())
-    learner: Learner = Climb(ClimbConfig(), None, (0,), 1, 1)
-    assert set(learner.state_dict()) == {"action"}
-    stopped = trainer(config, tmp_path)
-    for _ in range(4):
-        stopped.run_epoch()
-    stopped.save()
-    resumed = trainer(config, tmp_path)
-    resumed.load()
-    whole = finished(trainer(config)).learner
-    assert finished(resumed).learner.action == pytest.approx([0.8, 0.8], abs=0.101)
-    np.testing.assert_array_equal(resumed.learner.action, whole.action)
-    with pytest.raises(UserError, match="ClimbConfig"):
-        replace(config, hyperparameters=algorithm("sac").config())

@@ -96,18 +96,16 @@ def test_sac(monkeypatch):
     batch = Batch(normal(3), normal(2).tanh(), normal(), cost, normal(3), *ends)
     noise = update.UpdateNoise(normal(ACTION), normal(ACTION))
     settings = {"net_arch": list(HIDDEN), "activation_fn": nn.Tanh}
-    model = silent(
-        sb3.SAC("MlpPolicy", Spaces(), learning_rate=RATE, policy_kwargs=settings, device="cpu")
-    )
+    how = {"learning_rate": RATE, "policy_kwargs": settings, "device": "cpu"}
+    model = silent(sb3.SAC("MlpPolicy", Spaces(), **how))
     layers, last = linears(model.actor.latent_pi), (model.actor.mu, model.actor.log_std)
     put(state.actor[0], nets.actor, layers, last)
     for k in range(2):
         put(state.critics[0, k], nets.critic, linears(model.critic.q_networks[k]))
         put(state.targets[0, k], nets.critic, linears(model.critic_target.q_networks[k]))
     drawn = iter((noise.new_action[0], noise.next_action[0]))
-    monkeypatch.setattr(
-        torch.distributions.normal, "_standard_normal", lambda *_, **__: next(drawn)
-    )
+    standard_normal = "torch.distributions.normal._standard_normal"
+    monkeypatch.setattr(standard_normal, lambda *_, **__: next(drawn))
     columns = batch.observation, batch.action, batch.next_observation
     columns = [c[0] for c in columns] + [c[0, :, None] for c in (batch.terminal, batch.reward)]
     sample = sb3.common.type_aliases.ReplayBufferSamples(*columns)
@@ -152,17 +150,11 @@ def test_ppo():
     )  # fmt: skip
     it = learner("ppo", config, [5], OBSERVATION, ACTION)
     nets, state, rollout = it.nets, it._state, episodes(np.random.default_rng(0))
-    settings = {
-        "net_arch": {"pi": list(HIDDEN), "vf": list(HIDDEN)},
-        "optimizer_kwargs": {"eps": 1e-8},
-    }
-    model = silent(
-        sb3.PPO(
-            "MlpPolicy", Spaces(), learning_rate=RATE, n_steps=ROWS, batch_size=ROWS, n_epochs=3,
-            clip_range=0.01, max_grad_norm=1e9, normalize_advantage=False, device="cpu",
-            policy_kwargs=settings,
-        )
-    )  # fmt: skip
+    settings = {"net_arch": {"pi": list(HIDDEN), "vf": list(HIDDEN)}}
+    settings |= {"optimizer_kwargs": {"eps": 1e-8}}
+    how = {"n_steps": ROWS, "batch_size": ROWS, "n_epochs": 3, "clip_range": 0.01, "device": "cpu"}
+    how |= {"max_grad_norm": 1e9, "normalize_advantage": False, "policy_kwargs": settings}
+    model = silent(sb3.PPO("MlpPolicy", Spaces(), learning_rate=RATE, **how))
     policy = model.policy
     actor = linears(policy.mlp_extractor.policy_net, policy.action_net)
     critic = linears(policy.mlp_extractor.value_net, policy.value_net)
@@ -181,11 +173,8 @@ def test_ppo():
     buffer.advantages -= buffer.advantages.mean()
     buffer.advantages /= buffer.advantages.std()
     epoch = it._epoch(rollout, Packing(rollout.during, 1))
-    for ours, theirs in (
-        (epoch.reward_advantage[0, :ROWS], buffer.advantages),
-        (epoch.value_targets[0, 0, :ROWS], buffer.returns),
-    ):
-        np.testing.assert_allclose(ours, theirs[:, 0], rtol=0, atol=2e-5)
+    np.testing.assert_allclose(epoch.reward_advantage[0, :ROWS], buffer.advantages[:, 0], 0, 2e-5)
+    np.testing.assert_allclose(epoch.value_targets[0, 0, :ROWS], buffer.returns[:, 0], 0, 2e-5)
     model.train()
 
     metrics = it.learn(rollout, 0, np.ones(1, bool))[0]

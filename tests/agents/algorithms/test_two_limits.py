@@ -1,7 +1,7 @@
-"""Algorithms of several costs and multipliers, each in one file from outside."""
+"""Algorithms of several costs and multipliers."""
 
-import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import gymnasium as gym
 import numpy as np
@@ -13,49 +13,13 @@ from toys import Walk
 import agents
 from agents import algorithms
 from agents.algorithms import algorithm
+from agents.checks import In
 from agents.errors import UserError
 from agents.lockstep import lagrange
 from agents.training.config import TrainConfig
 
-TWO_LIMITS = '''
-"""SAC, TRPO and PPO with a second multiplier, on a second cost."""
-
-from dataclasses import dataclass
-from typing import Annotated
-
-from agents import register
-from agents.algorithms import Algorithm, ppo_lag, sac_lag, trpo_lag
-from agents.checks import In
-from agents.first_order import FirstOrder, Objective
-from agents.lockstep.lagrange import PROJECTED, SOFTPLUS, Multiplier
-from agents.sac import CostRule, OffPolicy
-from agents.trust_region import TrustRegion
-from agents.trust_region import StepRule
-
-
-def with_second(base):
-    @dataclass(frozen=True)
-    class Config(base):
-        """Hyper-parameters with a second limit."""
-
-        cost_limit_2: Annotated[float, In(0, 1e9)] = 1.0
-        """Limit of the second cost."""
-
-    return Config
-
-
-def multipliers(form):
-    return Multiplier(form), Multiplier(form, signal=1, limit="cost_limit_2")
-
-
-SAC = CostRule(sac_lag.risk, sac_lag.critic_loss, sac_lag.penalty, multipliers(SOFTPLUS), costs=2)
-TRPO = StepRule(trpo_lag.advantage, trpo_lag.step, multipliers(PROJECTED), costs=2)
-PPO = Objective(trpo_lag.advantage, multipliers(PROJECTED), costs=2)
-register("sac-two", Algorithm("", with_second(sac_lag.SACLagConfig), SAC, OffPolicy))
-register("trpo-two", Algorithm("", with_second(trpo_lag.TRPOLagConfig), TRPO, TrustRegion))
-register("ppo-two", Algorithm("", with_second(ppo_lag.PPOLagConfig), PPO, FirstOrder))
-'''
 TWO = {"sac-two": "sac-lag", "trpo-two": "trpo-lag", "ppo-two": "ppo-lag"}
+"""With a second multiplier, on a second cost; examples/my_limits.py has such an algorithm too."""
 COSTS = ("cost", "left")
 
 
@@ -71,13 +35,23 @@ if "Both-v0" not in gym.registry:
     gym.register("Both-v0", entry_point=Both, disable_env_checker=True)
 
 
+def with_second(base):
+    @dataclass(frozen=True)
+    class Config(base):
+        cost_limit_2: Annotated[float, In(0, 1e9)] = 1.0
+
+    return Config
+
+
 @pytest.fixture(autouse=True)
-def two_limits(tmp_path, monkeypatch):
-    (tmp_path / "two_limits.py").write_text(TWO_LIMITS)
+def two_limits(monkeypatch):
     monkeypatch.setattr(algorithms._algorithms, "registered", {})
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "two_limits", raising=False)
-    __import__("two_limits")
+    for name, of_one in TWO.items():
+        own = algorithm(of_one)
+        (first,) = own.rule.multipliers
+        both = (first, first._replace(signal=1, limit="cost_limit_2"))
+        rule = own.rule._replace(multipliers=both, costs=2)
+        agents.register(name, own._replace(config=with_second(own.config), rule=rule))
 
 
 def config(name, seeds=(0, 1), costs=COSTS, **changes):

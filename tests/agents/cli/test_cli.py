@@ -1,20 +1,31 @@
-"""Commands do what they say: their output, their files, their status."""
+"""Commands do what they say: their output, their files, their status. Signals: the first ends a
+training after its epoch with a checkpoint, the second at once."""
 
 import csv
+import dataclasses
 import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import time
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
+import toys
 
-from agents.cli.main import main
-from agents.training import trainer
-from agents.training.callbacks import share_done
+from agents.cli import showing
+from agents.cli.main import AfterEpoch, Ended, handling_signals, main
+from agents.cli.training import TrainOptions
+from agents.errors import EXTRA
+from agents.paper.presets import preset
+from agents.training.callbacks import Epoch, share_done
 from agents.training.config import TrainConfig
+from agents.training.trainer import Trainer
 
 TRAIN = ["train", "sac-lag", "--seeds", "0", "1", "--steps", "600", "--backend", "eager"]
 
@@ -59,14 +70,6 @@ def test_evaluate_replaces_what_reports_show(folder, tmp_path, capsys):
         assert results["Circle2D-1-v0/0/evaluation/deterministic/returns"].shape == (7,)
 
 
-def test_resume_of_a_finished_training_changes_nothing(folder, capsys):
-    names = list(folder.rglob("*.npz"))
-    before = [path.read_bytes() for path in names]
-    assert main(["resume", str(folder)]) == 0
-    assert [path.read_bytes() for path in names] == before
-    assert "was done already: evaluated again" in capsys.readouterr().err
-
-
 def test_settings_reach_the_training(tmp_path):
     out = tmp_path / "x"
     options = ["--cost-limit", "3", "--hidden", "32", "16", "--activation", "relu"]
@@ -74,31 +77,19 @@ def test_settings_reach_the_training(tmp_path):
     tasks = ["--task", "Circle2D-1", "circle2d_mj:Circle2D-3-v0"]
     assert main([*TRAIN, *tasks, *options, "--steps", "1.5e2", "--out", str(out)]) == 0
     config = TrainConfig.read(out)
-    assert [run.prefix for run in config.runs] == [
-        f"{task}/{seed}/"
-        for task in ("Circle2D-1-v0", "circle2d_mj-Circle2D-3-v0")
-        for seed in (0, 1)
-    ]
+    names = ("Circle2D-1-v0", "circle2d_mj-Circle2D-3-v0")
+    assert [run.prefix for run in config.runs] == [f"{n}/{seed}/" for n in names for seed in (0, 1)]
     assert (config.steps, config.hyperparameters.replay_size) == (150, 20_000)
     assert config.task_parameters == {"constraint_radius": 3.0}
     own = config.hyperparameters
     assert (own.cost_limit, own.hidden, own.activation) == (3.0, (32, 16), "relu")
 
 
-def help_of(capsys, *command):
-    with pytest.raises(SystemExit) as done:
-        main([*command, "--help"])
-    assert done.value.code == 0
-    return re.sub(r"[│\s]+", " ", capsys.readouterr().out)
-
-
 def test_help_names_every_option_with_its_default(capsys):
-    import dataclasses
-
-    from agents.cli.training import TrainOptions
-    from agents.paper.presets import preset
-
-    text = help_of(capsys, "train", "sac-lag")
+    with pytest.raises(SystemExit) as done:
+        main(["train", "sac-lag", "--help"])
+    assert done.value.code == 0
+    text = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
     own = preset("sac-lag", "Circle2D-1-v0")
     for field in (*dataclasses.fields(TrainOptions), *dataclasses.fields(own)):
         name = "import" if field.name == "imports" else field.name
@@ -114,22 +105,21 @@ def test_help_names_every_option_with_its_default(capsys):
 
 
 def test_a_failed_run_is_named_and_the_status_is_1(tmp_path, capsys, monkeypatch):
-    run_epoch = trainer.Trainer.run_epoch
+    run_epoch = Trainer.run_epoch
 
     def poisoned(self):
         if self.epoch == 5:
             self.learner._state.actor[1, 0] = np.nan
         run_epoch(self)
 
-    monkeypatch.setattr(trainer.Trainer, "run_epoch", poisoned)
+    monkeypatch.setattr(Trainer, "run_epoch", poisoned)
     out = tmp_path / "runs"
     options = ["--seeds", "3", "4", "5", "--random-steps", "0", "--out", str(out)]
     assert main([*TRAIN, *options]) == 1
     table, err = capsys.readouterr()
     # NaN actions void the sixth episode at its first step.
-    assert err.splitlines()[-1].startswith(
-        f"circle2d: {out}: Circle2D-1-v0, seed 4: failed at step 250"
-    )
+    said = f"circle2d: {out}: Circle2D-1-v0, seed 4: failed at step 250"
+    assert err.splitlines()[-1].startswith(said)
     assert "failed at step 250" in table
     assert "mean of 2" in table
     assert main(["resume", str(out)]) == 1
@@ -156,43 +146,18 @@ def test_a_damaged_folder_does_not_hide_the_others(folder, tmp_path, capsys):
     assert "no complete runs" in capsys.readouterr().err
 
 
-OWN = """
-import gymnasium as gym, numpy as np
-
-class Broken(gym.Env):
-    observation_space = action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
-
-    def reset(self, *, seed=None, options=None):
-        self.t = 0
-        return np.zeros(1, np.float32), {}
-
-    def step(self, action):
-        self.t += 1
-        assert self.t < 30, "the spring broke"
-        return np.zeros(1, np.float32), 0.0, False, False, {"cost": 0.0}
-
-gym.register("Broken-v0", Broken, max_episode_steps=40)
-"""
-
-
-def run(*command, **how):
-    """A command in a process of its own."""
-    started = [sys.executable, "-m", "agents.cli", *command]
-    return subprocess.run(started, capture_output=True, text=True, check=False, **how)
-
-
-def test_an_error_of_the_users_own_shows_its_traceback(tmp_path):
-    (tmp_path / "my_broken.py").write_text(OWN)
-    options = ["--import", "my_broken", "--task", "Broken", "--out", "x"]
-    done = run(*TRAIN, *options, cwd=tmp_path)
-    assert done.returncode == 1
-    *trace, last = done.stderr.splitlines()
+def test_an_error_of_the_users_own_shows_its_traceback(tmp_path, capsys, monkeypatch):
+    toys.register()
+    command = [*TRAIN, "--task", "Broken", "--task-parameters", "how", "raise", "at", "30"]
+    assert main([*command, "--out", str(tmp_path / "x")]) == 1
+    *trace, last = capsys.readouterr().err.splitlines()
     assert "Traceback (most recent call last):" in trace
-    assert "AssertionError: the spring broke" in trace
-    assert re.search(r"circle2d: .*Broken-v0.*step 30.*my_broken\.py, line \d+", last)
+    assert "LookupError: motor" in trace
+    assert re.search(r"circle2d: .*Broken-v0.*step 10 .*toys\.py, line \d+", last)
     (tmp_path / "my_typo.py").write_text("1 / 0\n")
-    done = run("report", "x", "--import", "my_typo", cwd=tmp_path)
-    assert (done.returncode, "ZeroDivisionError" in done.stderr) == (1, True)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["report", str(tmp_path), "--import", "my_typo"]) == 1
+    assert "ZeroDivisionError" in capsys.readouterr().err
 
 
 def test_nobody_reads_on():
@@ -205,6 +170,120 @@ def test_nobody_reads_on():
 @pytest.mark.slow
 def test_training_touches_no_opengl(tmp_path):
     command = ["train", "trpo-lag", "--seeds", "0", "--steps", "1100", "--backend", "eager"]
-    done = run(*command, "--out", "x", cwd=tmp_path, env=os.environ | {"MUJOCO_GL": "nonsense"})
-    assert done.returncode == 0, done.stderr
+    started = [sys.executable, "-m", "agents.cli", *command, "--out", "x"]
+    subprocess.run(started, check=True, cwd=tmp_path, env=os.environ | {"MUJOCO_GL": "nonsense"})
     assert json.loads((tmp_path / "x" / "config.json").read_text())["algorithm"] == "trpo-lag"
+
+
+HEAVY = ("torch", "tyro", "matplotlib", "rich", "mujoco", "OpenGL")
+
+
+@pytest.mark.parametrize(("arguments", "status"), [(["--help"], 0), (["trian"], 2)])
+def test_no_heavy_import_before_a_command(arguments, status):
+    code = f"""
+import sys
+from agents.cli.main import AfterEpoch, Ended, handling_signals, main
+assert main({arguments}) == {status}
+assert not set({HEAVY}) & set(sys.modules), sorted(set({HEAVY}) & set(sys.modules))
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_importing_agents_is_light():
+    code = f"import sys, agents; assert not set({HEAVY}) & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_packages_that_an_installation_may_lack():
+    """Those the commands name are those of the extra [train], imageio apart, which is in the base,
+    and the rest of what these bring."""
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
+    names = [re.match(r"\w+", text)[0] for text in project["optional-dependencies"]["train"]]
+    assert set(EXTRA) == set(names) - {"imageio"}
+
+
+ONE = ["train", "sac-lag", "--seeds", "0", "--steps", "600", "--random-steps", "300"]
+ONE += ["--backend", "eager", "--out"]
+
+
+def kill_in_epoch(monkeypatch, numbers, epoch=3):
+    """Send signals to this process while an epoch is trained."""
+    run_epoch = Trainer.run_epoch
+
+    def interrupted(self):
+        run_epoch(self)
+        if self.epoch == epoch:
+            for number in numbers:
+                os.kill(os.getpid(), number)
+
+    monkeypatch.setattr(Trainer, "run_epoch", interrupted)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_first_ends_after_the_epoch_with_a_checkpoint(number, tmp_path, capsys, monkeypatch):
+    out = tmp_path / "x"
+    with monkeypatch.context() as patch:
+        kill_in_epoch(patch, [number])
+        assert main([*ONE, str(out)]) == 128 + number
+    err = capsys.readouterr().err.splitlines()
+    assert err[-1] == (
+        f"circle2d: interrupted by {number.name} after 150 of 600 steps, with a checkpoint; "
+        f"'circle2d resume {out}' goes on"
+    )
+    with np.load(out / "checkpoints" / "000000150.npz") as state:
+        assert state["epoch"] == 3
+    assert not (out / "results.npz").exists()
+    if number is signal.SIGINT:
+        assert main(["resume", str(out)]) == 0
+        assert main([*ONE, str(tmp_path / "whole")]) == 0
+        assert (out / "results.npz").read_bytes() == (tmp_path / "whole/results.npz").read_bytes()
+
+
+def test_the_second_ends_at_once(tmp_path, capsys, monkeypatch):
+    kill_in_epoch(monkeypatch, [signal.SIGINT, signal.SIGTERM])
+    assert main([*ONE, str(tmp_path / "x")]) == 143
+    assert "interrupted by SIGTERM; " in capsys.readouterr().err.splitlines()[-1]
+    assert not list((tmp_path / "x").glob("checkpoints/*"))
+
+
+@pytest.mark.slow
+def test_ctrl_c_while_modules_are_imported():
+    """At several times of the start, all processes at once."""
+    command = [sys.executable, "-m", "agents.cli", "train", "sac-lag", "--help"]
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    processes = [subprocess.Popen(command, text=True, **pipes) for _ in range(3)]
+    time.sleep(0.4)  # Python itself begins
+    for process in processes:
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+    for process in processes:
+        _, err = process.communicate(timeout=60)
+        assert "Traceback" not in err
+        assert process.returncode in (130, -signal.SIGINT, 0)
+
+
+def test_ignored_signals_stay_ignored_and_handlers_come_back():
+    """As under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    own = signal.getsignal(signal.SIGTERM)
+    try:
+        with handling_signals():
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            with pytest.raises(Ended):
+                os.kill(os.getpid(), signal.SIGTERM)
+        assert signal.getsignal(signal.SIGTERM) is own
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_the_command_that_goes_on_names_the_users_modules():
+    follow = AfterEpoch(["my_algorithm"])
+    follow(Epoch(Path("runs/a"), "mine", "Circle2D-1-v0", 100, {0: {"step": 50.0}}))
+    follow.number = signal.SIGINT
+    assert "'circle2d resume runs/a --import my_algorithm' goes on" in follow.words()
+
+
+def test_a_command_that_is_no_training_ends_at_once(monkeypatch, capsys):
+    monkeypatch.setattr(showing, "scene", lambda args: os.kill(os.getpid(), signal.SIGTERM) or 0)
+    assert main(["scene"]) == 143
+    assert capsys.readouterr().err.startswith("circle2d: interrupted by SIGTERM;")

@@ -1,8 +1,10 @@
-"""Tables on a terminal: within its width, with every cell; Markdown into a pipe."""
+"""Tables on a terminal: the means, within its width, with every cell; Markdown into a pipe."""
 
 import re
+from dataclasses import replace
 
 import pytest
+from small_runs import cells
 
 from agents.reporting.table import Number, Row, Table, show
 
@@ -33,8 +35,38 @@ def test_tables_fit_and_lose_nothing(width, capsys):
 def test_into_a_pipe_it_is_markdown(capsys):
     show([TABLE, CLAIMS])
     out = capsys.readouterr().out
-    rows = [line.split("|")[1:-1] for line in out.splitlines() if line.startswith("|")]
+    rows = cells(out)
     expected = [NAMES[0], "**0.81** [0.80, 0.82]", "0.21", "-4.00 [-4.03, -3.96]", "1"]
-    assert [cell.strip() for cell in rows[2]] == expected
-    assert len(rows) == 2 + len(NAMES)
+    assert (rows[1], len(rows)) == (expected, 1 + len(NAMES))
     assert out.endswith(f"\n\nNote: a note.\n\n{CLAIMS}\n")
+
+
+BRIEF_MEAN = [Number(0.5, low=0.25, high=0.75), Number(3.0, low=1.0, high=9.0, is_range=True)]
+BRIEF_MEAN += [Number(2, low=0.1, high=0.9, total=5)]
+ROWS = [
+    Row("CPO, mean of 5", BRIEF_MEAN, "rim 5 of 5 [.4, 1]", "mean"),
+    Row("CPO, paper", [Number(0.4), Number(None), Number(None)], kind="paper"),
+    Row("CPO, seed 0", [Number(0.6), Number(2.0), Number(1, total=1)], "rim"),
+]
+BRIEF_HEAD = ["task", "EMCC", "streak", "within limit", "ends in"]
+BRIEF = Table("a long legend", BRIEF_HEAD, ROWS, details=["streak"])
+
+
+def test_a_terminal_has_the_means(capsys):
+    show([BRIEF], 80, "runs/index.html")
+    printed = capsys.readouterr().out
+    assert "a long legend" not in printed and "streak" not in printed and "seed 0" not in printed
+    assert re.search(r"^task, n = 5 +EMCC +within limit +ends in$", printed, re.MULTILINE)
+    assert re.search(r"^CPO +0\.50 +2 of 5 +rim 5 of 5$", printed, re.MULTILINE)
+    assert re.search(r"^CPO, paper +0\.40 +– *$", printed, re.MULTILINE)
+    assert "runs/index.html" in printed
+    assert max(map(len, printed.splitlines())) <= 80
+
+
+def test_other_numbers_of_runs_stand_in_the_rows(capsys):
+    more = replace(ROWS[0], name="WCSAC (batch 5), mean of 3")
+    show([replace(BRIEF, rows=[*ROWS, more])], 80, "runs/index.html")
+    printed = capsys.readouterr().out
+    assert re.search(r"^task +EMCC", printed, re.MULTILINE)
+    assert re.search(r"^CPO, n = 5 +0\.50", printed, re.MULTILINE)
+    assert re.search(r"^WCSAC \(batch 5\), n = 3 +0\.50", printed, re.MULTILINE)

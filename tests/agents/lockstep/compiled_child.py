@@ -65,7 +65,7 @@ def resumed_is_as_never_stopped(name):
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "run"
         stopped = trainer(config(name, SEEDS), folder)
-        while stopped.steps.min() < 200:
+        while stopped.steps.min() < 100:
             stopped.run_epoch()
         stopped.save()
         resumed = trainer(config(name, SEEDS), folder)

@@ -7,6 +7,7 @@ every tensor that an update makes must be made where the others are.
 import numpy as np
 import pytest
 import torch
+from small_trainings import small
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import agents
@@ -57,7 +58,7 @@ def test_off_policy_updates(name, elsewhere):
 def test_on_policy_updates(name, elsewhere, monkeypatch):
     """The whole improvement of a policy. Where it asks for a number, to stop early, the answer is
     no: a line search then goes through all of its tries."""
-    config, rule = ALGORITHMS[name].config(batch_size=B), ALGORITHMS[name].rule
+    config, rule = small(name, batch_size=B), ALGORITHMS[name].rule
     it = family(name)(config, rule, range(R), 3, 2)
     shapes = (R, 512, 3), (R, 512, 2), (R, 512), (R, 512), (R, 1, 512), (R, 2, 512), (R,), (R, 1)
     epoch, steps = Epoch(*map(elsewhere, shapes)), np.array([500, 70, 0])
@@ -95,9 +96,7 @@ def test_numpy_has_one_thread_in_training_and_the_callers_afterwards():
     seen = []
     with threadpool_limits(3, user_api="blas"):
         arguments = {"seeds": 0, "steps": 200, "episodes": 2, "backend": "eager"}
-        agents.train(
-            *("trpo-lag", "Circle2D-1-v0"), **arguments, on_epoch=lambda _: seen.append(of_numpy())
-        )
+        agents.train("trpo-lag", **arguments, on_epoch=lambda _: seen.append(of_numpy()))
         assert of_numpy() == {3}
     assert seen == [{1}, {1}]
 

@@ -71,9 +71,7 @@ def test_steps_by_hand():
 
     assert step(PROJECTED, config) == pytest.approx([0.7, 0.2, 0.5, 0.5001])
     assert step(PROJECTED, replace(config, multiplier_lr=0.5))[1] == 0.0
-    assert step(
-        SOFTPLUS, Config(initial_multiplier=0.0, multiplier_lr=0.1, multiplier_optimizer="sgd")
-    )[0] == pytest.approx(0.1)
+    assert step(SOFTPLUS, replace(config, initial_multiplier=0.0))[0] == pytest.approx(0.1)
     by_adam = step(PROJECTED, replace(config, multiplier_optimizer="adam"))
     assert by_adam == pytest.approx([0.6, 0.4, 0.5, 0.6], abs=1e-5)
 
@@ -124,11 +122,8 @@ def test_several_follow_their_own_costs_and_limits():
     """Plain gradients at lr 0.1 from 0.5. The first follows cost 1 above 7, the second cost 0 above
     4 through softplus, the third cost 1 above 4: 0.5 + 0.1·(10 - 7) = 0.8, 0.5 + 0.1·σ(0.5)·(5 - 4)
     = 0.5622459, 0.5 + 0.1·6 = 1.1; in the second run, of costs 2 and 6, 0.4, 0.3755081 and 0.7."""
-    rule = (
-        Multiplier(PROJECTED, 1, "second_limit"),
-        Multiplier(SOFTPLUS),
-        Multiplier(PROJECTED, 1),
-    )
+    second = Multiplier(PROJECTED, 1, "second_limit")
+    rule = second, Multiplier(SOFTPLUS), Multiplier(PROJECTED, 1)
     config = Config(initial_multiplier=0.5, multiplier_lr=0.1, multiplier_optimizer="sgd")
     states = lagrange.initial(rule, config, 2)
     after = lagrange.follow(rule, config, states, torch.tensor([[5.0, 10.0], [2.0, 6.0]]))

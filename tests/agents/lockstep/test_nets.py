@@ -1,4 +1,4 @@
-"""The networks with a run axis against PyTorch's modules, one run at a time."""
+"""Networks with a run axis and Adam against PyTorch's, one run at a time."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from small_trainings import trained
 from torch import nn
 from toys import register
 
-from agents.lockstep.nets import LANES, MLP, forward_numpy, mlp
+from agents.lockstep.nets import LANES, MLP, adam, forward_numpy, mlp, no_moments
 
 register()
 SIZES = [(2, 64, 64, 4), (3, 17, 40, 2), (3, 5, 1), (7, 1)]
@@ -99,3 +99,27 @@ def test_trained_networks(name, activation):
         for found in (updated, it.module(run)(torch.from_numpy(x[run])).detach()):
             np.testing.assert_allclose(found, acted[run], atol=2e-6)
         np.testing.assert_allclose(theirs, acted[run], atol=2e-6)
+
+
+def test_adam_against_torch():
+    generator = torch.Generator().manual_seed(0)
+    params = torch.randn(3, 2, 32, generator=generator)
+    theirs = [params[run].clone().requires_grad_() for run in range(3)]
+    optimizers = [torch.optim.Adam([p], lr=1e-2) for p in theirs]
+    moments = no_moments(params)
+    for _ in range(30):
+        gradient = torch.randn(3, 2, 32, generator=generator)
+        gradient *= 10 ** torch.arange(-3.0, 0).view(3, 1, 1)
+        params, moments = adam(params, gradient, moments, 1e-2)
+        for run, optimizer in enumerate(optimizers):
+            theirs[run].grad = gradient[run].clone()
+            optimizer.step()
+    torch.testing.assert_close(params, torch.stack(theirs).detach(), rtol=1e-5, atol=1e-6)
+
+
+def test_adams_first_step_by_hand():
+    """m̂ = g and v̂ = g², so the first step is the learning rate against the gradient's sign."""
+    params = torch.zeros(1, 32)
+    gradient = torch.full((1, 32), -4.0)
+    params, _ = adam(params, gradient, no_moments(params), 0.5)
+    torch.testing.assert_close(params, torch.full((1, 32), 0.5))

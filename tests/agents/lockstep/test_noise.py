@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from agents.lockstep.noise import (
-    Purpose,
-    correlated_uniform,
-    environment_seeds,
-    normal,
-    steps_of_noise,
-    stream,
-    stream_seed,
-    uniform,
-)
+from agents.lockstep import noise
+from agents.lockstep.noise import Purpose, normal, steps_of_noise, stream, stream_seed, uniform
 
 
 def take(draw, seeds, purpose, epoch, n=100, shape=(2,)):
@@ -28,17 +20,13 @@ def test_a_run_does_not_see_the_others():
         together = take(draw, [3, 1, 2], Purpose.EXPLORATION, 7)
         alone = take(draw, [1], Purpose.EXPLORATION, 7)
         np.testing.assert_array_equal(together[:, 1:2], alone)
-    many = environment_seeds([3, 1, 2], Purpose.ENVIRONMENT, 7, 4)
-    assert many[4:8] == environment_seeds([1], Purpose.ENVIRONMENT, 7, 4)
+    many = noise.environment_seeds([3, 1, 2], Purpose.ENVIRONMENT, 7, 4)
+    assert many[4:8] == noise.environment_seeds([1], Purpose.ENVIRONMENT, 7, 4)
 
 
 def test_streams_differ_by_seed_purpose_and_epoch():
-    draws = [
-        stream(seed, purpose, epoch).integers(2**62)
-        for seed in range(10)
-        for purpose in Purpose
-        for epoch in range(50)
-    ]
+    every = itertools.product(range(10), Purpose, range(50))
+    draws = [stream(*one).integers(2**62) for one in every]
     assert len(set(draws)) == len(draws)
 
 
@@ -55,20 +43,15 @@ def test_the_stream_seed_of_a_task_does_not_change():
     """Its module says where it is registered, not what it is. The number was printed once by
     `b2sum -l 64` of "7 Circle2D-3-v0", bytes read from the lowest."""
     assert stream_seed(7, "circle2d_mj:Circle2D-3-v0") == stream_seed(7, "Circle2D-3-v0")
-    assert stream_seed(7, "Circle2D-3-v0") == int.from_bytes(
-        bytes.fromhex("1a65c20d8eca0fee"), "little"
-    )
+    printed = bytes.fromhex("1a65c20d8eca0fee")
+    assert stream_seed(7, "Circle2D-3-v0") == int.from_bytes(printed, "little")
 
 
-def test_distributions():
-    gaussian = take(normal, range(50), Purpose.EXPLORATION, 0, n=200)
-    assert abs(gaussian.mean()) < 0.02
-    assert abs(gaussian.std() - 1) < 0.02
-    flat = take(uniform, range(50), Purpose.EXPLORATION, 0, n=200)
-    assert flat.min() >= -1
-    assert flat.max() < 1
-    assert abs(flat.mean()) < 0.02
-    assert abs(flat.std() - 1 / np.sqrt(3)) < 0.02
+@pytest.mark.parametrize(("draw", "deviation"), [(normal, 1.0), (uniform, 1 / np.sqrt(3))])
+def test_distributions(draw, deviation):
+    drawn = take(draw, range(50), Purpose.EXPLORATION, 0, n=200)
+    assert (drawn.mean(), drawn.std()) == pytest.approx((0, deviation), abs=0.02)
+    assert draw is normal or -1 <= drawn.min() < drawn.max() < 1
 
 
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0])
@@ -77,7 +60,7 @@ def test_correlated_numbers_are_uniform_and_have_their_spectrum(exponent):
 
     Each number: quantiles of the uniform distribution, over 4000 independent series.
     """
-    found = correlated_uniform(np.random.default_rng(0), (64, 4000), exponent)
+    found = noise.correlated_uniform(np.random.default_rng(0), (64, 4000), exponent)
     assert found.shape == (64, 4000)
     assert found.dtype == np.float32
     shares = np.arange(0.1, 1.0, 0.1)
@@ -88,6 +71,6 @@ def test_correlated_numbers_are_uniform_and_have_their_spectrum(exponent):
     power = (np.abs(np.fft.rfft(inverse, axis=0)) ** 2).mean(axis=1)[1:-1]
     slope = np.polyfit(np.log(np.arange(1, 32)), np.log(power), 1)[0]
     assert slope == pytest.approx(-exponent, abs=0.05)
-    draw = functools.partial(correlated_uniform, exponent=exponent)
+    draw = functools.partial(noise.correlated_uniform, exponent=exponent)
     together = take(draw, [3, 1, 2], Purpose.RANDOM_ACTIONS, 7)
     np.testing.assert_array_equal(together[:, 1:2], take(draw, [1], Purpose.RANDOM_ACTIONS, 7))

@@ -1,15 +1,21 @@
-"""Episodes of different lengths, side by side, against what was scripted."""
+"""Episodes of different lengths, side by side, against what was scripted; rollouts as algorithms
+learn from them: scaled observations, costs that grow along a streak."""
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from small_trainings import trained as in_full
+from toys import Walk, register
 
-from agents.errors import UserError
-from agents.lockstep.rollout import collect
+import agents
+from agents.algorithms import algorithm
+from agents.errors import TaskFailure, UserError
+from agents.lockstep.rollout import collect, learned, streaks
 from agents.training.wrappers import SideBySide
 from circle2d_mj import Circle2DEnv, Circle2DVectorEnv
+from emcc import StreakCost
 
 
 class Countdown(gym.Env):
@@ -48,19 +54,15 @@ def test_side_by_side():
     assert rollout.length.tolist() == [2, 7, 4, 3, 3, 0]
     for k, truncates in enumerate((False, True)):
         own = slice(3 * k, 3 * k + 3)
-        alone = collect(
-            scripted(truncates=truncates), seeds[own], lambda obs: -0.1 * obs, active[own]
-        )
-        end = len(alone.reward)
-        of_part = rollout.of(own)
+        envs = scripted(truncates=truncates)
+        alone = collect(envs, seeds[own], lambda obs: -0.1 * obs, active[own])
+        of_part, during = rollout.of(own), alone.during
         np.testing.assert_array_equal(of_part.length, alone.length)
         for ours, theirs in zip(of_part[:7], alone[:7], strict=True):
-            during = alone.during
-            np.testing.assert_array_equal(ours[:end][during], theirs[during])
+            np.testing.assert_array_equal(ours[: len(during)][during], theirs[during])
+    silent = SideBySide([scripted(), scripted(gives_cost=False)], ("cost",))
     with pytest.raises(UserError, match="gives no info"):
-        collect(
-            SideBySide([scripted(), scripted(gives_cost=False)], ("cost",)), seeds, lambda obs: obs
-        )
+        collect(silent, seeds, lambda obs: obs)
 
 
 @pytest.mark.parametrize("truncates", [False, True])
@@ -91,9 +93,8 @@ def test_native_and_sync_environments_give_the_same():
 
     parameters = {"level": 2, "reset_on_cost": True}
     native = Circle2DVectorEnv(3, autoreset_mode="Disabled", **parameters)
-    sync = SyncVectorEnv(
-        [lambda: Circle2DEnv(**parameters)] * 3, autoreset_mode=AutoresetMode.DISABLED
-    )
+    makers = [lambda: Circle2DEnv(**parameters)] * 3
+    sync = SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
     ours, theirs = collect(native, seeds, act), collect(sync, seeds, act)
     assert ours.length.min() < 50
     np.testing.assert_array_equal(ours.length, theirs.length)
@@ -155,5 +156,81 @@ def test_actions_are_kept_as_chosen_and_taken_clipped():
 def test_an_episode_that_never_ends(monkeypatch):
     monkeypatch.setattr("agents.lockstep.rollout.MAX_STEPS", 6)
     assert collect(scripted(), [2, 6, 4], lambda observation: observation).length.max() == 6
-    with pytest.raises(UserError, match="has not ended after 6 steps"):
+    with pytest.raises(TaskFailure, match="has not ended after 6 steps"):
         collect(scripted(), [2, 7, 4], lambda observation: observation)
+
+
+register()
+
+FAMILIES = ("trpo-lag", "ppo-lag", "sac-lb")
+
+
+def trained(name, **settings):
+    return in_full(name, steps=200, **settings)
+
+
+def test_streaks_by_hand():
+    costs = np.array([[1.0, 0.0], [1.0, 2.0], [0.0, 0.1], [1.0, 2.0]])
+    np.testing.assert_array_equal(streaks(costs), [[1, 0], [2, 1], [0, 2], [1, 3]])
+
+
+def test_costs_and_observations_are_those_of_the_wrapper():
+    """On episodes of different lengths, against `emcc.StreakCost` around each environment; a second
+    cost, another number of times the first, has a streak of its own."""
+
+    def episodes(wrap):
+        makers = [lambda: wrap(gym.wrappers.TimeLimit(Walk(), 40))] * 6
+        envs = SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+        return collect(envs, range(6), lambda observation: np.full((6, 1), 0.6, np.float32))
+
+    plain = episodes(lambda env: env)
+    expected = episodes(lambda env: StreakCost(env, 0.25, scale=1.0))
+    config = algorithm("sac-lb").config(streak_weight=0.25)
+    of_rollout, during = learned(plain, config, 1), plain.during
+    assert (plain.cost[during] != expected.cost[during]).any()
+    for name in ("cost", "observation", "next_observation", "reward"):
+        found, by_wrapper = (getattr(rollout, name)[during] for rollout in (of_rollout, expected))
+        np.testing.assert_array_equal(found, by_wrapper, err_msg=name)
+    shifted = np.roll(plain.cost, 3, axis=0)
+    both = plain._replace(cost=np.concatenate([3.0 * shifted, plain.cost], axis=-1))
+    assert learned(both, config, 1).cost.shape[-1] == 1
+    both = learned(both, config, 2)
+    np.testing.assert_array_equal(both.cost[..., 1], of_rollout.cost[..., 0])
+    np.testing.assert_array_equal(both.observation[..., 3], of_rollout.observation[..., 2])
+    alone = learned(plain._replace(cost=3.0 * shifted), config, 1)
+    np.testing.assert_array_equal(both.cost[..., 0], alone.cost[..., 0])
+    np.testing.assert_array_equal(both.observation[..., :3], alone.observation)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_the_critics_alone_see_the_streak_and_records_keep_the_plain_cost(name):
+    """One more weight for each unit of their first layer; the policy has as many as without. Walk's
+    steps cost 0 or 1, whatever is learned."""
+    both = [trained(name, streak_weight=w) for w in (0.0, 3.0)]
+    plain, of_streaks = (it.learner for it in both)
+    assert of_streaks.nets.critic.sizes[0] == plain.nets.critic.sizes[0] + 1
+    actors = [learner.state_dict()["actor"] for learner in (plain, of_streaks)]
+    assert actors[0].shape == actors[1].shape
+    assert (actors[0] != actors[1]).any()
+    recorded = [it.recorder.take()["Walk-v0/0/costs/cost"] for it in both]
+    assert {*np.concatenate(recorded)} == {0.0, 1.0}
+
+
+@pytest.mark.parametrize("scale", [16.0, (16.0, 0.5)])
+@pytest.mark.parametrize("name", FAMILIES)
+def test_the_scale_is_that_of_observations(name, scale):
+    """A scale in the networks is, bit for bit, one in the task: a power of two only moves the
+    exponent."""
+    inside = trained(name, input_scale=scale)
+    outside = trained(name, parameters={"scale": scale})
+    expected = outside.learner.state_dict()
+    for key, value in inside.learner.state_dict().items():
+        np.testing.assert_array_equal(value, expected[key], err_msg=key)
+    if scale == 16.0:
+        assert (trained(name).learner.state_dict()["actor"] != expected["actor"]).any()
+
+
+def test_a_scale_for_each_number_needs_as_many(tmp_path):
+    with pytest.raises(agents.UserError, match=r"input_scale .* 2, .*got \(1.0, 2.0, 3.0\)"):
+        agents.train("cpo", "Walk-v0", seeds=[0], out=tmp_path, input_scale=[1.0, 2.0, 3.0])
+    assert not list(tmp_path.iterdir())

@@ -1,15 +1,23 @@
-"""Learning of the on-policy family: an epoch of episodes, its advantages, runs side by side."""
+"""Learning on-policy: an epoch of episodes, packed end to end; advantages from their definition;
+the clipped surrogate by hand; steps of Adam against PyTorch's own; runs side by side."""
+
+import math
 
 import numpy as np
 import pytest
 import torch
+from modules import data, flat, module
+from torch.distributions import Independent, Normal
 
 from agents import trust_region as trpo
 from agents.algorithms import cpo, trpo_lag
 from agents.algorithms.cpo import CPOConfig
 from agents.algorithms.trpo_lag import TRPOLagConfig
+from agents.first_order import Minibatch, PPOConfig, actor_step, clipped, surrogate_at
+from agents.lockstep.nets import MLP, no_moments
 from agents.lockstep.rollout import Rollout
-from agents.on_policy.epoch import Packing
+from agents.on_policy.epoch import BLOCK, Packing, advantages, blocks, minibatches
+from agents.on_policy.state import GaussianPolicy, Nets
 from agents.trust_region import TrustRegion
 
 METRICS = ("kl", "step_scale", "critic_loss", "cost_critic_loss", "std")
@@ -133,23 +141,188 @@ def test_a_run_that_takes_no_part_stays_as_it_is(monkeypatch):
         np.testing.assert_array_equal(value[0], alone[name][0], err_msg=name)
 
 
-def test_learns_what_pays():
-    """Reward -(a - 0.5)², cost where the second component is positive: both components obey."""
-    config = TRPOLagConfig(cost_limit=0.0, initial_multiplier=1.0, **SMALL)
-    it = learner(trpo_lag.RULE, config, seeds=(0, 1))
-    zeros = np.zeros((4, OBSERVATION), np.float32)
-    for epoch in range(25):
-        act = it.explorer(epoch, np.zeros(2, np.int64))
-        actions = np.stack([act(zeros) for _ in range(100)])
+@pytest.mark.parametrize(("discount", "gae_lambda"), [(0.99, 0.95), (0.9, 1.0), (0.9, 0.0)])
+def test_advantages_are_sums_of_errors(discount, gae_lambda):
+    """A_t = Σ_k (γλ)^k δ_{t+k} to the episode's end; some end terminally, some are cut off. What
+    lies beyond an episode is not a number, and must not matter."""
+    rng, length = np.random.default_rng(0), np.array([1, 2, 7, 12, 30, 0])
+    during = np.arange(30)[:, None] < length
+    reward, value, next_value = np.where(during, rng.normal(size=(3, 30, 6)), np.nan)
+    ends = np.arange(30)[:, None] == length - 1
+    terminal = ends & (np.arange(6) % 2 == 0)
+    found = advantages(reward, value, next_value, terminal, during, discount, gae_lambda)
+    expected = np.zeros((30, 6))
+    for n in range(6):
+        for t in range(length[n]):
+            for k in range(length[n] - t):
+                error = reward[t + k, n] - value[t + k, n]
+                if not terminal[t + k, n]:
+                    error += discount * next_value[t + k, n]
+                expected[t, n] += (discount * gae_lambda) ** k * error
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
 
-        def draw(k, length, actions=actions):
-            action = actions[:, k]
-            cost = (action[:, 1:] > 0).astype(float)
-            return 0.0, action, -((action[:, 0] - 0.5) ** 2), cost, 0.0
 
-        metrics = it.learn(episodes([100] * 4, draw), epoch, np.ones(2, bool))
-    mean = it.policy()(zeros.reshape(2, 2, OBSERVATION), None)[:, 0]
-    assert (np.abs(mean[:, 0] - 0.5) < 0.2).all()
-    assert (mean[:, 1] < -0.5).all()
-    std = metrics[:, METRICS.index("std")]
-    assert (std < 0.9).all()
+def during(length, steps):
+    return np.arange(steps)[:, None] < np.array(length)
+
+
+def test_packing_round_trip():
+    """Runs of 600, 1, 0 and 512 steps, with columns of vectors; NaN lies beyond the episodes."""
+    lengths = [300, 300, 0, 1, 0, 0, 500, 12]
+    packing = Packing(during(lengths, 500), runs=4)
+    assert packing.steps.tolist() == [600, 1, 0, 512]
+    assert packing.size == 2 * BLOCK
+    inside = during(lengths, 500)[..., None]
+    values = np.where(inside, np.random.default_rng(0).normal(size=(500, 8, 3)), np.nan)
+    packed = packing.pack(values)
+    for run in range(4):
+        episodes = [values[: lengths[n], n] for n in (2 * run, 2 * run + 1)]
+        expected = np.concatenate(episodes).astype(np.float32)
+        np.testing.assert_array_equal(packed[run, : len(expected)], expected)
+        assert not packed[run, len(expected) :].any()
+        means = packing.weight[run] @ packed[run]
+        if len(expected):
+            np.testing.assert_allclose(means, expected.mean(axis=0), atol=1e-6)
+    back = packing.unpack(packed[..., 1])
+    np.testing.assert_array_equal(back, np.where(inside, values, 0.0)[..., 1].astype(np.float32))
+    np.testing.assert_allclose(packing.weight.sum(axis=1), [1, 1, 0, 1], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("steps", "size"), [(0, 1), (1, 1), (512, 1), (513, 2), (1025, 3)])
+def test_rows_come_in_whole_blocks(steps, size):
+    packing = Packing(during([steps, 0], 1100), runs=2)
+    assert packing.size == size * BLOCK
+    column = torch.arange(2.0 * packing.size * 5).view(2, -1, 5)
+    parts = list(blocks(column, column[..., 0]))
+    assert [part.shape for part, _ in parts] == [(2, BLOCK, 5)] * size
+    assert torch.equal(torch.cat([part for part, _ in parts], dim=1), column)
+    assert torch.equal(torch.cat([part for _, part in parts], dim=1), column[..., 0])
+
+
+def generators(*seeds):
+    return [np.random.default_rng(seed) for seed in seeds]
+
+
+def test_a_pass_takes_every_row_once():
+    steps = np.array([1000, 0, 3, 256])
+    passes = list(minibatches(steps, 256, generators(0, 1, 2, 3)))
+    assert len(passes) == 4
+    for run, n in enumerate(steps):
+        taken = torch.cat([rows[run][weight[run] > 0] for rows, weight in passes])
+        assert sorted(taken.tolist()) == list(range(n))
+        for k, (rows, weight) in enumerate(passes):
+            assert rows.shape == weight.shape == (4, 256)
+            held = int(np.clip(n - 256 * k, 0, 256))
+            expected = [1 / max(held, 1)] * held + [0.0] * (256 - held)
+            np.testing.assert_allclose(weight[run], expected, rtol=1e-6)
+    first = passes[0][0][0]
+    assert (first > 255).sum() > 100  # not in the order of time
+
+
+def test_an_order_is_the_runs_own():
+    """The stream decides alone, whatever the other runs have; the next pass takes another order."""
+    streams = generators(5)
+    (alone, _), (following, _) = (next(minibatches(np.array([90]), 96, streams)) for _ in "12")
+    among = list(minibatches(np.array([300, 90]), 96, generators(7, 5)))
+    assert torch.equal(among[0][0][1], alone[0])
+    assert not torch.equal(alone, following)
+
+
+CRITIC = MLP((3, 32, 1))
+LINE = Nets(GaussianPolicy(MLP((1, 1))), CRITIC)
+"""Mean = weight · observation + bias, in parameters 0 and 1; log-std in parameter 32."""
+BIAS, LOG_STD = 1, 32
+
+
+def clipped_surrogate(actor, batch):
+    return surrogate_at(LINE, PPOConfig(clip_range=0.2), clipped, actor, batch)
+
+
+def line(bias):
+    params = torch.zeros(1, LINE.actor.size, dtype=torch.float64)
+    params[0, BIAS] = bias
+    return params
+
+
+def five_steps():
+    """Actions drawn from N(0, 1), at observation 0; advantages of both signs."""
+    action = torch.tensor([[1.0, 1.0, -1.0, -1.0, 0.25]], dtype=torch.float64)
+    return Minibatch(
+        observation=torch.zeros(1, 5, 1, dtype=torch.float64),
+        action=action[..., None],
+        weight=torch.full((1, 5), 0.2, dtype=torch.float64),
+        advantage=torch.tensor([[2.0, -1.0, 1.0, -1.0, 3.0]], dtype=torch.float64),
+        old_log_prob=-0.5 * action**2 - 0.5 * math.log(2 * math.pi),
+    )
+
+
+def test_surrogate_and_its_gradient_by_hand():
+    """From N(0, 1) to N(½, 1): log ρ = a/2 - 1/8, so ρ = 1.4549914 at a = 1, 0.5352614 at -1 and 1
+    at ¼; ε = 0.2. The slope of ρ A is ρ A (a - ½) along the mean, ρ A ((a - ½)² - 1) along log σ.
+
+    a = 1, A = 2: clipped to 1.2·2 = 2.4, slopes 0.
+    a = 1, A = -1: -1.4549914 is less than -1.2 and stays; slopes -0.7274957 and 1.0912436.
+    a = -1, A = 1: 0.5352614 is less than 0.8 and stays; slopes -0.8028921 and 0.6690768.
+    a = -1, A = -1: clipped to -0.8, slopes 0.
+    a = ¼, A = 3: 3; slopes -0.75 and -2.8125.
+    """
+    at = line(0.5)
+    found, outside = clipped_surrogate(at, five_steps())
+    assert found.item() == pytest.approx((2.4 - 1.4549914 + 0.5352614 - 0.8 + 3.0) / 5, abs=1e-7)
+    assert outside.item() == pytest.approx(4 / 5)
+    slope = torch.func.grad(lambda p: clipped_surrogate(p, five_steps())[0].sum())(at)
+    assert slope[0, BIAS].item() == pytest.approx((-0.7274957 - 0.8028921 - 0.75) / 5, abs=1e-7)
+    by_hand = (1.0912436 + 0.6690768 - 2.8125) / 5
+    assert slope[0, LOG_STD].item() == pytest.approx(by_hand, abs=1e-6)
+    assert slope[0, 0] == 0  # the weight's: all observations are 0
+
+
+def test_rows_of_weight_zero_do_not_count():
+    """Not even one whose ratio overflows."""
+    step = five_steps()
+    far = step._replace(
+        weight=torch.tensor([[0.25, 0.25, 0.25, 0.25, 0.0]], dtype=torch.float64),
+        old_log_prob=torch.where(torch.arange(5) == 4, -1e9, step.old_log_prob),
+    )
+    without = Minibatch(*(part[:, :4] for part in far[:5]))
+    for of in (0, 1):
+        found = clipped_surrogate(line(0.5), far)[of]
+        torch.testing.assert_close(found, clipped_surrogate(line(0.5), without)[of])
+
+
+@pytest.mark.parametrize("longest", [0.05, 1e9])
+def test_steps_of_adam_against_separate_runs(longest):
+    """Three steps of two runs; the second has no rows in the second minibatch, and waits."""
+    nets = Nets(GaussianPolicy(MLP((3, 32, 2))), CRITIC)
+    config = PPOConfig(max_gradient_norm=longest, learning_rate=1e-2)
+    rng = np.random.default_rng(0)
+    actor = torch.from_numpy(np.stack([nets.actor.initial(rng, -0.5) for _ in range(2)]))
+    start, moments = nets.actor.net.size, no_moments(actor)
+    theirs = [module(nets.actor.net, params) for params in actor]
+    log_stds = [params[start : start + 2].double().requires_grad_() for params in actor]
+    own = [[*net.parameters(), s] for net, s in zip(theirs, log_stds, strict=True)]
+    optimizers = [torch.optim.Adam(parameters, lr=1e-2) for parameters in own]
+    for held in torch.tensor([[32, 20], [32, 0], [9, 32]]):
+        columns = torch.from_numpy(rng.normal(size=(2, 32, 7)).astype(np.float32))
+        weight = (torch.arange(32) < held[:, None]) / held[:, None].clamp(min=1)
+        observation, action, gain, before = columns.split((3, 2, 1, 1), dim=-1)
+        batch = Minibatch(observation, action, weight, gain[..., 0], before[..., 0] / 3 - 2.5)
+        actor, moments, _ = actor_step(nets, config, actor, moments, batch)
+        for run, n in enumerate(held):
+            if n == 0:
+                continue
+            mean = theirs[run](batch.observation[run, :n].double())
+            policy = Independent(Normal(mean, log_stds[run].exp().expand_as(mean)), 1)
+            ratio = (policy.log_prob(batch.action[run, :n]) - batch.old_log_prob[run, :n]).exp()
+            gains = batch.advantage[run, :n]
+            loss = -torch.minimum(ratio * gains, ratio.clamp(0.8, 1.2) * gains).mean()
+            optimizers[run].zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(own[run], longest)
+            optimizers[run].step()
+    for run in range(2):
+        expected = flat(nets.actor.net, theirs[run], data)
+        found = actor[run, :start].double()
+        torch.testing.assert_close(found, expected, rtol=0, atol=2e-5)
+        log_std = actor[run, start : start + 2].double()
+        torch.testing.assert_close(log_std, log_stds[run].detach(), rtol=0, atol=2e-5)

@@ -3,19 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from small_runs import write_evaluated
+from small_runs import cells, write_evaluated
 
 from agents.paper.grid import ablations, grid
 from agents.paper.presets import preset
-from agents.paper.sections import ties_table
 from agents.reporting.report import table
 from agents.reporting.table import markdown
-from agents.results.measures import measures
-from agents.results.reading import Group, Run
-from agents.training.config import TrainConfig
-from emcc import EpisodeRecords
 
 ALGORITHMS = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
 TASK, SAFETY = "Circle2D-1-v0", "circle2d_mj/SafetyPointGoal1-v0"
@@ -56,19 +50,6 @@ def test_the_grid_with_ablations():
     assert [config.algorithm for config in all_of.values()][-5:] == ["trpo-lag"] * 5
 
 
-def test_a_table_says_what_of_its_presets_is_not_printed(tmp_path):
-    for task in (TASK, SAFETY):
-        for name in ("trpo-lag", "cpo", "sac-lb"):
-            write_runs(tmp_path / task / name, name, [-10.0], task=task)
-    by_circle2d, by_safety = markdown(table(tmp_path)).split(f"| {SAFETY}")
-    decides = "The paper does not print this choice, which decides where runs end.\n"
-    assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {decides}" in by_circle2d
-    assert f"SAC-LB: the last step of an episode counts as terminal. {decides}" in by_circle2d
-    told = "The paper does not print this choice.\n"
-    assert f"Note: TRPO-Lag: the multiplier ascends by Adam. {told}" in by_safety
-    assert f"SAC-LB: values bootstrap at the time limit of an episode. {told}" in by_safety
-
-
 def write_runs(folder, name, j_r, hyperparameters=None, ends=((-0.5, 0.0),), task=TASK):
     """Runs of ten episodes with four of ten steps at a cost, which end in turn at some places."""
     at = [[end] for end in ends] if task.startswith("Circle2D") else None
@@ -88,36 +69,27 @@ def folder(tmp_path):
     return tmp_path
 
 
-def rows(markdown):
-    lines = (line for line in markdown.splitlines() if line.startswith("|"))
-    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
-
-
 def test_both_choices_side_by_side(folder):
     words = markdown(table(folder))
     start = words.index("Other choices of what the paper does not print")
     end = words.index("Measures, over all tasks, in which")
-    main_table, ablated = rows(words[:start]), rows(words[start:end])
-    assert [row[0] for row in ablated[2:]] == [
+    main_table, ablated = cells(words[:start]), cells(words[start:end])
+    assert [row[0] for row in ablated[1:]] == [
         f"{TASK}, TRPO-Lag, adam (preset), 100 steps, mean of 3",
         f"{TASK}, TRPO-Lag, sgd, 100 steps, mean of 2",
         f"{TASK}, TRPO-Lag, paper (3 seeds)",
     ]
-    of_preset, of_other, of_paper = ablated[2:]
+    of_preset, of_other, of_paper = ablated[1:]
     assert of_preset[5] == "-14.00 range -20.00 to -10.00"
     assert of_other[5] == "**-2.00** range -3.00 to -1.00"  # 2.68 from the paper, not 9.32
     assert of_paper[5] == "-4.68"
     assert of_preset[6].startswith("**4.25**")  # of two equal ones either
     assert of_other[6].startswith("**4.25**")
     # Of 3 of 3 runs the lower end is the third root of .025; of 2 of 2 the square root.
-    assert of_preset[9:] == [
-        "3 of 3 [0.29, 1.00]",
-        "corridor, round 2 of 3 [0.09, 0.99]; right rim 1 of 3 [0.01, 0.91]",
-    ]
-    assert of_other[9:] == [
-        "2 of 2 [0.16, 1.00]",
-        "corridor, round 1 of 2 [0.01, 0.99]; right rim 1 of 2 [0.01, 0.99]",
-    ]
+    ends = "corridor, round 2 of 3 [0.09, 0.99]; right rim 1 of 3 [0.01, 0.91]"
+    assert of_preset[9:] == ["3 of 3 [0.29, 1.00]", ends]
+    ends = "corridor, round 1 of 2 [0.01, 0.99]; right rim 1 of 2 [0.01, 0.99]"
+    assert of_other[9:] == ["2 of 2 [0.16, 1.00]", ends]
     # The best J_R of the main table is the preset's, though the ablated runs' is higher.
     assert not any("sgd" in row[0] for row in main_table)
     (of_preset,) = (row for row in main_table if row[0] == "TRPO-Lag (100 steps), mean of 3")
@@ -162,7 +134,7 @@ def test_parts_have_a_table_of_their_own(tmp_path):
     words = markdown(table(tmp_path))
     assert "Other choices of what the paper does not print" not in words
     start = words.index("SAC-LB-Streak without one of its parts")
-    main_table, of_parts = rows(words[:start]), rows(words[start:])[2:]
+    main_table, of_parts = cells(words[:start]), cells(words[start:])[1:]
     assert [row[0] for row in of_parts] == [
         f"{TASK}, SAC-LB-Streak, {choice or 'preset'}, 100 steps, mean of 2" for choice in choices
     ]
@@ -183,9 +155,9 @@ def test_parts_over_all_tasks(tmp_path):
             folder, config = tmp_path / task / choice, choices[choice]
             write_runs(folder, "sac-lb-streak", [0.0, 0.0], config, task=task, ends=ENDS)
     words = markdown(table(tmp_path))
-    found = rows(words[words.index("| over all tasks") :])
+    found = cells(words[words.index("| over all tasks") :])
     name = "B - A: without-streak, 100 steps - preset"
-    assert found[2:5] == [
+    assert found[1:4] == [
         [f"{name}, 2 tasks, 2 seeds against 2", *["+0.000"] * 4],
         ["p", *["1.000"] * 4],
         ["P(B better)", *["0.50"] * 4],
@@ -197,26 +169,5 @@ def test_how_often_a_choice_is_the_nearest(folder):
     """TRPO-Lag's choices differ in J_R alone, the gradient is nearer in it; of equal measures both
     count. CPO has no other choice here."""
     words = markdown(table(folder))
-    found = rows(words[words.index("Measures, over all tasks, in which") :])
-    assert found[2:] == [["TRPO-Lag, adam (preset)", "6 of 7"], ["TRPO-Lag, sgd", "7 of 7"]]
-
-
-def test_ties_split_instead_of_kept():
-    """Nine of each third's 99 rollouts have an MCC of .5, the others of 0, as the quantile: kept,
-    all count, 9 * .5 / 99; split, a tenth of them, 9 * .5 / 9.9 or 10."""
-    number = np.arange(300)
-    streak = np.where(number % 11 == 5, 5, 0)
-    zero = np.zeros(300)
-    records = EpisodeRecords(number, 10 * number, np.full(300, 10), zero, streak, streak)
-    config = TrainConfig("cpo", (TASK,), (0,), 3000, preset("cpo", TASK))
-    kept = {f"EMCC_{part}": 9 * 0.5 / 99 for part in (0.33, 0.66, 0.99)}
-    run = Run(0, dict.fromkeys(m.name for m in measures()) | kept, 100, {}, records)
-    rows = ties_table([Group("cpo", TASK, config, [run], [])]).rows
-    assert [row.name.partition("ties ")[2] for row in rows[:2]] == [
-        "kept, mean of 1",
-        "split, mean of 1",
-    ]
-    assert [[f"{cell.value:.2f}" for cell in row.numbers] for row in rows[:2]] == [
-        ["0.05"] * 3,
-        ["0.45"] * 3,
-    ]
+    found = cells(words[words.index("Measures, over all tasks, in which") :])
+    assert found[1:] == [["TRPO-Lag, adam (preset)", "6 of 7"], ["TRPO-Lag, sgd", "7 of 7"]]

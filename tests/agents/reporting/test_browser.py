@@ -29,26 +29,8 @@ def page_file(tmp_path_factory):
 
 
 @pytest.fixture
-def opened(browser, page_file):
-    """Opens the page; afterwards there must be no error, and nothing fetched."""
-    contexts, said = [], []
-
-    def open_page(width=1280, scheme="light", **options):
-        size = {"width": width, "height": 900}
-        context = browser.new_context(viewport=size, color_scheme=scheme, **options)
-        contexts.append(context)
-        page = context.new_page()
-        page.on("console", lambda message: said.append(message.text))
-        page.on("pageerror", lambda error: said.append(str(error)))
-        page.on("requestfailed", lambda request: said.append(request.url))
-        page.on("request", lambda r: r.url.startswith(("file:", "data:")) or said.append(r.url))
-        page.goto(page_file.as_uri())
-        return page
-
-    yield open_page
-    for context in contexts:
-        context.close()
-    assert said == []
+def opened(opened_page, page_file):
+    return lambda width=1280, scheme="light", **how: opened_page(page_file, width, scheme, **how)
 
 
 def drawing(page):

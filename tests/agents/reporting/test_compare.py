@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import scipy.stats
-from small_runs import chain, write_evaluated
+from small_runs import cells, chain, write_evaluated
 
 from agents.cli.main import main
 from agents.reporting.compare import compare
@@ -26,9 +26,7 @@ def write_runs(folder, name, j_r, task="Circle2D-1-v0", streak=4):
 
 def rows(words):
     """Cells by the row's name, which here says of most runs that they took 100 steps."""
-    words = words.replace(" (100 steps)", "")
-    cells = [[c.strip() for c in line.split("|")[1:-1]] for line in words.splitlines()]
-    return {row[0]: row[1:] for row in cells if row}
+    return {row[0]: row[1:] for row in cells(words.replace(" (100 steps)", ""))}
 
 
 def test_by_hand(tmp_path):
@@ -44,10 +42,8 @@ def test_by_hand(tmp_path):
     # Of the six divisions of two against two, two are as extreme; where all are equal, all.
     assert found["p"][:6] == ["1.000"] * 6
     assert found["P(B better)"][:6] == [*["1.00"] * 3, "0.50", "1.00", "0.50"]
-    assert found["A: TRPO-Lag, seed 1"] == [
-        *("0.40", "0.40", "0.40", "0.40", "-20.00", "4.25", "4.25", "4.00"),
-        *("1 of 1", "right rim"),
-    ]
+    numbers = ("0.40", "0.40", "0.40", "0.40", "-20.00", "4.25", "4.25", "4.00")
+    assert found["A: TRPO-Lag, seed 1"] == [*numbers, "1 of 1", "right rim"]
     assert "corrected for the 8 comparisons made here (Holm)" in words
     assert rows(markdown(compare(b, a)))["B - A: TRPO-Lag - CPO"][4] == "-8.00"
 
@@ -79,9 +75,8 @@ def test_five_seeds_have_intervals_and_tests(tmp_path):
     assert float(found["p"][4]) == pytest.approx(min(1, 8 * expected), abs=0.0006)
     half = scipy.stats.t.ppf(0.975, 4) * math.sqrt(2.5 / 5)
     assert found["A: CPO, mean of 5"][4] == f"-97.00 [{-97 - half:.2f}, {-97 + half:.2f}]"
-    higher = [y > x for x in first for y in second]
-    equal = [y == x for x in first for y in second]
-    assert found["P(B better)"][4].startswith(f"{(sum(higher) + sum(equal) / 2) / 25:.2f} [")
+    pairs = [(y > x) + (y == x) / 2 for x in first for y in second]
+    assert found["P(B better)"][4].startswith(f"{sum(pairs) / 25:.2f} [")
     middle = next(x for x in lines(out) if (x["algorithm"][:1], x["kind"]) == ("B", "iqm"))
     assert float(middle["J_R"]) == -94  # the mean of the middle three of five
 
@@ -101,10 +96,9 @@ def test_runs_too_few_for_a_test_are_named(tmp_path):
         p = float(rows(words)["p"][4])
         assert p == pytest.approx(min(1, tests / ways), abs=0.001)
         assert f"of 3 runs against {runs} no p here can be below {tests / ways:.3g}, " in words
-    sides = [
-        write_runs(tmp_path / k, "cpo", [j - x / 10 for x in range(6)])
-        for k, j in (("c", -1.0), ("d", -9.0))
-    ]
+    sides = [tmp_path / name for name in "cd"]
+    for side, j in zip(sides, (-1.0, -9.0), strict=True):
+        write_runs(side, "cpo", [j - x / 10 for x in range(6)])
     assert "they decide nothing" not in markdown(compare(*sides))
 
 
@@ -124,9 +118,8 @@ def test_over_tasks_few_runs_decide(tmp_path):
     name = "B - A: CPO (100 steps) - TRPO-Lag (100 steps)"
     difference, p, better = tables[-1].rows
     assert tables[-1].head[1:] == ["EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost rate"]
-    assert [row.name for row in tables[-1].rows] == [
-        *(f"{name}, 2 tasks, 3 seeds against 3", "p", "P(B better)")
-    ]
+    names = [f"{name}, 2 tasks, 3 seeds against 3", "p", "P(B better)"]
+    assert [row.name for row in tables[-1].rows] == names
     assert [n.value for n in difference.numbers] == pytest.approx([-0.1, -0.1, -0.1, 0])
     assert all(n.low is None for n in difference.numbers)  # fewer than five seeds
     assert [n.value for n in p.numbers] == pytest.approx([*[4 * 2 / 400] * 3, 1])
@@ -150,41 +143,20 @@ def test_what_is_written(tmp_path, capsys):
     assert main(["compare", str(a), str(b), "--out", str(out)]) == 0
     assert capsys.readouterr().out == printed
     assert (out / "compare.md").read_text() + "\n" == printed
-    numbers = [x for x in lines(out) if x["J_R"]]
-    found = [(x["algorithm"], x["kind"], x["seed"], float(x["J_R"])) for x in numbers]
-    of_a, of_b, both = ("A: CPO (100 steps)", "B: CPO (100 steps)", "B - A: CPO (100 steps)")
-    assert found == [
-        (of_a, "mean", "", -15),
-        (of_a, "mean lowest", "", -20),
-        (of_a, "mean highest", "", -10),
-        (of_a, "iqm", "", -15),
-        (of_a, "run", "0", -10),
-        (of_a, "run", "1", -20),
-        (of_b, "mean", "", -7),
-        (of_b, "mean lowest", "", -9),
-        (of_b, "mean highest", "", -5),
-        (of_b, "iqm", "", -7),
-        (of_b, "run", "0", -5),
-        (of_b, "run", "1", -9),
-        (both, "difference", "", 8),
-        (both, "p", "", pytest.approx(1 / 3)),
-        (both, "improvement", "", 1),
-    ]
-    shares = [
-        (x["algorithm"], x["kind"], x["ends_in"], x["seeds"], x["share"])
-        for x in lines(out)
-        if x["share"]
-    ]
-    assert shares == [
-        (side, *of, "2", "1.0")
-        for side in (of_a, of_b)
+    kinds = ("mean", "mean lowest", "mean highest", "iqm", "run", "run")
+    numbers = {"A": (-15, -20, -10, -15, -10, -20), "B": (-7, -9, -5, -7, -5, -9)}
+    expected = [(of, *pair) for of, own in numbers.items() for pair in zip(kinds, own, strict=True)]
+    expected += [("B", "difference", 8), ("B", "p", pytest.approx(1 / 3)), ("B", "improvement", 1)]
+    told = [x for x in lines(out) if x["J_R"]]
+    assert [(x["algorithm"][0], x["kind"], float(x["J_R"])) for x in told] == expected
+    shares = [x for x in lines(out) if x["share"]]
+    names = ("algorithm", "kind", "ends_in", "seeds", "share")
+    assert [tuple(x[name] for name in names) for x in shares] == [
+        (f"{side}: CPO (100 steps)", *of, "2", "1.0")
+        for side in "AB"
         for of in (("ends in", "right rim"), ("within limit", ""))
     ]
-    low = [float(x["share_low"]) for x in lines(out) if x["share"]]
-    assert low == pytest.approx([math.sqrt(0.025)] * 4)
-    html = (out / "compare.html").read_text()
-    assert "<td>+8.00</td>" in html
-    assert "A: CPO" in html
+    assert [float(x["share_low"]) for x in shares] == pytest.approx([math.sqrt(0.025)] * 4)
     first = {path.name: path.read_bytes() for path in out.iterdir()}
     assert main(["compare", str(a), str(b), "--out", str(out)]) == 0
     assert {path.name: path.read_bytes() for path in out.iterdir()} == first
@@ -209,5 +181,5 @@ def test_each_cost_stands_against_itself(tmp_path):
     for side, first, second in (("a", (2, 4), (6, 8)), ("b", (1, 3), (5, 7))):
         write_evaluated(tmp_path / side, "cpo", first, second=second)
     found = rows(markdown(compare(tmp_path / "a", tmp_path / "b")))
-    gaps = {name: cells[3] for name, cells in found.items() if name.startswith("B - A")}
+    gaps = {name: own[3] for name, own in found.items() if name.startswith("B - A")}
     assert list(gaps.values()) == ["-0.10", "-0.10"]

@@ -1,4 +1,4 @@
-"""Training curves against loops over the episodes."""
+"""The figures of a report, against loops over episodes, and positions and costs worked out here."""
 
 import math
 from statistics import fmean, stdev
@@ -6,18 +6,15 @@ from statistics import fmean, stdev
 import numpy as np
 import pytest
 
+from agents.paper import introduction as example
 from agents.paper.presets import preset
-from agents.reporting.figures import (
-    POINTS,
-    WINDOW,
-    episode_means,
-    midpoints,
-    running_emcc,
-    thirds_emcc,
-)
+from agents.reporting import figures
+from agents.reporting.figures import POINTS, WINDOW, midpoints, thirds_emcc
 from agents.results.reading import Group, Run
 from agents.training.config import TrainConfig
-from emcc import EpisodeRecords, emcc
+from circle2d_mj import Circle2DConfig
+from circle2d_mj.circle2d.envs import Circle2DEnv
+from emcc import EpisodeRecords, emcc, mcc
 
 TOTAL = 4000
 
@@ -56,17 +53,14 @@ def test_episode_means_by_a_loop(column):
     """Of three runs with their range, of five with the t interval, and of five that end in
     different places with their range."""
     other_places = group(RUNS, ("here", "there"))
-    found = [episode_means(line, column) for line in (THREE, FIVE, other_places)]
+    found = [figures.episode_means(line, column) for line in (THREE, FIVE, other_places)]
     lowest = 0.0 if column == "cost" else -math.inf
     for k in range(POINTS):
         means = []
+        low, high = k * TOTAL / POINTS, (k + 1) * TOTAL / POINTS
         for run in RUNS:
-            low, high = k * TOTAL / POINTS, (k + 1) * TOTAL / POINTS
-            inside = [
-                value
-                for start, value in zip(run.start_step, getattr(run, column), strict=True)
-                if low <= start < high
-            ]
+            pairs = zip(run.start_step, getattr(run, column), strict=True)
+            inside = [value for start, value in pairs if low <= start < high]
             means.append(sum(inside) / len(inside) if inside else math.nan)
         half = T_OF_4 * stdev(means) / math.sqrt(5)
         if math.isnan(sum(means)):
@@ -85,7 +79,7 @@ def test_episode_means_by_a_loop(column):
 
 
 def test_running_emcc_by_a_loop():
-    curve = running_emcc(THREE, 0.3)
+    curve = figures.running_emcc(THREE, 0.3)
     for k, middle in enumerate(midpoints(TOTAL)):
         values = []
         for run in RUNS[:3]:
@@ -116,3 +110,36 @@ def test_one_run_has_a_line_alone():
     curve = thirds_emcc(group(RUNS[:1]), 0.3)
     assert np.isfinite(curve.mean).all()
     assert np.isnan(curve.low).all()
+
+
+@pytest.mark.parametrize("name", example.ROUTES)
+def test_scripted_episodes_are_those_of_the_environment(name):
+    """The same actions, through the environment: the same positions and costs."""
+    config = Circle2DConfig(level=1)
+    path, costs = example.walk(config, example.ROUTES[name])
+    env = Circle2DEnv(config=config)
+    env.reset(seed=0)
+    env.load_state_dict({**env.state_dict(), "position": path[:1].copy()})
+    for k, action in enumerate(np.diff(path, axis=0) / 1.1):
+        assert np.hypot(*action) <= 1 + 1e-9
+        observation, _, _, _, info = env.step(action)
+        np.testing.assert_allclose(observation * config.arena, path[k + 1], atol=1e-5)
+        assert info["cost"] == costs[k]
+    assert (len(costs), len(path)) == (50, 51)
+    assert config.region.places(path[-1:]) == ["corridor"]
+    (low, high) = config.start_rectangle
+    assert (path[0] >= low).all()
+    assert (path[0] <= high).all()
+
+
+def test_equal_costs_and_different_chains():
+    """As the paper's first figure: 10 cost steps each, in chains counted by hand."""
+    costs = [example.walk(Circle2DConfig(), route).costs for route in example.ROUTES.values()]
+    chains = [
+        [len(part) for part in "".join(str(int(c)) for c in of).split("0") if part] for of in costs
+    ]
+    assert chains == [[10], [2, 3, 3, 2]]
+    assert [mcc([of]) for of in costs] == [10 / 50, 3 / 50]
+    _, words = example.two_trajectories(128)
+    for part in ("chain 10, EMCC 0.20", "chain 3, EMCC 0.06", "cost rate (0.20) does"):
+        assert part in words

@@ -1,17 +1,20 @@
-"""Films of tasks without a view: the frames that they render themselves."""
+"""Films: what each picture shows, panels that keep step, frames that tasks render themselves."""
 
 import re
 
-import gymnasium as gym
 import imageio.v3 as imageio
 import numpy as np
 import pytest
-from toys import Walk
+from toys import Walk, registered
 
 import agents
 from agents.cli.main import main
 from agents.reporting import pictures
+from agents.reporting.pictures import AGENT, HELD, Panel
 from agents.training.config import RunId
+from agents.training.derive import Episode
+from circle2d_mj import Circle2DConfig
+from circle2d_mj.circle2d.view import Circle2DView
 
 
 class Drawn(Walk):
@@ -38,13 +41,11 @@ class Undrawn(Drawn):
 def walks(tmp_path_factory):
     """Folders of runs on tasks without a view."""
     folder = tmp_path_factory.mktemp("walks")
-    for cls in (Walk, Drawn, Undrawn):
-        gym.register(f"{cls.__name__}Film-v0", cls)
-        task = f"{cls.__name__}Film-v0"
-        agents.train("trpo-lag", task, seeds=4, steps=100, episodes=2, out=folder / cls.__name__)
-    yield folder
-    for cls in (Walk, Drawn, Undrawn):
-        del gym.registry[f"{cls.__name__}Film-v0"]
+    more = {"seeds": 4, "steps": 100, "episodes": 2}
+    with registered(WalkFilm=Walk, DrawnFilm=Drawn, UndrawnFilm=Undrawn):
+        for name in ("Walk", "Drawn", "Undrawn"):
+            agents.train("trpo-lag", f"{name}Film-v0", out=folder / name, **more)
+        yield folder
 
 
 def test_a_task_without_a_view_is_filmed_by_its_frames(walks, tmp_path):
@@ -81,3 +82,44 @@ def test_a_task_that_cannot_be_filmed(walks, tmp_path, capsys, folder, out, mess
     assert main(["render", str(walks / folder), "--out", str(tmp_path / out)]) == 2
     assert re.search(message, capsys.readouterr().err.replace("\n", " "))
     assert not (tmp_path / out).exists()
+
+
+VIEW = Circle2DView(Circle2DConfig(level=1))
+COSTS = [0, 1, 1, 0, 1]
+
+
+def episode(steps, costs=COSTS):
+    """Along the x axis, one world unit a step."""
+    path = np.stack((12.0 - np.arange(steps + 1), np.zeros(steps + 1)), axis=1)
+    return Episode(path, np.array(costs[:steps], float))
+
+
+def agent(picture):
+    """Mean column of the pixels in the agent's colour."""
+    return np.nonzero((picture == np.array(AGENT)).all(axis=-1))[1].mean()
+
+
+def test_a_film_shows_every_state_and_waits_for_the_longer_episode():
+    panels = [Panel("a", VIEW, [episode(5), episode(2)]), Panel("b", VIEW, [episode(3)] * 2)]
+    shown = list(pictures.film(panels, 96))
+    assert len(shown) == pictures.pictures_of(panels) == (5 + 1 + HELD) + (3 + 1 + HELD)
+    height, width, _ = shown[0].shape
+    assert height % 2 == width % 2 == 0
+    assert {picture.shape for picture in shown} == {shown[0].shape}
+    left = [agent(picture[:, : width // 2]) for picture in shown[: 5 + 1]]
+    right = [agent(picture[:, width // 2 :]) for picture in shown[: 5 + 1]]
+    step = 96 / 30  # pixels a world unit: the arena is 30 wide
+    np.testing.assert_allclose(np.diff(left), -step, atol=0.8)
+    np.testing.assert_allclose(np.diff(right), [*[-step] * 3, 0, 0], atol=0.8)
+
+
+@pytest.mark.parametrize(
+    ("steps", "words"),
+    [
+        (0, "episode 2, step 0: cost 0, longest streak 0"),
+        (3, "episode 2, step 3: cost 2, longest streak 2"),
+        (5, "episode 2, step 5: cost 3, longest streak 2"),
+    ],
+)
+def test_the_running_cost_by_hand(steps, words):
+    assert pictures._words(2, episode(5), steps) == words

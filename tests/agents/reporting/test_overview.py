@@ -1,4 +1,4 @@
-"""Figures and tables over all tasks, against counts and means worked out here."""
+"""Figures, tables and ranks over all tasks, against counts and means worked out here."""
 
 import re
 from dataclasses import replace
@@ -8,11 +8,16 @@ from statistics import fmean
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from small_runs import cells
 
+import agents
+from agents import algorithms
+from agents.cli.main import main
 from agents.paper.evidence import printed
 from agents.paper.presets import preset
+from agents.reporting import overall
 from agents.reporting.figures import intervals_figure, profiles_figure
-from agents.reporting.overall import RANKS, over_tasks, separated_table, tables_over_tasks
+from agents.reporting.overall import over_tasks, separated_table
 from agents.results.measures import RunData, measured
 from agents.results.reading import Group, Run
 from agents.results.statistics import comparisons, thirds
@@ -65,14 +70,9 @@ def test_thirds_of_a_run_by_hand():
 def test_rollouts_of_several_episodes_stay_together():
     """Rollouts of two episodes of 100 steps; the last third begins within the third one, which
     belongs to the second third as a whole."""
-    records = EpisodeRecords(
-        [0, 0, 1, 1, 2, 2, 3, 3],
-        100 * np.arange(8),
-        np.full(8, 100),
-        np.zeros(8),
-        [10, 0, 20, 0, 30, 40, 0, 0],
-        [10, 0, 5, 0, 30, 20, 0, 0],
-    )
+    cost, streak = [10, 0, 20, 0, 30, 40, 0, 0], [10, 0, 5, 0, 30, 20, 0, 0]
+    number, length = np.arange(8), np.full(8, 100)
+    records = EpisodeRecords(number // 2, 100 * number, length, np.zeros(8), cost, streak)
     found = thirds(records, 800)
     # They start at 0, 25, 50 and 75 %.
     assert [of.cost_rate for of in found.values()] == pytest.approx([30 / 400, 70 / 200, 0.0])
@@ -150,19 +150,14 @@ def test_over_tasks_by_hand(groups):
     names = [row.name for row in table.rows]
     trpo_lag, cpo, wcsac = (f"{name} (3,000 steps)" for name in ("TRPO-Lag", "CPO", "WCSAC"))
     assert names[:3] == [f"{name}, 6 seeds" for name in (trpo_lag, cpo, wcsac)]
-    assert names[3::2] == [
-        *(f"P({trpo_lag} better than {cpo})", f"P({trpo_lag} better than {wcsac})"),
-        f"P({cpo} better than {wcsac})",
-    ]
+    pairs = ((trpo_lag, cpo), (trpo_lag, wcsac), (cpo, wcsac))
+    assert names[3::2] == [f"P({a} better than {b})" for a, b in pairs]
     assert names[4::2] == ["p"] * 3
     assert table.head[1:] == ["EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost rate"]
     # Streaks 2 3 4 2 3 4 on either task: of twelve values the middle six are 2 3 3 3 3 4 or so.
     streaks = sorted([2, 3, 4] * 4)
     assert table.rows[1].numbers[0].value == pytest.approx(fmean(streaks[3:9]) / 50)
-    rates = (
-        [40 * (20 + k % 2) / STEPS for k in range(6)],
-        [40 * (10 + k % 2) / STEPS for k in range(6)],
-    )
+    rates = [[40 * (cost + k % 2) / STEPS for k in range(6)] for cost in (20, 10)]
     lower = fmean(a < b or (a == b) / 2 for a, b in product(*rates))
     assert table.rows[3].numbers[3].value == pytest.approx(lower)
     cpo, wcsac = ([s + k % 3 for k in range(6)] for s in (2, 8))
@@ -199,9 +194,76 @@ def test_ranks_of_what_can_be_compared(groups):
         changed.append(replace(of, runs=runs))
     more = group(TASKS[0], "cpo", [run(seed, 1, 1) for seed in range(8)])
     changed.append(replace(more, config=replace(more.config, steps=STEPS + 100)))
-    table = tables_over_tasks(changed)[RANKS]
+    table = overall.tables_over_tasks(changed)[overall.RANKS]
     rows = {row.name: [cell.value for cell in row.numbers[3:6]] for row in table.rows}
     assert table.head[4:7] == ["cost rate", "violation rate", "J_R"]
     assert rows["TRPO-Lag, 6 seeds"] == [3, 2.5, 2.5]
     assert rows["CPO, 6 seeds"] == [2, 2.5, 1]
     assert rows["WCSAC, 6 seeds"] == [1, 1, 2.5]
+
+
+MINE = '''
+"""CPO by another name."""
+
+from dataclasses import dataclass
+
+import agents
+from agents.algorithms import cpo
+
+
+@dataclass(frozen=True)
+class Config(cpo.CPOConfig):
+    """Hyper-parameters of Mine."""
+
+
+agents.register("mine", cpo.ALGORITHM._replace(title="Mine", config=Config))
+'''
+
+
+def test_ranks_and_probability_of_improvement():
+    """Task 1: means 1, 2, 3; task 2: 2 (runs 1 and 3), 2, 1. Mean ranks (1 + 2.5)/2, (2 + 2.5)/2,
+    (3 + 1)/2. The first is better on task 1 with 1; on task 2 than the second with ½, than the
+    third, which ties with one run, with ¼: (1 + .375)/2."""
+    first = [np.array(v) for v in ([1.0, 1.0], [2.0], [3.0, 3.0, 3.0])]
+    second = [np.array(v) for v in ([1.0, 3.0], [2.0, 2.0], [1.0, 1.0])]
+    ranks, wins = overall.ranks_and_wins([first, second])
+    assert ranks[0].tolist() == [1.75, 2.25, 2.0]
+    assert wins[0, 0] == pytest.approx(0.6875)
+    # Drawn again, the runs (1, 3) are (1, 1) with ¼: tied with the third for the best.
+    assert np.mean(ranks[1:, 0] == (1 + 1.5) / 2) == pytest.approx(0.25, abs=0.05)
+    assert wins[1:].sum(axis=1) == pytest.approx(1.5)  # of each pair one is the better
+
+
+def test_what_is_ordered_otherwise():
+    """Of three pairs one, A and B: .1 before .2, but .5 after .2; tau = (2 - 1)/3."""
+    rates = {"A": [0.1, 0.1], "B": [0.3, 0.1], "C": [0.3, 0.3]}
+    emccs = {"A": [0.5, 0.5], "B": [0.1, 0.3], "C": [0.6, 0.6]}
+    row = overall.order_row("task", rates, emccs)
+    counted, tau, rate, emcc = (cell.value for cell in row.numbers)
+    assert (counted, row.numbers[0].total, row.ends) == (1, 3, "A, B")
+    assert (tau, rate, emcc) == pytest.approx((1 / 3, -0.1, 0.3))
+
+
+@pytest.mark.slow
+def test_a_method_of_ones_own_beside_published_ones(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(algorithms._algorithms, "registered", {})
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my_method.py").write_text(MINE)
+    command = ["reproduce", "--benchmark", "--tasks", "Circle2D-0-v0", "Circle2D-1-v0"]
+    command += ["--quick", "--seeds", "0", "1", "2", "--steps", "1600", "--workers", "1"]
+    assert main([*command, "--algorithms", "cpo", "trpo-lag", "--out", "published"]) == 0
+    report = (tmp_path / "published" / "report.md").read_text()
+    assert "Ranks over tasks" not in report  # of two algorithms
+    agents.report(tmp_path / "published", archive=tmp_path / "published.zip")
+    command += ["--import", "my_method", "--algorithms", "mine", "--out", "mine"]
+    assert main([*command, "--beside", "nowhere.zip"]) == 2
+    assert main([*command, "--beside", "published.zip"]) == 0
+    report = (tmp_path / "mine" / "report.md").read_text()
+    ranks = report.split("## Ranks over tasks")[1].split("## ")[0]
+    rows = {row[0]: row[1] for row in cells(ranks)}
+    assert set(rows) >= {f"{name}, 3 seeds" for name in ("CPO", "TRPO-Lag", "Mine")}
+    # Equal algorithms with equal seeds have equal ranks.
+    assert rows["CPO, 3 seeds"].split("[")[0] == rows["Mine, 3 seeds"].split("[")[0]
+    assert "What EMCC orders otherwise" in report
+    capsys.readouterr()
+    assert main([*command[:4], "--benchmark", "--safety", "--out", "x"]) == 2

@@ -1,28 +1,26 @@
-"""A measure from outside, and measures that runs lack, in everything that a report writes."""
+"""Measures: the tidy frame of them, means, one from outside, and those that runs lack."""
 
 import csv
+from dataclasses import replace
+from statistics import fmean, stdev
 
 import numpy as np
 import pytest
-from small_runs import groups_of, write_evaluated
+import scipy.stats
+from small_runs import cells, groups_of, write_evaluated
 
 from agents.errors import OwnCodeError
 from agents.paper import presets
 from agents.paper.evidence import gather
 from agents.paper.grid import ablations
+from agents.paper.presets import preset
 from agents.reporting.compare import compare
-from agents.reporting.report import report
+from agents.reporting.report import report, table
 from agents.reporting.table import markdown
-from agents.results.measures import (
-    Measure,
-    RunData,
-    measure,
-    measures,
-    register,
-    unregister,
-)
-from agents.results.statistics import difference_of, mean_of
-from emcc import EpisodeRecords
+from agents.results.frame import COLUMNS, frame
+from agents.results.measures import Measure, measure, measures, register, unregister
+from agents.results.reading import read
+from agents.results.statistics import difference_of, group_mean, mean_of
 
 
 def worst_cost(run):
@@ -83,9 +81,7 @@ def test_a_measure_from_outside_is_everywhere(outside, tmp_path):
 
 def rows(markdown):
     """Cells of the first table by the name of the row and the head of the column."""
-    lines = markdown[markdown.index("| ") :].partition("\n\n")[0].splitlines()
-    table = [line.split("|")[1:-1] for line in lines if line.startswith("|")]
-    head, _, *others = ([cell.strip() for cell in line] for line in table)
+    head, *others = cells(markdown[markdown.index("| ") :].partition("\n\n")[0])
     return {row[0]: dict(zip(head, row, strict=True)) for row in others}
 
 
@@ -96,7 +92,7 @@ def lines(path):
 
 def test_an_evaluation_that_is_not_finite(tmp_path):
     write_evaluated(tmp_path / "cpo", "cpo", costs=(4, 4), returns=(-9.0, float("nan")))
-    words = markdown(report(tmp_path).blocks)
+    words = markdown(table(tmp_path))
     assert "seed 1: J_R is not finite: nan" in words
     assert "CPO (100 steps), mean of 1" in words
 
@@ -123,17 +119,6 @@ def test_a_second_cost_has_rows_of_its_own_and_decides_no_claim(tmp_path, monkey
     assert [group.cost for group in both] == ["cost", "cost_2"]
     assert len(gather(both)[task, "cpo"].runs) == 2
     assert gather(both[1:])[task, "cpo"].lacking == "no runs"
-
-
-def test_the_mean_streak_by_hand():
-    """Chains of 4, 2, 1 and 1 cost steps: 8 steps in 4 chains."""
-    zero = np.zeros(3)
-    records = EpisodeRecords(
-        [0, 1, 2], [0, 10, 20], zero + 10, zero, [6, 2, 0], [4, 1, 0], [6, 2, 0], [2, 2, 0]
-    )
-    assert measure("mean_streak").compute(RunData(records, 30, {})) == 2.0
-    safe = EpisodeRecords([0], [0], [10], [0], [0], [0], [0], [0])
-    assert measure("mean_streak").compute(RunData(safe, 10, {})) == 0.0
 
 
 def test_a_mean_of_what_is_not_known_is_not_known():
@@ -164,3 +149,44 @@ def test_names_are_single_and_single_words():
     with pytest.raises(ValueError, match="must be one word, got 'a b'"):
         Measure("a b", "a", "", 2, "lower", lambda run: 0.0)
     assert len({of.name for of in measures()}) == len(measures())
+
+
+@pytest.fixture
+def groups(tmp_path):
+    """CPO's seeds 0 to 2 and, in another folder, 3 and 4; WCSAC; on another level."""
+    write_evaluated(tmp_path / "a", "cpo", costs=(1, 2, 3))
+    write_evaluated(tmp_path / "b", "cpo", costs=(4, 5), seeds=(3, 4))
+    write_evaluated(tmp_path / "c", "wcsac", costs=(5, 6))
+    write_evaluated(tmp_path / "d", "cpo", costs=(7,), task="Circle2D-2-v0")
+    return read([tmp_path], [])
+
+
+def test_a_row_for_each_run_and_measure(groups):
+    tidy = frame(groups)
+    assert list(tidy.columns) == list(COLUMNS)
+    assert len(tidy) == (5 + 2 + 1) * len(measures())
+    assert [group.folder for group in groups] == ["a + b", "c", "d"]
+    for number, group in enumerate(groups):
+        for run in group.runs:
+            rows = tidy[(tidy["group"] == number) & (tidy["seed"] == run.seed)]
+            assert set(rows["task"]) == {group.task}
+            assert set(rows["settings"]) == {"100 steps"}
+            for row in rows.itertuples():
+                name = row.measure if np.isnan(row.part) else f"{row.measure}_{row.part}"
+                value = run.measures[name]
+                assert row.value == value or (value is None and np.isnan(row.value))
+    assert set(tidy.loc[tidy["measure"] == "EMCC", "part"]) == {0.33, 0.66, 0.99}
+    assert tidy.loc[tidy["measure"] != "EMCC", "part"].isna().all()
+
+
+def test_means_and_their_intervals(groups):
+    """Five runs have the t interval, two their range."""
+    cpo, wcsac, single = (group_mean(group, "cost_rate") for group in groups)
+    values = [0.1, 0.2, 0.3, 0.4, 0.5]
+    half = scipy.stats.t.ppf(0.975, 4) * stdev(values) / 5**0.5
+    expected = (fmean(values), fmean(values) - half, fmean(values) + half)
+    assert (cpo.value, cpo.low, cpo.high) == pytest.approx(expected)
+    assert (wcsac.low, wcsac.high) == (0.5, 0.6)
+    assert single.low is None
+    assert group_mean(replace(groups[0], runs=[]), "cost_rate") is None
+    assert preset("cpo", "Circle2D-1-v0") == groups[0].config.hyperparameters

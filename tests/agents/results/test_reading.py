@@ -9,19 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import toys
-from small_runs import TRPO, few_episodes, results, write_evaluated, write_runs
+from small_runs import TRPO, edit_results, few_episodes, results, write_evaluated
 
 import agents
 from agents.errors import UserError
 from agents.paper.presets import preset
-from agents.results.reading import (
-    folders_below,
-    name_of_source,
-    read,
-    read_folder,
-    write_archive,
-)
-from agents.training.files import write_arrays
+from agents.results.reading import folders_below, name_of_source, read, read_folder, write_archive
 
 TASK = "Circle2D-1-v0"
 toys.register()
@@ -155,8 +148,7 @@ def test_files_that_are_no_archives_or_damaged(packed, tmp_path):
 def test_objects_are_refused(tmp_path):
     write_evaluated(tmp_path, "cpo", costs=(3, 4))
     with np.load(tmp_path / "results.npz") as file:
-        arrays = dict(file)
-    arrays[f"{TASK}/1/return"] = np.array([{}] * 10, dtype=object)
+        arrays = dict(file) | {f"{TASK}/1/return": np.array([{}] * 10, dtype=object)}
     np.savez(tmp_path / "results.npz", **arrays)
     notes = []
     [group] = read([tmp_path], notes)
@@ -164,51 +156,27 @@ def test_objects_are_refused(tmp_path):
     assert "results.npz is damaged: Object arrays cannot be loaded" in notes[0]
 
 
-def edited(folder, **changes):
-    with np.load(folder / "results.npz") as file:
-        arrays = dict(file)
-    for name, change in changes.items():
-        name = f"{TASK}/1/{name.replace('__', '/')}"
-        arrays[name] = change(arrays[name])
-    write_arrays(folder / "results.npz", arrays)
-
-
 @pytest.mark.parametrize(
-    "changes",
+    ("name", "change"),
     [
-        {"length": lambda a: a[:-1]},
-        {"length": lambda a: a * 0},
-        {"return": lambda a: a * np.nan},
-        {"rollouts": lambda a: a + 1},
-        {"costs__cost__steps": lambda a: a + 100},
-        {"evaluation__deterministic__returns": lambda a: a * np.nan},
+        ("length", lambda a: a[:-1]),
+        ("length", lambda a: a * 0),
+        ("return", lambda a: a * np.nan),
+        ("rollouts", lambda a: a + 1),
+        ("costs/cost/steps", lambda a: a + 100),
+        ("evaluation/deterministic/returns", lambda a: a * np.nan),
     ],
 )
-def test_numbers_that_cannot_be_are_left_out(tmp_path, changes):
+def test_numbers_that_cannot_be_are_left_out(tmp_path, name, change):
     write_evaluated(tmp_path, "cpo", costs=(3, 4))
-    edited(tmp_path, **changes)
+    with np.load(tmp_path / "results.npz") as file:
+        changed = {f"{TASK}/1/{name}": change(file[f"{TASK}/1/{name}"])}
+    edit_results(tmp_path, **changed)
     notes = []
     [group] = read([tmp_path], notes)
     assert group.seeds == [0]
     assert len(notes) == 1
     assert "seed 1" in notes[0]
-
-
-def test_measures_by_hand(tmp_path):
-    config = write_runs(tmp_path / "open")
-    assert config.tasks == ("Circle2D-3-v0",)
-    records = agents.load_runs(tmp_path / "open").records[tmp_path / "open", 0]
-    assert records.longest_streak[:4].tolist() == [0, 4, 5, 1]
-    write_evaluated(tmp_path / "done", "cpo", costs=(3, 4))
-    [group] = read([tmp_path / "done"], [])
-    assert group.values("cost_rate") == [0.3, 0.4]
-    assert group.values("EMCC_0.33") == [0.3, 0.4]
-    assert group.values("J_R") == [-9.0, -9.0]
-    assert group.values("J_C") == [4.25, 4.25]
-
-
-def folders(groups):
-    return [group.folder for group in groups]
 
 
 def test_several_sources_are_one(tmp_path):
@@ -220,12 +188,16 @@ def test_several_sources_are_one(tmp_path):
     write_archive(archive, read([tmp_path / "cpo" / "grid"], []))
     both, whole = read([archive, folder], [], "all"), read([tmp_path / "whole"], [], "all")
     assert_equal_groups(both, whole, located=False)
-    assert folders(both) == folders(whole)
+    assert [g.folder for g in both] == [g.folder for g in whole]
     assert both[0].title == f"all/{TASK}/cpo"
-    joined = folders(read([folder / TASK / "wcsac", archive], [], "all"))
-    assert set(joined) == {"wcsac", f"{TASK}/cpo"}
+    joined = read([folder / TASK / "wcsac", archive], [], "all")
+    assert {group.folder for group in joined} == {"wcsac", f"{TASK}/cpo"}
     same = read([tmp_path / "whole", folder], [], "all")
-    assert set(folders(same)) == {f"{TASK}/cpo", f"whole/{TASK}/wcsac", f"grid/{TASK}/wcsac"}
+    assert {group.folder for group in same} == {
+        f"{TASK}/cpo",
+        f"whole/{TASK}/wcsac",
+        f"grid/{TASK}/wcsac",
+    }
     for inner in (tmp_path / "whole" / TASK, tmp_path / "whole" / ".." / "whole"):
         with pytest.raises(UserError, match=r"is in .*whole: its runs would count twice"):
             read([inner, tmp_path / "whole"], [], "all")
@@ -261,9 +233,9 @@ def test_what_stays_apart(tmp_path):
     """A seed that was trained twice, and other settings."""
     for name, seeds in (("a", (0, 1)), ("b", (2, 3)), ("c", (3, 4))):
         write_evaluated(tmp_path / "x" / name, "cpo", seeds, seeds=seeds)
-    assert folders(read([tmp_path / "x"], [])) == ["a", "b", "c"]
+    assert [group.folder for group in read([tmp_path / "x"], [])] == ["a", "b", "c"]
     usual = preset("trpo-lag", TASK)
     for name, seeds, discount in (("a", (0, 1), 0.99), ("b", (2, 3), 0.9)):
         chosen = replace(usual, discount=discount)
         write_evaluated(tmp_path / "y" / name, "trpo-lag", seeds, chosen, seeds=seeds)
-    assert folders(read([tmp_path / "y"], [])) == ["a", "b"]
+    assert [group.folder for group in read([tmp_path / "y"], [])] == ["a", "b"]

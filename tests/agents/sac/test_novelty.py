@@ -29,6 +29,11 @@ def test_a_place_seen_some_times(visits):
     assert novelty_at(novelty, (3.0, -1.0)) == pytest.approx(1 / np.sqrt(1 + visits), rel=1e-4)
 
 
+def test_nothing_seen():
+    """With A = I the novelty is the norm of the features, 1."""
+    assert novelty_at(Novelty(1.0, [0], 2), (3.0, -1.0), (0.0, 2.0)) == pytest.approx(1, rel=1e-5)
+
+
 def test_two_places():
     """After one visit of s, φ(t)ᵀ A⁻¹ φ(t) = 1 - k² / 2, where k is the product of their features
     and about exp(-d² / 2): .88 at half a length and 0 far away."""
@@ -138,13 +143,6 @@ def test_the_scale_follows_training_and_resumes():
     again = ReturnScale(2, 0.99)
     again.load_state_dict({"moments": learner.state_dict()["scale.moments"]})
     np.testing.assert_array_equal(again.of(array(plain.reward)), scaled)
-
-
-def test_nothing_seen():
-    """With A = I the novelty is the norm of the features, 1."""
-    novelty = Novelty(1.0, [0, 1], 2)
-    states = np.random.default_rng(0).normal(size=(2, 50, 2)).astype(np.float32)
-    np.testing.assert_allclose(novelty.of(states), 1.0, rtol=1e-5)
 
 
 def test_runs_draw_their_own_features_and_keep_them():

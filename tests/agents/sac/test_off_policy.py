@@ -7,7 +7,9 @@ import pytest
 from small_trainings import trainer
 
 from agents.errors import UserError
+from agents.lockstep.rollout import Rollout
 from agents.paper.presets import preset
+from agents.sac.replay import Replay
 from agents.training.config import TrainConfig
 
 
@@ -114,3 +116,63 @@ def test_every_epoch_explores_by_other_noise(name):
     first, again, later = (it.learner.explorer(k, taken)(observation) for k in (0, 0, 1))
     np.testing.assert_array_equal(first, again)
     assert (first != later).all()
+
+
+def random_rollout(rng, steps, lengths):
+    def numbers(*shape):
+        return rng.normal(size=(steps, len(lengths), *shape)).astype(np.float32)
+
+    flags = rng.random((2, steps, len(lengths))) < 0.2
+    columns = (numbers(3), numbers(2), numbers(), numbers(2), numbers(3), *flags)
+    return Rollout(*columns, np.array(lengths), np.full(len(lengths), ""))
+
+
+class Kept(list):
+    """The first rows of a run, and behind them the last: a list that forgets in its middle."""
+
+    def __init__(self, capacity, kept):
+        super().__init__()
+        self._capacity, self._kept = capacity, kept
+
+    def append(self, row):
+        if len(self) == self._capacity:
+            del self[self._kept]
+        super().append(row)
+
+
+def fill(replay, capacity, epochs=9, kept=0):
+    rng = np.random.default_rng(0)
+    held = [Kept(capacity, kept) for _ in range(2)]
+    for _ in range(epochs):
+        rollout = random_rollout(rng, 5, rng.integers(0, 6, size=2))
+        replay.add(rollout, rollout.terminated, rollout.truncated)
+        for run, length in enumerate(rollout.length):
+            for t in range(length):
+                columns = [np.ravel(column[t, run]) for column in rollout[:7]]
+                held[run].append(tuple(np.concatenate(columns, dtype=np.float32)))
+    return held
+
+
+def rows(batch):
+    batch = batch._replace(cost=batch.cost.mT)
+    columns = [c if c.dim() == 3 else c[..., None] for c in batch]
+    return np.concatenate([c.numpy() for c in columns], axis=-1)
+
+
+@pytest.mark.parametrize(("capacity", "kept"), [(12, 0), (12, 5), (12, 11), (100, 0), (100, 7)])
+def test_holds_the_first_and_the_last_transitions(capacity, kept):
+    replay = Replay(2, capacity, 3, 2, 2, kept)
+    held = fill(replay, capacity, kept=kept)
+    assert replay.size.tolist() == [len(h) for h in held]
+    smallest = min(map(len, held))
+    everything = np.tile(np.arange(smallest), (2, 1))
+    for run in range(2):
+        index = everything.copy()
+        index[run] = np.arange(smallest)
+        found = {tuple(row) for row in rows(replay.gather(index))[run]}
+        expected = set(held[run])
+        assert found <= expected
+        if smallest == len(held[run]):
+            assert found == expected
+        first = rows(replay.gather(everything))[run, :kept]
+        np.testing.assert_array_equal(first, np.array(held[run][:kept], np.float32).reshape(-1, 13))

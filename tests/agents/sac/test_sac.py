@@ -9,7 +9,6 @@ import torch
 
 from agents.algorithms.sac_lag import RULE, SACLagConfig
 from agents.lockstep import lagrange, tree
-from agents.lockstep.nets import LANES
 from agents.sac import update as sac
 from agents.sac.replay import Batch
 
@@ -71,33 +70,6 @@ def test_losses_by_hand():
     assert found[0].tolist() == pytest.approx([log_prob] * 2, rel=1e-6)
     # α log π - min Q + β max Q_c = -1.8378771 - 3 + 0.6931472 · 7 = 0.0141533
     assert loss.item() == pytest.approx(0.0141533, abs=1e-6)
-
-
-def test_temperature_moves_towards_the_target_entropy():
-    """The entropy, 1.84, lies above its target, -2: the temperature must fall."""
-    nets, state = constant_nets(CONFIG, [0.0] * 4, [0.0] * 4)
-    noise = sac.UpdateNoise(torch.zeros(1, 2, 2), torch.zeros(1, 2, 2))
-    after, metrics = sac.update(nets, CONFIG, RULE, state, two_transitions(), noise)
-    # Adam's first step is the learning rate: log α from 0 to -3e-4
-    torch.testing.assert_close(after.log_temperature, torch.full((1, LANES), -3e-4))
-    assert metrics["temperature"].item() == 1.0
-    # all costs are 0 < 5: the multiplier falls as well
-    torch.testing.assert_close(after.multipliers[0].parameter, torch.full((1, LANES), -2e-3))
-
-
-def test_the_target_entropy_is_minus_the_number_of_action_components():
-    """Of 3 observations and 2 actions: the gradient along log α is -α (log π - 2). At α = 1 Adam's
-    first mean is a tenth of it; by hand log π = -1.8378771, as above."""
-    nets = sac.make_nets(CONFIG, 3, 2, 1)
-    state = sac.initial_state(nets, CONFIG, RULE, [0])
-    state = state._replace(actor=torch.zeros_like(state.actor))
-    batch = two_transitions()._replace(
-        observation=torch.zeros(1, 2, 3), next_observation=torch.zeros(1, 2, 3)
-    )
-    noise = sac.UpdateNoise(torch.zeros(1, 2, 2), torch.zeros(1, 2, 2))
-    after, _ = sac.update(nets, CONFIG, RULE, state, batch, noise)
-    expected = torch.full((1, LANES), 0.1 * (1.8378771 + 2.0))
-    torch.testing.assert_close(after.temperature_moments.mean, expected)
 
 
 @pytest.mark.parametrize("scale", [0.1, 1.0, 3.0])

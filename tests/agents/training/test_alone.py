@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from small_runs import SAC, TRPO, differing, results, run_of
 from toy_family import known
-from toys import Walk
+from toys import Walk, registered
 
 import agents
 from agents.errors import UserError
@@ -15,6 +15,7 @@ from agents.training.config import RunId, TrainConfig
 OPTIONS = {"steps": 200, "checkpoint_every": 50, "evaluate_every": 100}
 FAMILIES = {"trpo-lag": TRPO, "cpo": TRPO, "sac-lb": SAC}
 TASKS = ("Circle2D-1-v0", "Circle2D-2-v0")
+PHYSICS = ("Circle2DMuJoCo-0-v0", "Circle2DMuJoCo-1-v0")
 
 
 def trained(out, algorithm, tasks, seeds, **more):
@@ -33,18 +34,19 @@ def assert_as_alone(together, alone, run):
     assert not differing(ours, theirs)
     assert policies(together, run) == policies(alone, run)
     both = (agents.load_policy(f, run.seed, task=run.task) for f in (together, alone))
-    observations = np.random.default_rng(0).normal(size=(20, 2))
+    observations = np.random.default_rng(0).normal(size=(20, 4 if run.task in PHYSICS else 2))
     np.testing.assert_array_equal(*(policy(observations) for policy in both))
 
 
 @pytest.mark.parametrize("algorithm", FAMILIES)
 def test_in_a_folder_of_several_tasks_and_seeds(tmp_path, algorithm):
-    together = trained(tmp_path / "all", algorithm, TASKS, (3, 4))
-    for run in (RunId(TASKS[0], 4), RunId(TASKS[1], 3)):
+    tasks = PHYSICS if algorithm == "cpo" else TASKS
+    together = trained(tmp_path / "all", algorithm, tasks, (3, 4))
+    for run in (RunId(tasks[0], 4), RunId(tasks[1], 3)):
         alone = trained(tmp_path / f"{run.prefix}".replace("/", "-"), algorithm, *run)
         assert_as_alone(together, alone, run)
     config = TrainConfig.read(together)
-    assert [str(run) for run in config.runs] == [f"{t}, seed {s}" for t in TASKS for s in (3, 4)]
+    assert [str(run) for run in config.runs] == [f"{t}, seed {s}" for t in tasks for s in (3, 4)]
     starts = [run_of(together, run)["replay/points"][:2].tolist() for run in config.runs]
     assert len(set(map(str, starts))) == 4  # tasks and seeds have random streams of their own
 
@@ -70,11 +72,11 @@ def test_while_others_end_earlier_or_fail(tmp_path, algorithm):
 @pytest.mark.parametrize(("algorithm", "how"), [("trpo-lag", "async"), ("sac-lb", "sync")])
 def test_equal_trainings_leave_equal_bytes_by_any_vectorization(tmp_path, algorithm, how):
     """And their archives, written at other times."""
+    more = {"steps": 300}
+    ways = {"a": "auto", "b": "auto", "c": how}
     folders = [
-        trained(
-            tmp_path / k / "x", algorithm, TASKS, (3, 4), steps=300, vectorization=vectorization
-        )
-        for k, vectorization in (("a", "auto"), ("b", "auto"), ("c", how))
+        trained(tmp_path / k / "x", algorithm, TASKS, (3, 4), vectorization=way, **more)
+        for k, way in ways.items()
     ]
     first, again, other = map(results, folders)
     assert first == again
@@ -89,9 +91,8 @@ def test_equal_trainings_leave_equal_bytes_by_any_vectorization(tmp_path, algori
 
 
 def test_tasks_that_do_not_fit_together_are_refused(tmp_path):
-    gym.register("Wide-v0", Walk, disable_env_checker=True, kwargs={"scale": 1.0})
-    gym.register("Four-v0", type("Four", (Walk,), {"action_space": gym.spaces.Box(-1, 1, (1,))}))
-    try:
+    four = type("Four", (Walk,), {"action_space": gym.spaces.Box(-1, 1, (1,))})
+    with registered(Wide=Walk, Four=four):
         with pytest.raises(UserError, match="equal observations and actions"):
             trained(tmp_path / "x", "cpo", ("Walk-v0", "Four-v0"), 0)
         assert not (tmp_path / "x").exists()
@@ -99,6 +100,4 @@ def test_tasks_that_do_not_fit_together_are_refused(tmp_path):
             agents.train("sac-lb", ("Walk-v0", "Circle2D-1-v0"), out=tmp_path / "x")
         with known():
             trained(tmp_path / "y", "toy", ("Walk-v0", "Wide-v0"), 0)
-    finally:
-        del gym.registry["Wide-v0"], gym.registry["Four-v0"]
     assert not (tmp_path / "x").exists()

@@ -71,14 +71,9 @@ def test_writing_takes_2_percent_of_the_time_at_most(tmp_path, monkeypatch, cloc
 def reading(*steps, failed=(), folder=None):
     failures = np.where(np.isin(np.arange(len(steps)), failed), "failed", "")
     config = TrainConfig("cpo", (TASK,), tuple(range(len(steps))), STEPS, preset("cpo", TASK))
-    return SimpleNamespace(
-        steps=np.array(steps),
-        failures=failures,
-        done=min(steps) >= STEPS,
-        recorder=SimpleNamespace(recent=(-4.0, 2.5)),
-        config=config,
-        folder=folder,
-    )
+    numbers = {"steps": np.array(steps), "failures": failures, "done": min(steps) >= STEPS}
+    recorder = SimpleNamespace(recent=(-4.0, 2.5))
+    return SimpleNamespace(**numbers, recorder=recorder, config=config, folder=folder)
 
 
 def test_the_status_of_a_training(tmp_path, clock):

@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_runs import SAC, TRPO, few_episodes, results
+from small_runs import SAC, TRPO, checkpoints_often, few_episodes, results
 from toy_family import known
 
 import agents
 from agents.api import configs_of
 from agents.errors import UserError
 from agents.results.reading import read
-from agents.training import trainer
 from agents.training.trainer import train
 
 SETTINGS = {"seeds": (0, 1), "steps": 120, "checkpoint_every": 30, "evaluate_every": 60}
@@ -26,15 +25,7 @@ SETTINGS = {"seeds": (0, 1), "steps": 120, "checkpoint_every": 30, "evaluate_eve
 
 @pytest.fixture(autouse=True, scope="module")
 def toy():
-    with known(), few_episodes(1):
-        yield
-
-
-@pytest.fixture(autouse=True, scope="module")
-def often():
-    """A checkpoint whenever one is due by steps."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trainer, "WRITING_SHARE", 1e9)
+    with known(), few_episodes(1), checkpoints_often():
         yield
 
 
@@ -144,6 +135,7 @@ def assert_goes_on(folder, expected):
 
 
 CHOICES = {"toy": {}, "trpo-lag": TRPO, "sac-lag": SAC}
+FOLDERS = ("checkpoints", "policies")
 
 
 @pytest.mark.parametrize(("algorithm", "every"), [("toy", 1), ("trpo-lag", 7), ("sac-lag", 7)])
@@ -158,9 +150,7 @@ def test_every_prefix_of_the_operations_goes_on_to_the_same(tmp_path, algorithm,
     flushed = {name: content for name, content in states[-1].items() if content is not None}
     assert flushed == {n: c for n, c in files_of(folder).items() if c is not None and n != ".lock"}
     expected = results(folder)
-    assert {name.split("/")[0] for name in expected} == {
-        *("config.json", "results.npz", "checkpoints", "policies")
-    }
+    assert {n.split("/")[0] for n in expected} == {"config.json", "results.npz", *FOLDERS}
     assert len(states) > 45
     for state in states[::every]:
         assert_goes_on(made(tmp_path / "cut", state), expected)
@@ -195,6 +185,12 @@ def left(request, tmp_path_factory):
     return root / "part", results(root / "whole")
 
 
+def flipped(data, at):
+    changed = bytearray(data)
+    changed[min(at, len(data) - 1)] ^= 16
+    return bytes(changed)
+
+
 DAMAGES = {
     "removed": lambda data: None,
     "empty": lambda data: b"",
@@ -202,11 +198,7 @@ DAMAGES = {
     "JSON": lambda data: b"[" * 50_000,
 }
 DAMAGES |= {
-    f"bit at {share}": lambda data, share=share: (
-        data[: (at := min(int(share * len(data)), len(data) - 1))]
-        + bytes([data[at] ^ 16])
-        + data[at + 1 :]
-    )
+    f"bit at {share}": lambda data, share=share: flipped(data, int(share * len(data)))
     for share in (0.0, 0.3, 0.7, 0.9, 0.97)
 }
 

@@ -10,6 +10,7 @@ import torch
 from small_runs import SAC, TRPO, results
 
 import agents
+from agents.training import policy as policies_of
 from agents.training import trainer as training
 from agents.training.config import TrainConfig
 from agents.training.environments import make_envs
@@ -31,8 +32,9 @@ def learner_of(folder):
 
 @pytest.fixture(scope="module", params=["sac-lb", "trpo-lag"])
 def folder(request, tmp_path_factory):
-    """Training on a task with actions in [-2, 2]."""
-    return trained(tmp_path_factory.mktemp("policy") / "x", request.param)
+    """Training on a task with actions in [-2, 2]; a scale for each number of an observation."""
+    more = {"input_scale": (7.0, 0.3)}
+    return trained(tmp_path_factory.mktemp("policy") / "x", request.param, **more)
 
 
 OBSERVATIONS = np.random.default_rng(0).normal(0, 3, (50, 2))
@@ -111,22 +113,18 @@ def test_neither_replay_nor_environment_is_needed(folder, tmp_path):
 
 
 def test_which_run_and_which_step(folder, tmp_path):
-    with pytest.raises(agents.UserError, match=r"several runs: give the seed, one of \(0, 1\)"):
-        agents.load_policy(folder)
-    with pytest.raises(agents.UserError, match=r"no run of seed 7: there are \(0, 1\)"):
-        agents.load_policy(folder, seed=7)
-    with pytest.raises(agents.UserError, match=r"no policy of .* at step 50: there are none"):
-        agents.load_policy(folder, seed=0, step=50)
-    with pytest.raises(agents.UserError, match=r"holds no runs: no config"):
-        agents.load_policy(tmp_path)
-    with pytest.raises(agents.UserError, match="no run of seed '0': there are"):
-        agents.load_policy(folder, seed="0")
-    with pytest.raises(agents.UserError, match=r"no run on task 'Target-v0': its tasks are"):
-        agents.load_policy(folder, task="Target-v0")
-    with pytest.raises(agents.UserError, match=r"holds folders of runs: did you mean '.*x'\?"):
-        agents.load_policy(folder.parent)
-    with pytest.raises(agents.UserError, match="nothing is no folder"):
-        agents.load_policy(tmp_path / "nothing")
+    for given, message in (
+        ({}, r"several runs: give the seed, one of \(0, 1\)"),
+        ({"seed": 7}, r"no run of seed 7: there are \(0, 1\)"),
+        ({"seed": 0, "step": 50}, r"no policy of .* at step 50: there are none"),
+        ({"seed": "0"}, "no run of seed '0': there are"),
+        ({"task": "Target-v0"}, r"no run on task 'Target-v0': its tasks are"),
+        ({"folder": tmp_path}, "holds no runs: no config"),
+        ({"folder": folder.parent}, r"holds folders of runs: did you mean '.*x'\?"),
+        ({"folder": tmp_path / "nothing"}, "nothing is no folder"),
+    ):
+        with pytest.raises(agents.UserError, match=message):
+            agents.load_policy(given.pop("folder", folder), **given)
 
 
 def test_pickled_and_back(folder):
@@ -169,25 +167,25 @@ def test_the_checkpoint_before_takes_the_place_of_a_damaged_one(tmp_path, monkey
 @pytest.mark.parametrize("algorithm", ["sac-lag", "cpo"])
 def test_policies_on_the_way(algorithm, tmp_path):
     """They change no result; that at the end is the last one."""
-    more = {"seeds": (3, 4), "steps": 400, "evaluate_every": 120}
+    more = {"seeds": (3, 4), "steps": 300, "evaluate_every": 100}
     folder = trained(tmp_path / "x", algorithm, "Circle2D-1-v0", **more)
     plain = trained(tmp_path / "y", algorithm, "Circle2D-1-v0", **more | {"evaluate_every": None})
     name = "results.npz"
     assert (folder / name).read_bytes() == (plain / name).read_bytes()
     assert not (plain / "policies").exists()
     there = {p.relative_to(folder / "policies").as_posix() for p in folder.rglob("policies/*/*/*")}
-    steps = (120, 240, 360)
+    steps = (100, 200, 300)
     assert there == {f"Circle2D-1-v0/{seed}/{k:09d}.npz" for seed in (3, 4) for k in steps}
-    early, late = (agents.load_policy(folder, seed=4, step=step) for step in (120, 360))
-    assert (early.step, late.step) == (120, 360)
+    early, late = (agents.load_policy(folder, seed=4, step=step) for step in (100, 200))
+    assert (early.step, late.step) == (100, 200)
     assert not np.array_equal(early(OBSERVATIONS), late(OBSERVATIONS))
-    with np.load(folder / "policies" / "Circle2D-1-v0" / "4" / "000000360.npz") as kept:
+    with np.load(folder / "policies" / "Circle2D-1-v0" / "4" / "000000200.npz") as kept:
         returns = kept["evaluation/deterministic/returns"]
     assert returns.shape == (3,)
-    with pytest.raises(agents.UserError, match="there are 120, 240, 360; training"):
+    with pytest.raises(agents.UserError, match="there are 100, 200, 300; training"):
         agents.load_policy(folder, seed=4, step=400)
-    [at_end] = {agents.load_policy(folder, seed=3).step}
-    assert at_end == 400
+    last = [agents.load_policy(folder, seed=3, step=step)(OBSERVATIONS) for step in (300, None)]
+    np.testing.assert_array_equal(*last)
 
 
 def test_the_policy_of_a_task_among_several(tmp_path):
@@ -245,32 +243,52 @@ def test_evaluation_of_policies_and_folders(folder):
 
 def test_evaluations_that_cannot_be(folder):
     policy = agents.load_policy(folder, seed=0)
-    for task in ("Circle2D-1-v0", "CartPole-v1"):
-        with pytest.raises(agents.UserError, match=rf"from \[-2.0\] to \[2.0\]; task '{task}' has"):
-            agents.evaluate(policy, task)
-    with pytest.raises(agents.UserError, match="needs the task"):
-        agents.evaluate(lambda observation: observation)
-    with pytest.raises(agents.UserError, match="episodes must be an integer of at least 1, got 0"):
-        agents.evaluate(policy, episodes=0)
-    for wrong in (2.5, "10", None):
-        with pytest.raises(agents.UserError, match=f"of at least 1, got {wrong!r}"):
-            agents.evaluate(policy, episodes=wrong)
+    bounds = r"from \[-2.0\] to \[2.0\]; task '{}' has"
+    for given, message in (
+        *((((policy, task), bounds.format(task))) for task in ("Circle2D-1-v0", "CartPole-v1")),
+        ((lambda observation: observation,), "needs the task"),
+        *(((policy, None, n), f"at least 1, got {n!r}") for n in (0, 2.5, "10", None)),
+        ((policy, "Nowhere-v0"), "unknown task"),
+        ((lambda observation: np.array([np.nan]), "Walk-v0"), "not finite"),
+        ((lambda observation: "left", "Walk-v0"), "not finite: 'left'"),
+        ((lambda _: [0, 0, 0], "Walk-v0"), r"of shape \[3\], the task takes one of \[1\]"),
+    ):
+        with pytest.raises(agents.UserError, match=message):
+            agents.evaluate(*given)
     with pytest.raises(TypeError, match="a policy, a function or a folder, got 3"):
         agents.evaluate(3)
-    with pytest.raises(agents.UserError, match="unknown task"):
-        agents.evaluate(policy, "Nowhere-v0")
-    with pytest.raises(agents.UserError, match="not finite"):
-        agents.evaluate(lambda observation: np.array([np.nan]), "Walk-v0")
     of_truth = agents.evaluate(lambda observation: observation[:1] > 0, "Walk-v0", 1)
     assert of_truth.lengths.shape == (1,)
-    with pytest.raises(agents.UserError, match="not finite: 'left'"):
-        agents.evaluate(lambda observation: "left", "Walk-v0")
-    with pytest.raises(agents.UserError, match=r"of shape \[3\], the task takes one of \[1\]"):
-        agents.evaluate(lambda observation: [0, 0, 0], "Walk-v0")
 
 
-def test_a_policy_kept_at_the_end_is_the_last(tmp_path):
-    more = {"seeds": 2, "steps": 200, "evaluate_every": 100}
-    out = trained(tmp_path / "x", "sac-lag", "Circle2D-1-v0", **more)
-    policies = [agents.load_policy(out, step=step)(OBSERVATIONS) for step in (200, None)]
-    np.testing.assert_array_equal(*policies)
+TASK = "Circle2D-2-v0"
+
+
+def test_found_by_algorithm_and_task(tmp_path, monkeypatch):
+    monkeypatch.setattr(policies_of, "FOLDER", tmp_path)
+    expected = tmp_path / "sac-lb" / "Circle2D-1-v0"
+    trained = agents.train("sac-lb", "Circle2D-1-v0", seeds=3, steps=100, **SAC)
+    shutil.copytree(trained.folder, expected)
+    assert agents.pretrained("sac-lb", "circle2d_mj:Circle2D-1-v0") == expected
+    policies = [agents.load_policy(of) for of in (trained, "pretrained:sac-lb/Circle2D-1-v0")]
+    np.testing.assert_array_equal(*(policy(np.ones((3, 2))) for policy in policies))
+    for algorithm, task, words in (
+        ("sac-lbb", "Circle2D-1-v0", r"no policy of 'sac-lbb'.*did you mean 'sac-lb'"),
+        ("sac-lb", "Circle2D-7-v0", r"for 'Circle2D-7-v0'.*did you mean 'Circle2D-1-v0'"),
+    ):
+        with pytest.raises(agents.UserError, match=words):
+            agents.pretrained(algorithm, task)
+        with pytest.raises(agents.UserError, match=words):
+            agents.load_policy(f"pretrained:{algorithm}/{task}")
+
+
+def test_those_of_the_package_do_what_the_readme_says():
+    """TRPO-Lag goes straight through, SAC-LB-Streak ends in the corridor within the limit of 5."""
+    through = agents.evaluate(f"pretrained:trpo-lag/{TASK}", episodes=30)
+    kept = agents.load_policy(f"pretrained:sac-lb-streak/{TASK}")
+    kept = agents.evaluate(kept, episodes=30)
+    assert (through.costs >= 9).all()
+    assert through.mcc >= 0.18
+    assert (kept.costs <= 5).all()
+    assert kept.mcc <= 0.06
+    assert (kept.returns > -10).all()  # above the best that a cut-out allows

@@ -4,19 +4,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
-from small_runs import TRPO
+from small_runs import TRPO, steps_of
 
 import agents
 from agents.errors import UserError
 from agents.results.reading import read
-from agents.training import derive
-from agents.training.derive import (
-    GRID_MAX,
-    five_digits,
-    pack_costs,
-    replay_rows,
-    unpack_costs,
-)
+from agents.training.derive import GRID_MAX, five_digits, pack_costs, replay_rows, unpack_costs
 from agents.training.environments import view_of
 from emcc import EpisodeRecords
 
@@ -72,11 +65,6 @@ def runs(tmp_path_factory):
     return agents.train("trpo-lag", ("Drift-v0", "Blind-v0"), out=out, **OPTIONS)
 
 
-def steps_of(folder, run, name):
-    files = [np.load(path) for path in sorted((folder / "steps").iterdir())]
-    return np.concatenate([file[f"{run}/{name}"] for file in files])
-
-
 def test_positions_come_from_observation_and_info(runs):
     """Though some episodes end and are reset while others go on, beside a task without a view."""
     for seed in (3, 4):
@@ -109,12 +97,6 @@ def test_drawn_episodes_begin_where_they_started(runs):
         for place, ways in run.ways.items():
             assert set(ways) == {"free"}
             assert place == "left"
-
-
-def test_another_vectorization_gives_the_same(runs, tmp_path):
-    more = OPTIONS | {"vectorization": "async"}
-    other = agents.train("trpo-lag", ("Drift-v0", "Blind-v0"), out=tmp_path / "x", **more)
-    assert (other.folder / "results.npz").read_bytes() == (runs.folder / "results.npz").read_bytes()
 
 
 def test_visits_and_replay_by_hand(runs):
@@ -154,27 +136,6 @@ def sum_rollouts(group, part):
     return count
 
 
-def test_a_heat_map_counts_where_the_worst_rollouts_were():
-    """Two rollouts in each third, of one of which every step costs."""
-    length = np.full(6, 10)
-    streak = np.array([0, 10, 10, 0, 0, 10])
-    records = EpisodeRecords(
-        np.arange(6), np.arange(0, 60, 10), length, np.zeros(6), streak, streak
-    )
-    positions = np.repeat(np.arange(6), 10)[:, None] * [1.0, 0.0] + [0.05, 0.05]
-    visits = derive.count_visits(Wide(), [(records, positions.astype(np.float32))], 60)
-    for part, rollout in zip(visits, (1, 2, 5), strict=True):
-        row, column = np.argwhere(part.counts).T
-        assert part.counts.sum() == 10
-        assert column.tolist() == [int((rollout + 0.05) / 8 * derive.CELLS)]
-        assert row.tolist() == [int((8 - 0.05) / 8 * derive.CELLS)]
-        assert (part.emcc, part.rollouts, part.of) == (1.0, 1, 2)
-
-
-class Wide:
-    extent = (0.0, 8.0, 0.0, 8.0)
-
-
 def test_the_replay_takes_the_worst_of_each_window():
     few = EpisodeRecords(
         np.arange(4), [0, 1, 2, 3], [1, 1, 1, 1], np.zeros(4), [0, 1, 1, 0], [0, 1, 1, 0]
@@ -212,3 +173,16 @@ def test_views(monkeypatch):
     monkeypatch.setattr(Drift.view, "positions", lambda observation, info: info["height"])
     with pytest.raises(UserError, match=r"the view of .* needs info\['height'\]"):
         agents.train("trpo-lag", "Drift-v0", **OPTIONS)
+
+
+POINT = "circle2d_mj/SafetyPointCircle1-v0"
+
+
+def test_a_safety_task_records_where_the_point_is(tmp_path):
+    """It starts within 0.4 m of the middle, and moves a few centimetres a step."""
+    more = TRPO | {"seeds": 3, "steps": 50, "task_parameters": {"max_episode_steps": 20}}
+    runs = agents.train("trpo-lag", POINT, out=tmp_path / "x", **more)
+    [file] = (runs.folder / "steps").iterdir()
+    positions = np.load(file)["circle2d_mj-SafetyPointCircle1-v0/3/positions"]
+    assert np.abs(positions[::20]).max() < 1.0
+    assert 0 < np.abs(np.diff(positions[:20], axis=0)).max() < 0.1

@@ -1,11 +1,12 @@
-"""Numbers of the info that a task has recorded: at every step, and nowhere else."""
+"""Numbers of the info: those that a task has recorded, and a second cost, evaluated and with EMCC
+of its own."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_runs import SAC, TRPO
-from toys import Pressed, Walk
+from small_runs import SAC, TRPO, steps_of
+from toys import Pressed, TwoCosts, Walk, registered
 
 import agents
 import emcc
@@ -18,46 +19,41 @@ from emcc import longest_streak
 OPTIONS = TRPO | {"seeds": (3, 4), "steps": 300}
 
 
-def steps_of(folder, name, run="Pressed-v0/3"):
-    files = [np.load(path) for path in sorted((folder / "steps").iterdir())]
-    return np.concatenate([file[f"{run}/{name}"] for file in files])
-
-
 def unpacked(folder, name):
     with np.load(folder / "results.npz") as arrays:
         return unpack_costs(arrays, f"Pressed-v0/3/info/{name}/")
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
+def pressed(tmp_path_factory):
     out = tmp_path_factory.mktemp("pressed") / "x"
     return agents.train("trpo-lag", ("Pressed-v0", "Walk-v0"), out=out, **OPTIONS)
 
 
-def test_every_step_is_recorded(runs):
+def test_every_step_is_recorded(pressed):
     """Beside a task that records nothing; x > 0.5 costs 1, in the same step."""
-    x, beyond, costs = (steps_of(runs.folder, n) for n in ("info/x", "info/beyond", "costs/cost"))
+    x, beyond, costs = (
+        steps_of(pressed.folder, "Pressed-v0/3", n) for n in ("info/x", "info/beyond", "costs/cost")
+    )
     assert x.dtype == beyond.dtype == np.float32
-    assert len(x) == steps_of(runs.folder, "length").sum()
+    assert len(x) == steps_of(pressed.folder, "Pressed-v0/3", "length").sum()
     np.testing.assert_array_equal(x > 0.5, costs)
     np.testing.assert_allclose(beyond, np.maximum(x - 0.5, 0), atol=1e-7)
-    with np.load(runs.folder / "results.npz") as arrays:
+    with np.load(pressed.folder / "results.npz") as arrays:
         assert not [name for name in arrays if name.startswith("Walk") and "info" in name]
         assert arrays["Pressed-v0/info"].tolist() == [["x", "m"], ["beyond", "m"]]
-        for name, values in (("x", x), ("beyond", beyond)):
-            prefix = f"Pressed-v0/3/info/{name}/"
-            found = unpack_costs(arrays, prefix)
-            np.testing.assert_allclose(found, values, rtol=2**-16)
+    for name, values in (("x", x), ("beyond", beyond)):
+        np.testing.assert_allclose(unpacked(pressed.folder, name), values, rtol=2**-16)
 
 
-def test_another_vectorization_and_a_resumed_training_record_the_same(runs, tmp_path):
+def test_another_vectorization_and_a_resumed_training_record_the_same(pressed, tmp_path):
     more = OPTIONS | {"vectorization": "async", "checkpoint_every": 100}
     tasks = ("Pressed-v0", "Walk-v0")
     stop = {"on_epoch": lambda epoch: epoch.runs["Pressed-v0", 3]["step"] < 150}
     agents.train("trpo-lag", tasks, out=tmp_path / "x", **more, **stop)
     agents.resume(tmp_path / "x")
     other = (tmp_path / "x" / "results.npz").read_bytes()
-    assert other == (runs.folder / "results.npz").read_bytes()
+    assert other == (pressed.folder / "results.npz").read_bytes()
 
 
 def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypatch):
@@ -78,29 +74,25 @@ def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypat
 
 
 def test_what_cannot_be_recorded(monkeypatch):
-    monkeypatch.setattr(Pressed, "recorded_info", {"x": "m", "depth": "m"})
-    with pytest.raises(UserError, match=r"gives no info\['depth'\]; it gives \['beyond', 'cost'"):
-        agents.train("trpo-lag", "Pressed-v0", **OPTIONS)
-    monkeypatch.setattr(Pressed, "recorded_info", ["x"])
-    with pytest.raises(UserError, match=r"recorded_info of .* must be units by name, got"):
-        agents.train("trpo-lag", "Pressed-v0", **OPTIONS)
-    monkeypatch.setattr(Pressed, "recorded_info", {"x": "m"})
-    monkeypatch.setattr(
-        Pressed,
-        "step",
-        lambda env, action: (*Walk.step(env, action)[:4], {"cost": 0.0, "x": "far"}),
-    )
-    with pytest.raises(UserError, match=r"gives info\['x'\] = 'far', which is no number"):
-        agents.train("trpo-lag", "Pressed-v0", **OPTIONS)
+    def told(recorded, words):
+        monkeypatch.setattr(Pressed, "recorded_info", recorded)
+        with pytest.raises(UserError, match=words):
+            agents.train("trpo-lag", "Pressed-v0", **OPTIONS)
+
+    told({"x": "m", "depth": "m"}, r"gives no info\['depth'\]; it gives \['beyond', 'cost'")
+    told(["x"], "recorded_info of .* must be units by name, got")
+    far = {"cost": 0.0, "x": "far"}
+    monkeypatch.setattr(Pressed, "step", lambda env, action: (*Walk.step(env, action)[:4], far))
+    told({"x": "m"}, r"gives info\['x'\] = 'far', which is no number")
 
 
-def test_the_table_of_what_is_recorded_by_hand(runs):
+def test_the_table_of_what_is_recorded_by_hand(pressed):
     """Of one run: shares, percentiles and streaks of each third, counted in loops."""
-    group = next(group for group in read([runs.folder], []) if group.task == "Pressed-v0")
+    group = next(group for group in read([pressed.folder], []) if group.task == "Pressed-v0")
     one = replace(group, runs=group.runs[:1])
     table = recorded_table([one])
     assert table is not None
-    beyond = unpacked(runs.folder, "beyond")
+    beyond = unpacked(pressed.folder, "beyond")
     assert [", ".join(row.name.split(", ")[-2:]) for row in table.rows] == [
         f"beyond (m), {part}" for part in (0.33, 0.66, 0.99)
     ]  # x may be negative
@@ -109,10 +101,8 @@ def test_the_table_of_what_is_recorded_by_hand(runs):
     shares: dict[float, list[list[float]]] = {0.0: [[], [], []], limit: [[], [], []]}
     for rollout in np.unique(records.rollout):
         lengths = records.length[records.rollout == rollout]
-        third, longest = (
-            int(100 * start / 300 >= 33) + int(100 * start / 300 >= 66),
-            {0.0: 0, limit: 0},
-        )
+        third = int(100 * start / 300 >= 33) + int(100 * start / 300 >= 66)
+        longest = {0.0: 0, limit: 0}
         for length in lengths:
             for threshold in longest:
                 streak = longest_streak(beyond[start : start + length], threshold)
@@ -122,11 +112,101 @@ def test_the_table_of_what_is_recorded_by_hand(runs):
             values[third].append(longest[threshold])
     for k, row in enumerate(table.rows):
         share, median, most, highest, above, high = (cell.value for cell in row.numbers)
-        part = beyond[
-            [i for i in range(300) if (33 * k <= i / 3 < 33 * (k + 1)) or (i == 297 and k == 2)]
-        ]
+        ends = (99, 198, 298)  # of 300 steps; 0.99 has its last one
+        part = beyond[99 * k : ends[k]]
         assert share == pytest.approx((part > 0).mean())
         told = np.percentile(part[part > 0], [50, 90, 100])
         np.testing.assert_allclose([median, most, highest], told)
         assert above == pytest.approx(emcc.emcc(shares[0.0][k], 0.1))
         assert high == pytest.approx(emcc.emcc(shares[limit][k], 0.1))
+
+
+BOTH = {"seeds": (0, 1), "steps": 300, "costs": ("cost", "cost_2")}
+
+
+@pytest.fixture(scope="module", params=["trpo-lag", "sac-lag"])
+def runs(request, tmp_path_factory):
+    own = TRPO if request.param == "trpo-lag" else SAC
+    out = tmp_path_factory.mktemp("costs") / "x"
+    return agents.train(request.param, "TwoCosts-v0", out=out, **BOTH, **own)
+
+
+@pytest.mark.parametrize("cost", ["cost", "cost_2"])
+def test_records_and_measures_of_each_cost(runs, cost):
+    records = runs.records_of(cost)
+    [group] = [group for group in runs.results if group.cost == cost]
+    assert group.apart == ("" if cost == "cost" else "cost_2")
+    for run in group.runs:
+        names = (f"costs/{cost}", "length")
+        costs, lengths = (steps_of(runs.folder, f"TwoCosts-v0/{run.seed}", n) for n in names)
+        assert set(np.unique(costs)) == ({0.0, 1.0} if cost == "cost" else {0.0, 0.25})
+        ours = records[runs.folder, run.seed]
+        ends = np.cumsum(lengths)
+        episodes = np.split(costs, ends[:-1])
+        np.testing.assert_array_equal(ours.cost, [episode.sum() for episode in episodes])
+        streaks = [emcc.longest_streak(episode) for episode in episodes]
+        np.testing.assert_array_equal(ours.longest_streak, streaks)
+        np.testing.assert_array_equal(run.records.cost, ours.cost)
+        np.testing.assert_array_equal(group.costs(run), costs)
+        per_rollout = len(lengths) // (ours.rollout[-1] + 1)
+        rollouts = [episodes[k : k + per_rollout] for k in range(0, len(episodes), per_rollout)]
+        starts = (ends - lengths)[::per_rollout]
+        expected = emcc.emcc_by_part([emcc.mcc(r) for r in rollouts], starts, 300)
+        for part, value in expected.items():
+            assert run.measures[f"EMCC_{part:.2f}"] == pytest.approx(value)
+        assert run.measures["cost_rate"] == pytest.approx(costs.mean())
+
+
+def test_evaluations_of_each_cost(runs):
+    found = {g.cost: [run.evaluation["deterministic"] for run in g.runs] for g in runs.results}
+    with np.load(runs.folder / "results.npz") as arrays:
+        for k, cost in enumerate(("cost", "cost_2")):
+            for seed, evaluation in enumerate(found[cost]):
+                own = arrays[f"TwoCosts-v0/{seed}/evaluation/deterministic/costs"][:, k]
+                np.testing.assert_array_equal(evaluation["cost_returns"], own)
+                assert evaluation["J_C"] == own.mean()
+    policy = agents.load_policy(runs, seed=1)
+    both = [agents.evaluate(policy, episodes=3, cost=cost).costs for cost in ("cost", "cost_2")]
+    assert not np.array_equal(*both)
+    assert set(np.unique(both[1] % 0.25)) == {0.0}
+
+
+def test_a_second_cost_changes_nothing_that_limits_the_first(runs, tmp_path):
+    config = runs.config
+    own = BOTH | {"costs": "cost"} | (TRPO if config.algorithm == "trpo-lag" else SAC)
+    alone = agents.train(config.algorithm, "TwoCosts-v0", out=tmp_path / "x", **own)
+    first = [run.measures for group in runs.results if group.cost == "cost" for run in group.runs]
+    assert [run.measures for run in alone.results[0].runs] == first
+    assert list(config.limits) == ["cost"]
+
+
+def test_epochs_and_frames_name_further_costs():
+    epochs = []
+    runs = agents.train("cpo", "TwoCosts-v0", on_epoch=epochs.append, **BOTH, **TRPO)
+    first = runs.records_of("cost_2")[runs.folder, 1].cost[:2].mean()
+    assert epochs[0].runs[1]["cost_2"] == pytest.approx(first)
+    frame = runs.to_pandas("episodes")
+    column = frame[frame.seed == 1]["cost_2"].to_numpy()
+    np.testing.assert_array_equal(column, runs.records_of("cost_2")[runs.folder, 1].cost)
+
+
+@pytest.mark.parametrize("vectorization", ["auto", "async"])
+def test_a_cost_that_the_task_lacks(tmp_path, vectorization):
+    for task in ("Walk-v0", "Circle2D-1-v0"):
+        with pytest.raises(UserError, match=rf"task '{task}'.* gives no info\['cost_2'\]"):
+            agents.train("cpo", task, out=tmp_path / "x", vectorization=vectorization, **BOTH)
+        assert not (tmp_path / "x").exists()
+    for costs, words in ((("cost", "cost"), "costs must be different"), ((), "at least one")):
+        with pytest.raises(UserError, match=words):
+            agents.train("cpo", "Walk-v0", out=tmp_path / "x", **BOTH | {"costs": costs})
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_cost_that_is_not_finite_is_named():
+    class Bad(TwoCosts):
+        def step(self, action):
+            *others, info = super().step(action)
+            return *others, info | {"cost_2": np.nan}
+
+    with registered(Bad=Bad), pytest.raises(UserError, match="its cost_2 is not finite"):
+        agents.train("cpo", "Bad-v0", **BOTH, **TRPO)

@@ -12,7 +12,6 @@ from circle2d_mj.circle2d.physics import Physics
 from circle2d_mj.circle2d.physics_config import PhysicsConfig
 from circle2d_mj.circle2d.scene import scene
 
-TOP_SPEED = 11.0  # of R = 10: 0.11 R in a control step of 0.1 s
 actuations = pytest.mark.parametrize("actuation", ["velocity", "force"])
 
 
@@ -20,9 +19,8 @@ class Loop:
     """One environment stepped by mj_step alone, the region's contacts on; read by mj_forward."""
 
     def __init__(self, config, actuation, position, with_region=True):
-        self.model = scene(
-            config, PhysicsConfig(actuation=actuation), with_region=with_region
-        ).compile()
+        physics = PhysicsConfig(actuation=actuation)
+        self.model = scene(config, physics, with_region=with_region).compile()
         self.data, self._fresh = mujoco.MjData(self.model), mujoco.MjData(self.model)
         self.data.qpos[:] = position
 
@@ -45,16 +43,6 @@ class Loop:
             mujoco.mj_contactForce(self.model, self.data, i, local)
             total += contact.frame.reshape(3, 3).T @ local[:3]
         return np.hypot.reduce(total)
-
-
-def placed(position, actuation="velocity", **parameters):
-    """Dynamics with agents at rest at positions, [n, 2]."""
-    position = np.atleast_2d(np.array(position, dtype=float))
-    physics = Physics(
-        Circle2DConfig(**parameters), len(position), PhysicsConfig(actuation=actuation)
-    )
-    physics.place(np.arange(len(position)), position)
-    return physics
 
 
 def drift_left(seed, steps=50, num_envs=4):
@@ -93,65 +81,17 @@ def test_the_environment_is_a_loop_of_mj_step(level, actuation):
             np.testing.assert_array_equal(info["penetration"], config.region.depth(position))
             assert not info["contact_force"].any()
             np.testing.assert_array_equal([loop.data.qpos for loop in alone], position)
-            np.testing.assert_array_equal([loop.data.qvel for loop in alone], envs_velocity(envs))
+            velocity = envs.state_dict()["mujoco"][:, 3:5]
+            np.testing.assert_array_equal([loop.data.qvel for loop in alone], velocity)
         cost_steps += info["cost"].sum()
     assert 10 < cost_steps < 110
 
 
-def envs_velocity(envs):
-    return envs.state_dict()["mujoco"][:, 3:5]
-
-
-def test_the_cost_is_of_the_state_that_a_step_ends_in():
-    """At top speed a physics step covers 0.11: the last one crosses the rim, in or out."""
-    outside = np.array([[10.0 + 1.05, 0.0], [10.0 + 1.05, 0.3]])
-    physics = placed(outside, level=1)
-    physics._qvel[:] = [[-TOP_SPEED, 0.0]] * 2
-    before = placed(outside + np.array([0.11, 0.0]), level=1)
-    before._qvel[:] = physics._qvel
-    contact, _ = physics.step(np.array([[-1.0, 0.0]] * 2))
-    assert (np.hypot(*physics.position.T) < 10 - 0.02).all()
-    assert (np.hypot(*physics.position.T) > 10 - 0.11).all()
-    np.testing.assert_array_equal(contact, [True, True])
-    contact, _ = before.step(np.array([[-1.0, 0.0]] * 2))
-    np.testing.assert_array_equal(contact, [False, False])
-    # The other way it leaves with the last one.
-    physics = placed([[10.0 - 1.05, 0.0]], level=1)
-    physics._qvel[:] = [[TOP_SPEED, 0.0]]
-    assert not physics.step(np.array([[1.0, 0.0]])).contact
-    assert 10 < physics.position[0, 0] < 10.11
-
-
-def test_level_0_counts_what_follows_the_actions_not_what_they_found():
-    """A touch after the last physics step costs; a touch before the first one, left at once, does
-    not (it has cost in the step before)."""
-    physics = placed([[10.25 + 1.05, 0.0]], level=0)
-    physics._qvel[:] = [[-TOP_SPEED, 0.0]]
-    contact, info = physics.step(np.array([[-1.0, 0.0]]))
-    assert 10.25 - 0.11 < physics.position[0, 0] < 10.25
-    assert contact
-    assert info["penetration"] == pytest.approx(10.25 - physics.position[0, 0], abs=1e-3)
-    assert info["contact_force"] == 0
-    leaving = placed([[10.25 - 0.02, 0.0]], level=0)
-    leaving._qvel[:] = [[TOP_SPEED, 0.0]]
-    contact, info = leaving.step(np.array([[1.0, 0.0]]))
-    assert (contact, info["penetration"]) == (False, 0)
-
-
-def test_a_touch_within_a_step_costs_on_level_0():
-    """The ball bounces off and is clear of the region again at the step's end."""
-    physics = placed([[10.25 + 0.15, 0.0]], level=0, actuation="force")
-    physics._qvel[:] = [[-TOP_SPEED, 0.0]]
-    contact, info = physics.step(np.array([[1.0, 0.0]]))
-    assert physics.position[0, 0] > 10.26
-    assert contact
-    assert info["contact_force"] > 0
-    assert 0 < info["penetration"] < 0.2
-
-
 @actuations
 def test_actions_beyond_one_are_clipped(actuation):
-    near, far = (placed([[12.0, 0.0]], actuation=actuation) for _ in range(2))
+    near, far = (Physics(Circle2DConfig(), 1, PhysicsConfig(actuation=actuation)) for _ in "12")
+    for physics in (near, far):
+        physics.place(np.arange(1), np.array([[12.0, 0.0]]))
     for _ in range(3):
         near.step(np.array([[1.0, -1.0]]))
         far.step(np.array([[7.0, -1.7e308]]))

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
+from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
 
 # With physics fewer examples: each compiles a model. Rooms are what the arena's soft edge gives.
@@ -55,27 +56,19 @@ def test_the_task_is_the_same_at_any_radius(level, seed, height, factor):
         np.testing.assert_array_equal(a, b)
 
 
+RADII = st.sampled_from([1e-3, 0.7, 3.0, 1000.0, 1e6])
+
+
 @settings(max_examples=20, deadline=None)
-@given(
-    levels,
-    seeds,
-    heights,
-    st.sampled_from([1e-3, 0.7, 3.0, 1000.0, 1e6]),
-    st.sampled_from(["velocity", "force"]),
-)
+@given(levels, seeds, heights, RADII, st.sampled_from(["velocity", "force"]))
 def test_the_physics_are_the_same_at_any_radius(level, seed, height, radius, actuation):
     """Where the region can be entered to 1e-6 R; where it pushes, as exactly as meshes, which
-    are of float32, say when it is touched."""
+    of float32, say when it is touched."""
     parameters = {"level": level, "corridor_height_factor": height}
+    how = {"make": Circle2DMuJoCoVectorEnv, "actuation": actuation}
     small, large = (
-        play(
-            Circle2DConfig(**parameters, constraint_radius=each),
-            seed,
-            scale=each / 10,
-            make=Circle2DMuJoCoVectorEnv,
-            actuation=actuation,
-        )
-        for each in (10.0, radius)
+        play(Circle2DConfig(**parameters, constraint_radius=r), seed, scale=r / 10, **how)
+        for r in (10.0, radius)
     )
     tolerance = 1e-6 if level else 0.02
     np.testing.assert_allclose(large[1], small[1], atol=10 * tolerance)
@@ -100,12 +93,8 @@ def test_mirror_symmetry(level, seed, height, sparse):
 def test_bounds(mode, level, seed, height, sparse, distance, angle):
     make, arena = mode
     optimum = (10 * distance * math.cos(angle), 10 * distance * math.sin(angle))
-    config = Circle2DConfig(
-        level=level,
-        corridor_height_factor=height,
-        sparse_reward=sparse,
-        optima_perturbation=optimum,
-    )
+    shape = {"level": level, "corridor_height_factor": height}
+    config = Circle2DConfig(**shape, sparse_reward=sparse, optima_perturbation=optimum)
     _, positions, rewards, costs = play(config, seed, make=make)
     assert np.isin(costs, [0.0, 1.0]).all()
     assert np.abs(positions).max() <= arena
@@ -127,12 +116,8 @@ def test_bounds(mode, level, seed, height, sparse, distance, angle):
 @settings(max_examples=40, deadline=None)
 @given(modes, levels, seeds, heights, st.floats(0.5, 2.8))
 def test_never_inside_where_the_region_cannot_be_entered(mode, level, seed, height, size):
-    config = Circle2DConfig(
-        level=level,
-        corridor_height_factor=height,
-        init_region_size=size,
-        infeasible_region_penetratable=False,
-    )
+    shape = {"level": level, "corridor_height_factor": height, "init_region_size": size}
+    config = Circle2DConfig(**shape, infeasible_region_penetratable=False)
     start, positions, _, costs = play(config, seed, make=mode[0])
     assert not config.region.contains(start).any()
     assert not config.region.contains(positions).any()
@@ -163,3 +148,42 @@ def test_reset_on_cost_terminates_there(make, level):
         _, _, terminated, _, info = envs.step(np.full((64, 2), [-1.0, 0.0]))
         np.testing.assert_array_equal(terminated, info["cost"] == 1)
     assert terminated.any()
+
+
+MODES = pytest.mark.parametrize("mode", [Circle2DVectorEnv, Circle2DMuJoCoVectorEnv])
+WEST = np.tile([-1.0, 0.0], (4, 1))
+
+
+def costs(envs, steps=15):
+    envs.reset(seed=0)
+    return np.array([envs.step(WEST)[4]["cost"] for _ in range(steps)])
+
+
+@MODES
+@pytest.mark.parametrize("level", [0, 1])
+def test_an_edit_of_the_cost_changes_the_environments(mode, level, monkeypatch):
+    """Three for a touch, and a quarter for every step that ends above the x axis."""
+    before = costs(mode(4, level=level))
+    assert set(before.ravel()) == {0.0, 1.0}
+
+    def edited(config, position, contact):
+        assert contact.dtype == np.bool_
+        return 3.0 * contact + 0.25 * (position[..., 1] > 0)
+
+    monkeypatch.setattr(task, "cost", edited)
+    envs = mode(4, level=level)
+    above = envs.reset(seed=0)[0][:, 1] > 0
+    assert 0 < above.sum() < 4
+    # A rigid rim pushes balls along it, but not to the other side of the axis.
+    np.testing.assert_array_equal(costs(envs), 3.0 * before + 0.25 * above)
+
+
+def test_an_edited_cost_does_not_move_a_rigid_wall(monkeypatch):
+    """The wall is the region, whatever touching it costs."""
+    free = Circle2DVectorEnv(4, level=0)
+    costs(free)
+    monkeypatch.setattr(task, "cost", lambda config, position, contact: np.zeros(4))
+    edited = Circle2DVectorEnv(4, level=0)
+    assert not costs(edited).any()
+    np.testing.assert_array_equal(edited.position, free.position)
+    assert (edited.position[:, 0] > 5).all()

@@ -1,11 +1,23 @@
-"""The cost region against a test of its definition that shares no code with it."""
+"""The cost region against its definition; start positions, uniform over what is feasible; the
+region's convex pieces, its depth and its grown form, each against something slower."""
+
+import hashlib
+import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
 from scipy.ndimage import maximum_filter
+from scipy.spatial import KDTree
 from strips import STRIPS
 
-from circle2d_mj import Circle2DConfig, CostRegion
+from circle2d_mj import Circle2DConfig, Circle2DVectorEnv, CostRegion
+from circle2d_mj.circle2d import region
+from circle2d_mj.circle2d.region import classify_cells
+from circle2d_mj.circle2d.scene import OVERHANG, convex_pieces
+from circle2d_mj.core.streams import Streams
 
 
 def by_definition(level, radius, height, points):
@@ -79,16 +91,198 @@ def test_the_fewest_cost_steps_through_the_region(level, height):
     assert np.ceil(region.crossing() / config.full_step) - 1 == steps
 
 
-def test_one_point_and_many_agree_bitwise():
-    region = CostRegion(Circle2DConfig(level=3))
-    points = np.random.default_rng(0).uniform(-12, 12, (2000, 2))
-    points[:40, 0] = np.linspace(-10, 10, 40)
-    points[:40, 1] = 2.5
-    together = region.contains(points)
-    alone = [bool(region.contains(point)) for point in points]
-    np.testing.assert_array_equal(together, alone)
-
-
 def test_no_region_between_cutouts_that_touch():
     config = Circle2DConfig(level=2, corridor_height_factor=1.2)  # the upper one reaches it
     assert config.region.crossing() == 0
+
+
+def sample(n=20_000, **parameters):
+    config = Circle2DConfig(**parameters)
+    streams = Streams(np.arange(n, dtype=np.uint64))
+    return config, config.start_area.sample(streams, np.arange(n))
+
+
+AREAS = [
+    {},
+    {"level": 3, "init_radius_multiplier": 1.05, "init_region_size": 1.9},
+    {"level": 2, "constraint_radius": 3.0, "init_region_size": 2.6},
+    {"init_radius_multiplier": 0.97},  # 4e-5 of the start area is feasible: two tiny corners
+    {"init_region_size": 0.0},  # a line
+]
+
+
+@pytest.mark.parametrize("parameters", AREAS)
+def test_feasible_and_inside_the_rectangle(parameters):
+    config, points = sample(**parameters)
+    (x0, y0), (x1, y1) = config.start_rectangle
+    assert not config.region.contains(points).any()
+    assert ((points >= [x0, y0]) & (points <= [x1, y1])).all()
+
+
+@pytest.mark.parametrize("parameters", AREAS[:3])
+def test_uniform_like_plain_rejection(parameters):
+    """Two-sample Kolmogorov-Smirnov tests of x, y and x + y against naive rejection sampling."""
+    config, points = sample(**parameters)
+    rng = np.random.default_rng(1)
+    naive = rng.uniform(*config.start_rectangle, size=(400_000, 2))
+    naive = naive[~config.region.contains(naive)]
+    for direction in ([1, 0], [0, 1], [1, 1]):
+        assert stats.ks_2samp(points @ direction, naive @ direction).pvalue > 1e-3
+
+
+def test_infeasible_starts_where_allowed():
+    config, points = sample(allow_infeasible_init=True)
+    share = config.region.contains(points).mean()
+    (x0, y0), (x1, y1) = config.start_rectangle
+    grid = np.stack(np.meshgrid(np.linspace(x0, x1, 1001), np.linspace(y0, y1, 1001)), axis=-1)
+    assert share == pytest.approx(config.region.contains(grid).mean(), abs=0.01)
+
+
+def test_a_sliver_is_found_and_nothing_is_refused():
+    # The start area's corner (0.9683 R, 0.25 R) sticks out of the disc by 2e-5 R.
+    _, points = sample(n=100, init_radius_multiplier=0.9683)
+    assert (np.hypot(*points.T) >= 10).all()
+    with pytest.raises(ValueError, match="no feasible start"):
+        Circle2DConfig(init_radius_multiplier=0.9682)
+
+
+EDGES = {"level": 2, "corridor_height_factor": 2.0, "init_radius_multiplier": 0.6}
+"""The top and bottom cut-outs begin where a start area of size 1 ends."""
+
+
+@pytest.mark.parametrize("size", [1.0, 1.000001])
+def test_an_edge_that_touches_a_cutout_is_refused_before_memory_is_full(monkeypatch, size):
+    def counted(region, low, cell):
+        assert len(low) <= 2**20
+        return classify_cells(region, low, cell)
+
+    monkeypatch.setattr(region, "classify_cells", counted)
+    with pytest.raises(ValueError, match="no feasible start"):
+        Circle2DConfig(**EDGES, init_region_size=size)
+
+
+def test_the_starts_of_version_v0():
+    """Seeds mean the same in every release of v0; recorded from the first one."""
+    envs = Circle2DVectorEnv(3, level=1)
+    envs.reset(seed=0)
+    recorded = [[12.131493842771306, -1.020089754856599], [14.481883460739482, 0.8080393588534207]]
+    recorded += [[11.951850056593685, -0.007837696066417266]]
+    np.testing.assert_allclose(envs.position, recorded, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "cells", "digest"),
+    [
+        (AREAS[0], 182, "33d58cf56455"),
+        (AREAS[1], 6972, "0cc24c0dba44"),
+        (AREAS[3], 1924, "f011e78fbf4b"),
+        (EDGES | {"init_region_size": 1.01}, 45056, "bedd34a59252"),
+    ],
+)
+def test_the_cells_of_version_v0(parameters, cells, digest):
+    """To the bit, since starts are drawn in them; recorded when splits had no other end."""
+    area = Circle2DConfig(**parameters).start_area
+    assert len(area._corners) == cells
+    kept = area._corners.tobytes() + area._size.tobytes()
+    assert hashlib.sha1(kept).hexdigest().startswith(digest)
+
+
+R = 10.0
+levels = pytest.mark.parametrize("level", [1, 2, 3])
+shapes = given(st.integers(1, 3), st.floats(0.001, 2.0))
+
+
+def region_of(level, height=0.5, radius=R):
+    shape = {"corridor_height_factor": height, "constraint_radius": radius}
+    return Circle2DConfig(level=level, **shape).region
+
+
+def edges_of(piece):
+    """Starts and directions of a polygon's edges, counter-clockwise."""
+    return piece, np.roll(piece, -1, axis=0) - piece
+
+
+def cross(u, v):
+    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+
+
+def inside(piece, points):
+    """How far points are within a convex polygon; negative outside."""
+    start, along = edges_of(piece)
+    lengths = np.hypot(*along.T)
+    keep = lengths > 1e-9
+    start, along = start[keep], along[keep] / lengths[keep, None]
+    return cross(along, points[:, None] - start).min(axis=1)
+
+
+@settings(max_examples=25)
+@shapes
+def test_pieces_are_convex_do_not_overlap_and_leave_no_gap(level, height):
+    region = region_of(level, height)
+    points = np.random.default_rng(0).uniform(-1.01 * R, 1.01 * R, (2000, 2))
+    pieces = convex_pieces(region)
+    for piece in pieces:
+        _, along = edges_of(piece)
+        assert (cross(along, np.roll(along, -1, axis=0)) >= -1e-9 * R**2).all()
+    within = np.array([inside(piece, points) for piece in pieces])
+    assert ((within > 1e-9).sum(axis=0) <= 1).all()
+    rim = np.abs(np.hypot(*points.T) - R) <= OVERHANG * R
+    contained = (within >= -1e-9).any(axis=0)
+    np.testing.assert_array_equal(contained[~rim], region.contains(points)[~rim])
+
+
+def test_the_polygon_keeps_within_its_overhang_of_the_circle():
+    corners = np.unique(np.concatenate(convex_pieces(region_of(1))), axis=0)
+    corners = corners[np.hypot(*corners.T) > 0.99 * R]
+    corners = corners[np.argsort(np.arctan2(*corners.T))]
+    assert R < np.hypot(*corners.T).max() <= R * (1 + OVERHANG)
+    gaps = np.hypot(*np.diff(corners, axis=0).T)
+    middles = (corners[1:] + corners[:-1])[gaps < 0.03 * R] / 2
+    assert len(middles) > 200
+    assert R > np.hypot(*middles.T).min() >= R * (1 - OVERHANG)
+
+
+def grid(reach, spacing):
+    ticks = np.arange(-reach, reach, spacing)
+    return np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize(("level", "height"), [(1, 0.5), (2, 0.5), (3, 0.5), (3, 1.1), (3, 2.0)])
+def test_depth_is_the_distance_to_free_space(level, height):
+    region, spacing = region_of(level, height), 0.03
+    points = np.random.default_rng(level).uniform(-R, R, (20_000, 2))
+    depth, contained = region.depth(points), region.contains(points)
+    assert (depth[~contained] == 0).all()
+    assert (depth[contained] > 0).all()
+    nodes = grid(1.1 * R, spacing)
+    nearest, _ = KDTree(nodes[~region.contains(nodes)]).query(points[contained])
+    # A free node within a cell's diagonal of the nearest free point, even in a right corner of it.
+    assert (nearest >= depth[contained] - 1e-9).all()
+    assert (nearest <= depth[contained] + 2 * spacing).all()
+    assert depth.max() > 0.1 * R
+
+
+@levels
+def test_grown_by_a_margin(level):
+    """Nothing nearer than the margin is left out; what is added beyond lies at the corners."""
+    region, spacing, margin = region_of(level), 0.03, 0.6
+    grown = region.grown(margin)
+    points = np.random.default_rng(level).uniform(-1.2 * R, 1.2 * R, (20_000, 2))
+    nodes = grid(1.1 * R, spacing)
+    taken = nodes[region.contains(nodes)]
+    distance, nearest = KDTree(taken).query(points)
+    contained = grown.contains(points)
+    assert contained[distance < margin - spacing].all()
+    added = contained & (distance > margin + spacing)
+    corners = np.array([corner for strip in STRIPS[level] for corner in rim_corners(*strip)])
+    to_corner = KDTree(corners).query(taken[nearest[added]])[0]
+    assert (to_corner < 0.1).all()
+    assert (distance[added] < 2 * margin).all()
+
+
+def rim_corners(degrees, _, width):
+    """Where a strip's sides meet the rim."""
+    turn = np.deg2rad(degrees)
+    for side in (-1, 1):
+        angle = turn + side * math.asin(width * 0.5 / 2)
+        yield R * math.cos(angle), R * math.sin(angle)

@@ -77,24 +77,24 @@ def test_no_push_brings_the_centre_in(level, actuation):
     assert pressed > 500  # overlaps of a fifth of the body's radius: they do push
 
 
-def slide(actuation, level, push, start=-1.45, end=1.2, thrust=0.75):
+def frame(angle):
+    """Outwards and along the rim."""
+    return np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+
+
+def slide(actuation, level, push, start, end, thrust=0.75):
     """Speed along the rim over the commanded one, after each physics step from start to end."""
     config = Circle2DConfig(level=level, infeasible_region_penetratable=False)
-    radius = 10 + BODY
-    worlds = Worlds(config, actuation, radius * np.array([[np.cos(start), np.sin(start)]]))
-    speeds = []
+    radius, speeds = 10 + BODY, []
+    worlds = Worlds(config, actuation, radius * frame(start)[0][None])
     while (angle := np.arctan2(*worlds.qpos[0, ::-1])) < end:
-        normal, tangent = (np.array(v) for v in _frame(angle))
+        normal, tangent = frame(angle)
         worlds.step(thrust * tangent - push * normal, nstep=1)
-        _, tangent = _frame(np.arctan2(*worlds.qpos[0, ::-1]))
+        _, tangent = frame(np.arctan2(*worlds.qpos[0, ::-1]))
         speeds.append(worlds.qvel[0] @ tangent / (thrust * 11))
         assert len(speeds) < 1000
         assert abs(np.hypot(*worlds.qpos[0]) - radius) < 0.02
     return np.array(speeds[60:])
-
-
-def _frame(angle):
-    return (np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))
 
 
 @actuations
@@ -123,15 +123,15 @@ def test_starts_touch_nothing(parameters):
     assert 10.25 < np.hypot(*starts.T).min() < 10.26
 
 
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        {"level": 1},
-        {"level": 3, "init_region_size": 1.9, "init_radius_multiplier": 1.05},
-        {"level": 2, "allow_infeasible_init": True, "init_region_size": 2.5},
-        {"level": 0, "allow_infeasible_init": True, "constraint_radius": 3.0},
-    ],
-)
+STARTS = [
+    {"level": 1},
+    {"level": 3, "init_region_size": 1.9, "init_radius_multiplier": 1.05},
+    {"level": 2, "allow_infeasible_init": True, "init_region_size": 2.5},
+    {"level": 0, "allow_infeasible_init": True, "constraint_radius": 3.0},
+]
+
+
+@pytest.mark.parametrize("parameters", STARTS)
 def test_starts_are_those_of_the_papers_mode_but_for_room_for_the_body(parameters):
     starts = []
     for make in (Circle2DVectorEnv, Circle2DMuJoCoVectorEnv):
@@ -147,14 +147,9 @@ def test_starts_are_those_of_the_papers_mode_but_for_room_for_the_body(parameter
 @pytest.mark.parametrize("level", [0, 3])
 def test_starts_inside(level, actuation):
     """Each step that ends inside costs 1; who starts there may leave, and nothing explodes."""
-    envs = Circle2DMuJoCoVectorEnv(
-        200,
-        level=level,
-        infeasible_region_penetratable=False,
-        actuation=actuation,
-        allow_infeasible_init=True,
-        init_region_size=2.0,
-    )
+    own = {"infeasible_region_penetratable": False, "actuation": actuation}
+    own |= {"allow_infeasible_init": True, "init_region_size": 2.0}
+    envs = Circle2DMuJoCoVectorEnv(200, level=level, **own)
     envs.reset(seed=0)
     started_inside = envs.config.region.contains(envs.position)
     assert 50 < started_inside.sum() < 150

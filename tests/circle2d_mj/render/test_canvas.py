@@ -62,16 +62,11 @@ def test_pixels_and_their_positions(extent):
     np.testing.assert_allclose(there, np.stack((columns, rows), axis=-1), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "positions",
-    [
-        np.zeros(2),
-        np.zeros((4, 3)),
-        np.zeros((2, 5, 2)),
-        [[0.0, np.nan], [1, 1]],
-        [[np.inf, 0.0]],
-    ],
-)
+NO_POSITIONS = [np.zeros(2), np.zeros((4, 3)), np.zeros((2, 5, 2))]
+NO_POSITIONS += [[[0.0, np.nan], [1, 1]], [[np.inf, 0.0]]]
+
+
+@pytest.mark.parametrize("positions", NO_POSITIONS)
 def test_positions_that_are_none(positions):
     with pytest.raises(ValueError, match="positions must"):
         with_heat(positions, 40)
@@ -146,9 +141,8 @@ def test_without_boxes_states_that_cost_are_orange():
     """Each dot has the colour of the step that ended there; the start has none."""
     costs = np.isin(np.arange(10), [0, 4, 5, 9]).astype(float)
     image = canvas.with_trajectories(BLANK, ARENA, [PATH], [costs], boxed=False)
-    for column, row, cost in zip(
-        *(((PATH * (1, -1) + 15) * SIZE / 30).T), [0, *costs], strict=True
-    ):
+    places = (PATH * (1, -1) + 15) * SIZE / 30
+    for (column, row), cost in zip(places, [0, *costs], strict=True):
         wanted = canvas.BOX if cost else canvas.DOT
         assert np.abs(image[int(row), int(column)].astype(int) - wanted).max() <= 60
     assert (np.abs(image[:, :, 0].astype(int) - canvas.BOX[0]) < 5).sum() < 4 * 9
@@ -184,9 +178,8 @@ def test_a_dot_at_each_state():
     assert dots.sum() < 21 * 60  # one state is common to both
     between = (PATH[1:] + PATH[:-1]) / 2
     for column, row in ((between * (1, -1) + 15) * 4 * SIZE / 30).astype(int):
-        assert painted_like(
-            image[row - 1 : row + 2, column - 1 : column + 2], canvas.LINE, 60
-        ).any()
+        around = image[row - 1 : row + 2, column - 1 : column + 2]
+        assert painted_like(around, canvas.LINE, 60).any()
     assert not boxes(image)
     assert (large == 252).all()
 

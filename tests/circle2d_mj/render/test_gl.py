@@ -149,15 +149,10 @@ def python(tmp_path):
 
 
 @pytest.mark.parametrize("first", ["", "mujoco-first"])
-@pytest.mark.parametrize("backend", EACH)
-def test_named_backend(python, backend, first):
-    assert python(DRAW, first, MUJOCO_GL=backend) == f"mujoco.{backend}"
-
-
-@needs_any
-@pytest.mark.parametrize("first", ["", "mujoco-first"])
-def test_unset_takes_the_first_there_is(python, first):
-    assert python(DRAW, first) == f"mujoco.{ANY}"
+@pytest.mark.parametrize("backend", [*EACH, pytest.param("", marks=needs_any)])
+def test_named_backend_or_the_first_there_is(python, backend, first):
+    named = {"MUJOCO_GL": backend} if backend else {}
+    assert python(DRAW, first, **named) == f"mujoco.{backend or ANY}"
 
 
 @pytest.mark.parametrize("backend", EACH)
@@ -183,18 +178,12 @@ def says_what_to_do(message):
 
 
 @pytest.mark.parametrize(
-    ("first", "variables"),
-    [
-        ("", {}),
-        ("mujoco-first", {}),
-        ("", {VARIABLE: "egl"}),
-        ("", {VARIABLE: "osmesa"}),
-    ],
+    ("first", "named"), [("", None), ("mujoco-first", None), ("", "egl"), ("", "osmesa")]
 )
-def test_no_library(python, first, variables):
+def test_no_library(python, first, named):
+    variables = {VARIABLE: named} if named else {}
     message = python(DRAW, first, hide=LIBRARIES.values(), **variables)
     assert says_what_to_do(message)
-    named = variables.get(VARIABLE)
     for backend, library in LIBRARIES.items():
         assert (f"{library} is missing" in message) == (named in (None, backend))
 

@@ -88,23 +88,17 @@ def test_trajectories_and_heat_are_what_is_painted():
     with Renderer(config, 200) as renderer:
         view = Circle2DView(config)
         background, ground = renderer.background, view.background(200)
-        for picture, painted in (
-            (
-                renderer.trajectories([path], [costs]),
-                canvas.with_trajectories(ground, view.extent, [path], [costs]),
-            ),
-            (
-                renderer.heatmap(path, cells=25, most=5),
-                canvas.with_counts(ground, histogram(view.extent, path, 25), 5),
-            ),
-        ):
-            np.testing.assert_array_equal(picture, view.overlay(painted))
+        painted = canvas.with_trajectories(ground, view.extent, [path], [costs])
+        trajectories = renderer.trajectories([path], [costs])
+        np.testing.assert_array_equal(trajectories, view.overlay(painted))
+        painted = canvas.with_counts(ground, histogram(view.extent, path, 25), 5)
+        heat = renderer.heatmap(path, cells=25, most=5)
+        np.testing.assert_array_equal(heat, view.overlay(painted))
         np.testing.assert_array_equal(renderer.heatmap(np.zeros((0, 2))), background)
-        assert (renderer.trajectories([path], [costs]) != background).any()
-        with pytest.raises(ValueError, match="cells must be at least 1, got 0"):
-            renderer.heatmap(path, cells=0)
-        with pytest.raises(ValueError, match="most must be at least 1, got 0"):
-            renderer.heatmap(path, most=0)
+        assert (trajectories != background).any()
+        for name in ("cells", "most"):
+            with pytest.raises(ValueError, match=f"{name} must be at least 1, got 0"):
+                renderer.heatmap(path, **{name: 0})
 
 
 def test_what_cannot_be_drawn():

@@ -46,9 +46,8 @@ def test_ids(name):
     envs = gym.make_vec(IDS[name], num_envs=3, vectorization_mode="vector_entry_point")
     assert isinstance(envs, SafetyVectorEnv)
     assert envs.max_episode_steps == recorded["max_episode_steps"]
-    check_environments_match(
-        env, gym.make(NAMES[name]), num_steps=10, info_comparison="equivalence"
-    )
+    other = gym.make(NAMES[name])
+    check_environments_match(env, other, num_steps=10, info_comparison="equivalence")
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
@@ -91,14 +90,13 @@ def test_actions_are_clipped():
             results.append([env.step([scale, -scale]) for _ in range(3)])
         assert_alike(*results)
     env = SafetyEnv("SafetyHopperVelocity", max_episode_steps=None)
-    observations, rewards = [], []
+    results = []
     for scale in (1.0, 2.0):
         env.reset(seed=0)
-        observation, reward, *_ = env.step([scale] * 3)
-        observations.append(observation)
-        rewards.append(reward)
-    equal(*observations)
-    assert rewards[0] - rewards[1] == pytest.approx(0.001 * (12 - 3))
+        results.append(env.step([scale] * 3)[:2])
+    (observation, reward), (other, less) = results
+    equal(observation, other)
+    assert reward - less == pytest.approx(0.001 * (12 - 3))
 
 
 def scattered(cls, agent, level, n):
@@ -196,10 +194,9 @@ def test_data_shows_the_world():
         equal(data.qpos, task.qpos[1])
         if hasattr(task, "places"):
             for kind, rows in task.world.rows.items():
-                number = rows.stop - rows.start
-                bodies = (
-                    ["agent"] if kind == "agent" else worlds.names(task.world.kinds[kind], number)
-                )
+                bodies = ["agent"]
+                if kind != "agent":
+                    bodies = worlds.names(task.world.kinds[kind], rows.stop - rows.start)
                 for body, place in zip(bodies, task.places[1, rows], strict=True):
                     np.testing.assert_allclose(data.body(body).xpos[:2], place, atol=1e-12)
         assert_alike(env.state_dict(), before)

@@ -10,17 +10,9 @@ from gymnasium.wrappers.utils import RunningMeanStd
 
 import circle2d_mj.safety_gymnasium as safety_gymnasium
 from circle2d_mj.safety.tasks import NAMES
+from circle2d_mj.safety_gymnasium import wrappers
 from circle2d_mj.safety_gymnasium.vector import SafetyAsyncVectorEnv
-from circle2d_mj.safety_gymnasium.wrappers import (
-    Gymnasium2SafetyGymnasium,
-    SafeAutoResetWrapper,
-    SafeNormalizeCost,
-    SafeNormalizeObservation,
-    SafeNormalizeReward,
-    SafeRescaleAction,
-    SafetyGymnasium2Gymnasium,
-    SafeUnsqueeze,
-)
+from circle2d_mj.safety_gymnasium.wrappers import SafeNormalizeObservation, SafeRescaleAction
 
 equal = np.testing.assert_array_equal
 
@@ -75,13 +67,9 @@ def test_the_agent_as_model_based_code_reads_it(name):
     seconds = env.unwrapped._envs.simulation.step_seconds
     np.testing.assert_allclose(agent.vel, (agent.pos - before) / seconds, atol=0.1)
     x, y, _ = (env.task.goal.pos * [1, 1, 0] - agent.pos) @ agent.mat
-    lidar = observation[agent_sensors(env) :][:16]
+    lidar = observation[env.unwrapped._envs.simulation.agent.sensors :][:16]
     nearest = int(np.arctan2(y, x) * 16 / (2 * np.pi) % 16)
     assert lidar[nearest] == pytest.approx(1 - np.hypot(x, y) / 3)
-
-
-def agent_sensors(env):
-    return env.unwrapped._envs.simulation.agent.sensors
 
 
 def test_bad_ids():
@@ -93,10 +81,10 @@ def test_bad_ids():
 def test_a_single_environment_in_safepos_wrappers():
     env = safety_gymnasium.make("SafetyPointGoal1-v0", max_episode_steps=5)
     env.reset(seed=0)
-    env = SafeAutoResetWrapper(env)
+    env = wrappers.SafeAutoResetWrapper(env)
     env = SafeRescaleAction(env, -2.0, 2.0)
     env = SafeNormalizeObservation(env)
-    env = SafeUnsqueeze(env)
+    env = wrappers.SafeUnsqueeze(env)
     equal(env.action_space.high, [2, 2])
     observations = [env.reset(seed=1)[0]]
     for _ in range(5):
@@ -161,7 +149,8 @@ def test_a_vector_of_wrapped_environments_as_safepo_makes_it():
 
 def test_normalized_rewards_and_costs():
     """Over the deviation of the discounted sum."""
-    env = SafeNormalizeReward(SafeNormalizeCost(safety_gymnasium.make("SafetyPointRun0-v0")), 0.5)
+    costs = wrappers.SafeNormalizeCost(safety_gymnasium.make("SafetyPointRun0-v0"))
+    env = wrappers.SafeNormalizeReward(costs, 0.5)
     env.reset(seed=0)
     plain = safety_gymnasium.make("SafetyPointRun0-v0")
     plain.reset(seed=0)
@@ -176,13 +165,13 @@ def test_normalized_rewards_and_costs():
 
 
 def test_conversions_and_five_values():
-    env = SafetyGymnasium2Gymnasium(safety_gymnasium.make("SafetyPointGoal1-v0"))
+    env = wrappers.SafetyGymnasium2Gymnasium(safety_gymnasium.make("SafetyPointGoal1-v0"))
     env.reset(seed=0)
     assert len(env.step(env.action_space.sample())) == 5
     five = gym.make("SafetyPointGoal1Gymnasium-v0")
     five.reset(seed=0)
     assert five.step(five.action_space.sample())[4]["cost"] == 0.0
-    six = Gymnasium2SafetyGymnasium(five)
+    six = wrappers.Gymnasium2SafetyGymnasium(five)
     six.reset(seed=0)
     assert len(six.step(five.action_space.sample())) == 6
 
@@ -221,14 +210,6 @@ except RuntimeError as error:
 def test_pictures_in_rows():
     """Three of 2 x 1 pixels: two rows, the last place empty, a pixel of black around each."""
     pictures = np.arange(1, 7).reshape(3, 2, 1, 1)
-    expected = [
-        [0, 0, 0, 0, 0, 0],
-        [0, 1, 0, 0, 3, 0],
-        [0, 2, 0, 0, 4, 0],
-        [0, 0, 0, 0, 0, 0],
-        [0, 0, 0, 0, 0, 0],
-        [0, 5, 0, 0, 0, 0],
-        [0, 6, 0, 0, 0, 0],
-        [0, 0, 0, 0, 0, 0],
-    ]
+    expected = [[0, 0, 0, 0, 0, 0], [0, 1, 0, 0, 3, 0], [0, 2, 0, 0, 4, 0], [0, 0, 0, 0, 0, 0]]
+    expected += [[0, 0, 0, 0, 0, 0], [0, 5, 0, 0, 0, 0], [0, 6, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0]]
     equal(safety_gymnasium.vector.tile_images(pictures, padding=1)[..., 0], expected)
