@@ -1,4 +1,4 @@
-"""CPO's step against geometry, in each of its cases; the step of a
+"""CPO's step against geometry and a general solver, in each of its cases; the step of a
 policy is in `tests/benchmarks`, beside a plain loop.
 
 In coordinates where H is the identity the trust region is a ball of radius √(2δ) and `c + b·x = 0`
@@ -8,8 +8,10 @@ boundary along g, ends beyond it where `share + cosine of the angle between g an
 
 import math
 
+import numpy as np
 import pytest
 import torch
+from scipy.optimize import minimize
 from small_policy import normal
 
 from agents.algorithms import cpo
@@ -72,6 +74,24 @@ def expected_step(g, b, c, root):
     return torch.linalg.solve(root.T, x)
 
 
+def solver_step(g, b, c, root):
+    """One run's where there is a solution, by sequential quadratic programming in radii."""
+    g, b = (torch.linalg.solve(root, v).numpy() for v in (g, b))
+    share = c.item() / RADIUS / np.linalg.norm(b)
+    g, b = g / np.linalg.norm(g), b / np.linalg.norm(b)
+    plane = {"type": "ineq", "fun": lambda x: -(share + b @ x), "jac": lambda x: -b}
+    ball = {"type": "ineq", "fun": lambda x: 1.0 - x @ x, "jac": lambda x: -2.0 * x}
+    found = minimize(
+        lambda x: -g @ x,
+        -share * b,
+        jac=lambda x: -g,
+        constraints=[plane, ball],
+        method="SLSQP",
+        options={"ftol": 1e-12, "maxiter": 500},
+    )
+    return torch.linalg.solve(root.T, RADIUS * torch.from_numpy(found.x))
+
+
 def close(found, expected):
     """Up to a share of the vector's length: the step is computed in float32."""
     return (found - expected).norm() <= 1e-4 * expected.norm()
@@ -84,6 +104,7 @@ def test_every_case_in_one_batch():
     for (*_, case, held), (g, b, c, root), x in zip(CASES, runs, found.displacement, strict=True):
         assert close(x, expected_step(g, b, c, root))
         if case != RECOVERY:
+            assert close(x, solver_step(g, b, c, root))
             assert (abs(c + b @ x) < 1e-4 * RADIUS * b.norm()) == held
     for run, (_, b, c, root) in enumerate(runs):
         alone = cpo.step(CPOConfig(), problem_of([runs[run]]))
