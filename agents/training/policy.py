@@ -211,7 +211,7 @@ def load_policy(
             fresh[name] = array
         learner.load_state_dict(fresh)
     except (KeyError, ValueError) as error:
-        raise UserError(f"{folder}: the policy is damaged or of another version: {error}") from None
+        raise UserError(f"{folder}: the policy is damaged or of another version: {error}") from error
     return Policy(config, run, step, spaces, learner)
 
 

@@ -270,7 +270,7 @@ class Trainer:
         except (KeyError, ValueError) as error:
             if isinstance(error, UserError):
                 raise
-            raise UserError(f"{state.path} is damaged or of another version: {error}") from None
+            raise UserError(f"{state.path} is damaged or of another version: {error}") from error
 
     def close(self) -> None:
         """Close the environments."""
