@@ -51,8 +51,9 @@ endif
 		--episodes 2 --size 320 --out $(DEMO)/film.gif
 	@echo "The report: $(abspath $(DEMO))/index.html"
 
+# Files in their order, trainings first: by count of tests, few long ones would come last, alone.
 test: $(VENV)/develops
-	$(BIN)/python -m pytest -n logical --dist loadfile
+	$(BIN)/python -m pytest -n logical --dist loadfile --no-loadscope-reorder
 
 check: $(VENV)/develops
 	$(BIN)/python -m pytest -m slow -n logical --dist loadfile --durations 20
