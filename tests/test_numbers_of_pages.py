@@ -208,6 +208,17 @@ def test_the_page_of_the_benchmark():
     ]
     assert "Of 1440 comparisons" in report
     assert "40 have equal cost rates, of which EMCC tells 9 apart" in report
+    orders = results_table.page_table("baselines", "What EMCC orders otherwise than the cost rate")
+    counts = [int(words.removesuffix(" of 120")) for words in orders["otherwise"]]
+    taus = orders["tau"].astype(float)
+    ends = [short(value) for value in (taus.min(), taus.max())]
+    assert f"{min(counts)} to {max(counts)} of the 120 pairs" in text
+    assert "is {} to {}.".format(*ends) in text
+    largest = orders.loc[orders["EMCC A - B"].str.split().str[0].astype(float).idxmax()]
+    assert list(largest) == [
+        *("Circle2D-0-v0, 66 to 99 %", "28 of 120", "+0.53"),
+        *("-0.031 [-0.058, -0.005]", "+0.578 [+0.405, +0.752]", "PPO-Lag, WCSAC"),
+    ]
     told = results_table.page_table("baselines", "Cost rate against EMCC")["A and B"]
     assert told.str.endswith("SAC-LB and SAC-LB-Streak").sum() == 7
 

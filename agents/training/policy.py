@@ -211,7 +211,8 @@ def load_policy(
             fresh[name] = array
         learner.load_state_dict(fresh)
     except (KeyError, ValueError) as error:
-        raise UserError(f"{folder}: the policy is damaged or of another version: {error}") from error
+        damaged = f"{folder}: the policy is damaged or of another version: {error}"
+        raise UserError(damaged) from error
     return Policy(config, run, step, spaces, learner)
 
 

@@ -167,13 +167,6 @@ def baseline_ranks() -> dict[str, tuple[float, float]]:
     return dict(sorted(found.items(), key=lambda pair: pair[1]))
 
 
-def orders() -> list[str]:
-    """A row for each level and third of training: pairs of algorithms that EMCC orders otherwise
-    than the cost rate does, Kendall's tau of both orders, and the pair whose EMCC differs most."""
-    table = page_table("baselines", "What EMCC orders otherwise than the cost rate")
-    return [_row(name[9] + name[13:], *others) for name, *others in table.to_numpy()]
-
-
 def page_table(grid: str, heading: str) -> pd.DataFrame:
     """The first table below a heading of a grid's report.md, its cells as they are written."""
     text = (RESULTS / grid / "report.md").read_text().split(f"## {heading}\n", 1)[1]
@@ -296,7 +289,7 @@ def _row(*cells: str) -> str:
 PAGES = {
     "README.md": (grid, equal_rates),
     "physics/README.md": (physics, physics_against_kinematic),
-    "baselines/README.md": (baselines, orders),
+    "baselines/README.md": (baselines,),
     "solve/README.md": (solving, compared, parts),
 }
 """The tables of each page."""
