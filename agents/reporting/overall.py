@@ -38,6 +38,8 @@ RANKS, ORDERS = "Ranks over tasks", "What EMCC orders otherwise than the cost ra
 RESAMPLES = 1_000
 FEWEST_ALGORITHMS, FEWEST_TASKS = 3, 2
 """The fewest of each that have tables of ranks and orders."""
+MOST_PAIRED = 8
+"""Algorithms, at most, of which every pair is compared over all tasks."""
 
 Cells = Mapping[str, Mapping[str, Group]]
 """A group by the algorithm's title and the task; every algorithm has all tasks."""
@@ -139,7 +141,8 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
     """Measures of training over all tasks, of the algorithms that have presets' runs of one length
     on each.
 
-    None where there are not two tasks with five seeds each.
+    None where there are not two tasks with five seeds each. The pairs of more than `MOST_PAIRED`
+    algorithms are left to the table of ranks.
     """
     columns = common_measures()
     cells = on_every_task(of_presets(groups), lambda group: title_of(group.config, group.task))
@@ -153,22 +156,28 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
         middle = [number(bootstrapped(iqm, values.get(m.name)), m.digits) for m in columns]
         seeds = len(next(iter(values.values())))
         rows.append(Row(f"{name}, {seeds} seeds", middle, kind="mean"))
+    pairs = list(combinations(runs, 2)) if len(runs) <= MOST_PAIRED else []
     tested, tests = holm(
         {
             f"P({a} better than {b})": TwoSets(runs[b], runs[a]).differences(gaps=False)
-            for a, b in combinations(runs, 2)
+            for a, b in pairs
         }
     )
     for name, told in tested.items():
         _, p, better = difference_rows("", told, columns)
         rows += [Row(name, better.numbers, kind="test"), p]
-    words = (
-        f"Over {tasks} tasks, presets' runs: interquartile mean of all seeds and tasks; P: "
-        "probability that a run of the first is better than one of the second on a task, equal "
-        f"ones half; [95 % bootstrap interval]; p: {TEST} the {tests} comparisons of "
-        f"this table (Holm). Algorithms with {FEWEST_RUNS} common seeds or more on every task"
-    )
-    return Table(words, [f"{tasks} tasks", *(m.head for m in columns)], rows)
+    words = [f"Over {tasks} tasks, presets' runs: interquartile mean of all seeds and tasks"]
+    if pairs:
+        words.append(
+            "P: probability that a run of the first is better than one of the second on a task, "
+            "equal ones half"
+        )
+    words.append("[95 % bootstrap interval]")
+    if pairs:
+        words.append(f"p: {TEST} the {tests} comparisons of this table (Holm)")
+    ending = f". Algorithms with {FEWEST_RUNS} common seeds or more on every task"
+    caption = "; ".join(words) + ending
+    return Table(caption, [f"{tasks} tasks", *(m.head for m in columns)], rows)
 
 
 def differences_over_tasks(sets: Mapping[str, TwoSets]) -> Table | None:
