@@ -223,13 +223,13 @@ class Row(NamedTuple):
 
     title: str
     field: str
-    """Of `Panel`."""
+    """Its attribute of `Panel`."""
     digits: int = 3
     """Decimal places."""
     bounds: Bounds = COST
     """Values that there can be."""
     level: float | None = None
-    """Of `LEVELS`, in `mcc_above`."""
+    """The level of `LEVELS` that a row of `mcc_above` is for."""
 
     def value(self, measures: CostMeasures) -> float | None:
         """Its number; None of measures that lack the field, as thirds of training lack two."""

@@ -217,7 +217,7 @@ class AfterEpoch:
         """imports: modules that `--import` named."""
         self._imports = imports
         self.number: int | None = None
-        """Of the signal that came."""
+        """The number of the signal that came."""
         self.steps: dict[Path, tuple[int, int]] = {}
         """Steps taken and all steps of each folder, of the run that has taken the fewest."""
 
