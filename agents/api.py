@@ -370,8 +370,8 @@ def _to_write(out: Folder) -> Path:
 def _seeds_of(seeds: int | Iterable[int]) -> tuple[int, ...]:
     try:
         return tuple(operator.index(s) for s in (seeds if isinstance(seeds, Iterable) else [seeds]))
-    except TypeError:
-        raise UserError(f"seeds must be an integer or several, got {seeds!r}") from None
+    except TypeError as error:
+        raise UserError(f"seeds must be an integer or several, got {seeds!r}") from error
 
 
 def _train(folder: Path, on_epoch: OnEpoch | None, progress: bool) -> trainer.Trainer:

@@ -234,7 +234,7 @@ class TrainConfig(Settings):
             known = algorithm(str(name)).config if strict or name in ALGORITHMS else None
             return cls(hyperparameters=_of(known, own) if known else _plain(own), **values)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise UserError(f"{folder}/{CONFIG} is damaged: {error}") from None
+            raise UserError(f"{folder}/{CONFIG} is damaged: {error}") from error
 
 
 def read_spaces(folder: AnyPath) -> Spaces:

@@ -91,8 +91,8 @@ def checked_action(action: ArrayLike, shape: tuple[int, ...] | None) -> NDArray[
     `LARGEST_ACTION`."""
     try:
         given = np.asarray(action)
-    except (TypeError, ValueError, RuntimeError):  # a ragged list; a tensor with a gradient
-        raise ValueError(f"action must be numbers of shape {shape}, got {action!r}") from None
+    except (TypeError, ValueError, RuntimeError) as error:  # ragged; a tensor with a gradient
+        raise ValueError(f"action must be numbers of shape {shape}, got {action!r}") from error
     if given.dtype.kind not in "fiub":
         raise ValueError(f"action must be numbers (real), got {given.dtype} in {action!r}")
     if _is_masked(action):

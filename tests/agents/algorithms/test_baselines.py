@@ -221,7 +221,7 @@ def test_critic_loss_by_hand():
 
 
 def test_variance_target_of_the_later_library_by_hand():
-    """As above, without the square on the last term: 1 - 4 + 5.4 + 0.405 + 0.81·3 = 5.235, and with
+    """That loss without the square on the last term: 1 - 4 + 5.4 + 0.405 + 0.81·3 = 5.235, and with
     Q_c = 0.5 1 - 0.25 + 5.4 + 0.405 + 2.43 = 8.985, at the end of an episode too: no mask."""
     following = outputs([3.0, 3.0], [0.5, 0.5])
     means, cost = torch.tensor([[2.0, 0.5]]), torch.ones(1, 2)

@@ -263,7 +263,7 @@ def test_ctrl_c_while_modules_are_imported():
 
 
 def test_ignored_signals_stay_ignored_and_handlers_come_back():
-    """As under nohup."""
+    """Signals ignored from the start, by nohup for one."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     own = signal.getsignal(signal.SIGTERM)
     try:

@@ -133,7 +133,7 @@ def test_scripted_episodes_are_those_of_the_environment(name):
 
 
 def test_equal_costs_and_different_chains():
-    """As the paper's first figure: 10 cost steps each, in chains counted by hand."""
+    """Two runs like the paper's first figure: 10 cost steps each, in chains counted by hand."""
     costs = [example.walk(Circle2DConfig(), route).costs for route in example.ROUTES.values()]
     chains = [
         [len(part) for part in "".join(str(int(c)) for c in of).split("0") if part] for of in costs

@@ -243,7 +243,7 @@ def test_ranks_and_probability_of_improvement():
 
 
 def test_what_is_ordered_otherwise():
-    """Of three pairs one, A and B: .1 before .2, but .5 after .2; tau = (2 - 1)/3."""
+    """One of three pairs, A and B: .1 before .2, but .5 after .2; tau = (2 - 1)/3."""
     rates = {"A": [0.1, 0.1], "B": [0.3, 0.1], "C": [0.3, 0.3]}
     emccs = {"A": [0.5, 0.5], "B": [0.1, 0.3], "C": [0.6, 0.6]}
     row = overall.order_row("task", rates, emccs)
