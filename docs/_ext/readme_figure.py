@@ -12,7 +12,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from results_table import baseline_ranks
+from results_table import baseline_ranks, mean_rank
 
 from agents.algorithms import ALGORITHMS
 from agents.reporting.figures import COLOURS, MARKERS
@@ -23,6 +23,14 @@ PICTURE = RESULTS / "pictures" / "cost-rate-emcc.png"
 RANKS = RESULTS / "pictures" / "ranks.png"
 APART = 0.55
 """Ranks between two names, at least, so that they can be read."""
+
+ORDER = [algorithm.title for algorithm in ALGORITHMS.values()]
+
+
+def look(name: str) -> dict[str, str]:
+    """Colour and marker of an algorithm in reports."""
+    place = ORDER.index(name)
+    return {"color": COLOURS[place % len(COLOURS)], "marker": MARKERS[place % len(MARKERS)]}
 
 
 def runs(paths: Sequence[Path]) -> dict[str, list[tuple[float, float]]]:
@@ -39,15 +47,13 @@ def runs(paths: Sequence[Path]) -> dict[str, list[tuple[float, float]]]:
 
 def draw(paths: Sequence[Path], picture: Path) -> None:
     """Write the figure, in the colours and markers of reports."""
-    order = [algorithm.title for algorithm in ALGORITHMS.values()]
     figure, axes = plt.subplots(figsize=(7, 3.6))
     found = runs(paths)
-    for name in sorted(found, key=order.index):
-        place = order.index(name)
+    for name in sorted(found, key=ORDER.index):
         axes.plot(
             *zip(*found[name], strict=True),
-            MARKERS[place % len(MARKERS)],
-            color=COLOURS[place % len(COLOURS)],
+            linestyle="",
+            **look(name),
             markersize=6,
             alpha=0.8,
             markeredgewidth=0,
@@ -63,14 +69,12 @@ def draw(paths: Sequence[Path], picture: Path) -> None:
 def draw_ranks(picture: Path) -> None:
     """Write the benchmark's mean ranks by the cost rate, left, and by late EMCC, right, a line for
     each algorithm."""
-    order = [algorithm.title for algorithm in ALGORITHMS.values()]
-    ranks = {name: found[::-1] for name, found in baseline_ranks().items()}
+    ranks = {name: (mean_rank(b), mean_rank(a)) for name, (a, b) in baseline_ranks().items()}
     by_rate, by_emcc = (apart([both[side] for both in ranks.values()]) for side in (0, 1))
     figure, axes = plt.subplots(figsize=(7, 5.6))
     for (name, both), left, right in zip(ranks.items(), by_rate, by_emcc, strict=True):
-        place = order.index(name)
-        look = {"color": COLOURS[place % len(COLOURS)], "linewidth": 1 + abs(both[1] - both[0]) / 2}
-        axes.plot((0, 1), both, marker=MARKERS[place % len(MARKERS)], markersize=6, **look)
+        width = 1 + abs(both[1] - both[0]) / 2
+        axes.plot((0, 1), both, markersize=6, linewidth=width, **look(name))
         axes.text(-0.04, left, f"{name}  {both[0]:.1f}", ha="right", va="center", fontsize=9)
         axes.text(1.04, right, f"{both[1]:.1f}  {name}", ha="left", va="center", fontsize=9)
     axes.invert_yaxis()

@@ -141,30 +141,26 @@ def baselines() -> list[str]:
     """A row for each algorithm of the benchmark: means over the levels, runs that solve their
     level and runs within the limit, and its mean rank over the levels by late EMCC and by the cost
     rate, with 95 % intervals. In the order of the first rank."""
-    lines, texts = report("baselines"), baseline_rank_texts()
-    rows = []
-    for name in baseline_ranks():
+    lines, rows = report("baselines"), []
+    for name, ranks in baseline_ranks().items():
         found = pd.concat([runs(lines, task, name) for task in LEVELS])
         thirds, *others = means(found)
-        cells = (thirds.replace(" ", "/"), *others, _counts(found), *texts[name])
-        rows.append(_row(name, *cells))
+        rows.append(_row(name, thirds.replace(" ", "/"), *others, _counts(found), *ranks))
     return rows
 
 
-def baseline_rank_texts() -> dict[str, tuple[str, str]]:
-    """The mean rank over the levels by late EMCC, and by the cost rate, as the page has them."""
+def baseline_ranks() -> dict[str, tuple[str, str]]:
+    """The mean rank over the levels by late EMCC, and by the cost rate, with their intervals as the
+    page has them; in the order of the ranks."""
     table = page_table("baselines", "Ranks over tasks").iloc[::2]  # the others are probabilities
     columns = table[[table.columns[0], "EMCC_0.99", "cost rate"]].to_numpy()
-    return {name.split(",")[0]: (late, rate) for name, late, rate in columns}
+    found = {name.split(",")[0]: (late, rate) for name, late, rate in columns}
+    return dict(sorted(found.items(), key=lambda pair: [*map(mean_rank, pair[1])]))
 
 
-def baseline_ranks() -> dict[str, tuple[float, float]]:
-    """Both ranks, without their intervals, in the order of the first."""
-    found = {
-        name: (float(late.split()[0]), float(rate.split()[0]))
-        for name, (late, rate) in baseline_rank_texts().items()
-    }
-    return dict(sorted(found.items(), key=lambda pair: pair[1]))
+def mean_rank(text: str) -> float:
+    """The rank without its interval."""
+    return float(text.split()[0])
 
 
 def page_table(grid: str, heading: str) -> pd.DataFrame:
