@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from agents.errors import UserError
 from agents.training.config import NO_RUNS, TrainConfig
+from agents.training.files import opened
 from emcc import EpisodeRecords
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ class Runs:
         if isinstance(folders, (str, os.PathLike)):
             raise UserError(f"Runs takes a list of folders, got {folders!r}: see load_runs")
         self.folders = tuple(map(Path, folders))
-        self.configs = tuple(TrainConfig.read(folder, strict=False) for folder in self.folders)
+        self.configs = tuple(TrainConfig.read(opened(f), strict=False) for f in self.folders)
         """The configuration of each folder."""
         if temporary:
             for folder in self.folders:
@@ -99,7 +100,7 @@ class Runs:
 
         rows: "episodes" and "updates" have a row for each episode, or each epoch's update, of every
         run so far, with the columns folder, algorithm, task and seed, and the hyper-parameters and
-        task parameters in which the folders differ.
+        task parameters in which the folders differ. Archives have no updates.
         """
         if rows not in get_args(Rows):
             raise UserError(f"rows must be {', '.join(get_args(Rows))}, got {rows!r}")
@@ -111,15 +112,14 @@ class Runs:
 
         if rows == "measures":
             return frame.frame(self.results)
-        about = self._about()
-        trainings = [(about[f], config, arrays) for f, config, arrays in self._arrays()]
-        return frame.long_frame(trainings, rows)
+        names = self._names
+        return frame.long_frame([(names[f], *training) for f, *training in self._arrays()], rows)
 
     def _arrays(self) -> list[tuple[Path, TrainConfig, Mapping[str, NDArray]]]:
         from agents.results.reading import results_of
 
         pairs = zip(self.folders, self.configs, strict=True)
-        return [(folder, config, results_of(folder, config)) for folder, config in pairs]
+        return [(folder, config, results_of(opened(folder), config)) for folder, config in pairs]
 
     @property
     def _names(self) -> dict[Path, str]:
@@ -127,18 +127,6 @@ class Runs:
         absolute = {folder: Path(os.path.abspath(folder)) for folder in self.folders}
         common = os.path.commonpath([folder.parent for folder in absolute.values()])
         return {folder: path.relative_to(common).as_posix() for folder, path in absolute.items()}
-
-    def _about(self) -> dict[Path, dict[str, Any]]:
-        """Name, algorithm, and settings in which the folders differ, of each."""
-        settings = [vars(c.hyperparameters) | c.task_parameters for c in self.configs]
-        every = dict.fromkeys(name for own in settings for name in own)
-        varied = [k for k in every if len({repr(own.get(k)) for own in settings}) > 1]
-        names = self._names
-        return {
-            folder: {"folder": names[folder], "algorithm": config.algorithm}
-            | {name: own.get(name) for name in varied}
-            for folder, config, own in zip(self.folders, self.configs, settings, strict=True)
-        }
 
 
 def folders_of(*given: str | os.PathLike[str]) -> list[Path]:
@@ -152,7 +140,8 @@ def folders_of(*given: str | os.PathLike[str]) -> list[Path]:
 
 
 def load_runs(*folders: str | os.PathLike[str]) -> Runs:
-    """Open the runs at or below folders, such as that of a sweep, finished or not. Changes nothing.
+    """Open the runs at or below folders, such as that of a sweep, finished or not, and in archives
+    that `report` wrote. Changes nothing.
 
     An algorithm of one's own need not be registered. Raises UserError where there are no runs, and
     for a folder that is damaged.

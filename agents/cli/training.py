@@ -38,13 +38,12 @@ from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS, preset_with
 from agents.reporting.report import report, table
 from agents.reporting.table import show
-from agents.results.reading import archive_of
 from agents.training import callbacks, evaluation, trainer
 from agents.training.callbacks import duration, share_done, working
 from agents.training.config import RESULTS, Device, TrainConfig
 from agents.training.derive import write_results
 from agents.training.environments import Vectorization, check_task, registered, task_id
-from agents.training.files import Arrays, check_folder, locked, remove_unfinished
+from agents.training.files import Arrays, archive_of, check_folder, locked, remove_unfinished
 from agents.training.launcher import EngineName, Launcher, launcher
 from circle2d_mj.circle2d.config import LEVELS
 

@@ -23,8 +23,8 @@ from agents.reporting.provenance import heading, made, summary
 from agents.reporting.table import Block, Table, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.frame import with_distinct_titles
-from agents.results.reading import Group, archive_of, name_of_all, read, write_archive
-from agents.training.files import write_whole
+from agents.results.reading import Group, name_of_all, read, write_archive
+from agents.training.files import archive_of, write_whole
 
 RUNS = "Every run"
 
@@ -103,12 +103,14 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
 def table(folder: Path) -> list[Table]:
     """Write the tables of every folder of runs at or below a folder, without figures.
 
-    Writes `report.md` and `report.csv`. Otherwise as `report`.
+    Writes `report.md` and `report.csv`, but into no archive. Otherwise as `report`.
     """
     notes: list[str] = []
     everything = with_distinct_titles(read([folder], notes))
     paper = sections(everything)
     tables = _task_tables(_by_task(paper.usual), paper, notes) | paper.tables
+    if archive_of(folder):
+        return list(tables.values())
     write_whole(folder / "report.md", markdown(tables.values()))
     write_whole(folder / "report.csv", numbers_csv(report_lines(everything, paper.printed)))
     return list(tables.values())

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.algorithms import ALGORITHMS, title
+from agents.errors import UserError
 from agents.paper.presets import preset, usual_steps  # the settings that runs are named against
 from agents.results.measures import measures
 from agents.results.reading import Group, run_records
@@ -49,17 +50,22 @@ def frame(groups: Sequence[Group]) -> pandas.DataFrame:
 
 
 def long_frame(
-    trainings: Iterable[tuple[Mapping[str, Any], TrainConfig, Mapping[str, NDArray]]],
+    trainings: Sequence[tuple[str, TrainConfig, Mapping[str, NDArray]]],
     rows: Literal["episodes", "updates"],
 ) -> pandas.DataFrame:
     """A row for each episode, or each epoch's update, of every run so far.
 
-    trainings: columns that tell each from the others, its configuration, and its results.
+    trainings: name of the folder, configuration, and results of each. Settings in which they differ
+    have a column each. Raises UserError for updates of an archive, which has none.
     """
     import pandas as pd
 
     frames, columns_of = [], _episodes if rows == "episodes" else _updates
-    for about, config, arrays in trainings:
+    settings = [vars(c.hyperparameters) | c.task_parameters for _, c, _ in trainings]
+    every = dict.fromkeys(name for own in settings for name in own)
+    varied = [k for k in every if len({repr(own.get(k)) for own in settings}) > 1]
+    for (folder, config, arrays), own in zip(trainings, settings, strict=True):
+        about = {"folder": folder, "algorithm": config.algorithm} | {k: own.get(k) for k in varied}
         for run in config.runs:
             columns = columns_of(arrays, run, config)
             count = len(next(iter(columns.values())))
@@ -82,6 +88,8 @@ def _episodes(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) ->
 
 def _updates(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) -> dict[str, Any]:
     """Columns of the updates of a run; `step`: environment steps taken by then."""
+    if f"{run.prefix}updates" not in arrays:
+        raise UserError(f"{run} has no updates: an archive keeps none")
     values = arrays[f"{run.prefix}updates"]
     rollouts = arrays[f"{run.prefix}rollouts"].astype(np.int64)
     lengths = arrays[f"{run.prefix}length"].astype(np.int64)

@@ -32,7 +32,16 @@ from agents.training.config import (
 )
 from agents.training.derive import Episode, Replay, ReplayEpisode, Visits
 from agents.training.evaluation import POLICIES
-from agents.training.files import UNREADABLE, AnyPath, Arrays, numbered, read_json, whole
+from agents.training.files import (
+    UNREADABLE,
+    AnyPath,
+    Arrays,
+    archive_of,
+    numbered,
+    opened,
+    read_json,
+    whole,
+)
 from emcc import EpisodeRecords, cvar
 
 CVAR_ALPHA = 0.5
@@ -242,7 +251,7 @@ def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> li
 
 def read_folder(path: Path, name: str) -> list[Group]:
     """The runs of one training. Raises UserError where none is complete."""
-    groups = _groups(path, name, name)
+    groups = _groups(opened(path), name, name)
     if not any(group.runs for group in groups):
         reasons = "; ".join(note for group in groups for note in _left_out(name, group.missing))
         raise UserError(f"{name} holds no complete runs; {reasons}")
@@ -259,11 +268,6 @@ def name_of_source(path: Path) -> str:
         return PurePosixPath(within).name
     with zipfile.ZipFile(archive) as file:
         return file.comment.decode() or archive.stem
-
-
-def archive_of(path: Path) -> Path | None:
-    """The file that a path is or leads into; None for a path of folders alone."""
-    return next((part for part in (path, *path.parents) if part.is_file()), None)
 
 
 def folders_below(path: Path) -> dict[str, AnyPath]:

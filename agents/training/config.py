@@ -252,7 +252,7 @@ def read_spaces(folder: AnyPath) -> Spaces:
 
 def _no_runs(folder: AnyPath) -> str:
     """Words for a folder that holds no runs."""
-    if not folder.exists():
+    if not folder.is_dir():
         return f"{folder} is no folder"
     below = [] if not isinstance(folder, Path) else [*folder.glob("*/" + CONFIG)]
     below = below or ([*folder.glob("*/*/" + CONFIG)] if isinstance(folder, Path) else [])

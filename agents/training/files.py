@@ -86,6 +86,17 @@ def write_json(path: Path, content: Any) -> None:
     write_whole(path, json.dumps(content, indent=1) + "\n")
 
 
+def archive_of(path: Path) -> Path | None:
+    """The file that a path is or leads into; None for a path of folders alone."""
+    return next((part for part in (path, *path.parents) if part.is_file()), None)
+
+
+def opened(path: Path) -> AnyPath:
+    """A folder as its files are read: of a path that leads into an archive, the folder there."""
+    archive = archive_of(path)
+    return zipfile.Path(archive).joinpath(*path.relative_to(archive).parts) if archive else path
+
+
 def read_json(path: AnyPath) -> dict[str, Any]:
     """Read a JSON object. Raises UserError naming the file where it is missing or damaged."""
     if not path.is_file():

@@ -84,6 +84,20 @@ def test_frames(runs):
         runs.to_pandas("runs")
 
 
+def test_an_archive_is_opened_as_its_folder_is(runs, tmp_path):
+    agents.report(runs, archive=tmp_path / "runs.zip", out=tmp_path)
+    packed = agents.load_runs(tmp_path / "runs.zip")
+    for rows in ("measures", "episodes"):
+        there, here = packed.to_pandas(rows), runs.to_pandas(rows)
+        numbers = here.select_dtypes("number").columns  # returns have five digits there
+        np.testing.assert_allclose(there[numbers], here[numbers], rtol=2e-5)
+    assert packed.table() == runs.table()
+    with pytest.raises(agents.UserError, match="seed 3 has no updates"):
+        packed.to_pandas("updates")
+    with pytest.raises(agents.UserError, match=r"runs.zip is no folder"):
+        agents.resume(packed)
+
+
 def test_folders_that_differ_in_a_setting_are_told_apart(tmp_path):
     """In each folder as many cost steps in every episode, of ten, as written here."""
     costs = {(32, 32): (1, 2), (64,): (3, 4)}
