@@ -29,7 +29,7 @@ def make(
     """Make a task of the suite, as in `make("SafetyPointGoal1-v0")`; `step` returns six values.
 
     autoreset: reset at once where an episode ends, see `wrappers.SafeAutoResetWrapper`. width and
-    height: of pictures, pixels; every camera shows the view from above, whatever its name or id.
+    height: of pictures, pixels; a task has one view, whatever a camera's name or id.
     Raises ValueError for an id that is not in `registry`.
     """
     _check_id(id)

@@ -25,15 +25,20 @@ def make(
     asynchronous: bool = True,
     wrappers: Wrap | list[Wrap] | None = None,
     disable_env_checker: bool | None = None,
+    *,
+    max_episode_steps: int | None = None,
     **arguments: Any,
 ) -> Any:
     """Make copies of a task of the suite; `step` returns six values, arrays [num_envs, ...].
 
     The native vector environment steps all copies together, and `asynchronous` changes nothing;
     with `wrappers`, each applied to every copy, single environments are stepped one by one.
-    arguments: those of `make`; without wrappers `max_episode_steps` and `render_mode` alone.
+    max_episode_steps: None for the task's own. arguments: those of `make`; without wrappers
+    `render_mode` alone.
     """
     _check_id(env_id)
+    if max_episode_steps is not None:  # the native environment takes None for no limit at all
+        arguments["max_episode_steps"] = max_episode_steps
     if wrappers is None:
         return SafetyVectorEnv(
             gym.make_vec(

@@ -131,13 +131,13 @@ class SafeNormalizeObservation(_Wrapper):
         """Return observation, reward, cost, terminated, truncated, info."""
         observation, *values, info = self.env.step(action)
         if "final_observation" in info:
-            final = info["final_observation"]
+            raw = info["final_observation"]
             if self.is_vector_env:
-                shown = [None if one is None else self._scaled(one) for one in final]
+                shown = [None if one is None else self._scaled(one) for one in raw]
                 final = np.array([*shown, None], dtype=object)[:-1]
             else:
-                final = self._scaled(final)
-            info = {**info, "original_observation": observation, "final_observation": final}
+                final = self._scaled(raw)
+            info = {**info, "original_final_observation": raw, "final_observation": final}
         return self._normalized(observation), *values, info  # pyright: ignore[reportReturnType]
 
     def _normalized(self, observation: Any) -> NDArray[np.float64]:

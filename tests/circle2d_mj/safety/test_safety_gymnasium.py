@@ -100,6 +100,7 @@ def test_a_single_environment_in_safepos_wrappers():
         rms.update(one[None])
     expected = (seen[-1] - rms.mean) / np.sqrt(rms.var + 1e-8)  # before the next episode's first
     np.testing.assert_allclose(result[5]["final_observation"][0], expected, rtol=1e-12)
+    equal(result[5]["original_final_observation"][0], seen[-1])
     assert env.obs_rms.count == pytest.approx(6, abs=1e-3)
 
 
@@ -123,6 +124,17 @@ def test_a_vector_environment_as_omnisafe_uses_it():
     assert (observation != np.stack(info["final_observation"])).any()
     assert info["final_info"][2]["cost"] == results[2][2]
     assert envs.single_action_space == single[0].action_space
+
+
+@pytest.mark.parametrize("wrappers", [None, []], ids=["native", "one by one"])
+def test_without_a_time_limit_it_is_the_tasks_own(wrappers):
+    for limit, expected in ((None, 500), (3, 3)):
+        envs = safety_gymnasium.vector.make(
+            "SafetyPointCircle1-v0", 2, wrappers=wrappers, max_episode_steps=limit
+        )
+        envs.reset(seed=0)
+        ends = [envs.step(np.zeros((2, 2)))[4].all() for _ in range(expected)]
+        assert ends == [False] * (expected - 1) + [True]
 
 
 def test_a_vector_of_wrapped_environments_as_safepo_makes_it():
