@@ -221,8 +221,27 @@ def test_every_task_has_a_page_with_its_own_numbers():
         assert f"`{env.action_space}`" in page
         assert f"After {env.spec.max_episode_steps} steps" in page
         env.close()
+    for name in SAFETY:
+        page = pages[re.sub(r".*/Safety[A-Z].*?([A-Z][a-z]+)\d?-v.", r"Safety\1", name)]
+        steps = gym.spec(name).max_episode_steps
+        assert f"After {steps} steps" in page
+        assert f"| `max_episode_steps` | `{steps}` |" in page
     for field in dataclasses.fields(Circle2DConfig)[1:]:
         assert f"| `{field.name}` | `{field.default!r}` |" in pages["Circle2D-3-v0"]
+
+
+def test_the_rows_of_a_table_have_the_cells_of_its_head():
+    """Markdown drops what is behind a further bar, as in a cell with |a|."""
+    import task_pages
+
+    tables = re.findall(
+        r"(?:^\|.*\n)+", "\n\n".join([*TEXTS.values(), *task_pages.pages().values()]), re.M
+    )
+    assert len(tables) > 100
+    for table in tables:
+        rows = table.splitlines()
+        cells = [len(re.findall(r"(?<!\\)\|", row)) for row in rows]
+        assert cells == cells[:1] * len(rows), rows[0]
 
 
 def test_every_public_name_has_an_entry():

@@ -142,7 +142,9 @@ class ButtonTask(NavigationTask):
 
 
 class CircleTask(NavigationTask):
-    """Run round a circle, anticlockwise: see `rules.circle_reward`. Beyond the walls it costs."""
+    """Run round a circle of radius 1.5 m, anticlockwise. For the agent's velocity (u, v) at (x, y),
+    at the distance r from the middle, the reward is 0.1 (v x - u y) / r / (1 + |r - 1.5|). Beyond
+    the walls it costs."""
 
     family = "Circle"
 

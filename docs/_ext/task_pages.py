@@ -143,7 +143,8 @@ def _family(family: str) -> str:
             name, laid = IDS[f"Safety{agent}{family}{level}"], scene(f"{family}{level}", agent)
             env, objects = gym.spec(name).make(), [f"{p.number} {p.kind}" for p in laid.placed]
             shown = ", ".join(objects) or "none"
-            walls = "two walls" if len(laid.walls) == 1 else "four walls" if laid.walls else ""
+            bounds = [f"{axis} = ±{at:g} m" for axis, at in zip("xy", laid.walls, strict=False)]
+            walls = ", ".join(bounds)
             costs = ", ".join(laid.costs) or "none"
             shape = str(env.observation_space.shape[0])
             cells = (f"`{name.rpartition('/')[2]}`", shown, walls, costs, shape)
@@ -151,16 +152,18 @@ def _family(family: str) -> str:
             kinds += [kind for kind in laid.costs if kind not in kinds]
             env.close()
     first = scene(f"{family}{levels[-1]}", "Point")
-    lidars = ", ".join(first.lidars) or "none"
+    lidars = (
+        f"After the sensors come 16 numbers for each lidar: {', '.join(first.lidars)}. Each tells "
+        "how near the nearest object of its kind is in 16 directions, 1 at no distance and 0 at "
+        f"{first.reach:g} m."
+    )
     sections = {
         "Description": [_prose(task), ORIGINAL],
         "Variants": [_table(("id", "objects", "walls", "kinds of cost", "observation"), rows)],
         "Action space": [f"{name}:\n\n{_tables(type(c))['action']}" for name, c in _agents()],
         "Observation space": [
             *(f"{name}:\n\n{_tables(type(c))['observation']}" for name, c in _agents()),
-            f"After the sensors come 16 numbers for each lidar: {lidars}. Each tells how near the "
-            f"nearest object of its kind is in 16 directions, 1 at no distance and 0 at "
-            f"{first.reach:g} m.",
+            lidars if first.lidars else "",
         ],
         "Reward": [_prose(task)],
         "Cost": [
@@ -170,7 +173,7 @@ def _family(family: str) -> str:
         ],
         "Start": ["At random places that keep their distances, any heading, at rest."],
         "End": [_end(IDS[f"SafetyPoint{family}0"]), _terminates(family)],
-        "Arguments": [_safety_arguments(1000)],
+        "Arguments": [_safety_arguments(IDS[f"SafetyPoint{family}0"])],
         "Versions": ["- v0: the numbers of Safety-Gymnasium 1.0.0."],
     }
     return _safety_page(f"Safety{family}", FILMED[family], sections)
@@ -187,7 +190,7 @@ def _velocity() -> str:
         env.close()
     head = ("id", "speed limit, m/s", "step, s", "observation", "action")
     reward = [
-        (body, f"{b.forward:g} v + {b.alive:g} - {b.control_cost:g} |a|²")
+        (body, f"{b.forward:g} v + {b.alive:g} - {b.control_cost:g} ‖a‖²")
         for body, b in BODIES.items()
     ]
     sections = {
@@ -210,7 +213,7 @@ def _velocity() -> str:
             "Hopper, Walker2d, Ant and Humanoid terminate where the torso leaves its heights, or "
             "of the first two its tilt.",
         ],
-        "Arguments": [_safety_arguments(1000)],
+        "Arguments": [_safety_arguments(IDS["SafetyHopperVelocity"])],
         "Versions": [
             "- v1: the numbers of Safety-Gymnasium 1.0.0. Before 0.2.0, Hopper had twice the "
             "original's contact margins.",
@@ -243,7 +246,8 @@ def _prose(cls: type) -> str:
     return " ".join(paragraphs[at].split())
 
 
-def _safety_arguments(steps: int) -> str:
+def _safety_arguments(name: str) -> str:
+    steps = gym.spec(name).max_episode_steps
     return _table(("argument", "default", "meaning"), _extra(("num_threads",), steps))
 
 
