@@ -149,7 +149,8 @@ class SafeNormalizeObservation(_Wrapper):
 
 
 class _NormalizeReturn(_Wrapper):
-    """Rewards or costs over the running deviation of their discounted sum."""
+    """Rewards or costs over the running deviation of their discounted sum, which a step that
+    terminates starts anew."""
 
     _place: int
 
@@ -161,9 +162,9 @@ class _NormalizeReturn(_Wrapper):
     def step(self, action: Any) -> Six:
         """Return observation, reward, cost, terminated, truncated, info."""
         values = list(self.env.step(action))
-        self._sum = self._sum * self._gamma + values[self._place]
+        went_on = np.logical_not(values[3])
+        self._sum = self._sum * self._gamma * went_on + values[self._place]
         self.return_rms.update(self._sum)
-        self._sum = np.where(np.logical_or(values[3], values[4]), 0.0, self._sum)
         values[self._place] = values[self._place] / np.sqrt(self.return_rms.var + self._epsilon)
         return tuple(values)  # pyright: ignore[reportReturnType]
 

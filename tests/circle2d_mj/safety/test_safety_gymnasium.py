@@ -176,6 +176,23 @@ def test_normalized_rewards_and_costs():
     assert env.return_rms.mean == pytest.approx(np.mean(sums), rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("wrapper", "place"), [(wrappers.SafeNormalizeReward, 1), (wrappers.SafeNormalizeCost, 2)]
+)
+def test_the_discounted_sum_starts_anew_with_a_termination_alone(wrapper, place):
+    """As in the original, and in gymnasium's NormalizeReward: at the step that terminates."""
+
+    class Scripted(gym.Env):
+        def step(self, action):
+            return 0, action, action, action == 2, action == 4, {}
+
+    env, expected = wrapper(Scripted(), 0.5), RunningMeanStd(shape=())
+    for number, total in [(1, 1.0), (2, 2.0), (3, 4.0), (4, 6.0), (5, 8.0)]:
+        found = env.step(number)[place]
+        expected.update(np.array([total]))
+        assert found == pytest.approx(number / np.sqrt(expected.var + 1e-8))
+
+
 def test_conversions_and_five_values():
     env = wrappers.SafetyGymnasium2Gymnasium(safety_gymnasium.make("SafetyPointGoal1-v0"))
     env.reset(seed=0)
