@@ -21,7 +21,7 @@ FAMILIES = ("trpo-lag", "cpo", "ppo-lag", "sac-lb", "wcsac")
 """One of each learner, and those with states of their own."""
 
 
-def config(name, seeds=(0, 1, 2), steps=210, **parameters):
+def config(name, seeds=(0, 1, 2), steps=160, **parameters):
     """name: of an algorithm, and its multiplier's optimiser if it is not the default."""
     name, _, optimizer = name.partition(" ")
     own = small(name, **({"multiplier_optimizer": optimizer} if optimizer else {}))
@@ -43,7 +43,7 @@ def test_a_run_is_what_it_is_alone_and_without_a_stop(name, tmp_path):
     assert_same(of_run(alone, 0), of_run(whole, 1))
     whole.save()
     stopped = trainer(config(name), tmp_path / "stopped")
-    while stopped.steps.min() < 100:
+    while stopped.steps.min() < 60:
         stopped.run_epoch()
     stopped.save()
     resumed = trainer(config(name), tmp_path / "stopped")
@@ -58,7 +58,7 @@ def test_a_run_is_what_it_is_alone_and_without_a_stop(name, tmp_path):
 def test_a_poisoned_run_fails_alone(name, tmp_path):
     """NaN in the first weight of the second run's actor, after some epochs."""
     healthy, poisoned = finished(trainer(config(name))), trainer(config(name), tmp_path / "run")
-    while poisoned.steps[1] < 100:
+    while poisoned.steps[1] < 60:
         poisoned.run_epoch()
     step = int(poisoned.steps[1])
     poisoned.learner._state.actor[1, 0] = np.nan
@@ -80,13 +80,14 @@ def test_a_poisoned_run_fails_alone(name, tmp_path):
     assert restored.done
 
 
-@pytest.mark.parametrize("poisons", ["reward", "cost", "observation"])
-@pytest.mark.parametrize("name", ["trpo-lag", "sac-lag"])
+@pytest.mark.parametrize(
+    ("name", "poisons"), [("trpo-lag", "reward"), ("sac-lag", "cost"), ("sac-lag", "observation")]
+)
 def test_an_environment_that_gives_nan_fails_its_run(name, poisons):
-    it = finished(trainer(config(name, tuple(range(6)), 600, poison=0.0004, poisons=poisons)))
+    it = finished(trainer(config(name, tuple(range(6)), 200, poison=0.003, poisons=poisons)))
     failed = it.failures != ""
     assert 0 < failed.sum() < 6
-    assert (it.steps[~failed] >= 600).all()
+    assert (it.steps[~failed] >= 200).all()
     assert all(f"its {poisons} is not finite" in why for why in it.failures[failed])
     for run in range(6):
         rows = of_run(it, run)

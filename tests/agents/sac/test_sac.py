@@ -108,13 +108,12 @@ def random_batch(runs, size=64, seed=0):
     return batch, sac.UpdateNoise(normal(2), normal(2))
 
 
-@pytest.mark.parametrize("runs", [12, 20])
-def test_a_run_is_bitwise_the_same_alone(runs):
-    nets = sac.make_nets(CONFIG, 2, 2, 1)
+def test_a_run_is_bitwise_the_same_alone():
+    nets, runs = sac.make_nets(CONFIG, 2, 2, 1), 20
 
     def train(chosen):
         state = sac.initial_state(nets, CONFIG, RULE, [100 + run for run in chosen])
-        for k in range(8):
+        for k in range(3):
             everyone, noise = random_batch(runs, size=256, seed=k)
             batch = Batch(*(part[chosen] for part in everyone))
             noise = sac.UpdateNoise(*(part[chosen] for part in noise))
@@ -122,7 +121,7 @@ def test_a_run_is_bitwise_the_same_alone(runs):
         return state, metrics
 
     together, their_metrics = train(list(range(runs)))
-    for run in (0, 7, runs - 1):
+    for run in (7, runs - 1):
         alone, metrics = train([run])
         theirs = tree.flatten(together)
         for name, value in tree.flatten(alone).items():
