@@ -71,8 +71,9 @@ def test_initial_parameters_are_pytorchs():
         assert array.std() == pytest.approx(1 / np.sqrt(3 * n), rel=0.25)
 
 
-@pytest.mark.parametrize("activation", ACTIVATIONS)
-@pytest.mark.parametrize("name", ["sac-lag", "trpo-lag", "ppo-lag"])
+@pytest.mark.parametrize(
+    ("name", "activation"), [("sac-lag", "silu"), ("trpo-lag", "tanh"), ("ppo-lag", "relu")]
+)
 def test_trained_networks(name, activation):
     """After a training with odd layers: a run is bit for bit what it is alone, the padding is still
     exactly 0, and the policy acts as its update and its export say."""
@@ -115,11 +116,3 @@ def test_adam_against_torch():
             theirs[run].grad = gradient[run].clone()
             optimizer.step()
     torch.testing.assert_close(params, torch.stack(theirs).detach(), rtol=1e-5, atol=1e-6)
-
-
-def test_adams_first_step_by_hand():
-    """m̂ = g and v̂ = g², so the first step is the learning rate against the gradient's sign."""
-    params = torch.zeros(1, 32)
-    gradient = torch.full((1, 32), -4.0)
-    params, _ = adam(params, gradient, no_moments(params), 0.5)
-    torch.testing.assert_close(params, torch.full((1, 32), 0.5))
