@@ -1,26 +1,35 @@
 """The files and commands of the page on an algorithm, task and measure of one's own."""
 
 import json
+import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import imageio.v3 as imageio
 import numpy as np
 import pytest
+from fault_common import forked
 
 import agents
+from agents.cli.main import main
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 
 
 def circle2d(folder, *args, status=0):
-    command = [sys.executable, "-m", "agents.cli", *args]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == status, done.stderr
+    """Run a command in a process of its own, which knows nothing of the user's yet."""
+
+    def command():
+        os.chdir(folder)
+        try:
+            return main(args)
+        except SystemExit as done:  # of --help
+            return done.code
+
+    done = forked(command)
+    assert done.status == status, done.err
     return done
 
 
@@ -51,11 +60,11 @@ def command_of(module):
 def trained(folder, module):
     """Train by the page's command for a module; its help and the table name what it adds."""
     name, title, changed, said = ALGORITHMS[module]
-    short = ("--backend", "eager", "--seeds", "0", "--steps", "1100")
+    short = ("--backend", "eager", "--seeds", "0", "--steps", "600")
     done = circle2d(folder, *command_of(module), *short)
-    assert f"{title} ({changed}, 1,100 steps), mean of 1" in done.stdout
+    assert f"{title} ({changed}, 600 steps), mean of 1" in done.out
     assert json.loads((folder / "runs/config.json").read_text())["algorithm"] == name
-    text = circle2d(folder, "train", name, "--import", module, "--help").stdout
+    text = circle2d(folder, "train", name, "--import", module, "--help").out
     assert f"--{changed.partition(' ')[0]}" in text
     assert said in re.sub(r"[│\s]+", " ", text)
 
@@ -70,12 +79,12 @@ def test_an_algorithm_of_the_users_own(folder):
     """Trains by the page's command, resumes, is evaluated, reported and explained."""
     trained(folder, "my_algorithm")
     done = circle2d(folder, "resume", "runs", status=2)
-    assert done.stderr.count("\n") == 1
-    assert "my_algorithm" in done.stderr
+    assert done.err.count("\n") == 1
+    assert "my_algorithm" in done.err
     known = ("--import", "my_algorithm")
     circle2d(folder, "resume", "runs", *known)
-    assert "J_R" in circle2d(folder, "evaluate", "runs", "--episodes", "2", *known).stdout
-    assert "SAC-Fixed (price 0.5" in circle2d(folder, "report", "runs", *known).stdout
+    assert "J_R" in circle2d(folder, "evaluate", "runs", "--episodes", "2", *known).out
+    assert "SAC-Fixed (price 0.5" in circle2d(folder, "report", "runs", *known).out
     page = (folder / "runs/index.html").read_text()
     assert "circle2d train sac-fixed " in page
     assert "--import my_algorithm" in page
@@ -84,8 +93,8 @@ def test_an_algorithm_of_the_users_own(folder):
 def test_two_limits_on_two_costs(folder):
     """Both multipliers follow their own cost; both costs are recorded, evaluated and in tables."""
     train = command_of("my_limits")
-    done = circle2d(folder, *train, "--backend", "eager", "--seeds", "0", "1", "--steps", "2e3")
-    assert len(re.findall(r"PPO-Two \(.*cost_2.*\), mean of 2", done.stdout)) == 1
+    done = circle2d(folder, *train, "--backend", "eager", "--seeds", "0", "1", "--steps", "1.1e3")
+    assert len(re.findall(r"PPO-Two \(.*cost_2.*\), mean of 2", done.out)) == 1
     runs = agents.load_runs(folder / "runs")
     updates = runs.to_pandas("updates")
     episodes = runs.to_pandas("episodes")
@@ -102,7 +111,7 @@ def test_two_limits_on_two_costs(folder):
     assert set(second) == set(runs.records)
     assert all(np.array_equal(second[key].length, of.length) for key, of in runs.records.items())
     evaluate = ("evaluate", "runs", "--episodes", "2", "--import", "my_limits")
-    assert "J_C" in circle2d(folder, *evaluate).stdout
+    assert "J_C" in circle2d(folder, *evaluate).out
 
 
 @pytest.mark.slow
@@ -117,14 +126,14 @@ def test_an_algorithm_of_the_users_own_in_worker_processes(folder):
         "1",
     ]
     command += ["--seeds", "0", "--steps", "1000", "--backend", "eager", "--out", "grid"]
-    assert "SAC-Fixed (1,000 steps), mean of 1" in circle2d(folder, *command).stdout
+    assert "SAC-Fixed (1,000 steps), mean of 1" in circle2d(folder, *command).out
 
 
 @pytest.mark.slow
 def test_a_task_and_a_measure_of_the_users_own(folder):
     """The page's task trains by the page's command, and its measure is a column of the report."""
     train = [word.replace("2e4", "1.1e3") for word in command_of("my_tasks")]
-    assert "PPO-Lag" in circle2d(folder, *train, "--seeds", "0", "--backend", "eager").stdout
+    assert "PPO-Lag" in circle2d(folder, *train, "--seeds", "0", "--backend", "eager").out
     shown = re.findall(r"circle2d ((?:heatmap|render) .*)", PAGE)
     for line in shown:
         circle2d(folder, *line.replace("runs/stay", "runs").split())
@@ -133,7 +142,7 @@ def test_a_task_and_a_measure_of_the_users_own(folder):
     assert len(imageio.imread(folder / "stay.gif")) == 3 * (20 + 1)  # states
     known = ("--import", "my_measures", "--import", "my_tasks")
     done = circle2d(folder, "report", "runs", *known)
-    assert "middle" in done.stdout
-    assert "clean episodes (share)" in done.stdout
+    assert "middle" in done.out
+    assert "clean episodes (share)" in done.out
     assert "--import my_tasks" in (folder / "runs/index.html").read_text()
     assert "clean" in (folder / "runs/report.csv").read_text().splitlines()[0]
