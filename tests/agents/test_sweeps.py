@@ -43,22 +43,6 @@ def test_mistakes_are_named(tmp_path, grid, message):
     assert not (tmp_path / "x").exists()
 
 
-def test_settings_of_a_sweep(tmp_path):
-    """All but seeds and hyper-parameters as in `train`, to every combination."""
-    settings = {"checkpoint_every": 50, "evaluate_every": 100}
-    settings |= {"task_parameters": {"init_radius_multiplier": 2.0}}
-    more = {"steps": 100, "episodes": 1, "seeds": 0, "out": tmp_path / "x"}
-    runs = agents.sweep("cpo", grid={"cost_limit": (2.0,)}, **settings, **more)
-    assert [config.hyperparameters.cost_limit for config in runs.configs] == [2.0]
-    for config in runs.configs:
-        assert {name: getattr(config, name) for name in settings} == settings
-        assert agents.load_policy(runs.folders[0], step=100).step == 100
-    words = r"other settings: .*algorithm cpo \(now sac-lb\).*episodes 1 \(now absent\)"
-    with pytest.raises(agents.UserError, match=words) as raised:
-        agents.sweep("sac-lb", grid={"cost_limit": (2.0,)}, steps=100, seeds=0, out=more["out"])
-    assert "replay_size absent (now 50000)" in str(raised.value)
-
-
 MODULE = """
 import gymnasium
 from toys import Walk
@@ -81,13 +65,23 @@ def importable(tmp_path, monkeypatch):
     "task", ["my_walk:OfAModule-v0", pytest.param("OfAModule-v0", marks=pytest.mark.slow)]
 )
 def test_a_sweep_on_a_task_from_a_module_of_the_users(importable, task):
-    """Its processes import the module, be it named or not."""
+    """Its processes import the module, be it named or not. All settings but seeds and
+    hyper-parameters are as in `train`; those of another sweep are refused."""
     (importable / "my_walk.py").write_text(MODULE)
     importlib.import_module("my_walk")
+    settings = {"checkpoint_every": 50, "evaluate_every": 50, "task_parameters": {"scale": 2.0}}
+    more = {"grid": {"cost_limit": (2.0,)}, "steps": 100, "seeds": 0, "out": importable / "x"}
     try:
-        more = {"grid": {"cost_limit": (1.0,)}, "steps": 50, "episodes": 1, "seeds": 0}
-        runs = agents.sweep("cpo", task, **more, out=importable / "x")
-        assert runs.records[runs.folder, 0].total_steps >= 50
+        runs = agents.sweep("cpo", task, episodes=1, **settings, **more)
+        [config] = runs.configs
+        assert config.hyperparameters.cost_limit == 2.0
+        assert {name: getattr(config, name) for name in settings} == settings
+        assert agents.load_policy(runs.folders[0], step=50).step == 50
+        assert runs.records[runs.folder, 0].total_steps >= 100
+        words = r"other settings: .*algorithm cpo \(now sac-lb\).*episodes 1 \(now absent\)"
+        with pytest.raises(agents.UserError, match=words) as raised:
+            agents.sweep("sac-lb", task, **more)
+        assert "replay_size absent (now 50000)" in str(raised.value)
     finally:
         gym.registry.pop("OfAModule-v0", None)
         sys.modules.pop("my_walk", None)
