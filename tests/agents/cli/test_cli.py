@@ -27,13 +27,13 @@ from agents.training.callbacks import Epoch, share_done
 from agents.training.config import TrainConfig
 from agents.training.trainer import Trainer
 
-TRAIN = ["train", "sac-lag", "--seeds", "0", "1", "--steps", "600", "--backend", "eager"]
+TRAIN = ["train", "sac-lag", "--seeds", "0", "1", "--steps", "300", "--backend", "eager"]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("runs") / "first"
-    assert main([*TRAIN, "--out", str(path), "--random-steps", "300"]) == 0
+    assert main([*TRAIN, "--out", str(path), "--random-steps", "150"]) == 0
     return path
 
 
@@ -52,10 +52,10 @@ def test_train_and_report_print_and_write_the_table(folder, capsys):
     assert err == ""
     names = re.findall(r"^\| (SAC-Lag.*?) +\|", out, re.MULTILINE)
     assert names == [
-        "SAC-Lag (random_steps 300, 600 steps), mean of 2",
+        "SAC-Lag (random_steps 150, 300 steps), mean of 2",
         "SAC-Lag, paper (3 seeds)",
-        "SAC-Lag (random_steps 300, 600 steps), seed 0",
-        "SAC-Lag (random_steps 300, 600 steps), seed 1",
+        "SAC-Lag (random_steps 150, 300 steps), seed 0",
+        "SAC-Lag (random_steps 150, 300 steps), seed 1",
     ]
     assert [row["seed"] for row in rows_of(folder) if row["seed"]] == ["0", "1"]
     assert share_done(folder) == 1.0
@@ -178,20 +178,15 @@ def test_training_touches_no_opengl(tmp_path):
 HEAVY = ("torch", "tyro", "matplotlib", "rich", "mujoco", "OpenGL")
 
 
-@pytest.mark.parametrize(("arguments", "status"), [(["--help"], 0), (["trian"], 2)])
-def test_no_heavy_import_before_a_command(arguments, status):
+def test_no_heavy_import_before_a_command():
+    """Though the names of all algorithms are printed."""
     code = f"""
 import sys
 from agents.cli.main import AfterEpoch, Ended, handling_signals, main
-assert main({arguments}) == {status}
+assert main(["--help"]) == 0 and main(["trian"]) == 2
 assert not set({HEAVY}) & set(sys.modules), sorted(set({HEAVY}) & set(sys.modules))
 """
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
-
-
-def test_importing_agents_is_light():
-    code = f"import sys, agents; assert not set({HEAVY}) & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_packages_that_an_installation_may_lack():
@@ -202,7 +197,7 @@ def test_packages_that_an_installation_may_lack():
     assert set(EXTRA) == set(names) - {"imageio"}
 
 
-ONE = ["train", "sac-lag", "--seeds", "0", "--steps", "600", "--random-steps", "300"]
+ONE = ["train", "sac-lag", "--seeds", "0", "--steps", "300", "--random-steps", "100"]
 ONE += ["--backend", "eager", "--out"]
 
 
@@ -227,7 +222,7 @@ def test_the_first_ends_after_the_epoch_with_a_checkpoint(number, tmp_path, caps
         assert main([*ONE, str(out)]) == 128 + number
     err = capsys.readouterr().err.splitlines()
     assert err[-1] == (
-        f"circle2d: interrupted by {number.name} after 150 of 600 steps, with a checkpoint; "
+        f"circle2d: interrupted by {number.name} after 150 of 300 steps, with a checkpoint; "
         f"'circle2d resume {out}' goes on"
     )
     with np.load(out / "checkpoints" / "000000150.npz") as state:

@@ -20,7 +20,7 @@ from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
 
 COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3"]
-COMMAND += ["--steps", "2000", "--workers", "1", "--backend", "eager", "--out"]
+COMMAND += ["--steps", "1100", "--workers", "1", "--backend", "eager", "--out"]
 STARTED = [sys.executable, "-m", "agents.cli", *COMMAND]
 
 
@@ -45,7 +45,7 @@ def test_it_trains_and_reports_all(whole):
     assert err.count(": done after ") == 2
     assert "100 % done, 2 of 2 trainings" in err.splitlines()[-1]
     for title in ("CPO", "TRPO-Lag"):
-        assert f"{title} (2,000 steps), mean of 1" in (out / "report.md").read_text()
+        assert f"{title} (1,100 steps), mean of 1" in (out / "report.md").read_text()
     assert (out / "index.html").exists()
 
 
@@ -55,12 +55,12 @@ def test_again_nothing_is_trained(whole, capsys):
     assert main([*COMMAND, str(out)]) == 0
     assert {path: path.read_bytes() for path in out.rglob("*.npz")} == before
     assert main([*COMMAND, str(out), "--steps", "3000"]) == 2
-    assert "holds runs with other settings: steps 2000 (now 3000)" in capsys.readouterr().err
+    assert "holds runs with other settings: steps 1100 (now 3000)" in capsys.readouterr().err
 
 
 def test_it_goes_on_with_the_backend_that_its_runs_began_with(tmp_path, capsys):
     """Tests switch compiling off, so that going on with compiled runs is refused."""
-    configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo"], (3,), 2000)
+    configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo"], (3,), 1100)
     grid.prepare({folder: replace(c, backend="compiled") for folder, c in configs.items()})
     command = [word for word in COMMAND if word not in ("trpo-lag", "--backend", "eager")]
     assert main([*command, str(tmp_path)]) == 2
@@ -69,7 +69,7 @@ def test_it_goes_on_with_the_backend_that_its_runs_began_with(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_one_failure_does_not_stop_the_others(whole, tmp_path, capsys):
-    configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo", "trpo-lag"], (3,), 2000)
+    configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo", "trpo-lag"], (3,), 1100)
     grid.prepare(configs)
     damaged = tmp_path / "Circle2D-1-v0" / "cpo" / "checkpoints" / "000000500.npz"
     damaged.parent.mkdir()
@@ -77,7 +77,7 @@ def test_one_failure_does_not_stop_the_others(whole, tmp_path, capsys):
     assert main([*COMMAND, str(tmp_path)]) == 1
     out, err = capsys.readouterr()
     assert re.search(r"circle2d: .*Circle2D-1-v0/cpo failed: .*damaged", err)
-    assert "TRPO-Lag (2,000 steps), mean of 1" in out
+    assert "TRPO-Lag (1,100 steps), mean of 1" in out
     assert "left out: " in out
     damaged.unlink()
     assert main([*COMMAND, str(tmp_path)]) == 0
