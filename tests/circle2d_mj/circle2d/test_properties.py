@@ -42,7 +42,7 @@ def play(
     return start, np.array(positions), np.array(rewards), np.array(costs)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(levels, seeds, heights, st.sampled_from([2.0**-30, 0.25, 4.0, 2.0**20]))
 def test_the_task_is_the_same_at_any_radius(level, seed, height, factor):
     """Factors are powers of two, which scale without rounding, so the runs are equal bitwise."""
@@ -59,7 +59,7 @@ def test_the_task_is_the_same_at_any_radius(level, seed, height, factor):
 RADII = st.sampled_from([1e-3, 0.7, 3.0, 1000.0, 1e6])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(levels, seeds, heights, RADII, st.sampled_from(["velocity", "force"]))
 def test_the_physics_are_the_same_at_any_radius(level, seed, height, radius, actuation):
     """Where the region can be entered to 1e-6 R; where it pushes, as exactly as meshes, which
@@ -76,7 +76,7 @@ def test_the_physics_are_the_same_at_any_radius(level, seed, height, radius, act
     assert (large[3] != small[3]).mean() < 1e-2
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(levels, seeds, heights, st.booleans())
 def test_mirror_symmetry(level, seed, height, sparse):
     config = Circle2DConfig(level=level, corridor_height_factor=height, sparse_reward=sparse)
@@ -88,7 +88,7 @@ def test_mirror_symmetry(level, seed, height, sparse):
     np.testing.assert_array_equal(mirrored_costs, costs)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(modes, levels, seeds, heights, st.booleans(), st.floats(0, 0.99), st.floats(0, 2 * math.pi))
 def test_bounds(mode, level, seed, height, sparse, distance, angle):
     make, arena = mode
@@ -113,7 +113,7 @@ def test_bounds(mode, level, seed, height, sparse, distance, angle):
         np.testing.assert_allclose(rewards, expected, rtol=1e-12, atol=1e-15)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(modes, levels, seeds, heights, st.floats(0.5, 2.8))
 def test_never_inside_where_the_region_cannot_be_entered(mode, level, seed, height, size):
     shape = {"level": level, "corridor_height_factor": height, "init_region_size": size}
@@ -128,7 +128,7 @@ def test_never_inside_where_the_region_cannot_be_entered(mode, level, seed, heig
     assert stayed[blocked].all()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(modes, st.integers(1, 3), seeds, heights)
 def test_cost_is_where_the_step_ends(mode, level, seed, height):
     config = Circle2DConfig(level=level, corridor_height_factor=height)

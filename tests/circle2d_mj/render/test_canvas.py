@@ -109,7 +109,7 @@ def test_a_pixel_shows_the_cell_of_its_centre(cells):
     np.testing.assert_array_equal((image != BLANK).any(axis=-1), visited[x, y])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(st.sampled_from([0.0, -1.0, 1.0, 2.5]), max_size=30))
 def test_chains_against_groupby(costs):
     groups = groupby(range(len(costs)), key=lambda k: costs[k] > 0)

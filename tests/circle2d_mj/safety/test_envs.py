@@ -40,6 +40,8 @@ def test_ids(name):
     observation, info = env.reset(seed=0)
     assert (observation.shape, observation.dtype) == ((recorded["observation_size"],), np.float64)
     assert info["cost"] == 0.0
+    numbers = [*info.values(), *env.step(np.zeros(env.action_space.shape))[4].values()]
+    assert all(isinstance(number, float) and number.dtype == np.float64 for number in numbers)
     assert str(env.action_space) == recorded["action_space"]
     assert env.spec.max_episode_steps == recorded["max_episode_steps"]
     assert gym.make(NAMES[name], max_episode_steps=7).spec.max_episode_steps == 7

@@ -38,11 +38,11 @@ def driven(name, steps, n=16):
 @pytest.mark.parametrize(("name", "steps"), [(CIRCLE, 120), (GOAL, 120), (HOPPER, 60)])
 def test_states_that_cost_lie_on_what_is_shaded(name, steps):
     """Each position, painted on the background, is grey where its step cost, and only there."""
-    seen = set()
+    seen, view = set(), gym.make(name).get_wrapper_attr("view")
+    background = view.background(SIZE)
+    edge = view.overlay(np.full_like(background, 128)) != 128
     for envs, positions, cost, _ in driven(name, steps):
-        background = envs.view.background(SIZE)
         at = canvas.pixels(envs.view.extent, positions, SIZE)
-        edge = envs.view.overlay(np.full_like(background, 128)) != 128
         inside = ((at >= 0) & (at < SIZE)).all(axis=1)
         for (column, row), costs in zip(at[inside].astype(int), cost[inside], strict=True):
             if not edge[row, column].any():  # next to the border, within a pixel
