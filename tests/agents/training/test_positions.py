@@ -173,16 +173,3 @@ def test_views(monkeypatch):
     monkeypatch.setattr(Drift.view, "positions", lambda observation, info: info["height"])
     with pytest.raises(UserError, match=r"the view of .* needs info\['height'\]"):
         agents.train("trpo-lag", "Drift-v0", **OPTIONS)
-
-
-POINT = "circle2d_mj/SafetyPointCircle1-v0"
-
-
-def test_a_safety_task_records_where_the_point_is(tmp_path):
-    """It starts within 0.4 m of the middle, and moves a few centimetres a step."""
-    more = TRPO | {"seeds": 3, "steps": 50, "task_parameters": {"max_episode_steps": 20}}
-    runs = agents.train("trpo-lag", POINT, out=tmp_path / "x", **more)
-    [file] = (runs.folder / "steps").iterdir()
-    positions = np.load(file)["circle2d_mj-SafetyPointCircle1-v0/3/positions"]
-    assert np.abs(positions[::20]).max() < 1.0
-    assert 0 < np.abs(np.diff(positions[:20], axis=0)).max() < 0.1
