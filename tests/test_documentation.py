@@ -66,7 +66,7 @@ def test_the_code_of_a_page_runs(name, request, tmp_path, monkeypatch):
     names = {"your_env": env, "your_training": train_randomly}
     names |= {"records": recorded()} if name == "emcc/README.md" else {}
     for code in code_of(TEXTS[name]):
-        exec(compile(code.replace("20_000", "3_000"), name, "exec"), names)
+        exec(compile(code.replace("20_000", "1_500"), name, "exec"), names)
     if "your_env" in TEXTS[name] and "env" in names:
         assert names["env"].records.total_steps == 500
 

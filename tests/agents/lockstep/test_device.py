@@ -58,7 +58,7 @@ def test_off_policy_updates(name, elsewhere):
 def test_on_policy_updates(name, elsewhere, monkeypatch):
     """The whole improvement of a policy. Where it asks for a number, to stop early, the answer is
     no: a line search then goes through all of its tries."""
-    config, rule = small(name, batch_size=B), ALGORITHMS[name].rule
+    config, rule = small(name, batch_size=256), ALGORITHMS[name].rule
     it = family(name)(config, rule, range(R), 3, 2)
     shapes = (R, 512, 3), (R, 512, 2), (R, 512), (R, 512), (R, 1, 512), (R, 2, 512), (R,), (R, 1)
     epoch, steps = Epoch(*map(elsewhere, shapes)), np.array([500, 70, 0])
