@@ -20,7 +20,7 @@ STREAKS += [(0, 1)]
 
 TINY = {"backend": "eager", "hidden": (8,)}
 SAC = TINY | {"random_steps": 40, "gradient_steps": 1, "batch_size": 32, "replay_size": 500}
-TRPO = TINY | {"episodes": 2}
+TRPO = TINY | {"episodes": 2, "critic_iterations": 2}
 """Settings of trainings that take a fraction of a second."""
 
 
