@@ -59,6 +59,18 @@ def test_counts_equal_groupby(trajectories, threshold):
     assert found.tolist() == [sum(unsafe for unsafe, _ in of_one) for of_one in groups]
 
 
+def test_figure_1_of_the_paper():
+    """Two trajectories of about the same cost: one long violation, and several short ones."""
+    left = [0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    right = [0, 1, 1, 0, 0, 1, 1, 1, 0, 0, 0, 1, 0, 1, 1, 0, 0, 0, 1, 0]
+    assert abs(sum(left) - sum(right)) <= 1
+    assert (longest_streak(left), longest_streak(right)) == (8, 3)
+
+
+def test_trajectories_of_different_lengths_in_one_rollout():
+    assert mcc([[0, 1, 1, 0], [1, 1, 1, 0, 0, 0, 0, 0]]) == 2 / 4  # not 3 / 8
+
+
 def test_only_costs_above_the_threshold_count():
     assert longest_streak([0.1, 0.5, 0.6, 0.7], threshold=0.5) == 2
     # The float32 next to 0.1 is above it, as it is when it comes as float64.

@@ -76,6 +76,16 @@ def test_conjugate_gradient_takes_one_iteration_an_eigenvalue():
     assert (conjugate_gradient(times(matrix), b, 2) - expected).norm() > 1e-2 * expected.norm()
 
 
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e8])
+def test_a_run_that_is_solved_waits_for_the_others(scale):
+    """The first run's residual vanishes at once, the second's soon, the third's late."""
+    matrix = spd(torch.tensor([[2.0] * 12, [1.0] * 6 + [3.0] * 6, list(range(1, 13))])).float()
+    b = (scale * normal(3, 12)).float()
+    found = conjugate_gradient(times(matrix), b, 100)
+    expected = torch.linalg.solve(matrix, b)
+    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-4 * scale)
+
+
 @pytest.mark.parametrize(("steps", "size"), [((100, 30), BLOCK), ((700, 40), 2 * BLOCK)])
 def test_fisher_product_against_the_hessian_of_kl(steps, size):
     """Two runs of different length, within a block and beyond one, against every entry."""
@@ -241,6 +251,14 @@ def test_compared_and_its_gradient_against_separate_runs(steps, size):
             divergence = kl_divergence(theirs, ours).mean().detach()
             torch.testing.assert_close(kl[run].double(), divergence)
             torch.testing.assert_close(moved[run], vector.grad)
+
+
+def test_advantage_by_hand():
+    """(A_r - λ A_c) / (1 + λ): (2 - ½·1) / 1.5 = 1, (-1 - ½·4) / 1.5 = -2; (2 - 3) / 4 = -¼."""
+    reward = torch.tensor([[2.0, -1.0], [2.0, 0.0]])
+    cost = torch.tensor([[[1.0, 4.0]], [[1.0, 0.0]]])
+    found = trpo_lag.advantage(TRPOLagConfig(), reward, cost, torch.tensor([[0.5], [3.0]]))
+    torch.testing.assert_close(found, torch.tensor([[1.0, -2.0], [-0.25, 0.0]]))
 
 
 def test_step_of_trpo_by_hand():
