@@ -18,9 +18,10 @@ ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
 SOURCES = {
     "circle2d": ["runs.zip"],
-    "physics": ["runs.zip"],
+    "physics": ["level-0.zip", "runs.zip"],
     "solve": ["runs.zip", "units.zip"],
     "solve/safety": ["runs.zip"],
+    "baselines/safety": ["runs.zip"],
     "baselines": [
         "runs.zip",
         *(f"../solve/runs.zip/{task}-sac-lb-streak" for task in LEVELS),
@@ -153,15 +154,16 @@ def test_the_sentences():
 def test_the_page_with_physics():
     """Verdicts, counts and the test of its sentences."""
     verdicts = re.findall(r"^### \d\. .* \*\*(\w+)\*\*$", page("results/physics/report.md"), re.M)
-    assert [verdict[0] for verdict in verdicts] == [*"CUURCRR"]
+    assert [verdict[0] for verdict in verdicts] == [*"CURRCRR"]
     physics, circle2d = map(results_table.report, ("physics", "circle2d"))
-    tasks = results_table.PHYSICS
+    level_0, *levels = results_table.PHYSICS.items()
+    tasks = dict(levels)
     sides = [
         solved(on(*of)) for of in ((physics, "SAC-LB", tasks), (circle2d, "SAC-LB", tasks.values()))
     ]
     told(
         "results/physics/README.md",
-        "1 confirmed, 2 and 3 undecided, 4, 6 and 7 refuted",
+        "1 confirmed, 2 undecided, 4, 6 and 7 refuted",
         f"in {count(sides[0])} runs instead of {int(sides[1].sum())} (Fisher's",
         f"{fisher(*sides)})",
     )
@@ -169,6 +171,17 @@ def test_the_page_with_physics():
         own = on(physics, name, tasks)
         assert own.ends_in.str.startswith("corridor, through").all() and not solved(own).any()
     told("README.md", f"SAC-LB alone does, in {count(sides[0])}")
+    through = [
+        runs(lines, task, "WCSAC").ends_in.str.startswith("corridor")
+        for lines, task in zip((physics, circle2d), level_0, strict=True)
+    ]
+    told(
+        "results/physics/README.md",
+        f"in the corridor in {count(through[0])} runs, without physics in {through[1].sum()} (Fi",
+        f"{fisher(*through)}), and within the limit in 4.",
+    )
+    trpo = runs(physics, level_0[0], "TRPO-Lag")
+    assert results_table.within(trpo).all() and trpo.ends_in.str.contains("rim").sum() == 8
     last = (physics, [*tasks][-1]), (circle2d, [*tasks.values()][-1])
     kept = [int(results_table.within(runs(lines, task, "CPO")).sum()) for lines, task in last]
     assert kept == [4, 10]
@@ -221,6 +234,39 @@ def test_the_page_of_the_benchmark():
     ]
     told = results_table.page_table("baselines", "Cost rate against EMCC")["A and B"]
     assert told.str.endswith("SAC-LB and SAC-LB-Streak").sum() == 7
+
+
+def test_the_page_of_the_benchmark_on_point_goal():
+    """Orders of the algorithms, the run that stays in hazards, and who keeps the limit."""
+    lines = results_table.report("baselines/safety")
+    lines = lines[lines.kind == "run"]
+    lines["algorithm"] = lines.algorithm.str.removesuffix(results_table.BENCHMARK_STEPS)
+    assert lines.groupby("algorithm").size().tolist() == [3] * 16
+    means = lines.groupby("algorithm")[["EMCC_0.99", "cost_rate", "J_R", "mean_streak"]].mean()
+    on_policy = means[~means.index.str.contains("SAC")]
+    assert len(on_policy) == 12
+    assert (means["EMCC_0.99"].idxmin(), on_policy.cost_rate.idxmax()) == ("IPO", "IPO")
+    tau, tau_of_all = (
+        scipy.stats.kendalltau(of["EMCC_0.99"], of.cost_rate) for of in (on_policy, means)
+    )
+    rho = scipy.stats.spearmanr(on_policy["EMCC_0.99"], on_policy.J_R)
+    of_all, *both = (
+        f"{short(found.statistic)} ({results_table.p_value(found.pvalue)}"
+        for found in (tau_of_all, tau, rho)
+    )
+    streaks = [f"{means.mean_streak[name]:.0f}" for name in ("IPO", "CPPO-PID")]
+    cup = lines[lines.algorithm == "CUP"].sort_values("EMCC_0.99").iloc[-1]
+    assert cup.cost_rate < lines[lines.algorithm == "PPO-Lag"].cost_rate.min()
+    told(
+        "results/baselines/README.md",
+        f"orders is {both[0]}; of all sixteen {of_all.replace(' (', ', ')})",
+        f"late EMCC is, of the twelve, {both[1]}); streaks of",
+        "IPO are {} steps long in the mean, those of CPPO-PID {}".format(*streaks),
+        f"A CUP run stays in hazards for {short(cup['EMCC_0.99'])} of",
+    )
+    kept = lines.groupby("algorithm").J_C.max() <= results_table.SAFETY_LIMIT
+    assert kept[kept].index.tolist() == ["SAC-LB", "SAC-LB-Streak"]
+    assert means.J_R[kept].max() < 0
 
 
 def test_the_levels_that_sac_lb_streak_solves():

@@ -31,7 +31,7 @@ ALGORITHMS = {
     "sac-lb": "SAC-LB",
     "wcsac": "WCSAC",
 }
-TASKS = {"Circle2D-3-v0": "kinematic", "Circle2DMuJoCo-3-v0": "with physics"}
+TASKS = {"Circle2D-{}-v0": "kinematic", "Circle2DMuJoCo-{}-v0": "with physics"}
 
 
 def parts(solve: Path, picture: Path) -> None:
@@ -45,14 +45,14 @@ def parts(solve: Path, picture: Path) -> None:
     write_picture(picture, heat_figure(columns, titles, SIZE))
 
 
-def physics(kinematic: Path, with_physics: Path, picture: Path) -> None:
-    """The paper's algorithms without and with physics, first third of training on level 3."""
+def physics(kinematic: Path, with_physics: Path, level: int, third: int, picture: Path) -> None:
+    """The paper's algorithms without and with physics, in a third of training on a level."""
     groups = by_folder(kinematic) | by_folder(with_physics)
-    views = [Circle2DView(Circle2DConfig(level=3))] * len(TASKS)
-    columns = [
-        Column(title, views, [groups[f"{task}/{name}"].visits()[0] for task in TASKS])
-        for name, title in ALGORITHMS.items()
-    ]
+    views = [Circle2DView(Circle2DConfig(level=level))] * len(TASKS)
+    columns = []
+    for name, title in ALGORITHMS.items():
+        both = [groups[f"{task.format(level)}/{name}"] for task in TASKS]
+        columns.append(Column(title, views, [group.visits()[third] for group in both]))
     write_picture(picture, heat_figure(columns, list(TASKS.values()), SIZE))
 
 
@@ -64,4 +64,6 @@ def by_folder(archive: Path) -> dict[str, Group]:
 if __name__ == "__main__":
     archives = {grid: RESULTS / grid / "runs.zip" for grid in ("circle2d", "solve", "physics")}
     parts(archives["solve"], PICTURES / "parts.png")
-    physics(archives["circle2d"], archives["physics"], PICTURES / "physics.png")
+    physics(archives["circle2d"], archives["physics"], 3, 0, PICTURES / "physics.png")
+    level_0 = RESULTS / "physics" / "level-0.zip"
+    physics(archives["circle2d"], level_0, 0, 2, PICTURES / "physics-0.png")

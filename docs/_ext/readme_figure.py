@@ -1,5 +1,5 @@
-"""Draw figures from reports' numbers: the README's, cost rate against EMCC a dot for each run, and
-the benchmark's, ranks by either.
+"""Draw figures from reports' numbers: cost rate against EMCC, a dot for each run, and the
+benchmark's ranks by either.
 
 python docs/_ext/readme_figure.py
 """
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from results_table import baseline_ranks, mean_rank
+from results_table import BENCHMARK_STEPS, baseline_ranks, mean_rank
 
 from agents.algorithms import ALGORITHMS
 from agents.reporting.figures import COLOURS, MARKERS
@@ -20,6 +20,7 @@ from agents.reporting.figures import COLOURS, MARKERS
 RESULTS = Path(__file__).parents[2] / "results"
 REPORTS = tuple(RESULTS / grid / "report.csv" for grid in ("circle2d", "solve"))
 PICTURE = RESULTS / "pictures" / "cost-rate-emcc.png"
+GOAL = RESULTS / "pictures" / "point-goal.png"
 RANKS = RESULTS / "pictures" / "ranks.png"
 APART = 0.55
 """Ranks between two names, at least, so that they can be read."""
@@ -39,9 +40,10 @@ def runs(paths: Sequence[Path]) -> dict[str, list[tuple[float, float]]]:
     for path in paths:
         with path.open(encoding="utf-8") as file:
             for row in csv.DictReader(file):
-                if row["seed"] and "(" not in row["algorithm"]:
+                name = row["algorithm"].removesuffix(BENCHMARK_STEPS)
+                if row["seed"] and "(" not in name:
                     point = float(row["cost_rate"]), float(row["EMCC_0.99"])
-                    found.setdefault(row["algorithm"], []).append(point)
+                    found.setdefault(name, []).append(point)
     return found
 
 
@@ -96,4 +98,5 @@ def apart(heights: Sequence[float]) -> list[float]:
 
 if __name__ == "__main__":
     draw(REPORTS, PICTURE)
+    draw([RESULTS / "baselines" / "safety" / "report.csv"], GOAL)
     draw_ranks(RANKS)

@@ -10,17 +10,24 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import scipy.stats
+from numpy.typing import NDArray
 
 import emcc
+from agents import algorithms
+from agents.results.reading import read
 
 RESULTS = Path(__file__).parents[2] / "results"
 EMCC = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")
 SAFETY_MEASURES = (*EMCC, "cost_rate")
 LEVELS = tuple(f"Circle2D-{level}-v0" for level in range(4))
-PHYSICS = {f"Circle2DMuJoCo-{level}-v0": f"Circle2D-{level}-v0" for level in (1, 2, 3)}
+PHYSICS = {f"Circle2DMuJoCo-{level}-v0": f"Circle2D-{level}-v0" for level in range(4)}
 """Levels of the grid with physics, and the same without."""
 ALGORITHMS = ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC")
-LIMIT = 5.0
+LIMIT, SAFETY_LIMIT, STEPS = 5.0, 25.0, 1_000_000
+BENCHMARK_STEPS = " (1,000,000 steps)"
+"""Behind the names on SafetyPointGoal1-v0, where the paper's runs are ten times as long."""
+FORCES = (110.0, 330.0)
+"""Half of the servo's strongest push along an axis, and what impacts alone reach, N."""
 UNITS = "SAC-LB (input_scale 15.0)"
 PARTS = {
     "without-scale": "the unit of length",
@@ -105,36 +112,61 @@ def physics() -> list[str]:
 
 
 def physics_against_kinematic() -> list[str]:
-    """A row for each algorithm over the levels: how much higher means are with physics, and the
-    runs that solve their level and those within the limit, without physics in brackets. p values:
-    permutation tests, runs exchanged within a level, corrected for all of the table (Holm)."""
+    """A row for each algorithm, over levels 1 to 3 and of level 0: how much higher means are with
+    physics, and the runs that solve their level and those within the limit, without physics in
+    brackets. p values: permutation tests, runs exchanged within a level, corrected for all of the
+    table (Holm)."""
     lines, kinematic, gaps, tests, counts = report("physics"), report("circle2d"), {}, {}, {}
-    for name in ALGORITHMS:
-        without, having = (
-            [runs(of, task, name) for task in tasks]
-            for of, tasks in ((kinematic, PHYSICS.values()), (lines, PHYSICS))
-        )
-        for measure in SAFETY_MEASURES:
-            sides = [
-                np.transpose([own[measure].to_numpy() for own in side])
-                for side in (without, having)
+    for words, tasks in (("1 to 3", [*PHYSICS][1:]), ("0", [*PHYSICS][:1])):
+        for name in ALGORITHMS:
+            key = name, words
+            without, having = (
+                [runs(of, task, name) for task in of_mode]
+                for of, of_mode in ((kinematic, map(PHYSICS.get, tasks)), (lines, tasks))
+            )
+            for measure in SAFETY_MEASURES:
+                sides = [
+                    np.transpose([own[measure].to_numpy() for own in side])
+                    for side in (without, having)
+                ]
+                gaps[key, measure] = sides[1].mean() - sides[0].mean()
+                rng = np.random.default_rng(0)
+                tests[key, measure] = emcc.permutation_test(*sides, rng=rng)
+            counts[key] = [
+                f"{count(chosen(pd.concat(having)))} ({int(chosen(pd.concat(without)).sum())})"
+                for chosen in (solved, within)
             ]
-            gaps[name, measure] = sides[1].mean() - sides[0].mean()
-            rng = np.random.default_rng(0)
-            tests[name, measure] = emcc.permutation_test(*sides, rng=rng)
-        counts[name] = [
-            f"{count(chosen(pd.concat(having)))} ({int(chosen(pd.concat(without)).sum())})"
-            for chosen in (solved, within)
-        ]
     p = dict(zip(tests, emcc.holm(list(tests.values())).tolist(), strict=True))
     return [
-        _row(
-            name,
-            *(f"{_gap(gaps[name, m])} ({_p(p[name, m])})" for m in SAFETY_MEASURES),
-            *counts[name],
-        )
-        for name in ALGORITHMS
+        _row(*key, *(f"{_gap(gaps[key, m])} ({_p(p[key, m])})" for m in SAFETY_MEASURES), *told)
+        for key, told in counts.items()
     ]
+
+
+def forces() -> list[str]:
+    """A row for each algorithm on level 0 with physics, of all steps of training: the share with a
+    force; the force's median and 99th percentile there, and its maximum, N; and EMCC by third of
+    the steps with more than each of `FORCES`."""
+    rows = {}
+    for group in read([RESULTS / "physics" / "level-0.zip"], []):
+        runs = [(run.records, group.steps(run, "contact_force")) for run in group.runs]
+        every = np.concatenate([force for _, force in runs])
+        felt = every[every > 0]
+        told = (f"{value:.0f}" for value in (*np.percentile(felt, (50, 99)), felt.max()))
+        above = [[_emcc_above(force, *run) for run in runs] for force in FORCES]
+        thirds = ("/".join(map(short, np.mean(values, axis=0))) for values in above)
+        name = algorithms.title(group.config.algorithm)
+        rows[name] = _row(name, short(len(felt) / len(every)), *told, *thirds)
+    return [rows[name] for name in ALGORITHMS]
+
+
+def _emcc_above(
+    newton: float, records: emcc.EpisodeRecords, force: NDArray[np.float64]
+) -> list[float]:
+    """EMCC of each third, of the steps of a run whose force is above some newton."""
+    ids, length = records.rollout, records.length
+    of_force = emcc.EpisodeRecords.from_costs(force, length, None, ids, threshold=newton)
+    return [*of_force.emcc_by_part(total_steps=STEPS).values()]
 
 
 def baselines() -> list[str]:
@@ -147,6 +179,31 @@ def baselines() -> list[str]:
         thirds, *others = means(found)
         rows.append(_row(name, thirds.replace(" ", "/"), *others, _counts(found), *ranks))
     return rows
+
+
+def baselines_safety() -> list[str]:
+    """A row for each algorithm on SafetyPointGoal1-v0: EMCC by third and cost rate, means; late
+    EMCC, J_R and J_C with their ranges; runs within the limit. In the order of the late EMCC."""
+    lines = report("baselines/safety")
+    lines = lines[lines.kind == "run"]
+    order = lines.groupby("algorithm")["EMCC_0.99"].mean().sort_values().index
+    rows = []
+    for name in order:
+        own = lines[lines.algorithm == name]
+        thirds, rate, *_ = means(own)
+        cells = (_with_range(own[m], d) for m, d in (("EMCC_0.99", 2), ("J_R", 1), ("J_C", 1)))
+        kept = int((own.J_C <= SAFETY_LIMIT).sum())
+        title = name.removesuffix(BENCHMARK_STEPS)
+        rows.append(_row(title, thirds.replace(" ", "/"), rate, *cells, str(kept)))
+    return rows
+
+
+def _with_range(values: pd.Series, digits: int) -> str:
+    """The mean, the lowest and the highest in brackets."""
+    mean, low, high = (
+        short(value, digits) for value in (values.mean(), values.min(), values.max())
+    )
+    return f"{mean} ({low} to {high})"
 
 
 def baseline_ranks() -> dict[str, tuple[str, str]]:
@@ -284,8 +341,8 @@ def _row(*cells: str) -> str:
 
 PAGES = {
     "README.md": (grid, equal_rates),
-    "physics/README.md": (physics, physics_against_kinematic),
-    "baselines/README.md": (baselines,),
+    "physics/README.md": (physics, physics_against_kinematic, forces),
+    "baselines/README.md": (baselines, baselines_safety),
     "solve/README.md": (solving, compared, parts),
 }
 """The tables of each page."""
