@@ -239,6 +239,7 @@ def test_the_page_of_the_benchmark():
 def test_the_page_of_the_benchmark_on_point_goal():
     """Orders of the algorithms, the run that stays in hazards, and who keeps the limit."""
     lines = results_table.report("baselines/safety")
+    printed = lines[lines.kind == "paper"].set_index("algorithm").J_R
     lines = lines[lines.kind == "run"]
     lines["algorithm"] = lines.algorithm.str.removesuffix(results_table.BENCHMARK_STEPS)
     assert lines.groupby("algorithm").size().tolist() == [3] * 16
@@ -263,6 +264,12 @@ def test_the_page_of_the_benchmark_on_point_goal():
         f"late EMCC is, of the twelve, {both[1]}); streaks of",
         "IPO are {} steps long in the mean, those of CPPO-PID {}".format(*streaks),
         f"A CUP run stays in hazards for {short(cup['EMCC_0.99'])} of",
+        "of {} and {} for TRPO-Lag and CPO, of {} and {} for SAC-Lag and SAC-LB".format(
+            *(short(printed[name], 1) for name in ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB"))
+        ),
+        "Ours reach {} and {},".format(
+            *(short(means.J_R[name], 1) for name in ("TRPO-Lag", "CPO"))
+        ),
     )
     kept = lines.groupby("algorithm").J_C.max() <= results_table.SAFETY_LIMIT
     assert kept[kept].index.tolist() == ["SAC-LB", "SAC-LB-Streak"]

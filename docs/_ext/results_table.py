@@ -69,7 +69,7 @@ def count(chosen: pd.Series) -> str:
 
 def short(value: float, digits: int = 2) -> str:
     """A number without the 0 before its point."""
-    text = f"{value:.{digits}f}"
+    text = f"{round(float(value), digits) + 0.0:.{digits}f}"  # no -0
     return text.replace("0.", ".", 1) if text.lstrip("-").startswith("0.") else text
 
 
@@ -331,7 +331,7 @@ def _p(value: float) -> str:
 
 
 def _gap(value: float) -> str:
-    rounded = round(value, 3) or 0.0  # no -0
+    rounded = round(value, 3) + 0.0  # no -0
     return f"{rounded:+.3f}".replace("0.", ".", 1)
 
 
