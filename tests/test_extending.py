@@ -60,9 +60,9 @@ def command_of(module):
 def trained(folder, module):
     """Train by the page's command for a module; its help and the table name what it adds."""
     name, title, changed, said = ALGORITHMS[module]
-    short = ("--backend", "eager", "--seeds", "0", "--steps", "600")
+    short = ("--backend", "eager", "--seeds", "0", "--steps", "1100")
     done = circle2d(folder, *command_of(module), *short)
-    assert f"{title} ({changed}, 600 steps), mean of 1" in done.out
+    assert f"{title} ({changed}, 1,100 steps), mean of 1" in done.out
     assert json.loads((folder / "runs/config.json").read_text())["algorithm"] == name
     text = circle2d(folder, "train", name, "--import", module, "--help").out
     assert f"--{changed.partition(' ')[0]}" in text

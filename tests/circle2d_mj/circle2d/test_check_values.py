@@ -131,7 +131,7 @@ EPISODE, HALF = 50, 15.0
 SPACING = 0.5  # of the grid that holds values
 # Direction, inner end and half width of the cut-outs.
 CORRIDOR, *OTHERS = ((a, 10 * (1 - depth), 2.5 * width) for a, depth, width in STRIPS[3])
-TOP_AND_BOTTOM, DIAGONALS = OTHERS[:2], OTHERS[2:]
+TOP_AND_BOTTOM, DIAGONALS = tuple(OTHERS[:2]), tuple(OTHERS[2:])
 
 
 def moves(count):
