@@ -113,7 +113,7 @@ class Runs:
         if rows == "measures":
             return frame.frame(self.results)
         names = self._names
-        return frame.long_frame([(names[f], *training) for f, *training in self._arrays()], rows)
+        return frame.long_frame([(names[f], c, arrays) for f, c, arrays in self._arrays()], rows)
 
     def _arrays(self) -> list[tuple[Path, TrainConfig, Mapping[str, NDArray]]]:
         from agents.results.reading import results_of
