@@ -357,7 +357,7 @@ def _recorded_rows(
     """A row for each third."""
     total = group.config.steps
     streaks = [
-        [_emcc_above(run, steps, limit, total) for run, steps in zip(group.runs, runs, strict=True)]
+        [emcc_above(run, steps, limit, total) for run, steps in zip(group.runs, runs, strict=True)]
         for limit in (0.0, threshold)
     ]
     for part in PARTS:
@@ -376,10 +376,13 @@ def _recorded_rows(
         yield Row(f"{name_of(group)}, {words}, {part:g}", cells, kind="mean")
 
 
-def _emcc_above(
+def emcc_above(
     run: Run, steps: NDArray[np.float64], threshold: float, total: int
 ) -> dict[float, float]:
-    """EMCC by third, of the steps above a threshold."""
+    """EMCC by third of training of `total` steps, of a run's steps above a threshold.
+
+    steps: a number recorded at each step, [steps].
+    """
     streaks = longest_streaks(steps, run.records.length, threshold)
     records = replace(run.records, longest_streak=streaks, cost_steps=None, streaks=None)
     return emcc_by_part(*records.mcc_per_rollout(), total, ALPHA)

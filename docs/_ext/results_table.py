@@ -5,15 +5,16 @@ python docs/_ext/results_table.py
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import scipy.stats
-from numpy.typing import NDArray
 
 import emcc
 from agents import algorithms
+from agents.reporting.tables import emcc_above
 from agents.results.reading import read
 
 RESULTS = Path(__file__).parents[2] / "results"
@@ -117,25 +118,24 @@ def physics_against_kinematic() -> list[str]:
     brackets. p values: permutation tests, runs exchanged within a level, corrected for all of the
     table (Holm)."""
     lines, kinematic, gaps, tests, counts = report("physics"), report("circle2d"), {}, {}, {}
-    for words, tasks in (("1 to 3", [*PHYSICS][1:]), ("0", [*PHYSICS][:1])):
-        for name in ALGORITHMS:
-            key = name, words
-            without, having = (
-                [runs(of, task, name) for task in of_mode]
-                for of, of_mode in ((kinematic, map(PHYSICS.get, tasks)), (lines, tasks))
-            )
-            for measure in SAFETY_MEASURES:
-                sides = [
-                    np.transpose([own[measure].to_numpy() for own in side])
-                    for side in (without, having)
-                ]
-                gaps[key, measure] = sides[1].mean() - sides[0].mean()
-                rng = np.random.default_rng(0)
-                tests[key, measure] = emcc.permutation_test(*sides, rng=rng)
-            counts[key] = [
-                f"{count(chosen(pd.concat(having)))} ({int(chosen(pd.concat(without)).sum())})"
-                for chosen in (solved, within)
+    level_0, *others = PHYSICS.items()
+    levels = {"1 to 3": others, "0": [level_0]}
+    for words, name in itertools.product(levels, ALGORITHMS):
+        key = name, words
+        having = [runs(lines, task, name) for task, _ in levels[words]]
+        without = [runs(kinematic, task, name) for _, task in levels[words]]
+        for measure in SAFETY_MEASURES:
+            sides = [
+                np.transpose([own[measure].to_numpy() for own in side])
+                for side in (without, having)
             ]
+            gaps[key, measure] = sides[1].mean() - sides[0].mean()
+            rng = np.random.default_rng(0)
+            tests[key, measure] = emcc.permutation_test(*sides, rng=rng)
+        counts[key] = [
+            f"{count(chosen(pd.concat(having)))} ({int(chosen(pd.concat(without)).sum())})"
+            for chosen in (solved, within)
+        ]
     p = dict(zip(tests, emcc.holm(list(tests.values())).tolist(), strict=True))
     return [
         _row(*key, *(f"{_gap(gaps[key, m])} ({_p(p[key, m])})" for m in SAFETY_MEASURES), *told)
@@ -149,24 +149,17 @@ def forces() -> list[str]:
     the steps with more than each of `FORCES`."""
     rows = {}
     for group in read([RESULTS / "physics" / "level-0.zip"], []):
-        runs = [(run.records, group.steps(run, "contact_force")) for run in group.runs]
+        runs = [(run, group.steps(run, "contact_force")) for run in group.runs]
         every = np.concatenate([force for _, force in runs])
         felt = every[every > 0]
         told = (f"{value:.0f}" for value in (*np.percentile(felt, (50, 99)), felt.max()))
-        above = [[_emcc_above(force, *run) for run in runs] for force in FORCES]
-        thirds = ("/".join(map(short, np.mean(values, axis=0))) for values in above)
+        thirds = []
+        for limit in FORCES:
+            above = [[*emcc_above(run, force, limit, STEPS).values()] for run, force in runs]
+            thirds.append("/".join(map(short, np.mean(above, axis=0))))
         name = algorithms.title(group.config.algorithm)
         rows[name] = _row(name, short(len(felt) / len(every)), *told, *thirds)
     return [rows[name] for name in ALGORITHMS]
-
-
-def _emcc_above(
-    newton: float, records: emcc.EpisodeRecords, force: NDArray[np.float64]
-) -> list[float]:
-    """EMCC of each third, of the steps of a run whose force is above some newton."""
-    ids, length = records.rollout, records.length
-    of_force = emcc.EpisodeRecords.from_costs(force, length, None, ids, threshold=newton)
-    return [*of_force.emcc_by_part(total_steps=STEPS).values()]
 
 
 def baselines() -> list[str]:

@@ -66,6 +66,11 @@ def coverage(name, runs):
     return np.mean([interval.low <= true <= interval.high for interval in found])
 
 
+@pytest.mark.parametrize("runs", [5, 10, 20])
+def test_the_t_interval_covers_normal_means_as_it_says(runs):
+    assert coverage("normal", runs) == pytest.approx(0.95, abs=margin(0.95))
+
+
 STATED = [("log-normal", 5, 0.79), ("log-normal", 10, 0.86)]
 STATED += [("two basins", 5, 0.65), ("two basins", 10, 0.91)]
 

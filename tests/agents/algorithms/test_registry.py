@@ -2,8 +2,10 @@
 toy_family.py."""
 
 import inspect
+import json
 import math
 import re
+import subprocess
 import sys
 from dataclasses import make_dataclass, replace
 from pathlib import Path
@@ -38,6 +40,21 @@ def sac_fixed(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "my_algorithm", raising=False)
     __import__("my_algorithm")
+
+
+def test_names_are_listed_without_torch():
+    ask = """
+import json, sys
+from agents.algorithms import ALGORITHMS, title
+names = list(ALGORITHMS), len(ALGORITHMS), "ppo" in ALGORITHMS, title("my-own"), "torch" in sys.modules
+from agents.paper.presets import PAPER_ALGORITHMS
+print(json.dumps([*names, PAPER_ALGORITHMS, "torch" in sys.modules]))
+"""  # noqa: E501
+    said = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+    names, count, has_ppo, own, before, paper, after = json.loads(said.stdout)
+    assert (names, count) == (list(BUILT_IN), len(BUILT_IN))
+    assert paper == ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
+    assert (has_ppo, own, before, after) == (True, "my-own", False, False)
 
 
 def test_an_unknown_one_is_an_error_that_lists_the_others():

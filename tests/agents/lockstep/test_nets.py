@@ -116,3 +116,11 @@ def test_adam_against_torch():
             theirs[run].grad = gradient[run].clone()
             optimizer.step()
     torch.testing.assert_close(params, torch.stack(theirs).detach(), rtol=1e-5, atol=1e-6)
+
+
+def test_adams_first_step_by_hand():
+    """m̂ = g and v̂ = g², so the first step is the learning rate against the gradient's sign."""
+    params = torch.zeros(1, 32)
+    gradient = torch.full((1, 32), -4.0)
+    params, _ = adam(params, gradient, no_moments(params), 0.5)
+    torch.testing.assert_close(params, torch.full((1, 32), 0.5))

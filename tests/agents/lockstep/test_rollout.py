@@ -103,6 +103,13 @@ def test_native_and_sync_environments_give_the_same():
         np.testing.assert_array_equal(mine[ours.during], its[theirs.during])
 
 
+def test_a_cost_that_is_not_there_is_named():
+    with pytest.raises(UserError, match=r"info\['cost'\]"):
+        collect(scripted(gives_cost=False), [1, 2, 3], lambda obs: obs)
+    with pytest.raises(UserError, match=r"info\['speed'\]; it gives \['cost', 'jerk'\]"):
+        collect(scripted(), [1, 2, 3], lambda obs: obs, costs=("cost", "speed"))
+
+
 @pytest.mark.parametrize("bad", ["action", "observation", "reward", "jerk"])
 def test_an_episode_with_a_number_that_is_not_finite_is_void_and_says_which(bad):
     """In the second step of the second of three; the others are as they are without."""

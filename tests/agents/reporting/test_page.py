@@ -3,8 +3,10 @@
 import re
 from html.parser import HTMLParser
 
-from small_runs import cells
+import numpy as np
+from small_runs import cells, edit_results
 
+from agents.cli.main import main
 from agents.paper.grid import grid, prepare
 from agents.reporting.figures import Figure
 from agents.reporting.page import Section, page
@@ -91,3 +93,7 @@ def test_the_report_of_a_small_grid(tmp_path):
     assert "torch 2" in text
     report(tmp_path)
     assert (tmp_path / "index.html").read_text() == text
+    edit_results(folder, **{"Circle2D-1-v0__1__failure": np.array("it fell")})
+    assert main(["report", str(tmp_path)]) == 1
+    for name in ("index.html", "report.md"):
+        assert "left out: " in (tmp_path / name).read_text()

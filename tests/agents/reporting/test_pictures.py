@@ -119,8 +119,10 @@ def test_a_heat_map_of_the_runs_that_did_not_fail(folder, tmp_path, capsys):
 
     everyone, five, six = drawn(), drawn("--seeds", "5"), drawn("--seeds", "6")
     assert len({everyone, five, six}) == 3
+    assert drawn("--seeds", "5", "6") == everyone
     edit_results(copy, **{f"{TASK}__5__failure": np.array("x")})
     assert drawn() == six
+    assert drawn("--seeds", "5") == five
     edit_results(copy, **{f"{TASK}__6__failure": np.array("x")})
     capsys.readouterr()
     assert main(["heatmap", str(copy)]) == 2

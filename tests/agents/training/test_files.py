@@ -43,6 +43,14 @@ def test_files_are_whole_follow_no_link_and_leave_nothing(tmp_path, monkeypatch)
     assert {path.name for path in tmp_path.iterdir()} == {"precious", "x", "link"}
 
 
+def test_a_full_disk_leaves_the_file_as_it_was(tmp_path, monkeypatch):
+    write_whole(tmp_path / "x", "old")
+    monkeypatch.setattr(os, "fsync", lambda file: (_ for _ in ()).throw(OSError(28, "full")))
+    with pytest.raises(OSError, match="full"):
+        write_whole(tmp_path / "x", "new")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
+
+
 def test_equal_arrays_are_equal_files_that_numpy_reads(tmp_path):
     arrays = {"a": np.arange(6.0).reshape(2, 3), "b/c": np.array(["x", "yz"]), "d": np.array(3)}
     for name in ("x", "y"):

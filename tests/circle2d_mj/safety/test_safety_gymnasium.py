@@ -180,7 +180,7 @@ def test_normalized_rewards_and_costs():
     ("wrapper", "place"), [(wrappers.SafeNormalizeReward, 1), (wrappers.SafeNormalizeCost, 2)]
 )
 def test_the_discounted_sum_starts_anew_with_a_termination_alone(wrapper, place):
-    """As in the original, and in gymnasium's NormalizeReward: at the step that terminates."""
+    """At the step that terminates, as in the original and in gymnasium's NormalizeReward."""
 
     class Scripted(gym.Env):
         def step(self, action):
