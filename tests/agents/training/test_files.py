@@ -17,7 +17,7 @@ from agents.paper.presets import preset
 from agents.training import files
 from agents.training.config import TrainConfig, read_spaces
 from agents.training.environments import Spaces
-from agents.training.files import Arrays, locked, read_json, write_arrays, write_whole
+from agents.training.files import Arrays, read_json, write_arrays, write_whole
 
 TASK = "Circle2D-1-v0"
 
@@ -248,13 +248,3 @@ def test_two_that_make_one_folder_at_once(tmp_path):
     assert sorted(writer.exitcode for writer in writers.values()) == [0, 2]
     [made] = [seeds for seeds, writer in writers.items() if not writer.exitcode]
     assert TrainConfig.read(folder).seeds == made
-
-
-def test_patience_waits_for_a_lock(tmp_path):
-    process, held = hold(tmp_path)
-    assert held
-    process.stdin.write("done\n")
-    process.stdin.flush()
-    with locked(tmp_path, patience=60):
-        pass
-    process.communicate()
