@@ -78,12 +78,6 @@ def test_the_command(folder, capsys):
     assert capsys.readouterr().out.split() == [
         str(folder / "exported" / name) for name in ("seed-4.safetensors", "README.md")
     ]
-    for options, message in (
-        (["--seeds", "1"], "no run of seed 1"),
-        (["--step", "7"], "at step 7"),
-    ):
-        assert main(["export", str(folder), "--format", "onnx", *options]) == 2
-        assert message in capsys.readouterr().err
 
 
 def test_an_earlier_policy(tmp_path):

@@ -28,6 +28,7 @@ def test_every_combination_has_a_name():
 
 BAD = {
     "no values": ({"cost_limit": ()}, r"grid needs several values of cost_limit, got \(\)"),
+    "beside": ({"episodes": (1, 2)}, "episodes is given twice: in the grid, and as 3"),
     "one value": ({"cost_limit": 3.0}, "grid needs several values of cost_limit, got 3.0"),
     "twice": ({"cost_limit": (1.0, 1.0)}, "grid has cost_limit=1.0 twice"),
     "nothing": ({}, "grid is empty"),
@@ -39,7 +40,7 @@ BAD = {
 @pytest.mark.parametrize(("grid", "message"), BAD.values(), ids=BAD)
 def test_mistakes_are_named(tmp_path, grid, message):
     with pytest.raises(agents.UserError, match=message):
-        agents.sweep("cpo", grid=grid, steps=1000, out=tmp_path / "x")
+        agents.sweep("cpo", grid=grid, steps=1000, episodes=3, out=tmp_path / "x")
     assert not (tmp_path / "x").exists()
 
 
@@ -133,9 +134,3 @@ def test_training_on_ray(tmp_path):
         for name in ("local", "ray")
     )
     assert results(ray) == results(local)
-
-
-def test_a_hyperparameter_in_the_grid_and_beside_it(tmp_path):
-    with pytest.raises(agents.UserError, match="cost_limit is given twice: in the grid, and as 3"):
-        agents.sweep("cpo", grid={"cost_limit": (1.0, 2.0)}, cost_limit=3.0, out=tmp_path / "x")
-    assert not (tmp_path / "x").exists()

@@ -8,8 +8,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import circle2d_mj
-from circle2d_mj import Circle2DConfig
 from circle2d_mj.registration import CIRCLE2D, SAFETY
 
 
@@ -46,20 +44,6 @@ def test_what_else_the_package_offers(tmp_path):
     """In a process that has imported the package alone."""
     code = "import circle2d_mj as c; print(c.__version__, c.render.Renderer.__module__)"
     assert run(code, tmp_path) == f"{version('circle2d-mj')} circle2d_mj.render.renderer"
-    with pytest.raises(AttributeError, match="'circle2d_mj' has no attribute 'Circle2d'"):
-        _ = circle2d_mj.Circle2d
-    with pytest.raises(AttributeError, match=r"'circle2d_mj\.render' has no attribute 'Window'"):
-        _ = circle2d_mj.render.Window
-
-
-def test_every_way_gives_the_same_task():
-    for level in range(4):
-        config = Circle2DConfig(level=level, constraint_radius=3.0)
-        arguments = {"id": f"Circle2D-{level}-v0", "constraint_radius": 3.0}
-        assert gym.make(**arguments).unwrapped.config == config
-        assert gym.make_vec(**arguments, num_envs=3).unwrapped.config == config
-        sync = gym.make_vec(**arguments, num_envs=2, vectorization_mode="sync")
-        assert sync.envs[1].unwrapped.config == config
 
 
 def test_the_ids_that_are_listed_are_those_that_are_registered():

@@ -4,14 +4,9 @@ import copy
 
 import numpy as np
 import pytest
+from written import rows
 
 from emcc import CostRecorder, longest_streak
-
-
-def rows(recorder):
-    kept = recorder.records
-    columns = (kept.rollout, kept.start_step, kept.length, kept.cost, kept.longest_streak)
-    return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def feed(recorder, costs, done_at=()):

@@ -29,14 +29,6 @@ def test_mcc_per_rollout_in_order_of_id():
     assert repr(records()) == "EpisodeRecords(3 trajectories, 2 rollouts, 70 steps)"
 
 
-def test_no_trajectory_yet(tmp_path):
-    empty = EpisodeRecords(*([[]] * 8))
-    assert (len(empty), empty.total_steps) == (0, 0)
-    assert [array.size for array in empty.mcc_per_rollout()] == [0, 0]
-    empty.save(tmp_path / "r.csv")
-    assert len(EpisodeRecords.load(tmp_path / "r.csv")) == 0
-
-
 def test_arrays_are_copies_and_read_only():
     length = np.array([10, 40, 20])
     kept = records(length=length)
@@ -170,7 +162,6 @@ BAD_FILES = {
     "fields": (f"{HEADER}\n{GOOD_ROW}\n0,0,10\n", "line 3: 3 fields, not 8"),
     "text": (f"{HEADER}\n{GOOD_ROW}\n0,0,ten,0.0,0.0,0,0,0\n", "line 3, column length: 'ten'"),
     "fraction": (f"{HEADER}\n0,0.5,1,0.0,0.0,0,0,0\n", "line 2, column start_step: '0.5' is not"),
-    "NaN": (f"{HEADER}\n{GOOD_ROW}\n0,0,10,nan,0.0,0,0,0\n", "return .* got nan at index 1"),
     "streak": (f"{HEADER}\n0,0,10,0.0,9.0,11,11,1\n", "10 steps cannot have longest_streak 11"),
     "cut off": (f"{HEADER}\n{GOOD_ROW}", "the last line is cut off"),
     "Python's digits": (f"{HEADER}\n0,0,1_0,0.0,0.0,0,0,0\n", "line 2, column length"),

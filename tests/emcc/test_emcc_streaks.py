@@ -25,38 +25,31 @@ from emcc import (
 
 
 def by_groupby(costs, threshold=0.0):
+    """The length of each streak."""
     groups = itertools.groupby(costs, key=lambda cost: cost > threshold)
-    return max((len(list(group)) for unsafe, group in groups if unsafe), default=0)
+    return [len(list(group)) for unsafe, group in groups if unsafe]
 
 
-episodes = st.lists(st.lists(st.sampled_from([0.0, 0.5, 2.0]), min_size=1, max_size=30), min_size=1)
+costs_of_steps = st.lists(st.sampled_from([0.0, 0.5, 1.0, 2.0]), min_size=1, max_size=30)
 
 
-@given(episodes, st.sampled_from([0.0, 0.5, 1.0]), st.integers(1, 9))
+@given(st.lists(costs_of_steps, min_size=1), st.sampled_from([0.0, 0.5, 1.0]), st.integers(1, 9))
 def test_equals_groupby_whatever_the_block(trajectories, threshold, block):
     """Small blocks: streaks and trajectories cross their borders in every way."""
-    expected = [by_groupby(costs, threshold) for costs in trajectories]
-    lengths = [len(costs) for costs in trajectories]
+    every = [by_groupby(costs, threshold) for costs in trajectories]
+    expected = [max(found, default=0) for found in every]
+    joined, lengths = np.concatenate(trajectories), [len(costs) for costs in trajectories]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(streaks, "_BLOCK", block)
-        found = longest_streaks(np.concatenate(trajectories), lengths, threshold)
+        found = longest_streaks(joined, lengths, threshold)
+        cost_steps, counts = count_streaks(joined, lengths, threshold)
     assert found.dtype == np.int64
     assert found.tolist() == expected
+    assert counts.tolist() == [len(found) for found in every]
+    assert cost_steps.tolist() == [sum(found) for found in every]
     assert [longest_streak(costs, threshold) for costs in trajectories] == expected
     shares = [streak / length for streak, length in zip(expected, lengths, strict=True)]
     assert mcc(trajectories, threshold) == max(shares)
-
-
-@given(
-    st.lists(st.lists(st.sampled_from([0.0, 0.5, 1.0, 2.0]), min_size=1, max_size=12), min_size=1),
-    st.sampled_from([0.0, 0.5, 1.0]),
-)
-def test_counts_equal_groupby(trajectories, threshold):
-    costs, lengths = np.concatenate(trajectories), [len(part) for part in trajectories]
-    cost_steps, found = count_streaks(costs, lengths, threshold)
-    assert cost_steps.tolist() == [sum(c > threshold for c in part) for part in trajectories]
-    groups = [itertools.groupby(part, key=lambda cost: cost > threshold) for part in trajectories]
-    assert found.tolist() == [sum(unsafe for unsafe, _ in of_one) for of_one in groups]
 
 
 def test_figure_1_of_the_paper():
@@ -92,7 +85,7 @@ def test_bounds_hold_and_are_tight(length):
     """Over all 0/1 sequences of that length."""
     seen = {}
     for costs in itertools.product([0, 1], repeat=length):
-        seen.setdefault(sum(costs), set()).add(by_groupby(costs))
+        seen.setdefault(sum(costs), set()).add(max(by_groupby(costs), default=0))
     low, high = streak_bounds(list(seen), length)
     assert low.tolist() == [min(longest) for longest in seen.values()]
     assert high.tolist() == [max(longest) for longest in seen.values()]

@@ -60,15 +60,6 @@ def test_episodes_that_go_on_in_the_next_batch(count):
     assert found.reward.sum() == sum(reward for _, _, reward, _ in LOG)
 
 
-@pytest.mark.filterwarnings("ignore")
-def test_a_rollout_of_an_environment():
-    env = made(3)
-    LOG.clear()
-    found = emcc.from_tensordict(env.rollout(50, break_when_any_done=False))
-    assert found.emcc(alpha=1) == emcc.mcc(costs_of(LOG))
-    assert found.total_steps == 50
-
-
 def by_hand(**changes):
     steps = {"cost": [0, 1, 1], "reward": [1, 1, 1], "done": [False, False, True], **changes}
     values = {name: torch.tensor(value, dtype=torch.float32)[:, None] for name, value in

@@ -10,6 +10,7 @@ pytest.importorskip("gymnasium", minversion="1.1")
 import gymnasium as gym
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from scripted import Scripted
+from written import rows
 
 from emcc import EpisodeRecords, RecordCosts
 
@@ -21,12 +22,6 @@ NEXT, SAME, DISABLED = AutoresetMode
 def vector(mode, kind=SyncVectorEnv, **options):
     makers = [partial(Scripted, script, **options) for script in SCRIPTS]
     return kind(makers, autoreset_mode=mode)
-
-
-def rows(env):
-    kept = env.records
-    columns = (kept.rollout, kept.start_step, kept.length, kept.cost, kept.longest_streak)
-    return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def play(envs, steps):

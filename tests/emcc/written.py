@@ -1,4 +1,4 @@
-"""Run folders as trainings leave them, written by hand."""
+"""Run folders as trainings leave them, written by hand; and rows of records."""
 
 import json
 
@@ -30,3 +30,10 @@ def write_run(folder, runs, **config):
     }
     np.savez(folder / "results.npz", **arrays)
     return folder
+
+
+def rows(kept_by):
+    """(rollout, start step, length, cost, longest streak) of a recorder's or wrapper's records."""
+    kept = kept_by.records
+    columns = (kept.rollout, kept.start_step, kept.length, kept.cost, kept.longest_streak)
+    return list(zip(*(column.tolist() for column in columns), strict=True))

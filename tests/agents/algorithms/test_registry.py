@@ -7,7 +7,7 @@ import math
 import re
 import subprocess
 import sys
-from dataclasses import make_dataclass, replace
+from dataclasses import make_dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,6 @@ from agents import algorithms
 from agents.algorithms import ALGORITHMS, BUILT_IN, RESERVED, algorithm, module_of, register, title
 from agents.errors import UserError
 from agents.paper.presets import preset
-from agents.training.config import TrainConfig
 
 register_tasks()
 
@@ -55,16 +54,6 @@ print(json.dumps([*names, PAPER_ALGORITHMS, "torch" in sys.modules]))
     assert (names, count) == (list(BUILT_IN), len(BUILT_IN))
     assert paper == ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
     assert (has_ppo, own, before, after) == (True, "my-own", False, False)
-
-
-def test_an_unknown_one_is_an_error_that_lists_the_others():
-    with pytest.raises(UserError, match=r"'dqn'.* trpo-lag, cpo, .*, sac"):
-        algorithm("dqn")
-    with pytest.raises(KeyError):
-        ALGORITHMS["dqn"]
-    usual = TrainConfig("ppo", ("Walk-v0",), (0,), 60, algorithm("ppo").config())
-    with pytest.raises(UserError, match="PPOConfig"):
-        replace(usual, hyperparameters=algorithm("sac").config())
 
 
 def test_from_a_file_of_ones_own(sac_fixed):

@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import tomllib
 from pathlib import Path
 
@@ -19,11 +18,11 @@ import pytest
 import toys
 
 from agents.cli import showing
-from agents.cli.main import AfterEpoch, Ended, handling_signals, main
+from agents.cli.main import Ended, handling_signals, main
 from agents.cli.training import TrainOptions
 from agents.errors import EXTRA
 from agents.paper.presets import preset
-from agents.training.callbacks import Epoch, share_done
+from agents.training.callbacks import share_done
 from agents.training.config import TrainConfig
 from agents.training.trainer import Trainer
 
@@ -241,22 +240,6 @@ def test_the_second_ends_at_once(tmp_path, capsys, monkeypatch):
     assert not list((tmp_path / "x").glob("checkpoints/*"))
 
 
-@pytest.mark.slow
-def test_ctrl_c_while_modules_are_imported():
-    """At several times of the start, all processes at once."""
-    command = [sys.executable, "-m", "agents.cli", "train", "sac-lag", "--help"]
-    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
-    processes = [subprocess.Popen(command, text=True, **pipes) for _ in range(3)]
-    time.sleep(0.4)  # Python itself begins
-    for process in processes:
-        time.sleep(0.3)
-        process.send_signal(signal.SIGINT)
-    for process in processes:
-        _, err = process.communicate(timeout=60)
-        assert "Traceback" not in err
-        assert process.returncode in (130, -signal.SIGINT, 0)
-
-
 def test_ignored_signals_stay_ignored_and_handlers_come_back():
     """Signals ignored from the start, by nohup for one."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -269,13 +252,6 @@ def test_ignored_signals_stay_ignored_and_handlers_come_back():
         assert signal.getsignal(signal.SIGTERM) is own
     finally:
         signal.signal(signal.SIGHUP, before)
-
-
-def test_the_command_that_goes_on_names_the_users_modules():
-    follow = AfterEpoch(["my_algorithm"])
-    follow(Epoch(Path("runs/a"), "mine", "Circle2D-1-v0", 100, {0: {"step": 50.0}}))
-    follow.number = signal.SIGINT
-    assert "'circle2d resume runs/a --import my_algorithm' goes on" in follow.words()
 
 
 def test_a_command_that_is_no_training_ends_at_once(monkeypatch, capsys):

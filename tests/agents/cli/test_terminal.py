@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 
 import pytest
-from small_runs import cells
 
 from agents.reporting.table import Number, Row, Table, show
 
@@ -30,15 +29,6 @@ def test_tables_fit_and_lose_nothing(width, capsys):
     assert set(" ".join([*NAMES[:2], "CPO | \\x1b[1m2", *HEAD[:-1]]).split()) <= words
     assert {"0.81", "[0.80,", "0.82]", "[-4.03,", "-3.96]", "1", "note.", "confirmed"} <= words
     assert ("**" in out, "---" in out, "\\|" in out) == (False, False, False)
-
-
-def test_into_a_pipe_it_is_markdown(capsys):
-    show([TABLE, CLAIMS])
-    out = capsys.readouterr().out
-    rows = cells(out)
-    expected = [NAMES[0], "**0.81** [0.80, 0.82]", "0.21", "-4.00 [-4.03, -3.96]", "1"]
-    assert (rows[1], len(rows)) == (expected, 1 + len(NAMES))
-    assert out.endswith(f"\n\nNote: a note.\n\n{CLAIMS}\n")
 
 
 BRIEF_MEAN = [Number(0.5, low=0.25, high=0.75), Number(3.0, low=1.0, high=9.0, is_range=True)]

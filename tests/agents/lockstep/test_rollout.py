@@ -14,7 +14,6 @@ from agents.algorithms import algorithm
 from agents.errors import TaskFailure, UserError
 from agents.lockstep.rollout import collect, learned, streaks
 from agents.training.wrappers import SideBySide
-from circle2d_mj import Circle2DEnv, Circle2DVectorEnv
 from emcc import StreakCost
 
 
@@ -83,24 +82,6 @@ def test_lengths_sums_and_ends(truncates):
         np.testing.assert_array_equal(rollout.observation[:n, run, 0], np.arange(n))
         np.testing.assert_array_equal(rollout.next_observation[:n, run, 0], 1 + np.arange(n))
         np.testing.assert_allclose(rollout.action[:n, run, 0], -0.1 * np.arange(n), rtol=1e-6)
-
-
-def test_native_and_sync_environments_give_the_same():
-    seeds = [5, 9, 2**60]
-
-    def act(observation):
-        return np.clip(-2.0 * observation, -1, 1)
-
-    parameters = {"level": 2, "reset_on_cost": True}
-    native = Circle2DVectorEnv(3, autoreset_mode="Disabled", **parameters)
-    makers = [lambda: Circle2DEnv(**parameters)] * 3
-    sync = SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
-    ours, theirs = collect(native, seeds, act), collect(sync, seeds, act)
-    assert ours.length.min() < 50
-    np.testing.assert_array_equal(ours.length, theirs.length)
-    assert not ours.diverged.any()
-    for mine, its in zip(ours[:-2], theirs[:-2], strict=True):
-        np.testing.assert_array_equal(mine[ours.during], its[theirs.during])
 
 
 def test_a_cost_that_is_not_there_is_named():

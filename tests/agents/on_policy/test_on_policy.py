@@ -16,7 +16,7 @@ from agents.algorithms.trpo_lag import TRPOLagConfig
 from agents.first_order import Minibatch, PPOConfig, actor_step, clipped, surrogate_at
 from agents.lockstep.nets import MLP, no_moments
 from agents.lockstep.rollout import Rollout
-from agents.on_policy.epoch import BLOCK, Packing, advantages, blocks, minibatches
+from agents.on_policy.epoch import BLOCK, Packing, advantages, minibatches
 from agents.on_policy.state import GaussianPolicy, Nets
 from agents.trust_region import TrustRegion
 
@@ -188,17 +188,6 @@ def test_packing_round_trip():
     np.testing.assert_allclose(packing.weight.sum(axis=1), [1, 1, 0, 1], rtol=1e-6)
 
 
-@pytest.mark.parametrize(("steps", "size"), [(0, 1), (1, 1), (512, 1), (513, 2), (1025, 3)])
-def test_rows_come_in_whole_blocks(steps, size):
-    packing = Packing(during([steps, 0], 1100), runs=2)
-    assert packing.size == size * BLOCK
-    column = torch.arange(2.0 * packing.size * 5).view(2, -1, 5)
-    parts = list(blocks(column, column[..., 0]))
-    assert [part.shape for part, _ in parts] == [(2, BLOCK, 5)] * size
-    assert torch.equal(torch.cat([part for part, _ in parts], dim=1), column)
-    assert torch.equal(torch.cat([part for _, part in parts], dim=1), column[..., 0])
-
-
 def generators(*seeds):
     return [np.random.default_rng(seed) for seed in seeds]
 
@@ -217,15 +206,6 @@ def test_a_pass_takes_every_row_once():
             np.testing.assert_allclose(weight[run], expected, rtol=1e-6)
     first = passes[0][0][0]
     assert (first > 255).sum() > 100  # not in the order of time
-
-
-def test_an_order_is_the_runs_own():
-    """The stream decides alone, whatever the other runs have; the next pass takes another order."""
-    streams = generators(5)
-    (alone, _), (following, _) = (next(minibatches(np.array([90]), 96, streams)) for _ in "12")
-    among = list(minibatches(np.array([300, 90]), 96, generators(7, 5)))
-    assert torch.equal(among[0][0][1], alone[0])
-    assert not torch.equal(alone, following)
 
 
 CRITIC = MLP((3, 32, 1))

@@ -171,14 +171,6 @@ def test_over_tasks_by_hand(groups):
     assert "corrected for the 12 comparisons of this table" in table.caption
 
 
-def test_of_many_algorithms_no_pairs(groups, monkeypatch):
-    whole = over_tasks(groups)
-    monkeypatch.setattr(overall, "MOST_PAIRED", 2)
-    table = over_tasks(groups)
-    assert table.rows == whole.rows[:3]
-    assert "P:" not in table.caption and "comparisons" not in table.caption
-
-
 def test_no_interval_of_a_difference_where_runs_end_in_different_places(groups):
     (row, *_) = separated_table(groups).rows
     assert row.numbers[2].low is not None

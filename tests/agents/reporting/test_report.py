@@ -1,5 +1,5 @@
-"""Every number of a row of ours, from files written by hand; its marks against the paper's own. How
-a report was made: commands that train the same again, machine, time from status.json."""
+"""Rows of a report: ways, what is left out, names, marks against the paper's own; their numbers:
+test_report_numbers.py. How a report was made: commands that train the same again, machine, time."""
 
 import json
 import shlex
@@ -9,7 +9,7 @@ from importlib.resources import files
 from types import SimpleNamespace
 
 import numpy as np
-from small_runs import cells, chain, edit_results, write_evaluated, write_status
+from small_runs import cells, edit_results, write_evaluated, write_status
 
 from agents.cli.main import main
 from agents.paper.evidence import paper_results
@@ -23,46 +23,13 @@ from agents.results.reading import read
 from agents.training import config
 from agents.training.config import TrainConfig
 
-# Ten episodes of ten steps; streaks over length are the MCC of the rollouts.
-STREAKS = [8, 2, 3, 1, 0, 4, 4, 9, 0, 10]
-COSTS = [8, 5, 3, 1, 0, 6, 4, 9, 0, 10]
 AT = [[[-0.5, 0.0]] * 3 + [[1.0, 0.0]]]  # of the arena: (-7.5, 0) is in the corridor
-PREFIX = "Circle2D-1-v0__1__"
-
-
-def by_hand(folder, **options):
-    """Two runs of those episodes, whose further cost steps are the last ones, two at a time."""
-    steps = []
-    for streak, cost in zip(STREAKS, COSTS, strict=True):
-        episode = chain(streak, 10)
-        for k in range(cost - streak):
-            episode[9 - k - k // 2] = 1.0
-        steps += episode
-    options = {"evaluated": ((1.0, 3.0, 6.0, 7.0),), "at": AT} | options
-    write_evaluated(folder, "sac-lag", [steps, steps], **options)
-
-
-def test_a_table_by_hand(tmp_path):
-    by_hand(tmp_path, returns=(-10.0, -20.0))
-    rows = [row for row in cells(markdown(table(tmp_path))) if row[0].startswith("SAC")]
-    # Starts 0 10 20 30 | 40 50 60 | 70 80 90 of 100 steps. The highest tenth of three or four
-    # values is the highest alone: .8, .4, 1. CVaR: of 1 3 6 7 those from 3 on. Costs: 46
-    # of 100 steps, in 11 chains: one of each episode with costs, and three more.
-    numbers = ["0.80", "0.40", "1.00", "0.46"]
-    for seed, j_r in ((0, "-10.00"), (1, "-20.00")):
-        assert rows[2 + seed] == [
-            *(f"SAC-Lag (100 steps), seed {seed}", *numbers, j_r, "4.25", "5.33"),
-            *("4.18", "1 of 1", "corridor (75 %, 50 % round, 25 % through)"),
-        ]
-    assert rows[0][0] == "SAC-Lag (100 steps), mean of 2"
-    assert [cell.split(" ")[0] for cell in rows[0][1:8]] == [*numbers, "-15.00", "4.25", "5.33"]
-    assert rows[0][5] == "-15.00 range -20.00 to -10.00"
-    assert rows[0][9:] == ["2 of 2 [0.16, 1.00]", "corridor, round 2 of 2 [0.16, 1.00]"]
 
 
 def test_ways_in_words(tmp_path):
     """Of four episodes three end in the corridor: with the costs 4, 5 and 12 one came round."""
-    by_hand(tmp_path, evaluated=((4.0, 5.0, 12.0, 0.0), (0.0, 0.0, 3.0, 50.0)))
+    evaluated = ((4.0, 5.0, 12.0, 0.0), (0.0, 0.0, 3.0, 50.0))
+    write_evaluated(tmp_path, "sac-lag", (4, 4), evaluated=evaluated, at=AT)
     words = markdown(table(tmp_path))
     rows = [row[-1] for row in cells(words) if row[0].startswith("SAC")]
     one = "1 of 2 [0.01, 0.99]"
@@ -103,7 +70,7 @@ def test_names_of_other_people_are_neither_html_nor_control_sequences(tmp_path):
     """In report.md and on the terminal; the page escapes them anyway."""
     folder = tmp_path / "<script>alert(1)<" / "\x1b[31mred"
     write_evaluated(folder, "cpo", costs=(4, 4))
-    edit_results(folder, **{f"{PREFIX}evaluation__deterministic__returns": None})
+    edit_results(folder, **{"Circle2D-1-v0__1__evaluation__deterministic__returns": None})
     text = markdown(table(tmp_path))
     assert text == (tmp_path / "report.md").read_text()
     assert "&lt;script>alert" in text

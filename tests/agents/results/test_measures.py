@@ -1,26 +1,21 @@
 """Measures: the tidy frame of them, means, one from outside, and those that runs lack."""
 
 import csv
-from dataclasses import replace
-from statistics import fmean, stdev
 
 import numpy as np
 import pytest
-import scipy.stats
 from small_runs import cells, groups_of, write_evaluated
 
 from agents.errors import OwnCodeError
 from agents.paper import presets
 from agents.paper.evidence import gather
 from agents.paper.grid import ablations
-from agents.paper.presets import preset
 from agents.reporting.compare import compare
-from agents.reporting.report import report, table
-from agents.reporting.table import markdown
+from agents.reporting.report import report
 from agents.results.frame import COLUMNS, frame
 from agents.results.measures import Measure, measure, measures, register, unregister
 from agents.results.reading import read
-from agents.results.statistics import difference_of, group_mean, mean_of
+from agents.results.statistics import difference_of, mean_of
 
 
 def worst_cost(run):
@@ -88,13 +83,6 @@ def rows(markdown):
 def lines(path):
     with path.open(newline="") as file:
         return {(x["algorithm"], x["kind"], x["seed"]): x for x in csv.DictReader(file)}
-
-
-def test_an_evaluation_that_is_not_finite(tmp_path):
-    write_evaluated(tmp_path / "cpo", "cpo", costs=(4, 4), returns=(-9.0, float("nan")))
-    words = markdown(table(tmp_path))
-    assert "seed 1: J_R is not finite: nan" in words
-    assert "CPO (100 steps), mean of 1" in words
 
 
 def test_a_second_cost_has_rows_of_its_own_and_decides_no_claim(tmp_path, monkeypatch):
@@ -177,16 +165,3 @@ def test_a_row_for_each_run_and_measure(groups):
                 assert row.value == value or (value is None and np.isnan(row.value))
     assert set(tidy.loc[tidy["measure"] == "EMCC", "part"]) == {0.33, 0.66, 0.99}
     assert tidy.loc[tidy["measure"] != "EMCC", "part"].isna().all()
-
-
-def test_means_and_their_intervals(groups):
-    """Five runs have the t interval, two their range."""
-    cpo, wcsac, single = (group_mean(group, "cost_rate") for group in groups)
-    values = [0.1, 0.2, 0.3, 0.4, 0.5]
-    half = scipy.stats.t.ppf(0.975, 4) * stdev(values) / 5**0.5
-    expected = (fmean(values), fmean(values) - half, fmean(values) + half)
-    assert (cpo.value, cpo.low, cpo.high) == pytest.approx(expected)
-    assert (wcsac.low, wcsac.high) == (0.5, 0.6)
-    assert single.low is None
-    assert group_mean(replace(groups[0], runs=[]), "cost_rate") is None
-    assert preset("cpo", "Circle2D-1-v0") == groups[0].config.hyperparameters

@@ -14,7 +14,7 @@ from small_runs import TRPO, edit_results, few_episodes, results, write_evaluate
 import agents
 from agents.errors import UserError
 from agents.paper.presets import preset
-from agents.results.reading import folders_below, name_of_source, read, read_folder, write_archive
+from agents.results.reading import folders_below, name_of_source, read, write_archive
 
 TASK = "Circle2D-1-v0"
 toys.register()
@@ -99,14 +99,6 @@ def test_a_path_into_an_archive(runs, packed):
             folders_below(packed / part)
 
 
-def test_a_folder_is_read_as_it_is_by_now(runs):
-    """A training that goes on has records, and no results."""
-    part = agents.load_runs(runs / "part")
-    assert part.records[runs / "part", 3].total_steps == 100
-    with pytest.raises(UserError, match="unfinished: 100 of 300"):
-        read_folder(runs / "part", "part")
-
-
 def test_reading_changes_nothing_and_imports_nothing(runs, tmp_path):
     copy = shutil.copytree(runs, tmp_path / "grid")
     path = copy / "both" / "config.json"
@@ -143,17 +135,6 @@ def test_files_that_are_no_archives_or_damaged(packed, tmp_path):
         path = without(packed, tmp_path / "less.zip", name, content)
         assert read([path], notes)
         assert any("results.npz is missing" in n or "config.json is damaged" in n for n in notes)
-
-
-def test_objects_are_refused(tmp_path):
-    write_evaluated(tmp_path, "cpo", costs=(3, 4))
-    with np.load(tmp_path / "results.npz") as file:
-        arrays = dict(file) | {f"{TASK}/1/return": np.array([{}] * 10, dtype=object)}
-    np.savez(tmp_path / "results.npz", **arrays)
-    notes = []
-    [group] = read([tmp_path], notes)
-    assert group.seeds == [0]
-    assert "results.npz is damaged: Object arrays cannot be loaded" in notes[0]
 
 
 @pytest.mark.parametrize(

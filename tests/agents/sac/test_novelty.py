@@ -125,10 +125,3 @@ def test_the_scale_follows_training_and_resumes():
     again = ReturnScale(2, 0.99)
     again.load_state_dict({"moments": learner.state_dict()["scale.moments"]})
     np.testing.assert_array_equal(again.of(array(plain.reward)), scaled)
-
-
-def test_runs_draw_their_own_features_and_keep_them():
-    """Equal seeds draw equal features, whatever runs are beside."""
-    alone, beside = Novelty(1.0, [4], 2), Novelty(1.0, [3, 4], 2)
-    np.testing.assert_array_equal(alone._frequencies[0], beside._frequencies[1])
-    assert (beside._frequencies[0] != beside._frequencies[1]).any()

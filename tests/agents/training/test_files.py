@@ -6,7 +6,6 @@ import multiprocessing
 import os
 import subprocess
 import sys
-import zipfile
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from agents.paper.presets import preset
 from agents.training import files
 from agents.training.config import TrainConfig, read_spaces
 from agents.training.environments import Spaces
-from agents.training.files import Arrays, locked, read_json, write_arrays, write_whole
+from agents.training.files import Arrays, read_json, write_arrays, write_whole
 
 TASK = "Circle2D-1-v0"
 
@@ -51,20 +50,6 @@ def test_a_full_disk_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
 
 
-def test_equal_arrays_are_equal_files_that_numpy_reads(tmp_path):
-    arrays = {"a": np.arange(6.0).reshape(2, 3), "b/c": np.array(["x", "yz"]), "d": np.array(3)}
-    for name in ("x", "y"):
-        write_arrays(tmp_path / f"{name}.npz", arrays)
-    assert (tmp_path / "x.npz").read_bytes() == (tmp_path / "y.npz").read_bytes()
-    with np.load(tmp_path / "x.npz", allow_pickle=False) as file:
-        ours = Arrays(tmp_path / "x.npz")
-        assert set(file) == set(ours) == set(arrays)
-        for name, array in arrays.items():
-            for other in (file[name], ours[name]):
-                np.testing.assert_array_equal(other, array)
-                assert other.dtype == array.dtype
-
-
 def test_nothing_is_unpickled(tmp_path):
     class Evil:
         def __reduce__(self):
@@ -94,16 +79,6 @@ def test_every_flipped_bit_is_found_or_changes_nothing(tmp_path):
         assert found.keys() == arrays.keys(), at
         for name, array in arrays.items():
             np.testing.assert_array_equal(found[name], array)
-
-
-def test_arrays_of_an_archive(tmp_path):
-    write_arrays(tmp_path / "x.npz", {"a": np.arange(3)})
-    with zipfile.ZipFile(tmp_path / "y.zip", "w") as archive:
-        archive.write(tmp_path / "x.npz", "in/x.npz")
-    within = zipfile.Path(tmp_path / "y.zip") / "in" / "x.npz"
-    np.testing.assert_array_equal(Arrays(within)["a"], np.arange(3))
-    with pytest.raises(UserError, match=r"z\.npz is missing"):
-        Arrays(zipfile.Path(tmp_path / "y.zip") / "in" / "z.npz")
 
 
 def test_damaged_json_is_named(tmp_path):
@@ -273,24 +248,3 @@ def test_two_that_make_one_folder_at_once(tmp_path):
     assert sorted(writer.exitcode for writer in writers.values()) == [0, 2]
     [made] = [seeds for seeds, writer in writers.items() if not writer.exitcode]
     assert TrainConfig.read(folder).seeds == made
-
-
-def test_folders_without_runs_are_named(tmp_path):
-    (tmp_path / "a" / "b").mkdir(parents=True)
-    for path, words in ((tmp_path / "no", "no is no folder"), (tmp_path / "a", "a holds no runs")):
-        with pytest.raises(UserError, match=words):
-            TrainConfig.read(path)
-    config().write(tmp_path / "a" / "b" / "c")
-    for path in (tmp_path / "a" / "b", tmp_path / "a"):
-        with pytest.raises(UserError, match=r"holds folders of runs: did you mean '.*c'"):
-            TrainConfig.read(path)
-
-
-def test_patience_waits_for_a_lock(tmp_path):
-    process, held = hold(tmp_path)
-    assert held
-    process.stdin.write("done\n")
-    process.stdin.flush()
-    with locked(tmp_path, patience=60):
-        pass
-    process.communicate()

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_runs import SAC, TRPO, steps_of
-from toys import Pressed, TwoCosts, Walk, registered
+from toys import Pressed, Walk
 
 import agents
 import emcc
@@ -200,13 +200,3 @@ def test_a_cost_that_the_task_lacks(tmp_path, vectorization):
         with pytest.raises(UserError, match=words):
             agents.train("cpo", "Walk-v0", out=tmp_path / "x", **BOTH | {"costs": costs})
     assert not (tmp_path / "x").exists()
-
-
-def test_a_cost_that_is_not_finite_is_named():
-    class Bad(TwoCosts):
-        def step(self, action):
-            *others, info = super().step(action)
-            return *others, info | {"cost_2": np.nan}
-
-    with registered(Bad=Bad), pytest.raises(UserError, match="its cost_2 is not finite"):
-        agents.train("cpo", "Bad-v0", **BOTH, **TRPO)

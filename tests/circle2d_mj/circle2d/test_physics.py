@@ -100,16 +100,12 @@ def test_actions_beyond_one_are_clipped(actuation):
 
 @actuations
 @pytest.mark.parametrize("level", [0, 3])
-def test_state_is_mujocos_and_all_there_is(level, actuation):
-    """Columns as mj_getState gives them; a fresh environment goes on from them bit for bit."""
-
-    def make():
-        return Circle2DMuJoCoVectorEnv(6, level=level, actuation=actuation, max_episode_steps=30)
-
-    envs, spec = make(), mujoco.mjtState.mjSTATE_INTEGRATION
+def test_state_is_mujocos(level, actuation):
+    """Columns as mj_getState gives them; what goes on from them: test_contract.py."""
+    envs = Circle2DMuJoCoVectorEnv(6, level=level, actuation=actuation)
+    spec = mujoco.mjtState.mjSTATE_INTEGRATION
     envs.reset(seed=2)
-    actions = drift_left(3, steps=70, num_envs=6)
-    for action in actions[:20]:
+    for action in drift_left(3, steps=20, num_envs=6):
         envs.step(action)
     state, physics = envs.state_dict(), envs._dynamics
     for i in range(6):
@@ -117,13 +113,6 @@ def test_state_is_mujocos_and_all_there_is(level, actuation):
         mujoco.mj_getState(physics.model, data, expected, spec)
         np.testing.assert_array_equal(state["mujoco"][i], expected)
     assert np.abs(physics._batch.bind("qacc_warmstart")).max() > 0
-    kept = state["mujoco"].copy()
-    results = [envs.step(action) for action in actions[20:]]
-    np.testing.assert_array_equal(state["mujoco"], kept)
-    for other in (envs, make()):
-        other.load_state_dict(state)
-        again = [other.step(action) for action in actions[20:]]
-        assert data_equivalence(results, again, exact=True)
 
 
 def test_a_reset_forgets_everything():

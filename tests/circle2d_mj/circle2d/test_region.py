@@ -138,14 +138,6 @@ def test_infeasible_starts_where_allowed():
     assert share == pytest.approx(config.region.contains(grid).mean(), abs=0.01)
 
 
-def test_a_sliver_is_found_and_nothing_is_refused():
-    # The start area's corner (0.9683 R, 0.25 R) sticks out of the disc by 2e-5 R.
-    _, points = sample(n=100, init_radius_multiplier=0.9683)
-    assert (np.hypot(*points.T) >= 10).all()
-    with pytest.raises(ValueError, match="no feasible start"):
-        Circle2DConfig(init_radius_multiplier=0.9682)
-
-
 EDGES = {"level": 2, "corridor_height_factor": 2.0, "init_radius_multiplier": 0.6}
 """The top and bottom cut-outs begin where a start area of size 1 ends."""
 
@@ -229,17 +221,6 @@ def test_pieces_are_convex_do_not_overlap_and_leave_no_gap(level, height):
     rim = np.abs(np.hypot(*points.T) - R) <= OVERHANG * R
     contained = (within >= -1e-9).any(axis=0)
     np.testing.assert_array_equal(contained[~rim], region.contains(points)[~rim])
-
-
-def test_the_polygon_keeps_within_its_overhang_of_the_circle():
-    corners = np.unique(np.concatenate(convex_pieces(region_of(1))), axis=0)
-    corners = corners[np.hypot(*corners.T) > 0.99 * R]
-    corners = corners[np.argsort(np.arctan2(*corners.T))]
-    assert R < np.hypot(*corners.T).max() <= R * (1 + OVERHANG)
-    gaps = np.hypot(*np.diff(corners, axis=0).T)
-    middles = (corners[1:] + corners[:-1])[gaps < 0.03 * R] / 2
-    assert len(middles) > 200
-    assert R > np.hypot(*middles.T).min() >= R * (1 - OVERHANG)
 
 
 def grid(reach, spacing):

@@ -124,13 +124,3 @@ def test_the_base_scene_loads_and_holds_no_region():
         assert [each.geom(i).name for i in range(each.ngeom)] == ["floor", "agent"]
     np.testing.assert_array_equal(model.jnt_range, without.jnt_range)
     np.testing.assert_array_equal(model.actuator_ctrlrange, without.actuator_ctrlrange)
-
-
-@pytest.mark.parametrize("radius", [1e-3, 1e6])
-@pytest.mark.parametrize("level", [1, 2, 3])
-def test_slivers_compile(level, radius):
-    """Cut-outs that leave next to nothing of the disc, or of a piece of it."""
-    for height in (2.0, 1.999, 2.0**0.5, 1.41407, 0.051):
-        parameters = {"constraint_radius": radius, "corridor_height_factor": height}
-        config = Circle2DConfig(level=level, **parameters)
-        assert scene(config).compile().nmesh >= 1

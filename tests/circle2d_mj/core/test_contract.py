@@ -120,21 +120,6 @@ def test_neighbours_and_threads_change_nothing(task):
 
 
 @tasks
-def test_two_seeded_runs_are_equal_and_others_are_not(task):
-    def run(seed):
-        env = single(task, steps=50)
-        env.action_space.seed(0)
-        results = [env.reset(seed=seed)]
-        results += [env.step(action_of(env)) for _ in range(30)]
-        return [*results, env.reset()]
-
-    first = run(7)
-    assert_alike(first, run(7))
-    assert not data_equivalence(first[0], run(8)[0])
-    assert not data_equivalence(first[0], first[-1])
-
-
-@tasks
 def test_each_environment_has_a_seed_of_its_own(task):
     whole = vector(task, 4)
     start, _ = whole.reset(seed=10)
@@ -232,14 +217,6 @@ BAD_ACTIONS = [
 ]  # fmt: skip
 
 
-def test_a_mask_inside_a_list_of_actions_is_not_dropped():
-    masked = np.ma.masked_array([0.5, 0.5], [True, False])
-    envs = gym.make_vec("Circle2D-1-v0", 2, vectorization_mode="vector_entry_point")
-    envs.reset(seed=0)
-    with pytest.raises(ValueError, match="action must not be masked"):
-        envs.step([[0.5, 0.5], masked])
-
-
 @pytest.mark.parametrize("action", BAD_ACTIONS, ids=repr)
 @pytest.mark.parametrize("task", ["kinematic", "open", "SafetyPointGoal2"])
 def test_bad_actions_are_named_and_change_nothing(action, task):
@@ -312,15 +289,6 @@ def test_against_plain_integers():
     keys, counters = rng.integers(2**64, size=(2, 200), dtype=np.uint64)
     expected = [scalar_philox(int(k), int(c)) for k, c in zip(keys, counters, strict=True)]
     np.testing.assert_array_equal(philox(keys, counters), np.array(expected, dtype=np.uint64))
-
-
-def test_a_stream_does_not_depend_on_the_others():
-    many = Streams(np.arange(10, dtype=np.uint64))
-    alone = Streams(np.array([7], dtype=np.uint64))
-    many.uniform(np.array([0, 1, 2]))
-    for _ in range(3):
-        together = many.uniform(np.array([3, 7]))
-        np.testing.assert_array_equal(together[1:], alone.uniform(np.array([0])))
 
 
 def test_several_draws_are_those_of_as_many_calls():

@@ -75,14 +75,18 @@ def test_values():
     assert env.env.closed
 
 
-def test_there_and_back():
-    """Our own environment through six values and back is what it was."""
-    env = FromSafetyGymnasium(SafetyGymnasiumAPI(Circle2DEnv(level=1)))
-    own = Circle2DEnv(level=1)
+@pytest.mark.parametrize("options", [{}, {"reset_on_cost": True}])
+def test_there_and_back(options):
+    """Our own environment through six values and back is what it was, to its end of either kind."""
+    env = FromSafetyGymnasium(SafetyGymnasiumAPI(Circle2DEnv(level=1, **options)))
+    own, over = Circle2DEnv(level=1, **options), False
     assert env.observation_space is env.env.observation_space
     assert data_equivalence(env.reset(seed=3), own.reset(seed=3), exact=True)
-    for _ in range(20):
-        assert data_equivalence(env.step([-1.0, 0.2]), own.step([-1.0, 0.2]), exact=True)
+    while not over:
+        expected = own.step([-1.0, 0.2])
+        assert data_equivalence(env.step([-1.0, 0.2]), expected, exact=True)
+        over = expected[2] or expected[3]
+    assert expected[2] == bool(options)
 
 
 def test_seeds():
@@ -244,11 +248,3 @@ def test_spaces_of_other_kinds():
         FromSafetyGymnasium(six)
     with pytest.raises(TypeError, match=r"'Goal' has no reset, step, observation_space"):
         FromSafetyGymnasium("Goal")
-
-
-def test_the_order_of_the_six_values():
-    for ends in ((True, False), (False, True)):
-        env = FromSafetyGymnasium(Six(result=(np.ones(2), 4.0, 5.0, *ends, {})))
-        env.reset(seed=0)
-        _, reward, *found, info = env.step(np.zeros(2))
-        assert (reward, info["cost"], *found) == (4.0, 5.0, *ends)

@@ -116,18 +116,6 @@ def test_what_cannot_be_drawn():
             Renderer(Circle2DConfig(), size)
 
 
-def test_closed_renderer():
-    first, second = Renderer(Circle2DConfig(), 40), Renderer(Circle2DConfig(level=3), 50)
-    expected = second.frame((1.0, 2.0))
-    first.close()
-    first.close()
-    for draw in (first.frame, lambda: first.heatmap([(1.0, 1.0)])):
-        with pytest.raises(RuntimeError, match="the renderer is closed"):
-            draw()
-    np.testing.assert_array_equal(second.frame((1.0, 2.0)), expected)
-    second.close()
-
-
 SINGLE = [Circle2DEnv, Circle2DMuJoCoEnv]
 VECTOR = [Circle2DVectorEnv, Circle2DMuJoCoVectorEnv]
 

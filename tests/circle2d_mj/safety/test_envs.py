@@ -15,9 +15,6 @@ from circle2d_mj.safety.envs import SafetyEnv, SafetyVectorEnv
 from circle2d_mj.safety.families import ButtonTask, GoalTask, PushTask
 from circle2d_mj.safety.tasks import IDS, NAMES, TASKS
 
-# One of each kind of state: free objects, gremlins with timers, a box, none, a body, forces.
-SOME = ["SafetyPointGoal2", "SafetyCarButton1", "SafetyPointPush1", "SafetyCarCircle2"]
-SOME += ["SafetyDoggoGoal2", "SafetyHopperVelocity", "SafetyHumanoidVelocity"]
 equal = np.testing.assert_array_equal
 
 
