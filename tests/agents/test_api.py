@@ -278,3 +278,10 @@ def test_mistakes_of_train(arguments, message, tmp_path, monkeypatch):
     with pytest.raises(agents.UserError, match=message):
         agents.train(**{"algorithm": "sac-lb", "steps": 50, "out": tmp_path / "x", **arguments})
     assert not list(tmp_path.iterdir())
+
+
+def test_a_refusal_leaves_nothing_in_the_folder(tmp_path):
+    shutil.copy(agents.pretrained("trpo-lag", "Circle2D-2-v0") / "config.json", tmp_path)
+    with pytest.raises(agents.UserError, match="holds runs already"):
+        agents.train("cpo", out=tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} <= {"config.json", ".lock"}

@@ -18,11 +18,11 @@ import pytest
 import toys
 
 from agents.cli import showing
-from agents.cli.main import Ended, handling_signals, main
+from agents.cli.main import AfterEpoch, Ended, handling_signals, main
 from agents.cli.training import TrainOptions
 from agents.errors import EXTRA
 from agents.paper.presets import preset
-from agents.training.callbacks import share_done
+from agents.training.callbacks import Epoch, share_done
 from agents.training.config import TrainConfig
 from agents.training.trainer import Trainer
 
@@ -258,3 +258,10 @@ def test_a_command_that_is_no_training_ends_at_once(monkeypatch, capsys):
     monkeypatch.setattr(showing, "scene", lambda args: os.kill(os.getpid(), signal.SIGTERM) or 0)
     assert main(["scene"]) == 143
     assert capsys.readouterr().err.startswith("circle2d: interrupted by SIGTERM;")
+
+
+def test_the_command_that_goes_on_names_the_users_modules():
+    follow = AfterEpoch(["my_algorithm"])
+    follow(Epoch(Path("runs/a"), "mine", "Circle2D-1-v0", 100, {0: {"step": 50.0}}))
+    follow.number = signal.SIGINT
+    assert "'circle2d resume runs/a --import my_algorithm' goes on" in follow.words()

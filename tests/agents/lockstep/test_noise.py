@@ -56,3 +56,12 @@ def test_correlated_numbers_are_uniform_and_have_their_spectrum(exponent):
     draw = functools.partial(noise.correlated_uniform, exponent=exponent)
     together = take(draw, [3, 1, 2], Purpose.RANDOM_ACTIONS, 7)
     np.testing.assert_array_equal(together[:, 1:2], take(draw, [1], Purpose.RANDOM_ACTIONS, 7))
+
+
+def test_equal_seeds_on_different_tasks_have_independent_streams():
+    tasks = [f"{name}-{level}-v0" for name in ("Circle2D", "Circle2DMuJoCo") for level in range(4)]
+    found = {(seed, task): stream_seed(seed, task) for seed in range(50) for task in tasks}
+    assert len(set(found.values())) == len(found)
+    assert all(0 <= key < 2**64 for key in found.values())
+    draws = [stream(key, Purpose.UPDATE).random(1000) for key in list(found.values())[:40]]
+    assert np.abs(np.corrcoef(draws) - np.eye(40)).max() < 0.16  # 5 deviations of 1/sqrt(1000)

@@ -248,3 +248,14 @@ def test_two_that_make_one_folder_at_once(tmp_path):
     assert sorted(writer.exitcode for writer in writers.values()) == [0, 2]
     [made] = [seeds for seeds, writer in writers.items() if not writer.exitcode]
     assert TrainConfig.read(folder).seeds == made
+
+
+def test_folders_without_runs_are_named(tmp_path):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    for path, words in ((tmp_path / "no", "no is no folder"), (tmp_path / "a", "a holds no runs")):
+        with pytest.raises(UserError, match=words):
+            TrainConfig.read(path)
+    config().write(tmp_path / "a" / "b" / "c")
+    for path in (tmp_path / "a" / "b", tmp_path / "a"):
+        with pytest.raises(UserError, match=r"holds folders of runs: did you mean '.*c'"):
+            TrainConfig.read(path)
