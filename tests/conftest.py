@@ -1,7 +1,10 @@
 """Settings and fixtures of all tests."""
 
+import importlib
 import os
 import shutil
+import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -28,6 +31,17 @@ def opengl():
         if str(error).count("is missing") == len(gl.LIBRARIES):
             pytest.skip(str(error))
         raise
+
+
+@pytest.fixture
+def library_cpo(monkeypatch):
+    """The example; its algorithm is registered for one test alone."""
+    from agents import algorithms
+
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "examples"))
+    yield importlib.import_module("library_cpo")
+    del sys.modules["library_cpo"]
+    algorithms._algorithms.registered.pop("cpo-library")
 
 
 @pytest.fixture(scope="session")

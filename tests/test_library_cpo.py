@@ -1,26 +1,10 @@
 """The example of the paper group's CPO, by hand arithmetic, beside CPO itself."""
 
-import importlib
-import sys
-from pathlib import Path
-
 import pytest
 import torch
 
-from agents import algorithms
 from agents.algorithms import cpo
 from agents.trust_region import Problem, conjugate_gradient
-
-EXAMPLES = Path(__file__).parents[1] / "examples"
-
-
-@pytest.fixture
-def library(monkeypatch):
-    """The module; its algorithm is registered for this test alone."""
-    monkeypatch.syspath_prepend(str(EXAMPLES))
-    yield importlib.import_module("library_cpo")
-    del sys.modules["library_cpo"]
-    algorithms._algorithms.registered.pop("cpo-library")
 
 
 def problem(gradient, cost_gradient, excess):
@@ -30,22 +14,22 @@ def problem(gradient, cost_gradient, excess):
     return Problem(gradient, lambda: b, torch.tensor([excess]), lambda v: v, solve, 0.01)
 
 
-def test_where_the_limit_is_broken_it_goes_on_along_the_cost(library):
+def test_where_the_limit_is_broken_it_goes_on_along_the_cost(library_cpo):
     """g = (.6, .8), b = (1, 0), c = .05: q = 1, r = .6, s = 1, so that the branches of the dual are
     worth -.162 (λ = 12) and -.141 (λ = √50). ν = .05 √50 - .6 < 0, so the step is g / √50 and the
     predicted cost grows, where CPO goes back to the limit."""
     found = problem([0.6, 0.8], [1.0, 0.0], 0.05)
-    its = library.step(library.LibraryCPOConfig(), found)
-    assert its.case.tolist() == [library.BROKEN]
+    its = library_cpo.step(library_cpo.LibraryCPOConfig(), found)
+    assert its.case.tolist() == [library_cpo.BROKEN]
     expected = [[0.6 / 50**0.5, 0.8 / 50**0.5]]
     torch.testing.assert_close(its.displacement, torch.tensor(expected), rtol=1e-4, atol=1e-4)
     ours = cpo.step(cpo.CPOConfig(), found).displacement
     assert ours[0, 0].item() == pytest.approx(-0.05, abs=1e-5)
 
 
-def test_a_short_gradient_is_not_followed(library):
+def test_a_short_gradient_is_not_followed(library_cpo):
     """Its squared norm, .05, is below the residual at which its conjugate gradients stop."""
-    config, nothing = library.LibraryCPOConfig(), problem([0.1, 0.2], [0.0, 0.0], -1.0)
-    assert library.solve(config, nothing, torch.tensor([[0.1, 0.2]])).abs().max() < 2e-4
+    config, nothing = library_cpo.LibraryCPOConfig(), problem([0.1, 0.2], [0.0, 0.0], -1.0)
+    assert library_cpo.solve(config, nothing, torch.tensor([[0.1, 0.2]])).abs().max() < 2e-4
     longer = torch.tensor([[0.3, 0.2]])
-    torch.testing.assert_close(library.solve(config, nothing, longer), longer)
+    torch.testing.assert_close(library_cpo.solve(config, nothing, longer), longer)

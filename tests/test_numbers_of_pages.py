@@ -19,6 +19,8 @@ RESULTS = ROOT / "results"
 SOURCES = {
     "circle2d": ["runs.zip"],
     "physics": ["level-0.zip", "runs.zip"],
+    "library": ["runs.zip"],
+    "safety": ["runs.zip"],
     "solve": ["runs.zip", "units.zip"],
     "solve/safety": ["runs.zip"],
     "baselines/safety": ["runs.zip"],
@@ -37,7 +39,7 @@ def page(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", SOURCES)
-def test_the_published_archives_give_the_published_numbers(folder, tmp_path):
+def test_the_published_archives_give_the_published_numbers(folder, tmp_path, library_cpo):
     published = RESULTS / folder
     agents.report(*(published / name for name in SOURCES[folder]), out=tmp_path)
     found, expected = ((place / "report.csv").open() for place in (tmp_path, published))
@@ -149,6 +151,22 @@ def test_the_sentences():
     assert dict(nearest) == {"preset": "6 of 28", "units": "22 of 28"}
     assert "Of 120 comparisons" in report and "4 have equal cost rates" in report
     assert "0.125  | 0.071  | -0.054 | 0.045" in report
+
+
+def test_the_safety_tasks():
+    """What TRPO-Lag does at the paper's length, beside the paper and the benchmark."""
+    lines = results_table.report("safety")
+    own = runs(lines, results_table.POINT_GOAL, "TRPO-Lag")
+    printed = results_table.paper(lines, results_table.POINT_GOAL, "TRPO-Lag").iloc[0]
+    rises = own["EMCC_0.99"] > own["EMCC_0.66"]
+    assert printed["EMCC_0.99"] > printed["EMCC_0.66"]
+    told(
+        "results/README.md",
+        f"from the middle to the last third in {count(rises)} runs",
+        f"No run has a return below {short(own.J_R.min(), 1)}, the paper's mean is "
+        f"{short(printed.J_R, 1)}.",
+    )
+    told("results/baselines/README.md", f"has {short(own.J_R.mean(), 1)}, near it.")
 
 
 def test_the_page_with_physics():

@@ -10,6 +10,7 @@ TEXTS = {
     "metric.md": "emcc/README.md",
     "results.md": "results/README.md",
     "physics.md": "results/physics/README.md",
+    "library.md": "results/library/README.md",
     "solving.md": "results/solve/README.md",
     "baselines.md": "results/baselines/README.md",
     "benchmarks.md": "benchmarks/README.md",

@@ -20,6 +20,8 @@ from agents.results.reading import read
 RESULTS = Path(__file__).parents[2] / "results"
 EMCC = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")
 SAFETY_MEASURES = (*EMCC, "cost_rate")
+MEASURES = [*SAFETY_MEASURES, "J_R", "J_C", "CVaR_0.5"]
+"""All that the paper prints."""
 LEVELS = tuple(f"Circle2D-{level}-v0" for level in range(4))
 PHYSICS = {f"Circle2DMuJoCo-{level}-v0": f"Circle2D-{level}-v0" for level in range(4)}
 """Levels of the grid with physics, and the same without."""
@@ -29,6 +31,14 @@ BENCHMARK_STEPS = " (1,000,000 steps)"
 """Behind the names on SafetyPointGoal1-v0, where the paper's runs are ten times as long."""
 FORCES = (110.0, 330.0)
 """Half of the servo's strongest push along an axis, and what impacts alone reach, N."""
+POINT_GOAL = "circle2d_mj/SafetyPointGoal1-v0"
+LIBRARY = {
+    "CPO": ["CPO-library (input_scale 15.0)"],
+    "SAC-Lag": ["SAC-Lag (time_limit bootstrap, reward_scale running)"],
+    "SAC-LB": ["SAC-LB (time_limit bootstrap, reward_scale running)"],
+    "WCSAC": ["WCSAC (variance_target unsquared, damping_gradient through)"],
+}
+"""Names of runs as in the later library of the paper's group."""
 UNITS = "SAC-LB (input_scale 15.0)"
 PARTS = {
     "without-scale": "the unit of length",
@@ -51,6 +61,12 @@ def report(grid: str) -> pd.DataFrame:
 def runs(lines: pd.DataFrame, task: str, algorithm: str) -> pd.DataFrame:
     """The runs of an algorithm, named as in the report, on a task."""
     return lines[(lines.kind == "run") & (lines.task == task) & (lines.algorithm == algorithm)]
+
+
+def paper(lines: pd.DataFrame, task: str, algorithm: str) -> pd.DataFrame:
+    """The line of the paper's numbers."""
+    at = (lines.kind == "paper") & (lines.task == task) & (lines.algorithm == algorithm)
+    return lines[at]
 
 
 def within(found: pd.DataFrame) -> pd.Series:
@@ -95,8 +111,57 @@ def grid() -> list[str]:
     for task in LEVELS:
         for name in ALGORITHMS:
             own = runs(lines, task, name)
-            at = (lines.kind == "paper") & (lines.task == task) & (lines.algorithm == name)
-            rows.append(_row(task[9], name, *_beside(own, lines[at]), _counts(own)))
+            beside = _beside(own, paper(lines, task, name))
+            rows.append(_row(task[9], name, *beside, _counts(own)))
+    return rows
+
+
+def library() -> list[str]:
+    """A row for each algorithm as in the later library and each level: means, the paper's in
+    brackets."""
+    lines, rows = report("circle2d"), []
+    for name in LIBRARY:
+        for task in LEVELS:
+            own, printed = library_runs(name, task), paper(lines, task, name)
+            rows.append(_row(name, task[9], *_beside(own, printed)))
+    return rows
+
+
+def library_runs(name: str, task: str) -> pd.DataFrame:
+    """The runs of an algorithm as in the later library; WCSAC's are in the grid's report."""
+    lines = report("circle2d" if name == "WCSAC" else "library")
+    return lines[(lines.kind == "run") & (lines.task == task) & lines.algorithm.isin(LIBRARY[name])]
+
+
+def library_nearest() -> list[str]:
+    """A row for each algorithm: in how many measures, over the levels, the mean of its preset is
+    nearer to the paper's number, in how many that of the later library, to the paper's digits."""
+    lines, rows = report("circle2d"), []
+    for name in LIBRARY:
+        off = []
+        for task in LEVELS:
+            printed = paper(lines, task, name)[MEASURES].iloc[0]
+            sides = (runs(lines, task, name), library_runs(name, task))
+            off.append([(side[MEASURES].mean() - printed).abs().round(2) for side in sides])
+        preset, library = (pd.concat(side) for side in zip(*off, strict=True))
+        counts = int((preset < library).sum()), int((library < preset).sum())
+        rows.append(_row(name, *map(str, counts)))
+    return rows
+
+
+def safety() -> list[str]:
+    """A row for each algorithm on SafetyPointGoal1-v0 at the paper's length: means, the paper's in
+    brackets, and ranges."""
+    lines, rows = report("safety"), []
+    for name in dict.fromkeys(lines[lines.kind == "run"].algorithm):
+        own, printed = runs(lines, POINT_GOAL, name), paper(lines, POINT_GOAL, name)
+        thirds, rate, *_ = _beside(own, printed)
+        others = (("EMCC_0.99", 2), ("J_R", 1), ("J_C", 1))
+        ranges = [
+            _with_range(own[m], digits)[:-1] + f"; {short(printed[m].iloc[0], digits)})"
+            for m, digits in others
+        ]
+        rows.append(_row(name, thirds, rate, *ranges))
     return rows
 
 
@@ -333,7 +398,8 @@ def _row(*cells: str) -> str:
 
 
 PAGES = {
-    "README.md": (grid, equal_rates),
+    "README.md": (grid, equal_rates, safety),
+    "library/README.md": (library, library_nearest),
     "physics/README.md": (physics, physics_against_kinematic, forces),
     "baselines/README.md": (baselines, baselines_safety),
     "solve/README.md": (solving, compared, parts),
