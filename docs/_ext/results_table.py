@@ -33,12 +33,10 @@ FORCES = (110.0, 330.0)
 """Half of the servo's strongest push along an axis, and what impacts alone reach, N."""
 POINT_GOAL = "circle2d_mj/SafetyPointGoal1-v0"
 LIBRARY = {
-    "CPO": ["CPO-library (input_scale 15.0)"],
-    "SAC-Lag": ["SAC-Lag (time_limit bootstrap, reward_scale running)"],
-    "SAC-LB": ["SAC-LB (time_limit bootstrap, reward_scale running)"],
-    "WCSAC": ["WCSAC (variance_target unsquared, damping_gradient through)"],
+    "CPO": "CPO-library (input_scale 15.0)",
+    "WCSAC": "WCSAC (variance_target unsquared, damping_gradient through)",
 }
-"""Names of runs as in the later library of the paper's group."""
+"""Names of runs as in the later library of the paper's group, by their titles on its page."""
 UNITS = "SAC-LB (input_scale 15.0)"
 PARTS = {
     "without-scale": "the unit of length",
@@ -118,35 +116,31 @@ def grid() -> list[str]:
 
 def library() -> list[str]:
     """A row for each algorithm as in the later library and each level: means, the paper's in
-    brackets."""
+    brackets; in how many measures that mean is nearer to the paper's, in how many the preset's."""
     lines, rows = report("circle2d"), []
-    for name in LIBRARY:
+    for title in LIBRARY:
         for task in LEVELS:
-            own, printed = library_runs(name, task), paper(lines, task, name)
-            rows.append(_row(name, task[9], *_beside(own, printed)))
+            printed = paper(lines, task, title.split(",")[0])
+            counts = ", ".join(map(str, library_nearer(title, task)))
+            rows.append(_row(title, task[9], *_beside(library_runs(title, task), printed), counts))
     return rows
 
 
-def library_runs(name: str, task: str) -> pd.DataFrame:
+def library_runs(title: str, task: str) -> pd.DataFrame:
     """The runs of an algorithm as in the later library; WCSAC's are in the grid's report."""
-    lines = report("circle2d" if name == "WCSAC" else "library")
-    return lines[(lines.kind == "run") & (lines.task == task) & lines.algorithm.isin(LIBRARY[name])]
+    return runs(report("circle2d" if title == "WCSAC" else "library"), task, LIBRARY[title])
 
 
-def library_nearest() -> list[str]:
-    """A row for each algorithm: in how many measures, over the levels, the mean of its preset is
-    nearer to the paper's number, in how many that of the later library, to the paper's digits."""
-    lines, rows = report("circle2d"), []
-    for name in LIBRARY:
-        off = []
-        for task in LEVELS:
-            printed = paper(lines, task, name)[MEASURES].iloc[0]
-            sides = (runs(lines, task, name), library_runs(name, task))
-            off.append([(side[MEASURES].mean() - printed).abs().round(2) for side in sides])
-        preset, library = (pd.concat(side) for side in zip(*off, strict=True))
-        counts = int((preset < library).sum()), int((library < preset).sum())
-        rows.append(_row(name, *map(str, counts)))
-    return rows
+def library_nearer(title: str, task: str) -> tuple[int, int]:
+    """In how many measures the mean of the library's choice is nearer to the paper's number than
+    the preset's, to its two digits, and in how many the preset's is."""
+    lines, usual = report("circle2d"), title.split(",")[0]
+    printed = paper(lines, task, usual)[MEASURES].iloc[0]
+    library, preset = (
+        (own[MEASURES].mean() - printed).abs().round(2)
+        for own in (library_runs(title, task), runs(lines, task, usual))
+    )
+    return int((library < preset).sum()), int((preset < library).sum())
 
 
 def safety() -> list[str]:
@@ -399,7 +393,7 @@ def _row(*cells: str) -> str:
 
 PAGES = {
     "README.md": (grid, equal_rates, safety),
-    "library/README.md": (library, library_nearest),
+    "library/README.md": (library,),
     "physics/README.md": (physics, physics_against_kinematic, forces),
     "baselines/README.md": (baselines, baselines_safety),
     "solve/README.md": (solving, compared, parts),
