@@ -173,13 +173,13 @@ def test_the_safety_tasks():
 def test_the_page_of_the_later_library():
     """CPO beside its preset, units of length alone, and the paper."""
     lines, units = results_table.report("circle2d"), "CPO (input_scale 15.0)"
-    nearer = [results_table.library_nearer("CPO", task) for task in LEVELS]
+    nearer = [results_table.nearer_as_later("CPO", task) for task in LEVELS]
     off, ratios = [], []
     for task in LEVELS:
         printed = results_table.paper(lines, task, "CPO")[results_table.MEASURES].iloc[0]
         sides = (runs(lines, task, "CPO"), runs(lines, task, units))
         found = [side[printed.index].mean() for side in sides]
-        found.append(results_table.library_runs("CPO", task)[printed.index].mean())
+        found.append(results_table.runs_as_later("CPO", task)[printed.index].mean())
         off.append(pd.concat([(mean - printed).abs().round(2) for mean in found], axis=1))
         ratios += list((printed / found[0])[list(results_table.EMCC)])
     of_all = pd.concat(off)
@@ -189,7 +189,7 @@ def test_the_page_of_the_later_library():
     ends = [
         pd.concat(of).ends_in.str.startswith("corridor")
         for of in (
-            [results_table.library_runs("CPO", task) for task in LEVELS],
+            [results_table.runs_as_later("CPO", task) for task in LEVELS],
             [runs(lines, task, units) for task in LEVELS],
         )
     ]

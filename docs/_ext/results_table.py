@@ -114,31 +114,31 @@ def grid() -> list[str]:
     return rows
 
 
-def library() -> list[str]:
+def later_library() -> list[str]:
     """A row for each algorithm as in the later library and each level: means, the paper's in
     brackets; in how many measures that mean is nearer to the paper's, in how many the preset's."""
     lines, rows = report("circle2d"), []
     for title in LIBRARY:
         for task in LEVELS:
             printed = paper(lines, task, title.split(",")[0])
-            counts = ", ".join(map(str, library_nearer(title, task)))
-            rows.append(_row(title, task[9], *_beside(library_runs(title, task), printed), counts))
+            counts = ", ".join(map(str, nearer_as_later(title, task)))
+            rows.append(_row(title, task[9], *_beside(runs_as_later(title, task), printed), counts))
     return rows
 
 
-def library_runs(title: str, task: str) -> pd.DataFrame:
+def runs_as_later(title: str, task: str) -> pd.DataFrame:
     """The runs of an algorithm as in the later library; WCSAC's are in the grid's report."""
     return runs(report("circle2d" if title == "WCSAC" else "library"), task, LIBRARY[title])
 
 
-def library_nearer(title: str, task: str) -> tuple[int, int]:
+def nearer_as_later(title: str, task: str) -> tuple[int, int]:
     """In how many measures the mean of the library's choice is nearer to the paper's number than
     the preset's, to its two digits, and in how many the preset's is."""
     lines, usual = report("circle2d"), title.split(",")[0]
     printed = paper(lines, task, usual)[MEASURES].iloc[0]
     library, preset = (
         (own[MEASURES].mean() - printed).abs().round(2)
-        for own in (library_runs(title, task), runs(lines, task, usual))
+        for own in (runs_as_later(title, task), runs(lines, task, usual))
     )
     return int((library < preset).sum()), int((preset < library).sum())
 
@@ -393,7 +393,7 @@ def _row(*cells: str) -> str:
 
 PAGES = {
     "README.md": (grid, equal_rates, safety),
-    "library/README.md": (library,),
+    "library/README.md": (later_library,),
     "physics/README.md": (physics, physics_against_kinematic, forces),
     "baselines/README.md": (baselines, baselines_safety),
     "solve/README.md": (solving, compared, parts),
