@@ -19,7 +19,7 @@ RESULTS = ROOT / "results"
 SOURCES = {
     "circle2d": ["runs.zip"],
     "physics": ["level-0.zip", "runs.zip"],
-    "library": ["runs.zip"],
+    "library": ["runs.zip", "sac-lb.zip"],
     "safety": ["runs.zip"],
     "solve": ["runs.zip", "units.zip"],
     "solve/safety": ["runs.zip"],
@@ -193,6 +193,9 @@ def test_the_page_of_the_later_library():
             [runs(lines, task, units) for task in LEVELS],
         )
     ]
+    barrier = pd.concat([results_table.runs_as_later("SAC-LB", task) for task in LEVELS])
+    waiting = barrier.ends_in == "right rim"
+    assert barrier.J_C.max() == 0
     told(
         "results/library/README.md",
         f"nearer than the preset in {sum(one for one, _ in nearer)} of 28 measures",
@@ -200,6 +203,7 @@ def test_the_page_of_the_later_library():
         f"{share(ends[1], '')} do",
         f"nearest in {best[1]} measures, and this in {best[2]}",
         f"{min(ratios):.1f} to {max(ratios):.1f} times the preset's",
+        f"{share(waiting)} wait at the rim",
     )
     told(
         "results/README.md",

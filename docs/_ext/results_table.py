@@ -34,6 +34,7 @@ FORCES = (110.0, 330.0)
 POINT_GOAL = "circle2d_mj/SafetyPointGoal1-v0"
 LIBRARY = {
     "CPO": "CPO-library (input_scale 15.0)",
+    "SAC-LB": "SAC-LB (time_limit bootstrap, reward_scale running)",
     "WCSAC": "WCSAC (variance_target unsquared, damping_gradient through)",
 }
 """Names of runs as in the later library of the paper's group, by their titles on its page."""
