@@ -208,6 +208,7 @@ def test_the_page_of_the_later_library():
     told(
         "results/README.md",
         f"in {sum(one for one, _ in nearer)} of 28 measures, and {share(ends[0])}",
+        f"SAC-LB as there waits at the rim in {share(waiting)}.",
     )
 
 
