@@ -154,7 +154,7 @@ def test_the_sentences():
 
 
 def test_the_safety_tasks():
-    """What TRPO-Lag does at the paper's length, beside the paper and the benchmark."""
+    """TRPO-Lag at the paper's length, beside the paper and the benchmark."""
     lines = results_table.report("safety")
     own = runs(lines, results_table.POINT_GOAL, "TRPO-Lag")
     printed = results_table.paper(lines, results_table.POINT_GOAL, "TRPO-Lag").iloc[0]

@@ -16,6 +16,7 @@ from toys import register as register_toys
 import agents
 from agents import api
 from agents.paper.presets import preset
+from agents.training.config import TrainConfig
 
 register_toys()
 SMALL = TRPO | {"seeds": [3, 4], "steps": 300}
@@ -32,8 +33,25 @@ def runs(tmp_path_factory):
     return agents.train("trpo-lag", out=tmp_path_factory.mktemp("api") / "runs", **SMALL)
 
 
+def test_names():
+    assert set(agents.__all__) <= set(dir(agents))
+    for name in agents.__all__:
+        assert getattr(agents, name).__doc__
+    with pytest.raises(AttributeError, match="no attribute 'teach'"):
+        _ = agents.teach
+
+
 def test_examples():
     assert doctest.testmod(api, raise_on_error=True).attempted >= 7
+
+
+def test_results(runs):
+    [group] = runs.results
+    assert [run.seed for run in group.runs] == [3, 4]
+    assert runs.config == TrainConfig.read(runs.folder)
+    records = runs.records[runs.folder, 3]
+    assert records.total_steps == 300
+    assert repr(runs) == f"Runs({str(runs.folder)!r})"
 
 
 def test_runs_stand_for_their_folder(runs, tmp_path):
@@ -249,6 +267,7 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
         ({"discount": np.float32(0.9)}, "hyperparameters must be plain values: .*float32"),
         ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
         ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),
+        ({"task": "Nowhere-v0"}, "unknown task 'Nowhere-v0'"),
         ({"seeds": "ab"}, "seeds must be an integer or several, got 'ab'"),
         ({"seeds": []}, "seeds must be"),
         ({"seeds": 1.5}, "seeds must be an integer or several, got 1.5"),
@@ -265,6 +284,7 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
         ({"out": 3}, "out must be a folder, got 3"),
         ({"out": ""}, "out must be a folder, got ''"),
         ({"task": []}, "task must be the id of a gymnasium task"),
+        ({"costs": ("cost", "nothing")}, r"gives no info\['nothing'\]"),
         ({"tasks": ["Circle2D-1"]}, "no hyper-parameter 'tasks': did you mean 'task'"),
         ({"engine": "cloud"}, "engine must be local or ray, got 'cloud'"),
         ({"engine": "ray", "on_epoch": print}, "on_epoch and progress are of the engine local"),
@@ -285,3 +305,17 @@ def test_a_refusal_leaves_nothing_in_the_folder(tmp_path):
     with pytest.raises(agents.UserError, match="holds runs already"):
         agents.train("cpo", out=tmp_path)
     assert {path.name for path in tmp_path.iterdir()} <= {"config.json", ".lock"}
+
+
+def test_a_file_in_the_way_is_found_before_anything_slow(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("kept")
+
+    def slow(*args):
+        raise AssertionError("the compiler is asked")
+
+    monkeypatch.setattr(api.lockstep_backend, "choose", slow)
+    for call in (agents.train, lambda *a, **k: agents.sweep(*a, grid={"cost_limit": (1.0,)}, **k)):
+        for out in (tmp_path / "file", tmp_path / "file" / "x"):
+            with pytest.raises(agents.UserError, match=r"out must be a folder, but .*file' is a f"):
+                call("cpo", out=out)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["kept"]

@@ -1,6 +1,7 @@
 """Mistakes on the command line: one line on stderr, status 2, nothing half-made left."""
 
 import re
+import shutil
 import sys
 
 import pytest
@@ -8,6 +9,7 @@ import torch
 
 from agents.cli.main import main
 from agents.training import config
+from agents.training.files import locked
 
 TRAIN = ("train", "sac-lag", "--seeds", "0", "1", "--steps", "600", "--backend", "eager")
 TO = (*TRAIN, "--out", "{tmp}/x")
@@ -61,6 +63,8 @@ def mistake(arguments, capsys):
         ([*TO, "--task", "Nope-v1"], "unknown task 'Nope-v1'"),
         ([*TO, "--task", "Circle2D-9"], "did you mean 'Circle2D-\\d-v0'"),
         ([*TO, "--task", "\x1b[31mred"], r"\\x1b\[31mred"),
+        ([*TO, "--task", "CartPole-v1"], "action space.*flat Box"),
+        ([*TO, "--task", "Pendulum-v1"], "info\\['cost'\\]"),
         ([*TO, "--task", "Circle2D-1", "Circle2D-1"], "different"),
         ([*TO, "--task-parameters", "max_episode_steps", "None"], "episodes must end"),
         ([*TRAIN, "--out", "{folder}"], "holds runs already: go on with them by 'circle2d resume"),
@@ -72,15 +76,19 @@ def mistake(arguments, capsys):
         (["report", "{tmp}"], "holds no runs"),
         (["report", "{folder}", "--width", "9"], "width must be at least 40 or None, got 9"),
         (["report", "{folder}", "--archive", "{tmp}"], "archive must be a file"),
+        (["compare", "{folder}", "{tmp}/nothing"], "nothing is no folder"),
         (["heatmap", "{folder}", "--part", "1"], "part must be some of \\[0.33, 0.66, 0.99\\]"),
         (["heatmap", "{folder}", "--out", "a.jpg"], "out must end in .png, got 'a.jpg'"),
+        (["heatmap", "{folder}/.."], "holds folders of runs: did you mean .*first'"),
         (["render", "{folder}", "--out", "{folder}/config.json/a.gif"], "config.json' is a file"),
         (["render", "{folder}", "--seed", "77"], "no run of seed 77"),
         (["render", "pretrained:cpo/Circle2D-2-v0"], "no policy of 'cpo' comes with the package"),
         (["export", "{folder}", "--format", "pt"], "safetensors"),
+        (["scene", "--task-parameters", "mass", "0"], "mass must be above 0"),
         (["scene", "Circle2D-1-v0"], "scene shows the tasks Circle2DMuJoCo-0-v0"),
         ([*REPRODUCE, "--levels", "4"], "some of \\[0, 1, 2, 3\\], got \\[4\\]"),
         ([*REPRODUCE, "--levels", "1", "--safety"], "give one of tasks, safety, and levels"),
+        ([*REPRODUCE, "--tasks", "Nope-v3", "--steps", "9e3"], "Nope"),
         ([*REPRODUCE, "--algorithms", "sac-lga"], "did you mean 'sac-lag'"),
         ([*REPRODUCE, "--algorithms"], "algorithms must be some of trpo-lag, .*, got none"),
         ([*REPRODUCE, "--workers", "0"], r"workers must be in \[1, 1024\], got 0"),
@@ -117,3 +125,12 @@ def test_a_library_that_is_missing(module, options, hint, tmp_path, capsys, monk
     monkeypatch.setitem(sys.modules, module, None)
     assert hint in mistake([*options, "--out", str(tmp_path / "x")], capsys)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_another_process_trains_in(folder, tmp_path, capsys):
+    copy = tmp_path / "runs"
+    shutil.copytree(folder, copy)
+    with locked(copy):
+        assert "another process is training" in mistake(["resume", str(copy)], capsys)
+        err = mistake([*TRAIN, "--out", str(copy)], capsys)
+        assert "is being trained in by another process" in err

@@ -79,9 +79,11 @@ def main(names):
         eager = trained(name, 3, False)
         single = trained(name, 3, True, eager)
         of_all = trained(name, 3, True)
+        updates = [*map(difference, single[1:], eager[1:])]
         found[name] = {
             "moved": difference(eager[-1], eager[0]),
-            "one update": float(np.median([*map(difference, single[1:], eager[1:])])),
+            "median update": float(np.median(updates)),
+            "worst update": max(updates),
             "all updates": difference(of_all[-1], eager[-1]),
             "seconds of compiling": CLOCK.seconds,
         }

@@ -35,17 +35,18 @@ def compiler():
 
 
 @pytest.mark.parametrize(
-    ("names", "one", "all_"),
+    ("names", "median", "worst", "all_"),
     [
-        (("sac-lag", "sac-lb", "wcsac", "sac", "sac-lag pid", "cal"), 1e-5, 1e-5),
-        (("trpo-lag", "cpo", "trpo-lag pid", "c-trpo"), 2e-3, np.inf),
-        (("cup", "focops", "p3o", "ppo-lag", "ppo"), 1e-4, np.inf),
+        (("sac-lag", "sac-lb", "wcsac", "sac", "sac-lag pid", "cal"), 1e-5, 1e-5, 1e-5),
+        (("trpo-lag", "cpo", "trpo-lag pid", "c-trpo"), 2e-3, np.inf, np.inf),
+        (("cup", "focops", "p3o", "ppo-lag", "ppo"), 1e-4, 1e-4, np.inf),
     ],
 )
-def test_compiled_is_eager_but_for_rounding(names, one, all_, compiler):
-    """The median of 20 updates, each from the same state, and off-policy all of them together. A
-    step of the trust region is about .1 long. Its 15 conjugate gradients magnify rounding, by as
-    much as the processor's instructions differ, and the line search may stop elsewhere for it.
+def test_compiled_is_eager_but_for_rounding(names, median, worst, all_, compiler):
+    """Each of 20 updates from the same state, of the trust region their median, and off-policy all
+    of them together. A step of the trust region is about .1 long. Its 15 conjugate gradients
+    magnify rounding, by as much as the processor's instructions differ, and the line search may
+    stop elsewhere for it.
     The first of each family also: one run and two are bit for bit what they are among three, and
     one that was stopped and resumed is one that never was."""
     found = json.loads(run(str(HERE / "compiled_child.py"), *names))
@@ -53,5 +54,6 @@ def test_compiled_is_eager_but_for_rounding(names, one, all_, compiler):
     for of_algorithm in found.values():
         assert of_algorithm["seconds of compiling"] > 0
         assert of_algorithm["moved"] > 1e-3
-        assert of_algorithm["one update"] < one
+        assert of_algorithm["median update"] < median
+        assert of_algorithm["worst update"] < worst
         assert of_algorithm["all updates"] < all_

@@ -123,6 +123,15 @@ def test_an_error_of_one_s_own_keeps_its_cause_between_processes():
         assert "motor" in str(copy.__cause__.__cause__)  # the traceback of there
 
 
+def test_arrays_of_other_shapes_from_a_vector_environment():
+    envs = make_envs("Broken-v0", 3, {})
+    step = envs.unwrapped.step
+    envs.unwrapped.step = lambda actions: (step(actions)[0], np.zeros(2), *step(actions)[2:])
+    envs.reset(seed=[1, 2, 3])
+    with pytest.raises(TaskFailure, match=r"'Broken-v0' failed in step 1 .*rewards must be \[3\]"):
+        envs.step(np.zeros((3, 1), np.float32))
+
+
 @pytest.mark.parametrize(("wrong", "does"), [("learn", "learns"), ("act", "acts")])
 def test_an_algorithm_that_fails(tmp_path, wrong, does):
     with known():
@@ -243,12 +252,3 @@ def test_environments_in_processes_end_with_a_training_that_is_stopped(tmp_path)
     more = OPTIONS | TRPO | {"vectorization": "async", "on_epoch": lambda epoch: False}
     agents.train("cpo", "Walk-v0", out=tmp_path / "x", **more)
     assert not multiprocessing.active_children()
-
-
-def test_arrays_of_other_shapes_from_a_vector_environment():
-    envs = make_envs("Broken-v0", 3, {})
-    step = envs.unwrapped.step
-    envs.unwrapped.step = lambda actions: (step(actions)[0], np.zeros(2), *step(actions)[2:])
-    envs.reset(seed=[1, 2, 3])
-    with pytest.raises(TaskFailure, match=r"'Broken-v0' failed in step 1 .*rewards must be \[3\]"):
-        envs.step(np.zeros((3, 1), np.float32))

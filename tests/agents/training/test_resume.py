@@ -55,16 +55,6 @@ def test_what_was_reached_by_a_stop_is_kept(tmp_path):
     assert [run.seed for run in resumed.results[0].runs] == [3, 4]
 
 
-def test_a_finished_training_is_evaluated_again_and_stays_the_same(tmp_path):
-    folder = trained(tmp_path / "x", "trpo-lag")
-    expected = results(folder)
-    train(folder)
-    assert results(folder) == expected
-    (folder / "results.npz").write_text("torn")
-    train(folder)
-    assert results(folder) == expected
-
-
 def test_an_error_of_a_callback_loses_no_checkpoint(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "WRITING_SHARE", 1e9)
 
@@ -82,3 +72,13 @@ def test_an_error_of_a_callback_loses_no_checkpoint(tmp_path, monkeypatch):
 def module_steps(folder):
     newest = sorted((folder / "checkpoints").iterdir())[-1]
     return int(np.load(newest)["steps"].min())
+
+
+def test_a_finished_training_is_evaluated_again_and_stays_the_same(tmp_path):
+    folder = trained(tmp_path / "x", "trpo-lag")
+    expected = results(folder)
+    train(folder)
+    assert results(folder) == expected
+    (folder / "results.npz").write_text("torn")
+    train(folder)
+    assert results(folder) == expected

@@ -217,6 +217,14 @@ BAD_ACTIONS = [
 ]  # fmt: skip
 
 
+def test_a_mask_inside_a_list_of_actions_is_not_dropped():
+    masked = np.ma.masked_array([0.5, 0.5], [True, False])
+    envs = gym.make_vec("Circle2D-1-v0", 2, vectorization_mode="vector_entry_point")
+    envs.reset(seed=0)
+    with pytest.raises(ValueError, match="action must not be masked"):
+        envs.step([[0.5, 0.5], masked])
+
+
 @pytest.mark.parametrize("action", BAD_ACTIONS, ids=repr)
 @pytest.mark.parametrize("task", ["kinematic", "open", "SafetyPointGoal2"])
 def test_bad_actions_are_named_and_change_nothing(action, task):
@@ -326,11 +334,3 @@ def test_known_answers():
     zero = np.zeros(1, dtype=np.uint64)
     words = [hex(int(w)) for w in philox(zero, zero)[0]]
     assert words == ["0x6627e8d5", "0xe169c58d", "0xbc57ac4c", "0x9b00dbd8"]
-
-
-def test_a_mask_inside_a_list_of_actions_is_not_dropped():
-    masked = np.ma.masked_array([0.5, 0.5], [True, False])
-    envs = gym.make_vec("Circle2D-1-v0", 2, vectorization_mode="vector_entry_point")
-    envs.reset(seed=0)
-    with pytest.raises(ValueError, match="action must not be masked"):
-        envs.step([[0.5, 0.5], masked])
