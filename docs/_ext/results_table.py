@@ -153,7 +153,7 @@ def safety() -> list[str]:
         thirds, rate, *_ = _beside(own, printed)
         others = (("EMCC_0.99", 2), ("J_R", 1), ("J_C", 1))
         ranges = [
-            _with_range(own[m], digits)[:-1] + f"; {short(printed[m].iloc[0], digits)})"
+            with_range(own[m], digits)[:-1] + f"; {short(printed[m].iloc[0], digits)})"
             for m, digits in others
         ]
         rows.append(_row(name, thirds, rate, *ranges))
@@ -244,14 +244,14 @@ def baselines_safety() -> list[str]:
     for name in order:
         own = lines[lines.algorithm == name]
         thirds, rate, *_ = means(own)
-        cells = (_with_range(own[m], d) for m, d in (("EMCC_0.99", 2), ("J_R", 1), ("J_C", 1)))
+        cells = (with_range(own[m], d) for m, d in (("EMCC_0.99", 2), ("J_R", 1), ("J_C", 1)))
         kept = int((own.J_C <= SAFETY_LIMIT).sum())
         title = name.removesuffix(BENCHMARK_STEPS)
         rows.append(_row(title, thirds.replace(" ", "/"), rate, *cells, str(kept)))
     return rows
 
 
-def _with_range(values: pd.Series, digits: int) -> str:
+def with_range(values: pd.Series | np.ndarray, digits: int) -> str:
     """The mean, the lowest and the highest in brackets."""
     mean, low, high = (
         short(value, digits) for value in (values.mean(), values.min(), values.max())
