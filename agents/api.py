@@ -222,7 +222,7 @@ def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = N
 def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:
     """The tables of two sets of runs with the differences B - A, as Markdown: `circle2d compare`.
 
-    a, b: as the paths of `report`, such as a baseline's runs and those of an idea. With out, writes
+    a, b: a folder, an archive, or runs of one folder: a baseline's and an idea's. With out, writes
     `compare.md`, `compare.csv`, and `compare.html` with the training curves of both, to that
     folder. Raises UserError where a side has no complete run, or the two have no task in common.
     """

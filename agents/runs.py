@@ -48,14 +48,14 @@ class Runs:
 
     @property
     def folder(self) -> Path:
-        """The folder. Raises ValueError where there are several: see `folders`."""
+        """The folder. Raises UserError where there are several: see `folders`."""
         if len(self.folders) != 1:
-            raise ValueError(f"there are several folders, see `folders`: {self.folders}")
+            raise UserError(f"there are several folders, see `folders`: {self.folders}")
         return self.folders[0]
 
     @property
     def config(self) -> TrainConfig:
-        """The configuration. Raises ValueError where there are several: see `configs`."""
+        """The configuration. Raises UserError where there are several: see `configs`."""
         return self.configs[self.folders.index(self.folder)]
 
     @property

@@ -70,8 +70,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         runs = list({(run.source, run.task, run.seed, run.cost): run for run in runs}.values())
         if options.total_steps is not None:
             runs = [replace(run, total_steps=options.total_steps) for run in runs]
+        failed = [run for run in runs if not len(run.records)]
+        if len(failed) == len(runs):
+            raise ValueError(f"{runs[0].source}: no finished trajectory")
         groups: dict[tuple[str, ...], list[Run]] = {}
-        for run in runs:
+        for run in (run for run in runs if len(run.records)):
             seed = run.seed if options.per_run else ""
             groups.setdefault((run.source, run.task, run.cost, seed), []).append(run)
         if options.limit is None:
@@ -81,7 +84,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("\n".join(table.render(options.format) for table in tables), end="")
     except (ValueError, OSError, ImportError) as error:
         parser.error(str(error))
-    return int(any(part is None for run in runs for part in _emcc_by_part(run, 1.0, "all")))
+    for run in failed:
+        words = ", ".join(filter(None, (run.source, run.task, run.seed and f"seed {run.seed}")))
+        print(f"left out: {words}: no finished trajectory", file=sys.stderr)
+    thirds = (_emcc_by_part(run, 1.0, "all") for run in runs)
+    return int(any(part is None for of_run in thirds for part in of_run))
 
 
 def _emcc_table(groups: Sequence[Sequence[Run]], alpha: float, ties: str) -> Table:
@@ -91,7 +98,7 @@ def _emcc_table(groups: Sequence[Sequence[Run]], alpha: float, ties: str) -> Tab
         first = group[0]
         thirds = zip(*(_emcc_by_part(run, alpha, ties) for run in group), strict=True)
         kept = [run.records for run in group]
-        rates = [cost_rate(r.cost, r.length) if len(r) else None for r in kept]
+        rates = [cost_rate(r.cost, r.length) for r in kept]
         rows.append([
             first.source,
             first.algorithm or MISSING,
@@ -117,7 +124,7 @@ def _emcc_by_part(run: Run, alpha: float, ties: str) -> list[float | None]:
 def _panel_table(group: Sequence[Run], options: argparse.Namespace) -> Table:
     first = group[0]
     # One window for all runs, since a row names it.
-    window = min(options.window, *(len(run.records) or 1 for run in group))
+    window = min(options.window, *(len(run.records) for run in group))
     choices = {"ties": options.ties, "window": window, "total_steps": first.total_steps}
     with named(first.source):
         panels = [panel(run.records, options.limit, options.alpha, **choices) for run in group]

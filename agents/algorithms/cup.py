@@ -7,6 +7,7 @@ algorithm 1; its hyper-parameters are those of the authors' code.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from torch import Tensor
@@ -14,6 +15,7 @@ from torch import Tensor
 from agents.algorithms import Algorithm
 from agents.algorithms.focops import MULTIPLIER, ProjectedMultiplierConfig
 from agents.algorithms.ppo import advantage  # of reward alone: costs enter in the projection
+from agents.checks import In
 from agents.first_order import FirstOrder, Minibatch, Objective, PPOConfig, clipped, mean
 from agents.on_policy.state import Gaussian
 
@@ -21,6 +23,10 @@ from agents.on_policy.state import Gaussian
 @dataclass(frozen=True)
 class CUPConfig(ProjectedMultiplierConfig, PPOConfig):
     """Hyper-parameters of CUP. The multiplier is ν."""
+
+    discount: Annotated[float, In(0, below=1)] = 0.99
+    """Discount factor γ of rewards and costs, in [0, 1): the projection divides by 1 - γ. Paper:
+    0.99."""
 
 
 def projection(

@@ -145,8 +145,8 @@ class RenderOptions(Settings):
     """Folders of runs on tasks that offer a view or, for films, frames of their own;
     pretrained:ALGORITHM/TASK is a policy that comes with the package."""
     out: Path | None = None
-    """File to write, its suffix the format; by default trajectories.png in the first folder, or
-    here for a policy of the package."""
+    """File to write, its suffix the format; by default trajectories.png, with --frames mujoco
+    film.gif, in the first folder, or here for a policy of the package."""
     episodes: int = 3
     """The first episodes of the evaluation."""
     task: Task = None

@@ -10,8 +10,8 @@ from typing import Any
 from agents.algorithms import RESERVED, algorithm
 from agents.errors import OTHER_NAMES, UserError, nearest
 from circle2d_mj.circle2d.config import Circle2DConfig
-from circle2d_mj.registration import CIRCLE2D, KINEMATIC
-from circle2d_mj.safety.tasks import NAMES
+from circle2d_mj.registration import CIRCLE2D, KINEMATIC, SAFETY
+from circle2d_mj.safety.tasks import IDS, NAMES
 
 PAPER_ALGORITHMS = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac")
 """The algorithms that the paper compares, in the order of its tables."""
@@ -21,6 +21,7 @@ PAPER_STEPS = dict.fromkeys(KINEMATIC.values(), 1_000_000) | {
 }
 """Environment steps of a run, by the id of every task of the paper. Tables HP_Circle2D and
 HP_SafetyGymnasium, total timesteps."""
+_SAME = {plain: IDS[name] for name, plain in NAMES.items()}
 STEPS = 1_000_000
 """Those of a run on any other task."""
 PAPER_SEEDS = 3
@@ -28,8 +29,10 @@ PAPER_SEEDS = 3
 
 
 def registered_id(task: str) -> str:
-    """The id of a task: "module:id" names the one that "id" does."""
-    return task.rpartition(":")[2]
+    """The id of a task: "module:id" names the one that "id" does, and Safety-Gymnasium's own ids
+    the tasks of `SAFETY`."""
+    name = task.rpartition(":")[2]
+    return _SAME.get(name, name)
 
 
 def is_circle2d(task: str) -> bool:
@@ -68,7 +71,7 @@ def _printed(config: Any, task: str) -> dict[str, Any]:
         found |= {"time_limit": "terminal"} if is_off_policy(config) else {}
         in_lengths = getattr(config, "in_lengths", False)
         return found | ({"input_scale": length_scale(task)} if in_lengths else {})
-    if task.removeprefix("circle2d_mj/") in NAMES.values():
+    if task in SAFETY:
         # Table HP_SafetyGymnasium, for the whole suite; the cost limit, 25, is the default.
         if is_off_policy(config):
             return {"random_steps": 50_000, "replay_size": 500_000}

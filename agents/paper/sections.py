@@ -31,7 +31,7 @@ from agents.results.frame import by_task, hyperparameter_changes, name_of, unusu
 from agents.results.measures import measure, measures
 from agents.results.reading import Group, Run
 from agents.results.statistics import INTERVALS, LEVEL, Pair, group_mean, two_sets
-from circle2d_mj.registration import KINEMATIC, PHYSICS
+from circle2d_mj.registration import KINEMATIC, PHYSICS, SAFETY
 from emcc import emcc_by_part
 from emcc.parts import ALPHA, PARTS
 
@@ -157,7 +157,7 @@ def _notes(groups: Sequence[Group]) -> list[str]:
     decides = ", which decides where runs end" if is_circle2d(task) else ""
     source = f"The paper does not print this choice{decides}."
     notes = [f"{', '.join(names)}: {meaning}. {source}" for meaning, names in titles.items()]
-    if "circle2d_mj/Safety" in task:
+    if registered_id(task) in SAFETY:
         notes.append("The paper evaluated 10 episodes of each run on the Safety tasks.")
     return notes
 

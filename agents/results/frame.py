@@ -89,6 +89,8 @@ def _episodes(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) ->
 def _updates(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) -> dict[str, Any]:
     """Columns of the updates of a run; `step`: environment steps taken by then."""
     if f"{run.prefix}updates" not in arrays:
+        if f"{run.prefix}failure" in arrays and f"{run.prefix}length" not in arrays:
+            return {"rollout": np.arange(0), "step": np.arange(0)}  # it failed in its first epoch
         raise UserError(f"{run} has no updates: an archive keeps none")
     values = arrays[f"{run.prefix}updates"]
     rollouts = arrays[f"{run.prefix}rollouts"].astype(np.int64)

@@ -43,6 +43,7 @@ from agents.training.files import (
     whole,
 )
 from emcc import EpisodeRecords, cvar
+from emcc.records import COLUMNS
 
 CVAR_ALPHA = 0.5
 
@@ -385,8 +386,11 @@ def _left_out(folder: str, missing: Mapping[int, str]) -> list[str]:
 
 
 def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> EpisodeRecords:
-    """Episodes of a run so far. Raises UserError where there are none, or they are damaged."""
+    """Episodes of a run so far, none of one that failed in its first epoch. Raises UserError where
+    there is no checkpoint yet, or they are damaged."""
     if f"{run.prefix}length" not in arrays:
+        if f"{run.prefix}failure" in arrays:
+            return EpisodeRecords(*[np.empty(0)] * len(COLUMNS))  # pyright: ignore[reportArgumentType]
         raise UserError("has no checkpoint yet")
     try:
         return derive.records_of(arrays, run.prefix, cost)

@@ -134,8 +134,18 @@ class Policy:
             action = np.clip((action - self._intercept) / self._gradient, self._low, self._high)
         return action[0] if alone else action
 
-    def predict(self, observation: ArrayLike, deterministic: bool = True) -> tuple[NDArray, None]:
-        """`(action, None)`: the interface of Stable-Baselines3's policies."""
+    def predict(
+        self,
+        observation: ArrayLike,
+        deterministic: bool = True,
+        *,
+        state: None = None,
+        episode_start: Any = None,
+    ) -> tuple[NDArray, None]:
+        """`(action, None)`, as Stable-Baselines3's `evaluate_policy` asks for it, but deterministic
+        by default. A policy has no memory: state is None, and where episodes start is ignored."""
+        if state is not None:
+            raise TypeError(f"state must be None: a policy has no memory, got {state!r}")
         return self(observation, deterministic), None
 
     def to_torch(self) -> nn.Module:

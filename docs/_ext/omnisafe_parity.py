@@ -11,6 +11,7 @@ that they are not the same; else *undecided*. Each test at .05, not corrected.
 
 from __future__ import annotations
 
+import importlib
 import re
 import sys
 from collections.abc import Mapping, Sequence
@@ -50,6 +51,8 @@ def take_in(folder: Path) -> None:
         lengths, rollouts = np.diff(ends, prepend=0), np.arange(len(ends)) // EPISODES
         own = EpisodeRecords.from_costs(steps["cost"], lengths, steps["reward"], rollouts)
         own.save(RECORDS / "omnisafe" / f"{path.parent.name}.csv")
+    sys.path.append(str(RESULTS.parent / "benchmarks"))
+    importlib.import_module("omnisafe_cpo")  # which registers it
     for group in read([folder / "ours"], []):
         for run in group.runs:
             run.records.save(RECORDS / "ours" / f"{group.config.algorithm}-{run.seed}.csv")

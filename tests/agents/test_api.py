@@ -62,7 +62,7 @@ def test_runs_stand_for_their_folder(runs, tmp_path):
     copy = shutil.copytree(runs.folder, tmp_path / "copy")
     both = agents.load_runs(runs, copy)
     assert both.folders == (runs.folder, copy)
-    with pytest.raises(ValueError, match="there are several folders"):
+    with pytest.raises(agents.UserError, match="there are several folders"):
         agents.load_policy(both)
 
 

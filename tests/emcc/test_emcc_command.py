@@ -105,10 +105,20 @@ def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):
     assert (row["steps"], row["EMCC_0.99"]) == ("100", "0.900")
 
 
-def test_a_run_without_an_episode_is_no_zero_and_a_mean_needs_all_runs(tmp_path, capsys):
+def test_a_run_without_an_episode_is_left_out_and_named(tmp_path, capsys):
     write_run(tmp_path / "a", {0: TEN, 1: []})
-    (row,), _ = table(capsys, tmp_path, status=1)
-    assert {row[name] for name in (*PARTS, "cost rate")} == {DASH}
+    for more in ((), ("--limit", "1")):
+        assert main([str(tmp_path), *more, "--format", "csv"]) == 1
+        out, err = capsys.readouterr()
+        assert err == f"left out: {tmp_path / 'a'}, A-v0, seed 1: no finished trajectory\n"
+        assert "0.900" in out  # the late EMCC of the other run
+    write_run(tmp_path / "b", {1: []})
+    with pytest.raises(SystemExit):
+        main([str(tmp_path / "b")])
+    assert "no finished trajectory" in capsys.readouterr().err
+
+
+def test_a_mean_needs_all_runs(tmp_path, capsys):
     write_run(tmp_path / "b", {0: TEN, 1: TEN[:5]})
     (row,), _ = table(capsys, tmp_path / "b", status=1)
     assert row["EMCC_0.33"] == "0.600 range 0.600 to 0.600"

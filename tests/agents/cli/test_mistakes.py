@@ -53,7 +53,7 @@ def mistake(arguments, capsys):
         ([*TO, "--import", "mine.py"], "a module's name: 'mine'"),
         ([*TO, "--steps", "1M"], "1000000 or 1e6, got '1M'"),
         ([*TO, "--steps", "1e-3"], "must be an integer"),
-        ([*TO, "--steps", "100"], "at least 101 for a table, got 100: .* 50"),
+        ([*TO, "--steps", "100"], "at least 102 for a table, got 100: .* 50"),
         ([*TO, "--seeds", "-1"], "seeds must be in"),
         ([*TO, "--seeds", "٣"], "seeds|٣"),
         ([*TO, "--learning-rate", "1" + "0" * 400], "learning_rate must be a finite number"),

@@ -10,8 +10,9 @@ from agents import algorithms
 from agents.algorithms import ALGORITHMS
 from agents.errors import UserError
 from agents.paper import grid
+from agents.paper.evidence import paper_results
 from agents.paper.grid import unprinted
-from agents.paper.presets import PAPER_ALGORITHMS, preset
+from agents.paper.presets import PAPER_ALGORITHMS, preset, usual_steps
 
 SHARED = {"batch_size": 256, "discount": 0.99, "learning_rate": 3e-4, "cost_limit": 5}
 SHARED |= {"hidden": (64, 64)}
@@ -122,6 +123,15 @@ def test_sac_lb_streak_is_sac_lb_but_for_some_values():
         found = asdict(preset("sac-lb-streak", task))
         assert found == asdict(preset("sac-lb", task)) | changes
     assert ALGORITHMS["sac-lb-streak"].rule is ALGORITHMS["sac-lb"].rule
+
+
+def test_both_ids_of_a_safety_task_are_one_task():
+    for name in ("SafetyPointCircle1-v0", "SafetyHopperVelocity-v1"):
+        ours = f"circle2d_mj/{name}"
+        for other in (name, f"circle2d_mj:{name}", f"circle2d_mj:{ours}"):
+            assert usual_steps(other) == usual_steps(ours) == 10_000_000
+            assert preset("cpo", other) == preset("cpo", ours)
+            assert paper_results(other, "CPO") == paper_results(ours, "CPO") != {}
 
 
 def test_on_other_tasks_observations_stay_as_they_are():

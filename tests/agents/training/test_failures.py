@@ -177,8 +177,12 @@ def test_where_every_run_failed(tmp_path):
         agents.train("cpo", "Walk-v0", **more)
     with pytest.raises(RunsFailed, match=words):
         agents.resume(more["out"])
+    runs = agents.load_runs(tmp_path / "x")
     with pytest.raises(UserError, match=r"holds no complete runs; .*its reward is not finite"):
-        _ = agents.load_runs(tmp_path / "x").results
+        _ = runs.results
+    # They failed in their first epoch: there is none of it, and no error.
+    assert {len(records) for records in runs.records.values()} == {0}
+    assert [len(runs.to_pandas(rows)) for rows in ("episodes", "updates")] == [0, 0]
 
 
 def reduced(learner):

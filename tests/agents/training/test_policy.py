@@ -65,7 +65,9 @@ def test_one_observation_or_a_batch(folder):
     assert batch.shape == (50, 1)
     np.testing.assert_allclose(policy(OBSERVATIONS[7]), batch[7], rtol=1e-5, atol=1e-6)
     assert policy(OBSERVATIONS[7].tolist()).shape == (1,)
-    action, state = policy.predict(OBSERVATIONS[7])
+    with pytest.raises(TypeError, match="no memory"):
+        policy.predict(OBSERVATIONS[7], state=(1,))
+    action, state = policy.predict(OBSERVATIONS[7], state=None, episode_start=np.ones(1, bool))
     assert state is None
     np.testing.assert_array_equal(action, policy(OBSERVATIONS[7]))
     assert policy(np.zeros((0, 2))).shape == (0, 1)
