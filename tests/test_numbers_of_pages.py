@@ -4,6 +4,8 @@ import csv
 import re
 from pathlib import Path
 
+import numpy as np
+import omnisafe_parity
 import pandas as pd
 import pytest
 import results_table
@@ -57,9 +59,11 @@ def near(cell, other):
     return float(cell) == pytest.approx(float(other), rel=1e-9, abs=1e-12)
 
 
+PAGES = results_table.PAGES | {"omnisafe/README.md": (omnisafe_parity.omnisafe,)}
+
+
 @pytest.mark.parametrize(
-    ("name", "table"),
-    [(name, table) for name, tables in results_table.PAGES.items() for table in tables],
+    ("name", "table"), [(name, table) for name, tables in PAGES.items() for table in tables]
 )
 def test_the_tables(name, table):
     rows = table()
@@ -168,6 +172,28 @@ def test_the_safety_tasks():
         f"{short(printed.J_R, 1)}.",
     )
     told("results/baselines/README.md", f"has {short(own.J_R.mean(), 1)}, near it.")
+
+
+def test_the_page_beside_omnisafe():
+    """Its p value, and that EMCC falls in every run of PPO-Lag."""
+    pairs = {
+        name: [
+            omnisafe_parity.measured(omnisafe_parity.runs(*pair))
+            for pair in zip(omnisafe_parity.SIDES, folders, strict=True)
+        ]
+        for name, folders in omnisafe_parity.PAIRS.items()
+    }
+    assert all((side["EMCC_0.99"] < side["EMCC_0.33"]).all() for side in pairs["PPO-Lag"])
+    theirs, ours = pairs["CPO as there"]
+    p = emcc.permutation_test(theirs["J_R"], ours["J_R"], rng=np.random.default_rng(0))
+    share = ours["J_R"].mean() / pairs["CPO"][1]["J_R"].mean()
+    assert 0.15 < share < 0.25
+    gap = abs(pairs["PPO-Lag"][0]["J_C"].mean() - pairs["PPO-Lag"][1]["J_C"].mean())
+    told(
+        "results/omnisafe/README.md",
+        f"(permutation test {results_table.p_value(p)}), and a fifth of our CPO's",
+        f"costs differ by {short(gap, 1)}",
+    )
 
 
 def test_the_page_of_the_later_library():

@@ -11,6 +11,7 @@ TEXTS = {
     "results.md": "results/README.md",
     "physics.md": "results/physics/README.md",
     "library.md": "results/library/README.md",
+    "omnisafe.md": "results/omnisafe/README.md",
     "solving.md": "results/solve/README.md",
     "baselines.md": "results/baselines/README.md",
     "benchmarks.md": "benchmarks/README.md",

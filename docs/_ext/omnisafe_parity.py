@@ -123,11 +123,11 @@ def figure() -> None:
             for side, folder, colour in zip(SIDES, folders, COLOURS, strict=False):
                 for axis, values in zip(column, rows.values(), strict=True):
                     curves = np.array([_curve(run, values) for run in runs(side, folder)])
-                    steps = EPISODES * 1000 * np.arange(1, curves.shape[1] + 1)
+                    steps = EPISODES * np.arange(1, curves.shape[1] + 1)
                     axis.plot(steps, curves.T, color=colour, alpha=0.25, linewidth=0.8)
                     axis.plot(steps, curves.mean(axis=0), color=colour, linewidth=2)
             column[1].axhline(25, color="black", linewidth=0.8, linestyle=":")
-            column[-1].set_xlabel("steps")
+            column[-1].set_xlabel("thousand steps")
         for axis, words in zip(axes[:, 0], rows, strict=True):
             axis.set_ylabel(words)
         for words, colour in zip(("OmniSafe", "ours"), COLOURS, strict=False):
