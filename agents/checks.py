@@ -17,21 +17,18 @@ MOST = 2**40
 
 @dataclasses.dataclass(frozen=True)
 class In:
-    """The numbers that a field allows, as `Annotated[float, In(0, 1)]`; `above` and `below` are
-    excluded."""
+    """The numbers that a field allows, as `Annotated[float, In(0, 1)]`; `above` is excluded."""
 
     low: float = -math.inf
     high: float = math.inf
     above: float = -math.inf
-    below: float = math.inf
 
     def __str__(self) -> str:
         ends = {"at least": self.low, "above": self.above, "at most": self.high}
-        ends["below"] = self.below
         return " and ".join(f"{k} {v:g}" for k, v in ends.items() if math.isfinite(v))
 
     def __contains__(self, value: float) -> bool:
-        return self.low <= float(value) <= self.high and self.above < float(value) < self.below
+        return self.low <= float(value) <= self.high and float(value) > self.above
 
 
 class Settings:

@@ -24,8 +24,8 @@ from agents.on_policy.state import Gaussian
 class CUPConfig(ProjectedMultiplierConfig, PPOConfig):
     """Hyper-parameters of CUP. The multiplier is ν."""
 
-    discount: Annotated[float, In(0, below=1)] = 0.99
-    """Discount factor γ of rewards and costs, in [0, 1): the projection divides by 1 - γ. Paper:
+    discount: Annotated[float, In(0, 0.999999)] = 0.99
+    """Discount factor γ of rewards and costs, below 1: the projection divides by 1 - γ. Paper:
     0.99."""
 
 

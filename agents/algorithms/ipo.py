@@ -28,8 +28,7 @@ class IPOConfig(PPOConfig):
     """Limit d of the discounted cost of an episode, mean over an epoch's episodes, with the
     discount γ of the rewards."""
     log_barrier_factor: Annotated[float, In(1e-6, 1e6)] = 20.0
-    """Factor t of the barrier: the larger, the closer to a wall at the limit. 20 as
-    in Liu et al."""
+    """Factor t of the barrier: the larger, the closer to a wall at the limit. Liu et al.: 20."""
     max_penalty: Annotated[float, In(0, 1e6)] = 1.0
     """Slope of the barrier where it would be larger, and beyond the limit, where the barrier has
     none. 1 as in OmniSafe."""

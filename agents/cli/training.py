@@ -147,8 +147,8 @@ def check_enough_steps(
     if 0 < steps < least:
         words = f"{episodes} episodes" if episodes > 1 else "an episode"
         raise UserError(
-            f"steps must be at least {least} for a table, got {steps}: each "
-            f"third of training needs a rollout, which is {words} of up to {limit} steps"
+            f"steps must be at least {least} for a table, got {steps}: each third of training "
+            f"needs a rollout, which is {words} of up to {limit} steps"
         )
 
 

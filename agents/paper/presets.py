@@ -11,7 +11,7 @@ from agents.algorithms import RESERVED, algorithm
 from agents.errors import OTHER_NAMES, UserError, nearest
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.registration import CIRCLE2D, KINEMATIC, SAFETY
-from circle2d_mj.safety.tasks import IDS, NAMES
+from circle2d_mj.safety.tasks import NAMES
 
 PAPER_ALGORITHMS = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac")
 """The algorithms that the paper compares, in the order of its tables."""
@@ -19,9 +19,7 @@ _SAFETY = ("SafetyPointCircle1-v0", "SafetyPointGoal1-v0", "SafetyHopperVelocity
 PAPER_STEPS = dict.fromkeys(KINEMATIC.values(), 1_000_000) | {
     f"circle2d_mj/{name}": 10_000_000 for name in _SAFETY
 }
-"""Environment steps of a run, by the id of every task of the paper. Tables HP_Circle2D and
-HP_SafetyGymnasium, total timesteps."""
-_SAME = {plain: IDS[name] for name, plain in NAMES.items()}
+"""Environment steps of a run on each task of the paper: tables HP_*, total timesteps."""
 STEPS = 1_000_000
 """Those of a run on any other task."""
 PAPER_SEEDS = 3
@@ -29,10 +27,9 @@ PAPER_SEEDS = 3
 
 
 def registered_id(task: str) -> str:
-    """The id of a task: "module:id" names the one that "id" does, and Safety-Gymnasium's own ids
-    the tasks of `SAFETY`."""
+    """The one id of a task, which has others: "module:id", and Safety-Gymnasium's own."""
     name = task.rpartition(":")[2]
-    return _SAME.get(name, name)
+    return f"circle2d_mj/{name}" if name in NAMES.values() else name
 
 
 def is_circle2d(task: str) -> bool:

@@ -390,7 +390,8 @@ def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> Episode
     there is no checkpoint yet, or they are damaged."""
     if f"{run.prefix}length" not in arrays:
         if f"{run.prefix}failure" in arrays:
-            return EpisodeRecords(*[np.empty(0)] * len(COLUMNS))  # pyright: ignore[reportArgumentType]
+            empty: Any = np.empty(0)
+            return EpisodeRecords(*[empty] * len(COLUMNS))
         raise UserError("has no checkpoint yet")
     try:
         return derive.records_of(arrays, run.prefix, cost)
