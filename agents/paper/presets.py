@@ -16,9 +16,8 @@ from circle2d_mj.safety.tasks import NAMES
 PAPER_ALGORITHMS = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac")
 """The algorithms that the paper compares, in the order of its tables."""
 _SAFETY = ("SafetyPointCircle1-v0", "SafetyPointGoal1-v0", "SafetyHopperVelocity-v1")
-PAPER_STEPS = dict.fromkeys(KINEMATIC.values(), 1_000_000) | {
-    f"circle2d_mj/{name}": 10_000_000 for name in _SAFETY
-}
+PAPER_STEPS = dict.fromkeys(KINEMATIC.values(), 1_000_000)
+PAPER_STEPS |= {f"circle2d_mj/{name}": 10_000_000 for name in _SAFETY}
 """Environment steps of a run on each task of the paper: tables HP_*, total timesteps."""
 STEPS = 1_000_000
 """Those of a run on any other task."""
