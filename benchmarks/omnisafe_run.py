@@ -5,12 +5,13 @@ has is off: normalised observations, the stop at a KL divergence, the decay of t
 critics' weight decay, means of costs over 50 episodes instead of the epoch's ten. The sky, 191 MB
 of pictures that every reset reads and nothing draws, is a plain one. Both sides, equal settings:
 
-python omnisafe_run.py PPOLag --seed 0 --steps 500000 --out omnisafe/ppo-lag-0
+python omnisafe_run.py PPOLag --seed 0 --steps 500000 --out omnisafe/ppo-lag-0   # and 1, 2
 python omnisafe_run.py CPO --seed 0 --steps 500000 --out omnisafe/cpo-0
-circle2d train ppo-lag --task SafetyPointGoal1-v0 --seeds 0 1 2 --steps 500000 \
+circle2d train ppo-lag --task SafetyPointGoal1-v0 --seeds 0 1 2 3 4 5 6 7 8 9 --steps 500000 \
     --max-gradient-norm 40 --out ours/ppo-lag
-circle2d train cpo --task SafetyPointGoal1-v0 --seeds 0 1 2 --steps 500000 --batch-size 128 \
-    --learning-rate 1e-3 --line-search-steps 20 --target-kl 0.02 --cg-damping 0.2 --out ours/cpo
+circle2d train cpo --task SafetyPointGoal1-v0 --seeds 0 1 2 3 4 5 6 7 8 9 --steps 500000 \
+    --batch-size 128 --learning-rate 1e-3 --line-search-steps 20 --target-kl 0.02 \
+    --cg-damping 0.2 --out ours/cpo   # and, seeds 0 to 4, cpo-omnisafe --import omnisafe_cpo
 
 OmniSafe's KL divergence is a mean over the components of the action, here two, so that its target
 and damping are half of ours.

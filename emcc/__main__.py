@@ -70,11 +70,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         runs = list({(run.source, run.task, run.seed, run.cost): run for run in runs}.values())
         if options.total_steps is not None:
             runs = [replace(run, total_steps=options.total_steps) for run in runs]
-        failed = [run for run in runs if not len(run.records)]
-        if len(failed) == len(runs):
+        finished = [run for run in runs if len(run.records)]
+        if not finished:
             raise ValueError(f"{runs[0].source}: no finished trajectory")
         groups: dict[tuple[str, ...], list[Run]] = {}
-        for run in (run for run in runs if len(run.records)):
+        for run in finished:
             seed = run.seed if options.per_run else ""
             groups.setdefault((run.source, run.task, run.cost, seed), []).append(run)
         if options.limit is None:
@@ -84,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("\n".join(table.render(options.format) for table in tables), end="")
     except (ValueError, OSError, ImportError) as error:
         parser.error(str(error))
-    for run in failed:
+    for run in (run for run in runs if not len(run.records)):
         words = ", ".join(filter(None, (run.source, run.task, run.seed and f"seed {run.seed}")))
         print(f"left out: {words}: no finished trajectory", file=sys.stderr)
     thirds = (_emcc_by_part(run, 1.0, "all") for run in runs)

@@ -109,8 +109,7 @@ def _records(arrays: Any, prefix: str, cost: str, threshold: float) -> EpisodeRe
     """The records of one run: its costs are a bit for each step that costs, and the values where
     some are not 1."""
     if prefix + "failure" in arrays and prefix + "length" not in arrays:
-        empty: Any = np.empty(0)  # it failed in its first epoch
-        return EpisodeRecords(*[empty] * 8)
+        return CostRecorder(1).records  # it failed in its first epoch
     packed = f"{prefix}costs/{cost}/"
     unsafe = np.unpackbits(arrays[packed + "unsafe"], count=int(arrays[packed + "steps"]))
     costs = unsafe.astype(np.float64)

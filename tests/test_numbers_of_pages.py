@@ -184,6 +184,10 @@ def test_the_page_beside_omnisafe():
         for name, folders in omnisafe_parity.PAIRS.items()
     }
     assert all((side["EMCC_0.99"] < side["EMCC_0.33"]).all() for side in pairs["PPO-Lag"])
+    epochs = [
+        run.cost.reshape(-1, 10).mean(axis=1) for run in omnisafe_parity.runs("omnisafe", "cpo")
+    ]
+    beyond = np.concatenate(epochs) >= results_table.SAFETY_LIMIT
     theirs, ours = pairs["CPO as there"]
     p = emcc.permutation_test(theirs["J_R"], ours["J_R"], rng=np.random.default_rng(0))
     share = ours["J_R"].mean() / pairs["CPO"][1]["J_R"].mean()
@@ -193,6 +197,8 @@ def test_the_page_beside_omnisafe():
         "results/omnisafe/README.md",
         f"(permutation test {results_table.p_value(p)}), and a fifth of our CPO's",
         f"costs differ by {short(gap, 1)}",
+        f"{len(beyond)} epochs: in {beyond.sum()} the policy was beyond the limit",
+        f"in {(~beyond).sum()} within it",
     )
 
 

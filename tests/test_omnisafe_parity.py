@@ -1,4 +1,4 @@
-"""What results/omnisafe says, from episodes that are counted by hand."""
+"""Measures and verdicts of results/omnisafe, from episodes that are counted by hand."""
 
 import numpy as np
 import omnisafe_parity

@@ -46,6 +46,7 @@ from agents.training.environments import Vectorization, check_task, registered, 
 from agents.training.files import Arrays, archive_of, check_folder, locked, remove_unfinished
 from agents.training.launcher import EngineName, Launcher, launcher
 from circle2d_mj.circle2d.config import LEVELS
+from emcc.parts import PARTS
 
 
 @dataclass(frozen=True)
@@ -142,8 +143,9 @@ def check_enough_steps(
     """
     limit = parameters.get("max_episode_steps") or gym.spec(registered(task)).max_episode_steps
     episodes = getattr(hyperparameters, "episodes", 1)
-    # The third rollout starts after two, and the last 1 % of training is in no third.
-    least = -(-200 * episodes * limit // 99) if isinstance(limit, int) else 0
+    # The third rollout starts after two, and what starts behind the last part is in none.
+    percent = round(100 * max(PARTS))
+    least = -(-200 * episodes * limit // percent) if isinstance(limit, int) else 0
     if 0 < steps < least:
         words = f"{episodes} episodes" if episodes > 1 else "an episode"
         raise UserError(

@@ -42,8 +42,7 @@ from agents.training.files import (
     read_json,
     whole,
 )
-from emcc import EpisodeRecords, cvar
-from emcc.records import COLUMNS
+from emcc import CostRecorder, EpisodeRecords, cvar
 
 CVAR_ALPHA = 0.5
 
@@ -390,8 +389,7 @@ def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> Episode
     there is no checkpoint yet, or they are damaged."""
     if f"{run.prefix}length" not in arrays:
         if f"{run.prefix}failure" in arrays:
-            empty: Any = np.empty(0)
-            return EpisodeRecords(*[empty] * len(COLUMNS))
+            return CostRecorder(1).records
         raise UserError("has no checkpoint yet")
     try:
         return derive.records_of(arrays, run.prefix, cost)
