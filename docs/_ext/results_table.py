@@ -251,6 +251,34 @@ def baselines_safety() -> list[str]:
     return rows
 
 
+def safety_orders() -> list[str]:
+    """A row for each Safety task of the benchmark: of the twelve on-policy algorithms' means,
+    Kendall's tau of late EMCC and the cost rate, and Spearman's rho of late EMCC and J_R. p values:
+    two-sided, corrected for all tasks but the one that gave the questions (Holm)."""
+    lines, told = report("baselines/safety"), {}
+    lines = lines[(lines.kind == "run") & ~lines.algorithm.str.contains("SAC")]
+    for task, own in lines.groupby("task", sort=False):
+        means = own.groupby("algorithm")[["EMCC_0.99", "cost_rate", "J_R"]].mean()
+        late = means["EMCC_0.99"]
+        told[task] = (
+            scipy.stats.kendalltau(late, means.cost_rate),
+            scipy.stats.spearmanr(late, means.J_R),
+        )
+    asked = [(task, k) for task in told if task != POINT_GOAL for k in range(2)]
+    ps = [told[task][k].pvalue for task, k in asked]
+    p = dict(zip(asked, emcc.holm(ps).tolist(), strict=True))
+    return [
+        _row(
+            task.split("/")[1],
+            *(
+                f"{short(one.statistic)} ({_p(p.get((task, k), one.pvalue))})"
+                for k, one in enumerate(pair)
+            ),
+        )
+        for task, pair in told.items()
+    ]
+
+
 def with_range(values: pd.Series | np.ndarray, digits: int) -> str:
     """The mean, the lowest and the highest in brackets."""
     mean, low, high = (
