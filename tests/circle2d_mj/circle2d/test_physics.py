@@ -5,14 +5,10 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
-from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
-from circle2d_mj.circle2d.physics import Physics
 from circle2d_mj.circle2d.physics_config import PhysicsConfig
 from circle2d_mj.circle2d.scene import scene
-
-actuations = pytest.mark.parametrize("actuation", ["velocity", "force"])
 
 
 class Loop:
@@ -46,24 +42,25 @@ class Loop:
 
 
 def drift_left(seed, steps=50, num_envs=4):
-    """Actions that bring agents into the region, along its edges and through it."""
+    """Actions, some beyond 1, that bring agents into the region, along its edges and through it."""
     rng = np.random.default_rng(seed)
     drift = rng.uniform([-1, -0.4], [0.2, 0.4], size=(num_envs, 2))
-    return np.clip(drift + rng.normal(scale=0.5, size=(steps, num_envs, 2)), -1, 1)
+    return drift + rng.normal(scale=0.5, size=(steps, num_envs, 2))
 
 
-@actuations
+@pytest.mark.parametrize("actuation", ["velocity", "force"])
 @pytest.mark.parametrize("level", [0, 1, 2, 3])
 def test_the_environment_is_a_loop_of_mj_step(level, actuation):
-    """Bit for bit, contacts on all the while; and where the region can be entered, also without
-    a region."""
+    """Bit for bit, contacts on all the while, actions clipped; and where the region can be entered,
+    also without a region."""
     envs = Circle2DMuJoCoVectorEnv(3, level=level, actuation=actuation, autoreset_mode="Disabled")
     envs.reset(seed=level)
     config = envs.config
     loops = [Loop(config, actuation, p) for p in envs.position]
     alone = [Loop(config, actuation, p, with_region=False) for p in envs.position]
+    assert alone[0].model.nmesh == 0
     cost_steps = 0
-    for action in drift_left(level, steps=40, num_envs=3):
+    for action in drift_left(level, steps=25, num_envs=3):
         _, reward, _, _, info = envs.step(action)
         told = np.array([loop.step(a) for loop, a in zip(loops, action, strict=True)])
         for loop, a in zip(alone, action, strict=True):
@@ -84,35 +81,7 @@ def test_the_environment_is_a_loop_of_mj_step(level, actuation):
             velocity = envs.state_dict()["mujoco"][:, 3:5]
             np.testing.assert_array_equal([loop.data.qvel for loop in alone], velocity)
         cost_steps += info["cost"].sum()
-    assert 10 < cost_steps < 110
-
-
-@actuations
-def test_actions_beyond_one_are_clipped(actuation):
-    near, far = (Physics(Circle2DConfig(), 1, PhysicsConfig(actuation=actuation)) for _ in "12")
-    for physics in (near, far):
-        physics.place(np.arange(1), np.array([[12.0, 0.0]]))
-    for _ in range(3):
-        near.step(np.array([[1.0, -1.0]]))
-        far.step(np.array([[7.0, -1.7e308]]))
-    np.testing.assert_array_equal(near.position, far.position)
-
-
-@actuations
-@pytest.mark.parametrize("level", [0, 3])
-def test_state_is_mujocos(level, actuation):
-    """Columns as mj_getState gives them; what goes on from them: test_contract.py."""
-    envs = Circle2DMuJoCoVectorEnv(6, level=level, actuation=actuation)
-    spec = mujoco.mjtState.mjSTATE_INTEGRATION
-    envs.reset(seed=2)
-    for action in drift_left(3, steps=20, num_envs=6):
-        envs.step(action)
-    state, physics = envs.state_dict(), envs._dynamics
-    for i in range(6):
-        data, expected = physics._batch.get_data(i), np.empty(state["mujoco"].shape[1])
-        mujoco.mj_getState(physics.model, data, expected, spec)
-        np.testing.assert_array_equal(state["mujoco"][i], expected)
-    assert np.abs(physics._batch.bind("qacc_warmstart")).max() > 0
+    assert 10 < cost_steps < 65
 
 
 def test_a_reset_forgets_everything():
