@@ -96,46 +96,28 @@ def test_no_region_between_cutouts_that_touch():
     assert config.region.crossing() == 0
 
 
-def sample(n=20_000, **parameters):
-    config = Circle2DConfig(**parameters)
-    streams = Streams(np.arange(n, dtype=np.uint64))
-    return config, config.start_area.sample(streams, np.arange(n))
-
-
 AREAS = [
     {},
     {"level": 3, "init_radius_multiplier": 1.05, "init_region_size": 1.9},
     {"level": 2, "constraint_radius": 3.0, "init_region_size": 2.6},
     {"init_radius_multiplier": 0.97},  # 4e-5 of the start area is feasible: two tiny corners
     {"init_region_size": 0.0},  # a line
+    {"init_region_size": 1.5, "allow_infeasible_init": True},
 ]
 
 
 @pytest.mark.parametrize("parameters", AREAS)
-def test_feasible_and_inside_the_rectangle(parameters):
-    config, points = sample(**parameters)
-    (x0, y0), (x1, y1) = config.start_rectangle
-    assert not config.region.contains(points).any()
-    assert ((points >= [x0, y0]) & (points <= [x1, y1])).all()
-
-
-@pytest.mark.parametrize("parameters", AREAS[:3])
-def test_uniform_like_plain_rejection(parameters):
-    """Two-sample Kolmogorov-Smirnov tests of x, y and x + y against naive rejection sampling."""
-    config, points = sample(**parameters)
-    rng = np.random.default_rng(1)
-    naive = rng.uniform(*config.start_rectangle, size=(400_000, 2))
-    naive = naive[~config.region.contains(naive)]
+def test_starts_are_uniform_over_what_is_feasible(parameters):
+    """Beside naive rejection sampling, two-sample Kolmogorov-Smirnov tests of x, y and x + y."""
+    config, n = Circle2DConfig(**parameters), 20_000
+    points = config.start_area.sample(Streams(np.arange(n, dtype=np.uint64)), np.arange(n))
+    low, high = np.array(config.start_rectangle)
+    assert config.region.contains(points).any() == config.allow_infeasible_init
+    assert ((points >= low) & (points <= high)).all()
+    naive = np.random.default_rng(1).uniform(low, high, size=(400_000, 2))
+    naive = naive[~config.region.contains(naive) | config.allow_infeasible_init]
     for direction in ([1, 0], [0, 1], [1, 1]):
         assert stats.ks_2samp(points @ direction, naive @ direction).pvalue > 1e-3
-
-
-def test_infeasible_starts_where_allowed():
-    config, points = sample(allow_infeasible_init=True)
-    share = config.region.contains(points).mean()
-    (x0, y0), (x1, y1) = config.start_rectangle
-    grid = np.stack(np.meshgrid(np.linspace(x0, x1, 1001), np.linspace(y0, y1, 1001)), axis=-1)
-    assert share == pytest.approx(config.region.contains(grid).mean(), abs=0.01)
 
 
 EDGES = {"level": 2, "corridor_height_factor": 2.0, "init_radius_multiplier": 0.6}
@@ -180,18 +162,10 @@ def test_the_cells_of_version_v0(parameters, cells, digest):
 
 
 R = 10.0
-levels = pytest.mark.parametrize("level", [1, 2, 3])
-shapes = given(st.integers(1, 3), st.floats(0.001, 2.0))
 
 
-def region_of(level, height=0.5, radius=R):
-    shape = {"corridor_height_factor": height, "constraint_radius": radius}
-    return Circle2DConfig(level=level, **shape).region
-
-
-def edges_of(piece):
-    """Starts and directions of a polygon's edges, counter-clockwise."""
-    return piece, np.roll(piece, -1, axis=0) - piece
+def region_of(level, height=0.5):
+    return Circle2DConfig(level=level, corridor_height_factor=height).region
 
 
 def cross(u, v):
@@ -200,21 +174,21 @@ def cross(u, v):
 
 def inside(piece, points):
     """How far points are within a convex polygon; negative outside."""
-    start, along = edges_of(piece)
+    along = np.roll(piece, -1, axis=0) - piece
     lengths = np.hypot(*along.T)
     keep = lengths > 1e-9
-    start, along = start[keep], along[keep] / lengths[keep, None]
-    return cross(along, points[:, None] - start).min(axis=1)
+    along = along[keep] / lengths[keep, None]
+    return cross(along, points[:, None] - piece[keep]).min(axis=1)
 
 
 @settings(max_examples=25)
-@shapes
+@given(st.integers(1, 3), st.floats(0.001, 2.0))
 def test_pieces_are_convex_do_not_overlap_and_leave_no_gap(level, height):
     region = region_of(level, height)
     points = np.random.default_rng(0).uniform(-1.01 * R, 1.01 * R, (2000, 2))
     pieces = convex_pieces(region)
     for piece in pieces:
-        _, along = edges_of(piece)
+        along = np.roll(piece, -1, axis=0) - piece
         assert (cross(along, np.roll(along, -1, axis=0)) >= -1e-9 * R**2).all()
     within = np.array([inside(piece, points) for piece in pieces])
     assert ((within > 1e-9).sum(axis=0) <= 1).all()
@@ -243,7 +217,7 @@ def test_depth_is_the_distance_to_free_space(level, height):
     assert depth.max() > 0.1 * R
 
 
-@levels
+@pytest.mark.parametrize("level", [1, 2, 3])
 def test_grown_by_a_margin(level):
     """Nothing nearer than the margin is left out; what is added beyond lies at the corners."""
     region, spacing, margin = region_of(level), 0.03, 0.6

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
-from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
+from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
 from circle2d_mj.circle2d.physics import Physics
 from circle2d_mj.circle2d.physics_config import PhysicsConfig
@@ -63,7 +63,7 @@ def test_no_push_brings_the_centre_in(level, actuation):
     goal = goals[rng.integers(len(goals), size=500)]
     kind, bang = rng.integers(4, size=500)[:, None], rng.choice([-1, 1], size=(500, 2))
     pressed = 0
-    for _ in range(40):
+    for _ in range(25):
         towards = goal - worlds.qpos
         again = rng.random(500) < 0.2
         bang[again] = rng.choice([-1, 1], size=(again.sum(), 2))
@@ -123,26 +123,6 @@ def test_starts_touch_nothing(parameters):
     assert 10.25 < np.hypot(*starts.T).min() < 10.26
 
 
-STARTS = [
-    {"level": 1},
-    {"level": 3, "init_region_size": 1.9, "init_radius_multiplier": 1.05},
-    {"level": 2, "allow_infeasible_init": True, "init_region_size": 2.5},
-    {"level": 0, "allow_infeasible_init": True, "constraint_radius": 3.0},
-]
-
-
-@pytest.mark.parametrize("parameters", STARTS)
-def test_starts_are_those_of_the_papers_mode_but_for_room_for_the_body(parameters):
-    starts = []
-    for make in (Circle2DVectorEnv, Circle2DMuJoCoVectorEnv):
-        envs = make(500, **parameters)
-        observation, info = envs.reset(seed=4)
-        assert all(not info[key].any() for key in ("cost", *envs.simulation.info_keys))
-        starts.append(envs.position)
-    np.testing.assert_array_equal(*starts)
-    assert not observation[:, 2:].any()
-
-
 @actuations
 @pytest.mark.parametrize("level", [0, 3])
 def test_starts_inside(level, actuation):
@@ -154,7 +134,7 @@ def test_starts_inside(level, actuation):
     started_inside = envs.config.region.contains(envs.position)
     assert 50 < started_inside.sum() < 150
     rng = np.random.default_rng(0)
-    for t in range(49):
+    for t in range(25):
         observation, _, _, _, info = envs.step(rng.uniform(-1, 1, (200, 2)))
         assert envs.observation_space.contains(observation)
         inside = envs.config.region.contains(envs.position)
