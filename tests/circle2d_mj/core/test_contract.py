@@ -53,12 +53,16 @@ def assert_alike(mine, its):
     assert data_equivalence(mine, its, exact=True), (mine, its)
 
 
-@pytest.mark.parametrize("level", range(4))
-@pytest.mark.parametrize("name", ["Circle2D", "Circle2DMuJoCo"])
-def test_gymnasiums_checks(name, level):
-    check_env(gym.make(f"{name}-{level}-v0").unwrapped)
-    other = gym.make(f"{name}-{level}-v0", sparse_reward=True, reset_on_cost=True)
-    check_env(other.unwrapped)
+@pytest.mark.parametrize("task", [task for task in TASKS if task not in SAFETY])
+def test_gymnasiums_checks(task):
+    """Those of the Safety tasks: test_envs.py."""
+    env = single(task)
+    check_env(env, skip_render_check=True)
+    for info in (env.reset(seed=0)[1], env.step(np.zeros(2))[4]):
+        assert "cost" in info
+        assert all(
+            isinstance(value, float) and value.dtype == np.float64 for value in info.values()
+        )
 
 
 # What differs between the modes is the same for all tasks; the states that they reset do not.
@@ -72,7 +76,7 @@ MODES += [
 
 @pytest.mark.parametrize(("task", "mode"), MODES)
 def test_native_equals_gymnasiums_own_vector_env(task, mode):
-    """Every value of 60 steps of 5 environments, bit for bit; infos but for same-step costs.
+    """Every value of 40 steps of 5 environments, bit for bit; infos but for same-step costs.
 
     Positions in the info belong to the state that is observed, as gymnasium's do.
     """
@@ -84,7 +88,7 @@ def test_native_equals_gymnasiums_own_vector_env(task, mode):
     assert_alike(native.reset(seed=3), sync.reset(seed=3))
     native.action_space.seed(0)
     ends = 0
-    for _ in range(60):
+    for _ in range(40):
         actions = action_of(native)
         ours, theirs = native.step(actions), sync.step(actions)
         done = ours[2] | ours[3]
@@ -210,43 +214,36 @@ def test_time_limit_belongs_to_make(name):
     assert length(own(level=1, max_episode_steps=None)) is None
 
 
+MASKED = np.ma.masked_array([0.5, 0.5], [True, False])
 BAD_ACTIONS = [
     [0.0], [[0.0, 0.0]], [0.0, np.nan], [np.inf, 0.0], [1e308, 0.0], ["0.5", "0.5"],
     [0.5 + 1j, 0.5], np.array([0.5, 0.5], dtype=object), np.zeros(2, "M8[D]"), [10**400, 0.0],
-    np.ma.masked_array([0.5, 0.5], [True, False]), None,
+    MASKED, None,
 ]  # fmt: skip
 
 
-def test_a_mask_inside_a_list_of_actions_is_not_dropped():
-    masked = np.ma.masked_array([0.5, 0.5], [True, False])
-    envs = gym.make_vec("Circle2D-1-v0", 2, vectorization_mode="vector_entry_point")
-    envs.reset(seed=0)
-    with pytest.raises(ValueError, match="action must not be masked"):
-        envs.step([[0.5, 0.5], masked])
-
-
 @pytest.mark.parametrize("action", BAD_ACTIONS, ids=repr)
-@pytest.mark.parametrize("task", ["kinematic", "open", "SafetyPointGoal2"])
-def test_bad_actions_are_named_and_change_nothing(action, task):
-    env, twin = single(task), single(task)
+def test_bad_actions_are_named_and_change_nothing(action):
+    env, twin = single("kinematic"), single("kinematic")
     env.reset(seed=0)
     twin.reset(seed=0)
     with pytest.raises(ValueError, match="action must"):
         env.step(action)
     assert_alike(env.step(np.ones(2)), twin.step(np.ones(2)))
-    envs = vector(task, 3)
+    envs = vector("kinematic", 3)
     envs.reset(seed=0)
     with pytest.raises(ValueError, match=r"action must have shape \(3, 2\), got shape \(2,\)"):
         envs.step([0.0, 0.0])
+    with pytest.raises(ValueError, match="action must not be masked"):
+        envs.step([[0.5, 0.5], [0.5, 0.5], MASKED])  # numpy would drop the mask
 
 
-@tasks
-def test_step_before_reset(task):
-    for env in (single(task), vector(task, 2)):
+def test_step_before_reset():
+    for env in (single("kinematic"), vector("kinematic", 2)):
         with pytest.raises(ResetNeeded, match="reset"):
             env.step(env.action_space.sample())
     with pytest.raises(ResetNeeded, match="first reset"):
-        vector(task, 2).reset(options={"reset_mask": np.array([True, False])})
+        vector("kinematic", 2).reset(options={"reset_mask": np.array([True, False])})
 
 
 @pytest.mark.parametrize(
@@ -254,7 +251,6 @@ def test_step_before_reset(task):
     [
         ({"start": 1}, ValueError),
         ({"reset_mask": [True, False]}, TypeError),
-        ({"reset_mask": np.array([1, 0])}, TypeError),
         ({"reset_mask": np.array([True])}, ValueError),
         ({"reset_mask": np.array([False, False])}, ValueError),
     ],
@@ -266,7 +262,7 @@ def test_bad_reset_options_are_named(options, error):
         envs.reset(options=options)
 
 
-WRONG_ARGUMENTS = {"num_envs": (0, 1.5), "num_threads": (-1, 2.0, True), "max_episode_steps": (0,)}
+WRONG_ARGUMENTS = {"num_envs": (0, 1.5), "num_threads": (-1, True), "max_episode_steps": (0,)}
 WRONG_ARGUMENTS |= {"render_mode": ("ansi",), "autoreset_mode": ("Never",)}
 
 
@@ -293,6 +289,8 @@ def scalar_philox(key, counter):
 
 
 def test_against_plain_integers():
+    """And those against the reference implementation (Random123, file kat_vectors)."""
+    assert scalar_philox(0, 0) == [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8]
     rng = np.random.default_rng(0)
     keys, counters = rng.integers(2**64, size=(2, 200), dtype=np.uint64)
     expected = [scalar_philox(int(k), int(c)) for k, c in zip(keys, counters, strict=True)]
@@ -327,10 +325,3 @@ NO_SEEDS += [([1, 2, 3], ValueError, r"one entry per environment \(2\)")]
 def test_bad_seeds(seed, error, message):
     with pytest.raises(error, match=message):
         keys_of_seeds(seed, 2)
-
-
-def test_known_answers():
-    """Philox4x32-10 of the reference implementation (Random123, file kat_vectors)."""
-    zero = np.zeros(1, dtype=np.uint64)
-    words = [hex(int(w)) for w in philox(zero, zero)[0]]
-    assert words == ["0x6627e8d5", "0xe169c58d", "0xbc57ac4c", "0x9b00dbd8"]
