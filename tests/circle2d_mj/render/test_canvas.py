@@ -4,8 +4,9 @@ from itertools import groupby
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from circle2d_mj.core.view import histogram
 from circle2d_mj.render import canvas
@@ -49,6 +50,8 @@ def test_visits_at_the_edge():
         counts = histogram(ARENA, repeated * scale, 30)
         np.testing.assert_array_equal(counts, expected)
     assert histogram(ARENA, repeated.astype(np.float32), 30).sum() == 10
+    outside = [(0.0, 16.0), (-16.0, 0.0), (0.0, -1e9), (1e300, 1.0)]
+    assert histogram(ARENA, outside, 30).sum() == 0
 
 
 @pytest.mark.parametrize("extent", EXTENTS)
@@ -62,14 +65,10 @@ def test_pixels_and_their_positions(extent):
     np.testing.assert_allclose(there, np.stack((columns, rows), axis=-1), atol=1e-9)
 
 
-NO_POSITIONS = [np.zeros(2), np.zeros((4, 3)), np.zeros((2, 5, 2))]
-NO_POSITIONS += [[[0.0, np.nan], [1, 1]], [[np.inf, 0.0]]]
-
-
-@pytest.mark.parametrize("positions", NO_POSITIONS)
+@pytest.mark.parametrize("positions", [np.zeros(2), np.zeros((4, 3)), [[np.inf, 0.0]]])
 def test_positions_that_are_none(positions):
     with pytest.raises(ValueError, match="positions must"):
-        with_heat(positions, 40)
+        histogram(ARENA, positions, 40)
 
 
 def test_heat_colours_the_visited_cells_alone():
@@ -86,7 +85,6 @@ def test_heat_colours_the_visited_cells_alone():
     for (row, column), colour in stops.items():
         expected[8 * row : 8 * row + 8, 8 * column : 8 * column + 8] = colour
     np.testing.assert_array_equal(image, expected)
-    np.testing.assert_array_equal(image == BLANK, expected == BLANK)
     np.testing.assert_array_equal(positions, before)
     assert (BLANK == 252).all()
 
@@ -109,7 +107,6 @@ def test_a_pixel_shows_the_cell_of_its_centre(cells):
     np.testing.assert_array_equal((image != BLANK).any(axis=-1), visited[x, y])
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.lists(st.sampled_from([0.0, -1.0, 1.0, 2.5]), max_size=30))
 def test_chains_against_groupby(costs):
     groups = groupby(range(len(costs)), key=lambda k: costs[k] > 0)
@@ -120,18 +117,9 @@ def test_chains_against_groupby(costs):
 
 def boxes(image):
     """Left, top, right and bottom of what is painted in the boxes' colour, one by one."""
-    todo = set(zip(*np.nonzero(painted_like(image, canvas.BOX, 60)), strict=True))
-    found = []
-    while todo:
-        part, edge = [], [todo.pop()]
-        while edge:
-            row, column = edge.pop()
-            part.append((column, row))
-            around = {(row + i, column + j) for i in (-1, 0, 1) for j in (-1, 0, 1)} & todo
-            todo -= around
-            edge += around
-        found.append((*np.min(part, axis=0), *np.max(part, axis=0)))
-    return sorted(found)
+    parts, _ = ndimage.label(painted_like(image, canvas.BOX, 60), np.ones((3, 3)))
+    found = ndimage.find_objects(parts)
+    return sorted((c.start, r.start, c.stop - 1, r.stop - 1) for r, c in found)
 
 
 PATH = np.array([(-13 + 2.6 * k, 8 - 1.6 * k) for k in range(11)])
@@ -148,9 +136,7 @@ def test_without_boxes_states_that_cost_are_orange():
     assert (np.abs(image[:, :, 0].astype(int) - canvas.BOX[0]) < 5).sum() < 4 * 9
 
 
-@pytest.mark.parametrize(
-    "unsafe", [[], [0], [9], [4], [0, 1, 2], [8, 9], [2, 3, 6], [0, 4, 5, 9], list(range(10))]
-)
+@pytest.mark.parametrize("unsafe", [[], [4], [0, 1, 2], [2, 3, 6], [0, 4, 5, 9], list(range(10))])
 def test_a_box_around_each_chain(unsafe):
     """And around all its states alone: those that the steps with cost end in."""
     costs = np.isin(np.arange(10), unsafe).astype(float)
@@ -188,10 +174,8 @@ def test_a_dot_at_each_state():
     ("paths", "costs", "message"),
     [
         ([PATH], [np.zeros(11)], r"got \[11, 2\] and"),
-        ([PATH], [np.zeros(9)], r"got \[11, 2\] and"),
         ([PATH, PATH[:1]], [np.zeros(10), [1.0]], r"got \[1, 2\] and \[1\]"),
         ([PATH], [], "1 paths need as many rows of costs, got 0"),
-        ([PATH[0]], [[0.0]], r"got \[2\] and \[1\]"),
         ([np.zeros((0, 2))], [[]], r"got \[0, 2\] and \[0\]"),
         ([[(0, 0), (np.nan, 1)]], [[0.0]], "finite"),
         ([[(0, 0), (1, 1)]], [[np.nan]], "finite"),
@@ -215,11 +199,6 @@ def test_an_outline_follows_the_edge_of_an_area():
     assert columns[49] > 180
     assert (columns[[*range(49), *range(52, SIZE)]] == 128).all()
     assert (grey == 128).all()
-
-
-def test_visits_outside_are_not_counted():
-    positions = [(0.0, 16.0), (-16.0, 0.0), (0.0, -1e9), (1e300, 1.0), (3.0, 4.0)]
-    assert histogram(ARENA, positions, 30).sum() == 1
 
 
 def test_one_hot_cell_does_not_flatten_the_scale():
