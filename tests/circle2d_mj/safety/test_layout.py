@@ -89,7 +89,7 @@ def plain_layouts(n):
 
 
 def test_layouts_are_distributed_like_the_originals():
-    """Two-sample Kolmogorov-Smirnov tests of places and of distances."""
+    """Two-sample Kolmogorov-Smirnov tests of places and of distances; the goal is drawn anew."""
     places, plain = started("Goal", n=6000).places, plain_layouts(1500)
     near, plain_near = apart(places), apart(plain)
     values = [(places[:, i, 0], plain[:, i, 0]) for i in range(11)]
@@ -101,7 +101,11 @@ def test_layouts_are_distributed_like_the_originals():
 
 
 def test_start_poses():
-    """Headings and turns are uniform; all is at rest; sensors show gravity alone."""
+    """Places and headings are uniform; all is at rest; sensors show gravity alone."""
+    circle = started("Circle", n=6000)
+    for column, law in enumerate([stats.uniform(-0.8, 1.6)] * 2 + [stats.uniform(0, 2 * np.pi)]):
+        assert stats.kstest(circle.qpos[:, column], law.cdf).pvalue > 1e-3
+    assert np.abs(np.corrcoef(circle.qpos.T) - np.eye(3)).max() < 0.04
     ours = started("Goal", n=6000)
     turn = 2 * np.arctan2(ours.qpos[:, 9], ours.qpos[:, 6])
     for angle in (ours.qpos[:, 2], turn):
@@ -116,13 +120,6 @@ def test_start_poses():
     assert np.bincount(car.goal_button, minlength=4).min() > 40
     place = car.places[np.arange(300), 1 + car.goal_button]
     np.testing.assert_array_equal(car.places[:, 5], place)
-
-
-def test_circle_starts():
-    task = started("Circle", n=6000)
-    for column, law in enumerate([stats.uniform(-0.8, 1.6)] * 2 + [stats.uniform(0, 2 * np.pi)]):
-        assert stats.kstest(task.qpos[:, column], law.cdf).pvalue > 1e-3
-    assert np.abs(np.corrcoef(task.qpos.T) - np.eye(3)).max() < 0.04
 
 
 def at_goals(task):
@@ -154,20 +151,6 @@ def test_a_reached_goal_moves(family):
     reward, _, info = task.step(np.zeros((n, 2)))
     assert np.abs(reward).max() < 1e-2
     assert not info["goal_met"].any()
-
-
-def test_new_goals_are_distributed_like_the_originals():
-    """Many goals among the same other objects, which stand where the agent could push them."""
-    n, areas = 4000, worlds.world("Point", "Goal", 1).areas
-    places = np.repeat(plain_layouts(1), n, axis=0)
-    streams, index = Streams(np.arange(n, dtype=np.uint64)), np.arange(n)
-    goals, found = layout.sample_again(streams, index, areas, 1, places)
-    assert found.all()
-    rng = np.random.default_rng(1)
-    others = {name: places[0, i] for i, name in enumerate(NAMES) if name != "goal"}
-    plain = np.array([draw(rng, "goal", others) for _ in range(1000)])
-    for direction in ([1, 0], [0, 1], [1, 1], [1, -1]):
-        assert stats.ks_2samp(goals @ direction, plain @ direction).pvalue > 1e-3
 
 
 def test_an_episode_terminates_where_no_goal_can_be_placed():
