@@ -299,6 +299,7 @@ def test_wrong_values_are_named(name, values):
 
 def test_config_or_parameters_but_not_both():
     assert Circle2DEnv(Circle2DConfig(level=3)).config.level == 3
+    assert Circle2DEnv().config.level == 1
     # A registered id gives the level, too.
     small = Circle2DConfig(level=3, constraint_radius=2.0)
     assert gym.make("Circle2D-3-v0", config=small).unwrapped.config is small
