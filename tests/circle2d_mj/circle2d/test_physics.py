@@ -82,6 +82,11 @@ def test_the_environment_is_a_loop_of_mj_step(level, actuation):
             np.testing.assert_array_equal([loop.data.qvel for loop in alone], velocity)
         cost_steps += info["cost"].sum()
     assert 10 < cost_steps < 65
+    state = envs.state_dict()["mujoco"]
+    expected = np.empty_like(state)
+    for loop, row in zip(loops, expected, strict=True):
+        mujoco.mj_getState(loop.model, loop.data, row, mujoco.mjtState.mjSTATE_INTEGRATION)
+    np.testing.assert_array_equal(state, expected)
 
 
 def test_a_reset_forgets_everything():
