@@ -1,4 +1,4 @@
-"""Algorithms on a problem with a known constrained optimum; one of each family on Circle2D-1."""
+"""Algorithms on a problem with a known constrained optimum; two on-policy on Circle2D-1."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ LIMIT = 0.6
 SHARED = {"cost_limit": LIMIT, "learning_rate": 3e-3, "batch_size": 64, "hidden": (32, 32)}
 # Off-policy: one step is one epoch. On-policy: 64. The reward's noise keeps the standardised reward
 # advantages of TRPO-Lag, and so its multiplier, bounded as its policy sharpens.
-EPISODES = {"episodes": 64}
+EPISODES = {"episodes": 64, "critic_iterations": 2}
 SGD = EPISODES | {"multiplier_lr": 0.5, "multiplier_optimizer": "sgd"}
 BOUNDED = EPISODES | {"multiplier_lr": 0.5, "max_multiplier": 10.0, "initial_log_std": 0.0}
 SETTINGS = {  # steps, settings, the reward's noise
@@ -75,15 +75,13 @@ def test_comes_close_to_the_optimum_within_the_limit(name):
     assert ((1 + found) / 2).max() < LIMIT + 0.03, found
 
 
-@pytest.mark.parametrize(
-    ("name", "steps"), [("trpo-lag", 30_000), ("ppo-lag", 30_000), ("sac-lag", 60_000)]
-)
+@pytest.mark.parametrize(("name", "steps"), [("trpo-lag", 5_000), ("ppo-lag", 15_000)])
 def test_improves_over_a_random_policy_on_circle2d(name, steps):
-    """With the paper's presets."""
+    """With the presets; by more than twice what an untrained policy without noise is better."""
     task = "Circle2D-1-v0"
     training = finished(trainer(TrainConfig(name, (task,), (0,), steps, preset(name, task))))
     envs, policy = make_envs(task, 200, {}), training.learner.policy()
     noise = steps_of_noise(uniform, (0,), Purpose.EVALUATION, 0, (200, 2))
     at_random = collect(envs, range(200), lambda observation: next(noise)[0])
     trained = collect(envs, range(200), lambda observation: policy(observation[None], None)[0])
-    assert trained.returns.mean() > at_random.returns.mean() + 2.0
+    assert trained.returns.mean() > at_random.returns.mean() + 14.0
