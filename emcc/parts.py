@@ -129,11 +129,8 @@ def rollouts_by_part(
     check_range(start_steps, "start_steps", 0, total - 1)
     percent = 100 * start_steps  # of `total`; whole numbers, so that the borders are exact
     ends = [round(100 * part) * total for part in PARTS]
-    masks = [
-        (begin <= percent) & (percent < end) for begin, end in zip([0, *ends], ends, strict=False)
-    ]
-    masks[-1] |= percent == ends[-1]
-    return dict(zip(PARTS, masks, strict=True))
+    place = np.searchsorted(ends, percent, side="right") - (percent == ends[-1])
+    return {part: place == index for index, part in enumerate(PARTS)}
 
 
 def cost_rate(costs: ArrayLike, steps: ArrayLike) -> float:
