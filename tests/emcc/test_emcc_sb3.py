@@ -1,7 +1,6 @@
 """EMCCCallback in trainings with Stable-Baselines3, against costs collected beside it."""
 
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ pytest.importorskip("stable_baselines3")
 
 from scripted import Noisy, Scripted, trajectories
 from stable_baselines3 import A2C, PPO, SAC
-from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
 
 import emcc
@@ -77,15 +76,16 @@ def test_processes_and_normalised_rewards():
     assert rewards.tolist() == [round(reward) for reward in rewards]
 
 
-def kept():
-    """A writer for SB3's logger; its rows are (step, values by name)."""
-    rows = []
-    write = lambda values, _, step: rows.append((step, dict(values)))  # noqa: E731
-    return SimpleNamespace(rows=rows, write=write, close=lambda: None)
+class Kept(KVWriter):
+    def __init__(self):
+        self.rows = []
+
+    def write(self, key_values, key_excluded, step=0):
+        self.rows.append((step, dict(key_values)))
 
 
 def test_what_the_logger_gets():
-    writer = kept()
+    writer = Kept()
     model = SAC("MlpPolicy", envs(1), learning_starts=10_000, device="cpu")
     model.set_logger(Logger(None, [writer]))
     callback = emcc.sb3.EMCCCallback(window=10, limit=5.0)
@@ -106,7 +106,7 @@ def test_what_the_logger_gets():
 
 def test_pieces_of_episodes_are_not_held_against_the_limit():
     """Updates after 40 steps: the first episode ends in the third."""
-    writer, callback = kept(), emcc.sb3.EMCCCallback(limit=50.0)
+    writer, callback = Kept(), emcc.sb3.EMCCCallback(limit=50.0)
     model = A2C(
         "MlpPolicy", DummyVecEnv([lambda: Scripted([[1.0] * 100])]), n_steps=40, device="cpu"
     )
