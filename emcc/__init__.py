@@ -51,6 +51,7 @@ __all__ = [
 _LATE = {
     "panels": ("Panel", "panel"),
     "recorder": ("CostRecorder",),
+    "sb3": ("sb3",),
     "sources": ("from_minari", "from_tensordict", "read"),
     "statistics": (
         *("Interval", "Share", "bootstrap", "equivalence_test", "holm", "iqm", "mean_difference"),
@@ -60,23 +61,22 @@ _LATE = {
     "wrappers": ("RecordCosts",),
 }
 """Names by the module that has them, which is imported when one is first asked for."""
-_NEEDS = {"wrappers": "gymnasium>=0.28", "streak_cost": "gymnasium>=1.1"}
-"""Packages that a module takes beside numpy."""
+_NEEDS = {  # beside numpy
+    "sb3": "stable-baselines3",
+    "streak_cost": "gymnasium>=1.1",
+    "wrappers": "gymnasium>=0.28",
+}
 
 
 def __getattr__(name: str) -> Any:
-    if name == "sb3":  # needs stable-baselines3
-        return import_module("emcc.sb3")
     module = next((module for module, names in _LATE.items() if name in names), None)
     if module is None:
         raise AttributeError(f"module 'emcc' has no attribute {name!r}")
     try:
-        return getattr(import_module(f"emcc.{module}"), name)
-    except ImportError as error:  # gymnasium is missing, or too old to have a name
-        if module not in _NEEDS or (error.name or "").partition(".")[0] != "gymnasium":
+        loaded = import_module(f"emcc.{module}")
+        return loaded if name == module else getattr(loaded, name)
+    except ImportError as error:  # a library is missing, or too old to have a name
+        needed, missing = _NEEDS.get(module, ""), (error.name or "").partition(".")[0]
+        if not missing or not needed.startswith(missing.replace("_", "-")):
             raise
-        needed = _NEEDS[module]
-        raise ImportError(
-            f"emcc.{name} needs {needed}: pip install '{needed}'; without it, "
-            "emcc.CostRecorder takes the costs of steps"
-        ) from error
+        raise ImportError(f"emcc.{name} needs {needed}: pip install '{needed}'") from error

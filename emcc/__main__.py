@@ -28,9 +28,8 @@ exit status: 0 the table is complete; 1 a number is missing (no rollout starts i
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        # One line, without the usage, and without control characters that paths may hold.
-        words = " ".join(message.splitlines())
-        shown = "".join(c if c.isprintable() else repr(c)[1:-1] for c in words)
+        # One line, without the usage; paths may hold control characters.
+        shown = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
         self.exit(2, f"{self.prog}: error: {shown}\n")
 
 
@@ -84,30 +83,22 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("\n".join(table.render(options.format) for table in tables), end="")
     except (ValueError, OSError, ImportError) as error:
         parser.error(str(error))
-    for run in (run for run in runs if not len(run.records)):
-        words = ", ".join(filter(None, (run.source, run.task, run.seed and f"seed {run.seed}")))
-        print(f"left out: {words}: no finished trajectory", file=sys.stderr)
-    thirds = (_emcc_by_part(run, 1.0, "all") for run in runs)
-    return int(any(part is None for of_run in thirds for part in of_run))
+    left_out = [_name(run) for run in runs if not len(run.records)]
+    for name in dict.fromkeys(left_out):  # of several costs once
+        print(f"left out: {name}: no finished trajectory", file=sys.stderr)
+    return int(any(None in _emcc_by_part(run, options.alpha, options.ties) for run in runs))
 
 
 def _emcc_table(groups: Sequence[Sequence[Run]], alpha: float, ties: str) -> Table:
     """A row for each group of runs that differ in their seeds alone."""
     rows = []
     for group in groups:
-        first = group[0]
+        first, seeds = group[0], " ".join(run.seed for run in group)
+        about = first.source, first.algorithm, _task(first), seeds, str(first.total_steps)
         thirds = zip(*(_emcc_by_part(run, alpha, ties) for run in group), strict=True)
-        kept = [run.records for run in group]
-        rates = [cost_rate(r.cost, r.length) for r in kept]
-        rows.append([
-            first.source,
-            first.algorithm or MISSING,
-            _task(first),
-            " ".join(run.seed for run in group) or MISSING,
-            str(first.total_steps),
-            *(mean_cell(values, 3, SHARE) for values in thirds),
-            mean_cell(rates, 3, COST),
-        ])  # fmt: skip
+        cells = [mean_cell(values, 3, SHARE) for values in thirds]
+        rates = [cost_rate(run.records.cost, run.records.length) for run in group]
+        rows.append([word or MISSING for word in about] + [*cells, mean_cell(rates, 3, COST)])
     caption = f"EMCC with alpha = {alpha:g}, ties = {ties}; means over runs {INTERVALS}"
     head = ["source", "algorithm", "task", "seeds", "steps", *(f"EMCC_{part}" for part in PARTS)]
     return Table(caption, [*head, "cost rate"], rows)
@@ -129,12 +120,16 @@ def _panel_table(group: Sequence[Run], options: argparse.Namespace) -> Table:
     with named(first.source):
         panels = [panel(run.records, options.limit, options.alpha, **choices) for run in group]
     seeds = f"seeds {' '.join(run.seed for run in group)}" if first.seed else ""
-    words = first.source, first.algorithm, _task(first), seeds
+    words = first.source, first.algorithm, _task(first) or MISSING, seeds
     return panel_table(panels, ", ".join(filter(None, words)))
 
 
 def _task(run: Run) -> str:
-    return f"{run.task} ({run.cost})" if run.cost != "cost" else run.task or MISSING
+    return f"{run.task} ({run.cost})" if run.cost != "cost" else run.task
+
+
+def _name(run: Run) -> str:
+    return ", ".join(filter(None, (run.source, run.task, run.seed and f"seed {run.seed}")))
 
 
 if __name__ == "__main__":

@@ -56,19 +56,19 @@ def as_vector(
     return array
 
 
-def as_steps(values: Any, lengths: ArrayLike | None, name: str) -> tuple[NDArray[Any], ArrayLike]:
+def as_steps(
+    values: Any, lengths: ArrayLike | None, name: str, low: float = -math.inf
+) -> tuple[NDArray[Any], ArrayLike]:
     """Numbers of all steps, one trajectory after another, and the trajectories' lengths [E].
 
     values: just these; or an array [T] of each trajectory, where lengths may be None.
     """
-    listed = isinstance(values, (list, tuple))  # of arrays of any lengths, whose ndim numpy refuses
-    if (1 + max(map(np.ndim, values[:1]), default=0) if listed else np.ndim(values)) < 2:
+    listed = isinstance(values, (list, tuple)) and len(values)  # numpy has no ndim of ragged lists
+    if (1 + np.ndim(values[0]) if listed else np.ndim(values)) < 2 or not len(values):
         if lengths is None:
-            raise ValueError(f"lengths are needed, or {name} as an array of each trajectory")
+            raise ValueError(f"{name} must be an array of each trajectory, or come with lengths")
         return as_array(values, name), lengths
-    pieces = [as_vector(row, f"{name} of trajectory {index}") for index, row in enumerate(values)]
-    if not pieces:
-        raise ValueError(f"{name} are empty; at least one trajectory is needed")
+    pieces = [as_vector(row, f"{name} of trajectory {k}", low) for k, row in enumerate(values)]
     sizes = np.array([piece.size for piece in pieces])
     if lengths is not None and not np.array_equal(as_array(lengths, "lengths"), sizes):
         raise ValueError(f"lengths must be those of the trajectories of {name}, or left out")

@@ -285,17 +285,15 @@ def panel_table(panels: Sequence[Panel], name: str = "") -> Table:
     return Table(caption, ["measure", "all", *PARTS.values()], cells)
 
 
-def mean_cell(values: Sequence[float | None], digits: int, bounds: Bounds = UNBOUNDED) -> str:
+def mean_cell(values: Sequence[Any], digits: int, bounds: Bounds = UNBOUNDED) -> str:
     """Mean over runs with its interval or range, see `INTERVALS`; a dash where a run has no value.
 
     bounds: see `mean_interval`.
     """
-    known = [value for value in values if value is not None]
-    if len(known) < len(values):
+    if None in values:
         return MISSING
-    mean = mean_interval(known, bounds=bounds)
-    if mean.low is None or mean.high is None:
-        return f"{mean.value:.{digits}f}"
-    low, high = f"{mean.low:.{digits}f}", f"{mean.high:.{digits}f}"
-    interval = f"[{low}, {high}]" if mean.kind == "t" else f"range {low} to {high}"
-    return f"{mean.value:.{digits}f} {interval}"
+    mean = mean_interval(values, bounds=bounds)
+    value, low, high = (f"{x or 0:.{digits}f}" for x in (mean.value, mean.low, mean.high))
+    if mean.low is None:
+        return value
+    return f"{value} [{low}, {high}]" if mean.kind == "t" else f"{value} range {low} to {high}"

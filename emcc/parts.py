@@ -129,11 +129,9 @@ def rollouts_by_part(
     check_range(start_steps, "start_steps", 0, total - 1)
     percent = 100 * start_steps  # of `total`; whole numbers, so that the borders are exact
     ends = [round(100 * part) * total for part in PARTS]
-    masks = [
-        (begin <= percent) & (percent < end) for begin, end in zip([0, *ends], ends, strict=False)
-    ]
-    masks[-1] |= percent == ends[-1]
-    return dict(zip(PARTS, masks, strict=True))
+    ends[-1] += 1  # the last part has its end
+    before = [np.False_, *(percent < end for end in ends)]
+    return {part: before[k + 1] & ~before[k] for k, part in enumerate(PARTS)}
 
 
 def cost_rate(costs: ArrayLike, steps: ArrayLike) -> float:

@@ -57,11 +57,11 @@ class EpisodeRecords:
             raise ValueError("cost_steps and streaks must be given together, or neither")
         for name, values in self._columns().items():
             low = {"length": 1, "return": -math.inf}.get(name, 0)
-            array = as_array(values, name).copy()
             if COLUMNS[name] is int:
-                array = as_integers(array, name, low)
-            check_range(array, name, low)
-            array = array.astype(COLUMNS[name], copy=False)
+                array = as_integers(values, name, low)
+            else:
+                array = as_array(values, name).astype(np.float64)
+                check_range(array, name, low)
             array.flags.writeable = False
             object.__setattr__(self, "reward" if name == "return" else name, array)
         shapes = sorted({array.shape for array in self._columns().values()})
@@ -176,14 +176,13 @@ class EpisodeRecords:
         is a rollout; threshold: as in `longest_streak`.
         ValueError: as in `longest_streaks`, or arrays of other lengths.
         """
-        costs, lengths = as_steps(costs, lengths, "costs")
+        costs, lengths = as_steps(costs, lengths, "costs", low=0)
         longest = longest_streaks(costs, lengths, threshold)
         cost_steps, streaks = count_streaks(costs, lengths, threshold)
         lengths = as_integers(lengths, "lengths")
         starts = np.cumsum(lengths) - lengths
-        gains = np.zeros(costs.size)
-        if rewards is not None:
-            gains, _ = as_steps(rewards, lengths, "rewards")
+        rewards = np.zeros(costs.size) if rewards is None else rewards
+        gains, _ = as_steps(rewards, lengths, "rewards")
         if gains.shape != costs.shape:
             raise ValueError(f"{costs.size} costs, but rewards have shape {gains.shape}")
         reward, cost = (np.add.reduceat(x.astype(np.float64), starts) for x in (gains, costs))
@@ -214,7 +213,7 @@ class EpisodeRecords:
             raise ValueError("shared_rollouts needs interleaved records")
         count, sizes = len(parts), [len(part) for part in parts]
         tables = [part._columns() for part in parts]
-        shared = [name for name in COLUMNS if all(name in table for table in tables)]
+        shared = min(tables, key=len)  # without the columns that some lack
         columns = {name: np.concatenate([table[name] for table in tables]) for name in shared}
         if interleaved:
             end = columns["start_step"] + columns["length"]
@@ -259,23 +258,24 @@ class EpisodeRecords:
         """
         from emcc.table import Columns  # of files alone
 
-        columns = Columns(Path(path))
-        needed, ids = {"length", "cost", "longest_streak"}, {"rollout", "start_step"}
-        if ids & columns.keys():
-            needed |= ids
+        with named(path):
+            return cls._from_columns(Columns(Path(path)))
+
+    @classmethod
+    def _from_columns(cls, columns: Any) -> "EpisodeRecords":
+        """columns: of `load`, an `emcc.table.Columns`."""
+        ids = {"rollout", "start_step"}
+        needed = {"length", "cost", "longest_streak"} | (ids if ids & columns.keys() else set())
         if missing := needed - columns.keys():
-            raise ValueError(f"{path}: the columns {', '.join(sorted(missing))} are missing")
+            raise ValueError(f"the columns {', '.join(sorted(missing))} are missing")
         if not columns.complete:  # a number may have lost its last digits
-            raise ValueError(f"{path}: the last line is cut off")
-        arrays: dict[str, Any] = {
-            name: columns.numbers(name, kind) for name, kind in COLUMNS.items() if name in columns
-        }
+            raise ValueError("the last line is cut off")
+        arrays = {k: columns.numbers(k, kind) for k, kind in COLUMNS.items() if k in columns}
         length = arrays["length"]
         arrays.setdefault("rollout", np.arange(len(length)))
         arrays.setdefault("start_step", np.cumsum(length) - length)
         arrays.setdefault("return", np.zeros(len(length)))
-        with named(path):
-            return cls(*(arrays.get(name) for name in COLUMNS))  # pyright: ignore[reportArgumentType]
+        return cls(*map(arrays.get, COLUMNS))  # pyright: ignore[reportArgumentType]
 
 
 def check_records(records: Any, name: str = "records", fewest: int = 1) -> None:

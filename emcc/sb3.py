@@ -3,19 +3,13 @@
 from typing import Any
 
 import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from emcc.panels import WINDOW, Panel, measures_of, panel
 from emcc.parts import ALPHA
 from emcc.recorder import CostRecorder, cost_of
 from emcc.records import EpisodeRecords
-
-try:
-    from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-except ModuleNotFoundError as error:
-    if (error.name or "").partition(".")[0] != "stable_baselines3":
-        raise
-    raise ImportError("emcc.sb3 needs Stable-Baselines3: pip install stable-baselines3") from error
 
 
 class EMCCCallback(BaseCallback):
@@ -52,49 +46,53 @@ class EMCCCallback(BaseCallback):
             raise ValueError(f"rollout must be {allowed}, got {rollout!r}")
         self.rollout, self.alpha, self.window = rollout, alpha, window
         self.limit, self.threshold = limit, threshold
-        self._by_update = rollout == "update"
-        self._rollouts: CostRecorder | None = None
-        self._episodes: CostRecorder | None = None  # whole episodes, whatever cuts the rollouts
+        self._started: tuple[CostRecorder, CostRecorder] | None = None
         self._last_obs: Any = None  # from which the model would go on after training
+
+    @property
+    def _recorders(self) -> tuple[CostRecorder, CostRecorder]:
+        """Of the rollouts, and of whole episodes, whatever cuts the rollouts."""
+        if self._started is None:
+            raise RuntimeError(
+                "nothing is recorded: give the callback to model.learn(callback=...)"
+            )
+        return self._started
 
     @property
     def records(self) -> EpisodeRecords:
         """Trajectories of the rollouts; behind them the running ones, as far as they are."""
-        return _started(self._rollouts).snapshot
+        return self._recorders[0].snapshot
 
     @property
     def episodes(self) -> EpisodeRecords:
         """Whole episodes; running ones are left out."""
-        return _started(self._episodes).records
+        return self._recorders[1].records
 
     def panel(self, limit: float | None = None) -> Panel:
         """All measures of the training so far: `emcc.panel`. limit: by default the callback's."""
         limit = self.limit if limit is None else limit
-        steps = _started(self._rollouts).steps
+        steps = self._recorders[0].steps
         return panel(self.records, limit, self.alpha, total_steps=steps, episodes=self.episodes)
 
     def _on_training_start(self) -> None:
-        if self._rollouts is not None and not self.locals["reset_num_timesteps"]:
+        if self._started is not None and not self.locals["reset_num_timesteps"]:
             if self.model._last_obs is not self._last_obs:  # the environment was reset in between
-                for recorder in (self._rollouts, _started(self._episodes)):
+                for recorder in self._started:
                     recorder.cut()
             return
-        envs = self.training_env.num_envs
         rollout = self.rollout
         if rollout == "auto":
             rollout = "update" if isinstance(self.model, OnPolicyAlgorithm) else "episode"
         self._by_update = rollout == "update"
-        kind = "manual" if rollout == "update" else rollout
-        self._rollouts = CostRecorder(envs, kind, self.threshold)
-        self._episodes = CostRecorder(envs, "episode", self.threshold)
+        envs, kind = self.training_env.num_envs, "manual" if self._by_update else rollout
+        whole = CostRecorder(envs, "episode", self.threshold)
+        self._started = CostRecorder(envs, kind, self.threshold), whole
 
     def _on_step(self) -> bool:
         costs = [cost_of(info) for info in self.locals["infos"]]
-        normalised = self.model.get_vec_normalize_env()
-        rewards = self.locals["rewards"]
-        if normalised is not None:
-            rewards = normalised.get_original_reward()
-        for recorder in (_started(self._rollouts), _started(self._episodes)):
+        norm = self.model.get_vec_normalize_env()
+        rewards = self.locals["rewards"] if norm is None else norm.get_original_reward()
+        for recorder in self._recorders:
             recorder.step(costs, rewards, self.locals["dones"])
         if not self._by_update and np.any(self.locals["dones"]):
             self._log()
@@ -102,12 +100,12 @@ class EMCCCallback(BaseCallback):
 
     def _on_rollout_end(self) -> None:
         if self._by_update:
-            _started(self._rollouts).end_rollout()
+            self._recorders[0].end_rollout()
             self._log()
 
     def _on_training_end(self) -> None:
         self._last_obs = self.model._last_obs
-        recorder = _started(self._rollouts)
+        recorder, _ = self._recorders
         if self._by_update:  # an episode that is a rollout goes on with the next `learn`
             recorder.end_rollout()
         if not recorder.steps:
@@ -118,17 +116,10 @@ class EMCCCallback(BaseCallback):
         self.logger.dump(self.num_timesteps)
 
     def _log(self) -> None:
-        recent = _started(self._rollouts).recent(self.window)
-        episodes = _started(self._episodes).recent(self.window)
+        recent, episodes = (recorder.recent(self.window) for recorder in self._recorders)
         if not len(recent):
             return
         measures = measures_of(recent, episodes, self.limit, self.alpha, self.window, "all")
         for name, value in vars(measures).items():
             if isinstance(value, (int, float)):
                 self.logger.record(f"emcc/{name}", value)
-
-
-def _started(recorder: CostRecorder | None) -> CostRecorder:
-    if recorder is None:
-        raise RuntimeError("nothing is recorded: give the callback to model.learn(callback=...)")
-    return recorder

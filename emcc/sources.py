@@ -24,8 +24,6 @@ from emcc.table import Columns
 
 ENDS = ("done", "terminated", "truncated")
 """Columns that mark the last step of an episode, in files of costs of steps."""
-ARRAYS = {"costs", "lengths", "rewards", "rollouts"}
-"""Arrays of a .npz file: the arguments of `EpisodeRecords.from_costs`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +68,11 @@ def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
         return runs
     if not path.is_file():
         raise ValueError(f"{path}: no such file or folder")
-    reader = _read_numpy if path.suffix in (".npy", ".npz") else _read_csv
-    records = reader(path, threshold)
+    with named(path):
+        if path.suffix in (".npy", ".npz"):
+            records = EpisodeRecords.from_costs(**_arrays(path), threshold=threshold)
+        else:
+            records = _read_csv(path, threshold)
     return [Run(str(path), records, records.total_steps)]
 
 
@@ -96,7 +97,8 @@ def _read_run_folder(folder: Any, threshold: float) -> Iterator[Run]:
     results = folder / "results.npz"
     if not results.is_file():
         raise ValueError(f"{folder}: no results.npz, which a training writes at its end")
-    arrays = _arrays(results)
+    with named(results):
+        arrays = _arrays(results)
     for task, seed in keys:
         prefix = f"{re.sub('[/:]', '-', task)}/{seed}/"
         for cost in costs:
@@ -123,18 +125,8 @@ def _records(arrays: Any, prefix: str, cost: str, threshold: float) -> EpisodeRe
 
 def _arrays(path: Any) -> Any:
     """The arrays of a numpy file by their names; path: pathlib.Path or zipfile.Path."""
-    with named(path):
-        content: Any = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
+    content: Any = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
     return {"costs": content} if isinstance(content, np.ndarray) else content
-
-
-def _read_numpy(path: Path, threshold: float) -> EpisodeRecords:
-    arrays = _arrays(path)
-    if unknown := [name for name in arrays if name not in ARRAYS]:
-        raise ValueError(f"{path}: holds {', '.join(unknown)}; known are {sorted(ARRAYS)}")
-    with named(path):
-        given = {"costs": arrays["costs"], **arrays}
-        return EpisodeRecords.from_costs(**given, threshold=threshold)
 
 
 def _read_csv(path: Path, threshold: float) -> EpisodeRecords:
@@ -142,37 +134,35 @@ def _read_csv(path: Path, threshold: float) -> EpisodeRecords:
     columns = Columns(path)
     if "longest_streak" in columns:
         if threshold:
-            raise ValueError(f"{path}: holds streaks, not costs of steps: leave the threshold out")
-        return EpisodeRecords.load(path)
+            raise ValueError("holds streaks, not costs of steps: leave the threshold out")
+        return EpisodeRecords._from_columns(columns)
     marks = [name for name in ENDS if name in columns]
     if "cost" not in columns or not (marks or "episode" in columns):
         raise ValueError(
-            f"{path}: has the columns {', '.join(columns)}. EMCC needs a row for each step, with "
+            f"has the columns {', '.join(columns)}. EMCC needs a row for each step, with "
             f"cost and episode or {', '.join(ENDS)}; or for each episode, with length, cost and "
             "longest_streak. Sums of episodes and means of epochs cannot give EMCC"
         )
     costs = columns.numbers("cost", float)
     if not costs.size:
-        raise ValueError(f"{path}: no steps")
+        raise ValueError("no steps")
     rollouts, episodes = (columns.get(name, [""] * costs.size) for name in ("rollout", "episode"))
     # An episode, or its piece in a rollout, ends where these change, and behind a marked step.
     names = list(zip(rollouts, episodes, strict=True))
     ends = np.array([name != following for name, following in pairwise([*names, None])])
     if "episode" in columns and len(set(names)) < ends.sum():
-        raise ValueError(f"{path}: the steps of an episode must follow one another")
+        raise ValueError("the steps of an episode must follow one another")
     for name in marks:
         words = [text.lower().removesuffix(".0") for text in columns[name]]
         if bad := set(words) - {"0", "1", "false", "true"}:
-            raise ValueError(f"{path}, column {name}: must be 0 or 1, got {min(bad)!r}")
+            raise ValueError(f"column {name}: must be 0 or 1, got {min(bad)!r}")
         ends |= np.isin(words, ["1", "true"])
     last = np.flatnonzero(np.append(ends[:-1], True))
     if len(last) == costs.size > 1:
-        raise ValueError(f"{path}: every episode has one row: sums of episodes have no EMCC")
+        raise ValueError("every episode has one row: sums of episodes have no EMCC")
     numbers = {name: number for number, name in enumerate(dict.fromkeys(rollouts))}
     ids = [numbers[rollouts[row]] for row in last] if "rollout" in columns else None
-    with named(path):
-        lengths = np.diff(last, prepend=-1)
-        return EpisodeRecords.from_costs(costs, lengths, None, ids, threshold)
+    return EpisodeRecords.from_costs(costs, np.diff(last, prepend=-1), None, ids, threshold)
 
 
 def from_minari(dataset: Any, threshold: float = 0.0) -> EpisodeRecords:
@@ -202,9 +192,7 @@ def from_minari(dataset: Any, threshold: float = 0.0) -> EpisodeRecords:
     return EpisodeRecords.from_costs(costs, None, rewards, threshold=threshold)
 
 
-def from_tensordict(
-    batches: Any, rollout: str = "batch", threshold: float = 0.0
-) -> EpisodeRecords:  # fmt: skip
+def from_tensordict(batches: Any, rollout: str = "batch", threshold: float = 0.0) -> EpisodeRecords:
     """Records of a TensorDict of TorchRL, or of those that a collector yields one after another.
 
     batches: a TensorDict [time] or [..., time] with ("next", "cost"), ("next", "reward") and

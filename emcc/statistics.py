@@ -69,10 +69,8 @@ def mean_interval(values: ArrayLike, level: float = 0.95, bounds: Bounds = UNBOU
     low, high = float(values.min()), float(values.max())
     if not bounds[0] <= low <= high <= bounds[1]:
         raise ValueError(f"values must be within {bounds}, got {low} to {high}")
-    if n == 1:
-        return Interval(mean, None, None, "range", n)
     if n < FEWEST_RUNS:
-        return Interval(mean, low, high, "range", n)
+        return Interval(mean, *((low, high) if n > 1 else (None, None)), "range", n)
     if low < high:  # scipy has no interval of equal values
         from scipy.stats import ttest_1samp
 

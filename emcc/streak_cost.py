@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from emcc.arrays import as_number
 from emcc.recorder import cost_of, costs_of
 from emcc.streaks import weighted
-from emcc.wrappers import VectorSteps
+from emcc.wrappers import VectorSteps, of_kind
 
 
 def StreakCost(
@@ -39,14 +39,11 @@ def StreakCost(
     below 0, scale not above 0, a bad threshold, a vector environment without an autoreset mode.
     KeyError: a step without a cost.
     """
-    if not isinstance(env, (VectorEnv, gym.Env)):
-        raise TypeError(f"env must be a gymnasium Env or VectorEnv, got {type(env).__name__}")
     weight, threshold = as_number(weight, "weight", 0), as_number(threshold, "threshold", 0)
     if as_number(scale, "scale") <= 0:
         raise ValueError(f"scale must be above 0, got {scale}")
-    kind = StreakCostVectorEnv if isinstance(env, VectorEnv) else StreakCostEnv
-    shown = float(scale) if observe else None
-    return kind(env, weight, shown, threshold)  # pyright: ignore[reportArgumentType]
+    kind = of_kind(env, StreakCostEnv, StreakCostVectorEnv)
+    return kind(env, weight, float(scale) if observe else None, threshold)
 
 
 class StreakCostEnv(gym.Wrapper):
@@ -65,7 +62,7 @@ class StreakCostEnv(gym.Wrapper):
         """Reset the environment; no streak is running."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._streak, self._finished = 0, False
-        return self._observed(observation), info
+        return _observed(observation, 0, self.scale), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment; info["cost"] is weighted, info["plain_cost"] is not."""
@@ -76,10 +73,8 @@ class StreakCostEnv(gym.Wrapper):
         self._streak = self._streak + 1 if plain > self.threshold else 0
         cost = np.float64(weighted(plain, self._streak, self.weight))
         info = {**info, "cost": cost, "plain_cost": np.float64(plain)}
-        return self._observed(observation), reward, bool(terminated), bool(truncated), info
-
-    def _observed(self, observation: Any) -> Any:
-        return _observed(observation, self._streak, self.scale)
+        observation = _observed(observation, self._streak, self.scale)
+        return observation, reward, bool(terminated), bool(truncated), info
 
 
 class StreakCostVectorEnv(VectorSteps):
@@ -107,21 +102,15 @@ class StreakCostVectorEnv(VectorSteps):
         costs = {"cost": weighted(plain, self._streak, self.weight), "plain_cost": plain}
         infos = {**infos, **_with_masks(costs, active)}
         if self._mode == AutoresetMode.SAME_STEP.value:
-            if done.any():
-                infos = self._with_final(infos, costs, done)
+            if done.any():  # the costs of the last steps, the streak in the last observations
+                last = infos["final_obs"].copy()
+                for index in np.flatnonzero(done):
+                    last[index] = _observed(last[index], self._streak[index], self.scale)
+                final = {**infos.get("final_info", {}), **_with_masks(costs, done)}
+                infos |= {"final_info": final, "final_obs": last}
             self._streak = np.where(done, 0, self._streak)  # of the next episodes already
         observations = _observed(observations, self._streak, self.scale)
         return observations, rewards, terminated, truncated, infos
-
-    def _with_final(
-        self, infos: dict[str, Any], costs: dict[str, NDArray], done: NDArray[np.bool_]
-    ) -> dict[str, Any]:
-        """The infos with the streak in the last observations, and the costs of the last steps."""
-        final = {**infos.get("final_info", {}), **_with_masks(costs, done)}
-        observations = infos["final_obs"].copy()
-        for index in np.flatnonzero(done):
-            observations[index] = _observed(observations[index], self._streak[index], self.scale)
-        return {**infos, "final_info": final, "final_obs": observations}
 
 
 def _observed(observation: Any, streak: Any, scale: float | None) -> Any:

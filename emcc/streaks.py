@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_integers, as_number, as_vector, exceed
+from emcc.arrays import as_integers, as_number, as_steps, as_vector, exceed
 
 _BLOCK = 1 << 18  # steps looked at together: their temporaries fit in a processor's cache
 
@@ -90,16 +90,8 @@ def mcc(trajectories: Iterable[ArrayLike], threshold: float = 0.0) -> float:
     Equation (mcc): MCC_D = max over tau in D of d_tau^max / l_tau.
     ValueError: a rollout without trajectories, or a trajectory as in `longest_streak`.
     """
-    shares = []
-    for index, costs in enumerate(trajectories):
-        if np.ndim(costs) == 0:
-            got = f"got a number at index {index}; one trajectory is [costs]"
-            raise ValueError(f"trajectories must be a list of arrays of costs, {got}")
-        costs = as_vector(costs, f"costs of trajectory {index}", low=0)
-        shares.append(longest_streak(costs, threshold) / costs.size)
-    if not shares:
-        raise ValueError("the rollout has no trajectory; at least one is needed")
-    return max(shares)
+    costs, lengths = as_steps(list(trajectories), None, "costs", low=0)
+    return float(np.divide(longest_streaks(costs, lengths, threshold), lengths).max())
 
 
 def streak_bounds(unsafe_steps: ArrayLike, length: ArrayLike) -> tuple[Any, Any]:

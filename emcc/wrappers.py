@@ -21,8 +21,6 @@ else:
 
 Observation = TypeVar("Observation")
 Action = TypeVar("Action")
-AUTORESET_MODES = ("NextStep", "SameStep", "Disabled")
-"""Values of gymnasium.vector.AutoresetMode."""
 
 
 @overload
@@ -53,11 +51,14 @@ def RecordCosts(
     vector environment without an autoreset mode, an environment that steps without giving a cost,
     costs that are not different names. KeyError: no such cost in info at all.
     """
-    if isinstance(env, VectorEnv):
-        return RecordVectorCosts(env, rollout, threshold, costs)
-    if isinstance(env, gym.Env):
-        return RecordEnvCosts(env, rollout, threshold, costs)
-    raise TypeError(f"env must be a gymnasium Env or VectorEnv, got {type(env).__name__}")
+    return of_kind(env, RecordEnvCosts, RecordVectorCosts)(env, rollout, threshold, costs)
+
+
+def of_kind(env: Any, single: Any, vector: Any) -> Any:
+    """The wrapper for this kind of environment."""
+    if not isinstance(env, (gym.Env, VectorEnv)):
+        raise TypeError(f"env must be a gymnasium Env or VectorEnv, got {type(env).__name__}")
+    return vector if isinstance(env, VectorEnv) else single
 
 
 class _Recorded:
@@ -65,9 +66,7 @@ class _Recorded:
 
     recorders: dict[str, CostRecorder]
 
-    def _record(
-        self, num_envs: int, rollout: int | str, threshold: float, costs: Sequence[str]
-    ) -> None:
+    def _record(self, num_envs: int, rollout: int | str, threshold: float, costs: Any) -> None:
         if isinstance(costs, str) or not costs or len(set(costs)) < len(costs):
             raise ValueError(f'costs must be different names, as in ("cost",), got {costs!r}')
         self.recorders = {name: CostRecorder(num_envs, rollout, threshold) for name in costs}
@@ -79,12 +78,12 @@ class _Recorded:
 
     @property
     def records(self) -> EpisodeRecords:
-        """The trajectories finished so far, by the first cost."""
+        """Trajectories finished so far, by the first cost."""
         return self.recorder.records
 
     @property
     def records_by_cost(self) -> dict[str, EpisodeRecords]:
-        """The trajectories finished so far, by each cost."""
+        """Trajectories finished so far, by each cost."""
         return {name: recorder.records for name, recorder in self.recorders.items()}
 
     def end_rollout(self) -> None:
@@ -102,13 +101,7 @@ class RecordEnvCosts(
 ):
     """`RecordCosts` of an Env."""
 
-    def __init__(
-        self,
-        env: gym.Env[Observation, Action],
-        rollout: int | str = "episode",
-        threshold: float = 0.0,
-        costs: Sequence[str] = ("cost",),
-    ) -> None:
+    def __init__(self, env: gym.Env, rollout: int | str, threshold: float, costs: Any) -> None:
         RecordConstructorArgs.__init__(self, rollout=rollout, threshold=threshold, costs=costs)
         gym.Wrapper.__init__(self, env)
         self._record(1, rollout, threshold, costs)
@@ -125,8 +118,7 @@ class RecordEnvCosts(
 
     def step(self, action: Action) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
         """Step the environment and record the cost."""
-        result = super().step(action)
-        _, reward, terminated, truncated, info = result
+        result = _, reward, terminated, truncated, info = super().step(action)
         done = bool(terminated or truncated)
         if not self._finished:  # else it is the resetting step of gymnasium.wrappers.Autoreset
             for name, recorder in self.recorders.items():
@@ -144,7 +136,14 @@ class VectorSteps(VectorWrapper):
 
     def __init__(self, env: VectorEnv) -> None:
         super().__init__(env)
-        self._mode = _autoreset_mode(env)
+        # In gymnasium before 1.0 there was one mode.
+        mode = (env.metadata or {}).get("autoreset_mode", "SameStep" if OLD else None)
+        self._mode = getattr(mode, "value", mode)
+        if self._mode not in ("NextStep", "SameStep", "Disabled"):
+            raise ValueError(
+                f"{env}: metadata['autoreset_mode'] must be a gymnasium.vector.AutoresetMode, "
+                f"got {mode!r}; without it, steps cannot be told from resets"
+            )
         self._finished = np.zeros(env.num_envs, dtype=bool)  # and not reset yet
 
     def reset(
@@ -159,8 +158,7 @@ class VectorSteps(VectorWrapper):
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step the environments."""
-        result = super().step(actions)
-        active = ~self._finished
+        result, active = super().step(actions), ~self._finished
         done = as_array(result[2], "terminated") | as_array(result[3], "truncated")
         if self._mode == "NextStep":
             self._finished = done & active
@@ -178,9 +176,7 @@ class VectorSteps(VectorWrapper):
 class RecordVectorCosts(_Recorded, VectorSteps):
     """`RecordCosts` of a VectorEnv; the steps of episodes that a reset ends are kept."""
 
-    def __init__(
-        self, env: VectorEnv, rollout: int | str, threshold: float, costs: Sequence[str]
-    ) -> None:
+    def __init__(self, env: VectorEnv, rollout: int | str, threshold: float, costs: Any) -> None:
         super().__init__(env)
         self._record(env.num_envs, rollout, threshold, costs)
 
@@ -193,16 +189,3 @@ class RecordVectorCosts(_Recorded, VectorSteps):
         for name, recorder in self.recorders.items() if active.any() else ():
             recorder.step(costs_of(infos, active, done, name), rewards, done, active)
         return result
-
-
-def _autoreset_mode(env: VectorEnv) -> str:
-    mode = (env.metadata or {}).get("autoreset_mode")
-    if mode is None and OLD:
-        return "SameStep"  # the only mode there was
-    value = getattr(mode, "value", mode)
-    if value not in AUTORESET_MODES:
-        raise ValueError(
-            f"{env}: metadata['autoreset_mode'] must be a gymnasium.vector.AutoresetMode, "
-            f"got {mode!r}; without it, steps cannot be told from resets"
-        )
-    return value

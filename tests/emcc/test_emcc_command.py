@@ -22,9 +22,7 @@ def costs_of(mcc_values):
 
 
 def write_run(folder, by_seed, steps=100, task="A-v0"):
-    failed = {"failure": np.array("failed at step 40: its reward is not finite")}
-    arrays = {k: written.arrays_of(costs_of(m)) if m else failed for k, m in by_seed.items()}
-    runs = {(task, seed): of for seed, of in arrays.items()}
+    runs = {(task, seed): written.arrays_of(costs_of(mcc)) for seed, mcc in by_seed.items()}
     return written.write_run(folder, runs, steps=steps)
 
 
@@ -103,26 +101,25 @@ def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):
     assert row["EMCC_0.99"] == DASH
     (row,), _ = table(capsys, tmp_path, "--total-steps", 100)
     assert (row["steps"], row["EMCC_0.99"]) == ("100", "0.900")
+    write_run(tmp_path / "b", {0: TEN, 1: TEN[:5]})  # a mean needs all runs
+    (row,), _ = table(capsys, tmp_path / "b", status=1)
+    assert (row["EMCC_0.33"], row["EMCC_0.99"]) == ("0.600 range 0.600 to 0.600", DASH)
 
 
-def test_a_run_without_an_episode_is_left_out_and_named(tmp_path, capsys):
-    write_run(tmp_path / "a", {0: TEN, 1: []})
+def test_a_run_without_an_episode_is_left_out_and_named_once(tmp_path, capsys):
+    both = written.arrays_of(costs_of(TEN)) | written.arrays_of(costs_of(TEN), "cost_2")
+    failed = {"failure": np.array("failed at step 40: its reward is not finite")}
+    runs = {("A-v0", 0): both, ("A-v0", 1): failed}
+    written.write_run(tmp_path / "a", runs, steps=100, costs=["cost", "cost_2"])
     for more in ((), ("--limit", "1")):
         assert main([str(tmp_path), *more, "--format", "csv"]) == 1
         out, err = capsys.readouterr()
         assert err == f"left out: {tmp_path / 'a'}, A-v0, seed 1: no finished trajectory\n"
         assert "0.900" in out  # the late EMCC of the other run
-    write_run(tmp_path / "b", {1: []})
+    written.write_run(tmp_path / "b", {("A-v0", 1): failed})
     with pytest.raises(SystemExit):
         main([str(tmp_path / "b")])
     assert "no finished trajectory" in capsys.readouterr().err
-
-
-def test_a_mean_needs_all_runs(tmp_path, capsys):
-    write_run(tmp_path / "b", {0: TEN, 1: TEN[:5]})
-    (row,), _ = table(capsys, tmp_path / "b", status=1)
-    assert row["EMCC_0.33"] == "0.600 range 0.600 to 0.600"
-    assert row["EMCC_0.99"] == DASH
 
 
 def test_panels(tmp_path, capsys):

@@ -98,10 +98,11 @@ def assert_equal(measures, expected):
 
 @pytest.mark.parametrize("limit", [0, 1.5, 4, 1000])
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_every_measure_of_training_and_of_its_thirds(kind, limit, seed):
     episodes = KINDS[kind](np.random.default_rng(seed))
-    found = panel(records_of(episodes), limit, window=7)
+    rows = np.random.default_rng(seed).permutation(len(episodes))  # the order is that of training
+    found = panel(records_of(episodes).select(rows), limit, window=7)
     assert_equal(found, oracle(episodes, limit, 7))
     assert list(found.parts) == [0.33, 0.66, 0.99]
     for part, (low, high) in zip(found.parts.values(), ((0, 33), (33, 66), (66, 99)), strict=True):
@@ -134,15 +135,6 @@ def test_distribution_of_mcc_and_rollouts_of_several_trajectories():
     assert (found.mcc, found.violation_rate) == (0.75, 0.25)
 
 
-def test_whole_episodes_beside_rollouts_that_cut_them():
-    costs = [1, 1, 1, 1, 0, 0, 1, 1]
-    cut = EpisodeRecords.from_costs(costs, [3, 1, 2, 2], rollouts=[0, 1, 1, 2])
-    whole = EpisodeRecords.from_costs(costs, [4, 4])
-    found = panel(cut, 3.0, episodes=whole)
-    assert (found.violation_rate, found.maximum, found.mcc) == (0.5, 4.0, 1.0)
-    assert panel(cut, 3.0).violation_rate == 0.0
-
-
 def test_a_third_in_which_no_whole_episode_starts_has_its_emcc():
     """Two environments, rollouts of 2 steps each, episodes of 6 steps: all start at step 0."""
     recorders = {kind: emcc.CostRecorder(2, kind) for kind in ("manual", "episode")}
@@ -161,20 +153,11 @@ def test_a_third_in_which_no_whole_episode_starts_has_its_emcc():
     assert {later.maximum, later.cvar, later.p95, later.violation_rate, later.regret} == {None}
 
 
-def test_order_is_that_of_training():
-    episodes = [[0.0]] * 5 + [[1.0]] * 5
-    records = records_of(episodes)
-    turned = records.select(np.arange(10)[::-1])
-    assert panel(turned, 0.5, window=5) == panel(records, 0.5, window=5)
-    assert panel(records, 0.5, window=5).peak_rate == 1.0
-
-
 def test_without_a_limit():
     found = panel(records_of([[1, 0], [1, 1]]))
     assert found == panel(records_of([[1, 0], [1, 1]]), None)
-    for name in ("violation_rate", "severity", "severity_of_violations", "regret"):
-        assert getattr(found, name) is None
-    assert (found.steps_to_feasible, found.feasible_share) == (None, None)
+    limited = found.violation_rate, found.severity, found.severity_of_violations, found.regret
+    assert {*limited, found.steps_to_feasible, found.feasible_share} == {None}
     assert "violation" not in found.to_markdown()
 
 
@@ -188,11 +171,9 @@ def test_ties_are_passed_on():
 
 BAD = {
     "limit": ({"limit": -1.0}, "limit must be >= 0, got -1.0"),
-    "NaN": ({"limit": math.nan}, "limit must be finite, got nan"),
     "alpha": ({"alpha": 0.0}, r"alpha must be in \(0, 1\], got 0.0"),
     "window": ({"window": 0}, "window must be >= 1, got 0"),
     "steps": ({"total_steps": 2}, r"start_steps must be finite and in \[0, 1\], got 2"),
-    "empty": ({"records": EpisodeRecords(*[[]] * 8)}, "records are empty"),
 }  # fmt: skip
 
 
@@ -201,9 +182,8 @@ def test_mistakes_are_named(changes, message):
     arguments = {"records": records_of([[1, 0], [1, 1]]), "limit": 1.0, **changes}
     with pytest.raises(ValueError, match=message):
         panel(**arguments)
-    for given_records in ([1, 2], None):
-        with pytest.raises(TypeError, match="records must be EpisodeRecords"):
-            panel(given_records)
+    with pytest.raises(TypeError, match="records must be EpisodeRecords"):
+        panel([1, 2])
     with pytest.raises(TypeError, match="episodes must be EpisodeRecords, got list"):
         panel(records_of([[1]]), episodes=[])
 

@@ -14,15 +14,6 @@ def feed(recorder, costs, done_at=()):
         recorder.step([cost], [0.5], [index in done_at])
 
 
-def test_end_rollout_keeps_what_is_running():
-    recorder = CostRecorder(1)
-    feed(recorder, [0, 1, 1], done_at=(2,))
-    for _ in range(2):  # the second call finds nothing new
-        recorder.end_rollout()
-    feed(recorder, [1], done_at=(1,))
-    assert rows(recorder) == [(0, 0, 2, 1.0, 1), (1, 2, 1, 1.0, 1), (2, 3, 1, 1.0, 1)]
-
-
 @pytest.mark.parametrize("rollout", ["episode", 4, "manual"])
 def test_a_snapshot_is_what_an_end_now_would_give_and_cuts_nothing(rollout):
     recorder, watched = CostRecorder(2, rollout), CostRecorder(2, rollout)
@@ -33,7 +24,9 @@ def test_a_snapshot_is_what_an_end_now_would_give_and_cuts_nothing(rollout):
         watched.step(*step)
         ended = copy.deepcopy(recorder)
         ended.end_rollout()
-        assert watched.snapshot.to_csv() == ended.records.to_csv()
+        once = ended.records.to_csv()
+        ended.end_rollout()  # finds nothing new
+        assert watched.snapshot.to_csv() == once == ended.records.to_csv()
         assert watched.snapshot.total_steps == 2 * (count + 1)
     assert watched.records.to_csv() == recorder.records.to_csv()
 
@@ -54,29 +47,22 @@ def test_steps_are_counted_over_all_environments():
     assert rows(recorder) == [(0, 0, 2, 2.0, 2), (0, 4, 1, 1.0, 1), (0, 0, 3, 0.0, 0)]
 
 
-def test_an_inactive_environment_takes_no_step():
-    recorder = CostRecorder(2)
-    recorder.step([1, 1], [1, 1], [True, False])
-    recorder.step([np.nan, 1], [np.nan, 1], [True, False], active=[False, True])
-    recorder.step([1, 1], [1, 1], [True, True])
-    assert recorder.steps == 5
-    assert rows(recorder) == [(0, 0, 1, 1.0, 1), (1, 3, 1, 1.0, 1), (2, 0, 3, 3.0, 3)]
-
-
 def test_random_streams_against_the_episodes_themselves():
-    """Three environments with random costs and episodes, each episode collected by hand."""
+    """Three environments with random costs and episodes, each episode collected by hand. An
+    inactive one takes no step: its streak goes on, and what else it gives is ignored."""
     rng = np.random.default_rng(0)
     recorder = CostRecorder(3, threshold=0.5)
     episodes, running = [], [[], [], []]
     for _ in range(300):
-        costs, done = rng.random(3), rng.random(3) < 0.1
-        recorder.step(costs, np.zeros(3), done)
-        for index in range(3):
+        costs, done, active = rng.random(3), rng.random(3) < 0.1, rng.random(3) < 0.8
+        recorder.step(np.where(active, costs, np.nan), np.zeros(3), done, active)
+        for index in np.flatnonzero(active):
             running[index].append(costs[index])
             if done[index]:
                 episodes.append(running[index])
                 running[index] = []
     kept = recorder.records
+    assert recorder.steps == kept.total_steps + sum(map(len, running))
     assert kept.longest_streak.tolist() == [longest_streak(costs, 0.5) for costs in episodes]
     assert kept.length.tolist() == [len(costs) for costs in episodes]
     assert kept.cost == pytest.approx([sum(costs) for costs in episodes])
@@ -93,27 +79,16 @@ BAD = {
 
 
 @pytest.mark.parametrize(("step", "message"), BAD.values(), ids=BAD)
-def test_bad_steps_are_named(step, message):
+def test_bad_steps_and_rollouts_are_named(step, message):
     with pytest.raises(ValueError, match=message):
         CostRecorder(2).step(*step)
+    with pytest.raises(TypeError, match="rollout must be an integer, got 'epoch'"):
+        CostRecorder(1, "epoch")
+    with pytest.raises(ValueError, match="num_envs must be >= 1, got 0"):
+        CostRecorder(0)
 
 
-def test_bad_rollouts_are_named():
-    for arguments, error, message in (
-        ((1, "epoch"), TypeError, "rollout must be an integer, got 'epoch'"),
-        ((1, 0), ValueError, "rollout must be >= 1, got 0"),
-        ((0,), ValueError, "num_envs must be >= 1, got 0"),
-    ):
-        with pytest.raises(error, match=message):
-            CostRecorder(*arguments)
-
-
-def test_a_pause_ends_no_streak_and_an_episodes_end_leaves_no_empty_piece():
-    recorder = CostRecorder(2)
-    recorder.step([1, 0], [0, 0], [False, False])
-    recorder.step([0, 0], [0, 0], [False, False], active=[False, True])
-    recorder.step([1, 0], [0, 0], [True, False])
-    assert rows(recorder) == [(0, 0, 2, 2.0, 2)]
+def test_an_episodes_end_leaves_no_empty_piece():
     recorder = CostRecorder(1, rollout=2)
     feed(recorder, [1, 1, 1, 1], done_at=(2, 4))
     assert rows(recorder) == [(0, 0, 2, 2.0, 2), (1, 2, 2, 2.0, 2)]

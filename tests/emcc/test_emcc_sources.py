@@ -43,19 +43,15 @@ SUMS = [(sum(costs), len(costs), streak(costs)) for costs in episodes()]
 LAYOUTS = {
     "episode": ("episode,cost", [(k, cost) for cost, _, k in STEPS]),
     "done": ("cost,done", [(cost, int(end)) for cost, end, _ in STEPS]),
-    "of numpy": ("cost,done", [(float(cost), float(end)) for cost, end, _ in STEPS]),
     "Python's words": (
         "terminated,cost,truncated",
         [(end and k % 2 == 0, cost, end and k % 2 == 1) for cost, end, k in STEPS],
     ),
     "still running": ("cost,done", [(c, int(end and k < STEPS[-1][2])) for c, end, k in STEPS]),
-    "both": ("episode,cost,done", [(k, cost, end) for cost, end, k in STEPS]),
     "unmarked ends": ("episode,cost,terminated", [(k, c, e and k % 2 == 0) for c, e, k in STEPS]),
     "blanks": (" cost , done", [(f" {cost} ", f" {end}") for cost, end, _ in STEPS]),
     "a byte order mark": ("\ufeffcost,done", [(cost, end) for cost, end, _ in STEPS]),
-    "empty lines": ("\n\ncost,done", [(cost, f"{end}\n") for cost, end, _ in STEPS]),
     "a row per episode": ("cost,length,longest_streak", SUMS),
-    "in another order": ("longest_streak,return,length,cost", [(c, a, b, a) for a, b, c in SUMS]),
 }
 
 
@@ -87,11 +83,8 @@ def test_arrays_are_the_arguments_of_from_costs(tmp_path):
 
 BAD_FILES = {
     "a row per episode": ("cost,done\n3,1\n2,1\n", "every episode has one row"),
-    "a row per episode, by name": ("episode,cost\n0,3\n1,2\n", "every episode has one row"),
     "sums": ("cost,length\n3,10\n", "Sums of episodes and means of epochs cannot give EMCC"),
-    "a monitor file": ("r,l,t,cost\n1,10,.1,3\n", "cost and episode or done"),
     "no episodes": ("cost\n0\n1\n", "cost and episode or done"),
-    "no costs": ("reward,done\n0,1\n", "cost and episode or done"),
     "no steps": ("cost,done\n", "no steps"),
     "a flag of 2": ("cost,done\n0,0\n0,2\n", "column done: must be 0 or 1, got '2'"),
     "a word": ("cost,done\n0,0\n\nhigh,1\n", "line 4, column cost: 'high' is not a number"),
@@ -100,9 +93,7 @@ BAD_FILES = {
     "a column twice": ("cost,done,cost\n1,0,0\n", "names a column twice"),
     "a long streak": ("cost,length,longest_streak\n\n3,2,3\n", "cannot have longest_streak 3"),
     "a length below 1": ("cost,length,longest_streak\n1,2,1\n0,-9,0\n", "length must be .* got -9"),
-    "half of the counts": ("cost,length,longest_streak,streaks\n1,2,1,1\n", "together, or neither"),
     "a binary file": ("\0\n", "log.csv"),
-    "nothing": ("\n\n", "the file is empty"),
 }
 
 
@@ -119,16 +110,14 @@ def test_arrays_without_emcc_are_named(tmp_path):
     path = tmp_path / "costs.npz"
     for arrays, message in (
         ({"costs": np.zeros((3, 20, 5))}, "costs of trajectory 0 must be 1-D"),
-        ({"costs": np.ones(4)}, "lengths are needed"),
         ({"costs": np.ones(4), "lengths": [1]}, "lengths add up to 1 steps"),
-        ({"costs": np.ones((2, 2)), "dones": [0, 1]}, "holds dones; known are"),
-        ({"lengths": [4]}, "missing: costs"),
-        ({"costs": np.array([{}])}, r"costs\.npz"),
+        ({"costs": np.ones((2, 2)), "dones": [0, 1]}, "dones"),
+        ({"lengths": [4]}, "missing .*costs"),
+        ({"costs": np.array([{}])}, "pickle"),
     ):
         np.savez(path, **arrays)
-        with pytest.raises(ValueError, match=message) as error:
+        with pytest.raises(ValueError, match=rf"costs\.npz: .*{message}"):
             emcc.read(path)
-        assert str(path) in str(error.value)
     for content in (b"", b"nothing", path.read_bytes()[:100]):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=r"costs\.npz: "):
@@ -165,15 +154,15 @@ def test_run_folders(two_tasks):
     assert described(read_runs(folder.parent)) == 2 * expected
 
 
-@pytest.mark.parametrize("many", [False, True])
-def test_archives(two_tasks, tmp_path, many):
+@pytest.mark.parametrize("prefixes", [("",), ("c/", "a/b/")])
+def test_archives(two_tasks, tmp_path, prefixes):
     folder, expected = two_tasks
     path = tmp_path / "runs.zip"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for prefix in ("", "a/b/") if many else ("",):
+        for prefix in prefixes:
             for file in folder.iterdir():
-                archive.write(file, f"{prefix or ('c/' if many else '')}{file.name}")
-    assert described(read_runs(path)) == expected * (1 + many)
+                archive.write(file, prefix + file.name)
+    assert described(read_runs(path)) == expected * len(prefixes)
 
 
 def test_one_run_is_read_as_records(two_tasks, tmp_path):
@@ -210,32 +199,36 @@ def test_episodes_of_a_rollout_count_as_one(tmp_path):
     assert records.mcc_per_rollout()[0].tolist() == [0.5, 0.0, 0.75]
 
 
-def test_folders_that_are_no_runs_are_named(two_tasks, tmp_path):
-    folder, _ = two_tasks
-    with pytest.raises(ValueError, match="no such file or folder"):
-        emcc.read(tmp_path / "nowhere")
+@pytest.mark.parametrize("how", ["nowhere", "empty", "no.zip"])
+def test_paths_that_are_no_runs_are_named(tmp_path, how):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match=r"empty: no run folder"):
-        emcc.read(tmp_path / "empty")
-    (tmp_path / "bad.zip").write_text("nothing")
-    with pytest.raises(ValueError, match=r"bad\.zip: File is not a zip"):
-        emcc.read(tmp_path / "bad.zip")
-    config = json.loads((folder / "config.json").read_text())
-    wrong = [config | {"steps": "many"}, config | {"steps": 0}, config | {"tasks": None}]
-    for changed in ([1], {"task": "A-v0"}, *wrong):
-        (folder / "config.json").write_text(json.dumps(changed))
-        with pytest.raises(ValueError, match=r"first/config\.json: "):
-            emcc.read(folder)
-    (folder / "config.json").write_text(json.dumps(config | {"seeds": [0, 4]}))
-    with pytest.raises(ValueError, match=r"missing: A-v0/4/"):
-        emcc.read(folder)
-    (folder / "config.json").write_text(json.dumps(config))
-    (folder / "results.npz").write_bytes((folder / "results.npz").read_bytes()[:-100])
-    with pytest.raises(ValueError, match=r"first/results\.npz: "):
+    (tmp_path / "no.zip").write_text("nothing")
+    with pytest.raises(ValueError, match=rf"{how}: (no such file or|no run|File is not a zip)"):
+        emcc.read(tmp_path / how)
+
+
+BAD_RUNS = {
+    "no settings": ([1], {}, r"config\.json: "),
+    "no steps": ({"steps": 0}, {}, r"config\.json: steps must be >= 1"),
+    "another seed": ({"seeds": [0, 4]}, {}, r"results\.npz: missing: A-v0/4/"),
+    "no length": ({}, {"length": np.zeros(50, int)}, r"results\.npz: lengths"),
+    "cut off": ({}, None, r"results\.npz: "),
+}
+
+
+@pytest.mark.parametrize(("config", "arrays", "message"), BAD_RUNS.values(), ids=BAD_RUNS)
+def test_damaged_run_folders_are_named(tmp_path, config, arrays, message):
+    good = arrays_of(episodes(50, 0))
+    folder = write_run(tmp_path / "run", {("A-v0", 0): good | (arrays or {})})
+    old = json.loads((folder / "config.json").read_text())
+    new = old | config if isinstance(config, dict) else config
+    (folder / "config.json").write_text(json.dumps(new))
+    if arrays is None:
+        content = (folder / "results.npz").read_bytes()
+        (folder / "results.npz").write_bytes(content[:-100])
+    with pytest.raises(ValueError, match=f"run/{message}"):
         emcc.read(folder)
     (folder / "results.npz").unlink()
-    with pytest.raises(ValueError, match=r"first: no results\.npz"):
+    (folder / "config.json").write_text(json.dumps(old))
+    with pytest.raises(ValueError, match=r"run: no results\.npz"):
         emcc.read(folder)
-    arrays = arrays_of(episodes(50, 0)) | {"length": np.zeros(50, int)}
-    with pytest.raises(ValueError, match=r"run/results\.npz: "):
-        emcc.read(write_run(tmp_path / "run", {("A-v0", 0): arrays}))

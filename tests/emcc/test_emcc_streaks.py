@@ -60,10 +60,6 @@ def test_figure_1_of_the_paper():
     assert (longest_streak(left), longest_streak(right)) == (8, 3)
 
 
-def test_trajectories_of_different_lengths_in_one_rollout():
-    assert mcc([[0, 1, 1, 0], [1, 1, 1, 0, 0, 0, 0, 0]]) == 2 / 4  # not 3 / 8
-
-
 def test_only_costs_above_the_threshold_count():
     assert longest_streak([0.1, 0.5, 0.6, 0.7], threshold=0.5) == 2
     # The float32 next to 0.1 is above it, as it is when it comes as float64.
@@ -92,13 +88,6 @@ def test_bounds_hold_and_are_tight(length):
     assert streak_bounds(length, length) == (length, length)
 
 
-@pytest.mark.filterwarnings("ignore:Creating an ndarray from ragged")  # numpy 1.23 warns first
-@pytest.mark.parametrize("costs", ["text", ["a"], [None], [[1], [1, 2]], object()])
-def test_costs_that_are_no_numbers(costs):
-    with pytest.raises(TypeError, match="costs must be"):
-        longest_streak(costs)
-
-
 def tail_by_definition(values, alpha, ties):
     """alpha and values: Fractions. "split" repeats each value until the share is a whole number."""
     if ties == "all":
@@ -120,6 +109,7 @@ def test_equals_the_definition(values, alpha, ties):
     expected = float(tail_by_definition(values, alpha, ties))
     floats = [float(value) for value in values]
     assert emcc(floats, float(alpha), ties) == pytest.approx(expected, rel=1e-12)
+    assert emcc(floats, 1e-15, ties) == max(floats)
     if ties == "all":
         is_worst = worst(floats, float(alpha))
         kept = [value for value, chosen in zip(values, is_worst, strict=True) if chosen]
@@ -137,13 +127,6 @@ def test_the_quantile_is_not_moved_by_rounding(count, alpha):
     values = np.arange(1, count + 1)
     assert cvar(values, alpha, "all") == pytest.approx((2 * count - tail) / 2, rel=1e-13)
     assert cvar(values, alpha, "split") == pytest.approx((2 * count - tail + 1) / 2, rel=1e-13)
-
-
-@pytest.mark.parametrize("ties", ["all", "split"])
-def test_alpha_1_is_the_mean_and_a_tiny_alpha_the_maximum(ties):
-    values = [0.25, 0.0, 1.0, 0.5]
-    assert emcc(values, 1.0, ties) == np.mean(values)
-    assert emcc(values, 1e-15, ties) == 1.0
 
 
 def test_parts_are_exact_at_their_borders():
@@ -185,46 +168,28 @@ def test_cost_rate():
 VALUES, STARTS = [0.1, 0.2, 0.3], [0, 40, 70]
 BAD = {
     "no step": (lambda: longest_streak([]), "costs must have at least one value"),
-    "two axes": (lambda: longest_streak([[0, 1]]), r"costs must be 1-D, got shape \(1, 2\)"),
     "NaN": (lambda: longest_streak([0, np.nan]), "costs .* got nan at index 1"),
-    "infinite": (lambda: longest_streak([np.inf, 0]), "costs .* got inf at index 0"),
     "negative": (lambda: longest_streak([0, 1, -1]), "costs .* >= 0, got -1 at index 2"),
     "threshold": (lambda: longest_streak([0], threshold=-1), "threshold must be >= 0, got -1"),
-    "NaN threshold": (lambda: longest_streak([0], np.nan), "threshold must be finite"),
     "empty trajectory": (lambda: longest_streaks([1, 1], [2, 0]), "lengths .* got 0 at index 1"),
-    "fraction": (lambda: longest_streaks([1, 1], [1.5, 0.5]), "lengths must be"),
     "sum": (lambda: longest_streaks([1, 1], [1, 2]), "add up to 3 steps, but there are 2 costs"),
-    "empty rollout": (lambda: mcc([]), "the rollout has no trajectory"),
+    "empty rollout": (lambda: mcc([]), "costs must be an array of each trajectory"),
     "empty episode": (lambda: mcc([[1], []]), "costs of trajectory 1 must have at least one value"),
-    "costs alone": (lambda: mcc([0, 1]), r"a number at index 0; one trajectory is \[costs\]"),
+    "costs alone": (lambda: mcc([0, 1]), "costs must be an array of each trajectory"),
     "S > T": (lambda: streak_bounds(4, 3), "unsafe_steps must not exceed length"),
-    "S < 0": (lambda: streak_bounds(-1, 3), "unsafe_steps .* got -1"),
-    "T = 0": (lambda: streak_bounds(0, 0), "length .* got 0"),
-    "S = 1/2": (lambda: streak_bounds(0.5, 3), "unsafe_steps must be whole numbers .* got 0.5"),
     "no values": (lambda: emcc([]), "mcc_values must have at least one value"),
     "a sum": (lambda: emcc([0.5, 8.0]), r"mcc_values .* in \[0, 1\], got 8.0 at index 1"),
     "NaN MCC": (lambda: emcc([np.nan]), "mcc_values .* got nan"),
-    "NaN return": (lambda: cvar([1, np.nan]), "values .* got nan at index 1"),
     "alpha 0": (lambda: emcc([0.1], 0.0), r"alpha must be in \(0, 1\], got 0.0"),
     "alpha > 1": (lambda: emcc([0.1], 1.1), r"alpha must be in \(0, 1\], got 1.1"),
-    "alpha NaN": (lambda: cvar([0.1], np.nan), "alpha must be finite"),
     "ties": (lambda: emcc([0.1], 0.5, "some"), "ties must be one of .*all.*split.*, got 'some'"),
-    "empty part": (
-        lambda: emcc_by_part([0.1, 0.2], [0, 70], 100),
-        "no rollout starts in part 0.66 of 100 training steps; they start at steps 0 to 70",
-    ),
+    "empty part": (lambda: emcc_by_part([0, 0], [0, 70], 99), "no rollout .* in part 0.66 of 99"),
     "start": (lambda: emcc_by_part(VALUES, [0, 40, 100], 100), "start_steps .* got 100 at index 2"),
-    "start < 0": (lambda: emcc_by_part(VALUES, [-1, 40, 70], 100), "start_steps .* got -1"),
-    "a start of .5": (
-        lambda: emcc_by_part(VALUES, [0.5, 40, 70], 100),
-        "start_steps must be whole",
-    ),
+    "fraction": (lambda: emcc_by_part(VALUES, [0.5, 40, 70], 100), "start_steps must be whole"),
     "total": (lambda: emcc_by_part(VALUES, STARTS, 0), "total_steps must be >= 1, got 0"),
     "unequal": (lambda: emcc_by_part(VALUES, [0, 40], 100), "3 mcc_values, but 2 start_steps"),
     "no steps": (lambda: cost_rate([0.0], 0), "steps add up to 0"),
     "negative cost": (lambda: cost_rate([-1.0], 5), "costs .* got -1.0"),
-    "no costs": (lambda: cost_rate([], 10), "0 costs do not fit 1 lengths of 10 steps"),
-    "more costs": (lambda: cost_rate([1, 1, 1], 2), "3 costs do not fit"),
     "other costs": (lambda: cost_rate([1, 2, 3], [5, 5]), "3 costs do not fit 2 lengths"),
 }
 
@@ -235,12 +200,17 @@ def test_bad_input_is_named(call, message):
         call()
 
 
-@pytest.mark.parametrize("alpha", ["0.5", None, [0.5]])
-def test_alpha_must_be_a_number(alpha):
-    with pytest.raises(TypeError, match="alpha must be a number"):
-        emcc([0.1], alpha)
+TEXT = {
+    "text": (lambda: longest_streak("text"), "costs must be"),
+    "None": (lambda: longest_streak([None]), "costs must be"),
+    "ragged": (lambda: longest_streak([[1], [1, 2]]), "costs must be"),
+    "alpha": (lambda: emcc([0.1], "0.5"), "alpha must be a number"),
+    "total": (lambda: emcc_by_part(VALUES, STARTS, 100.5), "must be an integer, got 100.5"),
+}
 
 
-def test_total_steps_must_be_an_integer():
-    with pytest.raises(TypeError, match=r"total_steps must be an integer, got 100\.5"):
-        emcc_by_part(VALUES, STARTS, 100.5)  # pyright: ignore[reportArgumentType]
+@pytest.mark.filterwarnings("ignore:Creating an ndarray from ragged")  # numpy 1.23 warns first
+@pytest.mark.parametrize(("call", "message"), TEXT.values(), ids=TEXT)
+def test_what_is_no_number_is_named(call, message):
+    with pytest.raises(TypeError, match=message):
+        call()

@@ -83,7 +83,7 @@ class Native(gym.vector.VectorEnv):
         return np.zeros(2), np.zeros(2), done, np.zeros(2, bool), info
 
 
-def test_finished_environments_wait_for_their_reset():
+def test_native_vector_environments():
     envs = RecordCosts(Native(DISABLED))
     envs.reset()
     for _ in range(4):  # env 0 is done in step 2, env 1 in step 3; then nothing counts
@@ -94,6 +94,12 @@ def test_finished_environments_wait_for_their_reset():
     assert envs.recorder.steps == 6
     envs.end_rollout()
     assert rows(envs) == [(0, 0, 2, 2.0, 2), (1, 0, 3, 6.0, 3), (2, 5, 1, 1.0, 1)]
+    for mode in (SAME, SAME.value):
+        envs = RecordCosts(Native(mode))
+        envs.reset()
+        for _ in range(3):
+            envs.step(None)
+        assert rows(envs) == [(0, 0, 2, 2.0, 2), (1, 0, 3, 6.0, 3)]
 
 
 def run_single(env, episodes=3):
@@ -112,14 +118,11 @@ def test_single_environment():
     mcc_values, start_steps = env.records.mcc_per_rollout()
     assert mcc_values.tolist() == [2 / 3, 1.0, 1 / 2]  # the one-step episode has MCC 1
     assert start_steps.tolist() == [0, 3, 4]
-
-
-def test_single_environment_that_resets_itself():
-    env = RecordCosts(gym.wrappers.Autoreset(Scripted(SCRIPTS[0])))
-    env.reset()
+    resets_itself = RecordCosts(gym.wrappers.Autoreset(Scripted(SCRIPTS[0])))
+    resets_itself.reset()
     for _ in range(8):  # 3 steps, reset, 1 step, reset, 2 steps
-        env.step(0)
-    assert rows(env) == [(0, 0, 3, 2.0, 2), (1, 3, 1, 2.0, 1), (2, 4, 2, 1.0, 1)]
+        resets_itself.step(0)
+    assert rows(resets_itself) == rows(env)
 
 
 def test_a_reset_in_mid_episode_keeps_the_piece():
@@ -165,18 +168,6 @@ def test_a_second_cost_has_records_of_its_own():
     assert rows(envs)[: len(EIGHT_STEPS)] == EIGHT_STEPS
     assert by_cost["cost_2"].longest_streak.tolist()[:5] == [1, 0, 1, 1, 2]
     assert by_cost["cost_2"].start_step.tolist() == by_cost["cost"].start_step.tolist()
-    alone = RecordCosts(TwoCosts(SCRIPTS[1]), costs=("cost_2",))
-    assert run_single(alone, episodes=1).records.longest_streak.tolist() == [1]
-
-
-def test_names_of_costs_are_checked():
-    for costs in ("cost_2", (), ("cost", "cost")):
-        with pytest.raises(ValueError, match="costs must be different names"):
-            RecordCosts(Scripted(SCRIPTS[0]), costs=costs)
-    env = RecordCosts(Scripted(SCRIPTS[0]), costs=("cost", "cost_2"))
-    env.reset()
-    with pytest.raises(KeyError, match="info has no 'cost_2'"):
-        env.step(0)
 
 
 def test_costs_that_gymnasium_may_have_rounded_are_refused():
@@ -201,16 +192,10 @@ def test_what_cannot_be_recorded_is_named():
     half_silent.reset()
     with pytest.raises(ValueError, match="sub-environment 1 gave no 'cost'"):
         half_silent.step([0, 0])
+    for costs in ("cost_2", (), ("cost", "cost")):
+        with pytest.raises(ValueError, match="costs must be different names"):
+            RecordCosts(Scripted(SCRIPTS[0]), costs=costs)
     with pytest.raises(ValueError, match=r"metadata\['autoreset_mode'\] must be .* got None"):
         RecordCosts(Native(None))
     with pytest.raises(TypeError, match="env must be a gymnasium Env or VectorEnv, got str"):
         RecordCosts("Circle2D-1-v0")  # pyright: ignore[reportArgumentType]
-
-
-@pytest.mark.parametrize("mode", [SAME, SAME.value])
-def test_native_same_step_environment(mode):
-    envs = RecordCosts(Native(mode))
-    envs.reset()
-    for _ in range(3):
-        envs.step(None)
-    assert rows(envs) == [(0, 0, 2, 2.0, 2), (1, 0, 3, 6.0, 3)]
