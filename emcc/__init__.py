@@ -61,11 +61,8 @@ _LATE = {
     "wrappers": ("RecordCosts",),
 }
 """Names by the module that has them, which is imported when one is first asked for."""
-_NEEDS = {  # beside numpy
-    "sb3": "stable-baselines3",
-    "streak_cost": "gymnasium>=1.1",
-    "wrappers": "gymnasium>=0.28",
-}
+_NEEDS = {"wrappers": "gymnasium>=0.28", "streak_cost": "gymnasium>=1.1"}
+"""What a module needs beside numpy."""
 
 
 def __getattr__(name: str) -> Any:
@@ -75,8 +72,8 @@ def __getattr__(name: str) -> Any:
     try:
         loaded = import_module(f"emcc.{module}")
         return loaded if name == module else getattr(loaded, name)
-    except ImportError as error:  # a library is missing, or too old to have a name
-        needed, missing = _NEEDS.get(module, ""), (error.name or "").partition(".")[0]
-        if not missing or not needed.startswith(missing.replace("_", "-")):
+    except ImportError as error:  # gymnasium is missing, or too old to have a name
+        needed = _NEEDS.get(module)
+        if needed is None or (error.name or "").partition(".")[0] != "gymnasium":
             raise
         raise ImportError(f"emcc.{name} needs {needed}: pip install '{needed}'") from error

@@ -3,13 +3,17 @@
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from emcc.panels import WINDOW, Panel, measures_of, panel
 from emcc.parts import ALPHA
 from emcc.recorder import CostRecorder, cost_of
 from emcc.records import EpisodeRecords
+
+try:
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+except ModuleNotFoundError as error:
+    raise ImportError("emcc.sb3 needs stable-baselines3: pip install stable-baselines3") from error
 
 
 class EMCCCallback(BaseCallback):
