@@ -15,7 +15,7 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check \
 	-c constraints.txt
 
-.PHONY: demo test check docs faults integrate lint ray clean
+.PHONY: demo test check slow docs faults integrate lint ray clean
 .DELETE_ON_ERROR:
 
 $(VENV)/made:
@@ -55,13 +55,17 @@ endif
 test: $(VENV)/develops
 	$(BIN)/python -m pytest -n logical --dist loadfile --no-loadscope-reorder
 
-check: $(VENV)/develops
+check: slow docs
+
+slow: $(VENV)/develops
 	$(BIN)/python -m pytest -m slow -n logical --dist loadfile --durations 20
-	$(MAKE) docs
 
 docs: $(VENV)/develops
 	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
 	@echo "The documentation: $(abspath docs/_build/html/index.html)"
+
+INTEGRATED := $(addprefix tests/emcc/test_emcc_,minari.py sb3.py tensordict.py) tests/test_examples.py
+INTEGRATED += tests/agents/test_export.py tests/circle2d_mj/core/test_other_libraries.py
 
 # All that is pinned but pandas and filelock, of which tianshou needs versions before 3 and 4. It puts
 # these libraries into the same environment.
@@ -70,8 +74,7 @@ integrate: $(VENV)/develops
 		> $(VENV)/constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c $(VENV)/constraints.txt \
 		-e '.[dev,integrations]'
-	$(BIN)/python -m pytest -n logical --durations 5 tests/emcc tests/agents/test_export.py \
-		tests/circle2d_mj/core/test_other_libraries.py tests/test_examples.py
+	$(BIN)/python -m pytest -n logical --durations 5 $(INTEGRATED)
 	$(BIN)/python -m pytest -m slow tests/agents/test_sweeps.py::test_training_on_ray
 
 ray: $(VENV)/develops

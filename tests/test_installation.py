@@ -62,7 +62,8 @@ def run(folder, *command, status=0):
 def install(folder, *what):
     """A new environment, `venv` in the folder, with these packages."""
     run(folder, sys.executable, "-m", "venv", "venv")
-    run(folder, "venv/bin/python", "-m", "pip", "install", "--quiet", *map(str, what))
+    pip = ("venv/bin/python", "-m", "pip", "install", "--quiet", "--no-compile")
+    run(folder, *pip, *map(str, what))
 
 
 @pytest.fixture(scope="module")
@@ -111,16 +112,12 @@ def test_the_lowest_versions(wheel, tmp_path, opengl):
     def circle2d(*args):
         return run(tmp_path, "venv/bin/circle2d", *args).stdout
 
-    how = ("--backend", "eager", "--seeds", "0", "--steps", "2e3")
+    how = ("--backend", "eager", "--seeds", "0", "--steps", "1e3")
     assert "SAC-Lag" in circle2d("train", "sac-lag", *how, "--tensorboard", "--out", "runs/sac")
     assert "CPO" in circle2d(
         "train", "cpo", *how, "--task", "Circle2DMuJoCo-1", "--out", "runs/cpo"
     )
-    circle2d("resume", "runs/cpo")
-    circle2d("evaluate", "runs/sac", "--episodes", "3")
     assert "SAC-Lag" in circle2d("report", "runs")
-    circle2d("compare", "runs/sac", "runs/sac", "--out", "both")
-    circle2d("heatmap", "runs/sac")
     circle2d("render", "runs/sac", "--out", "film.mp4", "--episodes", "1")
     (tmp_path / "scene.xml").write_text(circle2d("scene", "Circle2DMuJoCo-3-v0"))
     load = "import mujoco; mujoco.MjModel.from_xml_path('scene.xml')"
