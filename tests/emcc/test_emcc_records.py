@@ -115,7 +115,7 @@ def test_costs_of_each_trajectory_or_joined_are_the_same(costs):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (([0, 1, 1],), "costs must be an array of each trajectory, or come with lengths"),
+        (([0, 1, 1],), "costs must hold an array of each trajectory, or come with lengths"),
         (([[0, 1], []],), "costs of trajectory 1 must have at least one"),
         (([[0, 1], [[1]]],), r"costs of trajectory 1 must be 1-D, got shape \(1, 1\)"),
         (([[0, 1], [1, 0]], [2, 1]), "lengths must be those of the trajectories of costs"),
