@@ -168,18 +168,6 @@ def test_files_are_taken_over_so_that_any_moment_can_be_gone_on_from(tmp_path, m
 
 
 @pytest.mark.slow
-def test_ray_gives_the_same_as_local_processes(tmp_path):
-    pytest.importorskip("ray")
-    folders = [made(tmp_path / name, 1500) for name in ("local", "ray")]
-    for folder in folders:
-        with launcher(folder.name, 2) as trainings:
-            trainings.submit(folder)
-            trainings.wait()
-            assert not trainings.failed
-    assert results(folders[0]) == results(folders[1])
-
-
-@pytest.mark.slow
 def test_a_node_of_ray_that_is_lost(tmp_path, monkeypatch):
     """The training goes on on another node, from the newest checkpoint that was sent."""
     pytest.importorskip("ray")

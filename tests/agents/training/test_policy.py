@@ -190,20 +190,6 @@ def test_policies_on_the_way(algorithm, tmp_path):
     np.testing.assert_array_equal(*last)
 
 
-def test_the_policy_of_a_task_among_several(tmp_path):
-    more = {"seeds": (0, 1), "evaluate_every": 100, "cost_limit": 5.0}
-    tasks = ("Circle2D-1-v0", "circle2d_mj:Circle2D-2-v0")
-    out = trained(tmp_path / "x", "cpo", tasks, **more)
-    for name in ("Circle2D-2-v0", "circle2d_mj:Circle2D-2-v0"):
-        policy = agents.load_policy(out, 1, task=name)
-        assert (policy.task, policy.seed) == (tasks[1], 1)
-        assert agents.load_policy(out, 1, 100, name).step == 100
-    others = [
-        agents.load_policy(out, seed, task=task)(OBSERVATIONS) for task in tasks for seed in (0, 1)
-    ]
-    assert len({array.tobytes() for array in others}) == 4
-
-
 def test_evaluation_by_hand():
     """`Target`: one step, return -(a - 0.8)², cost (1 + a) / 2."""
     seen = []

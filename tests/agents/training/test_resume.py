@@ -6,8 +6,6 @@ from small_runs import SAC, TRPO, results
 
 import agents
 from agents.errors import UserError
-from agents.training import trainer as module
-from agents.training.trainer import train
 
 OPTIONS = {"seeds": (3, 4), "steps": 240, "checkpoint_every": 60, "evaluate_every": 100}
 FAMILIES = {"cpo": TRPO, "trpo-lag": TRPO, "sac-lag": SAC}
@@ -53,32 +51,3 @@ def test_what_was_reached_by_a_stop_is_kept(tmp_path):
     resumed = agents.resume(runs, on_epoch=seen.append)
     assert seen[3].runs[3]["step"] == 200
     assert [run.seed for run in resumed.results[0].runs] == [3, 4]
-
-
-def test_an_error_of_a_callback_loses_no_checkpoint(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "WRITING_SHARE", 1e9)
-
-    def fail(epoch):
-        if epoch.runs[3]["step"] >= 180:
-            raise RuntimeError("in the middle")
-
-    with pytest.raises(RuntimeError, match="in the middle"):
-        trained(tmp_path / "x", "trpo-lag", on_epoch=fail)
-    assert 60 <= module_steps(tmp_path / "x") < 240
-    agents.resume(tmp_path / "x")
-    assert results(tmp_path / "x") == results(trained(tmp_path / "whole", "trpo-lag"))
-
-
-def module_steps(folder):
-    newest = sorted((folder / "checkpoints").iterdir())[-1]
-    return int(np.load(newest)["steps"].min())
-
-
-def test_a_finished_training_is_evaluated_again_and_stays_the_same(tmp_path):
-    folder = trained(tmp_path / "x", "trpo-lag")
-    expected = results(folder)
-    train(folder)
-    assert results(folder) == expected
-    (folder / "results.npz").write_text("torn")
-    train(folder)
-    assert results(folder) == expected
