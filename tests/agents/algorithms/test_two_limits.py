@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from small_trainings import assert_same, finished, of_run, results, small, trainer
+from small_trainings import assert_same, finished, of_run, small, trainer
 from toys import Walk
 
 import agents
@@ -81,6 +81,11 @@ def test_penalties_by_hand():
         assert algorithm(name).rule.advantage(None, reward, both, torch.zeros(1, 0)) is reward
 
 
+def test_one_cost_is_too_few(tmp_path):
+    with pytest.raises(UserError, match="limits 2 costs"):
+        agents.train("trpo-two", "Both-v0", costs=("cost",), out=tmp_path / "x")
+
+
 def test_off_policy_each_follows_the_risk_of_its_cost():
     """Plain gradients through softplus: a parameter rises by 0.1·σ(5)·(risk - d), of the risk that
     the records say; σ(5) = 0.9933071."""
@@ -146,17 +151,3 @@ def test_a_run_is_what_it_is_alone(name, optimizer):
     learned = both.learner._state.critics
     assert learned.shape[1] == (6 if name == "sac-two" else 3)
     assert both.learner.nets.critic.sizes[0] == 2 + 2 + (name == "sac-two")
-
-
-def test_a_run_folder_has_both(tmp_path):
-    """Trained by name and costs alone; one cost is too few."""
-    settings = {**vars(small("trpo-two")), "cost_limit_2": 2.0, "steps": 300, "seeds": 0}
-    agents.train("trpo-two", "Both-v0", costs=COSTS, out=tmp_path / "run", **settings)
-    arrays = results(tmp_path / "run")
-    for name in COSTS:
-        assert f"Both-v0/0/costs/{name}/unsafe" in arrays
-    assert arrays["Both-v0/0/evaluation/deterministic/costs"].shape[1] == 2
-    with pytest.raises(UserError, match="limits 2 costs"):
-        agents.train("trpo-two", "Both-v0", costs=("cost",), out=tmp_path / "one", **settings)
-    with pytest.raises(UserError, match="'jerk'"):
-        agents.train("trpo-two", "Both-v0", costs=("cost", "jerk"), out=tmp_path / "x", **settings)

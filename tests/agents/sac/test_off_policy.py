@@ -18,13 +18,6 @@ def training(**changes):
     return trainer(TrainConfig("sac-lag", ("Circle2D-1-v0",), (0, 1), 10_000, hyperparameters))
 
 
-def recorded(it, metric):
-    """A number of every update of both runs, [epochs, R]."""
-    rows, column = it.recorder.take(), it.learner.metrics.index(metric)
-    updates = [rows[run.prefix + "updates"] for run in it.config.runs]
-    return np.stack(updates, axis=1)[..., column]
-
-
 def test_every_slot_is_drawn_and_noise_is_fresh():
     it = training(batch_size=64)
     for _ in range(40):
@@ -102,7 +95,8 @@ def test_metrics_are_means_over_gradient_steps():
     it = training(gradient_steps=20)
     for _ in range(6):
         it.run_epoch()
-    temperature = recorded(it, "temperature")
+    rows, column = it.recorder.take(), it.learner.metrics.index("temperature")
+    temperature = np.stack([rows[run.prefix + "updates"][:, column] for run in it.config.runs], 1)
     assert np.isnan(temperature[4]).all()
     np.testing.assert_allclose(temperature[5], 1.0, atol=20 * 3e-4 + 1e-6)
 

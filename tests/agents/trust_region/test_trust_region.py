@@ -243,14 +243,6 @@ def test_compared_and_its_gradient_against_separate_runs(steps, size):
             torch.testing.assert_close(moved[run], vector.grad)
 
 
-def test_advantage_by_hand():
-    """(A_r - λ A_c) / (1 + λ): (2 - ½·1) / 1.5 = 1, (-1 - ½·4) / 1.5 = -2; (2 - 3) / 4 = -¼."""
-    reward = torch.tensor([[2.0, -1.0], [2.0, 0.0]])
-    cost = torch.tensor([[[1.0, 4.0]], [[1.0, 0.0]]])
-    found = trpo_lag.advantage(TRPOLagConfig(), reward, cost, torch.tensor([[0.5], [3.0]]))
-    torch.testing.assert_close(found, torch.tensor([[1.0, -2.0], [-0.25, 0.0]]))
-
-
 def test_step_of_trpo_by_hand():
     """H = diag(4, 1), g = (8, 1): H⁻¹g = (2, 1), of which ½ xᵀHx = 8.5; δ = 0.085 is a hundredth.
 
