@@ -24,6 +24,7 @@ from agents.errors import EXTRA
 from agents.paper.presets import preset
 from agents.training.callbacks import Epoch, share_done
 from agents.training.config import TrainConfig
+from agents.training.policy import load_policy
 from agents.training.trainer import Trainer
 
 TRAIN = ["train", "sac-lag", "--seeds", "0", "1", "--steps", "300", "--backend", "eager"]
@@ -80,6 +81,8 @@ def test_settings_reach_the_training(tmp_path):
     assert [run.prefix for run in config.runs] == [f"{n}/{seed}/" for n in names for seed in (0, 1)]
     assert (config.steps, config.hyperparameters.replay_size) == (150, 20_000)
     assert config.task_parameters == {"constraint_radius": 3.0}
+    for name in ("Circle2D-3-v0", "circle2d_mj:Circle2D-3-v0"):
+        assert load_policy(out, 1, task=name).task == "circle2d_mj:Circle2D-3-v0"
     own = config.hyperparameters
     assert (own.cost_limit, own.hidden, own.activation) == (3.0, (32, 16), "relu")
 

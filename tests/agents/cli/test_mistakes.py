@@ -1,7 +1,6 @@
 """Mistakes on the command line: one line on stderr, status 2, nothing half-made left."""
 
 import re
-import shutil
 import sys
 
 import pytest
@@ -9,7 +8,6 @@ import torch
 
 from agents.cli.main import main
 from agents.training import config
-from agents.training.files import locked
 
 TRAIN = ("train", "sac-lag", "--seeds", "0", "1", "--steps", "600", "--backend", "eager")
 TO = (*TRAIN, "--out", "{tmp}/x")
@@ -125,12 +123,3 @@ def test_a_library_that_is_missing(module, options, hint, tmp_path, capsys, monk
     monkeypatch.setitem(sys.modules, module, None)
     assert hint in mistake([*options, "--out", str(tmp_path / "x")], capsys)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_another_process_trains_in(folder, tmp_path, capsys):
-    copy = tmp_path / "runs"
-    shutil.copytree(folder, copy)
-    with locked(copy):
-        assert "another process is training" in mistake(["resume", str(copy)], capsys)
-        err = mistake([*TRAIN, "--out", str(copy)], capsys)
-        assert "is being trained in by another process" in err
