@@ -186,23 +186,6 @@ def test_targets_by_hand():
     assert variance[0].tolist() == pytest.approx([10.095, 0.75], rel=1e-6)
 
 
-def test_variance_target_is_the_variance_of_the_return():
-    """A cost of 0 or 2 by a fair coin, then a future of mean 3 and variance 0.5.
-
-    The return c + γ C' has mean 1 + γ 3 and variance 1 + γ² 0.5. Averaged over the coin, with
-    Q_c = 1 + γ 3, the targets must say so."""
-    gamma, cost = 0.9, torch.tensor([[0.0, 2.0]])
-    following = outputs([3.0, 3.0], [0.5, 0.5])
-    q = torch.full((1, 2), 1 + gamma * 3)
-    mean, variance = targets(torch.full((1, 2), gamma), q, following, cost)
-    assert mean.mean().item() == pytest.approx(1 + gamma * 3)
-    # each half is clamped at 1e-8; this coin keeps one below: c = 0 gives -5.8, c = 2 gives 9.0
-    raw = cost**2 - q**2 + 2 * gamma * cost * 3 + gamma**2 * (0.5 + 9)
-    assert raw.mean().item() == pytest.approx(1 + gamma**2 * 0.5, rel=1e-6)
-    assert variance[0, 1].item() == pytest.approx(raw[0, 1].item(), rel=1e-6)
-    assert variance[0, 0].item() == pytest.approx(1e-8)
-
-
 def batch_of(cost, cost_terminal):
     """Transitions of which a loss of costs sees these alone; [1, B]."""
     nothing = torch.zeros_like(cost)

@@ -1,11 +1,9 @@
-"""Algorithms by name: listed without torch, and registered from outside; a family of one's own:
+"""Algorithms by name, registered from outside; a family of one's own:
 toy_family.py."""
 
 import inspect
-import json
 import math
 import re
-import subprocess
 import sys
 from dataclasses import make_dataclass
 from pathlib import Path
@@ -39,21 +37,6 @@ def sac_fixed(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "my_algorithm", raising=False)
     __import__("my_algorithm")
-
-
-def test_names_are_listed_without_torch():
-    ask = """
-import json, sys
-from agents.algorithms import ALGORITHMS, title
-names = list(ALGORITHMS), len(ALGORITHMS), "ppo" in ALGORITHMS, title("my-own"), "torch" in sys.modules
-from agents.paper.presets import PAPER_ALGORITHMS
-print(json.dumps([*names, PAPER_ALGORITHMS, "torch" in sys.modules]))
-"""  # noqa: E501
-    said = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
-    names, count, has_ppo, own, before, paper, after = json.loads(said.stdout)
-    assert (names, count) == (list(BUILT_IN), len(BUILT_IN))
-    assert paper == ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
-    assert (has_ppo, own, before, after) == (True, "my-own", False, False)
 
 
 def test_from_a_file_of_ones_own(sac_fixed):

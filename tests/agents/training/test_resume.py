@@ -5,7 +5,6 @@ import pytest
 from small_runs import SAC, TRPO, results
 
 import agents
-from agents.errors import UserError
 
 OPTIONS = {"seeds": (3, 4), "steps": 240, "checkpoint_every": 60, "evaluate_every": 100}
 FAMILIES = {"cpo": TRPO, "trpo-lag": TRPO, "sac-lag": SAC}
@@ -32,22 +31,3 @@ def test_a_stop_after_any_epoch(tmp_path, algorithm):
         assert len(stops) < 50
     assert len(stops) > 2
     assert results(broken) == expected
-
-
-def test_what_was_reached_by_a_stop_is_kept(tmp_path):
-    seen = []
-
-    def stop(epoch):
-        seen.append(epoch)
-        return len(seen) < 3
-
-    runs = trained(tmp_path / "x", "sac-lag", "Circle2D-1-v0", on_epoch=stop)
-    records = agents.load_runs(runs).records[runs, 3]
-    assert records.total_steps == 150
-    assert seen[-1].runs[3]["return"] == records.reward[-1]
-    with pytest.raises(UserError, match="unfinished"):
-        _ = agents.load_runs(runs).results
-    assert agents.evaluate(runs, episodes=1).returns.shape == (2, 1)
-    resumed = agents.resume(runs, on_epoch=seen.append)
-    assert seen[3].runs[3]["step"] == 200
-    assert [run.seed for run in resumed.results[0].runs] == [3, 4]
