@@ -151,6 +151,7 @@ def test_links_of_the_site_lead_to_its_pages(name):
     """Not to a text that lies outside the site, nor to the source of one of its pages."""
     import made
 
+    assert "```{include} made/metric.md" in made.on_site("metric", TEXTS["docs/metric.md"])
     text = made.on_site(str(Path(name).relative_to("docs").with_suffix("")), TEXTS[name])
     for target in (of for of in links(text) if not re.match(r"[a-z]+:", of)):
         path = ((ROOT / name).parent / target).resolve()
@@ -158,20 +159,6 @@ def test_links_of_the_site_lead_to_its_pages(name):
             assert path in PAGES or path.relative_to(DOCS / "made") in produced()
         else:
             assert path.exists()
-
-
-def test_pages_of_the_site_hold_what_is_made():
-    import made
-
-    assert "```{include} made/metric.md" in made.on_site("metric", TEXTS["docs/metric.md"])
-    for source, target in {
-        "[R](../results/README.md#a)": "[R](made/results.md#a)",
-        "[M](../emcc/README.md) and": "[M](metric.md) and",
-        "[N](emcc_of_your_logs.ipynb)": "[N](made/emcc_of_your_logs/index.md)",
-        "[L](../LICENSE), `x[i](j)`": "[L](../LICENSE), `x[i](j)`",
-    }.items():
-        assert made.on_site("speed", source) == target
-    assert made.copies.relinked(ROOT, "[A](docs/api.md)", ROOT, DOCS / "made") == "[A](../api.md)"
 
 
 def produced():

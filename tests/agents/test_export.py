@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -89,11 +88,3 @@ def test_the_command(folder, tmp_path, capsys):
     written = capsys.readouterr().out.split()
     assert written
     assert all(tmp_path in Path(path).parents for path in written)
-
-
-def test_a_missing_library_is_named(folder, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    words = r"needs onnx, .* pip install 'circle2d-mj\[export\]"
-    with pytest.raises(agents.UserError, match=words):
-        export(folder, "onnx", tmp_path / "x")
-    assert not (tmp_path / "x").exists()

@@ -1,7 +1,6 @@
 """Commands do what they say: their output, their files, their status. Signals: the first ends a
 training after its epoch with a checkpoint, the second at once."""
 
-import csv
 import dataclasses
 import json
 import os
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import toys
+from small_runs import lines_of
 
 from agents.cli import showing
 from agents.cli.main import AfterEpoch, Ended, handling_signals, main
@@ -37,11 +37,6 @@ def folder(tmp_path_factory):
     return path
 
 
-def rows_of(folder):
-    with (folder / "report.csv").open() as file:
-        return list(csv.DictReader(file))
-
-
 def test_train_and_report_print_and_write_the_table(folder, capsys):
     assert {path.name for path in folder.iterdir()} == {
         *(".lock", "checkpoints", "config.json", "report.csv", "report.md", "results.npz"),
@@ -57,7 +52,7 @@ def test_train_and_report_print_and_write_the_table(folder, capsys):
         "SAC-Lag (random_steps 150, 300 steps), seed 0",
         "SAC-Lag (random_steps 150, 300 steps), seed 1",
     ]
-    assert [row["seed"] for row in rows_of(folder) if row["seed"]] == ["0", "1"]
+    assert [row["seed"] for row in lines_of(folder / "report.csv") if row["seed"]] == ["0", "1"]
     assert share_done(folder) == 1.0
 
 
@@ -127,7 +122,7 @@ def test_a_failed_run_is_named_and_the_status_is_1(tmp_path, capsys, monkeypatch
     assert main(["resume", str(out)]) == 1
     assert main(["evaluate", str(out), "--episodes", "2"]) == 1
     assert main(["report", str(out)]) == 1
-    (mean,) = (row for row in rows_of(out) if row["kind"] == "mean")
+    (mean,) = (row for row in lines_of(out / "report.csv") if row["kind"] == "mean")
     assert mean["seeds"] == "2"
     capsys.readouterr()
 

@@ -5,11 +5,10 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
-from small_runs import TRPO, processes, results
+from small_runs import TRPO, processes, results, wait_until
 
 import agents
 from agents.api import configs_of
@@ -25,13 +24,6 @@ def made(folder, steps=200):
     [config] = configs_of("trpo-lag", "Circle2D-1-v0", [hyperparameters], "eager", own)
     config.write(folder)
     return folder
-
-
-def wait_until(condition, seconds=300):
-    until = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until
-        time.sleep(0.02)
 
 
 def test_so_many_at_a_time_and_one_that_fails_stops_no_other():
