@@ -152,20 +152,14 @@ def test_links_of_the_site_lead_to_its_pages(name):
     import made
 
     assert "```{include} made/metric.md" in made.on_site("metric", TEXTS["docs/metric.md"])
+    produced = {Path(page) for page in made.pages()} | {Path("emcc_of_your_logs/index.md")}
     text = made.on_site(str(Path(name).relative_to("docs").with_suffix("")), TEXTS[name])
     for target in (of for of in links(text) if not re.match(r"[a-z]+:", of)):
         path = ((ROOT / name).parent / target).resolve()
         if path.suffix in (".md", ".ipynb"):
-            assert path in PAGES or path.relative_to(DOCS / "made") in produced()
+            assert path in PAGES or path.relative_to(DOCS / "made") in produced
         else:
             assert path.exists()
-
-
-def produced():
-    """Pages that are made with the site."""
-    import made
-
-    return {Path(name) for name in made.pages()} | {Path("emcc_of_your_logs/index.md")}
 
 
 def test_one_version_everywhere():

@@ -138,6 +138,3 @@ def test_hyperparameters_of_all(name):
         for value in values:
             with pytest.raises(UserError, match=field):
                 config(**{field: value})
-    if name in ("cpo", "sac-lb"):
-        with pytest.raises(TypeError, match="multiplier_optimizer"):
-            config(multiplier_optimizer="pid")

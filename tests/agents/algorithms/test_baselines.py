@@ -171,13 +171,6 @@ def test_targets_by_hand():
     assert variance[0].tolist() == pytest.approx([10.095, 0.75], rel=1e-6)
 
 
-def batch_of(cost, cost_terminal):
-    """Transitions of which a loss of costs sees these alone; [1, B]."""
-    nothing = torch.zeros_like(cost)
-    vector = nothing[..., None]
-    return Batch(vector, vector, nothing, cost, vector, nothing, cost_terminal)
-
-
 @pytest.mark.parametrize(
     ("variance_target", "terminal", "by_hand"),
     [("squared", 0, 2.1379740), ("unsquared", 0, 1.4864755), ("unsquared", 1, 0.5414755)],
@@ -191,7 +184,8 @@ def test_critic_loss_by_hand(variance_target, terminal, by_hand):
     At an episode's end it is so too, where the mean's is 1: ½ (2 - 1)² + .0414755.
     """
     config = replace(CONFIG, variance_target=variance_target)
-    batch = batch_of(torch.ones(1, 1), torch.full((1, 1), float(terminal)))
+    ones, ends, unused = torch.ones(1, 1), torch.full((1, 1), float(terminal)), torch.zeros(1, 1)
+    batch = Batch(unused, unused, unused, ones, unused, unused, ends)
     loss = RULE.critic_loss(config, outputs([2.0], [4.0]), outputs([3.0], [0.5]), batch)
     assert loss.item() == pytest.approx(by_hand, rel=1e-5)
 

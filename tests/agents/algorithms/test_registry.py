@@ -58,19 +58,14 @@ def test_reserved_are_the_names_of_parameters():
     assert names <= set(RESERVED)
 
 
-OF_TRAIN = ("device", str, "cpu")
-"""A hyper-parameter of the name of a parameter of `train`."""
-
-
 def test_what_register_refuses(sac_fixed):
     own = algorithm("sac-fixed")
     for name in ("sac", "sac-fixed", "", "My-Own", "my own", "my--own", "../own", 3):
         with pytest.raises(UserError, match=repr(name)):
             register(name, own)
-    loose, incomplete, named = (
-        make_dataclass("Config", [field], frozen=frozen)
-        for field, frozen in ((("a", int, 1), False), (("a", int), True), (OF_TRAIN, True))
-    )
+    loose = make_dataclass("Config", [("a", int, 1)])
+    incomplete = make_dataclass("Config", [("a", int)], frozen=True)
+    named = make_dataclass("Config", [("device", str, "cpu")], frozen=True)  # as in `train`
     cpo, ppo = algorithm("cpo"), algorithm("ppo-lag")
     for wrong, named_in_message in (
         *((own._replace(config=c), "config of 'own'") for c in (loose, dict, loose(), None)),

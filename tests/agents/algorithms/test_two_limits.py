@@ -42,9 +42,9 @@ def two_limits(monkeypatch):
         agents.register(name, own._replace(config=with_second(own.config), rule=rule))
 
 
-def config(name, seeds=(0, 1), costs=COSTS, **changes):
+def config(name, seeds=(0, 1), **changes):
     own = small(name, multiplier_optimizer="sgd", multiplier_lr=0.1, **changes)
-    return TrainConfig(name, ("TwoCosts-v0",), seeds, 300, own, costs=costs)
+    return TrainConfig(name, ("TwoCosts-v0",), seeds, 300, own, costs=COSTS)
 
 
 def multiplier_values(it):

@@ -69,7 +69,6 @@ def mistake(arguments, capsys):
         (["heatmap", "{folder}", "--out", "a.jpg"], "out must end in .png, got 'a.jpg'"),
         (["heatmap", "{folder}/.."], "holds folders of runs: did you mean .*first'"),
         (["render", "{folder}", "--out", "{folder}/config.json/a.gif"], "config.json' is a file"),
-        (["render", "{folder}", "--seed", "77"], "no run of seed 77"),
         (["render", "pretrained:cpo/Circle2D-2-v0"], "no policy of 'cpo' comes with the package"),
         (["export", "{folder}", "--format", "pt"], "safetensors"),
         (["scene", "--task-parameters", "mass", "0"], "mass must be above 0"),

@@ -188,13 +188,10 @@ def test_packing_round_trip():
     np.testing.assert_allclose(packing.weight.sum(axis=1), [1, 1, 0, 1], rtol=1e-6)
 
 
-def generators(*seeds):
-    return [np.random.default_rng(seed) for seed in seeds]
-
-
 def test_a_pass_takes_every_row_once():
     steps = np.array([1000, 0, 3, 256])
-    passes = list(minibatches(steps, 256, generators(0, 1, 2, 3)))
+    generators = [np.random.default_rng(seed) for seed in range(4)]
+    passes = list(minibatches(steps, 256, generators))
     assert len(passes) == 4
     for run, n in enumerate(steps):
         taken = torch.cat([rows[run][weight[run] > 0] for rows, weight in passes])

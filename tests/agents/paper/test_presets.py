@@ -176,10 +176,8 @@ def test_tasks_train_together_where_they_are_alike_and_few():
 def test_unknown_levels():
     with pytest.raises(UserError, match="levels"):
         grid.circle2d_tasks((), mujoco=True)
-    assert grid.circle2d_tasks((1, 0, 1), mujoco=True) == [
-        "Circle2DMuJoCo-1-v0",
-        "Circle2DMuJoCo-0-v0",
-    ]
+    found = grid.circle2d_tasks((1, 0, 1), mujoco=True)
+    assert found == ["Circle2DMuJoCo-1-v0", "Circle2DMuJoCo-0-v0"]
 
 
 def test_shards_are_a_partition(tmp_path):

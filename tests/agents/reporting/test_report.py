@@ -154,9 +154,8 @@ def test_the_command_trains_the_same(tmp_path):
     program, *arguments = shlex.split(said)
     assert program == "circle2d"
     assert main(arguments) == 0
-    assert (
-        replace(TrainConfig.read(tmp_path / "with a space"), task_parameters=parameters) == config
-    )
+    read_again = TrainConfig.read(tmp_path / "with a space")
+    assert replace(read_again, task_parameters=parameters) == config
     assert "--hidden 32 64 " in said
     assert "--discount" not in said  # as the preset has it
     assert "--device" not in said

@@ -19,10 +19,6 @@ from agents.on_policy.state import OnPolicyState
 from agents.trust_region import Problem, Step, conjugate_gradient
 
 
-def generator(seed):
-    return torch.Generator().manual_seed(seed)
-
-
 def spd(eigenvalues, seed=0):
     """A random symmetric matrix for each row of eigenvalues, [R, P] -> [R, P, P]."""
     runs, size = eigenvalues.shape
