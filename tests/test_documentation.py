@@ -151,34 +151,15 @@ def test_links_of_the_site_lead_to_its_pages(name):
     """Not to a text that lies outside the site, nor to the source of one of its pages."""
     import made
 
+    assert "```{include} made/metric.md" in made.on_site("metric", TEXTS["docs/metric.md"])
+    produced = {Path(page) for page in made.pages()} | {Path("emcc_of_your_logs/index.md")}
     text = made.on_site(str(Path(name).relative_to("docs").with_suffix("")), TEXTS[name])
     for target in (of for of in links(text) if not re.match(r"[a-z]+:", of)):
         path = ((ROOT / name).parent / target).resolve()
         if path.suffix in (".md", ".ipynb"):
-            assert path in PAGES or path.relative_to(DOCS / "made") in produced()
+            assert path in PAGES or path.relative_to(DOCS / "made") in produced
         else:
             assert path.exists()
-
-
-def test_pages_of_the_site_hold_what_is_made():
-    import made
-
-    assert "```{include} made/metric.md" in made.on_site("metric", TEXTS["docs/metric.md"])
-    for source, target in {
-        "[R](../results/README.md#a)": "[R](made/results.md#a)",
-        "[M](../emcc/README.md) and": "[M](metric.md) and",
-        "[N](emcc_of_your_logs.ipynb)": "[N](made/emcc_of_your_logs/index.md)",
-        "[L](../LICENSE), `x[i](j)`": "[L](../LICENSE), `x[i](j)`",
-    }.items():
-        assert made.on_site("speed", source) == target
-    assert made.copies.relinked(ROOT, "[A](docs/api.md)", ROOT, DOCS / "made") == "[A](../api.md)"
-
-
-def produced():
-    """Pages that are made with the site."""
-    import made
-
-    return {Path(name) for name in made.pages()} | {Path("emcc_of_your_logs/index.md")}
 
 
 def test_one_version_everywhere():

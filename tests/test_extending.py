@@ -112,14 +112,6 @@ def test_two_limits_on_two_costs(folder):
 
 
 @pytest.mark.slow
-def test_an_algorithm_of_the_users_own_in_worker_processes(folder):
-    command = ["reproduce", "--import", "my_algorithm", "--algorithms", "sac-fixed"]
-    command += ["--levels", "1", "--seeds", "0", "--steps", "1000"]
-    command += ["--backend", "eager", "--out", "grid"]
-    assert "SAC-Fixed (1,000 steps), mean of 1" in circle2d(folder, *command).out
-
-
-@pytest.mark.slow
 def test_a_task_and_a_measure_of_the_users_own(folder):
     """The page's task trains by the page's command, and its measure is a column of the report."""
     train = [word.replace("2e4", "1.1e3") for word in command_of("my_tasks")]

@@ -222,14 +222,11 @@ def test_the_page_of_the_later_library():
     best = of_all.idxmin(axis=1).value_counts()
     closer = of_all[2] < of_all[0]
     assert [closer[m].all() for m in (*results_table.EMCC, "J_C")] == [True] * 4
-    ends = [
-        pd.concat(of).ends_in.str.startswith("corridor")
-        for of in (
-            [results_table.runs_as_later("CPO", task) for task in LEVELS],
-            [runs(lines, task, units) for task in LEVELS],
-        )
-    ]
-    barrier = pd.concat([results_table.runs_as_later("SAC-LB", task) for task in LEVELS])
+    cpo, barrier = (
+        pd.concat([results_table.runs_as_later(name, task) for task in LEVELS])
+        for name in ("CPO", "SAC-LB")
+    )
+    ends = [own.ends_in.str.startswith("corridor") for own in (cpo, on(lines, units, LEVELS))]
     waiting = barrier.ends_in == "right rim"
     assert barrier.J_C.max() == 0
     told(
@@ -286,13 +283,10 @@ def test_the_page_with_physics():
 
 def test_the_page_of_the_benchmark():
     """Where its runs end, ranks, and comparisons."""
-    report, text = page("results/baselines/report.md"), page("results/baselines/README.md")
-    text = " ".join(text.split())
+    report = page("results/baselines/report.md")
+    text = " ".join(page("results/baselines/README.md").split())
     lines = results_table.report("baselines")
-    found = {
-        name: pd.concat([runs(lines, task, name) for task in LEVELS])
-        for name in results_table.baseline_ranks()
-    }
+    found = {name: on(lines, name, LEVELS) for name in results_table.baseline_ranks()}
     assert len(found) == 16 and {len(own) for own in found.values()} == {40}
     waiting = {
         name: int(own.ends_in.str.contains("rim|cut-out").sum()) for name, own in found.items()

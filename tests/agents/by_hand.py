@@ -36,7 +36,7 @@ def of_training(epochs, in_all):
         if steps >= in_all:
             break
         assert all(episode.over for episode in episodes)
-        mcc = max(longest(episode.costs) / len(episode.costs) for episode in episodes)
+        mcc = max(max(streaks(one.costs), default=0) / len(one.costs) for one in episodes)
         for name, low, high in (("0.33", 0, 33), ("0.66", 33, 66), ("0.99", 66, 99)):
             start = 100 * steps / in_all
             if low <= start < high or start == high == 99:
@@ -67,15 +67,6 @@ def top(values):
 def streaks(costs):
     """Lengths of all chains of cost steps in an episode."""
     return [len(chain) for chain in "".join("x" if c > 0 else " " for c in costs).split()]
-
-
-def longest(costs):
-    """Cost steps in a row, at most."""
-    best = now = 0
-    for cost in costs:
-        now = now + 1 if cost > 0 else 0
-        best = max(best, now)
-    return best
 
 
 def highest(values, alpha):

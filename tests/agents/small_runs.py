@@ -1,7 +1,9 @@
 """Runs on the disk: written by hand in the form of a training, and what a training left."""
 
 import contextlib
+import csv
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -151,6 +153,19 @@ def cells(markdown):
     lines = (line for line in markdown.splitlines() if line.startswith("|"))
     rows = ([cell.strip() for cell in line.split("|")[1:-1]] for line in lines)
     return [row for row in rows if row[0].strip("-")]
+
+
+def lines_of(path):
+    """The lines of a table for programs, by its head."""
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def wait_until(condition, seconds=300):
+    """Until something is so, which it has to become in time."""
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.02)
 
 
 def groups_of(*folders):

@@ -52,12 +52,6 @@ def of_run(it, run):
     return state | {k.removeprefix(prefix): v for k, v in rows.items()}
 
 
-def results(folder):
-    """The arrays of a training that is done, by name."""
-    with np.load(folder / "results.npz") as arrays:
-        return dict(arrays)
-
-
 def assert_same(a, b):
     """Equal arrays of equal names, bit for bit."""
     assert a.keys() == b.keys()

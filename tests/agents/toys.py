@@ -117,25 +117,6 @@ class TwoCosts(Walk):
         return *others, info | {"cost_2": 0.25 * (self.x < -0.25)}
 
 
-class Located:
-    """The view of a walk: where it is, and its time, as a point of the plane."""
-
-    extent = (-2.0, 2.0, 0.0, 1.0)
-    axes = ("x", "time")
-
-    def positions(self, observation, info):
-        return np.asarray(observation)[..., :2]
-
-    def places(self, positions):
-        return ["left" if x < 0 else "right" for x in positions[:, 0]]
-
-
-class Seen(Walk):
-    """A walk with a view."""
-
-    view = Located()
-
-
 class Pressed(Walk):
     """A walk that has its x recorded, and by how much it lies beyond 0.5."""
 
@@ -160,6 +141,6 @@ def registered(**classes):
 
 def register():
     """Make the tasks known to gymnasium, as `Target-v0` and so on."""
-    for cls in (Target, Walk, Broken, TwoCosts, Seen, Pressed):
+    for cls in (Target, Walk, Broken, TwoCosts, Pressed):
         if f"{cls.__name__}-v0" not in gym.registry:
             gym.register(f"{cls.__name__}-v0", entry_point=cls, disable_env_checker=True)

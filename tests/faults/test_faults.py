@@ -26,10 +26,3 @@ def test_a_few_faults(tmp_path):
     try_arrays(tally, 200, rng)
     assert sum(tally.tried.values()) == 238
     assert not tally.defects
-
-
-def test_the_table_counts_what_was_wrong():
-    tally = Tally()
-    tally.note("kill", "")
-    tally.note("kill", "a traceback")
-    assert tally.table().splitlines()[2:] == ["| kill | 2 | 1 | 1 |", "| all | 2 | 1 | 1 |"]

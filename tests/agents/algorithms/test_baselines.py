@@ -14,11 +14,8 @@ from agents.algorithms.wcsac import RULE, WCSACConfig, targets, unsquared_varian
 from agents.first_order import Minibatch
 from agents.lockstep import lagrange
 from agents.on_policy.state import Gaussian
-from agents.paper.presets import preset
 from agents.sac.replay import Batch
 from agents.trust_region import Problem
-
-ON_POLICY = ("cppo-pid", "focops", "cup", "p3o", "ipo", "crpo", "pcpo", "c-trpo", "rcpo")
 
 
 def at(*means):
@@ -144,18 +141,6 @@ def test_cal():
     assert loss.item() == pytest.approx(0.5 * (2.2**2 + 2.1**2))
 
 
-@pytest.mark.parametrize("name", [*ON_POLICY, "sac-pid", "cal"])
-def test_presets(name):
-    """The limits of the tasks, and one set for all Safety tasks."""
-    here = preset(name, "Circle2D-1-v0")
-    assert here.cost_limit == 5.0
-    assert here.time_limit == ("bootstrap" if name in ON_POLICY else "terminal")
-    tasks = ("PointGoal1-v0", "CarGoal1-v0", "PointButton1-v0", "PointPush1-v0")
-    safety = {preset(name, f"circle2d_mj/Safety{task}") for task in tasks}
-    assert len(safety | {preset(name, "circle2d_mj/SafetyHalfCheetahVelocity-v1")}) == 1
-    assert safety.pop().cost_limit == 25.0
-
-
 CONFIG = WCSACConfig(cost_limit=5.0, discount=0.9, damping=10.0)
 
 
@@ -186,38 +171,23 @@ def test_targets_by_hand():
     assert variance[0].tolist() == pytest.approx([10.095, 0.75], rel=1e-6)
 
 
-def test_variance_target_is_the_variance_of_the_return():
-    """A cost of 0 or 2 by a fair coin, then a future of mean 3 and variance 0.5.
-
-    The return c + γ C' has mean 1 + γ 3 and variance 1 + γ² 0.5. Averaged over the coin, with
-    Q_c = 1 + γ 3, the targets must say so."""
-    gamma, cost = 0.9, torch.tensor([[0.0, 2.0]])
-    following = outputs([3.0, 3.0], [0.5, 0.5])
-    q = torch.full((1, 2), 1 + gamma * 3)
-    mean, variance = targets(torch.full((1, 2), gamma), q, following, cost)
-    assert mean.mean().item() == pytest.approx(1 + gamma * 3)
-    # each half is clamped at 1e-8; this coin keeps one below: c = 0 gives -5.8, c = 2 gives 9.0
-    raw = cost**2 - q**2 + 2 * gamma * cost * 3 + gamma**2 * (0.5 + 9)
-    assert raw.mean().item() == pytest.approx(1 + gamma**2 * 0.5, rel=1e-6)
-    assert variance[0, 1].item() == pytest.approx(raw[0, 1].item(), rel=1e-6)
-    assert variance[0, 0].item() == pytest.approx(1e-8)
-
-
-def batch_of(cost, cost_terminal):
-    """Transitions of which a loss of costs sees these alone; [1, B]."""
-    nothing = torch.zeros_like(cost)
-    vector = nothing[..., None]
-    return Batch(vector, vector, nothing, cost, vector, nothing, cost_terminal)
-
-
-def test_critic_loss_by_hand():
+@pytest.mark.parametrize(
+    ("variance_target", "terminal", "by_hand"),
+    [("squared", 0, 2.1379740), ("unsquared", 0, 1.4864755), ("unsquared", 1, 0.5414755)],
+)
+def test_critic_loss_by_hand(variance_target, terminal, by_hand):
     """Q_c = 2, V = 4; targets 3.7 and 10.095 (above).
 
     ½ (2 - 3.7)² + ½ (4 + 10.095 - 2 √40.38) = 1.445 + ½ (14.095 - 12.7090519) = 2.1379740
+
+    Of the later library the variance's is 5.235 (below): 1.445 + ½ (9.235 - 2 √20.94) = 1.4864755.
+    At an episode's end it is so too, where the mean's is 1: ½ (2 - 1)² + .0414755.
     """
-    batch = batch_of(torch.ones(1, 1), torch.zeros(1, 1))
-    loss = RULE.critic_loss(CONFIG, outputs([2.0], [4.0]), outputs([3.0], [0.5]), batch)
-    assert loss.item() == pytest.approx(2.1379740, rel=1e-5)
+    config = replace(CONFIG, variance_target=variance_target)
+    ones, ends, unused = torch.ones(1, 1), torch.full((1, 1), float(terminal)), torch.zeros(1, 1)
+    batch = Batch(unused, unused, unused, ones, unused, unused, ends)
+    loss = RULE.critic_loss(config, outputs([2.0], [4.0]), outputs([3.0], [0.5]), batch)
+    assert loss.item() == pytest.approx(by_hand, rel=1e-5)
 
 
 def test_variance_target_of_the_later_library_by_hand():
@@ -229,19 +199,6 @@ def test_variance_target_of_the_later_library_by_hand():
     assert found[0].tolist() == pytest.approx([5.235, 8.985], rel=1e-6)
     cheap = unsquared_variance_target(0.9, means + 3, following, cost)
     assert cheap[0].tolist() == pytest.approx([1e-8] * 2)  # below 0: clamped
-
-
-@pytest.mark.parametrize("terminal", [0.0, 1.0])
-def test_critic_loss_of_the_later_library_by_hand(terminal):
-    """Q_c = 2, V = 4; the mean's target 3.7, or 1 at an episode's end, where it keeps the mask; the
-    variance's is 5.235 either way: ½ (2 - 3.7)² + ½ (4 + 5.235 - 2 √20.94), or ½ instead of the
-    first term."""
-    config = replace(CONFIG, variance_target="unsquared")
-    batch = batch_of(torch.ones(1, 1), torch.full((1, 1), terminal))
-    loss = RULE.critic_loss(config, outputs([2.0], [4.0]), outputs([3.0], [0.5]), batch)
-    distance = 4 + 5.235 - 2 * np.sqrt(20.94)
-    error = 0.5 * (2 - (1.0 if terminal else 3.7)) ** 2
-    assert loss.item() == pytest.approx(error + 0.5 * distance, rel=1e-4)
 
 
 @pytest.mark.parametrize(("gradient", "by_hand"), [("stopped", 11.0), ("through", 71.0)])

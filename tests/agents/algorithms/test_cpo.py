@@ -106,17 +106,12 @@ def test_every_case_in_one_batch():
         if case != RECOVERY:
             assert close(x, solver_step(g, b, c, root))
             assert (abs(c + b @ x) < 1e-4 * RADIUS * b.norm()) == held
-    for run, (_, b, c, root) in enumerate(runs):
+    for run, (_, _, c, _) in enumerate(runs):
         alone = cpo.step(CPOConfig(), problem_of([runs[run]]))
         torch.testing.assert_close(alone.displacement[0], found.displacement[run])
         # Where the limit is kept costs may grow up to it, and the objective has to grow.
         assert found.must_improve[run] == (c <= 0)
         assert found.cost_bound[run] == max(0.0, -c)
-        if CASES[run][2] == RECOVERY:
-            natural = torch.cholesky_solve(b[:, None], root)[:, 0]
-            recovery = -(2 * DELTA / (b @ natural)).sqrt() * natural
-            torch.testing.assert_close(found.displacement[run], recovery)
-            assert b @ found.displacement[run] < 0
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-6])

@@ -3,12 +3,11 @@
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from small_trainings import assert_same, finished, of_run, results, small, trainer
-from toys import Walk
+from small_trainings import assert_same, finished, of_run, small, trainer
+from toys import register as register_toys
 
 import agents
 from agents import algorithms
@@ -18,21 +17,10 @@ from agents.errors import UserError
 from agents.lockstep import lagrange
 from agents.training.config import TrainConfig
 
+register_toys()
 TWO = {"sac-two": "sac-lag", "trpo-two": "trpo-lag", "ppo-two": "ppo-lag"}
 """With a second multiplier, on a second cost; examples/my_limits.py has such an algorithm too."""
-COSTS = ("cost", "left")
-
-
-class Both(Walk):
-    """Walk, whose steps with x < 0.2 also cost 2 of another kind."""
-
-    def step(self, action):
-        *rest, info = super().step(action)
-        return (*rest, info | {"left": 2.0 * (self.x < 0.2)})
-
-
-if "Both-v0" not in gym.registry:
-    gym.register("Both-v0", entry_point=Both, disable_env_checker=True)
+COSTS = ("cost", "cost_2")
 
 
 def with_second(base):
@@ -54,9 +42,9 @@ def two_limits(monkeypatch):
         agents.register(name, own._replace(config=with_second(own.config), rule=rule))
 
 
-def config(name, seeds=(0, 1), costs=COSTS, **changes):
+def config(name, seeds=(0, 1), **changes):
     own = small(name, multiplier_optimizer="sgd", multiplier_lr=0.1, **changes)
-    return TrainConfig(name, ("Both-v0",), seeds, 300, own, costs=costs)
+    return TrainConfig(name, ("TwoCosts-v0",), seeds, 300, own, costs=COSTS)
 
 
 def multiplier_values(it):
@@ -79,6 +67,11 @@ def test_penalties_by_hand():
         torch.testing.assert_close(one, torch.tensor([[5 / 3, -4 / 3]]))
     for name in ("ppo", "cpo"):
         assert algorithm(name).rule.advantage(None, reward, both, torch.zeros(1, 0)) is reward
+
+
+def test_one_cost_is_too_few(tmp_path):
+    with pytest.raises(UserError, match="limits 2 costs"):
+        agents.train("trpo-two", "TwoCosts-v0", costs=("cost",), out=tmp_path / "x")
 
 
 def test_off_policy_each_follows_the_risk_of_its_cost():
@@ -141,22 +134,8 @@ def test_a_run_is_what_it_is_alone(name, optimizer):
     )
     assert_same(of_run(alone, 0), of_run(both, 1))
     rows, metrics = of_run(both, 0), both.learner.metrics
-    assert {*rows["costs/left"]} == {0.0, 2.0}
+    assert {*rows["costs/cost_2"]} == {0.0, 0.25}
     assert {"multiplier", "multiplier_2"} <= {*metrics}
     learned = both.learner._state.critics
     assert learned.shape[1] == (6 if name == "sac-two" else 3)
     assert both.learner.nets.critic.sizes[0] == 2 + 2 + (name == "sac-two")
-
-
-def test_a_run_folder_has_both(tmp_path):
-    """Trained by name and costs alone; one cost is too few."""
-    settings = {**vars(small("trpo-two")), "cost_limit_2": 2.0, "steps": 300, "seeds": 0}
-    agents.train("trpo-two", "Both-v0", costs=COSTS, out=tmp_path / "run", **settings)
-    arrays = results(tmp_path / "run")
-    for name in COSTS:
-        assert f"Both-v0/0/costs/{name}/unsafe" in arrays
-    assert arrays["Both-v0/0/evaluation/deterministic/costs"].shape[1] == 2
-    with pytest.raises(UserError, match="limits 2 costs"):
-        agents.train("trpo-two", "Both-v0", costs=("cost",), out=tmp_path / "one", **settings)
-    with pytest.raises(UserError, match="'jerk'"):
-        agents.train("trpo-two", "Both-v0", costs=("cost", "jerk"), out=tmp_path / "x", **settings)

@@ -1,7 +1,6 @@
 """Commands do what they say: their output, their files, their status. Signals: the first ends a
 training after its epoch with a checkpoint, the second at once."""
 
-import csv
 import dataclasses
 import json
 import os
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import toys
+from small_runs import lines_of
 
 from agents.cli import showing
 from agents.cli.main import AfterEpoch, Ended, handling_signals, main
@@ -24,6 +24,7 @@ from agents.errors import EXTRA
 from agents.paper.presets import preset
 from agents.training.callbacks import Epoch, share_done
 from agents.training.config import TrainConfig
+from agents.training.policy import load_policy
 from agents.training.trainer import Trainer
 
 TRAIN = ["train", "sac-lag", "--seeds", "0", "1", "--steps", "300", "--backend", "eager"]
@@ -34,11 +35,6 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("runs") / "first"
     assert main([*TRAIN, "--out", str(path), "--random-steps", "150"]) == 0
     return path
-
-
-def rows_of(folder):
-    with (folder / "report.csv").open() as file:
-        return list(csv.DictReader(file))
 
 
 def test_train_and_report_print_and_write_the_table(folder, capsys):
@@ -56,7 +52,7 @@ def test_train_and_report_print_and_write_the_table(folder, capsys):
         "SAC-Lag (random_steps 150, 300 steps), seed 0",
         "SAC-Lag (random_steps 150, 300 steps), seed 1",
     ]
-    assert [row["seed"] for row in rows_of(folder) if row["seed"]] == ["0", "1"]
+    assert [row["seed"] for row in lines_of(folder / "report.csv") if row["seed"]] == ["0", "1"]
     assert share_done(folder) == 1.0
 
 
@@ -80,6 +76,8 @@ def test_settings_reach_the_training(tmp_path):
     assert [run.prefix for run in config.runs] == [f"{n}/{seed}/" for n in names for seed in (0, 1)]
     assert (config.steps, config.hyperparameters.replay_size) == (150, 20_000)
     assert config.task_parameters == {"constraint_radius": 3.0}
+    for name in ("Circle2D-3-v0", "circle2d_mj:Circle2D-3-v0"):
+        assert load_policy(out, 1, task=name).task == "circle2d_mj:Circle2D-3-v0"
     own = config.hyperparameters
     assert (own.cost_limit, own.hidden, own.activation) == (3.0, (32, 16), "relu")
 
@@ -124,7 +122,7 @@ def test_a_failed_run_is_named_and_the_status_is_1(tmp_path, capsys, monkeypatch
     assert main(["resume", str(out)]) == 1
     assert main(["evaluate", str(out), "--episodes", "2"]) == 1
     assert main(["report", str(out)]) == 1
-    (mean,) = (row for row in rows_of(out) if row["kind"] == "mean")
+    (mean,) = (row for row in lines_of(out / "report.csv") if row["kind"] == "mean")
     assert mean["seeds"] == "2"
     capsys.readouterr()
 

@@ -1,7 +1,6 @@
 """Mistakes on the command line: one line on stderr, status 2, nothing half-made left."""
 
 import re
-import shutil
 import sys
 
 import pytest
@@ -9,7 +8,6 @@ import torch
 
 from agents.cli.main import main
 from agents.training import config
-from agents.training.files import locked
 
 TRAIN = ("train", "sac-lag", "--seeds", "0", "1", "--steps", "600", "--backend", "eager")
 TO = (*TRAIN, "--out", "{tmp}/x")
@@ -39,24 +37,16 @@ def mistake(arguments, capsys):
     ("arguments", "message"),
     [
         (["fly"], "unknown command 'fly': valid are train, resume, evaluate, reproduce, report"),
-        (["trian"], "did you mean 'train'"),
         (["train"], "train needs the algorithm first: one of trpo-lag, "),
         (["train", "SAC-Lag"], "'SAC-Lag': did you mean 'sac-lag'"),
         (TRAIN, "--out"),
         ([*TO, "--learning-rat", "1"], "--learning-rat"),
         ([*TO, "--lr", "1"], "--lr is --learning-rate here"),
-        ([*TO, "--log-barrier-factor", "3"], "--log-barrier-factor"),
-        ([*TO, "--learning-rate", "low"], "low"),
         ([*TRAIN, "--out", ""], "--out is followed by an empty word"),
-        ([*TRAIN, "--out="], "--out is followed by an empty word"),
-        ([*TO, "--import", ""], "--import is followed by an empty word"),
         ([*TO, "--import", "mine.py"], "a module's name: 'mine'"),
         ([*TO, "--steps", "1M"], "1000000 or 1e6, got '1M'"),
-        ([*TO, "--steps", "1e-3"], "must be an integer"),
         ([*TO, "--steps", "100"], "at least 102 for a table, got 100: .* 50"),
         ([*TO, "--seeds", "-1"], "seeds must be in"),
-        ([*TO, "--seeds", "٣"], "seeds|٣"),
-        ([*TO, "--learning-rate", "1" + "0" * 400], "learning_rate must be a finite number"),
         ([*TO, "--hidden", "60000", "60000"], "hidden .* needs about [0-9.,]+ GB of memory"),
         ([*TO, "--replay-size", "4294967296"], "replay_size .* GB .* for 2 runs"),
         ([*TO, "--backend", "compiled"], "TORCH_COMPILE_DISABLE"),
@@ -72,16 +62,13 @@ def mistake(arguments, capsys):
         (["resume"], "resume needs a folder of runs"),
         (["resume", "{tmp}/nothing"], "nothing is no folder"),
         (["evaluate", "{folder}", "--episodes", "0"], "episodes must be at least 1"),
-        (["evaluate", "{folder}", "--episodes", "1e12"], "episodes must be at most 1000000"),
         (["report", "{tmp}"], "holds no runs"),
         (["report", "{folder}", "--width", "9"], "width must be at least 40 or None, got 9"),
         (["report", "{folder}", "--archive", "{tmp}"], "archive must be a file"),
-        (["compare", "{folder}", "{tmp}/nothing"], "nothing is no folder"),
         (["heatmap", "{folder}", "--part", "1"], "part must be some of \\[0.33, 0.66, 0.99\\]"),
         (["heatmap", "{folder}", "--out", "a.jpg"], "out must end in .png, got 'a.jpg'"),
         (["heatmap", "{folder}/.."], "holds folders of runs: did you mean .*first'"),
         (["render", "{folder}", "--out", "{folder}/config.json/a.gif"], "config.json' is a file"),
-        (["render", "{folder}", "--seed", "77"], "no run of seed 77"),
         (["render", "pretrained:cpo/Circle2D-2-v0"], "no policy of 'cpo' comes with the package"),
         (["export", "{folder}", "--format", "pt"], "safetensors"),
         (["scene", "--task-parameters", "mass", "0"], "mass must be above 0"),
@@ -94,7 +81,6 @@ def mistake(arguments, capsys):
         ([*REPRODUCE, "--workers", "0"], r"workers must be in \[1, 1024\], got 0"),
         ([*REPRODUCE, "--address", "host:1"], "needs the engine ray"),
         ([*REPRODUCE, "--shard", "0/2"], "I/N with I from 1 to N, .* got '0/2'"),
-        ([*REPRODUCE, "--shard", "a/b"], "I/N with I from 1 to N, .* got 'a/b'"),
         (["reproduce", "--out", "{folder}/config.json"], "but '.*config.json' is a file"),
     ],
     ids=lambda given: " ".join(given)[:60] if isinstance(given, (list, tuple)) else "",
@@ -119,18 +105,11 @@ def test_a_gpu_that_is_not_there(tmp_path, capsys):
     [
         ("torch.utils.tensorboard", [*TRAIN, "--tensorboard"], "circle2d-mj[tensorboard]"),
         ("ray", ["reproduce", "--quick", "--engine", "ray"], "circle2d-mj[ray]"),
+        ("onnx", ["export", "{folder}", "--format", "onnx"], "circle2d-mj[export]"),
     ],
 )
-def test_a_library_that_is_missing(module, options, hint, tmp_path, capsys, monkeypatch):
+def test_a_library_that_is_missing(module, options, hint, folder, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
+    options = [word.format(folder=folder) for word in options]
     assert hint in mistake([*options, "--out", str(tmp_path / "x")], capsys)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_another_process_trains_in(folder, tmp_path, capsys):
-    copy = tmp_path / "runs"
-    shutil.copytree(folder, copy)
-    with locked(copy):
-        assert "another process is training" in mistake(["resume", str(copy)], capsys)
-        err = mistake([*TRAIN, "--out", str(copy)], capsys)
-        assert "is being trained in by another process" in err

@@ -6,12 +6,11 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from small_runs import processes
+from small_runs import processes, wait_until
 
 from agents.cli import training
 from agents.cli.main import main
@@ -117,10 +116,7 @@ def test_shards_train_the_whole(whole, tmp_path, capsys):
 def test_stopped_in_the_middle_it_leaves_no_worker_and_goes_on(number, whole, tmp_path):
     command = [*STARTED, str(tmp_path)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 120
-    while process.poll() is None and not list(tmp_path.rglob("status.json")):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    wait_until(lambda: process.poll() is not None or list(tmp_path.rglob("status.json")), 120)
     process.send_signal(number)
     _, err = process.communicate(timeout=60)
     if number is not signal.SIGKILL:

@@ -22,11 +22,11 @@ def rollout_of(one, episodes):
     """Episodes of a policy that knows nothing, of different lengths."""
     envs = make_envs(one.tasks[0], len(SEEDS) * episodes, {})
     rng = np.random.default_rng(0)
-    return collect(
-        envs,
-        range(len(SEEDS) * episodes),
-        lambda observation: rng.uniform(-1, 1, (len(observation), 1)).astype(np.float32),
-    )
+
+    def act(observation):
+        return rng.uniform(-1, 1, (len(observation), 1)).astype(np.float32)
+
+    return collect(envs, range(len(SEEDS) * episodes), act)
 
 
 def trained(name, runs, compiles, states=None):

@@ -84,13 +84,6 @@ def test_lengths_sums_and_ends(truncates):
         np.testing.assert_allclose(rollout.action[:n, run, 0], -0.1 * np.arange(n), rtol=1e-6)
 
 
-def test_a_cost_that_is_not_there_is_named():
-    with pytest.raises(UserError, match=r"info\['cost'\]"):
-        collect(scripted(gives_cost=False), [1, 2, 3], lambda obs: obs)
-    with pytest.raises(UserError, match=r"info\['speed'\]; it gives \['cost', 'jerk'\]"):
-        collect(scripted(), [1, 2, 3], lambda obs: obs, costs=("cost", "speed"))
-
-
 @pytest.mark.parametrize("bad", ["action", "observation", "reward", "jerk"])
 def test_an_episode_with_a_number_that_is_not_finite_is_void_and_says_which(bad):
     """In the second step of the second of three; the others are as they are without."""

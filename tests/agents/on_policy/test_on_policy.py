@@ -188,13 +188,10 @@ def test_packing_round_trip():
     np.testing.assert_allclose(packing.weight.sum(axis=1), [1, 1, 0, 1], rtol=1e-6)
 
 
-def generators(*seeds):
-    return [np.random.default_rng(seed) for seed in seeds]
-
-
 def test_a_pass_takes_every_row_once():
     steps = np.array([1000, 0, 3, 256])
-    passes = list(minibatches(steps, 256, generators(0, 1, 2, 3)))
+    generators = [np.random.default_rng(seed) for seed in range(4)]
+    passes = list(minibatches(steps, 256, generators))
     assert len(passes) == 4
     for run, n in enumerate(steps):
         taken = torch.cat([rows[run][weight[run] > 0] for rows, weight in passes])
@@ -306,25 +303,3 @@ def test_steps_of_adam_against_separate_runs(longest):
         torch.testing.assert_close(found, expected, rtol=0, atol=2e-5)
         log_std = actor[run, start : start + 2].double()
         torch.testing.assert_close(log_std, log_stds[run].detach(), rtol=0, atol=2e-5)
-
-
-def test_learns_what_pays():
-    """Reward -(a - 0.5)², cost where the second component is positive: both components obey."""
-    config = TRPOLagConfig(cost_limit=0.0, initial_multiplier=1.0, **SMALL)
-    it = learner(trpo_lag.RULE, config, seeds=(0, 1))
-    zeros = np.zeros((4, OBSERVATION), np.float32)
-    for epoch in range(25):
-        act = it.explorer(epoch, np.zeros(2, np.int64))
-        actions = np.stack([act(zeros) for _ in range(100)])
-
-        def draw(k, length, actions=actions):
-            action = actions[:, k]
-            cost = (action[:, 1:] > 0).astype(float)
-            return 0.0, action, -((action[:, 0] - 0.5) ** 2), cost, 0.0
-
-        metrics = it.learn(episodes([100] * 4, draw), epoch, np.ones(2, bool))
-    mean = it.policy()(zeros.reshape(2, 2, OBSERVATION), None)[:, 0]
-    assert (np.abs(mean[:, 0] - 0.5) < 0.2).all()
-    assert (mean[:, 1] < -0.5).all()
-    std = metrics[:, METRICS.index("std")]
-    assert (std < 0.9).all()

@@ -148,9 +148,8 @@ def test_parts_over_all_tasks(tmp_path):
     for task in (TASK, "Circle2D-2-v0"):
         choices = ablations("sac-lb-streak", task)
         shown = ["without-streak", "without-share"] if task == TASK else ["without-streak"]
-        write_runs(
-            tmp_path / task / "preset", "sac-lb-streak", [-10.0, -20.0], task=task, ends=ENDS
-        )
+        usual = tmp_path / task / "preset"
+        write_runs(usual, "sac-lb-streak", [-10.0, -20.0], task=task, ends=ENDS)
         for choice in shown:
             folder, config = tmp_path / task / choice, choices[choice]
             write_runs(folder, "sac-lb-streak", [0.0, 0.0], config, task=task, ends=ENDS)

@@ -213,9 +213,7 @@ def test_cost_late_in_training(world):
 
 
 def test_what_decides_nothing(world):
-    assert (
-        verdicts(groups_of(world, steps=10_000)) == []
-    )  # not even a claim: nothing is of the grid
+    assert verdicts(groups_of(world, steps=10_000)) == []  # no claim: nothing is of the grid
     few = {key: runs[: 9 if key[0] in LEVEL else 2] for key, runs in world.items()}
     assert verdicts(groups_of(few)) == ["undecided"] * 9
     others = [

@@ -40,39 +40,47 @@ PRINTED = {
 }
 
 
-@pytest.mark.parametrize("name", PAPER_ALGORITHMS)
-def test_presets_are_the_papers(name):
-    config = preset(name, "Circle2D-2-v0")
-    for field, value in (SHARED | PRINTED[name]).items():
-        assert getattr(config, field) == value, field
-
-
 # Table HP_SafetyGymnasium: what differs there.
 SAFETY = {"SafetyPointCircle1-v0": 20, "SafetyPointGoal1-v0": 10, "SafetyHopperVelocity-v1": 10}
+SAFETY = {f"circle2d_mj/{task}": episodes for task, episodes in SAFETY.items()}
 
 
 @pytest.mark.parametrize("name", PAPER_ALGORITHMS)
-@pytest.mark.parametrize("task", SAFETY)
-def test_presets_of_the_safety_tasks(name, task):
-    printed = SHARED | PRINTED[name] | {"cost_limit": 25}
-    if "episodes" in printed:
+@pytest.mark.parametrize("task", ["Circle2D-2-v0", *SAFETY])
+def test_presets_are_the_papers(name, task):
+    printed = SHARED | PRINTED[name]
+    if task in SAFETY:
+        printed |= {"cost_limit": 25}
+    if task in SAFETY and "episodes" in printed:
         printed |= {"episodes": SAFETY[task]}
-    else:
+    elif task in SAFETY:
         printed |= {"random_steps": 50_000, "replay_size": 500_000, "time_limit": "bootstrap"}
-    config = preset(name, f"circle2d_mj/{task}")
+    config = preset(name, task)
     for field, value in printed.items():
         assert getattr(config, field) == value, field
-    assert preset(name, f"circle2d_mj:circle2d_mj/{task}") == config
 
 
-def test_presets_of_algorithms_that_the_paper_does_not_have():
-    """Those of their family on the paper's tasks."""
+BASELINES = ("cppo-pid", "focops", "cup", "p3o", "ipo", "crpo", "pcpo", "c-trpo", "rcpo")
+
+
+@pytest.mark.parametrize("name", [*BASELINES, "sac-pid", "cal"])
+def test_presets_of_algorithms_that_the_paper_does_not_have(name):
+    """The limits of the tasks, and one set for all Safety tasks."""
+    here = preset(name, "Circle2D-1-v0")
+    assert here.cost_limit == 5.0
+    assert here.time_limit == ("bootstrap" if name in BASELINES else "terminal")
+    assert unprinted(name) is None
+    tasks = ("PointGoal1-v0", "CarGoal1-v0", "PointButton1-v0", "PointPush1-v0")
+    safety = {preset(name, f"circle2d_mj/Safety{task}") for task in tasks}
+    assert len(safety | {preset(name, "circle2d_mj/SafetyHalfCheetahVelocity-v1")}) == 1
+    assert safety.pop().cost_limit == 25.0
+
+
+def test_presets_of_ppo_lag_and_sac_are_those_of_their_families():
     assert preset("ppo-lag", "Circle2D-1-v0").cost_limit == 5.0
-    assert preset("ppo-lag", "Circle2D-1-v0").time_limit == "bootstrap"
     assert preset("ppo-lag", "circle2d_mj/SafetyPointCircle1-v0").episodes == 20
     assert preset("sac", "Circle2D-1-v0").time_limit == "terminal"
     assert preset("sac", "circle2d_mj/SafetyPointGoal1-v0").replay_size == 500_000
-    assert unprinted("sac") is unprinted("ppo-lag") is None
 
 
 @pytest.fixture
@@ -168,10 +176,8 @@ def test_tasks_train_together_where_they_are_alike_and_few():
 def test_unknown_levels():
     with pytest.raises(UserError, match="levels"):
         grid.circle2d_tasks((), mujoco=True)
-    assert grid.circle2d_tasks((1, 0, 1), mujoco=True) == [
-        "Circle2DMuJoCo-1-v0",
-        "Circle2DMuJoCo-0-v0",
-    ]
+    found = grid.circle2d_tasks((1, 0, 1), mujoco=True)
+    assert found == ["Circle2DMuJoCo-1-v0", "Circle2DMuJoCo-0-v0"]
 
 
 def test_shards_are_a_partition(tmp_path):

@@ -1,12 +1,11 @@
 """Two sets of runs side by side, from files written by hand."""
 
-import csv
 import math
 
 import numpy as np
 import pytest
 import scipy.stats
-from small_runs import cells, chain, write_evaluated
+from small_runs import cells, chain, lines_of, write_evaluated
 
 from agents.cli.main import main
 from agents.reporting.compare import compare
@@ -69,7 +68,7 @@ def test_five_seeds_have_intervals_and_tests(tmp_path):
         n_resamples=np.inf,
         alternative="greater",
     ).pvalue
-    (line,) = (x for x in lines(out) if x["kind"] == "p")
+    (line,) = (x for x in lines_of(out / "compare.csv") if x["kind"] == "p")
     assert float(line["J_R"]) == pytest.approx(expected)
     # All other measures are equal: p = 1, and Holm multiplies the smallest of eight by 8.
     assert float(found["p"][4]) == pytest.approx(min(1, 8 * expected), abs=0.0006)
@@ -77,12 +76,10 @@ def test_five_seeds_have_intervals_and_tests(tmp_path):
     assert found["A: CPO, mean of 5"][4] == f"-97.00 [{-97 - half:.2f}, {-97 + half:.2f}]"
     pairs = [(y > x) + (y == x) / 2 for x in first for y in second]
     assert found["P(B better)"][4].startswith(f"{sum(pairs) / 25:.2f} [")
-    middle = next(x for x in lines(out) if (x["algorithm"][:1], x["kind"]) == ("B", "iqm"))
+    middle = next(
+        x for x in lines_of(out / "compare.csv") if (x["algorithm"][:1], x["kind"]) == ("B", "iqm")
+    )
     assert float(middle["J_R"]) == -94  # the mean of the middle three of five
-
-
-def lines(out):
-    return list(csv.DictReader((out / "compare.csv").read_text().splitlines()))
 
 
 def test_runs_too_few_for_a_test_are_named(tmp_path):
@@ -125,7 +122,9 @@ def test_over_tasks_few_runs_decide(tmp_path):
     assert [n.value for n in p.numbers] == pytest.approx([*[4 * 2 / 400] * 3, 1])
     assert [n.value for n in better.numbers] == [1, 1, 1, 0.5]
     assert "corrected for the 4 comparisons of this table (Holm)" in tables[-1].caption
-    found = {(x["kind"], x["EMCC_0.33"]) for x in lines(out) if x["task"] == "2 tasks"}
+    found = {
+        (x["kind"], x["EMCC_0.33"]) for x in lines_of(out / "compare.csv") if x["task"] == "2 tasks"
+    }
     assert {kind for kind, _ in found} == {"difference", "p", "improvement"}
     assert 2 / 400 in [pytest.approx(float(value)) for kind, value in found if kind == "p"]
     assert "All tasks together" in (out / "compare.html").read_text()
@@ -147,9 +146,9 @@ def test_what_is_written(tmp_path, capsys):
     numbers = {"A": (-15, -20, -10, -15, -10, -20), "B": (-7, -9, -5, -7, -5, -9)}
     expected = [(of, *pair) for of, own in numbers.items() for pair in zip(kinds, own, strict=True)]
     expected += [("B", "difference", 8), ("B", "p", pytest.approx(1 / 3)), ("B", "improvement", 1)]
-    told = [x for x in lines(out) if x["J_R"]]
+    told = [x for x in lines_of(out / "compare.csv") if x["J_R"]]
     assert [(x["algorithm"][0], x["kind"], float(x["J_R"])) for x in told] == expected
-    shares = [x for x in lines(out) if x["share"]]
+    shares = [x for x in lines_of(out / "compare.csv") if x["share"]]
     names = ("algorithm", "kind", "ends_in", "seeds", "share")
     assert [tuple(x[name] for name in names) for x in shares] == [
         (f"{side}: CPO (100 steps)", *of, "2", "1.0")

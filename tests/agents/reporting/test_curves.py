@@ -5,6 +5,7 @@ from statistics import fmean, stdev
 
 import numpy as np
 import pytest
+from by_hand import T_OF_4
 
 from agents.paper import introduction as example
 from agents.paper.presets import preset
@@ -44,8 +45,6 @@ def group(records, places=("",)):
 
 
 THREE, FIVE = group(RUNS[:3]), group(RUNS)
-T_OF_4 = 2.7764451
-"""Student's t of 4 degrees of freedom, 97.5 %."""
 
 
 @pytest.mark.parametrize("column", ["reward", "cost"])

@@ -113,13 +113,7 @@ def test_a_film_shows_every_state_and_waits_for_the_longer_episode():
     np.testing.assert_allclose(np.diff(right), [*[-step] * 3, 0, 0], atol=0.8)
 
 
-@pytest.mark.parametrize(
-    ("steps", "words"),
-    [
-        (0, "episode 2, step 0: cost 0, longest streak 0"),
-        (3, "episode 2, step 3: cost 2, longest streak 2"),
-        (5, "episode 2, step 5: cost 3, longest streak 2"),
-    ],
-)
-def test_the_running_cost_by_hand(steps, words):
-    assert pictures._words(2, episode(5), steps) == words
+def test_the_running_cost_by_hand():
+    for steps, cost, streak in ((0, 0, 0), (3, 2, 2), (5, 3, 2)):
+        words = f"episode 2, step {steps}: cost {cost}, longest streak {streak}"
+        assert pictures._words(2, episode(5), steps) == words

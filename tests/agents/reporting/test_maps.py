@@ -29,7 +29,6 @@ from agents.reporting.maps import (
 from agents.reporting.page import script_json
 from agents.results.reading import Group
 from agents.training import derive
-from agents.training.config import TrainConfig
 from agents.training.derive import Episode
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
@@ -50,14 +49,9 @@ def groups(tmp_path):
         evaluate(tmp_path / name)
     edit_results(tmp_path / "b", **{"Circle2D-3-v0__visits": None})
     a, b, c = groups_of(*(tmp_path / name for name in ("a", "b", "c")))
-    alone = derived_of(tmp_path / "c", 1)
+    alone = derive.derived(tmp_path / "c", replace(c.config, seeds=(1,)))
     part = replace(c.parts[0], arrays=alone, config=replace(c.config, seeds=(1,)))
     return [a, b, replace(c, runs=c.runs[1:], parts=[part])]
-
-
-def derived_of(folder, seed):
-    config = replace(TrainConfig.read(folder), seeds=(seed,))
-    return derive.derived(folder, config)
 
 
 def test_the_layers_are_those_of_the_view():

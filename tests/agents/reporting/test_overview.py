@@ -205,18 +205,10 @@ def test_ranks_of_what_can_be_compared(groups):
 MINE = '''
 """CPO by another name."""
 
-from dataclasses import dataclass
-
 import agents
 from agents.algorithms import cpo
 
-
-@dataclass(frozen=True)
-class Config(cpo.CPOConfig):
-    """Hyper-parameters of Mine."""
-
-
-agents.register("mine", cpo.ALGORITHM._replace(title="Mine", config=Config))
+agents.register("mine", cpo.ALGORITHM._replace(title="Mine"))
 '''
 
 

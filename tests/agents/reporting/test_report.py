@@ -59,13 +59,6 @@ def test_runs_left_out_are_in_no_mean_and_have_a_note_for_each_reason(tmp_path):
     assert "seed 2 |" not in words
 
 
-def test_the_papers_misprint():
-    """It prints 4.68 for a sum of numbers below 0."""
-    for task in ("Circle2D-1-v0", "circle2d_mj:Circle2D-1-v0"):
-        assert paper_results(task, "TRPO-Lag")["J_R"] == -4.68
-    assert paper_results("Circle2D-2-v0", "TRPO-Lag")["J_R"] == -4.23
-
-
 def test_names_of_other_people_are_neither_html_nor_control_sequences(tmp_path):
     """In report.md and on the terminal; the page escapes them anyway."""
     folder = tmp_path / "<script>alert(1)<" / "\x1b[31mred"
@@ -161,9 +154,8 @@ def test_the_command_trains_the_same(tmp_path):
     program, *arguments = shlex.split(said)
     assert program == "circle2d"
     assert main(arguments) == 0
-    assert (
-        replace(TrainConfig.read(tmp_path / "with a space"), task_parameters=parameters) == config
-    )
+    read_again = TrainConfig.read(tmp_path / "with a space")
+    assert replace(read_again, task_parameters=parameters) == config
     assert "--hidden 32 64 " in said
     assert "--discount" not in said  # as the preset has it
     assert "--device" not in said

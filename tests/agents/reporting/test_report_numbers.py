@@ -3,7 +3,6 @@
 The environments write down what they give; `by_hand` makes the numbers of it.
 """
 
-import csv
 import re
 from collections import Counter
 from statistics import fmean
@@ -20,7 +19,7 @@ from by_hand import (
     share_words,
 )
 from small_runs import cells as cells_of
-from small_runs import few_episodes
+from small_runs import few_episodes, lines_of
 
 from agents.cli.main import main
 from agents.paper import presets
@@ -189,8 +188,7 @@ def test_the_numbers_for_a_program(raw):
             ]
     for key, values in PAPER.items():
         expected[TITLES[key], "paper", ""] = [*values, ""]
-    with (out / "report.csv").open(newline="") as file:
-        everything = list(csv.DictReader(file))
+    everything = lines_of(out / "report.csv")
     lines = [line for line in everything if not line["share"]]
     check_shares([line for line in everything if line["share"]], numbers, names)
     found = {(x["algorithm"], x["kind"], x["seed"]): x for x in lines}

@@ -91,12 +91,8 @@ def test_a_path_into_an_archive(runs, packed):
         assert_equal_groups(read([packed / part], []), read([runs / part], []))
         assert name_of_source(packed / part) == Path(part).name
     assert name_of_source(packed) == "grid"
-    for part, words in (
-        ("nothing", "no folder nothing; it has Walk, both"),
-        ("both/x", "no folder"),
-    ):
-        with pytest.raises(UserError, match=words):
-            folders_below(packed / part)
+    with pytest.raises(UserError, match="no folder nothing; it has Walk, both"):
+        folders_below(packed / "nothing")
 
 
 def test_reading_changes_nothing_and_imports_nothing(runs, tmp_path):
@@ -174,11 +170,8 @@ def test_several_sources_are_one(tmp_path):
     joined = read([folder / TASK / "wcsac", archive], [], "all")
     assert {group.folder for group in joined} == {"wcsac", f"{TASK}/cpo"}
     same = read([tmp_path / "whole", folder], [], "all")
-    assert {group.folder for group in same} == {
-        f"{TASK}/cpo",
-        f"whole/{TASK}/wcsac",
-        f"grid/{TASK}/wcsac",
-    }
+    several = {f"{root}/{TASK}/wcsac" for root in ("whole", "grid")}
+    assert {group.folder for group in same} == {f"{TASK}/cpo"} | several
     for inner in (tmp_path / "whole" / TASK, tmp_path / "whole" / ".." / "whole"):
         with pytest.raises(UserError, match=r"is in .*whole: its runs would count twice"):
             read([inner, tmp_path / "whole"], [], "all")

@@ -18,29 +18,6 @@ def training(**changes):
     return trainer(TrainConfig("sac-lag", ("Circle2D-1-v0",), (0, 1), 10_000, hyperparameters))
 
 
-def recorded(it, metric):
-    """A number of every update of both runs, [epochs, R]."""
-    rows, column = it.recorder.take(), it.learner.metrics.index(metric)
-    updates = [rows[run.prefix + "updates"] for run in it.config.runs]
-    return np.stack(updates, axis=1)[..., column]
-
-
-def test_every_slot_is_drawn_and_noise_is_fresh():
-    it = training(batch_size=64)
-    for _ in range(40):
-        it.run_epoch()
-    draws = [draw for epoch in range(40) for draw in it.learner._draws(epoch)]
-    slots = np.concatenate([index.ravel() for index, _ in draws])
-    assert slots.min() == 0
-    assert slots.max() == 1999
-    counts = np.bincount(slots, minlength=2000)
-    assert counts.max() < 45  # of 12.8 on average
-    noises = [n.numpy() for _, noise in draws[:6] for n in noise]
-    for i, a in enumerate(noises):
-        assert not any(np.array_equal(a, b) for b in noises[:i])
-    assert not np.array_equal(noises[0][0], noises[0][1])
-
-
 def test_a_share_of_each_batch_is_of_the_random_actions():
     """A quarter of 64: 16 rows of the first 200, which stay; the others of the last 300."""
     it = training(batch_size=64, random_steps=200, random_share=0.25, replay_size=500)
@@ -60,6 +37,18 @@ def test_a_share_of_each_batch_is_of_the_random_actions():
         mean = len(slots) / size
         counts = np.bincount(slots - low, minlength=size)
         assert counts.max() < mean + 6 * mean**0.5
+
+
+def test_noise_is_fresh_and_without_a_share_every_slot_is_drawn():
+    it = training(batch_size=64)
+    for _ in range(40):
+        it.run_epoch()
+    draws = [draw for epoch in range(40) for draw in it.learner._draws(epoch)]
+    slots = np.concatenate([index.ravel() for index, _ in draws])
+    assert (slots.min(), slots.max()) == (0, 1999)
+    assert np.bincount(slots, minlength=2000).max() < 45  # of 12.8 on average
+    noises = [noise.numpy() for _, noises in draws[:6] for noise in noises]
+    assert len({run.tobytes() for noise in noises for run in noise}) == 2 * len(noises)
 
 
 @pytest.mark.parametrize("changes", [{"random_steps": 0}, {"random_steps": 50_000}])
@@ -83,18 +72,12 @@ def test_what_ends_at_the_time_limit(time_limit, ends):
         np.testing.assert_array_equal(column.numpy(), np.tile(last & expected, (2, 1)))
 
 
-def test_episodes_start_elsewhere_and_the_policy_explores():
-    it = training(random_steps=0)
-    starts, spread = [], []
+def test_episodes_start_elsewhere():
+    it, starts = training(random_steps=0), []
     for _ in range(3):
         it.run_epoch()
-        rows = it.learner._replay._rows[0]
-        starts.append(rows[it.steps[0] - 50, :2].copy())
-        observation = rows[it.steps[0] - 50 : it.steps[0], :2]
-        deterministic = it.learner.policy()(np.stack([observation] * 2), None)[0]
-        spread.append(np.abs(rows[it.steps[0] - 50 : it.steps[0], 2:4] - deterministic).mean())
-    assert len({tuple(s) for s in starts}) == 3
-    assert min(spread) > 0.1  # the untrained policy's deviation is about 1
+        starts.append(tuple(it.learner._replay._rows[0, it.steps[0] - 50, :2]))
+    assert len(set(starts)) == 3
 
 
 def test_metrics_are_means_over_gradient_steps():
@@ -102,7 +85,8 @@ def test_metrics_are_means_over_gradient_steps():
     it = training(gradient_steps=20)
     for _ in range(6):
         it.run_epoch()
-    temperature = recorded(it, "temperature")
+    rows, column = it.recorder.take(), it.learner.metrics.index("temperature")
+    temperature = np.stack([rows[run.prefix + "updates"][:, column] for run in it.config.runs], 1)
     assert np.isnan(temperature[4]).all()
     np.testing.assert_allclose(temperature[5], 1.0, atol=20 * 3e-4 + 1e-6)
 

@@ -102,10 +102,8 @@ def test_the_status_of_a_training(tmp_path, clock):
 @pytest.mark.parametrize(
     "content",
     [
-        *("", "[]", "{}", '{"share": 1', "[" * 100_000),
-        '{"share": "1", "steps_per_second": null, "sessions": {}}',
+        *("[]", '{"share": 1', '{"share": NaN, "steps_per_second": null}'),
         '{"share": 1.5, "steps_per_second": [1], "sessions": [1]}',
-        '{"share": NaN, "steps_per_second": null}',
     ],
 )
 def test_a_status_of_another_form_says_nothing(tmp_path, content):

