@@ -16,7 +16,7 @@ from agents.algorithms.trpo_lag import TRPOLagConfig
 from agents.on_policy import state as on_policy
 from agents.on_policy.epoch import BLOCK, Epoch, blocks_of, compared
 from agents.on_policy.state import OnPolicyState
-from agents.trust_region import Problem, Step, conjugate_gradient
+from agents.trust_region import Problem, Step, conjugate_gradient, line_search
 
 
 def spd(eigenvalues, seed=0):
@@ -89,6 +89,15 @@ def test_fisher_product_against_the_hessian_of_kl(steps, size):
 
         expected = torch.autograd.functional.hessian(mean_kl, actor[run]) + 0.3 * torch.eye(SIZE)
         torch.testing.assert_close(found[run], expected)
+
+
+def test_a_step_that_is_not_finite_is_not_taken():
+    """Even where the judge allows it."""
+    step, anything = torch.ones(2, 32), (torch.ones(2).bool(), torch.zeros(2))
+    step[1, 5] = torch.nan
+    found = line_search(torch.zeros(2, 32), step, lambda candidate: anything, 3, 0.5)
+    assert found.accepted.tolist() == [True, False]
+    assert torch.equal(found.params, torch.tensor([[1.0], [0.0]]).expand(2, 32))
 
 
 @pytest.mark.parametrize("seed", range(3))
