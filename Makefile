@@ -1,6 +1,6 @@
 # make demo: film two trained policies, train two algorithms for two minutes, report.
 # make test: run the tests.
-# make check: run the slow tests, among them installations in environments of their own; make docs.
+# make check: make slow (slow tests, among them installations in environments of their own), make docs.
 # make docs: build the documentation: docs/_build/html/index.html.
 # make integrate: install [integrations] as well, and run the tests against other libraries.
 # make ray: install [ray] as well, and kill nodes and drivers of clusters, six minutes.

@@ -67,7 +67,7 @@ def test_it_goes_on_with_the_backend_that_its_runs_began_with(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_one_failure_does_not_stop_the_others(whole, tmp_path, capsys):
+def test_one_failure_does_not_stop_the_others(tmp_path, capsys):
     configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo", "trpo-lag"], (3,), 1100)
     grid.prepare(configs)
     damaged = tmp_path / "Circle2D-1-v0" / "cpo" / "checkpoints" / "000000500.npz"
@@ -78,9 +78,6 @@ def test_one_failure_does_not_stop_the_others(whole, tmp_path, capsys):
     assert re.search(r"circle2d: .*Circle2D-1-v0/cpo failed: .*damaged", err)
     assert "TRPO-Lag (1,100 steps), mean of 1" in out
     assert "left out: " in out
-    damaged.unlink()
-    assert main([*COMMAND, str(tmp_path)]) == 0
-    assert results(tmp_path) == results(whole[0])
 
 
 def trainings(choice):
