@@ -72,14 +72,13 @@ INTEGRATED += tests/agents/test_export.py tests/circle2d_mj/core/test_other_libr
 integrate: $(VENV)/develops
 	sed -e 's/^pandas==.*/pandas<3/' -e 's/^filelock==.*/filelock<4/' constraints.txt \
 		> $(VENV)/constraints.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c $(VENV)/constraints.txt \
-		-e '.[dev,integrations]'
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check \
+		-c $(VENV)/constraints.txt -e '.[dev,integrations]'
 	$(BIN)/python -m pytest -n logical --durations 5 $(INTEGRATED)
 	$(BIN)/python -m pytest -m slow tests/agents/test_sweeps.py::test_training_on_ray
 
 ray: $(VENV)/develops
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
-		-e '.[dev,ray]'
+	$(INSTALL) -e '.[dev,ray]'
 	$(BIN)/python -m pytest -m slow -k "ray and not array" tests/agents
 
 faults: $(VENV)/develops
