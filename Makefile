@@ -12,8 +12,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 # Python compiles what it imports: compiling all that is installed doubles the time.
-INSTALL := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check \
-	-c constraints.txt
+PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
+INSTALL := $(PIP) -c constraints.txt
 
 .PHONY: demo test check slow docs faults integrate lint ray clean
 .DELETE_ON_ERROR:
@@ -72,8 +72,7 @@ INTEGRATED += tests/agents/test_export.py tests/circle2d_mj/core/test_other_libr
 integrate: $(VENV)/develops
 	sed -e 's/^pandas==.*/pandas<3/' -e 's/^filelock==.*/filelock<4/' constraints.txt \
 		> $(VENV)/constraints.txt
-	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check \
-		-c $(VENV)/constraints.txt -e '.[dev,integrations]'
+	$(PIP) -c $(VENV)/constraints.txt -e '.[dev,integrations]'
 	$(BIN)/python -m pytest -n logical --durations 5 $(INTEGRATED)
 	$(BIN)/python -m pytest -m slow tests/agents/test_sweeps.py::test_training_on_ray
 

@@ -62,7 +62,7 @@ _LATE = {
 }
 """Names by the module that has them, which is imported when one is first asked for."""
 _NEEDS = {"wrappers": "gymnasium>=0.28", "streak_cost": "gymnasium>=1.1"}
-"""What a module needs beside numpy."""
+"""Packages that a module needs beside numpy."""
 
 
 def __getattr__(name: str) -> Any:

@@ -55,7 +55,7 @@ class EMCCCallback(BaseCallback):
 
     @property
     def _recorders(self) -> tuple[CostRecorder, CostRecorder]:
-        """Of the rollouts, and of whole episodes, whatever cuts the rollouts."""
+        """Recorders of the rollouts, and of whole episodes, whatever cuts the rollouts."""
         if self._started is None:
             raise RuntimeError(
                 "nothing is recorded: give the callback to model.learn(callback=...)"

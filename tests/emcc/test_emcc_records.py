@@ -50,7 +50,7 @@ def bits(of):
 
 @given(st.lists(rows, max_size=20), st.sampled_from([6, 8]))
 def test_save_and_load_give_the_same_bits(tmp_path_factory, table, count):
-    """Of all eight columns, and of the six that there are without counts of streaks."""
+    """All eight columns, and the six that there are without counts of streaks."""
     folder = tmp_path_factory.getbasetemp() / "records"
     folder.mkdir(exist_ok=True)
     columns = list(zip(*table, strict=True)) or [[]] * 8

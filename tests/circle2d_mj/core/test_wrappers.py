@@ -71,7 +71,7 @@ def test_values():
 
 @pytest.mark.parametrize("options", [{}, {"reset_on_cost": True}])
 def test_six_values_and_back(options):
-    """Of our own environment, to its end of either kind; and back it is what it was."""
+    """Our own environment, to its end of either kind; and back it is what it was."""
     own, six, back = (Circle2DEnv(level=1, **options) for _ in range(3))
     six, back, over = SafetyGymnasiumAPI(six), FromSafetyGymnasium(SafetyGymnasiumAPI(back)), False
     assert isinstance(six, gym.Wrapper)
