@@ -57,8 +57,9 @@ test: $(VENV)/develops
 
 check: slow docs
 
+# A worker without tests takes over half of another's: single tests here take minutes.
 slow: $(VENV)/develops
-	$(BIN)/python -m pytest -m slow -n logical --dist loadfile --durations 20
+	$(BIN)/python -m pytest -m slow -n logical --dist worksteal --durations 20
 
 docs: $(VENV)/develops
 	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html

@@ -19,7 +19,7 @@ from agents.reporting import overall
 from agents.reporting.figures import intervals_figure, profiles_figure
 from agents.reporting.overall import over_tasks, separated_table
 from agents.results.measures import RunData, measured
-from agents.results.reading import Group, Run
+from agents.results.reading import Group, Run, read, write_archive
 from agents.results.statistics import comparisons, thirds
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
@@ -245,16 +245,16 @@ def test_a_method_of_ones_own_beside_published_ones(tmp_path, monkeypatch, capsy
     more = {"seeds": (0, 1, 2), "steps": 1600, "backend": "eager"}
     for name in ("cpo", "trpo-lag"):
         agents.train(name, tasks, out=tmp_path / "published" / name, **more)
-    agents.report(tmp_path / "published", archive=tmp_path / "published.zip")
-    report = (tmp_path / "published" / "report.md").read_text()
-    assert "Ranks over tasks" not in report  # of two algorithms
+    published = read([tmp_path / "published"], [])
+    write_archive(tmp_path / "published.zip", published)
+    assert overall.RANKS not in overall.tables_over_tasks(published)  # of two algorithms
     command = ["reproduce", "--benchmark", "--tasks", *tasks, "--quick", "--seeds", "0", "1", "2"]
     command += ["--steps", "1600", "--workers", "1"]
     command += ["--import", "my_method", "--algorithms", "mine", "--out", "mine"]
     assert main([*command, "--beside", "nowhere.zip"]) == 2
     assert main([*command, "--beside", "published.zip"]) == 0
     report = (tmp_path / "mine" / "report.md").read_text()
-    ranks = report.split("## Ranks over tasks")[1].split("## ")[0]
+    ranks = report.split(f"## {overall.RANKS}")[1].split("## ")[0]
     rows = {row[0]: row[1] for row in cells(ranks)}
     assert set(rows) >= {f"{name}, 3 seeds" for name in ("CPO", "TRPO-Lag", "Mine")}
     # Equal algorithms with equal seeds have equal ranks.
