@@ -14,6 +14,7 @@ import scipy.stats
 from results_table import LEVELS, UNITS, count, runs, short, solved
 
 import emcc
+from agents.algorithms import title
 from agents.paper import evidence
 from agents.paper.presets import PAPER_ALGORITHMS
 from agents.reporting.numbers import numbers_csv, report_lines
@@ -29,7 +30,7 @@ SOURCES = {
     "safety": ["runs.zip"],
     "solve": ["runs.zip", "units.zip"],
     "solve/safety": ["runs.zip"],
-    "baselines/safety": ["runs.zip"],
+    "baselines/safety": ["runs.zip", "half-cheetah.zip"],
     "baselines": [
         "runs.zip",
         *(f"../solve/runs.zip/{task}-sac-lb-streak" for task in LEVELS),
@@ -329,10 +330,9 @@ def test_the_page_of_the_benchmark():
 
 def test_the_page_of_the_benchmark_on_point_goal():
     """Orders of the algorithms, the run that stays in hazards, and who keeps the limit."""
-    lines = results_table.report("baselines/safety")
-    printed = lines[lines.kind == "paper"].set_index("algorithm").J_R
-    lines = lines[lines.kind == "run"]
-    lines["algorithm"] = lines.algorithm.str.removesuffix(results_table.BENCHMARK_STEPS)
+    printed = results_table.report("baselines/safety")
+    printed = printed[printed.kind == "paper"].set_index("algorithm").J_R
+    lines = results_table.on_safety_task(results_table.POINT_GOAL)
     assert lines.groupby("algorithm").size().tolist() == [3] * 16
     means = lines.groupby("algorithm")[["EMCC_0.99", "cost_rate", "J_R", "mean_streak"]].mean()
     on_policy = means[~means.index.str.contains("SAC")]
@@ -365,6 +365,36 @@ def test_the_page_of_the_benchmark_on_point_goal():
     kept = lines.groupby("algorithm").J_C.max() <= results_table.SAFETY_LIMIT
     assert kept[kept].index.tolist() == ["SAC-LB", "SAC-LB-Streak"]
     assert means.J_R[kept].max() < 0
+
+
+def test_the_page_of_the_benchmark_on_half_cheetah():
+    """Equal runs, streaks, the limit, and what evaluation without noise adds."""
+    name = "results/baselines/README.md"
+    lines = results_table.on_safety_task(results_table.HALF_CHEETAH)
+    assert lines.groupby("algorithm").size().tolist() == [3] * 18
+    own = lines[~lines.algorithm.str.contains(results_table.OFF_POLICY)]
+    assert len(own) == 36 and (own.cost_rate > 0.025).sum() == 1
+    numbers = own.select_dtypes("number").columns
+    by_name = {of: found[numbers].to_numpy() for of, found in own.groupby("algorithm")}
+    for pair in (("CRPO", "RCPO"), ("CPO", "PCPO")):
+        np.testing.assert_array_equal(*(by_name[of] for of in pair))
+    means = own.groupby("algorithm")[["cost_rate", "mean_streak"]].mean()
+    costs = [
+        [run.evaluation[policy]["J_C"] for policy in ("deterministic", "stochastic")]
+        for group in read([RESULTS / "baselines" / "safety" / "half-cheetah.zip"], [])
+        for run in group.runs
+        if not re.search(results_table.OFF_POLICY, title(group.config.algorithm))
+    ]
+    (quiet, noisy), limit = np.transpose(costs), results_table.SAFETY_LIMIT
+    assert sorted(quiet) == pytest.approx(sorted(own.J_C))
+    told(
+        name,
+        f"The highest mean cost rate is {short(means.cost_rate.max(), 3)}, the limit's is .025",
+        f"are {short(means.mean_streak.min())} to {short(means.mean_streak.max())} steps long",
+        f"at most {short(own['EMCC_0.99'].max(), 3)} in all runs",
+        f"in {(quiet > noisy).sum()} of {len(costs)} runs: its J_C is above 25 in "
+        f"{(quiet > limit).sum()}, that of the stochastic in {(noisy > limit).sum()}.",
+    )
 
 
 def test_the_levels_that_sac_lb_streak_solves():

@@ -6,21 +6,27 @@ python docs/_ext/readme_figure.py
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from results_table import BENCHMARK_STEPS, baseline_ranks, mean_rank
+import pandas as pd
+from results_table import (
+    HALF_CHEETAH,
+    POINT_GOAL,
+    RESULTS,
+    baseline_ranks,
+    mean_rank,
+    on_safety_task,
+    report,
+)
 
 from agents.algorithms import ALGORITHMS
 from agents.reporting.figures import COLOURS, MARKERS
 
-RESULTS = Path(__file__).parents[2] / "results"
-REPORTS = tuple(RESULTS / grid / "report.csv" for grid in ("circle2d", "solve"))
 PICTURE = RESULTS / "pictures" / "cost-rate-emcc.png"
-GOAL = RESULTS / "pictures" / "point-goal.png"
+SAFETY = RESULTS / "pictures" / "safety-tasks.png"
 RANKS = RESULTS / "pictures" / "ranks.png"
 APART = 0.55
 """Ranks between two names, at least, so that they can be read."""
@@ -34,37 +40,35 @@ def look(name: str) -> dict[str, str]:
     return {"color": COLOURS[place % len(COLOURS)], "marker": MARKERS[place % len(MARKERS)]}
 
 
-def runs(paths: Sequence[Path]) -> dict[str, list[tuple[float, float]]]:
-    """Cost rate and EMCC of the last third for each run of the presets, by algorithm."""
-    found: dict[str, list[tuple[float, float]]] = {}
-    for path in paths:
-        with path.open(encoding="utf-8") as file:
-            for row in csv.DictReader(file):
-                name = row["algorithm"].removesuffix(BENCHMARK_STEPS)
-                if row["seed"] and "(" not in name:
-                    point = float(row["cost_rate"]), float(row["EMCC_0.99"])
-                    found.setdefault(name, []).append(point)
-    return found
-
-
-def draw(paths: Sequence[Path], picture: Path) -> None:
-    """Write the figure, in the colours and markers of reports."""
-    figure, axes = plt.subplots(figsize=(7, 3.6))
-    found = runs(paths)
-    for name in sorted(found, key=ORDER.index):
-        axes.plot(
-            *zip(*found[name], strict=True),
-            linestyle="",
-            **look(name),
-            markersize=6,
-            alpha=0.8,
-            markeredgewidth=0,
-            label=name,
-        )
-    axes.set(xlabel="cost rate (cost a step, all of training)", ylabel="EMCC, last third")
-    axes.set(xlim=(0, None), ylim=(0, None))
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+def draw(lines: Mapping[str, pd.DataFrame], picture: Path) -> None:
+    """Write the figure, in the colours and markers of reports: a panel for each title, a dot for
+    each run of the presets."""
+    size = (7, 3.6) if len(lines) == 1 else (9, 4.6)
+    figure, panels = plt.subplots(1, len(lines), figsize=size, squeeze=False)
+    drawn = {}
+    for axes, (title, own) in zip(panels[0], lines.items(), strict=True):
+        presets = own[(own.kind == "run") & ~own.algorithm.str.contains("(", regex=False)]
+        by_name = dict(list(presets.groupby("algorithm")))
+        for name in sorted(by_name, key=ORDER.index):
+            (drawn[name],) = axes.plot(
+                by_name[name].cost_rate,
+                by_name[name]["EMCC_0.99"],
+                linestyle="",
+                **look(name),
+                markersize=6,
+                alpha=0.8,
+                markeredgewidth=0,
+                label=name,
+            )
+        axes.set_title(title, fontsize=10)
+        axes.set(xlabel="cost rate (cost a step, all of training)")
+        axes.set(xlim=(0, None), ylim=(0, None))
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0][0].set_ylabel("EMCC, last third")
+    handles = [drawn[name] for name in sorted(drawn, key=ORDER.index)]
+    panels[0][-1].legend(
+        handles=handles, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0)
+    )
     figure.savefig(picture, dpi=110, bbox_inches="tight")
 
 
@@ -97,6 +101,6 @@ def apart(heights: Sequence[float]) -> list[float]:
 
 
 if __name__ == "__main__":
-    draw(REPORTS, PICTURE)
-    draw([RESULTS / "baselines" / "safety" / "report.csv"], GOAL)
+    draw({"": pd.concat([report("circle2d"), report("solve")])}, PICTURE)
+    draw({task.split("/")[1]: on_safety_task(task) for task in (POINT_GOAL, HALF_CHEETAH)}, SAFETY)
     draw_ranks(RANKS)

@@ -29,9 +29,12 @@ ALGORITHMS = ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC")
 LIMIT, SAFETY_LIMIT, STEPS = 5.0, 25.0, 1_000_000
 BENCHMARK_STEPS = " (1,000,000 steps)"
 """Behind the names on SafetyPointGoal1-v0, where the paper's runs are ten times as long."""
+OFF_POLICY = "SAC|CAL"
+"""In the names of the off-policy algorithms alone."""
 FORCES = (110.0, 330.0)
 """Half of the servo's strongest push along an axis, and what impacts alone reach, N."""
 POINT_GOAL = "circle2d_mj/SafetyPointGoal1-v0"
+HALF_CHEETAH = "circle2d_mj/SafetyHalfCheetahVelocity-v1"
 LIBRARY = {
     "CPO": "CPO-library (input_scale 15.0)",
     "SAC-LB": "SAC-LB (time_limit bootstrap, reward_scale running)",
@@ -96,11 +99,11 @@ def p_value(value: float) -> str:
     return "p = 1" if value > 0.9995 else f"p = {short(value, 3)}"
 
 
-def means(found: pd.DataFrame) -> list[str]:
-    """EMCC by third, cost rate, J_R and J_C."""
+def means(found: pd.DataFrame, digits: int = 2) -> list[str]:
+    """EMCC by third and cost rate, to some digits, J_R and J_C."""
     mean = found[[*SAFETY_MEASURES, "J_R", "J_C"]].mean()
-    thirds = " ".join(short(mean[name]) for name in EMCC)
-    return [thirds, short(mean.cost_rate), short(mean.J_R, 1), short(mean.J_C, 1)]
+    thirds = " ".join(short(mean[name], digits) for name in EMCC)
+    return [thirds, short(mean.cost_rate, digits), short(mean.J_R, 1), short(mean.J_C, 1)]
 
 
 def grid() -> list[str]:
@@ -234,30 +237,48 @@ def baselines() -> list[str]:
     return rows
 
 
-def baselines_safety() -> list[str]:
-    """A row for each algorithm on SafetyPointGoal1-v0: EMCC by third and cost rate, means; late
-    EMCC, J_R and J_C with their ranges; runs within the limit. In the order of the late EMCC."""
-    lines = report("baselines/safety")
-    lines = lines[lines.kind == "run"]
-    order = lines.groupby("algorithm")["EMCC_0.99"].mean().sort_values().index
-    rows = []
-    for name in order:
+def point_goal() -> list[str]:
+    """`_benchmarked` on SafetyPointGoal1-v0."""
+    return _benchmarked(POINT_GOAL, 2, 1)
+
+
+def half_cheetah() -> list[str]:
+    """`_benchmarked` on SafetyHalfCheetahVelocity-v1."""
+    return _benchmarked(HALF_CHEETAH, 3, 0)
+
+
+def _benchmarked(task: str, digits: int, of_return: int) -> list[str]:
+    """A row for each algorithm on a Safety task: EMCC by third and cost rate, means; late EMCC, J_R
+    and J_C with their ranges; runs within the limit. In the order of the late EMCC.
+
+    digits: of EMCC and the cost rate. of_return: of J_R.
+    """
+    lines, rows = on_safety_task(task), []
+    for name in lines.groupby("algorithm")["EMCC_0.99"].mean().sort_values(kind="stable").index:
         own = lines[lines.algorithm == name]
-        thirds, rate, *_ = means(own)
-        cells = (with_range(own[m], d) for m, d in (("EMCC_0.99", 2), ("J_R", 1), ("J_C", 1)))
+        thirds, rate, *_ = means(own, digits)
+        places = {"EMCC_0.99": digits, "J_R": of_return, "J_C": 1}
+        cells = (with_range(own[measure], places[measure]) for measure in places)
         kept = int((own.J_C <= SAFETY_LIMIT).sum())
-        title = name.removesuffix(BENCHMARK_STEPS)
-        rows.append(_row(title, thirds.replace(" ", "/"), rate, *cells, str(kept)))
+        rows.append(_row(name, thirds.replace(" ", "/"), rate, *cells, str(kept)))
     return rows
+
+
+def on_safety_task(task: str) -> pd.DataFrame:
+    """The benchmark's runs on a Safety task, by the names of their algorithms alone."""
+    lines = report("baselines/safety")
+    lines = lines[(lines.kind == "run") & (lines.task == task)]
+    return lines.assign(algorithm=lines.algorithm.str.removesuffix(BENCHMARK_STEPS))
 
 
 def safety_orders() -> list[str]:
     """A row for each Safety task of the benchmark: of the twelve on-policy algorithms' means,
     Kendall's tau of late EMCC and the cost rate, and Spearman's rho of late EMCC and J_R. p values:
     two-sided, corrected for all tasks but the one that gave the questions (Holm)."""
-    lines, told = report("baselines/safety"), {}
-    lines = lines[(lines.kind == "run") & ~lines.algorithm.str.contains("SAC")]
-    for task, own in lines.groupby("task", sort=False):
+    told = {}
+    for task in (POINT_GOAL, HALF_CHEETAH):
+        lines = on_safety_task(task)
+        own = lines[~lines.algorithm.str.contains(OFF_POLICY)]
         means = own.groupby("algorithm")[["EMCC_0.99", "cost_rate", "J_R"]].mean()
         late = means["EMCC_0.99"]
         told[task] = (
@@ -424,7 +445,7 @@ PAGES = {
     "README.md": (grid, equal_rates, safety),
     "library/README.md": (later_library,),
     "physics/README.md": (physics, physics_against_kinematic, forces),
-    "baselines/README.md": (baselines, baselines_safety),
+    "baselines/README.md": (baselines, point_goal, half_cheetah, safety_orders),
     "solve/README.md": (solving, compared, parts),
 }
 """The tables of each page."""
