@@ -20,6 +20,7 @@ from agents.paper.presets import PAPER_ALGORITHMS
 from agents.reporting.numbers import numbers_csv, report_lines
 from agents.results.frame import with_distinct_titles
 from agents.results.reading import read
+from agents.results.statistics import thirds_of
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
@@ -373,24 +374,31 @@ def test_the_page_of_the_benchmark_on_half_cheetah():
     lines = results_table.on_safety_task(results_table.HALF_CHEETAH)
     assert lines.groupby("algorithm").size().tolist() == [3] * 18
     own = lines[~lines.algorithm.str.contains(results_table.OFF_POLICY)]
-    assert len(own) == 36 and (own.cost_rate > 0.025).sum() == 1
     numbers = own.select_dtypes("number").columns
     by_name = {of: found[numbers].to_numpy() for of, found in own.groupby("algorithm")}
     for pair in (("CRPO", "RCPO"), ("CPO", "PCPO")):
         np.testing.assert_array_equal(*(by_name[of] for of in pair))
-    means = own.groupby("algorithm")[["cost_rate", "mean_streak"]].mean()
-    costs = [
-        [run.evaluation[policy]["J_C"] for policy in ("deterministic", "stochastic")]
-        for group in read([RESULTS / "baselines" / "safety" / "half-cheetah.zip"], [])
-        for run in group.runs
-        if not re.search(results_table.OFF_POLICY, title(group.config.algorithm))
-    ]
+    streaks = own.groupby("algorithm").mean_streak.mean()
+    costs, late = [], {}
+    for group in read([RESULTS / "baselines" / "safety" / "half-cheetah.zip"], []):
+        of = title(group.config.algorithm)
+        if of in by_name:
+            late[of] = [run.cost_rate for run in thirds_of(group)[0.99]]
+            costs += [
+                [run.evaluation[policy]["J_C"] for policy in ("deterministic", "stochastic")]
+                for run in group.runs
+            ]
+    trust = [late.pop(of) for of in ("TRPO-Lag", "CPO", "PCPO", "CRPO", "RCPO", "C-TRPO")]
+    means = {of: np.mean(rates) for of, rates in late.items()}
+    assert (min(means, key=means.get), max(means, key=means.get)) == ("P3O", "PPO-Lag")
+    assert len(means) == 6
     (quiet, noisy), limit = np.transpose(costs), results_table.SAFETY_LIMIT
     assert sorted(quiet) == pytest.approx(sorted(own.J_C))
     told(
         name,
-        f"The highest mean cost rate is {short(means.cost_rate.max(), 3)}, the limit's is .025",
-        f"are {short(means.mean_streak.min())} to {short(means.mean_streak.max())} steps long",
+        f"above {short(np.max(trust), 4)}, the limit's is .025",
+        f"reach {short(means['P3O'], 3)} (P3O) to {short(means['PPO-Lag'], 3)} (PPO-Lag)",
+        f"are {short(streaks.min())} to {short(streaks.max())} steps long",
         f"at most {short(own['EMCC_0.99'].max(), 3)} in all runs",
         f"in {(quiet > noisy).sum()} of {len(costs)} runs: its J_C is above 25 in "
         f"{(quiet > limit).sum()}, that of the stochastic in {(noisy > limit).sum()}.",

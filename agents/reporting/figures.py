@@ -362,9 +362,9 @@ def rates_figure(groups: Sequence[Group]) -> Figure:
     labels = ("cost rate of the third", f"EMCC (α = {ALPHA:g})")
     words = (
         "A marker for each run in a third of its training. Runs above each other have equal cost "
-        "rates and different EMCC."
+        "rates and different EMCC. Each task has a scale of its own."
     )
-    content = _facets(groups, labels, draw)
+    content = _facets(groups, labels, draw, scale="row")
     return Figure("cost-rate-against-emcc", "svg", content, "Cost rate against EMCC", words)
 
 
@@ -395,8 +395,10 @@ def _facets(
     labels: tuple[str, str],
     draw: Callable[[Any, Sequence[Third], Style, Group], None],
     level: float | None = None,
+    scale: Literal["all", "row"] = "all",
 ) -> bytes:
-    """Panels by task (rows) and third (columns), with one legend. level: of a dotted line."""
+    """Panels by task (rows) and third (columns), with one legend. level: of a dotted line. scale:
+    one for all panels, or one for each task."""
     tasks = by_task(groups)
     legend_columns, height = legend({name_of(group) for group in groups})
     with drawing(9) as pyplot:
@@ -406,8 +408,8 @@ def _facets(
             figsize=(9.5, 2.1 * len(tasks) + 1.0 + height),
             layout="constrained",
             squeeze=False,
-            sharex=True,
-            sharey=True,
+            sharex=scale,
+            sharey=scale,
         )
         handles: dict[str, Any] = {}
         for row, (task, own) in zip(axes, tasks.items(), strict=True):
@@ -425,6 +427,7 @@ def _facets(
             axis.set_title(f"{words} of training", fontsize=9)
         for axis in axes[-1]:
             axis.set_xlabel(labels[0])
-        axes[0][0].set_ylim(-0.03, 1.03)
+        if scale == "all":
+            axes[0][0].set_ylim(-0.03, 1.03)
         figure.legend(handles.values(), handles, ncols=legend_columns, **BELOW)
         return svg_of(figure)
