@@ -237,9 +237,11 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
 
 
 def _draw(axis: Any, name: str, style: Style, at: NDArray, curve: Curve) -> None:
+    there = np.isfinite(curve.mean)  # few episodes start in few of the parts
+    at, (mean, low, high) = at[there], (ends[there] for ends in curve)
     look = {"color": style.colour, "linestyle": style.dash}
-    axis.plot(at, curve.mean, linewidth=1.5, label=name, **look)
-    axis.fill_between(at, curve.low, curve.high, color=style.colour, alpha=0.15, linewidth=0)
+    axis.plot(at, mean, linewidth=1.5, label=name, **look)
+    axis.fill_between(at, low, high, color=style.colour, alpha=0.15, linewidth=0)
 
 
 def _draw_thirds(axis: Any, style: Style, offset: float, curve: Curve) -> None:

@@ -43,7 +43,7 @@ def made(groups: Sequence[Group]) -> dict[str, str]:
         "versions": ", ".join(sorted(versions)),
         "machine": "; ".join(sorted(machines)),
         "training time": f"{duration(seconds)}, all processes together{few}" if timed else "",
-        "runs": str(sum(len(group.runs) for group in groups)),
+        "runs": str(_runs(groups)),
         "seeds": _list(seed for group in groups for seed in group.config.seeds),
         "steps": _list(group.config.steps for group in groups),
     }
@@ -63,13 +63,18 @@ def heading(groups: Sequence[Group]) -> str:
     return f"{_few(names, 'algorithms')} on {_few(tasks, 'tasks')}"
 
 
+def _runs(groups: Sequence[Group]) -> int:
+    """How many runs there are, each of which has a group for each of its costs."""
+    return sum(len(group.runs) for group in groups if group.cost == group.config.costs[0])
+
+
 def summary(groups: Sequence[Group]) -> str:
     """One line on the runs: how many, on how many tasks, for how long."""
     configs = [group.config for group in groups]
     names = {config.algorithm for config in configs}
     settings = {title_of(group.config, group.task) for group in groups}
     parts = [
-        _count(sum(len(group.runs) for group in groups), "run"),
+        _count(_runs(groups), "run"),
         _count(len({group.task for group in groups}), "task"),
         _count(len(names), "algorithm"),
         *([f"{len(settings)} settings"] if len(settings) > len(names) else []),

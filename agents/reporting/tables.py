@@ -62,16 +62,17 @@ def task_table(
     """
     task, groups = groups[0].task, in_order(groups)
     rows: list[Row] = []
-    ours, others = {}, {}
+    ours: dict[str, dict[int, Candidate]] = {}  # by cost: those of one policy are no rivals
+    others = {}
     for name in dict.fromkeys(group.config.algorithm for group in groups):
         for group in groups:
             if group.config.algorithm == name and group.runs:
-                ours[len(rows)] = means(group), within(group)
+                ours.setdefault(group.cost, {})[len(rows)] = means(group), _keeps_all(group, groups)
                 rows.append(mean_row(group, name_of(group)))
         if reference := printed(task, name):
             others[len(rows)] = reference.values, reference.within
             rows.append(printed_row(title(name), reference))
-    rows = mark(rows, best(ours) | best(others))
+    rows = mark(rows, best(others).union(*map(best, ours.values())))
     rows += [row for group in groups for row in run_rows(group)]
     words = f"{marking()}; among our means" + (
         ", and among the paper's, of which J_C, a mean, is within the limit" if others else ""
@@ -130,6 +131,13 @@ def within(group: Group) -> bool | None:
     """Whether all runs of a group keep its cost limit; None where that is not known."""
     share = within_limit(group)
     return share and share.count == share.runs
+
+
+def _keeps_all(group: Group, groups: Sequence[Group]) -> bool | None:
+    """Whether all runs of a group keep the limits of all of its training's costs, as `within`."""
+    kept = [within(other) for other in groups if other.folder == group.folder]
+    known = [of_cost for of_cost in kept if of_cost is not None]
+    return all(known) if known else None
 
 
 def mean_row(group: Group, name: str) -> Row:

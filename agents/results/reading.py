@@ -363,7 +363,7 @@ def _groups(path: AnyPath, folder: str, title: str) -> list[Group]:
                 raise
             except UserError as error:
                 missing[seed] = _relative(error, path, title)
-        apart = "" if cost == config.costs[0] else cost
+        apart = "" if cost == config.costs[0] == "cost" else cost
         groups.append(Group(folder, task, config, runs, [part], missing, apart, cost))
     return groups
 

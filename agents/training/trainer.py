@@ -40,6 +40,8 @@ KEPT = 2
 """Checkpoints of a folder: the newest, and the one before in case that is damaged."""
 WRITING_SHARE = 0.02
 """Share of the time that writing checkpoints may take."""
+COMPARED_UPDATES = 2
+"""Updates of a run among others that are compared with the same run's alone."""
 Callback = Callable[["Trainer"], object]
 """Called after every epoch. False, be it numpy's, stops the training after a checkpoint."""
 
@@ -86,6 +88,7 @@ class Trainer:
         self._saved_at, self._writing = time.monotonic(), 0.0
         own = config.algorithm not in BUILT_IN and count > 1
         self._alone = self._learner(config.stream_seeds[:1]) if own else None
+        self._compared = 0
 
     def _learner(self, stream_seeds: list[int]) -> Learner:
         config, sizes = self.config, read_spaces(self.folder).sizes
@@ -164,7 +167,7 @@ class Trainer:
         """Stop the runs that met a number which is not finite, or hold one."""
         causes = rollout.failure.reshape(len(active), -1)
         for run in np.flatnonzero(active):
-            own = "" if finite[run] else "parameter of its update"
+            own = "" if finite[run] else "update"
             if cause := next(filter(None, causes[run]), own):
                 step = self.steps[run]
                 self.failures[run] = f"failed at step {step}: its {cause} is not finite"
@@ -183,12 +186,13 @@ class Trainer:
 
     def _learn(self, rollout: Rollout, learning: NDArray[np.bool_]) -> NDArray:
         """Learn from an epoch. Raises UserError where an algorithm of the user's own trains its
-        first run otherwise among others than alone: its gradients then depend on the others."""
+        first run otherwise among others than alone: its gradients then depend on the others. Two
+        updates are compared, since in the first all runs have equal multipliers."""
         metrics = self.learner.learn(rollout, self.epoch, learning)
         if self._alone is None:
             return metrics
         own = self._alone.learn(rollout.of(slice(self._alone.episodes)), self.epoch, learning[:1])
-        if not np.isnan(own).all():  # its first update
+        if not np.isnan(own).all():  # it has learned
             together = self.learner.state_dict()
             for name, array in self._alone.state_dict().items():
                 beside = together[name][:1]
@@ -199,7 +203,9 @@ class Trainer:
                         f"than alone ({name} differs): does it reduce over the first axis, that of "
                         "runs? A mean over a batch is x.mean(dim=-1)"
                     )
-            self._alone = None
+            self._compared += 1
+            if self._compared == COMPARED_UPDATES:
+                self._alone = None
         return metrics
 
     def save(self) -> None:

@@ -9,6 +9,7 @@ from agents.paper import presets
 from agents.paper.evidence import gather
 from agents.paper.grid import ablations
 from agents.reporting.compare import compare
+from agents.reporting.provenance import summary
 from agents.reporting.report import report
 from agents.results.frame import COLUMNS, frame
 from agents.results.measures import Measure, measure, measures, register, unregister
@@ -96,6 +97,8 @@ def test_a_second_cost_has_rows_of_its_own_and_decides_no_claim(tmp_path, monkey
     assert len([key for key in of if key[1] == "run"]) == 4
     both = groups_of(tmp_path / "two")
     assert [group.cost for group in both] == ["cost", "cost_2"]
+    assert summary(both).startswith("2 runs, 1 task, 1 algorithm, ")
+    assert not any("**" in cell for cell in second.values())  # no rival of the first
     assert len(gather(both)[task, "cpo"].runs) == 2
     assert gather(both[1:])[task, "cpo"].lacking == "no runs"
 

@@ -149,7 +149,7 @@ def test_an_algorithm_whose_numbers_fail(tmp_path):
             wrong: agents.train("toy", "Walk-v0", wrong=wrong, **OPTIONS | {"steps": 300})
             for wrong in ("", "nan", "action")
         }
-        for wrong, words in {"nan": "parameter of its update", "action": "action"}.items():
+        for wrong, words in {"nan": "update", "action": "action"}.items():
             [group] = runs[wrong].results
             assert re.fullmatch(rf"failed at step \d+: its {words} is not finite", group.missing[0])
             [left] = group.runs
@@ -202,20 +202,34 @@ def reduced(learner):
 @contextlib.contextmanager
 def two_families():
     from agents.algorithms.sac_lag import ALGORITHM as sac
+    from agents.algorithms.trpo_lag import ALGORITHM as trpo
 
     def family(config, rule, *args):
         return reduced(OffPolicy)(config, rule, *args)
 
-    own = sac._replace(family=family)
-    with known("toy"), known("sac-reduced", own), known("sac-own", sac):
+    def averaged(config, reward, cost, multipliers):
+        return reward - multipliers.mean() * cost[:, 0]
+
+    rule = trpo.rule._replace(advantage=averaged)
+    own, averages = sac._replace(family=family), trpo._replace(rule=rule)
+    with known("toy"), known("sac-reduced", own), known("sac-own", sac), known("avg", averages):
         yield
 
 
+SGD = {"multiplier_optimizer": "sgd", "multiplier_lr": 1.0, "cost_limit": 0.0, "episodes": 2}
+
+
 @pytest.mark.parametrize(
-    ("algorithm", "options"), [("toy", {"wrong": "reduce"}), ("sac-reduced", SAC)]
+    ("algorithm", "options"),
+    [
+        ("toy", {"wrong": "reduce"}),
+        ("sac-reduced", SAC),
+        ("avg", SGD),
+    ],
 )
 def test_a_loss_that_reduces_over_the_runs_is_refused(tmp_path, algorithm, options):
-    """At the first update, which for SAC comes after some epochs; in an algorithm of one's own."""
+    """At the first update, which for SAC comes after some epochs, or at the second, before which
+    all runs have equal multipliers; in an algorithm of one's own."""
     with two_families():
         epochs = []
         more = OPTIONS | options | {"out": tmp_path / "x", "on_epoch": epochs.append}
