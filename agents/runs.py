@@ -83,6 +83,8 @@ class Runs:
         records = {}
         for folder, config, arrays in self._arrays():
             for run in config.runs:
+                if cost not in (None, *config.costs):
+                    raise UserError(f"{folder} has no cost {cost!r}: {', '.join(config.costs)}")
                 key = (folder, run.seed) if len(config.tasks) == 1 else (folder, *run)
                 records[key] = run_records(arrays, run, cost or config.costs[0])
         return records

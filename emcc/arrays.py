@@ -66,7 +66,10 @@ def as_steps(
     listed = isinstance(values, (list, tuple)) and len(values)  # numpy has no ndim of ragged lists
     if (1 + np.ndim(values[0]) if listed else np.ndim(values)) < 2 or not len(values):
         if lengths is None:
-            raise ValueError(f"{name} must hold an array of each trajectory, or come with lengths")
+            got = f"an array {list(np.shape(values))}" if np.size(values) else "nothing"
+            raise ValueError(
+                f"{name} must hold an array of each trajectory, or come with lengths, got {got}"
+            )
         return as_array(values, name), lengths
     pieces = [as_vector(row, f"{name} of trajectory {k}", low) for k, row in enumerate(values)]
     sizes = np.array([piece.size for piece in pieces])

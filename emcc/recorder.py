@@ -34,6 +34,8 @@ class CostRecorder:
         self.steps = 0  # environment steps so far
         self._per_episode = rollout == "episode"
         named = rollout in ("episode", "manual")
+        if isinstance(rollout, str) and not named:
+            raise ValueError(f"rollout must be 'episode', 'manual' or steps, got {rollout!r}")
         self._rollout_length = math.inf if named else as_count(rollout, "rollout")  # pyright: ignore[reportArgumentType]
         self._rollout = 0  # id of the current rollout
         self._rollout_start = 0

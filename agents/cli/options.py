@@ -92,6 +92,8 @@ def import_modules(args: Sequence[str]) -> None:
         try:
             importlib.import_module(name)
         except Exception as error:  # of the user's own code
+            if isinstance(error, ModuleNotFoundError) and f"{name}.".startswith(f"{error.name}."):
+                raise UserError(f"--import: there is no module {name!r}") from error
             raise OwnCodeError(f"cannot import {name!r}: {described(error)}") from error
 
 

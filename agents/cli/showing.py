@@ -157,10 +157,12 @@ class RenderOptions(Settings):
     stochastic: bool = False
     """Draw the stochastic policy instead of the deterministic one."""
     frames: Literal["map", "mujoco"] = "map"
-    """map: the way on the task's view from above. mujoco: films of a Circle2DMuJoCo task as MuJoCo
-    draws it, with shadows, and contact forces as arrows."""
-    camera: Camera = "top"
-    """Where frames of MuJoCo are seen from: above, the side, or behind the agent."""
+    """map: the way on the task's view from above. mujoco: films of the task as MuJoCo draws it."""
+    camera: Camera | None = None
+    """Where a Circle2DMuJoCo task is seen from with --frames mujoco: above (the default), the side,
+    or behind the agent."""
+    every: Annotated[int, In(1)] = 1
+    """Steps from a picture of a film to the next: it then goes on faster."""
     size: Size = 640
     imports: Imports = ()
 
@@ -180,25 +182,33 @@ def render(args: Sequence[str]) -> int:
     by_mujoco = options.frames == "mujoco"
     out = options.out or beside / ("film.gif" if by_mujoco else "trajectories.png")
     check_suffix(out, *[".png"] * (not by_mujoco), ".gif", ".mp4")
-    camera = options.camera if by_mujoco else None
     panels = []
     for folder, name, seed in zip(folders, names, seeds, strict=True):
         config = TrainConfig.read(folder)
         seed = config.seeds[0] if seed is None else seed
         run = chosen_run(folder, config, seed, options.task)
-        how = (options.episodes, options.stochastic, camera)
+        camera = camera_of(run.task, options.camera) if by_mujoco else None
+        how = (options.episodes, options.stochastic, by_mujoco, camera, options.every)
         episodes, view = pictures.evaluation_episodes(folder, run, *how)
         heading = name or f"{title(config.algorithm)}, seed {run.seed}"
         panels.append(pictures.Panel(heading, view, episodes))
     if out.suffix.lower() == ".png":
         pictures.write_picture(out, pictures.picture(panels, options.size))
     else:
-        frames, total = pictures.film(panels, options.size), pictures.pictures_of(panels)
-        if out.suffix.lower() == ".gif":
-            frames = pictures.few_colours(frames)
-        pictures.write_film(out, frames, total)
+        frames = pictures.film(panels, options.size, options.every)
+        pictures.write_film(out, frames, pictures.pictures_of(panels, options.every))
     print(out)
     return 0
+
+
+def camera_of(task: str, chosen: Camera | None) -> Camera | None:
+    """Where frames of MuJoCo are seen from; None for a task with one camera. Raises UserError where
+    one is chosen for such a task."""
+    if task.rpartition(":")[2] in PHYSICS.values():
+        return chosen or "top"
+    if chosen:
+        raise UserError(f"camera is for {', '.join(PHYSICS.values())}: {task!r} has one, its own")
+    return None
 
 
 @dataclass(frozen=True)

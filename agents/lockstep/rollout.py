@@ -156,9 +156,10 @@ def _reset(envs: VectorEnv, **kwargs: Any) -> NDArray[np.float32]:
 def _checked(rollout: Rollout, envs: VectorEnv, costs: Sequence[str]) -> Rollout:
     """The rollout with episodes marked that hold numbers which are not finite. Raises TaskFailure
     for a negative cost."""
-    negative = (rollout.cost[rollout.during] < 0).any(axis=0)
-    if negative.any():
-        raise TaskFailure(f"{envs} gives a negative {costs[int(negative.argmax())]}")
+    lowest = rollout.cost[rollout.during].min(axis=0, initial=0.0)
+    if (lowest < 0).any():
+        name, value = costs[int(lowest.argmin())], lowest.min()
+        raise TaskFailure(f"{envs} gives a negative {name}: {value:g}")
     failure = np.full_like(rollout.failure, "")
     columns = {"observation": rollout.next_observation, "reward": rollout.reward[..., None]}
     columns |= {name: rollout.cost[..., [k]] for k, name in enumerate(costs)}

@@ -89,7 +89,8 @@ def preset_with(name: str, task: str, given: Mapping[str, Any]) -> Any:
     for other in given:
         if other not in names:
             meant = OTHER_NAMES.get(other, other)
-            hint = nearest(meant, [*names, *RESERVED], f"it has {', '.join(names)}")
+            others = [name for name in (*names, *RESERVED) if name != other]
+            hint = nearest(meant, others, f"it has {', '.join(names)}")
             raise UserError(f"{name} has no hyper-parameter {other!r}: {hint}")
     return replace(config, **{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
 

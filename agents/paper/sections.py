@@ -11,7 +11,7 @@ from typing import NamedTuple
 from agents.algorithms import ALGORITHMS, title
 from agents.paper.claims import LIMIT, check_claims
 from agents.paper.evidence import SAFETY_SEEDS, SEEDS, choice_of, paper_results, printed
-from agents.paper.grid import MARGIN, ablations, unprinted
+from agents.paper.grid import MARGIN, SAFETY, ablations, unprinted
 from agents.paper.introduction import introduction
 from agents.paper.presets import PAPER_ALGORITHMS, is_circle2d, registered_id
 from agents.reporting.figures import Figure
@@ -31,7 +31,7 @@ from agents.results.frame import by_task, hyperparameter_changes, name_of, unusu
 from agents.results.measures import measure, measures
 from agents.results.reading import Group, Run
 from agents.results.statistics import INTERVALS, LEVEL, Pair, group_mean, two_sets
-from circle2d_mj.registration import KINEMATIC, PHYSICS, SAFETY
+from circle2d_mj.registration import KINEMATIC, PHYSICS
 from emcc import emcc_by_part
 from emcc.parts import ALPHA, PARTS
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -104,13 +104,20 @@ def _view(config: TrainConfig, task: str) -> View:
 
 
 def evaluation_episodes(
-    folder: Path, run: RunId, episodes: int, noisy: bool, camera: str | None = None
+    folder: Path,
+    run: RunId,
+    episodes: int,
+    noisy: bool,
+    own_frames: bool = False,
+    camera: str | None = None,
+    every: int = 1,
 ) -> tuple[list[Episode] | list[Filmed], View | None]:
     """The first episodes of the evaluation of one run, and the view of its task.
 
-    Without a view the episodes are the task's own frames. noisy: of the stochastic policy; camera:
-    take its frames even so, from this camera. Raises UserError for a task without view and frames,
-    and a policy that is not finite.
+    Without a view the episodes are the task's own frames. noisy: of the stochastic policy.
+    own_frames: take them even so; camera: of a task with several, where they are seen from; every:
+    steps from a frame to the next. Raises UserError for a task without view and frames, and a
+    policy that is not finite.
     """
     config = TrainConfig.read(folder)
     if not 1 <= episodes <= EPISODES:
@@ -127,8 +134,8 @@ def evaluation_episodes(
 
     if camera is not None:
         alone = replace(alone, task_parameters=alone.task_parameters | {"camera": camera})
-    if view is None or camera is not None:
-        return film_episodes(alone, episodes, played), None
+    if view is None or own_frames:
+        return film_episodes(alone, episodes, played, every), None
     with contextlib.closing(runs_envs(alone, episodes)) as envs:
         [paths] = paths_of(envs, played(envs), 1, episodes)
     return [Episode(positions, costs) for positions, costs in paths], view
@@ -163,15 +170,16 @@ def picture(panels: Sequence[Panel], size: int) -> Picture:
     return figure([drawn], [panel.title for panel in panels], captions=captions)
 
 
-def film(panels: Sequence[Panel], size: int) -> Iterator[Picture]:
+def film(panels: Sequence[Panel], size: int, every: int = 1) -> Iterator[Picture]:
     """The episodes one after another, those of all panels at once: [height, width, 3] for each
-    state, with the way that led there. An episode that is over waits for the others.
+    state that is shown, with the way that led there. An episode that is over waits for the others.
 
-    size: pixels along each side of a panel; height and width are even, as video needs them.
+    size: pixels along each side of a panel; height and width are even, as video needs them. every:
+    steps from a picture to the next.
     """
     grounds = [Ground(p.view, p.view.background(size)) if p.view else None for p in panels]
     for number, episodes in enumerate(zip(*(p.episodes for p in panels), strict=True), 1):
-        for step in range(_length(episodes)):
+        for step in _shown(episodes, every):
             shown = [min(step, len(episode.costs)) for episode in episodes]
             drawn = [
                 _state(ground, episode, k, size)
@@ -181,21 +189,16 @@ def film(panels: Sequence[Panel], size: int) -> Iterator[Picture]:
             yield _even(figure([drawn], [panel.title for panel in panels], captions=[words]))
 
 
-def few_colours(pictures: Iterator[Picture]) -> Iterator[Picture]:
-    """The pictures of a film in the colours that a GIF holds well: it is then half as large."""
-    for shown in pictures:
-        few = Image.fromarray(shown).quantize(64, dither=Image.Dither.NONE)
-        yield np.asarray(few.convert("RGB"))
-
-
-def pictures_of(panels: Sequence[Panel]) -> int:
+def pictures_of(panels: Sequence[Panel], every: int = 1) -> int:
     """Number of pictures of a film."""
-    return sum(map(_length, zip(*(panel.episodes for panel in panels), strict=True)))
+    together = zip(*(panel.episodes for panel in panels), strict=True)
+    return sum(len(_shown(episodes, every)) for episodes in together)
 
 
-def _length(episodes: Sequence[Episode | Filmed]) -> int:
-    """Pictures of episodes that are shown at once."""
-    return max(len(episode.costs) for episode in episodes) + 1 + HELD
+def _shown(episodes: Sequence[Episode | Filmed], every: int) -> list[int]:
+    """Steps that are taken before each picture of episodes that are shown at once."""
+    longest = max(len(episode.costs) for episode in episodes)
+    return [*range(0, longest, every), *[longest] * (1 + HELD)]
 
 
 def _words(number: int, episode: Episode | Filmed, steps: int) -> str:
@@ -239,6 +242,11 @@ def write_picture(path: Path, picture: Picture) -> None:
     write_whole(path, png(picture))
 
 
+def _few_colours(picture: Picture) -> Image.Image:
+    """The picture in the colours that a GIF holds well: it is then half as large."""
+    return Image.fromarray(picture).quantize(64, dither=Image.Dither.NONE)
+
+
 def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:
     """Write `total` frames into a .gif or .mp4 file, whole or not at all, showing progress."""
     import imageio.v2 as imageio
@@ -249,7 +257,7 @@ def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:
     shown = track(frames, "drawing", total, console=Console(stderr=True), transient=True)
     with whole(path) as file:
         if path.suffix.lower() == ".gif":
-            first, *others = map(Image.fromarray, shown)
+            first, *others = map(_few_colours, shown)
             timing = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0}
             first.save(file, "GIF", save_all=True, append_images=others, **timing)
             return
@@ -270,19 +278,20 @@ def _prepare(path: Path) -> None:
 class Filmed(NamedTuple):
     """One episode as the task itself draws it."""
 
-    frames: list[bytes]
-    """PNG files of the T + 1 states, the start first: pixels would fill the memory."""
+    frames: Mapping[int, bytes]
+    """PNG files of states by the steps taken before them, of the start and of the end among them:
+    pixels would fill the memory."""
     costs: NDArray[np.float64]
     """[T]"""
 
 
 def film_episodes(
-    config: TrainConfig, episodes: int, played: Callable[[VectorEnv], Rollout]
+    config: TrainConfig, episodes: int, played: Callable[[VectorEnv], Rollout], every: int = 1
 ) -> list[Filmed]:
     """Episodes of one run as its task draws them.
 
-    config: of the run alone; played: its episodes in the environments given. Raises UserError for a
-    task without frames.
+    config: of the run alone; played: its episodes in the environments given; every: steps from a
+    frame to the next. Raises UserError for a task without frames.
     """
     [task] = config.tasks
     parameters = config.task_parameters | {"render_mode": "rgb_array"}
@@ -290,34 +299,37 @@ def film_episodes(
         made = make_envs(registered(task), episodes, parameters, "sync", costs=config.costs)
     except UserError as error:
         raise _without_frames(task, error) from error
-    with contextlib.closing(_KeepFrames(made, task)) as envs:
+    with contextlib.closing(_KeepFrames(made, task, every)) as envs:
         rollout, frames = played(envs), envs.frames
     costs = rollout.cost[..., 0].astype(np.float64)
     return [
-        Filmed([state[k] for state in frames[: steps + 1]], costs[:steps, k])
+        Filmed({n: state[k] for n, state in frames.items() if n <= steps}, costs[:steps, k])
         for k, steps in enumerate(rollout.length)
     ]
 
 
 class _KeepFrames(VectorWrapper):
-    """Keeps a frame of every environment since the last reset of all of them."""
+    """Keeps a frame of every environment since the last reset of all of them: at the start, every
+    so many steps, and where an episode ends."""
 
-    def __init__(self, env: VectorEnv, task: str) -> None:
+    def __init__(self, env: VectorEnv, task: str, every: int) -> None:
         super().__init__(env)
-        self._task = task
-        self.frames: list[list[bytes]] = []
+        self._task, self._every, self._steps = task, every, 0
+        self.frames: dict[int, list[bytes]] = {}
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         found = self.env.reset(seed=seed, options=options)
         if options is None or "reset_mask" not in options:
-            self.frames = [self._render()]
+            self._steps, self.frames = 0, {0: self._render()}
         return found
 
     def step(self, actions: Any) -> tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]:
         found = self.env.step(actions)
-        self.frames.append(self._render())
+        self._steps += 1
+        if self._steps % self._every == 0 or np.logical_or(*found[2:4]).any():
+            self.frames[self._steps] = self._render()
         return found
 
     def _render(self) -> list[bytes]:
@@ -335,6 +347,4 @@ def _png(frame: Any) -> bytes:
 
 
 def _without_frames(task: str, error: Exception) -> UserError:
-    return UserError(
-        f"task {task!r} offers no view to draw, and no frames by render_mode 'rgb_array': {error}"
-    )
+    return UserError(f"task {task!r} gives no frames by render_mode 'rgb_array': {error}")

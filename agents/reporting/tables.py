@@ -77,7 +77,8 @@ def task_table(
     words = f"{marking()}; among our means" + (
         ", and among the paper's, of which J_C, a mean, is within the limit" if others else ""
     )
-    return measures_table(caption(groups), task, rows, [*notes, *_limited(groups)], words)
+    notes = [*notes, *_limited(groups), *_random(groups)]
+    return measures_table(caption(groups), task, rows, notes, words)
 
 
 def measures_table(
@@ -205,6 +206,13 @@ def _limited(groups: Sequence[Group]) -> list[str]:
         return []
     kinds = "; ".join(f"the {words} of {', '.join(titles)}" for words, titles in names.items())
     return [f"The cost limit holds for {kinds}. Marks and claims compare J_C with it."]
+
+
+def _random(groups: Sequence[Group]) -> list[str]:
+    """The groups of which all training was of random actions."""
+    steps = {name_of(g): getattr(g.config.hyperparameters, "random_steps", 0) for g in groups}
+    names = [name_of(g) for g in groups if steps[name_of(g)] >= g.config.steps]
+    return [f"{name}: all its training's actions are random (random_steps)." for name in names]
 
 
 Candidate = tuple[Mapping[str, float | None], bool | None]

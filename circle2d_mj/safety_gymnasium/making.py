@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from typing import Any
 
 import gymnasium as gym
@@ -45,7 +46,8 @@ def make(
 
 def _check_id(id: str) -> None:
     if id not in NAMES.values():
-        raise ValueError(f"id must be one of {sorted(NAMES.values())}, got {id!r}")
+        near = difflib.get_close_matches(str(id), NAMES.values(), cutoff=0.0)
+        raise ValueError(f"id must be one of `registry`, such as {', '.join(near)}, got {id!r}")
 
 
 class SafetyGymnasiumEnv(SixValueEnv[Any, Any]):

@@ -248,6 +248,7 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
     ("arguments", "message"),
     [
         ({"log_barier_factor": 3.0}, "no hyper-parameter 'log_barier_factor': did you mean 'log"),
+        ({"grid": 3}, "no hyper-parameter 'grid': it has"),
         ({"total_timesteps": 3}, "no hyper-parameter 'total_timesteps': did you mean 'steps'"),
         ({"algorithm": agents.Algorithm}, "algorithm must be a name, like 'sac-lag', got"),
         ({"discount": np.float32(0.9)}, "hyperparameters must be plain values: .*float32"),

@@ -82,7 +82,7 @@ BAD = {
 def test_bad_steps_and_rollouts_are_named(step, message):
     with pytest.raises(ValueError, match=message):
         CostRecorder(2).step(*step)
-    with pytest.raises(TypeError, match="rollout must be an integer, got 'epoch'"):
+    with pytest.raises(ValueError, match="must be 'episode', 'manual' or steps, got 'epoch'"):
         CostRecorder(1, "epoch")
     with pytest.raises(ValueError, match="num_envs must be >= 1, got 0"):
         CostRecorder(0)

@@ -44,6 +44,7 @@ def mistake(arguments, capsys):
         ([*TO, "--lr", "1"], "--lr is --learning-rate here"),
         ([*TRAIN, "--out", ""], "--out is followed by an empty word"),
         ([*TO, "--import", "mine.py"], "a module's name: 'mine'"),
+        ([*TO, "--import", "typo.mine"], "there is no module 'typo.mine'"),
         ([*TO, "--steps", "1M"], "1000000 or 1e6, got '1M'"),
         ([*TO, "--steps", "100"], "at least 102 for a table, got 100: .* 50"),
         ([*TO, "--seeds", "-1"], "seeds must be in"),

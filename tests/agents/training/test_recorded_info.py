@@ -183,6 +183,8 @@ def test_a_second_cost_changes_nothing_that_limits_the_first(runs, tmp_path):
 def test_epochs_and_frames_name_further_costs():
     epochs = []
     runs = agents.train("cpo", "TwoCosts-v0", on_epoch=epochs.append, **BOTH, **TRPO)
+    with pytest.raises(UserError, match=r"has no cost 'cost_3': cost, cost_2$"):
+        runs.records_of("cost_3")
     first = runs.records_of("cost_2")[runs.folder, 1].cost[:2].mean()
     assert epochs[0].runs[1]["cost_2"] == pytest.approx(first)
     frame = runs.to_pandas("episodes")
@@ -200,3 +202,10 @@ def test_a_cost_that_the_task_lacks(tmp_path, vectorization):
         with pytest.raises(UserError, match=words):
             agents.train("cpo", "Walk-v0", out=tmp_path / "x", **BOTH | {"costs": costs})
     assert not (tmp_path / "x").exists()
+
+
+def test_random_training_is_told_and_another_first_cost_is_named(tmp_path):
+    more = {"seeds": 0, "steps": 100, "costs": ("cost_2",), "out": tmp_path / "x"}
+    table = agents.train("sac-lag", "TwoCosts-v0", random_steps=100, **more).table()
+    told = "(random_steps 100, 100 steps, cost_2): all its training's actions are random"
+    assert told in table
