@@ -148,12 +148,10 @@ class Block(NamedTuple):
 
 def blocks_of(nets: Nets, actor: Tensor, epoch: Epoch, objective: Tensor) -> list[Block]:
     """The epoch's steps under the policy that took them; objective: advantages [R, B]. Raises
-    ValueError where they have another shape, as an algorithm of one's own may give them."""
+    ValueError where they have another shape."""
     if objective.shape != epoch.weight.shape:
-        runs, steps = epoch.weight.shape
-        raise ValueError(
-            f"advantage must be [runs, steps], here [{runs}, {steps}], got {list(objective.shape)}"
-        )
+        shapes = f"{list(epoch.weight.shape)}, got {list(objective.shape)}"
+        raise ValueError(f"advantage must be [runs, steps], here {shapes}")
     first = epoch.cost_advantage[:, 0]
     columns = (epoch.observation, epoch.action, epoch.weight, objective, first)
     found = []

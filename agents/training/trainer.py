@@ -40,8 +40,6 @@ KEPT = 2
 """Checkpoints of a folder: the newest, and the one before in case that is damaged."""
 WRITING_SHARE = 0.02
 """Share of the time that writing checkpoints may take."""
-COMPARED_UPDATES = 2
-"""Updates of a run among others that are compared with the same run's alone."""
 Callback = Callable[["Trainer"], object]
 """Called after every epoch. False, be it numpy's, stops the training after a checkpoint."""
 
@@ -87,8 +85,7 @@ class Trainer:
         """Whether a callback stopped it."""
         self._saved_at, self._writing = time.monotonic(), 0.0
         own = config.algorithm not in BUILT_IN and count > 1
-        self._alone = self._learner(config.stream_seeds[:1]) if own else None
-        self._compared = 0
+        self._alone, self._compared = self._learner(config.stream_seeds[:1]) if own else None, 0
 
     def _learner(self, stream_seeds: list[int]) -> Learner:
         config, sizes = self.config, read_spaces(self.folder).sizes
@@ -185,9 +182,8 @@ class Trainer:
             raise OwnCodeError(words) from error
 
     def _learn(self, rollout: Rollout, learning: NDArray[np.bool_]) -> NDArray:
-        """Learn from an epoch. Raises UserError where an algorithm of the user's own trains its
-        first run otherwise among others than alone: its gradients then depend on the others. Two
-        updates are compared, since in the first all runs have equal multipliers."""
+        """Learn from an epoch. Raises UserError where an update of the first two (before the first,
+        multipliers are equal) of the user's own algorithm depends on the other runs."""
         metrics = self.learner.learn(rollout, self.epoch, learning)
         if self._alone is None:
             return metrics
@@ -204,7 +200,7 @@ class Trainer:
                         "runs? A mean over a batch is x.mean(dim=-1)"
                     )
             self._compared += 1
-            if self._compared == COMPARED_UPDATES:
+            if self._compared == 2:
                 self._alone = None
         return metrics
 

@@ -237,7 +237,7 @@ def test_what_is_ordered_otherwise():
 
 
 @pytest.mark.slow
-def test_a_method_of_ones_own_beside_published_ones(tmp_path, monkeypatch, capsys):
+def test_a_method_of_ones_own_beside_published_ones(tmp_path, monkeypatch):
     monkeypatch.setattr(algorithms._algorithms, "registered", {})
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_method.py").write_text(MINE)
@@ -260,5 +260,3 @@ def test_a_method_of_ones_own_beside_published_ones(tmp_path, monkeypatch, capsy
     # Equal algorithms with equal seeds have equal ranks.
     assert rows["CPO, 3 seeds"].split("[")[0] == rows["Mine, 3 seeds"].split("[")[0]
     assert "What EMCC orders otherwise" in report
-    capsys.readouterr()
-    assert main([*command[:4], "--safety", "--out", "x"]) == 2

@@ -20,6 +20,7 @@ from agents.sac import OffPolicy
 from agents.training.environments import make_envs
 
 OPTIONS = {"seeds": (0, 1), "steps": 100, "checkpoint_every": 20}
+SGD = {"multiplier_optimizer": "sgd", "multiplier_lr": 1.0, "cost_limit": 0.0, "episodes": 2}
 
 
 @pytest.fixture(autouse=True)
@@ -216,16 +217,8 @@ def two_families():
         yield
 
 
-SGD = {"multiplier_optimizer": "sgd", "multiplier_lr": 1.0, "cost_limit": 0.0, "episodes": 2}
-
-
 @pytest.mark.parametrize(
-    ("algorithm", "options"),
-    [
-        ("toy", {"wrong": "reduce"}),
-        ("sac-reduced", SAC),
-        ("avg", SGD),
-    ],
+    ("algorithm", "options"), [("toy", {"wrong": "reduce"}), ("sac-reduced", SAC), ("avg", SGD)]
 )
 def test_a_loss_that_reduces_over_the_runs_is_refused(tmp_path, algorithm, options):
     """At the first update, which for SAC comes after some epochs, or at the second, before which
