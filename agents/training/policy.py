@@ -6,6 +6,7 @@ import contextlib
 import copy
 import functools
 import os
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -229,9 +230,13 @@ def load_policy(
 def chosen_run(
     folder: object, config: TrainConfig, seed: int | None = None, task: str | None = None
 ) -> RunId:
-    """The run of a seed and a task, or the only one. Raises UserError where there is none such."""
-    given = config.tasks
-    tasks = [known for known in given if task in (None, known, known.rpartition(":")[2])]
+    """The run of a seed and a task, or the only one. Raises UserError where there is none such.
+
+    task: also without its module, the package's name before it, or its version.
+    """
+    known = {task: re.split("[:/]", task)[-1] for task in config.tasks}
+    meant = task and re.split("[:/]", task)[-1]
+    tasks = [k for k, name in known.items() if meant in (None, name, name.rpartition("-v")[0])]
     if not tasks:
         raise UserError(f"{folder} has no run on task {task!r}: its tasks are {config.tasks}")
     if len(tasks) > 1:

@@ -100,7 +100,7 @@ def test_neither_replay_nor_environment_is_needed(folder, tmp_path):
     with np.load(newest) as state:
         kept = {k: state[k] for k in state if k == "steps" or k.startswith("actor")}
     np.savez(newest, **kept)
-    expected = agents.load_policy(folder, seed=0)(OBSERVATIONS)
+    expected = agents.load_policy(folder, seed=0, task="Walk")(OBSERVATIONS)
     spec = gym.registry.pop("Walk-v0")
     try:
         found = agents.load_policy(copy, seed=0)(OBSERVATIONS)
