@@ -67,6 +67,7 @@ docs: $(VENV)/develops
 
 INTEGRATED := $(addprefix tests/emcc/test_emcc_,minari.py sb3.py tensordict.py) tests/test_examples.py
 INTEGRATED += tests/agents/test_export.py tests/circle2d_mj/core/test_other_libraries.py
+INTEGRATED += tests/agents/test_sweeps.py::test_training_on_ray
 
 # All that is pinned but pandas and filelock, of which tianshou needs versions before 3 and 4. It puts
 # these libraries into the same environment.
@@ -74,8 +75,7 @@ integrate: $(VENV)/develops
 	sed -e 's/^pandas==.*/pandas<3/' -e 's/^filelock==.*/filelock<4/' constraints.txt \
 		> $(VENV)/constraints.txt
 	$(PIP) -c $(VENV)/constraints.txt -e '.[dev,integrations]'
-	$(BIN)/python -m pytest -n logical --durations 5 $(INTEGRATED)
-	$(BIN)/python -m pytest -m slow tests/agents/test_sweeps.py::test_training_on_ray
+	$(BIN)/python -m pytest -m "slow or not slow" -n logical --durations 5 $(INTEGRATED)
 
 ray: $(VENV)/develops
 	$(INSTALL) -e '.[dev,ray]'

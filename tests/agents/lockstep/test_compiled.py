@@ -13,25 +13,24 @@ pytestmark = pytest.mark.slow  # it compiles
 HERE = Path(__file__).parent
 
 
-def run(*command):
-    """Output of a process that may compile, unlike this one."""
+def process(*command):
+    """A process that may compile, unlike this one."""
     environment = {k: v for k, v in os.environ.items() if k != "TORCH_COMPILE_DISABLE"}
     there = (HERE.parent, HERE.parent / "algorithms")
     paths = [*map(str, there), environment.get("PYTHONPATH", "")]
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
-    done = subprocess.run(
-        [sys.executable, *command], env=environment, capture_output=True, text=True, check=False
-    )
+    how = {"env": environment, "capture_output": True, "text": True, "check": False}
+    return subprocess.run([sys.executable, *command], **how)
+
+
+def run(*command):
+    """Output of such a process. Skips where nothing can be compiled, and says why."""
+    done = process(*command)
+    ask = "from agents.lockstep.backend import cannot_compile; print(cannot_compile())"
+    if done.returncode and (why := process("-c", ask).stdout.strip()):
+        pytest.skip(why)
     assert done.returncode == 0, done.stderr
     return done.stdout
-
-
-@pytest.fixture(scope="module")
-def compiler():
-    """Skips where nothing can be compiled, and says why."""
-    ask = "from agents.lockstep.backend import cannot_compile; print(cannot_compile())"
-    if why := run("-c", ask).strip():
-        pytest.skip(why)
 
 
 @pytest.mark.parametrize(
@@ -42,7 +41,7 @@ def compiler():
         (("cup", "p3o", "ppo-lag"), 1e-4, 1e-4, np.inf),
     ],
 )
-def test_compiled_is_eager_but_for_rounding(names, median, worst, all_, compiler):
+def test_compiled_is_eager_but_for_rounding(names, median, worst, all_):
     """Each of 20 updates from the same state, of the trust region their median, and off-policy all
     of them together. A step of the trust region is about .1 long. Its 15 conjugate gradients
     magnify rounding, by as much as the processor's instructions differ, and the line search may
