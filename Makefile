@@ -70,7 +70,7 @@ INTEGRATED += tests/agents/test_export.py tests/circle2d_mj/core/test_other_libr
 INTEGRATED += tests/agents/test_sweeps.py::test_training_on_ray
 
 # All that is pinned but pandas and filelock, of which tianshou needs versions before 3 and 4. It puts
-# these libraries into the same environment.
+# these libraries into the same environment. The test on Ray is a slow one.
 integrate: $(VENV)/develops
 	sed -e 's/^pandas==.*/pandas<3/' -e 's/^filelock==.*/filelock<4/' constraints.txt \
 		> $(VENV)/constraints.txt

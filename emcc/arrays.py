@@ -6,6 +6,7 @@ than are allowed.
 
 import math
 import operator
+import reprlib
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -66,10 +67,8 @@ def as_steps(
     listed = isinstance(values, (list, tuple)) and len(values)  # numpy has no ndim of ragged lists
     if (1 + np.ndim(values[0]) if listed else np.ndim(values)) < 2 or not len(values):
         if lengths is None:
-            got = f"an array {list(np.shape(values))}" if np.size(values) else "nothing"
-            raise ValueError(
-                f"{name} must hold an array of each trajectory, or come with lengths, got {got}"
-            )
+            rule = "must hold an array of each trajectory, or come with lengths"
+            raise ValueError(f"{name} {rule}, got {reprlib.repr(values)}")
         return as_array(values, name), lengths
     pieces = [as_vector(row, f"{name} of trajectory {k}", low) for k, row in enumerate(values)]
     sizes = np.array([piece.size for piece in pieces])

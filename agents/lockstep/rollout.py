@@ -157,9 +157,8 @@ def _checked(rollout: Rollout, envs: VectorEnv, costs: Sequence[str]) -> Rollout
     """The rollout with episodes marked that hold numbers which are not finite. Raises TaskFailure
     for a negative cost."""
     lowest = rollout.cost[rollout.during].min(axis=0, initial=0.0)
-    if (lowest < 0).any():
-        name, value = costs[int(lowest.argmin())], lowest.min()
-        raise TaskFailure(f"{envs} gives a negative {name}: {value:g}")
+    if (value := lowest.min()) < 0:
+        raise TaskFailure(f"{envs} gives a negative {costs[int(lowest.argmin())]}: {value:g}")
     failure = np.full_like(rollout.failure, "")
     columns = {"observation": rollout.next_observation, "reward": rollout.reward[..., None]}
     columns |= {name: rollout.cost[..., [k]] for k, name in enumerate(costs)}

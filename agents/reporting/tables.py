@@ -210,9 +210,11 @@ def _limited(groups: Sequence[Group]) -> list[str]:
 
 def _random(groups: Sequence[Group]) -> list[str]:
     """The groups of which all training was of random actions."""
-    steps = {name_of(g): getattr(g.config.hyperparameters, "random_steps", 0) for g in groups}
-    names = [name_of(g) for g in groups if steps[name_of(g)] >= g.config.steps]
-    return [f"{name}: all its training's actions are random (random_steps)." for name in names]
+    return [
+        f"{name_of(group)}: all its training's actions are random (random_steps)."
+        for group in groups
+        if getattr(group.config.hyperparameters, "random_steps", 0) >= group.config.steps
+    ]
 
 
 Candidate = tuple[Mapping[str, float | None], bool | None]

@@ -85,7 +85,8 @@ class Trainer:
         """Whether a callback stopped it."""
         self._saved_at, self._writing = time.monotonic(), 0.0
         own = config.algorithm not in BUILT_IN and count > 1
-        self._alone, self._compared = self._learner(config.stream_seeds[:1]) if own else None, 0
+        self._alone = self._learner(config.stream_seeds[:1]) if own else None
+        self._compared = 0
 
     def _learner(self, stream_seeds: list[int]) -> Learner:
         config, sizes = self.config, read_spaces(self.folder).sizes
@@ -182,8 +183,8 @@ class Trainer:
             raise OwnCodeError(words) from error
 
     def _learn(self, rollout: Rollout, learning: NDArray[np.bool_]) -> NDArray:
-        """Learn from an epoch. Raises UserError where an update of the first two (before the first,
-        multipliers are equal) of the user's own algorithm depends on the other runs."""
+        """Learn from an epoch. Raises UserError where one of the first two updates of the user's
+        own algorithm depends on the other runs. In the first all multipliers are equal."""
         metrics = self.learner.learn(rollout, self.epoch, learning)
         if self._alone is None:
             return metrics
