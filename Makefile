@@ -11,7 +11,9 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-# Python compiles what it imports: compiling all that is installed doubles the time.
+# Python compiles what it imports, once, where it may keep it: without, each process here compiles
+# torch again, which takes longer than most tests. Compiling all that is installed takes longer still.
+unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
 INSTALL := $(PIP) -c constraints.txt
 

@@ -16,6 +16,7 @@ import tyro
 
 from agents.checks import In
 from agents.errors import OTHER_NAMES, OwnCodeError, UserError, described
+from agents.reporting.table import LEAST_WIDTH
 
 T = TypeVar("T")
 BackendChoice = Literal["auto", "compiled", "eager"]
@@ -34,8 +35,6 @@ Imports = Annotated[
     ),
 ]
 """The option `--import`, of every command that may meet a user's own algorithms and tasks."""
-LEAST_WIDTH = 40
-"""Characters of the narrowest terminal that tables are laid out for."""
 Width = Annotated[
     int | None,
     In(LEAST_WIDTH),
