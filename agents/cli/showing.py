@@ -182,6 +182,10 @@ def render(args: Sequence[str]) -> int:
     by_mujoco = options.frames == "mujoco"
     out = options.out or beside / ("film.gif" if by_mujoco else "trajectories.png")
     check_suffix(out, *[".png"] * (not by_mujoco), ".gif", ".mp4")
+    if options.camera and not by_mujoco:
+        raise UserError("camera needs --frames mujoco: the map has no camera")
+    if options.every > 1 and out.suffix.lower() == ".png":
+        raise UserError(f"every is for films: give --out a .gif or .mp4, got {str(out)!r}")
     panels = []
     for folder, name, seed in zip(folders, names, seeds, strict=True):
         config = TrainConfig.read(folder)

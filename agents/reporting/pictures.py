@@ -182,7 +182,7 @@ def film(panels: Sequence[Panel], size: int, every: int = 1) -> Iterator[Picture
         for step in _shown(episodes, every):
             shown = [min(step, len(episode.costs)) for episode in episodes]
             drawn = [
-                _state(ground, episode, k, size)
+                _state(ground, episode, k, size, every)
                 for ground, episode, k in zip(grounds, episodes, shown, strict=True)
             ]
             words = [_words(number, e, k) for e, k in zip(episodes, shown, strict=True)]
@@ -208,12 +208,18 @@ def _words(number: int, episode: Episode | Filmed, steps: int) -> str:
     return f"episode {number}, step {steps}: cost {costs.sum():g}, longest streak {streak}"
 
 
-def _state(ground: Ground | None, episode: Episode | Filmed, steps: int, size: int) -> Picture:
+def _state(
+    ground: Ground | None, episode: Episode | Filmed, steps: int, size: int, every: int
+) -> Picture:
     """The task after some steps of an episode: the way there, and a disc where the agent is; or the
-    task's own frame in the middle of the panel."""
+    task's own frame in the middle of the panel, edged where one of the last `every` steps cost."""
     if isinstance(episode, Filmed):
         with Image.open(io.BytesIO(episode.frames[steps])) as frame:
-            return np.asarray(ImageOps.pad(frame, (size, size), color=(255, 255, 255)))
+            image = ImageOps.pad(frame, (size, size), color=(255, 255, 255))
+        if (episode.costs[max(steps - every, 0) : steps] > 0).any():
+            edges = (0, 0, size - 1, size - 1)
+            ImageDraw.Draw(image).rectangle(edges, outline=canvas.BOX, width=max(size // 60, 2))
+        return np.asarray(image)
     assert ground is not None
     view, path = ground.view, episode.positions
     way, costs = path[: steps + 1], episode.costs[:steps]

@@ -67,7 +67,7 @@ def _box(agent: str) -> Kind:
     half, density = BOX[agent]
     # A box and four columns on its corners, as wide as half of it: see `worlds`.
     radius = half * (1.5**2 * 2 + 1) ** 0.5
-    colour = (0.45, 0.45, 0.85, 1.0)
+    colour = (0.90, 0.75, 0.15, 1.0)
     return Kind("push_box", "free", "box", (half,) * 3, half, colour, density, radius)
 
 

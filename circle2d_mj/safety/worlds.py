@@ -253,6 +253,7 @@ def _add_scenery(spec: mujoco.MjSpec, scene: Scene) -> None:
         pos=[0, 0, 5],
         dir=[0.2, 0.2, -1],
         diffuse=[0.3] * 3,
+        specular=[0.0] * 3,  # a bright spot on the floor
         castshadow=False,
     )
     long = 17.5 if len(scene.walls) == 1 and not scene.placed else 3.5

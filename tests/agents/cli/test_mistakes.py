@@ -70,6 +70,8 @@ def mistake(arguments, capsys):
         (["heatmap", "{folder}", "--out", "a.jpg"], "out must end in .png, got 'a.jpg'"),
         (["heatmap", "{folder}/.."], "holds folders of runs: did you mean .*first'"),
         (["render", "{folder}", "--out", "{folder}/config.json/a.gif"], "config.json' is a file"),
+        (["render", "{folder}", "--camera", "side"], "camera needs --frames mujoco"),
+        (["render", "{folder}", "--every", "5"], "every is for films"),
         (["render", "pretrained:cpo/Circle2D-2-v0"], "no policy of 'cpo' comes with the package"),
         (["export", "{folder}", "--format", "pt"], "safetensors"),
         (["scene", "--task-parameters", "mass", "0"], "mass must be above 0"),

@@ -10,6 +10,7 @@ from small_runs import TASK, edit_results, evaluate, write_runs
 from agents.cli.main import main
 from agents.paper.presets import preset
 from agents.reporting import pictures
+from agents.reporting.maps import png
 from agents.reporting.pictures import HELD
 from agents.results.reading import read_folder
 from agents.training.config import RunId, TrainConfig
@@ -17,7 +18,7 @@ from agents.training.derive import Steps, count_visits
 from agents.training.trainer import train
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
-from circle2d_mj.render import gl, renderer
+from circle2d_mj.render import canvas, gl, renderer
 from circle2d_mj.render.gl import NoOpenGL
 
 
@@ -93,6 +94,17 @@ def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
     noisy, _ = pictures.evaluation_episodes(folder, RunId(TASK, 6), 3, noisy=True)
     assert np.array_equal(noisy[0].positions[0], episodes[0].positions[0])
     assert not np.array_equal(noisy[0].positions, episodes[0].positions)
+
+
+def test_a_frame_of_steps_that_cost_has_an_orange_edge():
+    """Of an episode filmed every second step, costs in the third of five alone."""
+    grey = png(np.full((64, 64, 3), 128, np.uint8))
+    frames = dict.fromkeys((0, 2, 4, 5), grey)
+    episode = pictures.Filmed(frames, np.array([0.0, 0.0, 1.0, 0.0, 0.0]))
+    shown = [*pictures.film([pictures.Panel("", None, [episode])], 64, 2)]
+    assert len(shown) == 4 + HELD
+    edged = [(picture == canvas.BOX).all(-1).any() for picture in shown]
+    assert edged == [False, False, True, *[False] * (1 + HELD)]
 
 
 def test_pictures_need_no_opengl(folder, tmp_path, monkeypatch):
