@@ -18,11 +18,11 @@ _PATHS = """\
 PATH is
   a run folder of `circle2d train`, an archive of one or many, or a folder that holds some
   costs of steps: .npz (costs and lengths, rewards, rollouts), .npy ([episodes, steps]), .csv
-      (cost; episode or done, terminated, truncated, which mark an episode's last step; rollout)
+      (cost; episode or done, terminated, truncated, which mark an episode's last step; rollout,
+      which may cut episodes; reward)
   a row per episode: .csv (length, cost, longest_streak), or as emcc.EpisodeRecords.save writes it
 
-exit status: 0 the table is complete; 1 a number is missing (no rollout starts in a third of
-  training); 2 a mistake
+exit status: 0 each third of training has its EMCC; 1 no rollout starts in one of them; 2 a mistake
 """
 
 
@@ -44,8 +44,8 @@ def _parser() -> argparse.ArgumentParser:
     add("paths", nargs="+", type=Path, metavar="PATH", help="run folder or file, see below")
     text = "cost limit of an episode, undiscounted: print the panel of all measures"
     add("--limit", type=float, metavar="D", help=f"{text} (default: EMCC and the cost rate)")
-    text = "episodes of the panel's moving window (default %(default)s)"
-    add("--window", type=int, default=WINDOW, metavar="N", help=text)
+    text = f"episodes of the panel's moving window, with --limit (default {WINDOW})"
+    add("--window", type=int, metavar="N", help=text)
     text = "share of the rollouts with the highest MCC, in (0, 1] (default %(default)s)"
     add("--alpha", type=float, default=ALPHA, help=text)
     text = "all: the mean of all MCC values at or above the (1 - alpha) quantile; split: of exactly"
@@ -64,6 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(argv)
     try:
+        if options.window is not None and (options.limit is None or options.window < 1):
+            raise ValueError(f"--window needs --limit and at least 1, got {options.window}")
         runs = [run for path in options.paths for run in read_runs(path, options.threshold)]
         # Paths may overlap.
         runs = list({(run.source, run.task, run.seed, run.cost): run for run in runs}.values())
@@ -90,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _emcc_table(groups: Sequence[Sequence[Run]], alpha: float, ties: str) -> Table:
-    """A row for each group of runs that differ in their seeds alone."""
+    """A row for each group of runs of one training that differ in their seeds alone."""
     rows = []
     for group in groups:
         first, seeds = group[0], " ".join(run.seed for run in group)
@@ -115,10 +117,13 @@ def _emcc_by_part(run: Run, alpha: float, ties: str) -> list[float | None]:
 def _panel_table(group: Sequence[Run], options: argparse.Namespace) -> Table:
     first = group[0]
     # One window for all runs, since a row names it.
-    window = min(options.window, *(len(run.records) for run in group))
+    window = min(options.window or WINDOW, *(len(run.episodes or run.records) for run in group))
     choices = {"ties": options.ties, "window": window, "total_steps": first.total_steps}
     with named(first.source):
-        panels = [panel(run.records, options.limit, options.alpha, **choices) for run in group]
+        panels = [
+            panel(run.records, options.limit, options.alpha, episodes=run.episodes, **choices)
+            for run in group
+        ]
     seeds = f"seeds {' '.join(run.seed for run in group)}" if first.seed else ""
     words = first.source, first.algorithm, _task(first) or MISSING, seeds
     return panel_table(panels, ", ".join(filter(None, words)))

@@ -145,7 +145,10 @@ class CostRecorder:
         return array
 
     def _mask(self, values: ArrayLike) -> NDArray[np.bool_]:
-        return self._vector(values, "done, active and where").astype(bool)
+        array = self._vector(values, "done, active and where")
+        if not ((array == 0) | (array == 1)).all():
+            raise ValueError(f"done, active and where must be True or False, got {array}")
+        return array.astype(bool)
 
 
 def _records(rows: list[tuple[Any, ...]]) -> EpisodeRecords:

@@ -200,7 +200,9 @@ class EpisodeRecords:
 
         interleaved: True for N environments that were stepped together, each with a recorder of its
         own (Stable-Baselines3's wrapper_class): step s of one is step N s of the training, rows
-        come in the order in which trajectories ended. False for sessions one after another.
+        come in the order in which trajectories ended. That needs every one to step each time: not
+        so in gymnasium's NEXT_STEP mode, where a reset takes a step. False for sessions one after
+        another.
         shared_rollouts: rollouts of the same id are one; by default those of each stay apart.
         TypeError: something else than records. ValueError: none, or sessions that share rollouts.
         """

@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from emcc.arrays import as_count, as_number
 from emcc.panels import WINDOW, Panel, measures_of, panel
-from emcc.parts import ALPHA
+from emcc.parts import ALPHA, worst
 from emcc.recorder import CostRecorder, cost_of
 from emcc.records import EpisodeRecords
 
@@ -48,8 +49,10 @@ class EMCCCallback(BaseCallback):
         if isinstance(rollout, str) and rollout not in ("auto", "update", "episode"):
             allowed = '"auto", "update", "episode" or a number'
             raise ValueError(f"rollout must be {allowed}, got {rollout!r}")
-        self.rollout, self.alpha, self.window = rollout, alpha, window
-        self.limit, self.threshold = limit, threshold
+        worst([0.0], alpha)  # which checks it, before any training
+        self.rollout, self.alpha, self.window = rollout, alpha, as_count(window, "window")
+        self.limit = None if limit is None else as_number(limit, "limit", low=0)
+        self.threshold = as_number(threshold, "threshold", low=0)
         self._started: tuple[CostRecorder, CostRecorder] | None = None
         self._last_obs: Any = None  # from which the model would go on after training
 

@@ -40,6 +40,8 @@ class Run:
     seed: str = ""
     cost: str = "cost"
     """Name of the cost in the environment's info."""
+    episodes: EpisodeRecords | None = None
+    """Whole episodes, where rollouts cut those of the records."""
 
 
 def read(path: str | os.PathLike[str], threshold: float = 0.0) -> EpisodeRecords:
@@ -70,10 +72,14 @@ def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
         raise ValueError(f"{path}: no such file or folder")
     with named(path):
         if path.suffix in (".npy", ".npz"):
-            records = EpisodeRecords.from_costs(**_arrays(path), threshold=threshold)
+            arrays = _arrays(path)
+            if others := sorted({*arrays} - {"costs", "lengths", "rewards", "rollouts"}):
+                known = "costs, and may have lengths, rewards and rollouts"
+                raise ValueError(f"has the arrays {', '.join(others)}: a file has {known}")
+            records, episodes = EpisodeRecords.from_costs(**arrays, threshold=threshold), None
         else:
-            records = _read_csv(path, threshold)
-    return [Run(str(path), records, records.total_steps)]
+            records, episodes = _read_csv(path, threshold)
+    return [Run(str(path), records, records.total_steps, episodes=episodes)]
 
 
 def _run_folders(folder: Any) -> Iterator[Any]:
@@ -129,13 +135,14 @@ def _arrays(path: Any) -> Any:
     return {"costs": content} if isinstance(content, np.ndarray) else content
 
 
-def _read_csv(path: Path, threshold: float) -> EpisodeRecords:
-    """A file of records, or with a row for each step, whose `cost` it has."""
+def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeRecords | None]:
+    """A file of records, or with a row for each step, whose `cost` it has: the records, and those
+    of whole episodes where rollouts cut them."""
     columns = Columns(path)
     if "longest_streak" in columns:
         if threshold:
             raise ValueError("holds streaks, not costs of steps: leave the threshold out")
-        return EpisodeRecords._from_columns(columns)
+        return EpisodeRecords._from_columns(columns), None
     marks = [name for name in ENDS if name in columns]
     if "cost" not in columns or not (marks or "episode" in columns):
         raise ValueError(
@@ -146,23 +153,28 @@ def _read_csv(path: Path, threshold: float) -> EpisodeRecords:
     costs = columns.numbers("cost", float)
     if not costs.size:
         raise ValueError("no steps")
+    rewards = columns.numbers("reward", float) if "reward" in columns else None
+    # An episode ends where its number changes, and behind a marked step; a rollout may cut it.
     rollouts, episodes = (columns.get(name, [""] * costs.size) for name in ("rollout", "episode"))
-    # An episode, or its piece in a rollout, ends where these change, and behind a marked step.
-    names = list(zip(rollouts, episodes, strict=True))
-    ends = np.array([name != following for name, following in pairwise([*names, None])])
-    if "episode" in columns and len(set(names)) < ends.sum():
+    cuts, ends = (np.array([a != b for a, b in pairwise([*x, None])]) for x in (rollouts, episodes))
+    if len(set(rollouts)) < cuts.sum():
+        raise ValueError("the steps of a rollout must follow one another")
+    if "episode" in columns and len({*zip(rollouts, episodes, strict=True)}) < (cuts | ends).sum():
         raise ValueError("the steps of an episode must follow one another")
     for name in marks:
         words = [text.lower().removesuffix(".0") for text in columns[name]]
         if bad := set(words) - {"0", "1", "false", "true"}:
             raise ValueError(f"column {name}: must be 0 or 1, got {min(bad)!r}")
         ends |= np.isin(words, ["1", "true"])
-    last = np.flatnonzero(np.append(ends[:-1], True))
+    last, whole = (np.flatnonzero(np.append(x[:-1], True)) for x in (cuts | ends, ends))
     if len(last) == costs.size > 1:
         raise ValueError("every episode has one row: sums of episodes have no EMCC")
-    numbers = {name: number for number, name in enumerate(dict.fromkeys(rollouts))}
-    ids = [numbers[rollouts[row]] for row in last] if "rollout" in columns else None
-    return EpisodeRecords.from_costs(costs, np.diff(last, prepend=-1), None, ids, threshold)
+    ids = (np.cumsum(cuts) - cuts)[last] if "rollout" in columns else None
+    lengths, of_episodes = (np.diff(rows, prepend=-1) for rows in (last, whole))
+    records = EpisodeRecords.from_costs(costs, lengths, rewards, ids, threshold)
+    if len(whole) == len(last):
+        return records, None
+    return records, EpisodeRecords.from_costs(costs, of_episodes, rewards, None, threshold)
 
 
 def from_minari(dataset: Any, threshold: float = 0.0) -> EpisodeRecords:
@@ -203,12 +215,15 @@ def from_tensordict(batches: Any, rollout: str = "batch", threshold: float = 0.0
     "episode" where each episode is a rollout: they go on in the next batch. Episodes that have not
     ended with the last batch are trajectories as well.
     threshold: a step whose cost exceeds it is a cost step.
-    KeyError: no cost. ValueError: no batch, another rollout, batches of different environments.
+    KeyError: no cost. ValueError: no batch, another rollout, batches of different environments, or
+    of trajectories that a collector has split and padded (`split_trajs=True`).
     """
     if rollout not in ("batch", "episode"):
         raise ValueError(f'rollout must be "batch" or "episode", got {rollout!r}')
     recorder = None
     for batch in [batches] if hasattr(batches, "batch_size") else batches:
+        if batch.get(("collector", "mask"), None) is not None:
+            raise ValueError("padded trajectories do not tell their order: use split_trajs=False")
         cost, reward, done = (_steps(batch, name) for name in ("cost", "reward", "done"))
         envs = cost.shape[1]
         if recorder is None:

@@ -61,8 +61,9 @@ def mean_interval(values: ArrayLike, level: float = 0.95, bounds: Bounds = UNBOU
     """Mean of runs [runs] with Student's t interval; of fewer than five runs with their range.
 
     bounds: the lowest and the highest value that there can be, (0, 1) for EMCC: the interval ends
-    there. Of 5 runs it holds the true mean, by simulation, in 95 % of normal, 79 % of log-normal
-    and 65 % of two-basin values. Where runs end in different places, give shares instead.
+    there. Of 5, 10 and 20 runs it holds the true mean, by simulation, in 95 % of normal, in 82, 84
+    and 87 % of log-normal, and in 70, 89 and 92 % of two-basin values (around 0, or in one of five
+    runs around 10, each with a deviation of 1). Where runs end in different places, give shares.
     """
     values, level = as_vector(values, "values").astype(np.float64), _as_level(level)
     mean, n = float(values.mean()), len(values)
@@ -110,7 +111,10 @@ def share(count: int, runs: int, level: float = 0.95) -> Share:
     """
     from scipy.stats import binomtest
 
-    k, n = int(as_integers(count, "count")), int(as_integers(runs, "runs", low=1))
+    counts = as_integers(count, "count"), as_integers(runs, "runs", low=1)
+    if counts[0].ndim or counts[1].ndim:
+        raise ValueError(f"count and runs must be a number each, got {count} and {runs}")
+    k, n = map(int, counts)
     if k > n:
         raise ValueError(f"count must be at most runs, got {k} of {n}")
     low, high = binomtest(k, n).proportion_ci(_as_level(level), method="exact")
@@ -173,7 +177,7 @@ def bootstrap(
     def drawn(part: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.take_along_axis(part, rng.integers(len(part), size=part.shape), axis=0)
 
-    values = [statistic(*map(drawn, runs)) for _ in range(resamples)]
+    values = [statistic(*map(drawn, runs)) for _ in range(as_count(resamples, "resamples"))]
     low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
     return Interval(value, float(low), float(high), "bootstrap", fewest)
 

@@ -5,14 +5,15 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.spaces import Box
+from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from emcc.arrays import as_number
+from emcc.arrays import as_number, check_range
 from emcc.recorder import cost_of, costs_of
 from emcc.streaks import weighted
-from emcc.wrappers import VectorSteps, of_kind
+from emcc.wrappers import VectorSteps, of_kind, resets_itself
 
 
 def StreakCost(
@@ -36,8 +37,9 @@ def StreakCost(
     In a vector environment info["cost"] and info["plain_cost"] are [num_envs] arrays of the step
     just taken, in every autoreset mode, as rewards are; so are those in info["final_info"].
     TypeError: no gymnasium environment, or no flat Box of floats to append to. ValueError: weight
-    below 0, scale not above 0, a bad threshold, a vector environment without an autoreset mode.
-    KeyError: a step without a cost.
+    below 0, scale not above 0, a bad threshold, a vector environment without an autoreset mode, a
+    cost that is negative or not finite. KeyError: a step without a cost. RuntimeError: a step after
+    an episode's end without a reset.
     """
     weight, threshold = as_number(weight, "weight", 0), as_number(threshold, "threshold", 0)
     if as_number(scale, "scale") <= 0:
@@ -46,11 +48,12 @@ def StreakCost(
     return kind(env, weight, float(scale) if observe else None, threshold)
 
 
-class StreakCostEnv(gym.Wrapper):
+class StreakCostEnv(gym.Wrapper, RecordConstructorArgs):
     """`StreakCost` of an Env."""
 
     def __init__(self, env: gym.Env, weight: float, scale: float | None, threshold: float) -> None:
-        super().__init__(env)
+        RecordConstructorArgs.__init__(self, weight=weight, scale=scale, threshold=threshold)
+        gym.Wrapper.__init__(self, env)
         self.weight, self.scale, self.threshold = weight, scale, threshold
         self._streak, self._finished = 0, False
         if scale is not None:
@@ -66,9 +69,10 @@ class StreakCostEnv(gym.Wrapper):
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment; info["cost"] is weighted, info["plain_cost"] is not."""
+        resets = self._finished and resets_itself(self.env)
         observation, reward, terminated, truncated, info = self.env.step(action)
-        # A step behind the last one of an episode is the resetting step of gymnasium's Autoreset.
-        plain = 0.0 if self._finished else cost_of(info)
+        plain = 0.0 if resets else cost_of(info)
+        check_range(np.asarray(plain), "cost", low=0)
         self._finished = bool(terminated or truncated)
         self._streak = self._streak + 1 if plain > self.threshold else 0
         cost = np.float64(weighted(plain, self._streak, self.weight))
@@ -98,6 +102,7 @@ class StreakCostVectorEnv(VectorSteps):
     def _after_step(self, active: NDArray[np.bool_], done: NDArray[np.bool_], *result: Any) -> Any:
         observations, rewards, terminated, truncated, infos = result
         plain = costs_of(infos, active, done) if active.any() else np.zeros(self.num_envs)
+        check_range(plain, "cost of the environments", low=0)
         self._streak = np.where(active & (plain > self.threshold), self._streak + 1, 0)
         costs = {"cost": weighted(plain, self._streak, self.weight), "plain_cost": plain}
         infos = {**infos, **_with_masks(costs, active)}

@@ -14,7 +14,8 @@ FORMATS = ("text", "md", "csv", "latex")
 
 
 class Columns(dict[str, list[str]]):
-    """The columns of a CSV file by their names, still as text; blanks around cells are dropped.
+    """The columns of a CSV file by their names, still as text; blanks around cells and lines that
+    begin with # are dropped.
 
     ValueError: not a text file, no header, two columns of one name, or a line with another number
     of fields than the header.
@@ -24,7 +25,8 @@ class Columns(dict[str, list[str]]):
         text = path.read_text(encoding="utf-8-sig")
         try:
             reader = csv.reader(io.StringIO(text, newline=""))
-            rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
+            lines = ((reader.line_num, [cell.strip() for cell in row]) for row in reader if row)
+            rows = [(line, row) for line, row in lines if not row[0].startswith("#")]
         except csv.Error as error:
             raise ValueError(f"not a CSV file: {error}") from error
         if not rows:

@@ -49,7 +49,8 @@ def RecordCosts(
     an array of the type of the first cost they see, which would round others.
     TypeError: no gymnasium environment, or such an array of whole numbers or bools. ValueError: a
     vector environment without an autoreset mode, an environment that steps without giving a cost,
-    costs that are not different names. KeyError: no such cost in info at all.
+    costs that are not different names. KeyError: no such cost in info at all. RuntimeError: a step
+    after an episode's end without a reset.
     """
     return of_kind(env, RecordEnvCosts, RecordVectorCosts)(env, rollout, threshold, costs)
 
@@ -59,6 +60,22 @@ def of_kind(env: Any, single: Any, vector: Any) -> Any:
     if not isinstance(env, (gym.Env, VectorEnv)):
         raise TypeError(f"env must be a gymnasium Env or VectorEnv, got {type(env).__name__}")
     return vector if isinstance(env, VectorEnv) else single
+
+
+def resets_itself(env: gym.Env) -> bool:
+    """Whether the step after an episode's end is the resetting step of gymnasium's Autoreset.
+
+    RuntimeError where nothing resets: the step belongs to no episode.
+    """
+    wrapped = env
+    while isinstance(wrapped, gym.Wrapper):
+        if type(wrapped).__name__ == "Autoreset":  # gymnasium 1.0 or newer
+            return True
+        wrapped = wrapped.env
+    raise RuntimeError(
+        f"{env} was stepped after its episode had ended: call reset() first; if a wrapper hides "
+        "the end of episodes, record costs outside of it"
+    )
 
 
 class _Recorded:
@@ -118,9 +135,10 @@ class RecordEnvCosts(
 
     def step(self, action: Action) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
         """Step the environment and record the cost."""
+        resets = self._finished and resets_itself(self.env)
         result = _, reward, terminated, truncated, info = super().step(action)
         done = bool(terminated or truncated)
-        if not self._finished:  # else it is the resetting step of gymnasium.wrappers.Autoreset
+        if not resets:
             for name, recorder in self.recorders.items():
                 recorder.step([cost_of(info, name)], [float(reward)], [done])
         self._finished = done

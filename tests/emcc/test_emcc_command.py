@@ -1,6 +1,7 @@
 """python -m emcc: the table of run folders and files, its status, and mistakes."""
 
 import csv
+import re
 import sys
 
 import numpy as np
@@ -134,6 +135,12 @@ def test_panels(tmp_path, capsys):
     assert peak.split(")", 1)[1].strip().startswith("0.500 range 0.100 to 0.900")
     main([str(tmp_path), "--limit", "1", "--total-steps", "100", "--per-run"])
     assert capsys.readouterr().out.count("violation rate V") == 2
+    # Of three episodes of 100 steps that cost 20, each cut by four rollouts.
+    rows = [f"{step % 5 == 0:d},{step // 100},{step // 25}" for step in range(300)]
+    (tmp_path / "cut.csv").write_text("\n".join(["cost,episode,rollout", *rows, ""]))
+    main([str(tmp_path / "cut.csv"), "--limit", "10"])
+    out = re.sub(" +", " ", capsys.readouterr().out)
+    assert "3 episodes, 300 steps" in out and "violation rate V 1.000" in out
 
 
 @pytest.mark.parametrize(
@@ -142,6 +149,7 @@ def test_panels(tmp_path, capsys):
         (["nowhere\x1b"], "no such file or folder"),
         (["a", "--alpha", "0"], "alpha must be in (0, 1], got 0.0"),
         (["a", "--ties", "some"], "invalid choice: 'some'"),
+        (["a", "--window", "9"], "--window needs --limit"),
         (["a", "--total-steps", "50"], "start_steps must be finite and in [0, 49]"),
         ([], "the following arguments are required: PATH"),
     ],

@@ -75,6 +75,7 @@ BAD = {
     "negative": (([0, -1], [0, 0], [False] * 2), "cost of the environments .* -1.0 at index 1"),
     "reward": (([0, 0], [np.inf, 0], [False] * 2), "reward of the environments .* inf at index 0"),
     "done": (([0, 0], [0, 0], True), "must have shape"),
+    "no end": (([0, 0], [0, 0], [0, np.nan]), "must be True or False"),
 }
 
 

@@ -153,8 +153,9 @@ def test_an_episode_that_another_environment_ends_is_cut():
 
 
 def test_mistakes_are_named():
-    with pytest.raises(ValueError, match=r'rollout must be "auto", .*never'):
-        emcc.sb3.EMCCCallback(rollout="never")
+    for name, value in {"rollout": "never", "alpha": 5, "window": 0, "limit": -1}.items():
+        with pytest.raises(ValueError, match=f"{name} must be"):
+            emcc.sb3.EMCCCallback(**{name: value})
     with pytest.raises(RuntimeError, match=r"give the callback to model\.learn"):
         _ = emcc.sb3.EMCCCallback().records
     model = PPO("MlpPolicy", "Pendulum-v1", n_steps=32, batch_size=32)

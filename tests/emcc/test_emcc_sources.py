@@ -62,11 +62,16 @@ def test_csv_files_in_any_layout(tmp_path, head, rows):
 
 
 def test_rollouts_end_where_they_say_and_episodes_at_done(tmp_path):
-    rows = ["a,1,0", "a,1,1", "a,0,0", "b,1,0", "b,0,0", "c,0,0", "c,0,1"]
-    path = write(tmp_path / "log.csv", "rollout,cost,done", [row.split(",") for row in rows])
-    records = emcc.read(path)
-    assert records.length.tolist() == [2, 1, 2, 2]
-    assert records.mcc_per_rollout()[0].tolist() == [1.0, 0.5, 0.0]
+    rows = ["a,1,0,2", "a,1,1,2", "a,0,0,2", "b,1,0,4", "b,0,0,4", "c,0,0,8", "c,0,1,8"]
+    path = write(tmp_path / "log.csv", "rollout,cost,done,reward", [r.split(",") for r in rows])
+    (run,) = read_runs(path)
+    assert run.records.length.tolist() == [2, 1, 2, 2]
+    assert run.records.reward.tolist() == [4.0, 2.0, 8.0, 16.0]
+    assert run.records.mcc_per_rollout()[0].tolist() == [1.0, 0.5, 0.0]
+    assert (run.episodes.cost.tolist(), run.episodes.length.tolist()) == ([2.0, 1.0], [2, 5])
+    rows = ["0,1,3", "0,1,3", "1,1,3", "1,0,4"]
+    (run,) = read_runs(write(path, "rollout,cost,episode", [r.split(",") for r in rows]))
+    assert (run.records.length.tolist(), run.episodes.cost.tolist()) == ([2, 1, 1], [3.0, 0.0])
 
 
 def test_arrays_are_the_arguments_of_from_costs(tmp_path):
@@ -89,7 +94,9 @@ BAD_FILES = {
     "a flag of 2": ("cost,done\n0,0\n0,2\n", "column done: must be 0 or 1, got '2'"),
     "a word": ("cost,done\n0,0\n\nhigh,1\n", "line 4, column cost: 'high' is not a number"),
     "a negative cost": ("cost,done\n0,0\n-1,1\n", "costs must be finite and >= 0, got -1"),
-    "interleaved": ("episode,cost\n0,1\n1,1\n0,1\n1,0\n", "must follow one another"),
+    "interleaved": ("episode,cost\n0,1\n1,1\n0,1\n1,0\n", "an episode must follow one another"),
+    "two logs": ("rollout,cost,done\n0,1,0\n1,1,1\n0,1,1\n", "a rollout must follow one another"),
+    "monitor.csv": ('#{"t": 1, "env": 2}\nr,l,t\n1,2,3\n', "has the columns r, l, t. EMCC needs"),
     "a column twice": ("cost,done,cost\n1,0,0\n", "names a column twice"),
     "a long streak": ("cost,length,longest_streak\n\n3,2,3\n", "cannot have longest_streak 3"),
     "a length below 1": ("cost,length,longest_streak\n1,2,1\n0,-9,0\n", "length must be .* got -9"),

@@ -47,23 +47,23 @@ def two_basins(rng, shape):
 
 
 STATED = {
-    "normal": (lambda rng, shape: rng.normal(size=shape), 0.0, 0.95, 0.0),
-    "log-normal": (lambda rng, shape: rng.lognormal(size=shape), math.exp(0.5), 0.79, 0.03),
-    "two basins": (two_basins, 2.0, 0.65, 0.03),
+    "normal": (lambda rng, shape: rng.normal(size=shape), 0.0, 0.95),
+    "log-normal": (lambda rng, shape: rng.lognormal(size=shape), math.exp(0.5), 0.82),
+    "two basins": (two_basins, 2.0, 0.70),
 }
 
 
-@pytest.mark.parametrize(("draw", "true", "stated", "more"), STATED.values(), ids=STATED)
+@pytest.mark.parametrize(("draw", "true", "stated"), STATED.values(), ids=STATED)
 def test_the_t_interval_of_5_runs_covers_the_mean_as_often_as_the_documentation_says(
-    draw, true, stated, more
+    draw, true, stated
 ):
     """Within four standard errors of a share that was counted in so many simulations."""
-    simulations = 1_500
+    simulations = 4_000
     values = draw(np.random.default_rng(0), (simulations, 5))
     found = [statistics.mean_interval(of_one) for of_one in values]
     covered = np.mean([interval.low <= true <= interval.high for interval in found])
     error = math.sqrt(stated * (1 - stated) / simulations)
-    assert covered == pytest.approx(stated, abs=4 * error + more)
+    assert covered == pytest.approx(stated, abs=4 * error)
 
 
 def test_share_by_hand():

@@ -151,6 +151,7 @@ BAD = {
         KeyError,
         "no 'cost'",
     ),
+    "NaN": (lambda: stepped(StreakCost(Scripted([[np.nan]]))), ValueError, "cost must be finite"),
 }
 
 

@@ -83,6 +83,10 @@ def test_mistakes_are_named():
         emcc.from_tensordict(by_hand(), rollout="update")
     with pytest.raises(ValueError, match="there is no batch"):
         emcc.from_tensordict([])
+    padded = by_hand()
+    padded["collector", "mask"] = torch.tensor([True, True, False])
+    with pytest.raises(ValueError, match="use split_trajs=False"):
+        emcc.from_tensordict(padded)
     with pytest.raises(TypeError, match="not iterable"):
         emcc.from_tensordict(3)
     with pytest.raises(ValueError, match="must have a time dimension"):

@@ -12,7 +12,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from scripted import Scripted
 from written import rows
 
-from emcc import EpisodeRecords, RecordCosts
+from emcc import EpisodeRecords, RecordCosts, StreakCost
 
 # The costs of each environment's episodes, one after another; the last step ends the episode.
 SCRIPTS = ([[0.0, 1.0, 1.0], [2.0], [0.0, 1.0]], [[1.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
@@ -140,9 +140,10 @@ def test_a_reset_in_mid_episode_keeps_the_piece():
 
 
 def test_the_spec_makes_the_same_wrapper_again():
-    env = RecordCosts(gym.make("CartPole-v1"), rollout=7)
-    made_with = {"rollout": 7, "threshold": 0.0, "costs": ("cost",)}
-    assert env.spec.additional_wrappers[-1].kwargs == made_with
+    env = RecordCosts(StreakCost(gym.make("CartPole-v1"), 2.0), rollout=7)
+    inner, outer = (wrapper.kwargs for wrapper in env.spec.additional_wrappers[-2:])
+    assert inner == {"weight": 2.0, "scale": 10.0, "threshold": 0.0}
+    assert outer == {"rollout": 7, "threshold": 0.0, "costs": ("cost",)}
 
 
 class TwoCosts(Scripted):
@@ -199,3 +200,9 @@ def test_what_cannot_be_recorded_is_named():
         RecordCosts(Native(None))
     with pytest.raises(TypeError, match="env must be a gymnasium Env or VectorEnv, got str"):
         RecordCosts("Circle2D-1-v0")  # pyright: ignore[reportArgumentType]
+    for wrapper in (RecordCosts, StreakCost):
+        env = wrapper(Scripted([[1.0]]))
+        env.reset()
+        env.step(0)
+        with pytest.raises(RuntimeError, match="after its episode had ended: call reset"):
+            env.step(0)
