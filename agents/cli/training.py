@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, cast
 
-import gymnasium as gym
 import numpy as np
 import tyro
 from rich.console import Console
@@ -42,11 +41,10 @@ from agents.training import callbacks, evaluation, trainer
 from agents.training.callbacks import duration, share_done, working
 from agents.training.config import RESULTS, Device, TrainConfig
 from agents.training.derive import write_results
-from agents.training.environments import Vectorization, check_task, registered, task_id
+from agents.training.environments import Vectorization, check_task, task_id
 from agents.training.files import Arrays, archive_of, check_folder, locked, remove_unfinished
 from agents.training.launcher import EngineName, Launcher, launcher
 from circle2d_mj.circle2d.config import LEVELS
-from emcc.parts import PARTS
 
 
 @dataclass(frozen=True)
@@ -113,7 +111,6 @@ def train(args: Sequence[str]) -> int:
     own = options.hyperparameters
     for task in tasks:
         check_task(task, values["task_parameters"], options.costs)
-        check_enough_steps(task, values["task_parameters"], options.steps, own)
     values |= {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
     with AfterEpoch(options.imports) as after_epoch:
         runs = api.train(name, **values, progress=True, on_epoch=after_epoch)
@@ -130,28 +127,6 @@ def _train_options(hyperparameters: Any) -> type:
         frozen=True,
         namespace={"__doc__": TrainOptions.__doc__},
     )
-
-
-def check_enough_steps(
-    task: str, parameters: Mapping[str, Any], steps: int, hyperparameters: Any
-) -> None:
-    """Raise UserError for a training after which there is no table, since EMCC needs a rollout in
-    each third of it.
-
-    A rollout is an epoch: its length is that of its episodes where those reach their time limit.
-    For a task without a limit nothing is checked.
-    """
-    limit = parameters.get("max_episode_steps") or gym.spec(registered(task)).max_episode_steps
-    episodes = getattr(hyperparameters, "episodes", 1)
-    # The third rollout starts after two, and what starts behind the last part is in none.
-    percent = round(100 * max(PARTS))
-    least = -(-200 * episodes * limit // percent) if isinstance(limit, int) else 0
-    if 0 < steps < least:
-        words = f"{episodes} episodes" if episodes > 1 else "an episode"
-        raise UserError(
-            f"steps must be at least {least} for a table, got {steps}: each third of training "
-            f"needs a rollout, which is {words} of up to {limit} steps"
-        )
 
 
 def _finish(folders: Sequence[Path], after_epoch: AfterEpoch) -> int:
@@ -378,9 +353,6 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
             steps = grid.QUICK_STEPS
         what = (tasks, names, seeds, steps, options.device, options.ablations, parameters)
         configs = grid.grid(options.out, *what)
-    for config in configs.values():
-        for task in config.tasks:
-            check_enough_steps(task, parameters, config.steps, config.hyperparameters)
     begun = (TrainConfig.read(f).backend for f in configs if (f / "config.json").exists())
     usual = cast("BackendChoice", "eager" if options.quick else next(begun, "auto"))
     backend = lockstep_backend.choose(options.backend or usual)

@@ -130,7 +130,10 @@ def collect(
             action = act(observation)
         if not np.isfinite(action).all():
             finite = np.all(np.isfinite(action), axis=-1)
-            failure[running & ~finite] = "action"
+            seen = np.isfinite(observation).all(
+                axis=-1
+            )  # else of a reset: later ones are `_checked`
+            failure[running & ~finite] = np.where(seen, "action", "observation")[running & ~finite]
             running &= finite
             action = np.where(finite[:, None], action, np.float32(0.0))
         clipped = np.minimum(np.maximum(action, -1.0), 1.0)  # `clip` takes twice as long

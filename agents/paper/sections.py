@@ -28,12 +28,11 @@ from agents.reporting.tables import (
     printed_row,
 )
 from agents.results.frame import by_task, hyperparameter_changes, name_of, unusual_steps
-from agents.results.measures import measure, measures
+from agents.results.measures import emcc_of_thirds, measure, measures
 from agents.results.reading import Group, Run
 from agents.results.statistics import INTERVALS, LEVEL, Pair, group_mean, two_sets
 from circle2d_mj.registration import KINEMATIC, PHYSICS
-from emcc import emcc_by_part
-from emcc.parts import ALPHA, PARTS
+from emcc.parts import PARTS
 
 CLAIMS = "The paper's claims"
 CLAIMS_WITH_PHYSICS = f"{CLAIMS}, on Circle2D with physics, of which it has no runs"
@@ -300,7 +299,7 @@ def ties_table(groups: Sequence[Group]) -> Table:
 
 
 def _with_ties_split(group: Group, run: Run) -> Run:
-    by_part = emcc_by_part(*run.records.mcc_per_rollout(), group.config.steps, ALPHA, "split")
+    by_part = emcc_of_thirds(run.records, group.config.steps, ties="split")
     return replace(
         run, measures={**run.measures, **dict(zip(EMCCS, by_part.values(), strict=True))}
     )

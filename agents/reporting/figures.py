@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from agents.algorithms import ALGORITHMS
 from agents.reporting.tables import Reference
 from agents.results.frame import by_task, in_order, name_of
-from agents.results.measures import Measure, measures
+from agents.results.measures import Measure, emcc_of_thirds, measures
 from agents.results.reading import Group
 from agents.results.statistics import (
     INTERVALS,
@@ -30,7 +30,7 @@ from agents.results.statistics import (
 from agents.training.config import TrainConfig
 from agents.training.derive import five_digits
 from circle2d_mj.registration import CIRCLE2D
-from emcc import EpisodeRecords, emcc, emcc_by_part, iqm, profile
+from emcc import EpisodeRecords, emcc, iqm, profile
 from emcc.parts import ALPHA, PARTS
 from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
 
@@ -178,8 +178,8 @@ def running_emcc(group: Group, alpha: float = ALPHA) -> Curve:
 def thirds_emcc(group: Group, alpha: float = ALPHA) -> Curve:
     """EMCC of the thirds of training: [3]."""
     rows = [
-        list(emcc_by_part(*run.records.mcc_per_rollout(), group.config.steps, alpha).values())
-        for run in group.runs
+        [np.nan if value is None else value for value in of_run.values()]
+        for of_run in (emcc_of_thirds(r.records, group.config.steps, alpha) for r in group.runs)
     ]
     return _over_runs(rows, group.one_place, SHARE)
 
@@ -416,9 +416,11 @@ def _facets(
         handles: dict[str, Any] = {}
         for row, (task, own) in zip(axes, tasks.items(), strict=True):
             for group, style in zip(own, styles([group.config for group in own]), strict=True):
-                for axis, runs in zip(row, thirds_of(group).values(), strict=True):
-                    draw(axis, runs, style, group)
-                    handles.setdefault(name_of(group), axis.lines[-1])
+                found = thirds_of(group)
+                for axis, part in zip(row, PARTS, strict=True):
+                    if part in found:
+                        draw(axis, found[part], style, group)
+                        handles.setdefault(name_of(group), axis.lines[-1])
             row[0].set_ylabel(f"{task.removeprefix('circle2d_mj/')}\n{labels[1]}")
             for axis in row:
                 axis.spines[["top", "right"]].set_visible(False)

@@ -306,10 +306,10 @@ def orders_table(cells: Cells) -> Table:
     rows = []
     for task in tasks_of(cells):
         found = {name: thirds_of(own[task]) for name, own in cells.items()}
-        for part, third in PARTS.items():
+        for part in [p for p in PARTS if all(p in of for of in found.values())]:
             rates = {name: [run.cost_rate for run in of[part]] for name, of in found.items()}
             emccs = {name: [run.emcc for run in of[part]] for name, of in found.items()}
-            rows.append(order_row(f"{task}, {third}", rates, emccs))
+            rows.append(order_row(f"{task}, {PARTS[part]}", rates, emccs))
     words = (
         "Pairs of algorithms of which the one with the lower mean cost rate has the higher mean "
         "EMCC in the same third of training; tau: Kendall's rank correlation of both orders; the "

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, count, number, p_number
 from agents.results.frame import in_order, name_of
-from agents.results.measures import Measure, measure, measures
+from agents.results.measures import Measure, emcc_of_thirds, measure, measures
 from agents.results.reading import Group, Run
 from agents.results.statistics import (
     INTERVALS,
@@ -25,7 +25,7 @@ from agents.results.statistics import (
     places,
     within_limit,
 )
-from emcc import emcc_by_part, longest_streaks, panel
+from emcc import longest_streaks, panel
 from emcc.panels import WINDOW, CostMeasures, Panel, cost_measures
 from emcc.panels import rows as panel_rows
 from emcc.parts import ALPHA, PARTS, rollouts_by_part
@@ -396,11 +396,11 @@ def _recorded_rows(
 
 def emcc_above(
     run: Run, steps: NDArray[np.float64], threshold: float, total: int
-) -> dict[float, float]:
+) -> dict[float, float | None]:
     """EMCC by third of training of `total` steps, of a run's steps above a threshold.
 
     steps: a number recorded at each step, [steps].
     """
     streaks = longest_streaks(steps, run.records.length, threshold)
     records = replace(run.records, longest_streak=streaks, cost_steps=None, streaks=None)
-    return emcc_by_part(*records.mcc_per_rollout(), total, ALPHA)
+    return emcc_of_thirds(records, total)

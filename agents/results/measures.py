@@ -14,9 +14,17 @@ from operator import attrgetter
 from typing import Any, Literal
 
 from agents.errors import OwnCodeError, described
-from emcc import EpisodeRecords, cost_rate, emcc_by_part
+from emcc import EpisodeRecords, cost_rate
 from emcc.parts import ALPHA, PARTS
 from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
+
+
+def emcc_of_thirds(
+    records: EpisodeRecords, steps: int, alpha: float = ALPHA, ties: str = "all"
+) -> dict[float, float | None]:
+    """EMCC of each third of a training of so many steps; None where no rollout starts in it."""
+    thirds = records.by_part(steps)
+    return {part: third.emcc(alpha, ties) if len(third) else None for part, third in thirds.items()}
 
 
 @dataclass(frozen=True)
@@ -32,9 +40,9 @@ class RunData:
     (J_R, J_C, ...) and values per episode, undiscounted."""
 
     @cached_property
-    def emcc_by_part(self) -> dict[float, float]:
-        """EMCC of each third with `ALPHA`. ValueError where no rollout starts in one."""
-        return emcc_by_part(*self.records.mcc_per_rollout(), self.steps, ALPHA)
+    def emcc_by_part(self) -> dict[float, float | None]:
+        """`emcc_of_thirds`."""
+        return emcc_of_thirds(self.records, self.steps)
 
     def evaluated(self, name: str) -> float | None:
         """A mean over the episodes of the deterministic policy; None where it was not measured."""

@@ -43,6 +43,7 @@ from agents.training.files import (
     whole,
 )
 from emcc import CostRecorder, EpisodeRecords, cvar
+from emcc.parts import PARTS
 
 CVAR_ALPHA = 0.5
 
@@ -244,6 +245,9 @@ def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> li
         raise UserError(f"{own} {NO_RUNS}")
     for group in groups:
         notes += _left_out(group.title, group.missing)
+        if empty := [f"EMCC_{part}" for part in PARTS if None in group.values(f"EMCC_{part}")]:
+            words = f"of its {group.config.steps:,} steps no rollout starts in that part"
+            notes.append(f"{group.title} has no {', '.join(empty)}: {words}")
     if not any(group.runs for group in groups):
         raise UserError(f"{own} holds no complete runs" + "".join(f"; {note}" for note in notes))
     return _pooled(groups, notes)

@@ -175,24 +175,25 @@ class Third(NamedTuple):
 
 
 def thirds(records: EpisodeRecords, steps: int) -> dict[float, Third]:
-    """The thirds of a training by their end, as in `emcc.parts.PARTS`.
+    """The thirds of a training by their end, as in `emcc.parts.PARTS`, in which a rollout starts.
 
-    steps: of the whole training. ValueError where no rollout starts in a third.
+    steps: of the whole training.
     """
     mcc, starts = records.mcc_per_rollout()
     _, rollout = np.unique(records.rollout, return_inverse=True)
     told = {}
     for part, chosen in rollouts_by_part(starts, steps).items():
-        episodes = chosen[rollout]
-        rate = emcc.cost_rate(records.cost[episodes], records.length[episodes])
-        told[part] = Third(rate, emcc.emcc(mcc[chosen], ALPHA), mcc[chosen])
+        if chosen.any():
+            episodes = chosen[rollout]
+            rate = emcc.cost_rate(records.cost[episodes], records.length[episodes])
+            told[part] = Third(rate, emcc.emcc(mcc[chosen], ALPHA), mcc[chosen])
     return told
 
 
 def thirds_of(group: Group) -> dict[float, list[Third]]:
-    """The thirds of each run of a group."""
+    """The thirds of each run of a group, those that all runs have."""
     runs = [thirds(run.records, group.config.steps) for run in group.runs]
-    return {part: [run[part] for run in runs] for part in PARTS}
+    return {part: [run[part] for run in runs] for part in PARTS if all(part in run for run in runs)}
 
 
 class Comparison(NamedTuple):
@@ -229,8 +230,9 @@ def comparisons(groups: Sequence[Group]) -> list[Comparison]:
     by_third = {id(group): thirds_of(group) for group in enough}
     compared = []
     for a, b in combinations(enough, 2):
-        for part in PARTS if a.task == b.task else ():
-            sides = by_third[id(a)][part], by_third[id(b)][part]
+        first, second = by_third[id(a)], by_third[id(b)]
+        for part in [p for p in first if p in second] if a.task == b.task else ():
+            sides = first[part], second[part]
             rates = [run.cost_rate for run in sides[0]], [run.cost_rate for run in sides[1]]
             emccs = [run.emcc for run in sides[0]], [run.emcc for run in sides[1]]
             equal = emcc.equivalence_test(*rates, MARGIN, rng=np.random.default_rng(0))

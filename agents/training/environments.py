@@ -74,8 +74,9 @@ def unscaled(
     actions: Any = envs.single_action_space
     _check_space(task, "observation", envs.single_observation_space)
     _check_space(task, "action", actions)
-    if not np.isfinite([actions.low, actions.high]).all():
-        raise UserError(f"the action space of task {task!r} must be bounded, got {actions}")
+    if not (np.isfinite([actions.low, actions.high]).all() and (actions.low < actions.high).all()):
+        rule = "have finite bounds, each low below its high"
+        raise UserError(f"the action space of task {task!r} must {rule}, got {actions}")
     return envs
 
 

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from circle2d_mj.safety.six_values import SixValueVectorEnv
-from circle2d_mj.safety_gymnasium.making import _check_id
+from circle2d_mj.safety_gymnasium.making import _check_id, as_the_originals
 from circle2d_mj.safety_gymnasium.making import make as make_one
 from circle2d_mj.safety_gymnasium.wrappers import SafeAutoResetWrapper, Six
 
@@ -66,17 +66,25 @@ class SafetyVectorEnv(SixValueVectorEnv):
 
     is_vector_env = True
 
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        """Start new episodes; the info is empty, as the original's."""
+        return super().reset(**options)[0], {}
+
     def step(self, actions: Any) -> Six:
         """Return observations, rewards, costs, terminated, truncated, info."""
         *values, info = super().step(actions)
         info["cost_sum"], info["_cost_sum"] = info["cost"], info["_cost"]
+        met = np.asarray(info.pop("goal_met", 0.0), dtype=bool)
+        info.pop("_goal_met", None)
+        if met.any():
+            info["goal_met"], info["_goal_met"] = met, met.copy()
         if "final_obs" in info:
             finals, ended = info.pop("final_info"), info.pop("_final_obs")
             info["final_observation"], info["_final_observation"] = info.pop("final_obs"), ended
             numbers = [key for key in finals if not key.startswith("_")]
             infos = np.full(self.num_envs, None, dtype=object)
             for i in np.flatnonzero(ended):
-                infos[i] = {key: finals[key][i] for key in numbers}
+                infos[i] = as_the_originals({key: finals[key][i] for key in numbers})
             info["final_info"] = infos
         return *values, info  # pyright: ignore[reportReturnType]
 

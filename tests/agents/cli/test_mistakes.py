@@ -46,7 +46,6 @@ def mistake(arguments, capsys):
         ([*TO, "--import", "mine.py"], "a module's name: 'mine'"),
         ([*TO, "--import", "typo.mine"], "there is no module 'typo.mine'"),
         ([*TO, "--steps", "1M"], "1000000 or 1e6, got '1M'"),
-        ([*TO, "--steps", "100"], "at least 102 for a table, got 100: .* 50"),
         ([*TO, "--seeds", "-1"], "seeds must be in"),
         ([*TO, "--hidden", "60000", "60000"], "hidden .* needs about [0-9.,]+ GB of memory"),
         ([*TO, "--replay-size", "4294967296"], "replay_size .* GB .* for 2 runs"),

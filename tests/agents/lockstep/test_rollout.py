@@ -84,11 +84,15 @@ def test_lengths_sums_and_ends(truncates):
         np.testing.assert_allclose(rollout.action[:n, run, 0], -0.1 * np.arange(n), rtol=1e-6)
 
 
-@pytest.mark.parametrize("bad", ["action", "observation", "reward", "jerk"])
+@pytest.mark.parametrize("bad", ["action", "observation", "start", "reward", "jerk"])
 def test_an_episode_with_a_number_that_is_not_finite_is_void_and_says_which(bad):
     """In the second step of the second of three; the others are as they are without."""
 
     class Bad(Countdown):
+        def reset(self, **options):
+            observation, info = super().reset(**options)
+            return observation * (np.nan if bad == "start" and self.length == 7 else 1), info
+
         def step(self, action):
             observation, reward, *ends, info = super().step(action)
             if self.length == 7 and self.t == 2:
@@ -105,7 +109,7 @@ def test_an_episode_with_a_number_that_is_not_finite_is_void_and_says_which(bad)
     envs = SyncVectorEnv([Bad] * 3, autoreset_mode=AutoresetMode.DISABLED)
     found = collect(envs, [2, 7, 4], act, costs=("cost", "jerk"))
     plain = collect(scripted(), [2, 7, 4], lambda obs: -0.1 * obs, costs=("cost", "jerk"))
-    assert found.failure.tolist() == ["", bad, ""]
+    assert found.failure.tolist() == ["", "observation" if bad == "start" else bad, ""]
     assert found.diverged.tolist() == [False, True, False]
     for run in (0, 2):
         for ours, theirs in zip(found[:7], plain[:7], strict=True):

@@ -213,3 +213,16 @@ def test_what_stays_apart(tmp_path):
         chosen = replace(usual, discount=discount)
         write_evaluated(tmp_path / "y" / name, "trpo-lag", seeds, chosen, seeds=seeds)
     assert [group.folder for group in read([tmp_path / "y"], [])] == ["a", "b"]
+
+
+def test_a_third_without_a_rollout_is_missing_and_said(tmp_path):
+    """Of two rollouts of 50 steps; of 100 the second starts at half."""
+    runs = agents.train(
+        "trpo-lag", TASK, out=tmp_path / "x", **TRPO | {"seeds": 0, "steps": 100, "episodes": 1}
+    )
+    assert "\N{EN DASH}" in runs.table()
+    notes = []
+    (group,) = read([tmp_path / "x"], notes)
+    emccs = [group.runs[0].measures[f"EMCC_{part}"] for part in (0.33, 0.66, 0.99)]
+    assert [value is None for value in emccs] == [False, False, True]
+    assert "x has no EMCC_0.99: of its 100 steps no rollout starts in that part" in notes

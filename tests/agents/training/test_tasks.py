@@ -41,9 +41,10 @@ def test_actions_are_rescaled_and_costs_stay_what_they_are():
     np.testing.assert_allclose(envs.unwrapped.envs[1].unwrapped.seen, [3.0, 3.0])
 
 
-def test_actions_must_have_bounds():
-    wide = type("Wide", (Other,), {"action_space": Box(-np.inf, np.inf, (1,))})
-    with registered(Wide=wide), pytest.raises(UserError, match="must be bounded"):
+@pytest.mark.parametrize(("low", "high"), [(-np.inf, np.inf), (1.0, 1.0)])
+def test_actions_must_have_bounds(low, high):
+    wide = type("Wide", (Other,), {"action_space": Box(low, high, (1,))})
+    with registered(Wide=wide), pytest.raises(UserError, match="must have finite bounds"):
         make_envs("Wide-v0", 2, {})
 
 

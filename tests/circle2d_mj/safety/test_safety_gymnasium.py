@@ -226,3 +226,17 @@ def test_pictures_in_rows():
     expected = [[0, 0, 0, 0, 0, 0], [0, 1, 0, 0, 3, 0], [0, 2, 0, 0, 4, 0], [0, 0, 0, 0, 0, 0]]
     expected += [[0, 0, 0, 0, 0, 0], [0, 5, 0, 0, 0, 0], [0, 6, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0]]
     equal(safety_gymnasium.vector.tile_images(pictures, padding=1)[..., 0], expected)
+
+
+def test_infos_of_vector_environments_are_those_of_single_ones():
+    """Goals are told where they are met alone; copies that drive on meet some."""
+    native = safety_gymnasium.vector.make("SafetyPointGoal0-v0", 20, max_episode_steps=150)
+    alone = safety_gymnasium.vector.make("SafetyPointGoal0-v0", 20, wrappers=[])
+    assert native.reset(seed=0)[1] == alone.reset(seed=0)[1] == {}
+    actions = np.stack([np.full(20, 0.3), np.linspace(-0.05, 0.05, 20)], axis=-1)
+    told = [(native.step(actions)[5], alone.step(actions)[5]) for _ in range(149)]
+    met = [[info.get("_goal_met", np.zeros(20, bool)).tolist() for info in pair] for pair in told]
+    assert all(ours == theirs for ours, theirs in met) and np.any(met)
+    assert {key for info, _ in told for key in info} == {key for _, info in told for key in info}
+    for last in native.step(actions)[5]["final_info"]:
+        assert last["cost_sum"] == last["cost"] and last.get("goal_met", True) is True
