@@ -26,8 +26,7 @@ from agents.cli.options import (
 )
 from agents.errors import UserError
 from agents.export import Format
-from agents.reporting.table import show
-from agents.training.callbacks import working
+from agents.reporting.table import show, working
 from agents.training.config import TrainConfig
 from agents.training.environments import task_id, unscaled
 from agents.training.policy import chosen_run, folder_of

@@ -36,9 +36,9 @@ from agents.lockstep import backend as lockstep_backend
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS, preset_with
 from agents.reporting.report import report, table
-from agents.reporting.table import show
+from agents.reporting.table import show, working
 from agents.training import callbacks, evaluation, trainer
-from agents.training.callbacks import duration, share_done, working
+from agents.training.callbacks import duration, share_done
 from agents.training.config import RESULTS, Device, TrainConfig
 from agents.training.derive import write_results
 from agents.training.environments import Vectorization, check_task, task_id

@@ -3,6 +3,7 @@ cells."""
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -219,6 +220,13 @@ def show(blocks: Sequence[Block], width: int | None = None, more: str = "") -> N
         for shown in _laid_out(block, max(console.width, LEAST_WIDTH)):
             console.print(shown)
             console.print()
+
+
+def working(on: str) -> contextlib.AbstractContextManager[object]:
+    """Show on a terminal that work goes on whose end cannot be foreseen."""
+    from rich.console import Console
+
+    return Console(stderr=True).status(on)
 
 
 def _laid_out(block: Block, width: int) -> Iterator[Any]:

@@ -156,13 +156,6 @@ class Meter:
         return Reading(now - self._started, steps, share, speed, left)
 
 
-def working(on: str) -> contextlib.AbstractContextManager[object]:
-    """Show on a terminal that work goes on whose end cannot be foreseen."""
-    from rich.console import Console
-
-    return Console(stderr=True).status(on)
-
-
 @contextlib.contextmanager
 def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
     """Show steps, speed, recent returns and the time left of a training on stderr.
