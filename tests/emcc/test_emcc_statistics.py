@@ -103,8 +103,12 @@ def test_mean_difference_is_welchs_interval():
     a, b = rng.normal(size=8), rng.normal(1.0, 3.0, size=11)
     found = statistics.mean_difference(a, b)
     expected = scipy.stats.ttest_ind(b, a, equal_var=False).confidence_interval(0.95)
-    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
+    assert (found.low, found.high) == (expected.low, expected.high)
     assert (found.value, found.kind, found.runs) == (pytest.approx(b.mean() - a.mean()), "t", 8)
+    for level in (0.5, 0.95):
+        expected = scipy.stats.ttest_1samp(a, 0).confidence_interval(level)
+        found = statistics.mean_interval(a, level)
+        assert (found.low, found.high) == (expected.low, expected.high)
     few = statistics.mean_difference(a[:4], b)
     assert (few.low, few.high, few.kind, few.runs) == (None, None, "range", 4)
     same = statistics.mean_difference([1.0] * 5, [3.0] * 5)
