@@ -142,10 +142,9 @@ class EpisodeRecords:
 
     def by_part(self, total_steps: int | None = None) -> dict[float, "EpisodeRecords"]:
         """The trajectories of the rollouts that start in each third; total_steps as above."""
-        rollouts = np.unique(self.rollout)
+        _, row_of = np.unique(self.rollout, return_inverse=True)
         parts = rollouts_by_part(self.mcc_per_rollout()[1], self._total(total_steps))
-        rows = {part: np.isin(self.rollout, rollouts[where]) for part, where in parts.items()}
-        return {part: self.select(of_part) for part, of_part in rows.items()}
+        return {part: self.select(where[row_of]) for part, where in parts.items()}
 
     def _total(self, total_steps: int | None) -> int:
         if total_steps is None and len(self) and self.start_step.max() >= self.total_steps:
