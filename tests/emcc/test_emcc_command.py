@@ -74,7 +74,7 @@ def test_five_seeds_have_the_t_interval(tmp_path, capsys):
 
 
 def test_without_scipy_an_interval_is_refused_and_a_range_is_not(tmp_path, capsys, monkeypatch):
-    for name in ("scipy", "scipy.stats"):
+    for name in ("scipy", "scipy.special", "scipy.stats"):
         monkeypatch.setitem(sys.modules, name, None)
     write_run(tmp_path / "three", dict.fromkeys(range(3), TEN))
     assert main([str(tmp_path)]) == 0
