@@ -130,9 +130,7 @@ def collect(
             action = act(observation)
         if not np.isfinite(action).all():
             finite = np.all(np.isfinite(action), axis=-1)
-            seen = np.isfinite(observation).all(
-                axis=-1
-            )  # else of a reset: later ones are `_checked`
+            seen = np.isfinite(observation).all(axis=-1)  # no reset's: `_checked` has the others
             failure[running & ~finite] = np.where(seen, "action", "observation")[running & ~finite]
             running &= finite
             action = np.where(finite[:, None], action, np.float32(0.0))

@@ -41,7 +41,7 @@ class RunData:
 
     @cached_property
     def emcc_by_part(self) -> dict[float, float | None]:
-        """`emcc_of_thirds`."""
+        """EMCC of each third with `ALPHA`; None where no rollout starts in it."""
         return emcc_of_thirds(self.records, self.steps)
 
     def evaluated(self, name: str) -> float | None:
