@@ -157,9 +157,10 @@ def _reset(envs: VectorEnv, **kwargs: Any) -> NDArray[np.float32]:
 def _checked(rollout: Rollout, envs: VectorEnv, costs: Sequence[str]) -> Rollout:
     """The rollout with episodes marked that hold numbers which are not finite. Raises TaskFailure
     for a negative cost."""
-    lowest = rollout.cost[rollout.during].min(axis=0, initial=0.0)
-    if (value := lowest.min()) < 0:
-        raise TaskFailure(f"{envs} gives a negative {costs[int(lowest.argmin())]}: {value:g}")
+    if len(below := np.argwhere((rollout.cost < 0) & rollout.during[..., None])):
+        step, env, k = below[0]
+        value = f"{rollout.cost[step, env, k]:g} in step {step + 1} of an episode"
+        raise TaskFailure(f"{envs} gives a negative {costs[k]}: {value}")
     failure = np.full_like(rollout.failure, "")
     columns = {"observation": rollout.next_observation, "reward": rollout.reward[..., None]}
     columns |= {name: rollout.cost[..., [k]] for k, name in enumerate(costs)}

@@ -220,6 +220,9 @@ class RecordSteps(VectorWrapper):
         self._positions: list[NDArray[np.float32]] = []
         self._info: list[NDArray[np.float32]] = []
 
+    def __repr__(self) -> str:
+        return repr(self.env)
+
     @property
     def recorded(self) -> dict[str, NDArray[np.float32]]:
         """By name: "positions", where each step ended, [steps, num_envs, 2], where there is a view;
