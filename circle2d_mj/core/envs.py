@@ -29,12 +29,12 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
     Sub-environment i seeded with `seed + i` (or with the i-th of a sequence of seeds) runs bit for
     bit as a single environment with that seed, whatever the number of its neighbours. All three
     autoreset modes of gymnasium are kept, with its contract for `final_obs`, `final_info` and
-    `options={"reset_mask": ...}`. In the same-step mode `info["cost"]` and `info["x_velocity"]` are,
-    like the reward, of the step just taken; numbers of the info that describe the state, such as
-    `info["x_position"]`, belong in every mode to the state that is observed, `final_info` to
+    `options={"reset_mask": ...}`. In the same-step mode `info["cost"]` and `info["x_velocity"]`
+    are, like the reward, of the step just taken; numbers of the info that describe the state, such
+    as `info["x_position"]`, belong in every mode to the state that is observed, `final_info` to
     `final_obs`. Actions of environments that only reset in a step must be finite too.
-    `max_episode_steps=None` never truncates. Errors: TypeError or ValueError naming the argument; gymnasium's ResetNeeded for a
-    step before the first reset.
+    `max_episode_steps=None` never truncates. Errors: TypeError or ValueError naming the argument;
+    gymnasium's ResetNeeded for a step before the first reset.
     """
 
     def __init__(
