@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NoReturn
 
 from emcc.arrays import named
-from emcc.panels import INTERVALS, WINDOW, mean_cell, panel, panel_table
-from emcc.parts import ALPHA, PARTS, TIES, cost_rate, emcc, rollouts_by_part
+from emcc.panels import INTERVALS, WINDOW, emcc_of_thirds, mean_cell, panel, panel_table
+from emcc.parts import ALPHA, PARTS, TIES, cost_rate
 from emcc.sources import Run, read_runs
 from emcc.statistics import COST, SHARE
 from emcc.table import FORMATS, MISSING, Table
@@ -108,10 +108,8 @@ def _emcc_table(groups: Sequence[Sequence[Run]], alpha: float, ties: str) -> Tab
 
 def _emcc_by_part(run: Run, alpha: float, ties: str) -> list[float | None]:
     """EMCC of each third; None where no rollout starts in it."""
-    mcc, starts = run.records.mcc_per_rollout()
     with named(run.source):
-        parts = rollouts_by_part(starts, run.total_steps)
-    return [emcc(mcc[chosen], alpha, ties) if chosen.any() else None for chosen in parts.values()]
+        return [*emcc_of_thirds(run.records, run.total_steps, alpha, ties).values()]
 
 
 def _panel_table(group: Sequence[Run], options: argparse.Namespace) -> Table:

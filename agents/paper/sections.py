@@ -28,10 +28,11 @@ from agents.reporting.tables import (
     printed_row,
 )
 from agents.results.frame import by_task, hyperparameter_changes, name_of, unusual_steps
-from agents.results.measures import emcc_of_thirds, measure, measures
+from agents.results.measures import measure, measures
 from agents.results.reading import Group, Run
 from agents.results.statistics import INTERVALS, LEVEL, Pair, group_mean, two_sets
 from circle2d_mj.registration import KINEMATIC, PHYSICS
+from emcc.panels import emcc_of_thirds
 from emcc.parts import PARTS
 
 CLAIMS = "The paper's claims"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from agents.algorithms import ALGORITHMS
 from agents.reporting.tables import Reference
 from agents.results.frame import by_task, in_order, name_of
-from agents.results.measures import Measure, emcc_of_thirds, measures
+from agents.results.measures import Measure, measures
 from agents.results.reading import Group
 from agents.results.statistics import (
     INTERVALS,
@@ -31,6 +31,7 @@ from agents.training.config import TrainConfig
 from agents.training.derive import five_digits
 from circle2d_mj.registration import CIRCLE2D
 from emcc import EpisodeRecords, emcc, iqm, profile
+from emcc.panels import emcc_of_thirds
 from emcc.parts import ALPHA, PARTS
 from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
 

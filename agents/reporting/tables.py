@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, count, number, p_number
 from agents.results.frame import in_order, name_of
-from agents.results.measures import Measure, emcc_of_thirds, measure, measures
+from agents.results.measures import Measure, measure, measures
 from agents.results.reading import Group, Run
 from agents.results.statistics import (
     INTERVALS,
@@ -26,7 +26,7 @@ from agents.results.statistics import (
     within_limit,
 )
 from emcc import longest_streaks, panel
-from emcc.panels import WINDOW, CostMeasures, Panel, cost_measures
+from emcc.panels import WINDOW, CostMeasures, Panel, cost_measures, emcc_of_thirds
 from emcc.panels import rows as panel_rows
 from emcc.parts import ALPHA, PARTS, rollouts_by_part
 from emcc.statistics import SHARE, Bounds

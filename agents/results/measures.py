@@ -15,16 +15,9 @@ from typing import Any, Literal
 
 from agents.errors import OwnCodeError, described
 from emcc import EpisodeRecords, cost_rate
-from emcc.parts import ALPHA, PARTS
+from emcc.panels import emcc_of_thirds
+from emcc.parts import PARTS
 from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
-
-
-def emcc_of_thirds(
-    records: EpisodeRecords, steps: int, alpha: float = ALPHA, ties: str = "all"
-) -> dict[float, float | None]:
-    """EMCC of each third of a training of so many steps; None where no rollout starts in it."""
-    thirds = records.by_part(steps)
-    return {part: third.emcc(alpha, ties) if len(third) else None for part, third in thirds.items()}
 
 
 @dataclass(frozen=True)
@@ -41,7 +34,7 @@ class RunData:
 
     @cached_property
     def emcc_by_part(self) -> dict[float, float | None]:
-        """EMCC of each third with `ALPHA`; None where no rollout starts in it."""
+        """EMCC of each third with alpha 0.1; None where no rollout starts in it."""
         return emcc_of_thirds(self.records, self.steps)
 
     def evaluated(self, name: str) -> float | None:

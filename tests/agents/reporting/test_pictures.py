@@ -97,7 +97,7 @@ def test_the_episodes_drawn_are_those_of_the_evaluation(folder):
 
 
 def test_a_frame_of_steps_that_cost_has_an_orange_edge():
-    """Of an episode filmed every second step, costs in the third of five alone."""
+    """The third of five steps costs, and every second one is filmed."""
     grey = png(np.full((64, 64, 3), 128, np.uint8))
     frames = dict.fromkeys((0, 2, 4, 5), grey)
     episode = pictures.Filmed(frames, np.array([0.0, 0.0, 1.0, 0.0, 0.0]))

@@ -216,7 +216,7 @@ def test_what_stays_apart(tmp_path):
 
 
 def test_a_third_without_a_rollout_is_missing_and_said(tmp_path):
-    """Of two rollouts of 50 steps; of 100 the second starts at half."""
+    """Two rollouts of 50 steps: the second starts at half of the training."""
     runs = agents.train(
         "trpo-lag", TASK, out=tmp_path / "x", **TRPO | {"seeds": 0, "steps": 100, "episodes": 1}
     )
