@@ -34,8 +34,8 @@ class Step:
         return constants | {name: raw[name][at] for name in STATE if name in raw}
 
     def __getitem__(self, name):
-        """A value that the step gave; an absent cost is 0."""
-        return np.nan_to_num(self._raw[name][self._segment, self._t])
+        """A value that the step gave."""
+        return self._raw[name][self._segment, self._t]
 
     def seen(self):
         return self._raw["obs"][self._segment, self._t + 1]
@@ -47,8 +47,9 @@ def recorded(task):
 
 
 def steps(task):
+    """All of a task; an absent cost is 0."""
     with np.load(FOLDER / f"{task}.npz") as file:
-        raw = dict(file)
+        raw = {name: np.nan_to_num(file[name]) for name in file}
     return [Step(raw, i, t) for i, length in enumerate(raw["length"]) for t in range(length)]
 
 

@@ -64,10 +64,9 @@ def touched(task, data, action):
     data.ctrl[:] = np.clip(action, -1, 1)
     for _ in range(11):  # the contacts of all substeps, and of the state after them
         mujoco.mj_step(model, data)
-        for a, b in data.contact.geom:
-            if a and b:
-                found.add("-".join(sorted(SHAPES[model.geom_type[k]] for k in (a, b))))
-    return found
+        pairs = data.contact.geom
+        found.update(map(tuple, model.geom_type[pairs[pairs.all(1)]].tolist()))
+    return {"-".join(sorted(SHAPES[k] for k in pair)) for pair in found}
 
 
 @functools.cache
