@@ -17,7 +17,7 @@ from torch import Tensor
 
 from agents.checks import In
 from agents.lockstep import lagrange, tree
-from agents.lockstep.backend import compiled
+from agents.lockstep.backend import compiled, differentiate
 from agents.lockstep.lagrange import Multiplier
 from agents.lockstep.nets import Moments, adam, no_moments
 from agents.on_policy.epoch import Epoch, blocks_of, compared, minibatches
@@ -141,7 +141,7 @@ def actor_step(
         raised, outside = surrogate_at(nets, config, surrogate, actor, batch)
         return -raised.sum(), outside.detach()
 
-    gradient, outside = torch.func.grad(loss, has_aux=True)(actor)
+    gradient, outside = differentiate(loss, actor)
     norm = (gradient * gradient).sum(dim=-1, keepdim=True).sqrt()
     gradient = gradient * (config.max_gradient_norm / (norm + 1e-6)).clamp(max=1.0)
     stepped, followed = adam(actor, gradient, moments, config.learning_rate)

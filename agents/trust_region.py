@@ -17,7 +17,7 @@ from torch import Tensor
 
 from agents.checks import In
 from agents.lockstep import lagrange
-from agents.lockstep.backend import compiled
+from agents.lockstep.backend import compiled, differentiate, jacobian_products
 from agents.lockstep.lagrange import Multiplier
 from agents.on_policy.epoch import Block, Epoch, blocks_of, compared, compared_in
 from agents.on_policy.learner import OnPolicy
@@ -74,12 +74,10 @@ def fisher_in(nets: Nets, actor: Tensor, block: Block, v: Tensor) -> Tensor:
         policy = nets.actor.distribution(params, block.observation)
         return torch.cat([policy.mean, policy.log_std.expand_as(policy.mean)], dim=-1)
 
-    outputs, pull, *_ = torch.func.vjp(parameters, actor)
-    # J v is the gradient in u of `Jᵀ u · v`; forward mode gives the same, slower.
-    _, push, *_ = torch.func.vjp(lambda u: pull(u)[0], torch.zeros_like(outputs))
+    push, pull = jacobian_products(parameters, actor)
     variance = block.old.std * block.old.std
     information = torch.cat([1.0 / variance, torch.full_like(variance, 2.0)], dim=-1)
-    return pull(push(v)[0] * (block.weight[..., None] * information))[0]
+    return pull(push(v) * (block.weight[..., None] * information))
 
 
 def fisher_product(
@@ -92,7 +90,11 @@ def fisher_product(
 @compiled
 def gradient_in(nets: Nets, actor: Tensor, block: Block, of: int) -> Tensor:
     """A block's part of the gradient of `compared`'s surrogate `of`, [R, actor size]."""
-    return torch.func.grad(lambda params: compared_in(nets, params, block)[0][:, of].sum())(actor)
+
+    def surrogate(params: Tensor) -> tuple[Tensor, None]:
+        return compared_in(nets, params, block)[0][:, of].sum(), None
+
+    return differentiate(surrogate, actor)[0]
 
 
 def policy_step(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from agents.lockstep import lagrange, tree
-from agents.lockstep.backend import array, compiled, tensor
+from agents.lockstep.backend import array, compiled, differentiate, tensor
 from agents.lockstep.nets import Moments, adam, mlp
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout, input_scale, learned
@@ -62,7 +62,7 @@ def critics_update(
         parts = 0.5 * (weight[:, None] * error * error).sum(dim=-1)
         return parts.sum(), parts.detach()
 
-    gradient, parts = torch.func.grad(loss, has_aux=True)(critics)
+    gradient, parts = differentiate(loss, critics)
     stepped, followed = adam(critics, gradient, moments, config.learning_rate)
     present = weight[:, 0] > 0
     stepped = torch.where(present[:, None, None], stepped, critics)

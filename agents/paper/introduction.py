@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from agents.reporting.figures import Figure
 from agents.reporting.maps import Ground, png
-from agents.training.derive import Episode
+from agents.results.reading import Episode
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.config import LEVELS

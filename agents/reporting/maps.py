@@ -23,8 +23,8 @@ from agents.errors import UserError
 from agents.reporting.figures import emcc_along
 from agents.results.frame import in_order, name_of
 from agents.results.measures import measure
-from agents.results.reading import Group, Run
-from agents.training.derive import DRAWN_POLICIES, GRID_MAX, WINDOWS, Episode, Replay, Visits
+from agents.results.reading import Episode, Group, Replay, Run
+from agents.training.derive import DRAWN_POLICIES, GRID_MAX, WINDOWS, Visits
 from agents.training.environments import view_of
 from agents.training.evaluation import DRAWN
 from agents.training.files import DamagedFile

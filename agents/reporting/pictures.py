@@ -18,9 +18,9 @@ from agents.errors import UserError
 from agents.lockstep.rollout import Rollout
 from agents.reporting.maps import Column, Ground, heat_figure, png
 from agents.results.frame import title_of
-from agents.results.reading import results_of, run_records
+from agents.results.reading import Episode, results_of, run_records
 from agents.training.config import RunId, TrainConfig
-from agents.training.derive import Episode, Steps, count_visits
+from agents.training.derive import Steps, count_visits
 from agents.training.environments import make_envs, registered, view_of
 from agents.training.evaluation import EPISODES, paths_of, play, runs_envs
 from agents.training.files import whole, write_whole

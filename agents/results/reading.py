@@ -6,13 +6,14 @@ unpickled, and reading it runs no code of others.
 
 from __future__ import annotations
 
+import io
 import itertools
 import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ from agents.training.config import (
     TrainConfig,
     file_name,
 )
-from agents.training.derive import Episode, Replay, ReplayEpisode, Visits
+from agents.training.derive import GRID_MAX, Visits, five_digits
 from agents.training.evaluation import POLICIES
 from agents.training.files import (
     UNREADABLE,
@@ -41,6 +42,7 @@ from agents.training.files import (
     opened,
     read_json,
     whole,
+    write_arrays,
 )
 from emcc import CostRecorder, EpisodeRecords, cvar
 from emcc.parts import PARTS
@@ -87,6 +89,40 @@ class Run:
 def one_place(runs: Sequence[Run]) -> bool:
     """Whether all runs end in the same place by the same way, or the task has no places."""
     return len({run.place for run in runs}) < 2
+
+
+class Episode(NamedTuple):
+    """One episode: where each step ended, and what it cost."""
+
+    positions: NDArray[np.float32]
+    """[T, 2] in the view's unit; [T + 1, 2], the start first, of a trained policy."""
+    costs: NDArray[np.float64]
+    """[T]"""
+
+
+class ReplayEpisode(NamedTuple):
+    """The episode of highest MCC in a window of training."""
+
+    window: int
+    """Index in `WINDOWS`."""
+    start_step: int
+    """Environment steps before it."""
+    points: NDArray[np.uint16]
+    """Where each step ended, [T, 2]: see `Replay.positions`."""
+    costs: NDArray[np.float64]
+    """[T]"""
+
+
+class Replay(NamedTuple):
+    """Episodes of a run's training, one for each window, on a grid of 65 536 points a side."""
+
+    episodes: list[ReplayEpisode]
+    box: NDArray[np.float64]
+    """The lowest and the highest of the points' coordinates in the view's unit, [2, 2]."""
+
+    def positions(self, points: NDArray[np.uint16]) -> NDArray[np.float64]:
+        """Points in the view's unit, [T, 2]."""
+        return self.box[0] + points * ((self.box[1] - self.box[0]) / GRID_MAX)
 
 
 @dataclass(frozen=True)
@@ -502,7 +538,7 @@ def _settings(group: Group) -> tuple[Any, ...]:
 
 def write_archive(path: Path, groups: Sequence[Group]) -> None:
     """Pack the trainings of some groups into one file, whole or not at all, without checkpoints and
-    steps: see `derive.packed_results`."""
+    steps: see `_packed`."""
     parts = {part.folder: part for group in groups for part in group.parts}
     with whole(path) as target, zipfile.ZipFile(target, "w") as archive:
         archive.comment = name_of_all(groups).encode()
@@ -510,9 +546,22 @@ def write_archive(path: Path, groups: Sequence[Group]) -> None:
             prefix = "" if folder == "." else folder + "/"
             files = [name for name in (CONFIG, STATUS) if (part.path / name).is_file()]
             contents = {name: (part.path / name).read_bytes() for name in files}
-            contents[RESULTS] = derive.packed_results(part.arrays)
+            contents[RESULTS] = _packed(part.arrays)
             for name, data in contents.items():
                 archive.writestr(zipfile.ZipInfo(prefix + name), data)  # of a fixed date
+
+
+def _packed(arrays: Mapping[str, NDArray]) -> bytes:
+    """`results.npz` for an archive: without updates, returns of training's episodes to five digits,
+    which the noise in their other bytes would treble, and better compressed."""
+    kept = {
+        name: five_digits(array).astype(np.float32) if name.endswith("/return") else array
+        for name, array in arrays.items()
+        if not name.endswith("/updates")
+    }
+    buffer = io.BytesIO()
+    write_arrays(buffer, kept, zipfile.ZIP_LZMA)
+    return buffer.getvalue()
 
 
 def name_of_all(groups: Sequence[Group]) -> str:

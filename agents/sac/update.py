@@ -21,7 +21,7 @@ from torch.nn.functional import softplus
 from agents.checks import In, Settings
 from agents.errors import UserError
 from agents.lockstep import lagrange
-from agents.lockstep.backend import compiled, tensor
+from agents.lockstep.backend import compiled, differentiate, tensor
 from agents.lockstep.lagrange import Multiplier, MultiplierState, State
 from agents.lockstep.nets import LANES, MLP, Activation, Moments, adam, check_batch, no_moments
 from agents.lockstep.noise import Purpose, stream
@@ -337,7 +337,7 @@ def update(
     def of_critics(critics: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         return critic_loss(nets, config, rule, critics, batch, reward_target, next_values)
 
-    gradient, metrics = torch.func.grad(of_critics, has_aux=True)(state.critics)
+    gradient, metrics = differentiate(of_critics, state.critics)
     critics, critic_moments = adam(state.critics, gradient, state.critic_moments, rate)
 
     multipliers = in_penalty = lagrange.values(rule.multipliers, state.multipliers, len(critics))
@@ -351,7 +351,7 @@ def update(
         what = (actor, critics, state, batch, noise.new_action, in_penalty)
         return actor_loss(nets, config, rule, *what)
 
-    gradient, (loss, risk, log_prob) = torch.func.grad(of_actor, has_aux=True)(state.actor)
+    gradient, (loss, risk, log_prob) = differentiate(of_actor, state.actor)
     actor, actor_moments = adam(state.actor, gradient, state.actor_moments, rate)
     risk = risk.mean(dim=-1) if taken is None else taken
     metrics |= {

@@ -11,7 +11,7 @@ Arrays of a run, below its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`
 - `evaluation/POLICY/returns`, `/costs` and `/lengths`; of the deterministic policy also `/places`
   and `/ways`, where its episodes end and how they came there, where the task names them
 - `trained/length`, `/positions` and `/costs`: the first evaluated episodes of a task with a view
-- `replay/points` and `/box`: see `Replay`
+- `replay/points` and `/box`: see `results.reading.Replay`
 
 Of a task, below "Circle2D-1-v0/": `visits` [3, CELLS, CELLS] and `visited` [3, 3], see `Visits`;
 `info` [numbers, 2], names and units of what it has recorded.
@@ -20,7 +20,6 @@ Of a task, below "Circle2D-1-v0/": `visits` [3, CELLS, CELLS] and `visited` [3, 
 from __future__ import annotations
 
 import contextlib
-import io
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -61,40 +60,6 @@ class Visits(NamedTuple):
     """Rollouts that are counted."""
     of: int
     """All rollouts of the part."""
-
-
-class Episode(NamedTuple):
-    """One episode: where each step ended, and what it cost."""
-
-    positions: NDArray[np.float32]
-    """[T, 2] in the view's unit; [T + 1, 2], the start first, of a trained policy."""
-    costs: NDArray[np.float64]
-    """[T]"""
-
-
-class ReplayEpisode(NamedTuple):
-    """The episode of highest MCC in a window of training."""
-
-    window: int
-    """Index in `WINDOWS`."""
-    start_step: int
-    """Environment steps before it."""
-    points: NDArray[np.uint16]
-    """Where each step ended, [T, 2]: see `Replay.positions`."""
-    costs: NDArray[np.float64]
-    """[T]"""
-
-
-class Replay(NamedTuple):
-    """Episodes of a run's training, one for each window, on a grid of 65 536 points a side."""
-
-    episodes: list[ReplayEpisode]
-    box: NDArray[np.float64]
-    """The lowest and the highest of the points' coordinates in the view's unit, [2, 2]."""
-
-    def positions(self, points: NDArray[np.uint16]) -> NDArray[np.float64]:
-        """Points in the view's unit, [T, 2]."""
-        return self.box[0] + points * ((self.box[1] - self.box[0]) / GRID_MAX)
 
 
 class Steps:
@@ -318,19 +283,6 @@ def places_of(
     if isinstance(view, TellsWays):
         places["ways"] = np.array(view.ways(positions, costs), dtype=np.str_)
     return places
-
-
-def packed_results(arrays: Mapping[str, NDArray]) -> bytes:
-    """`results.npz` for an archive: without updates, returns of training's episodes to five digits,
-    which the noise in their other bytes would treble, and better compressed."""
-    kept = {
-        name: five_digits(array).astype(np.float32) if name.endswith("/return") else array
-        for name, array in arrays.items()
-        if not name.endswith("/updates")
-    }
-    buffer = io.BytesIO()
-    write_arrays(buffer, kept, zipfile.ZIP_LZMA)
-    return buffer.getvalue()
 
 
 def five_digits(values: NDArray) -> NDArray[np.float64]:

@@ -11,8 +11,8 @@ import agents
 from agents.cli.main import main
 from agents.reporting import pictures
 from agents.reporting.pictures import AGENT, HELD, Panel
+from agents.results.reading import Episode
 from agents.training.config import RunId
-from agents.training.derive import Episode
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
 

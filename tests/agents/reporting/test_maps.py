@@ -27,9 +27,8 @@ from agents.reporting.maps import (
     shown_states,
 )
 from agents.reporting.page import script_json
-from agents.results.reading import Group
+from agents.results.reading import Episode, Group
 from agents.training import derive
-from agents.training.derive import Episode
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.render import canvas
