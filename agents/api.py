@@ -294,7 +294,7 @@ def combinations_of(values: Mapping[str, Values]) -> dict[str, dict[str, Any]]:
     if not isinstance(values, Mapping):
         raise UserError(f"grid must be values by the names of hyper-parameters, got {values!r}")
     for name, several in values.items():
-        if isinstance(several, str) or not isinstance(several, Collection) or not several:
+        if isinstance(several, str) or not isinstance(several, Collection) or not len(several):
             raise UserError(f"grid needs several values of {name}, got {several!r}")
     if not values:
         raise UserError("grid is empty: it needs values of a hyper-parameter at least")

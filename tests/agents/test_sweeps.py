@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
 import toys
 from small_runs import results
@@ -21,6 +22,10 @@ def test_every_combination_has_a_name():
         "cost_limit=1.0,hidden=8x8": {"cost_limit": 1.0, "hidden": (8, 8)},
         "cost_limit=1.0,hidden=16": {"cost_limit": 1.0, "hidden": (16,)},
     }
+    assert list(combinations_of({"cost_limit": np.linspace(1, 3, 2)})) == [
+        "cost_limit=1.0",
+        "cost_limit=3.0",
+    ]
 
 
 BAD = {
