@@ -296,8 +296,9 @@ class Evaluation:
     """
 
     task: str
+    """The task; of several all, with spaces between them."""
     seeds: tuple[int, ...]
-    """Seeds of the runs of a folder, or of the policy's run; empty for any other policy."""
+    """Seed of each run of a folder, or of the policy's run; empty for any other policy."""
     returns: NDArray[np.float64]
     """Undiscounted sum of the rewards of each episode."""
     costs: NDArray[np.float64]
@@ -367,7 +368,8 @@ def evaluate(
         results = [evaluate(of_run, *given) for of_run in policies]
         names = ("returns", "costs", "lengths", "longest_streaks")
         columns = [np.array([getattr(result, name) for result in results]) for name in names]
-        return Evaluation(results[0].task, config.seeds, *columns)
+        played = " ".join(dict.fromkeys(result.task for result in results))
+        return Evaluation(played, tuple(run.seed for run in config.runs), *columns)
     if not callable(policy):
         raise TypeError(f"policy must be a policy, a function or a folder, got {policy!r}")
     own = policy if isinstance(policy, Policy) else None

@@ -223,6 +223,12 @@ def test_evaluation_of_policies_and_folders(folder):
     assert results(folder) == before
 
 
+def test_an_evaluation_of_several_tasks_names_them(tmp_path):
+    tasks = ["Walk-v0", "TwoCosts-v0"]
+    both = agents.evaluate(trained(tmp_path / "x", "cpo", tasks, steps=50), episodes=2)
+    assert (both.task, both.seeds, len(both.returns)) == ("Walk-v0 TwoCosts-v0", (0, 1, 0, 1), 4)
+
+
 def test_evaluations_that_cannot_be(folder):
     policy = agents.load_policy(folder, seed=0)
     bounds = r"from \[-2.0\] to \[2.0\], task 'Broken-v0' has actions from \[-1.0\] to \[1.0\]$"
