@@ -173,6 +173,8 @@ def sweep(
         if name in settings:
             raise UserError(f"sweep takes no {name}: it trains in other processes")
     given = {name: settings.pop(name) for name in SETTINGS if name in settings}
+    for name in grid.keys() & {"task", *SETTINGS}:
+        raise UserError(f"grid takes hyper-parameters; {name} is equal in all trainings of a sweep")
     for name in grid.keys() & settings.keys():
         raise UserError(f"{name} is given twice: in the grid, and as {settings[name]!r}")
     chosen = [settings | values for values in combinations.values()]
