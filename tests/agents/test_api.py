@@ -84,7 +84,7 @@ def test_an_archive_is_opened_as_its_folder_is(runs, tmp_path):
     assert packed.table() == runs.table()
     with pytest.raises(agents.UserError, match="seed 3 has no updates"):
         packed.to_pandas("updates")
-    with pytest.raises(agents.UserError, match=r"runs.zip.* is no folder"):
+    with pytest.raises(agents.UserError, match=r"runs.zip.* is no folder: .* alone read archives"):
         agents.resume(packed)
 
 
