@@ -173,6 +173,8 @@ def sweep(
         if name in settings:
             raise UserError(f"sweep takes no {name}: it trains in other processes")
     given = {name: settings.pop(name) for name in SETTINGS if name in settings}
+    for name in grid.keys() & {"task", *SETTINGS}:
+        raise UserError(f"grid takes hyper-parameters; {name} is equal in all trainings of a sweep")
     for name in grid.keys() & settings.keys():
         raise UserError(f"{name} is given twice: in the grid, and as {settings[name]!r}")
     chosen = [settings | values for values in combinations.values()]
@@ -294,7 +296,7 @@ def combinations_of(values: Mapping[str, Values]) -> dict[str, dict[str, Any]]:
     if not isinstance(values, Mapping):
         raise UserError(f"grid must be values by the names of hyper-parameters, got {values!r}")
     for name, several in values.items():
-        if isinstance(several, str) or not isinstance(several, Collection) or not several:
+        if isinstance(several, str) or not isinstance(several, Collection) or not len(several):
             raise UserError(f"grid needs several values of {name}, got {several!r}")
     if not values:
         raise UserError("grid is empty: it needs values of a hyper-parameter at least")

@@ -9,6 +9,8 @@ import types
 from numbers import Real
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from agents.errors import UserError
 
 MOST = 2**40
@@ -35,15 +37,26 @@ class Settings:
     """Base of a frozen dataclass whose values are checked against the types of its fields.
 
     Checked are numbers (by `In`, if it stands beside the type), bool, Literal, tuples of numbers,
-    and unions of these. A class with rules between its fields adds them to `__post_init__`.
+    and unions of these. Numbers of numpy become Python's. A class with rules between its fields
+    adds them to `__post_init__`.
     """
 
     def __post_init__(self) -> None:
         """Raises UserError naming the field, the value, and what is allowed."""
+        for name, value in list(vars(self).items()):
+            object.__setattr__(self, name, _plain(value))
         for name, hint in _hints(type(self)).items():
             problem = _problem(getattr(self, name), hint)
             if problem:
                 raise UserError(f"{name} must be {problem}, got {getattr(self, name)!r}")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
+    if isinstance(value, dict):
+        return {name: _plain(one) for name, one in value.items()}
+    return value.item() if isinstance(value, np.generic) else value
 
 
 @functools.cache

@@ -125,6 +125,7 @@ def panel(
     allowed.
     """
     limit = limit if limit is None else as_number(limit, "limit", low=0)
+    alpha = as_number(alpha, "alpha")
     check_records(records)
     episodes = records if episodes is None else episodes
     check_records(episodes, "episodes", fewest=0)

@@ -122,14 +122,16 @@ ALGORITHMS: Mapping[str, Algorithm] = _algorithms
 def register(name: str, algorithm: Algorithm) -> None:
     """Register an algorithm under a name, for training, the command line and reports.
 
-    Raises UserError where the name is taken or cannot name a folder, or a hyper-parameter has the
-    name of an option, and TypeError where `algorithm` is no `Algorithm` or its config no frozen
-    dataclass with a default for every field.
+    The module that registered a name may do so again, such as a notebook whose cell runs again; the
+    new algorithm takes its place. Raises UserError where the name is taken or cannot name a folder,
+    or a hyper-parameter has the name of an option, and TypeError where `algorithm` is no
+    `Algorithm` or its config no frozen dataclass with a default for every field.
     """
     words = name.split("-") if isinstance(name, str) else [""]
     if not all(word.isascii() and word.isalnum() and word == word.lower() for word in words):
         raise UserError(f"an algorithm's name is lower-case words joined by '-', got {name!r}")
-    if name in ALGORITHMS:
+    module = sys._getframe(1).f_globals.get("__name__", "__main__")
+    if name in ALGORITHMS and _algorithms.modules.get(name) != module:
         raise UserError(f"algorithm {name!r} is there already: choose another name")
     if not isinstance(algorithm, Algorithm):
         raise TypeError(f"register expects an agents.algorithms.Algorithm, got {algorithm!r}")
@@ -155,7 +157,7 @@ def register(name: str, algorithm: Algorithm) -> None:
             f"{of_rule.__name__} as rule, got {config.__name__} and {algorithm.rule!r}"
         )
     _algorithms.registered[name] = algorithm
-    _algorithms.modules[name] = sys._getframe(1).f_globals.get("__name__", "__main__")
+    _algorithms.modules[name] = module
 
 
 def module_of(name: str) -> str:

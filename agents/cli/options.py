@@ -8,7 +8,7 @@ import importlib
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import islice, takewhile
+from itertools import dropwhile, islice, takewhile
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -97,9 +97,14 @@ def import_modules(args: Sequence[str]) -> None:
 
 
 def _in_a_line(message: str) -> str:
-    """An error that tyro has drawn as a box, without the hint to its help."""
+    """An error that tyro has drawn as a box, without its title and the hint to its help."""
+
+    def is_rule(line: str) -> bool:
+        return set(line) <= set("─- ") or line[0] in "╭╰+"
+
     lines = [line.strip("│| ") for line in message.splitlines()]
-    inside = [line for line in lines if not (set(line) <= set("─- ") or line[0] in "╭╰+")]
+    boxed = dropwhile(lambda line: not is_rule(line), lines)  # a title may stand above the box
+    inside = [line for line in boxed if not is_rule(line)]
     words = takewhile(lambda line: not line.startswith(("For full help", "Argument help")), inside)
     told = re.sub(r"^Error parsing \w+: ", "", " ".join(words))  # by the name of our class
     return told or "the options cannot be understood"

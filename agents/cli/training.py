@@ -388,6 +388,8 @@ def _tasks(options: ReproduceOptions) -> Sequence[str]:
 def _train_all(configs: Mapping[Path, TrainConfig], trainings: Launcher) -> dict[Path, str]:
     """Train what is not finished, showing it; returns the folders that failed, and why."""
     left = [folder for folder in configs if not grid.finished(folder)]
+    if not left:  # a shard of a grid with fewer trainings than shards has none
+        return {}
     work = {folder: grid.work(config) for folder, config in configs.items()}
     for folder in left:
         trainings.submit(folder)

@@ -59,7 +59,8 @@ class Epoch:
 
 
 def follower(on_epoch: Callable[[Epoch], object]) -> Callable[[Trainer], object]:
-    """The callback for a function of an `Epoch`."""
+    """The callback for a function of an `Epoch`. Where that raises, the epoch is saved: other
+    callbacks must come before."""
 
     def call(trainer: Trainer) -> object:
         config = trainer.config
@@ -69,7 +70,11 @@ def follower(on_epoch: Callable[[Epoch], object]) -> Callable[[Trainer], object]
             for run, numbers in trainer.recorder.latest.items()
         }
         task = " ".join(config.tasks)
-        return on_epoch(Epoch(trainer.folder, config.algorithm, task, config.steps, runs))
+        try:
+            return on_epoch(Epoch(trainer.folder, config.algorithm, task, config.steps, runs))
+        except BaseException:
+            trainer.save()
+            raise
 
     return call
 

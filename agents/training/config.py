@@ -34,6 +34,7 @@ from agents.lockstep.noise import stream_seed
 from agents.training.environments import Spaces, Vectorization, module_of_task, spaces_of
 from agents.training.files import (
     AnyPath,
+    archive_of,
     check_folder,
     locked,
     numbered_path,
@@ -252,6 +253,8 @@ def read_spaces(folder: AnyPath) -> Spaces:
 
 def _no_runs(folder: AnyPath) -> str:
     """Words for a folder that holds no runs."""
+    if isinstance(folder, Path) and archive_of(folder):
+        return f"{folder} is no folder: report, compare and load_runs alone read archives"
     if not folder.is_dir():
         return f"{folder} is no folder"
     below = [] if not isinstance(folder, Path) else [*folder.glob("*/" + CONFIG)]

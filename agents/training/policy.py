@@ -296,8 +296,9 @@ class Evaluation:
     """
 
     task: str
+    """The task; of several all, with spaces between them."""
     seeds: tuple[int, ...]
-    """Seeds of the runs of a folder, or of the policy's run; empty for any other policy."""
+    """Seed of each run of a folder, or of the policy's run; empty for any other policy."""
     returns: NDArray[np.float64]
     """Undiscounted sum of the rewards of each episode."""
     costs: NDArray[np.float64]
@@ -367,7 +368,8 @@ def evaluate(
         results = [evaluate(of_run, *given) for of_run in policies]
         names = ("returns", "costs", "lengths", "longest_streaks")
         columns = [np.array([getattr(result, name) for result in results]) for name in names]
-        return Evaluation(results[0].task, config.seeds, *columns)
+        played = " ".join(dict.fromkeys(result.task for result in results))
+        return Evaluation(played, tuple(run.seed for run in config.runs), *columns)
     if not callable(policy):
         raise TypeError(f"policy must be a policy, a function or a folder, got {policy!r}")
     own = policy if isinstance(policy, Policy) else None
@@ -427,13 +429,17 @@ def _check_action(action: Any, space: gym.Space) -> None:
 def _check_fit(policy: Policy, observation: gym.Space, action: gym.Space, task: str) -> None:
     """Raise UserError where a policy's observations or actions are not those of a task."""
     spaces = policy.spaces
-    same = observation.shape == (spaces.observation_size,) and action.shape == (len(spaces.low),)
-    if isinstance(action, Box):
-        bounds = ((action.low, spaces.low), (action.high, spaces.high))
-        same = same and all(np.array_equal(a, np.array(b, action.dtype)) for a, b in bounds)
-    if not same or not isinstance(action, Box):
-        raise UserError(
-            f"the policy of {policy.task} takes observations [{spaces.observation_size}] and gives "
-            f"actions from {list(spaces.low)} to {list(spaces.high)}; task {task!r} has "
-            f"observations {observation} and actions {action}"
-        )
+    ours = f"observations {[spaces.observation_size]} and actions {[len(spaces.low)]}"
+    theirs = f"observations {_words(observation)} and actions {_words(action)}"
+    if isinstance(action, Box) and ours == theirs:
+        low, high = (np.array(bound, action.dtype) for bound in (spaces.low, spaces.high))
+        if np.array_equal(action.low, low) and np.array_equal(action.high, high):
+            return
+        ours = f"actions from {low.tolist()} to {high.tolist()}"
+        theirs = f"actions from {action.low.tolist()} to {action.high.tolist()}"
+    raise UserError(f"the policy of {policy.task} has {ours}, task {task!r} has {theirs}")
+
+
+def _words(space: gym.Space) -> str:
+    """The shape of a Box; another space as gymnasium writes it."""
+    return str(list(space.shape)) if isinstance(space, Box) else str(space)

@@ -5,6 +5,7 @@ import doctest
 import gc
 import shutil
 import signal
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -83,7 +84,7 @@ def test_an_archive_is_opened_as_its_folder_is(runs, tmp_path):
     assert packed.table() == runs.table()
     with pytest.raises(agents.UserError, match="seed 3 has no updates"):
         packed.to_pandas("updates")
-    with pytest.raises(agents.UserError, match=r"runs.zip.* is no folder"):
+    with pytest.raises(agents.UserError, match=r"runs.zip.* is no folder: .* alone read archives"):
         agents.resume(packed)
 
 
@@ -134,6 +135,13 @@ def test_finished_runs_are_opened_again(runs, tmp_path):
     ):
         with pytest.raises(agents.UserError, match=message):
             call()
+
+
+def test_numbers_may_be_numpys(runs):
+    one = {"seeds": np.arange(3, 5), "steps": np.int64(300), "checkpoint_every": np.int32(50_000)}
+    same = agents.train("trpo-lag", **TRPO | one | {"episodes": np.int64(2)})
+    assert same.config == runs.config
+    assert agents.load_policy(same, seed=np.int64(4)).seed == 4
 
 
 def test_a_temporary_folder_lives_as_long_as_the_runs():
@@ -251,7 +259,7 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
         ({"grid": 3}, "no hyper-parameter 'grid': it has"),
         ({"total_timesteps": 3}, "no hyper-parameter 'total_timesteps': did you mean 'steps'"),
         ({"algorithm": agents.Algorithm}, "algorithm must be a name, like 'sac-lag', got"),
-        ({"discount": np.float32(0.9)}, "hyperparameters must be plain values: .*float32"),
+        ({"discount": Fraction(9, 10)}, "hyperparameters must be plain values: .*Fraction"),
         ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
         ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),
         ({"task": "Nowhere-v0"}, "unknown task 'Nowhere-v0'"),

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+import numpy as np
 import pytest
 
 from agents.algorithms import ALGORITHMS, BUILT_IN
@@ -59,6 +60,14 @@ REFUSED = {
 def test_what_is_allowed(name):
     for value in ALLOWED[name]:
         assert getattr(Own(**{name: value}), name) == value
+
+
+def test_numbers_of_numpy_become_pythons():
+    """Types and all: sweeps compare settings by their words."""
+    given = {"share": 0.5, "count": 3, "flag": True, "sizes": (8, 4), "other": {"level": 2}}
+    of_numpy = {"share": np.float64(0.5), "count": np.int64(3), "flag": np.bool_(True)}
+    of_numpy |= {"sizes": tuple(np.array([8, 4])), "other": {"level": np.int8(2)}}
+    assert repr(Own(**of_numpy)) == repr(Own(**given))
 
 
 @pytest.mark.parametrize("name", REFUSED)

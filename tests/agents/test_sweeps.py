@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
 import toys
 from small_runs import results
@@ -21,6 +22,10 @@ def test_every_combination_has_a_name():
         "cost_limit=1.0,hidden=8x8": {"cost_limit": 1.0, "hidden": (8, 8)},
         "cost_limit=1.0,hidden=16": {"cost_limit": 1.0, "hidden": (16,)},
     }
+    assert list(combinations_of({"cost_limit": np.linspace(1, 3, 2)})) == [
+        "cost_limit=1.0",
+        "cost_limit=3.0",
+    ]
 
 
 BAD = {
@@ -30,6 +35,7 @@ BAD = {
     "twice": ({"cost_limit": (1.0, 1.0)}, "grid has cost_limit=1.0 twice"),
     "nothing": ({}, "grid is empty"),
     "no names": ([1.0, 2.0], r"grid must be values by the names .*, got \[1.0, 2.0\]"),
+    "setting": ({"steps": (100, 200)}, "hyper-parameters; steps is equal in all trainings"),
     "unknown": ({"cost_limits": (1.0, 2.0)}, r"did you mean 'cost_limit'\?"),
 }
 

@@ -217,6 +217,8 @@ def test_renderings():
     found = panel(records_of([[1, 0], [1, 1], [0, 0], [1, 0]]), 1.0)
     told = json.loads(json.dumps(found.to_dict()))
     assert told["emcc"] == found.emcc
+    of_numpy = panel(records_of([[1, 0]]), np.int64(1), np.float32(0.5)).to_dict()
+    assert (of_numpy["limit"], of_numpy["alpha"]) == (1.0, 0.5)
     assert told["parts"]["0.33"]["mcc_above"]["0.25"] == 1.0
     latex = found.to_latex().splitlines()
     assert r"measure & all & 0 to 33 \% & 33 to 66 \% & 66 to 99 \% \\" in latex

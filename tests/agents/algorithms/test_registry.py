@@ -95,6 +95,16 @@ def test_the_module_that_registers(sac_fixed, tmp_path):
     assert not (tmp_path / "x").exists()
 
 
+def test_a_cell_that_is_run_again():
+    lag = algorithm("sac-lag")
+    cell = {"__name__": "__main__", "agents": agents, "lag": lag}
+    for name in ("First", "Second"):
+        exec(f"agents.register('of-cell', lag._replace(title='{name}'))", cell)
+    assert algorithm("of-cell").title == "Second"
+    with pytest.raises(UserError, match="'of-cell' is there already"):
+        register("of-cell", lag)
+
+
 def test_a_family_that_extends_another_has_its_presets():
     lag = algorithm("sac-lag")
 

@@ -80,6 +80,13 @@ def test_one_failure_does_not_stop_the_others(tmp_path, capsys):
     assert "left out: " in out
 
 
+def test_a_shard_without_trainings_is_over_at_once(tmp_path, capsys):
+    """Of four shards of two trainings two have none."""
+    assert main([*COMMAND, str(tmp_path / "x"), "--shard", "4/4"]) == 0
+    assert "part 4/4 is over" in capsys.readouterr().out
+    assert not (tmp_path / "x").exists()
+
+
 def trainings(choice):
     words = ["--out", "runs", "--backend", "eager", choice]
     return training._configs(parse(training.ReproduceOptions, "reproduce", words))

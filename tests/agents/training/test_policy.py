@@ -223,11 +223,20 @@ def test_evaluation_of_policies_and_folders(folder):
     assert results(folder) == before
 
 
+def test_an_evaluation_of_several_tasks_names_them(tmp_path):
+    tasks = ["Walk-v0", "TwoCosts-v0"]
+    both = agents.evaluate(trained(tmp_path / "x", "cpo", tasks, steps=50), episodes=2)
+    assert (both.task, both.seeds, len(both.returns)) == ("Walk-v0 TwoCosts-v0", (0, 1, 0, 1), 4)
+
+
 def test_evaluations_that_cannot_be(folder):
     policy = agents.load_policy(folder, seed=0)
-    bounds = r"from \[-2.0\] to \[2.0\]; task '{}' has"
+    bounds = r"from \[-2.0\] to \[2.0\], task 'Broken-v0' has actions from \[-1.0\] to \[1.0\]$"
+    shapes = r"observations \[2\] and actions \[1\], task '{}' has observations {}$"
     for given, message in (
-        *((((policy, task), bounds.format(task))) for task in ("Circle2D-1-v0", "CartPole-v1")),
+        ((policy, "Circle2D-1-v0"), shapes.format("Circle2D-1-v0", r"\[2\] and actions \[2\]")),
+        ((policy, "Broken-v0"), bounds),
+        ((policy, "CartPole-v1"), shapes.format("CartPole-v1", r"\[4\] and actions Discrete\(2\)")),
         ((lambda observation: observation,), "needs the task"),
         *(((policy, None, n), f"at least 1, got {n!r}") for n in (0, 2.5, "10", None)),
         ((policy, "Nowhere-v0"), "unknown task"),

@@ -1,5 +1,7 @@
 """Trainings that stop or are killed go on as if never interrupted, bit for bit."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from small_runs import SAC, TRPO, results
@@ -30,4 +32,23 @@ def test_a_stop_after_any_epoch(tmp_path, algorithm):
         agents.resume(broken, on_epoch=stop)
         assert len(stops) < 50
     assert len(stops) > 2
+    assert results(broken) == expected
+
+
+def test_an_epoch_is_kept_whose_follower_raises(tmp_path):
+    expected = results(trained(tmp_path / "whole", "cpo"))
+    broken, epochs = tmp_path / "broken", []
+
+    def fail(epoch):
+        epochs.append(dict(epoch.runs))
+        raise LookupError("a tracker that is gone")
+
+    with pytest.raises(LookupError, match="a tracker"):
+        trained(broken, "cpo", on_epoch=fail)
+    while not (broken / "results.npz").exists():
+        with contextlib.suppress(LookupError):
+            agents.resume(broken, on_epoch=fail)
+        assert len(epochs) < 50
+    assert len(epochs) > 2
+    assert epochs[1][3]["step"] > epochs[0][3]["step"]
     assert results(broken) == expected
