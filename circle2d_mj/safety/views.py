@@ -15,6 +15,8 @@ from circle2d_mj.render.canvas import FINER, FREE, REGION
 from circle2d_mj.safety import rules
 from circle2d_mj.safety.scenes import Scene
 
+Ticks = tuple[tuple[float, ...], tuple[float, ...]]
+"""Numbers on the axes of a picture: along its lower and its left edge"""
 _GOAL_COLOUR = (222, 238, 218)
 
 
@@ -23,6 +25,7 @@ class _MapView(ABC):
 
     extent: Extent
     axes: tuple[str, str]
+    _ticks: Ticks
 
     def places(self, positions: NDArray[np.floating]) -> list[str]:
         """Return nothing: no place has a name."""
@@ -34,8 +37,9 @@ class _MapView(ABC):
         return np.where(costs[..., None], REGION, FREE).astype(np.uint8)
 
     def overlay(self, picture: Picture) -> Picture:
-        """Add the outline of the states that cost."""
-        return canvas.with_outline(picture, self._costs(self._fine_points(picture)))
+        """Add the outline of the states that cost, and the axes."""
+        outlined = canvas.with_outline(picture, self._costs(self._fine_points(picture)))
+        return canvas.with_ticks(outlined, self.extent, self.axes, self._ticks)
 
     @abstractmethod
     def _costs(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -50,8 +54,10 @@ class MapView(_MapView):
 
     axes = ("x (m)", "y (m)")
 
-    def __init__(self, extent: Extent, walls: tuple[float, ...], circle: float = 0.0) -> None:
-        self.extent, self._walls, self._circle = extent, walls, circle
+    def __init__(
+        self, extent: Extent, ticks: Ticks, walls: tuple[float, ...], circle: float
+    ) -> None:
+        self.extent, self._ticks, self._walls, self._circle = extent, ticks, walls, circle
 
     def positions(
         self, observation: NDArray[np.floating], info: Mapping[str, Any]
@@ -60,12 +66,11 @@ class MapView(_MapView):
         return np.stack((info["x_position"], info["y_position"]), axis=-1)
 
     def overlay(self, picture: Picture) -> Picture:
-        """Add the walls, and the circle if there is one."""
-        picture, circle = super().overlay(picture), self._circle
-        if not circle:
-            return picture
-        radius = np.linalg.norm(self._fine_points(picture), axis=-1)
-        return canvas.with_outline(picture, radius < circle)
+        """Add the circle if there is one, the walls and the axes."""
+        if self._circle:
+            radius = np.linalg.norm(self._fine_points(picture), axis=-1)
+            picture = canvas.with_outline(picture, radius < self._circle)
+        return super().overlay(picture)
 
     def _costs(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         return rules.boundary_cost(points, self._walls) > 0
@@ -85,6 +90,7 @@ class DistanceView(_MapView):
 
     def __init__(self, name: str, target: int, hazards: int, radius: float, met: bool) -> None:
         self.axes = (f"to the {name} (m)", "to the nearest hazard (m)")
+        self._ticks = ((0.5, 1, 1.5, 2, 2.5), (radius, 0.5, 1))
         self._first, self._radius, self._met = (target, hazards), radius, met
 
     def positions(
@@ -101,11 +107,6 @@ class DistanceView(_MapView):
         reached = rules.goal_met(points[..., 0]) & ~self._costs(points) & self._met
         return np.where(reached[..., None], _GOAL_COLOUR, picture).astype(np.uint8)
 
-    def overlay(self, picture: Picture) -> Picture:
-        """Add the outline of the states that cost, and the axes."""
-        ticks = ((0.5, 1, 1.5, 2, 2.5), (self._radius, 0.5, 1))
-        return canvas.with_ticks(super().overlay(picture), self.extent, self.axes, ticks)
-
     def _costs(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         return rules.hazard_cost(points[..., 1:], self._radius) > 0
 
@@ -114,14 +115,7 @@ class SpeedView(_MapView):
     """The observation's first number (a height or an angle) over speed; speeds that cost are
     grey."""
 
-    def __init__(
-        self,
-        extent: Extent,
-        name: str,
-        limit: float,
-        ticks: tuple[tuple[float, ...], tuple[float, ...]],
-        planar: bool,
-    ) -> None:
+    def __init__(self, extent: Extent, name: str, limit: float, ticks: Ticks, planar: bool) -> None:
         self.extent, self._limit, self._ticks, self._planar = extent, limit, ticks, planar
         self.axes = ("forward velocity (m/s)" if planar else "speed (m/s)", name)
 
@@ -134,18 +128,16 @@ class SpeedView(_MapView):
             speed = np.hypot(speed, info["y_velocity"])
         return np.stack((speed, observation[..., 0]), axis=-1)
 
-    def overlay(self, picture: Picture) -> Picture:
-        """Add the outline of the speeds that cost, and the axes."""
-        return canvas.with_ticks(super().overlay(picture), self.extent, self.axes, self._ticks)
-
     def _costs(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         return rules.velocity_cost(points[..., 0], self._limit) > 0
 
 
-_FROM_ABOVE = {"Circle": ((-2.5, 2.5, -2.5, 2.5), rules.CIRCLE_RADIUS)}
-_FROM_ABOVE["Run"] = ((-1.5, 1.5, -17.5, 17.5), 0.0)
+_FROM_ABOVE: dict[str, tuple[Extent, Ticks, float]] = {
+    "Circle": ((-2.5, 2.5, -2.5, 2.5), ((-2, -1, 0, 1), (-2, -1, 0, 1, 2)), rules.CIRCLE_RADIUS),
+    "Run": ((-1.5, 1.5, -17.5, 17.5), ((-1, -0.5, 0, 0.5), (-15, -10, -5, 0, 5, 10)), 0.0),
+}
 _HEIGHTS = ((-1.0, 0.0, 1.0, 2.0, 3.0), (0.7, 1.0, 1.3, 1.6))
-_SPEEDS: dict[str, tuple[Extent, str, tuple[tuple[float, ...], tuple[float, ...]]]] = {
+_SPEEDS: dict[str, tuple[Extent, str, Ticks]] = {
     "HalfCheetah": ((-2.0, 8.0, -0.8, 0.4), "height (m)", ((0, 2, 4, 6), (-0.4, 0))),
     "Hopper": ((-1.5, 4.0, 0.6, 1.9), "height (m)", _HEIGHTS),
     "Swimmer": ((-0.6, 0.6, -3.2, 3.2), "angle (rad)", ((-0.4, 0, 0.4), (-2, 0, 2))),
@@ -161,8 +153,8 @@ def of_scene(family: str, scene: Scene, radius: float, sensors: int) -> View | N
     radius: of its hazards, m; sensors: numbers in front of the lidars in the observation.
     """
     if family in _FROM_ABOVE:
-        extent, circle = _FROM_ABOVE[family]
-        return MapView(extent, scene.walls, circle)
+        extent, ticks, circle = _FROM_ABOVE[family]
+        return MapView(extent, ticks, scene.walls, circle)
     if "hazards" not in scene.lidars:
         return None
     first = {kind: sensors + rules.LIDAR_BINS * i for i, kind in enumerate(scene.lidars)}

@@ -6,7 +6,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.wrappers import RescaleAction
 from gymnasium.wrappers.utils import RunningMeanStd
 from numpy.typing import NDArray
 
@@ -84,15 +83,16 @@ class SafeRescaleAction(_Wrapper):
 
     def __init__(self, env: Any, min_action: Any, max_action: Any) -> None:
         super().__init__(env)
-        space = gym.spaces.Box(env.action_space.low, env.action_space.high, dtype=np.float64)
-        inner = gym.Env()
-        inner.action_space = space
-        rescaled = RescaleAction(inner, np.float64(min_action), np.float64(max_action))
-        self._inside, self.action_space = rescaled.func, rescaled.action_space
+        shape = env.action_space.shape
+        self.min_action = np.full(shape, min_action, dtype=np.float64)
+        self.max_action = np.full(shape, max_action, dtype=np.float64)
+        self.action_space = gym.spaces.Box(self.min_action, self.max_action, dtype=np.float64)
 
     def step(self, action: Any) -> Six:
         """Return observation, reward, cost, terminated, truncated, info."""
-        return self.env.step(self._inside(np.asarray(action, dtype=np.float64)))
+        low, high = self.env.action_space.low, self.env.action_space.high
+        share = (np.asarray(action) - self.min_action) / (self.max_action - self.min_action)
+        return self.env.step(low + (high - low) * share)
 
 
 class SafeTimeLimit(_Wrapper):

@@ -1,5 +1,6 @@
 """The face of safety-gymnasium, used as public code uses that package."""
 
+import pickle
 import subprocess
 import sys
 
@@ -102,6 +103,22 @@ def test_a_single_environment_in_safepos_wrappers():
     np.testing.assert_allclose(result[5]["final_observation"][0], expected, rtol=1e-12)
     equal(result[5]["original_final_observation"][0], seen[-1])
     assert env.obs_rms.count == pytest.approx(6, abs=1e-3)
+
+
+def test_rescaled_actions_are_the_originals_and_can_be_pickled():
+    """The Humanoid's are within 0.4; those beyond the bounds are not clipped, as in the original:
+    the control cost counts them."""
+    name = "SafetyHumanoidVelocity-v1"
+    env = SafeRescaleAction(safety_gymnasium.make(name), -1.0, 3.0)
+    env.reset(seed=0)
+    env = pickle.loads(pickle.dumps(env))
+    plain = safety_gymnasium.make(name)
+    plain.reset(seed=0)
+    equal(env.action_space.low, [-1.0] * 17)
+    equal(env.action_space.high, [3.0] * 17)
+    for action, inside in ((-1.0, -0.4), (1.0, 0.0), (3.0, 0.4), (5.0, 0.8)):
+        got, expected = env.step(np.full(17, action)), plain.step(np.full(17, inside))
+        np.testing.assert_allclose(got[1], expected[1], rtol=1e-6)
 
 
 def test_a_vector_environment_as_omnisafe_uses_it():

@@ -111,7 +111,13 @@ def test_the_view_of_an_environment(name):
     many = view.positions(np.tile(observation, (2, 3, 1)), several)
     np.testing.assert_array_equal(many, np.tile(one, (2, 3, 1)))
     assert len(view.axes) == 2
-    assert view.overlay(view.background(65)).shape == (65, 65, 3)
+    size = 520
+    grey = np.full((size, size, 3), 128, dtype=np.uint8)
+    shown = view.overlay(grey)
+    assert shown.shape == grey.shape
+    # The axes: ticks at the lower and the left edge, the name of the second on top.
+    for edge in (shown[-2], shown[:, 1], shown[10:30, 10:60].reshape(-1, 3)):
+        assert (edge < 90).all(axis=-1).sum() > 1
 
 
 HALF_HEIGHT = 2.5  # of the top camera's view, m
