@@ -23,7 +23,6 @@ import contextlib
 import dataclasses
 import functools
 import itertools
-import operator
 import os
 import re
 import shutil
@@ -255,7 +254,8 @@ def configs_of(
     if not tasks:
         raise UserError("task must be the id of a gymnasium task, or several, got none")
     settings = {"seeds": (0, 1, 2), "steps": 1_000_000} | dict(given)
-    settings["seeds"] = _seeds_of(settings["seeds"])
+    seeds = settings["seeds"]
+    settings["seeds"] = tuple(seeds) if isinstance(seeds, Iterable) else (seeds,)
     parameters = settings.pop("task_parameters", None)
     parameters = {} if parameters is None else parameters
     settings["task_parameters"] = (
@@ -367,13 +367,6 @@ def _to_write(out: Folder) -> Path:
         raise UserError(f"out must be a folder, got {out!r}")
     check_folder(Path(out))
     return Path(out)
-
-
-def _seeds_of(seeds: int | Iterable[int]) -> tuple[int, ...]:
-    try:
-        return tuple(operator.index(s) for s in (seeds if isinstance(seeds, Iterable) else [seeds]))
-    except TypeError as error:
-        raise UserError(f"seeds must be an integer or several, got {seeds!r}") from error
 
 
 def _train(folder: Path, on_epoch: OnEpoch | None, progress: bool) -> trainer.Trainer:

@@ -91,8 +91,8 @@ def fisher_product(
 def gradient_in(nets: Nets, actor: Tensor, block: Block, of: int) -> Tensor:
     """A block's part of the gradient of `compared`'s surrogate `of`, [R, actor size]."""
 
-    def surrogate(params: Tensor) -> tuple[Tensor, None]:
-        return compared_in(nets, params, block)[0][:, of].sum(), None
+    def surrogate(params: Tensor) -> tuple[Tensor, tuple[()]]:
+        return compared_in(nets, params, block)[0][:, of].sum(), ()
 
     return differentiate(surrogate, actor)[0]
 

@@ -40,11 +40,6 @@ def set_compiling(compiles: bool) -> None:
     _compiles = compiles
 
 
-def is_compiling() -> bool:
-    """Whether what is marked `compiled` runs as compiled code."""
-    return _compiles
-
-
 def compiled(function: Callable[P, T]) -> Callable[P, T]:
     """Mark a pure function of tensors to run as one piece of compiled code where `configure` says.
 
@@ -97,8 +92,8 @@ def _runs(tree: Any) -> int:
 def differentiate(loss: Callable[[Tensor], tuple[Tensor, T]], at: Tensor) -> tuple[Tensor, T]:
     """The gradient of a loss at some parameters, and what the loss returns beside its value.
 
-    The same bits either way: what `torch.func` does can be compiled, but takes half as long again
-    where it is not, and imports the compiler.
+    The same bits either way: `torch.func` can be compiled, but where it is not it is slower, and
+    imports the compiler.
     """
     if torch.compiler.is_compiling():
         return torch.func.grad(loss, has_aux=True)(at)
@@ -122,10 +117,9 @@ def jacobian_products(
         outputs = function(at)
         u = torch.zeros_like(outputs, requires_grad=True)
         [pulled] = torch.autograd.grad(outputs, at, u, create_graph=True)
-    keep = {"retain_graph": True}
     return (
-        lambda v: torch.autograd.grad(pulled, u, v, **keep)[0],
-        lambda u: torch.autograd.grad(outputs, at, u, **keep)[0],
+        lambda v: torch.autograd.grad(pulled, u, v, retain_graph=True)[0],
+        lambda u: torch.autograd.grad(outputs, at, u, retain_graph=True)[0],
     )
 
 
@@ -208,13 +202,13 @@ def require(compiles: bool, device: str) -> None:
 def choose(choice: Literal["auto", "compiled", "eager"]) -> Literal["compiled", "eager"]:
     """The backend that "auto" stands for on this machine.
 
-    Warns where that is eager PyTorch, half as fast, unless TORCH_COMPILE_DISABLE asks for it.
+    Warns where that is eager PyTorch, a third slower, unless TORCH_COMPILE_DISABLE asks for it.
     """
     if choice != "auto":
         return choice
     why = cannot_compile()
     if why and not compiling_is_off():
-        warnings.warn(f"updates run in eager PyTorch, half as fast: {why}", stacklevel=5)
+        warnings.warn(f"updates run in eager PyTorch, a third slower: {why}", stacklevel=5)
     return "eager" if why else "compiled"
 
 
@@ -225,7 +219,7 @@ def restored() -> Iterator[None]:
     Three things stay: freed memory is kept, PyTorch keeps compiled code in a folder of ours unless
     TORCHINDUCTOR_CACHE_DIR names another, and two callbacks measure its compiler's time.
     """
-    threads, device, compiles = torch.get_num_threads(), torch.get_default_device(), is_compiling()
+    threads, device, compiles = torch.get_num_threads(), torch.get_default_device(), _compiles
     matmul = getattr(torch.backends.mkldnn, "matmul", None)
     precision = getattr(matmul, "fp32_precision", None)
     try:

@@ -263,7 +263,7 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
         ({"xyzzy": 3}, "no hyper-parameter 'xyzzy': it has .*cost_limit"),
         ({"algorithm": "sac-lib"}, "unknown algorithm 'sac-lib'"),
         ({"task": "Nowhere-v0"}, "unknown task 'Nowhere-v0'"),
-        ({"seeds": "ab"}, "seeds must be an integer or several, got 'ab'"),
+        ({"seeds": "ab"}, "seeds must be a tuple of integers, got .'a', 'b'"),
         ({"steps": 0}, "steps must be at least 1"),
         ({"task_parameters": {"level": 3}}, "level is part of the task's id"),
         ({"vectorization": "threads"}, "vectorization must be auto or sync or async"),
