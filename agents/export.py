@@ -18,7 +18,7 @@ from agents.paper.evidence import printed
 from agents.reporting.provenance import command
 from agents.reporting.tables import task_table
 from agents.results.reading import read
-from agents.training.config import CONFIG, TrainConfig, read_spaces
+from agents.training.config import CONFIG, TrainConfig, file_name, read_spaces
 from agents.training.files import read_json, write_whole
 from agents.training.policy import Policy, load_policy
 
@@ -49,9 +49,10 @@ def export(
     """Write the deterministic policies of a folder of runs, a file each, and a model card.
 
     The actions of a file equal the policy's up to rounding in float32. out: folder to write to,
-    by default `exported` in the runs' own. seeds: of the runs, by default all. step, task: as in
-    `load_policy`. Returns the files, the card last. Raises UserError where there is no policy, or
-    one that diverged, and where the library of the format is missing.
+    by default `exported` in the runs' own, there one for each of several tasks. seeds: of the runs,
+    by default all. step, task: as in `load_policy`. Returns the files, the card last. Raises
+    UserError where there is no policy, or one that diverged, and where the library of the format is
+    missing.
     """
     if format not in _FORMATS:
         raise UserError(f"format must be safetensors or onnx, got {format!r}")
@@ -62,7 +63,8 @@ def export(
     first = next(iter(policies))
     task, commit = policies[first].task, _commit(recorded)
     about = {"task": task, "algorithm": config.algorithm, "commit": commit}
-    out = folder / "exported" if out is None else out
+    if out is None:
+        out = folder / "exported" / (file_name(task) if len(config.tasks) > 1 else "")
     contents = {
         out / f"seed-{seed}.{format}": write(
             networks[seed], about | {"seed": str(seed), "step": _steps([policy])}

@@ -224,8 +224,8 @@ class ExportOptions:
     format: Format
     """safetensors: the network's arrays; onnx: a graph from observations to actions."""
     out: Path | None = None
-    """Folder for the files; by default `exported` in the runs' own. Required for a policy that
-    comes with the package."""
+    """Folder for the files; by default `exported` in the runs' own, there one for each of several
+    tasks. Required for a policy that comes with the package."""
     seeds: tuple[int, ...] | None = None
     """Seeds of the runs to export; by default all."""
     task: Task = None

@@ -75,6 +75,14 @@ def test_an_earlier_policy(tmp_path):
     assert path.read_bytes() != export(runs.folder, "safetensors")[0].read_bytes()
 
 
+def test_policies_of_several_tasks_do_not_meet(tmp_path):
+    tasks = ("Circle2D-1-v0", "Circle2D-2-v0")
+    runs = agents.train("trpo-lag", tasks, seeds=0, steps=100, out=tmp_path, **SMALL)
+    files = [export(runs.folder, "safetensors", task=task)[0] for task in tasks]
+    names = [file.relative_to(runs.folder).as_posix() for file in files]
+    assert names == [f"exported/{task}/seed-0.safetensors" for task in tasks]
+
+
 def test_the_command(folder, tmp_path, capsys):
     """Into the folder of runs; policies of the package only into a folder of one's own."""
     assert main(["export", str(folder), "--format", "safetensors", "--seeds", "4"]) == 0
