@@ -78,9 +78,9 @@ class TrainOptions:
     tensorboard: bool = False
     """Write TensorBoard event files too."""
     backend: BackendChoice = "auto"
-    """How updates run. compiled: twice as fast as eager, after a minute of compilation the first
-    time and seconds from then on. eager: operation by operation. auto: compiled where there is a
-    C++ compiler."""
+    """How updates run. compiled: half as fast again as eager, after a minute of compilation the
+    first time and seconds from then on. eager: operation by operation. auto: compiled where there
+    is a C++ compiler."""
     device: Device = "cpu"
     """Where updates run: cuda on a GPU."""
     imports: Imports = ()
