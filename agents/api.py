@@ -76,6 +76,7 @@ def train(
     costs: Sequence[str] = ("cost",),
     checkpoint_every: int = 50_000,
     evaluate_every: int | None = None,
+    evaluation_episodes: int = 100,
     vectorization: Vectorization = "auto",
     step_timeout: float | None = None,
     backend: Backend | Literal["auto"] = "auto",
@@ -106,7 +107,8 @@ def train(
         the first, or as many as its rule says.
     checkpoint_every: environment steps of a run between checkpoints. evaluate_every: environment
         steps of a run between evaluations; each also saves the policy, for
-        `load_policy(..., step=...)`. None: evaluate only at the end.
+        `load_policy(..., step=...)`. None: evaluate only at the end. evaluation_episodes: of each
+        policy, without its noise and with it, at the end.
     vectorization: "auto": the task's own vector environment or one process; "sync": gymnasium's
         `SyncVectorEnv`; "async": a process for each environment. All give the same results.
         step_timeout: seconds that a step may take with "async"; None: no limit.
@@ -235,7 +237,7 @@ def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:
 
 SETTINGS = (
     *("seeds", "steps", "task_parameters", "costs", "checkpoint_every", "evaluate_every"),
-    *("vectorization", "step_timeout", "device", "tensorboard"),
+    *("evaluation_episodes", "vectorization", "step_timeout", "device", "tensorboard"),
 )
 """Arguments of `train` that are fields of a configuration."""
 

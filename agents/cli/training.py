@@ -65,6 +65,8 @@ class TrainOptions:
     evaluate_every: int | None = None
     """Environment steps of a run between evaluations, each of which keeps the policy too; by
     default there is none but that at the end."""
+    evaluation_episodes: int = 100
+    """Episodes of each run and policy (deterministic, stochastic) in the evaluation at the end."""
     task_parameters: dict[str, str] = field(default_factory=dict)
     """Keyword arguments for the tasks, as NAME VALUE ..., e.g. optima_perturbation 1.0 0.5."""
     costs: tuple[str, ...] = ("cost",)
@@ -198,8 +200,9 @@ class EvaluateOptions:
 
     folder: Folder
     """Folder of the runs."""
-    episodes: int = evaluation.EPISODES
-    """Episodes of each run and policy (deterministic, stochastic)."""
+    episodes: int | None = None
+    """Episodes of each run and policy (deterministic, stochastic); by default as many as the
+    training's own evaluation has."""
     imports: Imports = ()
 
 
@@ -207,20 +210,20 @@ def evaluate(args: Sequence[str]) -> int:
     """Run `circle2d evaluate`; returns the exit status."""
     options = parse(EvaluateOptions, "evaluate", args)
     folder, config = options.folder, TrainConfig.read(options.folder)
-    with locked(folder), working(f"playing {options.episodes} episodes of each run, by either way"):
+    if options.episodes is not None:
+        config = replace(config, evaluation_episodes=options.episodes)
+    episodes = config.evaluation_episodes
+    with locked(folder), working(f"playing {episodes} episodes of each run, by either way"):
         remove_unfinished(folder)
         trained = trainer.Trainer(folder, config)
         trained.load()
         policy, going = trained.learner.policy(), trained.failures == ""
         if trained.done:
-            results = write_results(folder, config, policy, trained.failures, options.episodes)
+            results = write_results(folder, config, policy, trained.failures, episodes)
         else:
-            results = evaluation.evaluate_runs(config, policy, options.episodes, going)
+            results = evaluation.evaluate_runs(config, policy, episodes, going)
     taken = trained.steps[going] if going.any() else trained.steps
-    print(
-        f"{folder}, after {taken.min()} of {config.steps} steps: means over "
-        f"{options.episodes} episodes"
-    )
+    print(f"{folder}, after {taken.min()} of {config.steps} steps: means over {episodes} episodes")
     for name, result in results.items():
         for k, run in enumerate(config.runs):
             words = "no finite numbers"

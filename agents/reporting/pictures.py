@@ -22,7 +22,7 @@ from agents.results.reading import Episode, results_of, run_records
 from agents.training.config import RunId, TrainConfig
 from agents.training.derive import Steps, count_visits
 from agents.training.environments import make_envs, registered, view_of
-from agents.training.evaluation import EPISODES, paths_of, play, runs_envs
+from agents.training.evaluation import paths_of, play, runs_envs
 from agents.training.files import whole, write_whole
 from agents.training.policy import chosen_run, load_policy
 from circle2d_mj.core.view import Picture, View
@@ -120,14 +120,14 @@ def evaluation_episodes(
     policy that is not finite.
     """
     config = TrainConfig.read(folder)
-    if not 1 <= episodes <= EPISODES:
-        raise UserError(f"episodes must be in [1, {EPISODES}], got {episodes}")
+    if not 1 <= episodes <= (all_ := config.evaluation_episodes):
+        raise UserError(f"episodes must be in [1, {all_}], those of the evaluation, got {episodes}")
     alone = replace(config, tasks=(run.task,), seeds=(run.seed,))
     policy = load_policy(folder, run.seed, task=run.task).in_lockstep
     view = view_of(run.task, config.task_parameters)
 
     def played(envs: VectorEnv) -> Rollout:
-        rollout = play(envs, alone, policy, EPISODES, 0, episodes, np.ones(1, bool), noisy)
+        rollout = play(envs, alone, policy, all_, 0, episodes, np.ones(1, bool), noisy)
         if rollout.diverged.any():
             raise UserError(f"the policy of {run} gives numbers that are not finite")
         return rollout

@@ -109,6 +109,8 @@ class TrainConfig(Settings):
     at most."""
     evaluate_every: Annotated[int, In(1)] | None = None
     """Environment steps of a run between evaluations, which keep the policy too; None: never."""
+    evaluation_episodes: Annotated[int, In(1, 1_000_000)] = 100
+    """Episodes that a run's policy is evaluated by at the end, without its noise and with it."""
     vectorization: Vectorization = "auto"
     """How environments run side by side: see `make_envs`."""
     step_timeout: Annotated[float, In(above=0, high=86_400)] | None = None

@@ -33,7 +33,7 @@ from agents.errors import UserError
 from agents.lockstep.rollout import Policy
 from agents.training.config import RESULTS, STEPS, RunId, TrainConfig, file_name
 from agents.training.environments import recorded_of, view_of
-from agents.training.evaluation import EPISODES, Episodes, evaluate_runs
+from agents.training.evaluation import Episodes, evaluate_runs
 from agents.training.files import Arrays, numbered, write_arrays
 from circle2d_mj.core.view import TellsWays, View, histogram
 from emcc import EpisodeRecords, emcc, worst
@@ -92,12 +92,14 @@ def write_results(
     config: TrainConfig,
     policy: Policy,
     failures: NDArray[np.str_],
-    episodes: int = EPISODES,
+    episodes: int | None = None,
 ) -> dict[str, Episodes]:
     """Evaluate the policies of a training that is done, and write `results.npz`.
 
-    failures: [R], why runs failed. Returns the evaluations by policy.
+    failures: [R], why runs failed. episodes: others than the configuration's. Returns the
+    evaluations by policy.
     """
+    episodes = config.evaluation_episodes if episodes is None else episodes
     evaluated = evaluate_runs(config, policy, episodes, failures == "")
     arrays = derived(folder, config, failures)
     for k, run in enumerate(config.runs):

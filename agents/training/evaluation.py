@@ -9,7 +9,6 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from agents.errors import UserError
 from agents.lockstep.noise import Purpose, environment_seeds, normal, steps_of_noise
 from agents.lockstep.rollout import Policy as RunsPolicy
 from agents.lockstep.rollout import Rollout, collect
@@ -17,11 +16,8 @@ from agents.training.config import TrainConfig
 from agents.training.environments import is_native, make_envs, recorded_of, view_of
 from agents.training.wrappers import RecordSteps, SideBySide
 
-EPISODES = 100
-"""Episodes of each run and policy at the end of a training."""
 SNAPSHOT_EPISODES = 20
-"""Those of an evaluation during training."""
-MOST_EPISODES = 1_000_000
+"""Episodes of each run and policy in an evaluation during training."""
 POLICIES = ("deterministic", "stochastic")
 DRAWN = 5
 """Episodes of each trained policy that a report draws."""
@@ -57,9 +53,6 @@ def evaluate_runs(
     Start states and noise come from the run's seed, so that an evaluation can be repeated bit for
     bit. active: [R], runs to be evaluated.
     """
-    if not 1 <= episodes <= MOST_EPISODES:
-        rule = "at least 1" if episodes < 1 else f"at most {MOST_EPISODES}"
-        raise UserError(f"episodes must be {rule}, got {episodes}")
     active = np.ones(len(config.runs), dtype=bool) if active is None else active
     # As many as memory holds; others than native ones are a model or a process each. Noise is drawn
     # for all episodes in every part, so there are about 100 parts at the most.

@@ -15,6 +15,7 @@ from toys import register as register_toys
 
 import agents
 from agents import api
+from agents.cli.main import main
 from agents.paper.presets import preset
 from agents.results.reading import write_archive
 from agents.training.config import TrainConfig
@@ -144,6 +145,16 @@ def test_numbers_may_be_numpys(runs):
     assert agents.load_policy(same, seed=np.int64(4)).seed == 4
 
 
+def test_as_many_episodes_are_evaluated_as_are_asked_for(tmp_path, capsys):
+    one = {"seeds": 0, "steps": 50, "evaluation_episodes": 2, "out": tmp_path / "x"}
+    agents.train("trpo-lag", **TRPO | one)
+    assert main(["evaluate", str(tmp_path / "x")]) == 0
+    assert "means over 2 episodes" in capsys.readouterr().out
+    with np.load(tmp_path / "x" / "results.npz") as arrays:
+        for policy in ("deterministic", "stochastic"):
+            assert len(arrays[f"Circle2D-1-v0/0/evaluation/{policy}/costs"]) == 2
+
+
 def test_a_temporary_folder_lives_as_long_as_the_runs():
     runs = agents.train("trpo-lag", **TRPO | {"seeds": 5, "steps": 50})
     folder = runs.folder
@@ -242,8 +253,6 @@ def test_a_guest_in_the_process(tmp_path, raises):
 
 
 def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
-    from agents.cli.main import main
-
     options = ["--episodes", "2", "--hidden", "8", "--critic-iterations", "2"]
     options += ["--seeds", "3", "4", "--steps", "300"]
     command = ["train", "trpo-lag", *options, "--backend", "eager", "--out", str(tmp_path / "x")]
