@@ -146,13 +146,20 @@ def links(text):
     return [target for target in found if target]
 
 
+@pytest.fixture(scope="module")
+def produced():
+    """The pages that are made; making them takes seconds."""
+    import made
+
+    return {Path(page) for page in made.pages()} | {Path("emcc_of_your_logs/index.md")}
+
+
 @pytest.mark.parametrize("name", [name for name in TEXTS if name.startswith("docs/")])
-def test_links_of_the_site_lead_to_its_pages(name):
+def test_links_of_the_site_lead_to_its_pages(name, produced):
     """Not to a text that lies outside the site, nor to the source of one of its pages."""
     import made
 
     assert "```{include} made/metric.md" in made.on_site("metric", TEXTS["docs/metric.md"])
-    produced = {Path(page) for page in made.pages()} | {Path("emcc_of_your_logs/index.md")}
     text = made.on_site(str(Path(name).relative_to("docs").with_suffix("")), TEXTS[name])
     for target in (of for of in links(text) if not re.match(r"[a-z]+:", of)):
         path = ((ROOT / name).parent / target).resolve()
