@@ -197,17 +197,6 @@ def test_before_the_first_trajectory_has_ended():
             call(recorder.records)
     recorder.end_rollout()
     assert recorder.records.emcc() == panel(recorder.records).emcc == 0.5
-
-
-def test_records_give_their_emcc():
-    episodes = KINDS["mixed"](np.random.default_rng(7))
-    records = records_of(episodes)
-    mcc, starts = records.mcc_per_rollout()
-    assert records.emcc() == emcc.emcc(mcc, 0.1) == panel(records, 1.0).emcc
-    assert records.emcc(alpha=1) == emcc.emcc(mcc)
-    assert records.emcc_by_part() == emcc.emcc_by_part(mcc, starts, records.total_steps)
-    later = records.emcc_by_part(0.5, "split", 1000)
-    assert later == emcc.emcc_by_part(mcc, starts, 1000, 0.5, "split")
     late = EpisodeRecords([0], [50], [10], [0], [0], [0])
     with pytest.raises(ValueError, match=r"starts at step 50, but only 10 .* give total_steps"):
         late.emcc_by_part()

@@ -18,14 +18,6 @@ import scipy.stats
 RNG = np.random.default_rng(0)
 
 
-def test_mean_interval_by_hand():
-    """2, 4, 4, 4, 6: mean 4, deviation √2, half-width 2.776 √2 / √5 (t of 4 degrees of freedom)."""
-    found = statistics.mean_interval([2, 4, 4, 4, 6])
-    assert (found.value, found.kind, found.runs) == (4.0, "t", 5)
-    assert found.high - found.value == pytest.approx(2.7764451 * math.sqrt(2) / math.sqrt(5))
-    assert found.value - found.low == pytest.approx(found.high - found.value)
-
-
 def test_an_interval_ends_where_no_value_can_be():
     """0, 0, 0, 0, 1: mean .2, half-width 2.776 √.2 / √5 = .555."""
     assert statistics.mean_interval([0, 0, 0, 0, 1]).low == pytest.approx(0.2 - 0.2 * 2.7764451)

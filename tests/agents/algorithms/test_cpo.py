@@ -129,20 +129,6 @@ def test_where_costs_do_not_depend_on_the_policy(size):
         assert close(x, plain)
 
 
-def test_random_runs_against_geometry():
-    """500 in one batch; the cases must be those of the geometry as well."""
-    generator = torch.Generator().manual_seed(0)
-    share, cosine = torch.rand(2, 500, generator=generator).double() * 3 - 1.5
-    cosine = cosine.clamp(-0.99, 0.99)
-    runs = [one_run(*pair, seed) for seed, pair in enumerate(zip(share, cosine, strict=True))]
-    found = cpo.step(CPOConfig(), problem_of(runs))
-    broken, near = share > 0, share.abs() < 1
-    expected = torch.where(near, PARTLY + broken.int(), INSIDE + 3 * broken.int())
-    assert torch.equal(found.case, expected)
-    for run, x in zip(runs, found.displacement, strict=True):
-        assert close(x, expected_step(*run))
-
-
 @pytest.mark.parametrize("share", [-0.5, 0.5])
 @pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-4])
 def test_objective_and_cost_of_one_gradient(noise, share):

@@ -1,4 +1,4 @@
-"""Algorithms on a problem with a known constrained optimum; two on-policy on Circle2D-1."""
+"""Algorithms on a problem with a known constrained optimum; one on Circle2D-1."""
 
 from dataclasses import replace
 
@@ -32,13 +32,13 @@ SETTINGS = {  # steps, settings, the reward's noise
     "sac-lag": (1200, {"multiplier_lr": 1e-2}, 0.0),
     "sac-lb": (1200, {}, 0.0),
     "wcsac": (1200, {"multiplier_lr": 1e-2}, 0.0),
-    "cppo-pid": (6400, EPISODES | {"pid_kp": 1.0, "pid_ki": 0.5}, 1.0),
+    "cppo-pid": (4000, EPISODES | {"pid_kp": 1.0, "pid_ki": 0.5}, 1.0),
     "focops": (6400, BOUNDED, 1.0),
-    "cup": (6400, BOUNDED, 1.0),
+    "cup": (4000, BOUNDED, 1.0),
     "p3o": (6400, EPISODES | {"discount": 0.0}, 1.0),
     "ipo": (6400, EPISODES | {"max_penalty": 10.0}, 1.0),
-    "crpo": (6400, EPISODES | {"tolerance": 0.0}, 1.0),
-    "pcpo": (3200, EPISODES, 0.1),
+    "crpo": (4000, EPISODES | {"tolerance": 0.0}, 1.0),
+    "pcpo": (2000, EPISODES, 0.1),
     "c-trpo": (3200, EPISODES | {"hysteresis": 1.0}, 0.1),
     "rcpo": (6400, SGD, 1.0),
     "sac-pid": (1200, {"pid_ki": 0.05, "pid_kd": 0.0}, 0.0),
@@ -75,11 +75,10 @@ def test_comes_close_to_the_optimum_within_the_limit(name):
     assert ((1 + found) / 2).max() < LIMIT + 0.03, found
 
 
-@pytest.mark.parametrize(("name", "steps"), [("trpo-lag", 5_000), ("ppo-lag", 15_000)])
-def test_improves_over_a_random_policy_on_circle2d(name, steps):
-    """With the presets; by more than twice what an untrained policy without noise is better."""
-    task = "Circle2D-1-v0"
-    training = finished(trainer(TrainConfig(name, (task,), (0,), steps, preset(name, task))))
+def test_improves_over_a_random_policy_on_circle2d():
+    """With a preset; by more than twice what an untrained policy without noise is better."""
+    name, task = "trpo-lag", "Circle2D-1-v0"
+    training = finished(trainer(TrainConfig(name, (task,), (0,), 5_000, preset(name, task))))
     envs, policy = make_envs(task, 200, {}), training.learner.policy()
     noise = steps_of_noise(uniform, (0,), Purpose.EVALUATION, 0, (200, 2))
     at_random = collect(envs, range(200), lambda observation: next(noise)[0])

@@ -1,12 +1,12 @@
 """Algorithms of several costs and multipliers."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 import pytest
 import torch
-from small_trainings import assert_same, finished, of_run, small, trainer
+from small_trainings import finished, of_run, small, trainer
 from toys import register as register_toys
 
 import agents
@@ -120,22 +120,3 @@ def test_with_a_second_multiplier_of_0_it_is_the_algorithm_of_one(name):
         values = [multiplier_values(it)[:, 0] for it in (two, one)]
         np.testing.assert_allclose(*values, rtol=1e-4)
         assert values[0].max() > 0
-
-
-@pytest.mark.parametrize(
-    ("name", "optimizer"), [("sac-two", "pid"), ("trpo-two", "adam"), ("ppo-two", "pid")]
-)
-def test_a_run_is_what_it_is_alone(name, optimizer):
-    """Bit for bit; and both costs are recorded and learned, by critics of their own."""
-    changes = {"multiplier_optimizer": optimizer, "streak_weight": 0.5, "hidden": (17, 40)}
-    both, alone = (
-        finished(trainer(replace(it, hyperparameters=replace(it.hyperparameters, **changes))))
-        for it in (config(name), config(name, (1,)))
-    )
-    assert_same(of_run(alone, 0), of_run(both, 1))
-    rows, metrics = of_run(both, 0), both.learner.metrics
-    assert {*rows["costs/cost_2"]} == {0.0, 0.25}
-    assert {"multiplier", "multiplier_2"} <= {*metrics}
-    learned = both.learner._state.critics
-    assert learned.shape[1] == (6 if name == "sac-two" else 3)
-    assert both.learner.nets.critic.sizes[0] == 2 + 2 + (name == "sac-two")

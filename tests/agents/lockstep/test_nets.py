@@ -8,7 +8,7 @@ from small_trainings import trained
 from torch import nn
 from toys import register
 
-from agents.lockstep.nets import LANES, MLP, adam, forward_numpy, mlp, no_moments
+from agents.lockstep.nets import LANES, MLP, forward_numpy, mlp
 
 register()
 SIZES = [(2, 64, 64, 4), (3, 17, 40, 2), (3, 5, 1), (7, 1)]
@@ -100,11 +100,3 @@ def test_trained_networks(name, activation):
         for found in (updated, it.module(run)(torch.from_numpy(x[run])).detach()):
             np.testing.assert_allclose(found, acted[run], atol=2e-6)
         np.testing.assert_allclose(theirs, acted[run], atol=2e-6)
-
-
-def test_adams_first_step_by_hand():
-    """m̂ = g and v̂ = g², so the first step is the learning rate against the gradient's sign."""
-    params = torch.zeros(1, 32)
-    gradient = torch.full((1, 32), -4.0)
-    params, _ = adam(params, gradient, no_moments(params), 0.5)
-    torch.testing.assert_close(params, torch.full((1, 32), 0.5))

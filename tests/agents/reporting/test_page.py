@@ -85,8 +85,6 @@ def test_the_report_of_a_small_grid(tmp_path):
     files = {p.name for p in tmp_path.iterdir() if p.is_file()}
     assert files == {"index.html", "report.csv", "report.md"}
     assert "torch 2" in text
-    report(tmp_path)
-    assert (tmp_path / "index.html").read_text() == text
     edit_results(folder, **{"Circle2D-1-v0__1__failure": np.array("it fell")})
     assert main(["report", str(tmp_path)]) == 1
     for name in ("index.html", "report.md"):

@@ -61,7 +61,14 @@ def folder(tmp_path_factory):
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio's reader
-def test_commands_write_pictures_and_films(folder, tmp_path, capsys):
+def test_commands_write_pictures_and_films(folder, tmp_path, capsys, monkeypatch):
+    """They need no OpenGL; nor do reports: test_reproduce.py."""
+
+    def nothing(*_):
+        raise NoOpenGL("install one")
+
+    monkeypatch.setattr(gl, "check_backend", nothing)
+    monkeypatch.setattr(renderer, "check_backend", nothing)
     for command, name, shape in (
         ("heatmap", "h.png", None),
         ("render", "t.png", None),
@@ -105,20 +112,6 @@ def test_a_frame_of_steps_that_cost_has_an_orange_edge():
     assert len(shown) == 4 + HELD
     edged = [(picture == canvas.BOX).all(-1).any() for picture in shown]
     assert edged == [False, False, True, *[False] * (1 + HELD)]
-
-
-def test_pictures_need_no_opengl(folder, tmp_path, monkeypatch):
-    def nothing(*_):
-        raise NoOpenGL("install one")
-
-    copy = tmp_path / "x"
-    shutil.copytree(folder, copy)
-    monkeypatch.setattr(gl, "check_backend", nothing)
-    monkeypatch.setattr(renderer, "check_backend", nothing)
-    for command in ("report", "heatmap", "render"):
-        assert main([command, str(copy)]) == 0
-    assert "Visited states" in (copy / "index.html").read_text()
-    assert imageio.imread(copy / "heatmap.png").std() > 10
 
 
 def test_a_heat_map_of_the_runs_that_did_not_fail(folder, tmp_path, capsys):

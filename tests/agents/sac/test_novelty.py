@@ -19,15 +19,6 @@ def novelty_at(novelty, *places):
     return novelty.of(np.array(places, dtype=np.float32)[None])[0]
 
 
-@pytest.mark.parametrize("visits", [1, 3, 99])
-def test_a_place_seen_some_times(visits):
-    """A = I + n φ φᵀ, so φᵀ A⁻¹ φ = 1 / (1 + n) at norm 1 (Sherman and Morrison)."""
-    novelty = Novelty(1.0, [0], 2)
-    assert novelty_at(novelty, (3.0, -1.0)) == pytest.approx(1, rel=1e-5)
-    novelty.add(seen(*[(3.0, -1.0)] * visits), np.array([visits]))
-    assert novelty_at(novelty, (3.0, -1.0)) == pytest.approx(1 / np.sqrt(1 + visits), rel=1e-4)
-
-
 def test_two_places():
     """After one visit of s, φ(t)ᵀ A⁻¹ φ(t) = 1 - k² / 2, where k is the product of their features
     and about exp(-d² / 2): .88 at half a length and 0 far away."""

@@ -13,7 +13,7 @@ from agents.results.reading import read, write_archive
 from agents.training.config import RunId, TrainConfig
 
 OPTIONS = {"steps": 200, "checkpoint_every": 50, "evaluate_every": 100}
-FAMILIES = {"trpo-lag": TRPO, "cpo": TRPO, "sac-lb": SAC}
+FAMILIES = {"trpo-lag": TRPO, "cpo": TRPO, "sac-lb": SAC | {"hidden": (64, 64), "batch_size": 64}}
 TASKS = ("Circle2D-1-v0", "Circle2D-2-v0")
 PHYSICS = ("Circle2DMuJoCo-0-v0", "Circle2DMuJoCo-1-v0")
 
@@ -49,24 +49,6 @@ def test_in_a_folder_of_several_tasks_and_seeds(tmp_path, algorithm):
     assert [str(run) for run in config.runs] == [f"{t}, seed {s}" for t in tasks for s in (3, 4)]
     starts = [run_of(together, run)["replay/points"][:2].tolist() for run in config.runs]
     assert len(set(map(str, starts))) == 4  # tasks and seeds have random streams of their own
-
-
-@pytest.mark.parametrize("algorithm", ["trpo-lag", "sac-lb"])
-def test_while_others_end_earlier_or_fail(tmp_path, algorithm):
-    """Episodes end early, and bad luck ends some runs."""
-    luck = {"task_parameters": {"poison": 0.004}, "steps": 150}
-    together = trained(tmp_path / "all", algorithm, "Walk-v0", range(5), **luck)
-    arrays = np.load(together / "results.npz")
-    failed = {seed for seed in range(5) if f"Walk-v0/{seed}/failure" in arrays}
-    assert 0 < len(failed) < 5
-    for seed in sorted({*range(5)} - failed)[:2]:
-        alone = trained(tmp_path / str(seed), algorithm, "Walk-v0", seed, **luck)
-        assert_as_alone(together, alone, RunId("Walk-v0", seed))
-    seed = min(failed)
-    with pytest.raises(agents.UserError, match="every run"):
-        trained(tmp_path / "failing", algorithm, "Walk-v0", seed, **luck)
-    words = str(np.load(tmp_path / "failing" / "results.npz")[f"Walk-v0/{seed}/failure"])
-    assert words == str(arrays[f"Walk-v0/{seed}/failure"])
 
 
 @pytest.mark.parametrize(("algorithm", "how"), [("trpo-lag", "sync"), ("sac-lb", "async")])

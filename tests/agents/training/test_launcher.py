@@ -97,16 +97,13 @@ with launcher(count=1) as trainings:
 """
 
 
-@pytest.mark.parametrize(
-    "number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
-)
-def test_processes_end_with_a_parent_that_is_killed(tmp_path, number):
+def test_processes_end_with_a_parent_that_is_killed(tmp_path):
     """They leave a checkpoint, and the training goes on elsewhere."""
     folder = made(tmp_path / "x", 10**7)
     parent = subprocess.Popen([sys.executable, "-c", PARENT, str(folder)])
     wait_until(lambda: (folder / "status.json").exists())
     assert processes(folder)
-    os.kill(parent.pid, number)
+    os.kill(parent.pid, signal.SIGKILL)
     parent.wait()
     wait_until(lambda: not processes(folder), 60)
     assert agents.load_policy(folder, seed=0).step > 0

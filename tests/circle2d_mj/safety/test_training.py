@@ -1,4 +1,4 @@
-"""Short trainings on a task of each family, by an algorithm on-policy or one off-policy."""
+"""Short trainings on tasks of the suite, whose environments test_contract.py holds to be alike."""
 
 import numpy as np
 import pytest
@@ -9,10 +9,7 @@ from agents.training import derive
 
 LEARNERS = {
     "SafetyPointGoal2-v0": "cpo",
-    "SafetyPointButton1-v0": "sac-lag",
-    "SafetyPointPush1-v0": "cpo",
     "SafetyCarCircle2-v0": "sac-lag",
-    "SafetyPointRun0-v0": "cpo",
     "SafetyHalfCheetahVelocity-v1": "sac-lag",
 }
 SMALL = {"cpo": {"episodes": 1, "critic_iterations": 2}, "sac-lag": {"random_steps": 200}}
@@ -20,14 +17,14 @@ SMALL = {"cpo": {"episodes": 1, "critic_iterations": 2}, "sac-lag": {"random_ste
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("task", "algorithm"), LEARNERS.items())
-def test_a_training_of_each_family(task, algorithm, tmp_path, monkeypatch):
+def test_a_training(task, algorithm, tmp_path, monkeypatch):
     """Two epochs with updates: returns, costs, what the updates tell, and EMCC are numbers."""
     monkeypatch.setattr(derive.write_results, "__defaults__", (2,))  # evaluated episodes, not 100
     runs = agents.train(
         algorithm,
         f"circle2d_mj/{task}",
         seeds=[0],
-        steps=1000 if "Circle" in task or "Run" in task else 2000,
+        steps=1000 if "Circle" in task else 2000,
         out=tmp_path / "run",
         backend="eager",
         **SMALL[algorithm],
