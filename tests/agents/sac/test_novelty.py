@@ -15,10 +15,6 @@ def seen(*places):
     return np.array(places, dtype=np.float32)[:, None]
 
 
-def novelty_at(novelty, *places):
-    return novelty.of(np.array(places, dtype=np.float32)[None])[0]
-
-
 def test_two_places():
     """After one visit of s, φ(t)ᵀ A⁻¹ φ(t) = 1 - k² / 2, where k is the product of their features
     and about exp(-d² / 2): .88 at half a length and 0 far away."""

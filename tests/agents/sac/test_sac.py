@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from agents.algorithms.sac_lag import RULE, SACLagConfig
-from agents.lockstep import lagrange, tree
+from agents.lockstep import lagrange
 from agents.sac import update as sac
 from agents.sac.replay import Batch
 
@@ -94,33 +94,3 @@ def test_squashed_gaussian_against_torch_distributions(scale):
     np.testing.assert_allclose(in_numpy, action.numpy(), rtol=1e-12, atol=1e-12)
     deterministic = sac.act(outputs.numpy(), None)
     np.testing.assert_allclose(deterministic, torch.tanh(mean).numpy())
-
-
-def random_batch(runs, seed):
-    generator = torch.Generator().manual_seed(seed)
-
-    def normal(*shape):
-        return torch.randn(runs, 256, *shape, generator=generator)
-
-    ends = (normal() > 1.5).float(), (normal() > 1).float()
-    cost = normal().abs()[:, None]
-    batch = Batch(normal(2), normal(2).tanh(), normal(), cost, normal(2), *ends)
-    return batch, sac.UpdateNoise(normal(2), normal(2))
-
-
-def test_a_run_is_bitwise_the_same_alone():
-    nets, runs = sac.make_nets(CONFIG, 2, 2, 1), 20
-
-    def train(chosen):
-        state = sac.initial_state(nets, CONFIG, RULE, [100 + run for run in chosen])
-        for k in range(3):
-            everyone, noise = random_batch(runs, seed=k)
-            batch = Batch(*(part[chosen] for part in everyone))
-            noise = sac.UpdateNoise(*(part[chosen] for part in noise))
-            state, metrics = sac.update(nets, CONFIG, RULE, state, batch, noise)
-        return tree.flatten(state) | metrics
-
-    together = train(list(range(runs)))
-    for run in (7, runs - 1):
-        for name, value in train([run]).items():
-            assert np.array_equal(value[0], together[name][run]), name
