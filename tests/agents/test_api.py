@@ -138,13 +138,6 @@ def test_finished_runs_are_opened_again(runs, tmp_path):
             call()
 
 
-def test_numbers_may_be_numpys(runs):
-    one = {"seeds": np.arange(3, 5), "steps": np.int64(300), "checkpoint_every": np.int32(50_000)}
-    same = agents.train("trpo-lag", **TRPO | one | {"episodes": np.int64(2)})
-    assert same.config == runs.config
-    assert agents.load_policy(same, seed=np.int64(4)).seed == 4
-
-
 def test_as_many_episodes_are_evaluated_as_are_asked_for(tmp_path, capsys):
     one = {"seeds": 0, "steps": 50, "evaluation_episodes": 2, "out": tmp_path / "x"}
     agents.train("trpo-lag", **TRPO | one)

@@ -10,11 +10,6 @@ from agents.lockstep.backend import array
 from agents.sac.replay import FEATURES, Novelty, ReturnScale
 
 
-def seen(*places):
-    """Places, each (x, y), as the states of one run: [T, 1, 2]."""
-    return np.array(places, dtype=np.float32)[:, None]
-
-
 def test_two_places():
     """After one visit of s, φ(t)ᵀ A⁻¹ φ(t) = 1 - k² / 2, where k is the product of their features
     and about exp(-d² / 2): .88 at half a length and 0 far away."""
