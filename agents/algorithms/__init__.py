@@ -29,7 +29,7 @@ RESERVED = (
     *("algorithm", "task", "seeds", "steps", "out", "task_parameters", "costs"),
     *("checkpoint_every", "evaluate_every", "vectorization", "step_timeout", "backend"),
     *("device", "tensorboard", "on_epoch", "progress", "engine", "address", "grid", "workers"),
-    *("imports",),
+    *("evaluation_episodes", "imports"),
 )
 """Parameters of `agents.train` and `agents.sweep` and options of `circle2d train`, which no
 hyper-parameter can be named like."""
