@@ -120,14 +120,15 @@ def evaluation_episodes(
     policy that is not finite.
     """
     config = TrainConfig.read(folder)
-    if not 1 <= episodes <= (all_ := config.evaluation_episodes):
-        raise UserError(f"episodes must be in [1, {all_}], those of the evaluation, got {episodes}")
+    evaluated = config.evaluation_episodes
+    if not 1 <= episodes <= evaluated:
+        raise UserError(f"episodes must be in [1, {evaluated}], as evaluated, got {episodes}")
     alone = replace(config, tasks=(run.task,), seeds=(run.seed,))
     policy = load_policy(folder, run.seed, task=run.task).in_lockstep
     view = view_of(run.task, config.task_parameters)
 
     def played(envs: VectorEnv) -> Rollout:
-        rollout = play(envs, alone, policy, all_, 0, episodes, np.ones(1, bool), noisy)
+        rollout = play(envs, alone, policy, evaluated, 0, episodes, np.ones(1, bool), noisy)
         if rollout.diverged.any():
             raise UserError(f"the policy of {run} gives numbers that are not finite")
         return rollout
