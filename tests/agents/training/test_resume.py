@@ -34,7 +34,7 @@ def test_a_stop_after_any_epoch(tmp_path, algorithm):
 
 
 def test_an_epoch_is_kept_whose_follower_raises(tmp_path):
-    """What goes on from there is never different: see above."""
+    """Its checkpoint is there; that any checkpoint leads to the same end: see above."""
     epochs = []
 
     def fail(epoch):
