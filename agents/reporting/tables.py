@@ -281,12 +281,12 @@ def panel_table(groups: Sequence[Group]) -> Table:
     """EMCC beside the measures of cost that other papers report: a row for each measure, a column
     for each algorithm, means over its runs.
 
-    groups: of one task, at least one with a run. Each is measured by its own cost limit; one of an
-    unconstrained algorithm by that of the others, where they have one.
+    groups: of one task, at least one with a run. Each is measured by its own cost limit; one
+    without by that of the others on the same cost, where they have one.
     """
     groups = [group for group in in_order(groups) if group.runs]
-    usual = common_limit(groups)
-    limits = [usual if group.limit is None else group.limit for group in groups]
+    usual = {a.cost: common_limit(b for b in groups if b.cost == a.cost) for a in groups}
+    limits = [usual[group.cost] if group.limit is None else group.limit for group in groups]
     # One window for all columns, since a row names it.
     window = min(WINDOW, *(len(run.records) for group in groups for run in group.runs))
     panels: list[list[Panel]] = [
