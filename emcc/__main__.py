@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             seed = run.seed if options.per_run else ""
             groups.setdefault((run.source, run.task, run.cost, seed), []).append(run)
         if options.limit is None:
-            tables = [_emcc_table(list(groups.values()), options.alpha, options.ties)]
+            tables = [_emcc_table(list(groups.values()), options)]
         else:
             tables = [_panel_table(group, options) for group in groups.values()]
         print("\n".join(table.render(options.format) for table in tables), end="")
@@ -91,9 +91,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     return int(any(None in _emcc_by_part(run, options.alpha, options.ties) for run in runs))
 
 
-def _emcc_table(groups: Sequence[Sequence[Run]], alpha: float, ties: str) -> Table:
+def _emcc_table(groups: Sequence[Sequence[Run]], options: argparse.Namespace) -> Table:
     """A row for each group of runs of one training that differ in their seeds alone."""
-    rows = []
+    rows, alpha, ties = [], options.alpha, options.ties
     for group in groups:
         first, seeds = group[0], " ".join(run.seed for run in group)
         about = first.source, first.algorithm, _task(first), seeds, str(first.total_steps)
@@ -101,7 +101,8 @@ def _emcc_table(groups: Sequence[Sequence[Run]], alpha: float, ties: str) -> Tab
         cells = [mean_cell(values, 3, SHARE) for values in thirds]
         rates = [cost_rate(run.records.cost, run.records.length) for run in group]
         rows.append([word or MISSING for word in about] + [*cells, mean_cell(rates, 3, COST)])
-    caption = f"EMCC with alpha = {alpha:g}, ties = {ties}; means over runs {INTERVALS}"
+    choices = f"alpha = {alpha:g}, ties = {ties}{_threshold(options)}"
+    caption = f"EMCC with {choices}; means over runs {INTERVALS}"
     head = ["source", "algorithm", "task", "seeds", "steps", *(f"EMCC_{part}" for part in PARTS)]
     return Table(caption, [*head, "cost rate"], rows)
 
@@ -123,8 +124,12 @@ def _panel_table(group: Sequence[Run], options: argparse.Namespace) -> Table:
             for run in group
         ]
     seeds = f"seeds {' '.join(run.seed for run in group)}" if first.seed else ""
-    words = first.source, first.algorithm, _task(first) or MISSING, seeds
-    return panel_table(panels, ", ".join(filter(None, words)))
+    words = first.source, first.algorithm, _task(first), seeds
+    return panel_table(panels, ", ".join(filter(None, words)) + _threshold(options))
+
+
+def _threshold(options: argparse.Namespace) -> str:
+    return f", cost steps above {options.threshold:g}" if options.threshold else ""
 
 
 def _task(run: Run) -> str:

@@ -126,7 +126,7 @@ def rollouts_by_part(
     ValueError: a start step outside [0, total_steps).
     """
     total = as_count(total_steps, "total_steps")
-    check_range(start_steps, "start_steps", 0, total - 1)
+    check_range(start_steps, f"start_steps (total_steps {total})", 0, total - 1)
     percent = 100 * start_steps  # of `total`; whole numbers, so that the borders are exact
     ends = [round(100 * part) * total for part in PARTS]
     ends[-1] += 1  # the last part has its end

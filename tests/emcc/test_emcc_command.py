@@ -129,17 +129,17 @@ def test_panels(tmp_path, capsys):
     with pytest.raises(SystemExit):  # the first run has more steps than that
         main([str(tmp_path), "--limit", "1"])
     main([str(tmp_path), "--limit", "1", "--total-steps", "100"])
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith(f"{tmp_path / 'a'}, cpo, A-v0, seeds 0 1: costs during training")
-    (peak,) = (line for line in lines if line.startswith("peak cost rate (4 episodes)"))
-    assert peak.split(")", 1)[1].strip().startswith("0.500 range 0.100 to 0.900")
+    out = capsys.readouterr().out
+    assert out.startswith(f"{tmp_path / 'a'}, cpo, A-v0, seeds 0 1: costs during training")
+    assert re.search(r"\npeak cost rate \(4 episodes\) +0.500 range 0.100 to 0.900", out)
     main([str(tmp_path), "--limit", "1", "--total-steps", "100", "--per-run"])
     assert capsys.readouterr().out.count("violation rate V") == 2
     # Of three episodes of 100 steps that cost 20, each cut by four rollouts.
     rows = [f"{step % 5 == 0:d},{step // 100},{step // 25}" for step in range(300)]
-    (tmp_path / "cut.csv").write_text("\n".join(["cost,episode,rollout", *rows, ""]))
-    main([str(tmp_path / "cut.csv"), "--limit", "10"])
+    (path := tmp_path / "cut.csv").write_text("\n".join(["cost,episode,rollout", *rows, ""]))
+    main([str(path), "--limit", "10", "--threshold", "0.5"])
     out = re.sub(" +", " ", capsys.readouterr().out)
+    assert out.startswith(f"{path}, cost steps above 0.5: costs during training")
     assert "3 episodes, 300 steps" in out and "violation rate V 1.000" in out
 
 
@@ -150,7 +150,7 @@ def test_panels(tmp_path, capsys):
         (["a", "--alpha", "0"], "alpha must be in (0, 1], got 0.0"),
         (["a", "--ties", "some"], "invalid choice: 'some'"),
         (["a", "--window", "9"], "--window needs --limit"),
-        (["a", "--total-steps", "50"], "start_steps must be finite and in [0, 49]"),
+        (["a", "--total-steps", "50"], "(total_steps 50) must be finite and in [0, 49]"),
         ([], "the following arguments are required: PATH"),
     ],
 )
