@@ -48,7 +48,7 @@ ifneq ($(strip $(DEMO_POLICIES)),)
 		--out $(DEMO)/trained.gif
 endif
 	$(BIN)/circle2d reproduce --algorithms $(DEMO_ALGORITHMS) --tasks $(DEMO_TASK) \
-		--steps $(DEMO_STEPS) --backend eager --width 80 --out $(DEMO)
+		--steps $(DEMO_STEPS) --width 80 --out $(DEMO)
 	-$(BIN)/circle2d render $(addprefix $(DEMO)/$(DEMO_TASK)/,$(DEMO_ALGORITHMS)) \
 		--episodes 2 --size 320 --out $(DEMO)/film.gif
 	@echo "The report: $(abspath $(DEMO))/index.html"

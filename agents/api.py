@@ -112,7 +112,7 @@ def train(
     vectorization: "auto": the task's own vector environment or one process; "sync": gymnasium's
         `SyncVectorEnv`; "async": a process for each environment. All give the same results.
         step_timeout: seconds that a step may take with "async"; None: no limit.
-    backend: how updates run: "compiled", "eager", or "auto": compiled where that is possible.
+    backend: how updates run: "compiled", "eager", or "auto", which compiles long trainings.
     tensorboard: whether to write event files too. progress: whether to show it on stderr.
     on_epoch: called with an `Epoch` after each epoch; returning False stops the training after a
         checkpoint, without the evaluation at its end. `resume` goes on.
@@ -284,9 +284,7 @@ def configs_of(
         check_task(name, first.task_parameters, first.costs)
     if first.tensorboard:
         callbacks.require_tensorboard()
-    lockstep_backend.require(False, first.device)  # before the compiler is tried, which takes long
-    chosen = lockstep_backend.choose(backend)
-    lockstep_backend.require(chosen == "compiled", first.device)
+    chosen = lockstep_backend.choose(backend, first.steps * len(first.runs), first.device)
     return [dataclasses.replace(config, backend=chosen) for config in configs]
 
 

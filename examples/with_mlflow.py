@@ -14,7 +14,7 @@ def log(epoch: agents.Epoch) -> None:
 
 mlflow.set_tracking_uri("sqlite:///mlflow.db")
 with mlflow.start_run():
-    runs = agents.train("trpo-lag", seeds=0, steps=10_000, backend="eager", on_epoch=log)
+    runs = agents.train("trpo-lag", seeds=0, steps=10_000, on_epoch=log)
     panel = emcc.panel(runs.records[runs.folder, 0], limit=5.0)
     mlflow.log_dict(panel.to_dict(), "panel.json")
 print(panel.to_markdown())

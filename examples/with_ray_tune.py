@@ -6,7 +6,7 @@ from ray import tune
 import agents
 import emcc
 
-SMALL = {"steps": 1500, "random_steps": 500, "gradient_steps": 1, "backend": "eager"}
+SMALL = {"steps": 1500, "random_steps": 500, "gradient_steps": 1}
 
 
 def emcc_of(config: dict) -> dict:

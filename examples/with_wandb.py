@@ -13,7 +13,7 @@ def log(epoch: agents.Epoch) -> None:
 
 
 with wandb.init(project="safe-exploration", mode="offline") as run:
-    runs = agents.train("trpo-lag", seeds=0, steps=10_000, backend="eager", on_epoch=log)
+    runs = agents.train("trpo-lag", seeds=0, steps=10_000, on_epoch=log)
     panel = emcc.panel(runs.records[runs.folder, 0], limit=5.0)
     run.summary.update({"emcc": panel.emcc, "cost rate": panel.cost_rate})
 print(panel.to_markdown())

@@ -59,8 +59,7 @@ def command_of(module):
 def trained(folder, module):
     """Train by the page's command for a module; its help and the table name what it adds."""
     name, title, changed, said = ALGORITHMS[module]
-    short = ("--backend", "eager", "--seeds", "0", "--steps", "1100")
-    done = circle2d(folder, *command_of(module), *short)
+    done = circle2d(folder, *command_of(module), "--seeds", "0", "--steps", "1100")
     assert f"{title} ({changed}, 1,100 steps), mean of 1" in done.out
     assert json.loads((folder / "runs/config.json").read_text())["algorithm"] == name
     text = circle2d(folder, "train", name, "--import", module, "--help").out
@@ -75,8 +74,7 @@ def test_another_family_and_another_law(folder, module):
 
 def test_two_limits_on_two_costs(folder):
     """Both costs are in the table; how their multipliers move: test_two_limits.py."""
-    train = (*command_of("my_limits"), "--seeds", "0", "--steps", "1100", "--backend", "eager")
-    done = circle2d(folder, *train)
+    done = circle2d(folder, *command_of("my_limits"), "--seeds", "0", "--steps", "1100")
     assert len(re.findall(r"PPO-Two \(.*cost_2.*\), mean of 1", done.out)) == 1
     updates = agents.load_runs(folder / "runs").to_pandas("updates")
     assert {"multiplier", "multiplier_2"} < {*updates}
@@ -102,7 +100,7 @@ def test_an_algorithm_of_the_users_own(folder):
 def test_a_task_and_a_measure_of_the_users_own(folder):
     """The page's task trains by the page's command, and its measure is a column of the report."""
     train = [word.replace("2e4", "1.1e3") for word in command_of("my_tasks")]
-    assert "PPO-Lag" in circle2d(folder, *train, "--seeds", "0", "--backend", "eager").out
+    assert "PPO-Lag" in circle2d(folder, *train, "--seeds", "0").out
     shown = re.findall(r"circle2d ((?:heatmap|render) .*)", PAGE)
     for line in shown:
         circle2d(folder, *line.replace("runs/stay", "runs").split())

@@ -199,13 +199,22 @@ def require(compiles: bool, device: str) -> None:
         raise UserError(f"backend 'compiled' does not work here ({why}); 'eager' does")
 
 
-def choose(choice: Literal["auto", "compiled", "eager"]) -> Literal["compiled", "eager"]:
-    """The backend that "auto" stands for on this machine.
+WORTH_COMPILING = 300_000
+"""Steps of all runs together from which on compiling pays (docs/speed.md)."""
 
-    Warns where that is eager PyTorch, a third slower, unless TORCH_COMPILE_DISABLE asks for it.
+
+def choose(
+    choice: Literal["auto", "compiled", "eager"], steps: int, device: str
+) -> Literal["compiled", "eager"]:
+    """The backend of a training of so many steps of all runs together. Raises as `require` does.
+
+    Warns where "auto" cannot compile a long training, unless TORCH_COMPILE_DISABLE asks for that.
     """
+    require(choice == "compiled", device)
     if choice != "auto":
         return choice
+    if steps < WORTH_COMPILING:
+        return "eager"
     why = cannot_compile()
     if why and not compiling_is_off():
         warnings.warn(f"updates run in eager PyTorch, a third slower: {why}", stacklevel=5)

@@ -365,13 +365,6 @@ def commit() -> str | None:
     return origin.get("vcs_info", {}).get("commit_id")
 
 
-def cores() -> int:
-    """Number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def machine_memory() -> int:
     """Bytes of the machine's memory."""
     try:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from agents.errors import UserError
-from agents.training.config import CHECKPOINTS, RESULTS, STATUS, STEPS, cores
+from agents.training.config import CHECKPOINTS, RESULTS, STATUS, STEPS
 from agents.training.files import UNFINISHED, locked, write_whole
 
 EngineName = Literal["local", "ray"]
@@ -124,6 +124,13 @@ def launcher(
             gpus = int(device == "cuda")
             train = functools.partial(_train_on_ray, ray, imports=imports, gpus=gpus)
         yield stack.enter_context(Launcher(count or most, train))
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _train_here(folder: Path, ending: threading.Event, imports: Sequence[str]) -> str:

@@ -185,8 +185,7 @@ def test_packages_that_an_installation_may_lack():
     assert set(EXTRA) == set(names) - {"imageio"}
 
 
-ONE = ["train", "sac-lag", "--seeds", "0", "--steps", "300", "--random-steps", "100"]
-ONE += ["--backend", "eager", "--out"]
+ONE = ["train", "sac-lag", "--seeds", "0", "--steps", "300", "--random-steps", "100", "--out"]
 
 
 def kill_in_epoch(monkeypatch, numbers, epoch=3):

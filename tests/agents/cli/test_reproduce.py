@@ -19,7 +19,7 @@ from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS
 
 COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3"]
-COMMAND += ["--steps", "1100", "--workers", "1", "--backend", "eager", "--out"]
+COMMAND += ["--steps", "1100", "--workers", "1", "--out"]
 STARTED = [sys.executable, "-m", "agents.cli", *COMMAND]
 
 
@@ -64,7 +64,7 @@ def test_it_goes_on_with_the_backend_that_its_runs_began_with(tmp_path, capsys):
     """Tests switch compiling off, so that going on with compiled runs is refused."""
     configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo"], (3,), 1100)
     grid.prepare({folder: replace(c, backend="compiled") for folder, c in configs.items()})
-    command = [word for word in COMMAND if word not in ("trpo-lag", "--backend", "eager")]
+    command = [word for word in COMMAND if word != "trpo-lag"]
     assert main([*command, str(tmp_path)]) == 2
     assert re.search(r"backend 'compiled' .*TORCH_COMPILE_DISABLE", capsys.readouterr().err)
 
@@ -91,7 +91,7 @@ def test_a_shard_without_trainings_is_over_at_once(tmp_path, capsys):
 
 
 def trainings(choice):
-    words = ["--out", "runs", "--backend", "eager", choice]
+    words = ["--out", "runs", choice]
     return training._configs(parse(training.ReproduceOptions, "reproduce", words))
 
 
