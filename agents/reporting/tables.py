@@ -285,7 +285,7 @@ def panel_table(groups: Sequence[Group]) -> Table:
     without by that of the others on the same cost, where they have one.
     """
     groups = [group for group in in_order(groups) if group.runs]
-    usual = {a.cost: common_limit(b for b in groups if b.cost == a.cost) for a in groups}
+    usual = {a.cost: common_limit([b for b in groups if b.cost == a.cost]) for a in groups}
     limits = [usual[group.cost] if group.limit is None else group.limit for group in groups]
     # One window for all columns, since a row names it.
     window = min(WINDOW, *(len(run.records) for group in groups for run in group.runs))

@@ -7,7 +7,7 @@ its own: none depends on which others are asked for.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple, TypeVar
@@ -103,10 +103,10 @@ def places(group: Group) -> dict[str, Share]:
     return {place: emcc.share(ends.count(place), len(group.runs)) for place in counted}
 
 
-def common_limit(groups: Iterable[Group]) -> float | None:
-    """The cost limit of some groups; None where those that have one differ."""
-    limits = {group.limit for group in groups} - {None}
-    return limits.pop() if len(limits) == 1 else None
+def common_limit(groups: Collection[Group]) -> float | None:
+    """The cost limit of some groups; None where those that have one differ, or their costs do."""
+    limits, costs = {group.limit for group in groups} - {None}, {group.cost for group in groups}
+    return limits.pop() if len(limits) == len(costs) == 1 else None
 
 
 def within_limit(group: Group) -> Share | None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.paper.presets import preset
-from agents.reporting.tables import panel_table
+from agents.reporting.tables import common_limit, panel_table
 from agents.results.reading import Group, Run
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
@@ -18,8 +18,7 @@ FINAL = {"cost_returns": [4.0, 0.0], "lengths": [4, 4]}
 
 def a_group(algorithm, costs=COSTS, seeds=(0,), evaluation=None, **changes):
     hyperparameters = dataclasses.replace(preset(algorithm, TASK), **changes)
-    steps = sum(map(len, costs))
-    config = TrainConfig(algorithm, (TASK,), tuple(seeds), steps, hyperparameters)
+    config = TrainConfig(algorithm, (TASK,), tuple(seeds), sum(map(len, costs)), hyperparameters)
     records = EpisodeRecords.from_costs(np.concatenate(costs), list(map(len, costs)))
     evaluation = {"deterministic": FINAL} if evaluation is None else evaluation
     runs = [Run(seed, {}, 2, {}, records, evaluation) for seed in seeds]
@@ -64,6 +63,7 @@ def test_limits():
     groups = [a_group("sac"), a_group("cpo", cost_limit=2.0)]
     groups.append(dataclasses.replace(groups[1], cost="cost_2"))
     assert cells(panel_table(groups))["training: cost regret"] == ["2.0", "–", "2.0"]
+    assert common_limit(groups) is None  # for a line in the curves of both costs
     assert "no limit" in panel_table([a_group("sac")]).caption
 
 
