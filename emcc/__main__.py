@@ -19,7 +19,7 @@ PATH is
   a run folder of `circle2d train`, an archive of one or many, or a folder that holds some
   costs of steps: .npz (costs and lengths, rewards, rollouts), .npy ([episodes, steps]), .csv
       (cost; episode or done, terminated, truncated, which mark an episode's last step; rollout,
-      which may cut episodes; reward)
+      which may cut episodes; reward); steps of an episode follow one another
   a row per episode: .csv (length, cost, longest_streak), or as emcc.EpisodeRecords.save writes it
 
 exit status: 0 each third of training has its EMCC; 1 no rollout starts in one of them; 2 a mistake
