@@ -13,9 +13,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from results_table import (
-    HALF_CHEETAH,
-    POINT_GOAL,
     RESULTS,
+    SAFETY_TASKS,
     baseline_ranks,
     mean_rank,
     on_safety_task,
@@ -41,12 +40,13 @@ def look(name: str) -> dict[str, str]:
 
 
 def draw(lines: Mapping[str, pd.DataFrame], picture: Path) -> None:
-    """Write the figure, in the colours and markers of reports: a panel for each title, a dot for
-    each run of the presets."""
-    size = (7, 3.6) if len(lines) == 1 else (9, 4.6)
-    figure, panels = plt.subplots(1, len(lines), figsize=size, squeeze=False)
+    """Write the figure, in the colours and markers of reports: a panel for each title, two in a
+    row, a dot for each run of the presets."""
+    rows, columns = -(-len(lines) // 2), min(2, len(lines))
+    figure = plt.figure(figsize=(2 + 4.2 * columns, 3.6 * rows), layout="constrained")
     drawn = {}
-    for axes, (title, own) in zip(panels[0], lines.items(), strict=True):
+    for place, (title, own) in enumerate(lines.items(), start=1):
+        axes = figure.add_subplot(rows, columns, place)
         presets = own[(own.kind == "run") & ~own.algorithm.str.contains("(", regex=False)]
         by_name = dict(list(presets.groupby("algorithm")))
         for name in sorted(by_name, key=ORDER.index):
@@ -61,15 +61,12 @@ def draw(lines: Mapping[str, pd.DataFrame], picture: Path) -> None:
                 label=name,
             )
         axes.set_title(title, fontsize=10)
-        axes.set(xlabel="cost rate (cost a step, all of training)")
+        axes.set(xlabel="cost rate (cost a step, all of training)", ylabel="EMCC, last third")
         axes.set(xlim=(0, None), ylim=(0, None))
         axes.spines[["top", "right"]].set_visible(False)
-    panels[0][0].set_ylabel("EMCC, last third")
     handles = [drawn[name] for name in sorted(drawn, key=ORDER.index)]
-    panels[0][-1].legend(
-        handles=handles, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0)
-    )
-    figure.savefig(picture, dpi=110, bbox_inches="tight")
+    figure.legend(handles=handles, frameon=False, loc="outside right upper")
+    figure.savefig(picture, dpi=110)
 
 
 def draw_ranks(picture: Path) -> None:
@@ -102,5 +99,5 @@ def apart(heights: Sequence[float]) -> list[float]:
 
 if __name__ == "__main__":
     draw({"": pd.concat([report("circle2d"), report("solve")])}, PICTURE)
-    draw({task.split("/")[1]: on_safety_task(task) for task in (POINT_GOAL, HALF_CHEETAH)}, SAFETY)
+    draw({task.split("/")[1]: on_safety_task(task) for task in SAFETY_TASKS}, SAFETY)
     draw_ranks(RANKS)

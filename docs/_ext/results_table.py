@@ -35,6 +35,14 @@ FORCES = (110.0, 330.0)
 """Half of the servo's strongest push along an axis, and what impacts alone reach, N."""
 POINT_GOAL = "circle2d_mj/SafetyPointGoal1-v0"
 HALF_CHEETAH = "circle2d_mj/SafetyHalfCheetahVelocity-v1"
+POINT_PUSH = "circle2d_mj/SafetyPointPush1-v0"
+SAFETY_TASKS = {
+    POINT_GOAL: ("runs.zip", "sac-pid-cal.zip"),
+    HALF_CHEETAH: ("half-cheetah.zip",),
+    POINT_PUSH: ("push-trust-region.zip", "push-others.zip"),
+}
+"""Those of the benchmark and their archives; the first gave the questions that the others are
+asked."""
 LIBRARY = {
     "CPO": "CPO-library (input_scale 15.0)",
     "SAC-LB": "SAC-LB (time_limit bootstrap, reward_scale running)",
@@ -247,6 +255,11 @@ def half_cheetah() -> list[str]:
     return _benchmarked(HALF_CHEETAH, 3, 0)
 
 
+def point_push() -> list[str]:
+    """`_benchmarked` on SafetyPointPush1-v0."""
+    return _benchmarked(POINT_PUSH, 2, 1)
+
+
 def _benchmarked(task: str, digits: int, of_return: int) -> list[str]:
     """A row for each algorithm on a Safety task: EMCC by third and cost rate, means; late EMCC, J_R
     and J_C with their ranges; runs within the limit. In the order of the late EMCC.
@@ -271,14 +284,39 @@ def on_safety_task(task: str) -> pd.DataFrame:
     return lines.assign(algorithm=lines.algorithm.str.removesuffix(BENCHMARK_STEPS))
 
 
+def on_policy(lines: pd.DataFrame) -> pd.DataFrame:
+    """The lines of the twelve on-policy algorithms."""
+    return lines[~lines.algorithm.str.contains(OFF_POLICY)]
+
+
+def late_costs(task: str) -> pd.DataFrame:
+    """By on-policy algorithm, in the last third of training on a Safety task, means over seeds:
+    "costing", the share of episodes that cost, and "longest", of all costs the share in their
+    episode's longest streak."""
+    rows = []
+    for group in read([RESULTS / "baselines" / "safety" / name for name in SAFETY_TASKS[task]], []):
+        for run in group.runs:
+            late = run.records.by_part(group.config.steps)[0.99]
+            longest = late.longest_streak.sum() / max(late.cost.sum(), 1.0)
+            name = algorithms.title(group.config.algorithm)
+            rows.append({"algorithm": name, "costing": (late.cost > 0).mean(), "longest": longest})
+    return on_policy(pd.DataFrame(rows)).groupby("algorithm").mean()
+
+
+def ends(values: pd.Series, digits: int = 2) -> str:
+    """The lowest and the highest value, each with its algorithm."""
+    both = (values.idxmin(), values.idxmax())
+    return " to ".join(f"{short(values[name], digits)} ({name})" for name in both)
+
+
 def safety_orders() -> list[str]:
     """A row for each Safety task of the benchmark: of the twelve on-policy algorithms' means,
-    Kendall's tau of late EMCC and the cost rate, and Spearman's rho of late EMCC and J_R. p values:
-    two-sided, corrected for all tasks but the one that gave the questions (Holm)."""
+    Kendall's tau of late EMCC and the cost rate, and Spearman's rho of late EMCC and J_R; of the
+    late costs the share in their episode's longest streak. p values: two-sided, corrected for all
+    tasks but the one that gave the questions (Holm)."""
     told = {}
-    for task in (POINT_GOAL, HALF_CHEETAH):
-        lines = on_safety_task(task)
-        own = lines[~lines.algorithm.str.contains(OFF_POLICY)]
+    for task in SAFETY_TASKS:
+        own = on_policy(on_safety_task(task))
         means = own.groupby("algorithm")[["EMCC_0.99", "cost_rate", "J_R"]].mean()
         late = means["EMCC_0.99"]
         told[task] = (
@@ -295,6 +333,7 @@ def safety_orders() -> list[str]:
                 f"{short(one.statistic)} ({_p(p.get((task, k), one.pvalue))})"
                 for k, one in enumerate(pair)
             ),
+            ends(late_costs(task)["longest"]),
         )
         for task, pair in told.items()
     ]
@@ -445,7 +484,7 @@ PAGES = {
     "README.md": (grid, equal_rates, safety),
     "library/README.md": (later_library,),
     "physics/README.md": (physics, physics_against_kinematic, forces),
-    "baselines/README.md": (baselines, point_goal, half_cheetah, safety_orders),
+    "baselines/README.md": (baselines, point_goal, half_cheetah, point_push, safety_orders),
     "solve/README.md": (solving, compared, parts),
 }
 """The tables of each page."""

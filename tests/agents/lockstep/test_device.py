@@ -96,8 +96,7 @@ def test_numpy_has_one_thread_in_training_and_the_callers_afterwards():
 
 def test_auto_compiles_long_trainings_alone(monkeypatch):
     monkeypatch.setattr(backend, "cannot_compile", lambda: "")
-    chosen = [backend.choose("auto", steps, "cpu") for steps in (299_999, 300_000)]
-    assert chosen == ["eager", "compiled"]
+    assert [backend.choose("auto", n, "cpu") for n in (299_999, 300_000)] == ["eager", "compiled"]
 
 
 def test_the_callers_limit_of_compilations_comes_back(monkeypatch, tmp_path):
