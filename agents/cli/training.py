@@ -355,12 +355,11 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
             steps = grid.QUICK_STEPS
         what = (tasks, names, seeds, steps, options.device, options.ablations, parameters)
         configs = grid.grid(options.out, *what)
-    begun: list[BackendChoice] = [
-        TrainConfig.read(f).backend for f in configs if (f / "config.json").exists()
-    ]
-    choice = options.backend or (*begun, "auto")[0]
+    usual: BackendChoice = "auto"
+    if begun := next((f for f in configs if (f / "config.json").exists()), None):
+        usual = TrainConfig.read(begun).backend
     longest = max(len(config.runs) * config.steps for config in configs.values())
-    backend = lockstep_backend.choose(choice, longest, options.device)
+    backend = lockstep_backend.choose(options.backend or usual, longest, options.device)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}
 
 
