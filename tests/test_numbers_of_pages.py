@@ -72,7 +72,13 @@ PAGES = results_table.PAGES | {"omnisafe/README.md": (omnisafe_parity.omnisafe,)
 
 
 @pytest.mark.parametrize(
-    ("name", "table"), [(name, table) for name, tables in PAGES.items() for table in tables]
+    ("name", "table"),
+    [
+        # The forces of all steps are 22 MB that LZMA packed.
+        pytest.param(name, table, marks=[pytest.mark.slow] * (table is results_table.forces))
+        for name, tables in PAGES.items()
+        for table in tables
+    ],
 )
 def test_the_tables(name, table):
     rows = table()

@@ -5,6 +5,7 @@ python docs/_ext/results_table.py
 
 from __future__ import annotations
 
+import functools
 import itertools
 from pathlib import Path
 
@@ -63,6 +64,7 @@ PARTS = {
 """Parts that SAC-LB-Streak was trained without, by the ends of its folders' names."""
 
 
+@functools.cache
 def report(grid: str) -> pd.DataFrame:
     """The lines of a grid's report.csv."""
     return pd.read_csv(RESULTS / grid / "report.csv")
@@ -289,6 +291,7 @@ def on_policy(lines: pd.DataFrame) -> pd.DataFrame:
     return lines[~lines.algorithm.str.contains(OFF_POLICY)]
 
 
+@functools.cache
 def late_costs(task: str) -> pd.DataFrame:
     """By on-policy algorithm, in the last third of training on a Safety task, means over seeds:
     "costing", the share of episodes that cost, and "longest", of all costs the share in their

@@ -1,6 +1,7 @@
 """Tests of training run under the settings of training."""
 
 import pytest
+from small_runs import few_episodes
 
 from agents.lockstep import backend
 
@@ -8,3 +9,5 @@ from agents.lockstep import backend
 @pytest.fixture(autouse=True, scope="session")
 def as_in_training():
     backend.configure()
+    with few_episodes():
+        yield

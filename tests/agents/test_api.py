@@ -10,7 +10,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
-from small_runs import TRPO, few_episodes, results, write_evaluated
+from small_runs import TRPO, results, write_evaluated
 from toys import register as register_toys
 
 import agents
@@ -22,12 +22,6 @@ from agents.training.config import TrainConfig
 
 register_toys()
 SMALL = TRPO | {"seeds": [3, 4], "steps": 300}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def few():
-    with few_episodes():
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -99,7 +99,7 @@ def test_a_gpu_that_is_not_there(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("module", "options", "hint"),
     [
-        ("torch.utils.tensorboard", [*TRAIN, "--tensorboard"], "circle2d-mj[tensorboard]"),
+        ("tensorboard", [*TRAIN, "--tensorboard"], "circle2d-mj[tensorboard]"),
         ("ray", ["reproduce", "--quick", "--engine", "ray"], "circle2d-mj[ray]"),
         ("onnx", ["export", "{folder}", "--format", "onnx"], "circle2d-mj[export]"),
     ],

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import toys
-from small_runs import TRPO, edit_results, few_episodes, results, write_evaluated
+from small_runs import TRPO, edit_results, results, write_evaluated
 
 import agents
 from agents.errors import UserError
@@ -25,14 +25,13 @@ def runs(tmp_path_factory):
     """Two trainings of which one holds two tasks and a run that failed, one that has not ended."""
     folder = tmp_path_factory.mktemp("runs") / "grid"
     more = TRPO | {"seeds": (0, 3), "steps": 300}
-    with few_episodes():
-        tasks = (TASK, "Circle2D-3-v0")
-        agents.train("cpo", tasks, out=folder / "both", cost_limit=5.0, **more)
-        poison = {"task_parameters": {"poison": 0.002}, "seeds": range(5)}
-        agents.train("trpo-lag", "Walk-v0", out=folder / "Walk" / "trpo-lag", **more | poison)
-        stop = {"on_epoch": lambda epoch: False}
-        agents.train("ppo-lag", TASK, out=folder / "part", **more, **stop)
-        agents.train("cpo", "TwoCosts-v0", out=folder / "two", costs=("cost", "cost_2"), **more)
+    tasks = (TASK, "Circle2D-3-v0")
+    agents.train("cpo", tasks, out=folder / "both", cost_limit=5.0, **more)
+    poison = {"task_parameters": {"poison": 0.002}, "seeds": range(5)}
+    agents.train("trpo-lag", "Walk-v0", out=folder / "Walk" / "trpo-lag", **more | poison)
+    stop = {"on_epoch": lambda epoch: False}
+    agents.train("ppo-lag", TASK, out=folder / "part", **more, **stop)
+    agents.train("cpo", "TwoCosts-v0", out=folder / "two", costs=("cost", "cost_2"), **more)
     return folder
 
 
@@ -184,10 +183,9 @@ def test_folders_that_differ_in_their_seeds_count_as_one(tmp_path):
     """The same numbers as of one training with all seeds; a limit of 5 is one of 5.0."""
     more = TRPO | {"steps": 300}
     folders = {"whole": ((0, 1, 2), 5.0), "p/first": ((0, 1), 5.0), "p/later": ((2,), 5)}
-    with few_episodes():
-        for name, (seeds, limit) in folders.items():
-            more |= {"seeds": seeds, "cost_limit": limit}
-            agents.train("trpo-lag", TASK, out=tmp_path / name, **more)
+    for name, (seeds, limit) in folders.items():
+        more |= {"seeds": seeds, "cost_limit": limit}
+        agents.train("trpo-lag", TASK, out=tmp_path / name, **more)
     notes = []
     [pooled], [whole] = read([tmp_path / "p"], notes), read([tmp_path / "whole"], [])
     assert pooled.seeds == [0, 1, 2]

@@ -14,7 +14,7 @@ from agents.training.config import RunId, TrainConfig
 
 OPTIONS = {"steps": 200, "checkpoint_every": 50, "evaluate_every": 100}
 FAMILIES = {"trpo-lag": TRPO, "cpo": TRPO, "sac-lb": SAC}
-AT_SIZE = {"sac-lb": {"hidden": (64, 64), "batch_size": 256}}
+AT_SIZE = {"sac-lb": {"hidden": (64, 64), "batch_size": 256, "steps": 300}}
 """Twenty runs of it may have other kernels than one: see below."""
 TASKS = ("Circle2D-1-v0", "Circle2D-2-v0")
 PHYSICS = ("Circle2DMuJoCo-0-v0", "Circle2DMuJoCo-1-v0")

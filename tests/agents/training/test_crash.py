@@ -138,7 +138,7 @@ CHOICES = {"toy": {}, "trpo-lag": TRPO, "sac-lag": SAC}
 FOLDERS = ("checkpoints", "policies")
 
 
-@pytest.mark.parametrize(("algorithm", "every"), [("toy", 1), ("trpo-lag", 7), ("sac-lag", 7)])
+@pytest.mark.parametrize(("algorithm", "every"), [("toy", 1), ("trpo-lag", 15), ("sac-lag", 15)])
 def test_every_prefix_of_the_operations_goes_on_to_the_same(tmp_path, algorithm, every):
     folder, chosen = tmp_path / "whole", config(algorithm, **CHOICES[algorithm])
 
@@ -206,7 +206,7 @@ DAMAGES |= {
 def test_every_damaged_file_gives_the_same_or_one_error_that_names_it(left, tmp_path):
     """And what reads the folder meanwhile gives no other number."""
     folder, expected = left
-    finished = (folder / "results.npz").exists()
+    whole = read([folder], []) if (folder / "results.npz").exists() else []
     names = [n for n, c in files_of(folder).items() if c is not None and not n.endswith(".lock")]
     for name in names:
         for kind, damage in DAMAGES.items():
@@ -216,8 +216,8 @@ def test_every_damaged_file_gives_the_same_or_one_error_that_names_it(left, tmp_
             (copy / name).unlink()
             if content is not None:
                 (copy / name).write_bytes(content)
-            if finished:
-                assert_reads_the_same(copy, folder)
+            if whole:
+                assert_reads_the_same(copy, *whole)
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", ".*going on from the checkpoint before it.*")
                 try:
@@ -231,14 +231,13 @@ def test_every_damaged_file_gives_the_same_or_one_error_that_names_it(left, tmp_
             assert found == expected, (name, kind)
 
 
-def assert_reads_the_same(copy, whole):
+def assert_reads_the_same(copy, expected):
     """Or an error, or the run is left out with a note."""
     notes = []
     try:
         groups = read([copy], notes)
     except UserError:
         return
-    [expected] = read([whole], [])
     for run in groups[0].runs:
         other = next(other for other in expected.runs if other.seed == run.seed)
         assert run.measures == other.measures

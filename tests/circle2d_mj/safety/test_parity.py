@@ -113,6 +113,7 @@ def of_group(group, key):
     return np.array([row[key] for n in NAVIGATION for row in errors(n) if row["group"] == group])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ERRORS, ids="-".join)
 def test_next_states_by_touch(group):
     largest, quantile, median, of_all = ERRORS[group]
@@ -132,6 +133,7 @@ def test_next_states_by_touch(group):
         assert of_group(group, "accelerometer").max() <= 1e-5
 
 
+@pytest.mark.slow
 def test_every_step_is_in_a_group():
     """Mixed touches have no bounds of their own; there are few of them."""
     rows = [row for name in NAVIGATION for row in errors(name)]
