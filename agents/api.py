@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import itertools
 import os
 import re
@@ -29,10 +28,10 @@ import shutil
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, ParamSpec, TypeVar
+from typing import Any, Literal
 
 from agents.algorithms import BUILT_IN, module_of
-from agents.errors import RunsFailed, UserError
+from agents.errors import RunsFailed, UserError, extra
 from agents.lockstep import backend as lockstep_backend
 from agents.paper.presets import preset_with
 from agents.runs import Runs, folders_of
@@ -49,22 +48,9 @@ Folder = str | os.PathLike[str]
 """A path, or `Runs` of one folder, which stand for it."""
 Values = Collection[Any]
 """Values of a hyper-parameter."""
-P = ParamSpec("P")
-T = TypeVar("T")
 
 
-def _as_guest(function: Callable[P, T]) -> Callable[P, T]:
-    """Restore torch's settings when the function returns or raises."""
-
-    @functools.wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        with lockstep_backend.restored():
-            return function(*args, **kwargs)
-
-    return call
-
-
-@_as_guest
+@lockstep_backend.restored()
 def train(
     algorithm: str,
     task: str | Iterable[str] = "Circle2D-1-v0",
@@ -185,7 +171,7 @@ def sweep(
     return Runs(list(by_folder))
 
 
-@_as_guest
+@lockstep_backend.restored()
 def resume(*folders: Folder, on_epoch: OnEpoch | None = None, progress: bool = False) -> Runs:
     """Go on with the runs of folders, from their newest checkpoints, as if never interrupted.
 
@@ -283,7 +269,7 @@ def configs_of(
     for name in tasks:
         check_task(name, first.task_parameters, first.costs)
     if first.tensorboard:
-        callbacks.require_tensorboard()
+        extra("tensorboard", "tensorboard")
     chosen = lockstep_backend.choose(backend, first.steps * len(first.runs), first.device)
     return [dataclasses.replace(config, backend=chosen) for config in configs]
 

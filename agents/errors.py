@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 import pickle
 import traceback
 from collections.abc import Iterable
@@ -80,6 +81,14 @@ def one_line(text: object) -> str:
         letter if letter.isprintable() else letter.encode("unicode_escape").decode()
         for letter in words
     )
+
+
+def extra(module: str, name: str) -> Any:
+    """A module that the extra `name` brings. Raises UserError where it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise UserError(f"{module} is not installed: pip install 'circle2d-mj[{name}]'") from error
 
 
 EXTRA = (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from agents.algorithms import title
-from agents.errors import UserError
+from agents.errors import UserError, extra
 from agents.paper.evidence import printed
 from agents.reporting.provenance import command
 from agents.reporting.tables import task_table
@@ -99,26 +98,16 @@ def _network(policy: Policy, seed: int) -> Exported:
     return Exported(arrays, layers)
 
 
-def _library(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError:
-        package = name.partition(".")[0]
-        raise UserError(
-            f"export needs {package}, which is not installed: pip install 'circle2d-mj[export]'"
-        ) from None
-
-
 def _write_safetensors(network: Exported, about: Mapping[str, str]) -> bytes:
     arrays = {name: np.ascontiguousarray(array) for name, array in network.arrays.items()}
     # One entry: the library writes several in any order, and equal policies give equal files.
     metadata = {"about": json.dumps(about)}
-    return _library("safetensors.numpy").save(arrays, metadata=metadata)
+    return extra("safetensors.numpy", "export").save(arrays, metadata=metadata)
 
 
 def _write_onnx(network: Exported, about: Mapping[str, str]) -> bytes:
     """A graph from "observation" [N, size] to "action" [N, size]."""
-    onnx = _library("onnx")
+    onnx = extra("onnx", "export")
     helper, arrays = onnx.helper, dict(network.arrays)
     arrays |= {"range": arrays["high"] - arrays["low"]}
     arrays |= {name: np.array(v, np.float32) for name, v in (("-1", -1), ("1", 1), ("2", 2))}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from numpy.typing import NDArray
 
-from agents.errors import UserError
+from agents.errors import UserError, extra
 from agents.training.config import NO_RUNS, TrainConfig
 from agents.training.files import opened
 from emcc import EpisodeRecords
@@ -106,10 +106,7 @@ class Runs:
         """
         if rows not in get_args(Rows):
             raise UserError(f"rows must be {', '.join(get_args(Rows))}, got {rows!r}")
-        try:
-            import pandas  # noqa: F401  # an extra
-        except ImportError as error:
-            raise ImportError("to_pandas needs pandas: pip install 'circle2d-mj[train]'") from error
+        extra("pandas", "train")
         from agents.results import frame
 
         if rows == "measures":

@@ -246,6 +246,7 @@ MARGIN = 1.5
 """How far the cost limit falls in the control that has a margin instead of the streak cost."""
 
 
+@functools.cache  # asked for each group of a report
 def ablations(name: str, task: str) -> dict[str, Any]:
     """The preset with one thing changed, by the change's name: several for each algorithm.
 

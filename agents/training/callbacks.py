@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from agents.errors import UserError
+from agents.errors import UserError, extra
 from agents.lockstep.backend import CLOCK
 from agents.training import evaluation
 from agents.training.config import STATUS, TrainConfig, is_of_policy, made_with, policy_path
@@ -295,16 +295,6 @@ def duration(seconds: float) -> str:
     return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"
 
 
-def require_tensorboard() -> None:
-    """Raise UserError, saying how to install it, where TensorBoard is missing."""
-    try:
-        import torch.utils.tensorboard  # noqa: F401  # an extra, and slow to import
-    except ImportError as error:
-        raise UserError(
-            "TensorBoard is not installed: pip install 'circle2d-mj[tensorboard]'"
-        ) from error
-
-
 class Events:
     """TensorBoard event files, each run's in `tensorboard/RUN`.
 
@@ -313,7 +303,7 @@ class Events:
     """
 
     def __init__(self, trainer: Trainer) -> None:
-        require_tensorboard()
+        extra("tensorboard", "tensorboard")
         from torch.utils.tensorboard import SummaryWriter
 
         folder = trainer.folder / "tensorboard"

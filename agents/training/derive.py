@@ -102,13 +102,14 @@ def write_results(
     episodes = config.evaluation_episodes if episodes is None else episodes
     evaluated = evaluate_runs(config, policy, episodes, failures == "")
     arrays = derived(folder, config, failures)
+    views = {task: view_of(task, config.task_parameters) for task in config.tasks}
     for k, run in enumerate(config.runs):
-        view = view_of(run.task, config.task_parameters)
         for name, result in evaluated.items():
             if not result.void[k]:
                 own = result.of_run(k)
                 if name == "deterministic":
-                    own |= places_of(view, result.final_observations[k], result.costs[k, :, 0])
+                    final, costs = result.final_observations[k], result.costs[k, :, 0]
+                    own |= places_of(views[run.task], final, costs)
                 prefix = f"{run.prefix}evaluation/{name}/"
                 arrays |= {prefix + key: array for key, array in own.items()}
         drawn = evaluated["deterministic"].paths[k]

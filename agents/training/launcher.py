@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib
 import os
 import signal
 import socket
@@ -19,7 +18,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any, Literal
 
-from agents.errors import UserError
+from agents.errors import UserError, extra
 from agents.training.config import CHECKPOINTS, RESULTS, STATUS, STEPS
 from agents.training.files import UNFINISHED, locked, write_whole
 
@@ -207,12 +206,7 @@ def _ray() -> Any:
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     # Of a cluster that is started here: as the local processes, not below all others.
     os.environ.setdefault("RAY_worker_niceness", "0")
-    try:
-        return importlib.import_module("ray")
-    except ModuleNotFoundError as error:
-        raise UserError(
-            "the engine ray needs ray, which is not installed: pip install 'circle2d-mj[ray]'"
-        ) from error
+    return extra("ray", "ray")
 
 
 @contextlib.contextmanager
