@@ -27,7 +27,6 @@ from agents.results.reading import Episode, Group, Replay, Run
 from agents.training.derive import DRAWN_POLICIES, GRID_MAX, WINDOWS, Visits
 from agents.training.environments import view_of
 from agents.training.evaluation import DRAWN
-from agents.training.files import DamagedFile
 from circle2d_mj.core.view import Extent, Picture, View
 from circle2d_mj.render import canvas
 from circle2d_mj.render.figure import figure
@@ -41,6 +40,7 @@ STATES = 128
 """States of an episode, at most, that are drawn: of a longer one every second, third, ... one."""
 SHADES = 31
 """Colours of a heat map."""
+NO_POSITIONS = "it has no positions"
 BITS = 10
 """Bits of a coordinate: the last of the grid's points along a side is 2**BITS - 1."""
 DIGITS = 1000
@@ -221,12 +221,9 @@ def _visited(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     names: list[str] = []
     columns: list[list[tuple[Scene, str, NDArray[np.int64]]]] = []
     for group, scene in seen:
-        try:
-            parts = group.visits()
-        except DamagedFile:
-            raise
-        except UserError as error:
-            notes.append(f"no heat map of {group.title}: {error}")
+        parts = group.visits()
+        if parts is None:
+            notes.append(f"no heat map of {group.title}: {NO_POSITIONS}")
             continue
         names.append(name_of(group))
         columns.append([(scene, visits_words(part), _coarser(part.counts)) for part in parts])
@@ -258,16 +255,13 @@ def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     columns: list[list[Map | str]] = []
     for group, scene in seen:
         runs = group.runs[:DRAWN_POLICIES]
-        try:
-            played = group.trained([run.seed for run in runs])
-        except DamagedFile:
-            raise
-        except UserError as error:
-            notes.append(f"no trajectories of {group.title}: {error}")
+        played = group.trained([run.seed for run in runs])
+        if played is None:
+            notes.append(f"no trajectories of {group.title}: {NO_POSITIONS}")
             continue
         names.append(name_of(group))
         columns.append([_map(run, played[run.seed], scene) for run in runs])
-    if not any(isinstance(cell, Map) for column in columns for cell in column):
+    if not columns:
         return None
     most = max(map(len, columns))
     rows = zip(*(column + [""] * (most - len(column)) for column in columns), strict=True)
@@ -280,12 +274,10 @@ def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     return Maps("Trained policies", words, names, heads, list(rows))
 
 
-def _map(run: Run, episodes: Sequence[Episode] | None, scene: Scene) -> Map | str:
-    """The episodes of a run's policy; words for one that diverged."""
+def _map(run: Run, episodes: Sequence[Episode], scene: Scene) -> Map:
+    """The episodes of a run's policy."""
     named = [(measure(name), run.measures[name]) for name in ("J_R", "J_C")]
     words = ", ".join(f"{m.title} {value:.1f}" for m, value in named if value is not None)
-    if episodes is None:
-        return f"seed {run.seed}: {words}; its numbers are not finite"
     way, costs = paths(scene.extent, episodes)
     return Map(scene, f"seed {run.seed}: {words}", way=way, costs=costs)
 
@@ -340,15 +332,9 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
             continue
         named = {"task": group.task, "algorithm": name_of(group)}
         for run in group.runs[:most]:
-            try:
-                replay = group.replay(run)
-            except DamagedFile:
-                raise
-            except UserError as error:
-                notes.append(f"no replay of {group.title}: {error}")
-                break
-            if not all(len(episode.points) for episode in replay.episodes):
-                notes.append(f"no replay of {group.title}: it has no positions")
+            replay = group.replay(run)
+            if replay is None:
+                notes.append(f"no replay of {group.title}: {NO_POSITIONS}")
                 break
             numbers = _run(run, replay, group.config.steps)
             runs.append({**named, "scene": scene.number, **numbers})

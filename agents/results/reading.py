@@ -187,13 +187,13 @@ class Group:
         """The limit of its cost; None where the algorithm does not limit it."""
         return self.config.limits.get(self.cost)
 
-    def visits(self) -> list[Visits]:
-        """States visited in each third of training, of all complete runs. Raises UserError."""
+    def visits(self) -> list[Visits] | None:
+        """Visited states by third of training, of all complete runs; None without positions."""
         prefix, weights, parts = file_name(self.task) + "/", [], []
         for part in self.parts:
             count = sum(seed in part.config.seeds for seed in self.seeds)
             if count and prefix + "visits" not in part.arrays:
-                raise UserError("it has no positions")
+                return None
             if count:
                 weights.append(count)
                 counts = part.arrays[prefix + "visits"].astype(np.int64)
@@ -205,17 +205,14 @@ class Group:
         thirds = zip(counts, emcc.tolist(), rollouts, strict=True)
         return [Visits(visited, value, *number) for visited, value, number in thirds]
 
-    def trained(self, seeds: Sequence[int]) -> dict[int, list[Episode] | None]:
-        """Episodes of the trained policies, by seed; None of one that met a number which is not
-        finite. Those of the first `derive.DRAWN_POLICIES` runs are there. Raises UserError."""
-        episodes: dict[int, list[Episode] | None] = {}
+    def trained(self, seeds: Sequence[int]) -> dict[int, list[Episode]] | None:
+        """Episodes of the trained policies, by seed, which the first `derive.DRAWN_POLICIES` runs
+        have; None without positions."""
+        episodes = {}
         for seed in seeds:
             arrays, prefix = self._arrays(seed)
-            if f"{prefix}evaluation/deterministic/returns" not in arrays:
-                episodes[seed] = None
-                continue
             if f"{prefix}trained/length" not in arrays:
-                raise UserError(f"the policy of seed {seed} has no episodes to draw")
+                return None
             names = ("length", "positions", "costs")
             length, positions, costs = (arrays[f"{prefix}trained/{name}"] for name in names)
             ends = np.cumsum(length)[:-1]
@@ -224,11 +221,11 @@ class Group:
             episodes[seed] = [Episode(*pair) for pair in pairs]
         return episodes
 
-    def replay(self, run: Run) -> Replay:
-        """The episode of highest MCC in each window of a run's training. Raises UserError."""
+    def replay(self, run: Run) -> Replay | None:
+        """The episode of highest MCC in each window of a run's training; None without positions."""
         arrays, prefix = self._arrays(run.seed)
         if f"{prefix}replay/points" not in arrays:
-            raise UserError("it has no positions")
+            return None
         costs, points = self.costs(run), arrays[f"{prefix}replay/points"]
         episodes, at, records = [], 0, run.records
         for window, row in derive.replay_rows(records, self.config.steps):

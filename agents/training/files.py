@@ -126,10 +126,6 @@ def write_arrays(
                 np.lib.format.write_array(file, np.asanyarray(array), allow_pickle=False)
 
 
-class DamagedFile(UserError):
-    """A file that is there and cannot be read."""
-
-
 class Arrays(Mapping[str, NDArray]):
     """The arrays of an .npz file by name, each read, and compared with its checksum, when it is
     asked for. Raises UserError naming the file where it is missing or damaged."""
@@ -172,8 +168,8 @@ class Arrays(Mapping[str, NDArray]):
     def __len__(self) -> int:
         return len(self._names)
 
-    def _damaged(self, error: BaseException) -> DamagedFile:
-        return DamagedFile(f"{self.path} is damaged: {error or type(error).__name__}")
+    def _damaged(self, error: BaseException) -> UserError:
+        return UserError(f"{self.path} is damaged: {error or type(error).__name__}")
 
 
 def numbered(folder: AnyPath, name: str) -> dict[int, AnyPath]:
