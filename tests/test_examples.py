@@ -7,7 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import gymnasium as gym
 import pytest
+
+from agents.paper.presets import preset, preset_with
 
 FOLDER = Path(__file__).parents[1] / "examples"
 NEEDED = {
@@ -41,6 +44,21 @@ def test_it_runs(name, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "violation rate V" in done.stdout
     assert "limit 5" in done.stdout
+
+
+def test_a_thicker_wall(monkeypatch):
+    """Of 2.5 + 1.1 between cut-outs and corridor; SAC-LB has the same settings as without it."""
+    monkeypatch.syspath_prepend(FOLDER)
+    importlib.import_module("thick_wall")
+    name = "Circle2DThickWall-3-v0"
+    for env in (gym.make(name), gym.make_vec(name, 2)):
+        region = env.unwrapped.config.region
+        assert region.crossing() == pytest.approx(3.6)
+        # In the top cut-out below its new end and above it; in the corridor; in the middle.
+        points = [(0, 6.0), (0, 6.2), (-5, 0), (0, 0)]
+        assert region.contains(points).tolist() == [True, False, False, True]
+    changes = {"cost_limit": 5.0, "time_limit": "terminal"}
+    assert preset_with("sac-lb", name, changes) == preset("sac-lb", "Circle2D-3-v0")
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("slurm/*.sbatch")), ids=lambda path: path.name)

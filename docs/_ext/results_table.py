@@ -37,10 +37,12 @@ FORCES = (110.0, 330.0)
 POINT_GOAL = "circle2d_mj/SafetyPointGoal1-v0"
 HALF_CHEETAH = "circle2d_mj/SafetyHalfCheetahVelocity-v1"
 POINT_PUSH = "circle2d_mj/SafetyPointPush1-v0"
+POINT_BUTTON = "circle2d_mj/SafetyPointButton1-v0"
 SAFETY_TASKS = {
     POINT_GOAL: ("runs.zip", "sac-pid-cal.zip"),
     HALF_CHEETAH: ("half-cheetah.zip",),
     POINT_PUSH: ("push-trust-region.zip", "push-others.zip"),
+    POINT_BUTTON: ("button-nine.zip", "button-others.zip"),
 }
 """Those of the benchmark and their archives; the first gave the questions that the others are
 asked."""
@@ -260,6 +262,11 @@ def half_cheetah() -> list[str]:
 def point_push() -> list[str]:
     """`_benchmarked` on SafetyPointPush1-v0."""
     return _benchmarked(POINT_PUSH, 2, 1)
+
+
+def point_button() -> list[str]:
+    """`_benchmarked` on SafetyPointButton1-v0."""
+    return _benchmarked(POINT_BUTTON, 2, 1)
 
 
 def _benchmarked(task: str, digits: int, of_return: int) -> list[str]:
@@ -487,7 +494,10 @@ PAGES = {
     "README.md": (grid, equal_rates, safety),
     "library/README.md": (later_library,),
     "physics/README.md": (physics, physics_against_kinematic, forces),
-    "baselines/README.md": (baselines, point_goal, half_cheetah, point_push, safety_orders),
+    "baselines/README.md": (
+        *(baselines, point_goal, half_cheetah, point_push, point_button),
+        safety_orders,
+    ),
     "solve/README.md": (solving, compared, parts),
 }
 """The tables of each page."""
