@@ -2,8 +2,8 @@
 
 import math
 import os
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -277,6 +277,28 @@ class EpisodeRecords:
         arrays.setdefault("start_step", np.cumsum(length) - length)
         arrays.setdefault("return", np.zeros(len(length)))
         return cls(*map(arrays.get, COLUMNS))  # pyright: ignore[reportArgumentType]
+
+
+def unpack_costs(arrays: Mapping[str, NDArray], prefix: str) -> NDArray[np.float64]:
+    """Costs of steps from arrays named below a prefix: "unsafe", a bit for each step that costs,
+    and "values" where some of these are not 1."""
+    steps = int(arrays[prefix + "steps"])
+    unsafe = np.unpackbits(arrays[prefix + "unsafe"], count=steps).astype(bool)
+    costs = unsafe.astype(np.float64)
+    if prefix + "values" in arrays:
+        costs[unsafe] = arrays[prefix + "values"]
+    return costs
+
+
+def records_of(
+    arrays: Mapping[str, NDArray], prefix: str, cost: str, threshold: float = 0.0
+) -> EpisodeRecords:
+    """Records of a run, with one of its costs, from the arrays of a training's results.npz, whose
+    names begin with the prefix."""
+    costs, rollouts = unpack_costs(arrays, f"{prefix}costs/{cost}/"), arrays[prefix + "rollouts"]
+    ids, length = np.repeat(np.arange(len(rollouts)), rollouts), arrays[prefix + "length"]
+    records = EpisodeRecords.from_costs(costs, length.astype(np.int64), None, ids, threshold)
+    return replace(records, reward=arrays[prefix + "return"])
 
 
 def check_records(records: Any, name: str = "records", fewest: int = 1) -> None:

@@ -9,7 +9,7 @@ import os
 import re
 import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from emcc.arrays import as_array, as_count, named
 from emcc.recorder import CostRecorder
-from emcc.records import EpisodeRecords
+from emcc.records import EpisodeRecords, records_of
 from emcc.table import Columns
 
 ENDS = ("done", "terminated", "truncated")
@@ -114,19 +114,9 @@ def _read_run_folder(folder: Any, threshold: float) -> Iterator[Run]:
 
 
 def _records(arrays: Any, prefix: str, cost: str, threshold: float) -> EpisodeRecords:
-    """The records of one run: its costs are a bit for each step that costs, and the values where
-    some are not 1."""
     if prefix + "failure" in arrays and prefix + "length" not in arrays:
         return CostRecorder(1).records  # it failed in its first epoch
-    packed = f"{prefix}costs/{cost}/"
-    unsafe = np.unpackbits(arrays[packed + "unsafe"], count=int(arrays[packed + "steps"]))
-    costs = unsafe.astype(np.float64)
-    if packed + "values" in arrays:
-        costs[unsafe == 1] = arrays[packed + "values"]
-    rollouts = arrays[prefix + "rollouts"]
-    ids, lengths = np.repeat(np.arange(len(rollouts)), rollouts), arrays[prefix + "length"]
-    records = EpisodeRecords.from_costs(costs, lengths.astype(np.int64), None, ids, threshold)
-    return replace(records, reward=arrays[prefix + "return"])
+    return records_of(arrays, prefix, cost, threshold)
 
 
 def _arrays(path: Any) -> Any:

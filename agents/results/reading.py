@@ -46,6 +46,7 @@ from agents.training.files import (
 )
 from emcc import CostRecorder, EpisodeRecords, cvar
 from emcc.parts import PARTS
+from emcc.records import records_of, unpack_costs
 
 CVAR_ALPHA = 0.5
 
@@ -238,7 +239,7 @@ class Group:
     def costs(self, run: Run) -> NDArray[np.float64]:
         """Costs of all steps of a run, [steps]."""
         arrays, prefix = self._arrays(run.seed)
-        return derive.unpack_costs(arrays, f"{prefix}costs/{self.cost}/")
+        return unpack_costs(arrays, f"{prefix}costs/{self.cost}/")
 
     @property
     def recorded(self) -> dict[str, str]:
@@ -249,7 +250,7 @@ class Group:
     def steps(self, run: Run, name: str) -> NDArray[np.float64]:
         """A number that was recorded at each step of a run, [steps], to five digits."""
         arrays, prefix = self._arrays(run.seed)
-        return derive.unpack_costs(arrays, f"{prefix}info/{name}/")
+        return unpack_costs(arrays, f"{prefix}info/{name}/")
 
     def _arrays(self, seed: int) -> tuple[Mapping[str, NDArray], str]:
         part = next(part for part in self.parts if seed in part.config.seeds)
@@ -429,7 +430,7 @@ def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> Episode
             return CostRecorder(1).records
         raise UserError("has no checkpoint yet")
     try:
-        return derive.records_of(arrays, run.prefix, cost)
+        return records_of(arrays, run.prefix, cost)
     except UserError:
         raise
     except UNREADABLE as error:

@@ -21,8 +21,7 @@ from __future__ import annotations
 
 import contextlib
 import zipfile
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,6 +37,7 @@ from agents.training.files import Arrays, numbered, write_arrays
 from circle2d_mj.core.view import TellsWays, View, histogram
 from emcc import EpisodeRecords, emcc, worst
 from emcc.parts import ALPHA, PARTS, rollouts_by_part
+from emcc.records import records_of
 
 CELLS = 160
 """Cells along each side of a heat map."""
@@ -187,30 +187,13 @@ def smallest(values: NDArray[np.int64]) -> NDArray:
 
 
 def pack_costs(costs: NDArray[np.floating]) -> dict[str, NDArray]:
-    """Costs of steps: a bit each, and the values where some are neither 0 nor 1."""
+    """Costs of steps: a bit each, and the values where some are neither 0 nor 1. Back:
+    `emcc.records.unpack_costs`."""
     unsafe = costs != 0
     packed = {"unsafe": np.packbits(unsafe), "steps": np.array(len(costs))}
     if (costs[unsafe] != 1).any():
         packed["values"] = costs[unsafe]
     return packed
-
-
-def unpack_costs(arrays: Mapping[str, NDArray], prefix: str) -> NDArray[np.float64]:
-    """The costs whose arrays, named below a prefix, `pack_costs` has made."""
-    steps = int(arrays[prefix + "steps"])
-    unsafe = np.unpackbits(arrays[prefix + "unsafe"], count=steps).astype(bool)
-    costs = unsafe.astype(np.float64)
-    if prefix + "values" in arrays:
-        costs[unsafe] = arrays[prefix + "values"]
-    return costs
-
-
-def records_of(arrays: Mapping[str, NDArray], prefix: str, cost: str) -> EpisodeRecords:
-    """The episodes of a run by its arrays, named below a prefix, with one of its costs."""
-    costs, rollouts = unpack_costs(arrays, f"{prefix}costs/{cost}/"), arrays[prefix + "rollouts"]
-    ids, length = np.repeat(np.arange(len(rollouts)), rollouts), arrays[prefix + "length"]
-    records = EpisodeRecords.from_costs(costs, length.astype(np.int64), None, ids)
-    return replace(records, reward=arrays[prefix + "return"])
 
 
 def count_visits(

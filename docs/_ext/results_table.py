@@ -413,7 +413,7 @@ def solving() -> list[str]:
     and means. SAC-LB's are the grid's, the others fresh seeds."""
     sources, rows = {"SAC-LB": report("circle2d")}, []
     fresh = report("solve")
-    for task in (*LEVELS, "Circle2DMuJoCo-0-v0", "Circle2DMuJoCo-1-v0"):
+    for task in (*LEVELS, *PHYSICS):
         for name in ("SAC-LB", UNITS, "SAC-LB-Streak"):
             own = runs(sources.get(name, fresh), task, name)
             if len(own):

@@ -9,9 +9,10 @@ from small_runs import TRPO, steps_of
 import agents
 from agents.errors import UserError
 from agents.results.reading import read
-from agents.training.derive import GRID_MAX, pack_costs, replay_rows, unpack_costs
+from agents.training.derive import GRID_MAX, pack_costs, replay_rows
 from agents.training.environments import view_of
 from emcc import EpisodeRecords
+from emcc.records import unpack_costs
 
 OPTIONS = TRPO | {"seeds": (3, 4), "steps": 60, "episodes": 3}
 

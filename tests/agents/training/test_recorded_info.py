@@ -13,8 +13,8 @@ import emcc
 from agents.errors import UserError
 from agents.reporting.tables import recorded_table
 from agents.results.reading import read, write_archive
-from agents.training.derive import unpack_costs
 from emcc import longest_streak
+from emcc.records import unpack_costs
 
 OPTIONS = TRPO | {"seeds": (3, 4), "steps": 300}
 
