@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emcc.arrays import as_count, as_number
-from emcc.parts import ALPHA, PARTS, cost_rate, cvar, emcc, rollouts_by_part
+from emcc.parts import ALPHA, PARTS, cost_rate, cvar, emcc
 from emcc.records import EpisodeRecords, check_records
 from emcc.statistics import COST, FEWEST_RUNS, SHARE, UNBOUNDED, Bounds, mean_interval
 from emcc.table import MISSING, Table
@@ -223,9 +223,10 @@ def emcc_of_thirds(
     records: EpisodeRecords, total_steps: int, alpha: float = ALPHA, ties: str = "all"
 ) -> dict[float, float | None]:
     """EMCC of each third, as `emcc.emcc_by_part`; None for one in which no rollout starts."""
-    mcc, starts = records.mcc_per_rollout()
-    parts = rollouts_by_part(starts, total_steps).items()
-    return {part: emcc(mcc[rows], alpha, ties) if rows.any() else None for part, rows in parts}
+    return {
+        part: emcc(third.mcc_per_rollout()[0], alpha, ties) if len(third) else None
+        for part, third in records.by_part(total_steps).items()
+    }
 
 
 class Row(NamedTuple):

@@ -19,7 +19,7 @@ import emcc
 from agents.results.measures import Measure, measure, measures
 from agents.results.reading import Group
 from emcc import EpisodeRecords, Interval, Share
-from emcc.parts import ALPHA, PARTS, rollouts_by_part
+from emcc.parts import ALPHA, PARTS
 from emcc.statistics import FEWEST_RUNS, UNBOUNDED, Bounds
 
 Key = TypeVar("Key", bound=Hashable)
@@ -179,14 +179,12 @@ def thirds(records: EpisodeRecords, steps: int) -> dict[float, Third]:
 
     steps: of the whole training.
     """
-    mcc, starts = records.mcc_per_rollout()
-    _, rollout = np.unique(records.rollout, return_inverse=True)
     told = {}
-    for part, chosen in rollouts_by_part(starts, steps).items():
-        if chosen.any():
-            episodes = chosen[rollout]
-            rate = emcc.cost_rate(records.cost[episodes], records.length[episodes])
-            told[part] = Third(rate, emcc.emcc(mcc[chosen], ALPHA), mcc[chosen])
+    for part, third in records.by_part(steps).items():
+        if len(third):
+            mcc, _ = third.mcc_per_rollout()
+            rate = emcc.cost_rate(third.cost, third.length)
+            told[part] = Third(rate, emcc.emcc(mcc, ALPHA), mcc)
     return told
 
 
