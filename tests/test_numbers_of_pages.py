@@ -409,6 +409,31 @@ def test_the_page_of_the_benchmark_on_point_push():
     )
 
 
+def test_the_page_of_the_benchmark_on_point_button():
+    """Who presses, streaks, and who keeps the limit."""
+    lines = results_table.on_safety_task(results_table.POINT_BUTTON)
+    assert lines.groupby("algorithm").size().tolist() == [3] * 18
+    own = results_table.on_policy(lines).groupby("algorithm")
+    means = own[["J_R", "J_C", "EMCC_0.99", "cost_rate", "mean_streak"]].mean()
+    ordered = means.sort_values("J_R")
+    three, others = ordered[-3:], ordered[:-3]
+    assert set(three.index) == {"IPO", "PCPO", "TRPO-Lag"} and others.index[-1] == "CPO"
+    assert 4 * 25 < three.J_C.min() < three.J_C.max() < 6 * 25
+    late = means["EMCC_0.99"].drop("CUP")
+    ends = [short(v, 1) for of in (three, others) for v in of.mean_streak.agg(["min", "max"])]
+    told(
+        "results/baselines/README.md",
+        f"returns of {short(three.J_R.min(), 1)} and more",
+        f"CPO's, of {short(others.J_R.max(), 1)}.",
+        f"is {short(late.min())} to {short(late.max())}, at cost rates of "
+        f"{short(means.cost_rate.min())} to {short(means.cost_rate.max())}.",
+        "are {} to {} steps long in the mean, the others' {} to {}.".format(*ends),
+        f"returns more than {short(lines[lines.algorithm == 'CPPO-PID'].J_R.max(), 1)}.",
+    )
+    kept = lines.groupby("algorithm").J_C.max() <= results_table.SAFETY_LIMIT
+    assert kept[kept].index.tolist() == ["CPPO-PID"]
+
+
 def test_the_levels_that_sac_lb_streak_solves():
     """The sentences of the README and of its own page, beside SAC-LB in units of length."""
     grid, lines = results_table.report("circle2d"), results_table.report("solve")
