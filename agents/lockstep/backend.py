@@ -133,9 +133,11 @@ class CompileClock:
         """Seconds of the compilations that are over."""
 
     def start(self, *_: object) -> None:
+        """A compilation begins."""
         self.began = time.monotonic()
 
     def stop(self, *_: object) -> None:
+        """It ends."""
         if self.began is not None:
             self.seconds += time.monotonic() - self.began
         self.began = None
