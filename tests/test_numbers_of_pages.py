@@ -340,12 +340,18 @@ def test_the_page_of_the_benchmark():
     assert told.str.endswith("SAC-LB and SAC-LB-Streak").sum() == 7
 
 
+def on_safety_task(task):
+    """Its runs, three of each algorithm."""
+    lines = results_table.on_safety_task(task)
+    assert lines.groupby("algorithm").size().tolist() == [3] * 18
+    return lines
+
+
 def test_the_page_of_the_benchmark_on_point_goal():
     """Orders of the algorithms, the run that stays in hazards, and who keeps the limit."""
     printed = results_table.report("baselines/safety")
     printed = printed[printed.kind == "paper"].set_index("algorithm").J_R
-    lines = results_table.on_safety_task(results_table.POINT_GOAL)
-    assert lines.groupby("algorithm").size().tolist() == [3] * 18
+    lines = on_safety_task(results_table.POINT_GOAL)
     means = lines.groupby("algorithm")[["EMCC_0.99", "cost_rate", "J_R", "mean_streak"]].mean()
     rates = results_table.on_policy(lines).groupby("algorithm").cost_rate.mean()
     assert (means["EMCC_0.99"].idxmin(), rates.idxmax(), len(rates)) == ("IPO", "IPO", 12)
@@ -368,8 +374,7 @@ def test_the_page_of_the_benchmark_on_point_goal():
 
 def test_the_page_of_the_benchmark_on_half_cheetah():
     """Equal runs, streaks, the limit, and what evaluation without noise adds."""
-    lines = results_table.on_safety_task(results_table.HALF_CHEETAH)
-    assert lines.groupby("algorithm").size().tolist() == [3] * 18
+    lines = on_safety_task(results_table.HALF_CHEETAH)
     own = results_table.on_policy(lines)
     by_name = {of: runs.select_dtypes("number") for of, runs in own.groupby("algorithm")}
     for pair in (("CRPO", "RCPO"), ("CPO", "PCPO")):
@@ -397,8 +402,7 @@ def test_the_page_of_the_benchmark_on_half_cheetah():
 
 def test_the_page_of_the_benchmark_on_point_push():
     """Returns, how many episodes cost, and streaks."""
-    lines = results_table.on_safety_task(results_table.POINT_PUSH)
-    assert lines.groupby("algorithm").size().tolist() == [3] * 18
+    lines = on_safety_task(results_table.POINT_PUSH)
     costing = results_table.late_costs(results_table.POINT_PUSH)["costing"]
     streaks = results_table.on_policy(lines).groupby("algorithm").mean_streak.mean()
     told(
@@ -411,13 +415,11 @@ def test_the_page_of_the_benchmark_on_point_push():
 
 def test_the_page_of_the_benchmark_on_point_button():
     """Who presses, streaks, and who keeps the limit."""
-    lines = results_table.on_safety_task(results_table.POINT_BUTTON)
-    assert lines.groupby("algorithm").size().tolist() == [3] * 18
-    own = results_table.on_policy(lines).groupby("algorithm")
-    means = own[["J_R", "J_C", "EMCC_0.99", "cost_rate", "mean_streak"]].mean()
-    ordered = means.sort_values("J_R")
-    three, others = ordered[-3:], ordered[:-3]
-    assert set(three.index) == {"IPO", "PCPO", "TRPO-Lag"} and others.index[-1] == "CPO"
+    lines = on_safety_task(results_table.POINT_BUTTON)
+    means = results_table.on_policy(lines).groupby("algorithm").mean(numeric_only=True)
+    means = means.sort_values("J_R")
+    three, others = means[-3:], means[:-3]
+    assert [others.index[-1], *sorted(three.index)] == ["CPO", "IPO", "PCPO", "TRPO-Lag"]
     assert 4 * 25 < three.J_C.min() < three.J_C.max() < 6 * 25
     late = means["EMCC_0.99"].drop("CUP")
     ends = [short(v, 1) for of in (three, others) for v in of.mean_streak.agg(["min", "max"])]

@@ -31,7 +31,7 @@ from agents.cli.options import (
     parse,
     values_of,
 )
-from agents.errors import UserError, nearest, one_line
+from agents.errors import UserError, one_line
 from agents.lockstep import backend as lockstep_backend
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS, preset_with
@@ -99,8 +99,6 @@ def train(args: Sequence[str]) -> int:
             print("'circle2d train ALGORITHM --help' explains the options of one.")
             return 0
         raise UserError(f"train needs the algorithm first: one of {names}")
-    if name not in ALGORITHMS:
-        raise UserError(f"unknown algorithm {name!r}: {nearest(name, ALGORITHMS)}")
     tasks = [task_id(task) for task in values_of("--task", args)] or [*TrainOptions.task]
     hyperparameters = preset_with(name, tasks[0], {})
     for task in tasks[1:]:
@@ -111,8 +109,6 @@ def train(args: Sequence[str]) -> int:
     del values["imports"]
     values["task_parameters"] = literals(options.task_parameters)
     own = options.hyperparameters
-    for task in tasks:
-        check_task(task, values["task_parameters"], options.costs)
     values |= {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
     with AfterEpoch(options.imports) as after_epoch:
         runs = api.train(name, **values, progress=True, on_epoch=after_epoch)
