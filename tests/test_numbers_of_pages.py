@@ -29,6 +29,7 @@ RESULTS = ROOT / "results"
 SOURCES = {
     "circle2d": ["runs.zip"],
     "physics": ["level-0.zip", "runs.zip"],
+    "sensitivity": ["runs.zip"],
     "library": ["runs.zip", "sac-lb.zip"],
     "safety": ["runs.zip"],
     "solve": ["runs.zip", "units.zip"],
@@ -165,6 +166,10 @@ def test_the_sentences():
         f"but {share(ends(cpo, 'corridor', LEVELS))} end in the corridor",
         "in 22 of 28 measures, the preset in 6",
     )
+    own = results_table.report("sensitivity").query("kind == 'run'").groupby("folder")["EMCC_0.99"]
+    thick = [emcc.mean_interval(own.get_group(name)) for name in ("sac-lb", "sac-lb-units")]
+    late = [f"{short(of.value)} [{short(of.low)}, {short(of.high)}]" for of in thick]
+    told("results/README.md", "late EMCC is {}, in units of length {}; the".format(*late))
     report = page("results/circle2d/report.md")
     nearest = re.findall(r"^\| CPO, (\w+) +\| (\d+ of \d+) *\|$", report, re.M)
     assert dict(nearest) == {"preset": "6 of 28", "units": "22 of 28"}
