@@ -8,7 +8,19 @@ import numpy as np
 import pytest
 import torch
 
-from agents.algorithms import c_trpo, cal, crpo, cup, focops, ipo, p3o, pcpo, rcpo, sac_lb
+from agents.algorithms import (
+    ALGORITHMS,
+    c_trpo,
+    cal,
+    crpo,
+    cup,
+    focops,
+    ipo,
+    p3o,
+    pcpo,
+    rcpo,
+    sac_lb,
+)
 from agents.algorithms.sac_lb import SACLBConfig, log_barrier
 from agents.algorithms.wcsac import RULE, WCSACConfig, targets, unsquared_variance_target
 from agents.first_order import Minibatch
@@ -242,3 +254,30 @@ def test_the_barriers_penalty_is_of_the_cost_above_its_limit():
     penalty = sac_lb.RULE.penalty(config, risk, torch.zeros(1, 0))
     assert penalty[0, 0].tolist() == pytest.approx([0.0, 7.0657415], abs=1e-6)
     assert sac_lb.RULE.multipliers == ()
+
+
+def test_the_barrier_of_ipo_follows_the_discounted_cost():
+    """1 / (20 · (25 - 20)); the undiscounted cost is above the limit."""
+    config, rule = ipo.IPOConfig(), ipo.RULE.multipliers
+    states = lagrange.initial(rule, config, 1)
+    states = lagrange.follow(rule, config, states, torch.tensor([[30.0]]), torch.tensor([[20.0]]))
+    assert lagrange.values(rule, states, 1).item() == pytest.approx(0.01)
+
+
+# Zhang et al., Yang et al., OmniSafe: see the fields' docstrings.
+DEFAULTS = {
+    "ipo": {"max_gradient_norm": 40.0, "kl_stop": 0.02, "log_barrier_factor": 20.0},
+    "p3o": {"max_gradient_norm": 40.0, "kl_stop": 0.02, "penalty_factor": 20.0},
+    "pcpo": {"line_search_steps": 200},
+    "ppo": {"max_gradient_norm": 0.5, "kl_stop": 0.0, "actor_iterations": 10, "batch_size": 64},
+    "ppo-lag": {"multiplier_lr": 0.035, "initial_multiplier": 0.001},
+    "rcpo": {"multiplier_lr": 0.035},
+    "focops": {"initial_log_std": -0.5, "kl_stop": 0.02, "max_multiplier": 2.0},
+    "cup": {"initial_log_std": -0.5, "kl_stop": 0.02, "max_gradient_norm": 40.0},
+}
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_defaults_are_those_of_the_docstrings(name):
+    config = ALGORITHMS[name].config()
+    assert {k: getattr(config, k) for k in DEFAULTS[name]} == DEFAULTS[name]

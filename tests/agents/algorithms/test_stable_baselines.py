@@ -112,7 +112,11 @@ def test_sac(monkeypatch):
     monkeypatch.setattr(model.replay_buffer, "sample", lambda *_, **__: sample)
     model.train(gradient_steps=1, batch_size=ROWS)
 
-    after, _ = update.update(nets, config, sac.RULE, state, batch, noise)
+    after, told = update.update(nets, config, sac.RULE, state, batch, noise)
+    outputs = nets.actor.forward(state.actor, batch.observation)
+    entropy = -update.sample(outputs, noise.new_action)[1].mean().item()
+    assert told["entropy"].item() == pytest.approx(entropy, abs=1e-5)
+    assert told["temperature"].item() == 1.0
     of_actor, of_critic = average(model.actor.optimizer), average(model.critic.optimizer)
     theirs = taken(nets.actor, layers, last)
     gradient = taken(nets.actor, layers, last, of_actor)

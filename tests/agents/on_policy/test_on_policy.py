@@ -303,3 +303,12 @@ def test_steps_of_adam_against_separate_runs(longest):
         torch.testing.assert_close(found, expected, rtol=0, atol=2e-5)
         log_std = actor[run, start : start + 2].double()
         torch.testing.assert_close(log_std, log_stds[run].detach(), rtol=0, atol=2e-5)
+
+
+def test_discounted_costs_by_hand():
+    """γ = ½: 2, and 1 + ½·4 + ¼·8 = 5."""
+    signals = [([5.0], [[2.0]]), ([1.0, 3.0, 1.0], [[1.0], [4.0], [8.0]])]
+    rollout = episodes([1, 3], lambda k, length: (0.5, 0.5, *signals[k], 0.5))
+    assert rollout.discounted_costs(0.5).tolist() == [[2.0], [5.0]]
+    it = learner(trpo_lag.RULE, TRPOLagConfig(discount=0.5, **SMALL))
+    assert it._epoch(rollout, Packing(rollout.during, 1)).discounted_cost.tolist() == [[3.5]]

@@ -6,6 +6,7 @@ from html import unescape
 import numpy as np
 import pytest
 
+from agents.paper import claims
 from agents.paper.claims import CLAIMS, check_claims
 from agents.paper.evidence import all_of, gather, paper_results
 from agents.paper.presets import PAPER_STEPS, preset
@@ -290,3 +291,17 @@ def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
     checked = check_claims([*others, *groups_of(world)])[0]
     assert checked.verdict == "undecided"
     assert any("2,000,000 of 1,000,000 steps" in words for words, _ in checked.findings)
+
+
+def test_the_first_third_by_hand():
+    """Ten episodes of 10 steps: the first four start in the first 33 of 100 steps."""
+    one = run(0, (0.5, 0.5, 0.5), 0.1, 1.0, "right rim", 1.0)
+    one = replace(one, records=replace(one.records, cost=np.arange(10.0)))
+    assert claims._early_mean(one, "cost") == 1.5
+    assert claims._later_cost(one) == 6.5
+
+
+def test_runs_on_another_task_decide_nothing(world):
+    own = group(LEVEL[1], "trpo-lag", world[LEVEL[1], "trpo-lag"])
+    other = replace(own.config, task_parameters={"corridor_height_factor": 0.4})
+    assert gather([replace(own, config=other)])[LEVEL[1], "trpo-lag"].lacking == "no runs"

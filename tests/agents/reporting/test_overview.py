@@ -260,3 +260,39 @@ def test_a_method_of_ones_own_beside_published_ones(tmp_path, monkeypatch):
     # Equal algorithms with equal seeds have equal ranks.
     assert rows["CPO, 2 seeds"].split("[")[0] == rows["Mine, 2 seeds"].split("[")[0]
     assert "What EMCC orders otherwise" in report
+
+
+def test_rank_by_emcc_less_that_by_the_cost_rate_and_probabilities(groups):
+    """Nobody costs in the last third: all have rank 2 by EMCC; by the cost rate 3, 1.5 and 1.5."""
+    table = overall.ranks_table(overall.comparable(groups), [])
+    values = [[cell.value for cell in row.numbers] for row in table.rows]
+    assert [row[-1] for row in values[::2]] == [-1, 0.5, 0.5]
+    assert [row[3] for row in values[1::2]] == pytest.approx([0, 0.75, 0.75])
+
+
+def test_orders_by_hand(groups):
+    runs = [run(seed, 10 + seed % 2, 12) for seed in range(6)]
+    changed = [replace(g, runs=runs) if g.config.algorithm == "wcsac" else g for g in groups]
+    row = overall.orders_table(overall.comparable(changed)).rows[0]
+    assert row.ends == "WCSAC, TRPO-Lag"  # a cost rate of .21 before .41, MCC of .21 after .18
+    counted, _, rate, emcc = (cell.value for cell in row.numbers)
+    assert (counted, rate, emcc) == (1, pytest.approx(-0.2), pytest.approx(10.5 / 50 - 9 / 50))
+
+
+def test_the_emcc_of_a_third_is_of_its_worst_tenth():
+    streaks = np.array([10, 20, 30, *[0] * 57])
+    records = replace(run(0, 20, 20).records, longest_streak=streaks)
+    assert thirds(records, STEPS)[0.33].emcc == pytest.approx(20 / 50)  # of 20 the 18th on
+
+
+def test_violation_rates_and_intervals_by_hand():
+    assert overall.ranked(run(0, 5, 4), 5.0)["violation rate"] == 0
+    assert overall.ranked(run(0, 5, 4), 4.5)["violation rate"] == pytest.approx(40 / 60)
+    found = overall.cell(np.array([7.0, *range(1001)]), True, 2)
+    assert (found.value, found.low, found.high) == (7, 25, 975)
+
+
+def test_of_several_groups_that_of_most_runs_is_ranked(groups):
+    more = replace(groups[1], runs=[run(seed, 10, 2) for seed in range(8)])
+    for order in ([*groups, more], [more, *groups]):
+        assert len(overall.comparable(order)["CPO"][TASKS[0]].runs) == 8

@@ -86,3 +86,8 @@ def test_one_window_for_all_columns():
     table = panel_table([a_group("cpo"), a_group("sac-lag", costs=COSTS[:2])])
     assert "training: peak cost rate (2 episodes)" in cells(table)
     assert cells(table)["training: peak cost rate (2 episodes)"] == ["0.500", "0.500"]
+
+
+def test_cvar_is_of_the_worst_tenth():
+    found = cells(panel_table([a_group("cpo", cost_limit=2.0)]))
+    assert found["policy without noise: CVaR of episode cost (α = 0.1)"] == ["4.00"]

@@ -14,7 +14,7 @@ from agents.reporting.report import report
 from agents.results.frame import COLUMNS, frame
 from agents.results.measures import Measure, measure, measures, register, unregister
 from agents.results.reading import read
-from agents.results.statistics import difference_of, mean_of
+from agents.results.statistics import difference_of, mean_of, within_limit
 
 
 def worst_cost(run):
@@ -155,3 +155,10 @@ def test_a_row_for_each_run_and_measure(tmp_path):
                 assert row.value == value or (value is None and np.isnan(row.value))
     assert set(tidy.loc[tidy["measure"] == "EMCC", "part"]) == {0.33, 0.66, 0.99}
     assert tidy.loc[tidy["measure"] != "EMCC", "part"].isna().all()
+
+
+def test_a_cost_at_the_limit_is_within(tmp_path):
+    """A seed whose J_C is the limit, 5, is within it; one of 5.01 is not."""
+    write_evaluated(tmp_path / "a", "cpo", costs=(4, 4), evaluated=((5.0,), (5.01,)))
+    share = within_limit(groups_of(tmp_path / "a")[0])
+    assert (share.count, share.runs) == (1, 2)

@@ -7,8 +7,10 @@ import pytest
 from small_trainings import trainer
 
 from agents.errors import UserError
+from agents.lockstep.noise import Purpose
 from agents.lockstep.rollout import Rollout
 from agents.paper.presets import preset
+from agents.sac import learner
 from agents.sac.replay import Replay
 from agents.training.config import TrainConfig
 
@@ -160,3 +162,24 @@ def test_holds_the_first_and_the_last_transitions(capacity, kept):
             assert found == expected
         first = rows(replay.gather(everything))[run, :kept]
         np.testing.assert_array_equal(first, np.array(held[run][:kept], np.float32).reshape(-1, 13))
+
+
+def test_each_noise_has_its_stream(monkeypatch):
+    drawn, used = learner.steps_of_noise, []
+
+    def noted(draw, seeds, purpose, *more):
+        used.append(purpose)
+        return drawn(draw, seeds, purpose, *more)
+
+    monkeypatch.setattr(learner, "steps_of_noise", noted)
+    training().learner.explorer(0, np.zeros(2, np.int64))
+    assert used == [Purpose.EXPLORATION, Purpose.RANDOM_ACTIONS]
+
+
+def test_the_last_random_action():
+    """Of random_steps = n the n-th action, and no other after it, is random."""
+    it = training()
+    n, seen = it.learner.config.random_steps, np.zeros((2, 2), np.float32)
+    last, policy = (it.learner.explorer(0, np.full(2, k)) for k in (n - 1, n))
+    assert (last(seen) != policy(seen)).all()
+    np.testing.assert_array_equal(last(seen), policy(seen))

@@ -94,3 +94,10 @@ def test_squashed_gaussian_against_torch_distributions(scale):
     np.testing.assert_allclose(in_numpy, action.numpy(), rtol=1e-12, atol=1e-12)
     deterministic = sac.act(outputs.numpy(), None)
     np.testing.assert_allclose(deterministic, torch.tanh(mean).numpy())
+
+
+def test_every_critic_starts_elsewhere():
+    """Twins that start alike stay alike, and their minimum is no caution."""
+    nets = sac.make_nets(CONFIG, 3, 2, 1)
+    critics = sac.initial_state(nets, CONFIG, RULE, (0, 1)).critics.flatten(0, 1).tolist()
+    assert len(set(map(tuple, critics))) == 2 * 4

@@ -48,6 +48,7 @@ def test_in_a_folder_of_several_tasks_and_seeds(tmp_path, algorithm):
     for run in (RunId(tasks[0], 4), RunId(tasks[1], 3)):
         alone = trained(tmp_path / f"{run.prefix}".replace("/", "-"), algorithm, *run, **own)
         assert_as_alone(together, alone, run)
+        assert len(set(policies(together, run).values())) > 1  # it has learned
     config = TrainConfig.read(together)
     assert [str(run) for run in config.runs] == [f"{t}, seed {s}" for t in tasks for s in seeds]
     starts = [run_of(together, run)["replay/points"][:2].tolist() for run in config.runs]
