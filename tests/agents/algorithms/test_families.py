@@ -7,6 +7,7 @@ import pytest
 from small_trainings import assert_same, finished, of_run, small, trainer
 from toys import register
 
+from agents import first_order
 from agents.algorithms import BUILT_IN, algorithm
 from agents.training import derive
 from agents.training.config import TrainConfig
@@ -110,3 +111,18 @@ def test_tensorboard(tmp_path):
     assert [e.step for e in found] == np.cumsum(length.sum(axis=1, dtype=int)).tolist()
     kl = arrays["Walk-v0/1/updates"][:, list(arrays["metrics"]).index("kl")]
     assert [e.value for e in events.Scalars("update/kl")] == pytest.approx(kl, rel=1e-6)
+
+
+def test_the_second_step_of_cup_has_passes_of_its_own(monkeypatch):
+    """Those of the first end by `kl_stop`."""
+    taken, step = {}, first_order.actor_step
+
+    def noted(nets, config, actor, moments, batch, surrogate):
+        taken.setdefault(surrogate, []).append(bool(batch.weight.any()))
+        return step(nets, config, actor, moments, batch, surrogate)
+
+    monkeypatch.setattr(first_order, "actor_step", noted)
+    own = small("cup", kl_stop=1e-12)
+    trainer(TrainConfig("cup", ("Walk-v0",), (0,), 160, own)).run_epoch()
+    first, second = taken.values()
+    assert first[0] and not first[-1] and second[0]
