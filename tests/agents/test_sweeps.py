@@ -114,7 +114,7 @@ def test_a_sweep_in_which_a_training_fails(importable):
 def test_a_sweep_is_its_trainings(tmp_path, engine):
     if engine == "ray":
         pytest.importorskip("ray")
-    options = {"seeds": (0, 1), "steps": 1500}
+    options = {"seeds": (0, 1), "steps": 1500, "evaluation_episodes": 3}  # as this process does
     more = {"grid": {"cost_limit": (1.0, 9.0)}, "out": tmp_path / "s", "engine": engine} | options
     runs = agents.sweep("trpo-lag", **more)
     assert [folder.name for folder in runs.folders] == ["cost_limit=1.0", "cost_limit=9.0"]
@@ -128,8 +128,9 @@ def test_a_sweep_is_its_trainings(tmp_path, engine):
 @pytest.mark.slow
 def test_training_on_ray(tmp_path):
     pytest.importorskip("ray")
+    options = {"seeds": 0, "steps": 1500, "evaluation_episodes": 3}
     local, ray = (
-        agents.train("trpo-lag", seeds=0, steps=1500, out=tmp_path / name, engine=name).folder
+        agents.train("trpo-lag", out=tmp_path / name, engine=name, **options).folder
         for name in ("local", "ray")
     )
     assert results(ray) == results(local)
