@@ -47,7 +47,7 @@ def test_it_runs(name, tmp_path):
 
 
 def test_a_thicker_wall(monkeypatch):
-    """Of 2.5 + 1.1 between cut-outs and corridor; SAC-LB has the same settings as without it."""
+    """2.5 + 1.1 between cut-outs and corridor; SAC-LB has the same settings as without it."""
     monkeypatch.syspath_prepend(FOLDER)
     importlib.import_module("thick_wall")
     name = "Circle2DThickWall-3-v0"

@@ -177,7 +177,7 @@ def test_each_noise_has_its_stream(monkeypatch):
 
 
 def test_the_last_random_action():
-    """Of random_steps = n the n-th action, and no other after it, is random."""
+    """The n-th action is random where random_steps = n, and none after it."""
     it = training()
     n, seen = it.learner.config.random_steps, np.zeros((2, 2), np.float32)
     last, policy = (it.learner.explorer(0, np.full(2, k)) for k in (n - 1, n))
