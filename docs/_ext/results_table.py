@@ -48,6 +48,7 @@ SAFETY_TASKS = {
 asked."""
 LIBRARY = {
     "CPO": "CPO-library (input_scale 15.0)",
+    "CPO, solved": "CPO-library (input_scale 15.0, residual 1e-10)",
     "SAC-LB": "SAC-LB (time_limit bootstrap, reward_scale running)",
     "WCSAC": "WCSAC (variance_target unsquared, damping_gradient through)",
 }
