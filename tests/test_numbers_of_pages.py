@@ -269,8 +269,8 @@ def test_the_page_of_the_later_library():
     )
     told(
         "results/README.md",
-        f"in {sum(one for one, _ in nearer)} of 28 measures, and {share(ends[0])} end in the corridor; "
-        f"{count(ends[2])} do where",
+        f"in {sum(one for one, _ in nearer)} of 28 measures, and {share(ends[0])} end in the "
+        f"corridor; {count(ends[2])} do where",
         f"SAC-LB as there waits at the rim in {share(waiting)}.",
     )
 
