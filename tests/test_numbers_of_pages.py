@@ -32,7 +32,7 @@ SOURCES = {
     "sensitivity": ["runs.zip"],
     "library": ["runs.zip", "sac-lb.zip", "residual.zip"],
     "safety": ["runs.zip"],
-    "solve": ["runs.zip", "units.zip", "physics-2.zip"],
+    "solve": ["runs.zip", "units.zip", "physics-2.zip", "physics-3.zip"],
     "solve/safety": ["runs.zip"],
     "baselines/safety": [*itertools.chain(*results_table.SAFETY_TASKS.values())],
     "baselines": [
@@ -459,11 +459,11 @@ def test_the_levels_that_sac_lb_streak_solves():
     """The sentences of the README and of its own page, beside SAC-LB in units of length."""
     grid, lines = results_table.report("circle2d"), results_table.report("solve")
     streak, units = (solved(on(lines, name, LEVELS)) for name in ("SAC-LB-Streak", UNITS))
-    physics = solved(on(lines, "SAC-LB-Streak", [f"Circle2DMuJoCo-{k}-v0" for k in range(3)]))
+    physics = solved(on(lines, "SAC-LB-Streak", results_table.PHYSICS))
     told(
         "README.md",
         f"Of 40 runs, ten on each level, {int(streak.sum())} end in the corridor",
-        f"with physics, levels 0 to 2, {count(physics)} do",
+        f"with physics {count(physics)} do",
     )
     own = pd.concat([results_table._part(lines, task, "-without-horizon") for task in LEVELS])
     others = own[~solved(own)].ends_in
