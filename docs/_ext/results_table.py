@@ -250,32 +250,10 @@ def baselines() -> list[str]:
     return rows
 
 
-def point_goal() -> list[str]:
-    """`_benchmarked` on SafetyPointGoal1-v0."""
-    return _benchmarked(POINT_GOAL, 2, 1)
-
-
-def half_cheetah() -> list[str]:
-    """`_benchmarked` on SafetyHalfCheetahVelocity-v1."""
-    return _benchmarked(HALF_CHEETAH, 3, 0)
-
-
-def point_push() -> list[str]:
-    """`_benchmarked` on SafetyPointPush1-v0."""
-    return _benchmarked(POINT_PUSH, 2, 1)
-
-
-def point_button() -> list[str]:
-    """`_benchmarked` on SafetyPointButton1-v0."""
-    return _benchmarked(POINT_BUTTON, 2, 1)
-
-
-def _benchmarked(task: str, digits: int, of_return: int) -> list[str]:
+def benchmarked(task: str) -> list[str]:
     """A row for each algorithm on a Safety task: EMCC by third and cost rate, means; late EMCC, J_R
-    and J_C with their ranges; runs within the limit. In the order of the late EMCC.
-
-    digits: of EMCC and the cost rate. of_return: of J_R.
-    """
+    and J_C with their ranges; runs within the limit. In the order of the late EMCC."""
+    digits, of_return = (3, 0) if task == HALF_CHEETAH else (2, 1)
     lines, rows = on_safety_task(task), []
     for name in lines.groupby("algorithm")["EMCC_0.99"].mean().sort_values(kind="stable").index:
         own = lines[lines.algorithm == name]
@@ -496,7 +474,8 @@ PAGES = {
     "library/README.md": (later_library,),
     "physics/README.md": (physics, physics_against_kinematic, forces),
     "baselines/README.md": (
-        *(baselines, point_goal, half_cheetah, point_push, point_button),
+        baselines,
+        *(functools.partial(benchmarked, task) for task in SAFETY_TASKS),
         safety_orders,
     ),
     "solve/README.md": (solving, compared, parts),
