@@ -46,9 +46,13 @@ class Settings:
         for name, value in list(vars(self).items()):
             object.__setattr__(self, name, _plain(value))
         for name, hint in _hints(type(self)).items():
-            problem = _problem(getattr(self, name), hint)
-            if problem:
-                raise UserError(f"{name} must be {problem}, got {getattr(self, name)!r}")
+            check(name, getattr(self, name), hint)
+
+
+def check(name: str, value: Any, hint: Any) -> None:
+    """Raise UserError naming an argument, its value and what is allowed, as of a field."""
+    if problem := _problem(_plain(value), hint):
+        raise UserError(f"{name} must be {problem}, got {value!r}")
 
 
 def _plain(value: Any) -> Any:

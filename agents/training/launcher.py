@@ -16,8 +16,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+from agents.checks import In, check
 from agents.errors import UserError, extra
 from agents.training.config import CHECKPOINTS, RESULTS, STATUS, STEPS
 from agents.training.files import UNFINISHED, locked, write_whole
@@ -110,8 +111,7 @@ def launcher(
     each training needs a GPU. Raises UserError for an unknown engine, a missing library, and a
     cluster that does not answer.
     """
-    if count is not None and not 1 <= count <= MOST_WORKERS:
-        raise UserError(f"workers must be in [1, {MOST_WORKERS}], got {count}")
+    check("workers", count, Annotated[int, In(1, MOST_WORKERS)] | None)
     if engine not in ("local", "ray"):
         raise UserError(f"engine must be local or ray, got {engine!r}")
     if engine == "local" and address is not None:

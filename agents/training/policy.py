@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium as gym
 import numpy as np
@@ -22,6 +22,7 @@ from torch import from_numpy as to_tensor
 
 from agents.algorithms import Learner
 from agents.algorithms import learner as make_learner
+from agents.checks import In, check
 from agents.errors import OwnCodeError, TaskFailure, UserError, described, nearest
 from agents.lockstep import tree
 from agents.lockstep.rollout import MAX_STEPS
@@ -358,8 +359,8 @@ def evaluate(
     otherwise actions are drawn. seed: of the start states and draws, the same for all runs of a
     folder. cost: its name in the infos. Raises UserError where the task does not fit the policy.
     """
-    if not isinstance(episodes, (int, np.integer)) or isinstance(episodes, bool) or episodes < 1:
-        raise UserError(f"episodes must be an integer of at least 1, got {episodes!r}")
+    check("episodes", episodes, Annotated[int, In(1)])
+    check("seed", seed, Annotated[int, In(0)])
     if isinstance(policy, (str, os.PathLike)):
         folder = folder_of(policy)
         config = TrainConfig.read(folder)

@@ -74,7 +74,10 @@ def mistake(arguments, capsys):
         ([*REPRODUCE, "--benchmark", "--safety"], "benchmark has tasks of its own"),
         ([*REPRODUCE, "--levels", "1", "--safety"], "give one of tasks, safety, and levels"),
         ([*REPRODUCE, "--algorithms"], "algorithms must be some of trpo-lag, .*, got none"),
-        ([*REPRODUCE, "--workers", "0"], r"workers must be in \[1, 1024\], got 0"),
+        (
+            [*REPRODUCE, "--workers", "0"],
+            "workers must be at least 1 and at most 1024 or None, got 0",
+        ),
         ([*REPRODUCE, "--address", "host:1"], "needs the engine ray"),
         ([*REPRODUCE, "--shard", "0/2"], "I/N with I from 1 to N, .* got '0/2'"),
         (["reproduce", "--out", "{folder}/config.json"], "but '.*config.json' is a file"),

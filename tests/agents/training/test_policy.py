@@ -238,7 +238,12 @@ def test_evaluations_that_cannot_be(folder):
         ((policy, "Broken-v0"), bounds),
         ((policy, "CartPole-v1"), shapes.format("CartPole-v1", r"\[4\] and actions Discrete\(2\)")),
         ((lambda observation: observation,), "needs the task"),
-        *(((policy, None, n), f"at least 1, got {n!r}") for n in (0, 2.5, "10", None)),
+        ((policy, None, 0), "episodes must be at least 1, got 0"),
+        *(
+            ((policy, None, n), f"episodes must be an integer, got {n!r}")
+            for n in (2.5, "10", None)
+        ),
+        ((policy, None, 1, True, "a"), "seed must be an integer, got 'a'"),
         ((policy, "Nowhere-v0"), "unknown task"),
         ((lambda observation: np.array([np.nan]), "Walk-v0"), "not finite"),
         ((lambda _: [0, 0, 0], "Walk-v0"), r"of shape \[3\], the task takes one of \[1\]"),
