@@ -111,7 +111,7 @@ def launcher(
     each training needs a GPU. Raises UserError for an unknown engine, a missing library, and a
     cluster that does not answer.
     """
-    check("workers", count, Annotated[int, In(1, MOST_WORKERS)] | None)
+    check("workers", count, Annotated[int | None, In(1, MOST_WORKERS)])
     if engine not in ("local", "ray"):
         raise UserError(f"engine must be local or ray, got {engine!r}")
     if engine == "local" and address is not None:
