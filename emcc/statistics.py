@@ -5,12 +5,13 @@ Each raises ValueError where there are no values, NaN or infinite ones, or other
 level is outside (0, 1); TypeError where rng is no numpy Generator. scipy is imported late.
 """
 
+import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
 from math import comb
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -101,12 +102,19 @@ def _squared_error(values: NDArray[np.float64]) -> float:
     return float(np.mean((values - values.mean()) ** 2)) * (n / (n - 1)) / n
 
 
+def _scipy(part: str) -> Any:
+    try:
+        return importlib.import_module(f"scipy.{part}")
+    except ModuleNotFoundError as error:
+        words = "intervals of runs need scipy, which is not installed: pip install scipy"
+        raise ModuleNotFoundError(words, name=error.name) from error
+
+
 def _t_interval(
     value: float, squared_error: float, freedom: float, level: float
 ) -> tuple[float, float]:
     """Student's t interval, bit for bit that of `scipy.stats`, which takes thirty times as long."""
-    from scipy.special import stdtrit
-
+    stdtrit = _scipy("special").stdtrit
     tail = (1 - level) / 2
     low, high = stdtrit(freedom, [tail, 1 - tail]) * np.sqrt(squared_error) + value
     return float(low), float(high)
@@ -118,8 +126,7 @@ def share(count: int, runs: int, level: float = 0.95) -> Share:
     The interval covers the true share at least as often as `level` says. 9 of 10 has a lower bound
     of 0.555. Source: Clopper & Pearson 1934. ValueError: not 0 <= count <= runs with runs >= 1.
     """
-    from scipy.stats import binomtest
-
+    binomtest = _scipy("stats").binomtest
     counts = as_integers(count, "count"), as_integers(runs, "runs", low=1)
     if counts[0].ndim or counts[1].ndim:
         raise ValueError(f"count and runs must be a number each, got {count} and {runs}")

@@ -22,7 +22,11 @@ T = TypeVar("T")
 BackendChoice = Literal["auto", "compiled", "eager"]
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
 """A folder that stands before the options."""
-Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER ...")]
+Folders = Annotated[
+    tuple[Path, ...],
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="FOLDER ...", help_behavior_hint="(required)"),
+]
 """Several of them."""
 Imports = Annotated[
     tuple[str, ...],

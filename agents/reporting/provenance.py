@@ -117,8 +117,9 @@ def command(config: TrainConfig, out: str, recorded: Mapping[str, Any]) -> str:
         pairs = (part for pair in config.task_parameters.items() for part in pair)
         options["task_parameters"] = tuple(pairs)
     options |= {"backend": config.backend}  # without it the machine decides
-    usual = {"costs": ("cost",), "vectorization": "auto", "device": "cpu"}
-    options |= {k: getattr(config, k) for k, v in usual.items() if getattr(config, k) != v}
+    for name in ("costs", "vectorization", "device", "evaluation_episodes"):
+        if (value := getattr(config, name)) != getattr(TrainConfig, name):
+            options[name] = value
     typed = (f"--{k.replace('_', '-')} {_typed(v)}" for k, v in (options | {"out": out}).items())
     return " ".join(["circle2d train", config.algorithm, *imports, *typed])
 

@@ -445,7 +445,7 @@ def _read_run(
         raise UserError(str(arrays[f"{run.prefix}failure"]))
     records = run_records(arrays, run, cost)
     if records.total_steps < config.steps:
-        raise UserError(f"is unfinished: {records.total_steps} of {config.steps} steps")
+        raise UserError(f"unfinished: {records.total_steps} of {config.steps} steps")
     evaluation = _evaluation(arrays, run, config.costs.index(cost))
     if not evaluation:
         raise UserError("its evaluation met a number that is not finite")

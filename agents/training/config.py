@@ -225,6 +225,8 @@ class TrainConfig(Settings):
         the hyper-parameters of one that is not are a plain frozen dataclass of the file's values,
         so that a report imports nothing. Raises UserError where the content is damaged.
         """
+        if "task" in content:
+            raise UserError(f"{folder} is of version 0.2, whose folders this version does not read")
         name, modules = content.get("algorithm"), content.get("modules") or ()
         if strict and isinstance(name, str) and name not in ALGORITHMS and modules:
             how = "import {0} first (--import {0})".format(modules[0])

@@ -81,7 +81,7 @@ def test_without_scipy_an_interval_is_refused_and_a_range_is_not(tmp_path, capsy
     write_run(tmp_path / "five", {seed: [0.1 * seed] * 10 for seed in range(5)})
     with pytest.raises(SystemExit):
         main([str(tmp_path)])
-    assert "scipy" in capsys.readouterr().err
+    assert "scipy, which is not installed: pip install scipy" in capsys.readouterr().err
 
 
 def test_folders_tasks_and_costs_are_apart(tmp_path, capsys):

@@ -52,7 +52,7 @@ def test_runs_left_out_are_in_no_mean_and_have_a_note_for_each_reason(tmp_path):
     words = markdown(table(tmp_path))
     assert [line for line in words.splitlines() if "left out" in line] == [
         f"Note: left out: {tmp_path.name}, seed 1: has no checkpoint yet",
-        f"Note: left out: {tmp_path.name}, seeds 2, 3: is unfinished: 80 of 100 steps",
+        f"Note: left out: {tmp_path.name}, seeds 2, 3: unfinished: 80 of 100 steps",
         f"Note: left out: {tmp_path.name}, seed 4: it fell",
     ]
     assert "mean of 1" in words
@@ -149,7 +149,7 @@ def test_the_command_trains_the_same(tmp_path):
     hyperparameters = replace(preset("sac-lag", "Circle2D-3-v0"), cost_limit=3.0, hidden=(32, 64))
     parameters = {"constraint_radius": 3.0, "optima_perturbation": (1.0, 0.5)}
     config = TrainConfig("sac-lag", ("Circle2D-3-v0",), (4, 7), 150, hyperparameters, parameters)
-    config = replace(config, vectorization="sync")
+    config = replace(config, vectorization="sync", evaluation_episodes=2)
     said = command(config, str(tmp_path / "with a space"), {})
     program, *arguments = shlex.split(said)
     assert program == "circle2d"
@@ -160,7 +160,9 @@ def test_the_command_trains_the_same(tmp_path):
     assert "--discount" not in said  # as the preset has it
     assert "--device" not in said
     on_gpu = replace(config, device="cuda", backend="compiled")
-    assert "--backend compiled --vectorization sync --device cuda" in command(on_gpu, "x", {})
+    assert "--backend compiled --vectorization sync --device cuda --eval" in command(
+        on_gpu, "x", {}
+    )
 
 
 def test_the_command_imports_what_registers_algorithm_and_task():

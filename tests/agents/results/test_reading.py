@@ -72,7 +72,7 @@ def test_an_archive_gives_what_the_folders_gave(runs, packed, tmp_path):
     assert_equal_groups(archived, groups)
     assert notes == again
     assert sum("is not finite" in note for note in notes) > 0
-    assert any("grid/part, seeds 0, 3: is unfinished: 100 of 300 steps" in n for n in notes)
+    assert any("grid/part, seeds 0, 3: unfinished: 100 of 300 steps" in n for n in notes)
     assert {(g.task, g.cost) for g in groups} == {
         *((TASK, "cost"), ("Circle2D-3-v0", "cost"), ("Walk-v0", "cost")),
         *(("TwoCosts-v0", "cost"), ("TwoCosts-v0", "cost_2")),

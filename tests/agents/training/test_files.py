@@ -207,6 +207,9 @@ def test_settings_of_another_type_are_damage(tmp_path, strict):
         edit(tmp_path, **content | changes)
         with pytest.raises(UserError):
             TrainConfig.read(tmp_path, strict)
+    edit(tmp_path, **content | {"task": "Walk-v0"})
+    with pytest.raises(UserError, match=r"is of version 0\.2"):
+        TrainConfig.read(tmp_path, strict)
 
 
 def test_bounds_of_actions(tmp_path):
