@@ -69,6 +69,7 @@ def test_share_by_hand():
 
 def test_iqm_by_hand():
     assert statistics.iqm([100, 1, 2, 3, 4, 5, 6, -100]) == pytest.approx((2 + 3 + 4 + 5) / 4)
+    assert statistics.iqm([100, 0, 2, 3, 4, 5, -100]) == (0 + 2 + 3 + 4 + 5) / 5  # 7 // 4 = 1
     assert statistics.iqm([[0, 1], [10, 2], [3, 50], [4, 5]]) == pytest.approx((2 + 3 + 4 + 5) / 4)
 
 
