@@ -264,7 +264,8 @@ def test_the_page_of_the_later_library():
         f"nearest in {best[1]} measures, and this in {best[2]}",
         f"{min(ratios):.1f} to {max(ratios):.1f} times the preset's",
         f"nearer than the preset in {still} of 28 measures, among them again all twelve of EMCC, "
-        f"but {share(ends[2])} end in the corridor, and {share(kept, '')} keeps the limit.",
+        f"but {share(ends[2])} end in the corridor, where with the early stop none does (Fisher's "
+        f"exact test, {fisher(ends[0], ends[2])}), and {share(kept, '')} keeps the limit.",
         f"{share(waiting)} wait at the rim",
     )
     told(
