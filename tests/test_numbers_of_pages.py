@@ -456,6 +456,51 @@ def test_the_page_of_the_benchmark_on_point_button():
     assert kept[kept].index.tolist() == ["CPPO-PID"]
 
 
+def test_the_page_of_the_benchmark_on_car_goal():
+    """Who reaches goals, at which cost and in which streaks, and who keeps the limit."""
+    lines = on_safety_task(results_table.CAR_GOAL)
+    means = results_table.on_policy(lines).groupby("algorithm").mean(numeric_only=True)
+    four = means.nlargest(4, "J_R")
+    assert sorted(four.index) == ["CPO", "IPO", "PCPO", "TRPO-Lag"]
+    assert {*four.index} == {*means["EMCC_0.99"].nsmallest(4).index}
+    assert {*four.index} == {*means.cost_rate.nlargest(4).index}
+    long, returns = means.mean_streak.nlargest(3), lines.groupby("algorithm").J_R.mean()
+    assert sorted(long.index) == ["C-TRPO", "CPPO-PID", "P3O"]
+    ends = [short(v, 0) for of in (four.mean_streak, long) for v in (of.min(), of.max())]
+    off = lines[lines.algorithm.str.contains(results_table.OFF_POLICY)]
+    told(
+        "results/baselines/README.md",
+        f"returns of {short(four.J_R.min(), 1)} and more, at a J_C of "
+        f"{short(four.J_C.min(), 1)} to {short(four.J_C.max(), 1)}.",
+        "are {} to {} steps long in the mean, those of CPPO-PID, P3O and C-TRPO {} to {}.".format(
+            *ends
+        ),
+        f"returns of {short(returns['P3O'], 1)} and {short(returns['SAC-LB-Streak'], 1)}.",
+        f"no run of it returns more than {short(off.J_R.max(), 1)}.",
+    )
+    kept = lines.groupby("algorithm").J_C.max() <= results_table.SAFETY_LIMIT
+    assert kept[kept].index.tolist() == ["P3O", "SAC-LB-Streak"]
+
+
+def test_the_verdicts_on_the_further_safety_tasks():
+    """Both hypotheses of the on-policy algorithms' orders, as the rule says."""
+    rows = {row.split(" | ")[0][2:]: row for row in results_table.safety_orders()}
+    verdicts = {}
+    for task, row in rows.items():
+        both = re.findall(r"(-?[\d.]+) \(<?([\d.]+)\)", row)[:2]
+        verdicts[task] = {
+            ("confirmed" if float(value) < 0 else "refuted") if float(p) < 0.05 else "undecided"
+            for value, p in both
+        }
+    assert verdicts == {
+        "SafetyPointGoal1-v0": {"confirmed"},
+        "SafetyHalfCheetahVelocity-v1": {"refuted"},
+        "SafetyPointPush1-v0": {"refuted"},
+        "SafetyPointButton1-v0": {"undecided"},
+        "SafetyCarGoal1-v0": {"confirmed"},
+    }
+
+
 def test_the_levels_that_sac_lb_streak_solves():
     """The sentences of the README and of its own page, beside SAC-LB in units of length."""
     grid, lines = results_table.report("circle2d"), results_table.report("solve")

@@ -38,11 +38,13 @@ POINT_GOAL = "circle2d_mj/SafetyPointGoal1-v0"
 HALF_CHEETAH = "circle2d_mj/SafetyHalfCheetahVelocity-v1"
 POINT_PUSH = "circle2d_mj/SafetyPointPush1-v0"
 POINT_BUTTON = "circle2d_mj/SafetyPointButton1-v0"
+CAR_GOAL = "circle2d_mj/SafetyCarGoal1-v0"
 SAFETY_TASKS = {
     POINT_GOAL: ("runs.zip", "sac-pid-cal.zip"),
     HALF_CHEETAH: ("half-cheetah.zip",),
     POINT_PUSH: ("push-trust-region.zip", "push-others.zip"),
     POINT_BUTTON: ("button-nine.zip", "button-others.zip"),
+    CAR_GOAL: ("car.zip",),
 }
 """Those of the benchmark and their archives; the first gave the questions that the others are
 asked."""
