@@ -8,9 +8,9 @@ algorithms and applications") with the cost terms of the algorithm's paper.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -112,14 +112,29 @@ class ConstrainedSACConfig(SACConfig):
     The default is that of the paper's other tasks; presets set it for Circle2D.
     """
 
-    limited_cost = "discounted cost return Q_c"  # in words, for tables
     cost_limit: Annotated[float, In(0, 1e9)] = 25.0
     """Limit d of the discounted cost return Q_c that the cost critics estimate, with the discount γ
     of the rewards; not of an episode's cost. Paper: 5 on Circle2D, 25 on Safety-Gymnasium."""
+    limit_of: Literal["discounted", "episode"] = "discounted"
+    """Whether the limit is Q_c's (discounted), or that of an episode's cost (episode): Q_c is then
+    limited by `d (1 - γ^T) / ((1 - γ) T)`, T steps being the task's time limit, as in Ray's and
+    Yang's code. Not printed in the paper; discounted."""
     streak_weight: Annotated[float, In(0, 1e6)] = 0.0
     """Weight β ≥ 0 of streaks in the cost that is learned and limited: the k-th consecutive cost
     step costs `1 + β (k - 1)` times, and the critics see k. Records keep the plain cost. Not in the
     paper; 0: none."""
+
+    @property
+    def limited_cost(self) -> str:
+        """What the limit holds for in words, for tables."""
+        converted = ", converted from an episode's cost," if self.limit_of == "episode" else ""
+        return f"discounted cost return Q_c{converted}"
+
+    def with_limits_of_episodes(self, names: Iterable[str], steps: int) -> Self:
+        """The config with limits, by name, of an episode of some steps as limits of Q_c: the mean
+        discount of a step, which is their ratio where all steps cost the same."""
+        mean = sum(self.discount**k for k in range(steps)) / steps
+        return replace(self, **{name: mean * getattr(self, name) for name in names})
 
 
 LOG_STD = (-20.0, 2.0)

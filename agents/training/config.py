@@ -31,7 +31,13 @@ from agents.algorithms import ALGORITHMS, algorithm, module_of
 from agents.checks import In, Settings
 from agents.errors import UserError
 from agents.lockstep.noise import stream_seed
-from agents.training.environments import Spaces, Vectorization, module_of_task, spaces_of
+from agents.training.environments import (
+    Spaces,
+    Vectorization,
+    module_of_task,
+    spaces_of,
+    time_limit,
+)
 from agents.training.files import (
     AnyPath,
     archive_of,
@@ -162,14 +168,31 @@ class TrainConfig(Settings):
         return [stream_seed(run.seed, run.task) for run in self.runs]
 
     @property
-    def limits(self) -> dict[str, float]:
-        """The limit of each cost that the algorithm limits."""
-        if (limit := getattr(self.hyperparameters, "cost_limit", None)) is None:
+    def _limit_names(self) -> dict[int, str]:
+        """The hyper-parameters that limit a cost, by its number; none without `cost_limit`."""
+        if not hasattr(self.hyperparameters, "cost_limit"):
             return {}
         rule = ALGORITHMS[self.algorithm].rule if self.algorithm in ALGORITHMS else None
         own = {m.signal: m.limit for m in getattr(rule, "multipliers", ())}
-        limits = {self.costs[k]: getattr(self.hyperparameters, own[k]) for k in sorted(own)}
-        return {self.costs[0]: limit} | limits
+        return {0: "cost_limit"} | dict(sorted(own.items()))
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """The limit of each cost that the algorithm limits."""
+        names = self._limit_names.items()
+        return {self.costs[k]: getattr(self.hyperparameters, name) for k, name in names}
+
+    @property
+    def learned(self) -> Any:
+        """The hyper-parameters that the learner gets: with `limit_of` episode, its limits are
+        converted. Raises UserError where the tasks have no time limit, or different ones."""
+        if getattr(self.hyperparameters, "limit_of", "") != "episode":
+            return self.hyperparameters
+        limits = {task: time_limit(task, self.task_parameters) for task in self.tasks}
+        steps, *others = set(limits.values())
+        if steps is None or others:
+            raise UserError(f"limit_of episode needs tasks with one time limit, got {limits}")
+        return self.hyperparameters.with_limits_of_episodes(self._limit_names.values(), steps)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -187,7 +210,7 @@ class TrainConfig(Settings):
         check_folder(folder)
         _require_none(folder)
         spaces = spaces_of(self.tasks, self.task_parameters)
-        _check_memory(self.hyperparameters, len(self.runs), spaces.sizes)
+        _check_memory(self.learned, len(self.runs), spaces.sizes)
         scale = getattr(self.hyperparameters, "input_scale", 1.0)
         if isinstance(scale, tuple) and len(scale) != spaces.observation_size:
             raise UserError(

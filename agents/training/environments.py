@@ -99,6 +99,11 @@ def check_task(task: str, parameters: dict[str, Any], costs: Sequence[str] = ("c
     require_info(f"task {task!r}", info, costs)
 
 
+def time_limit(task: str, parameters: dict[str, Any]) -> int | None:
+    """Steps after which an episode of a registered task is cut off; None where it is not known."""
+    return parameters.get("max_episode_steps", gym.spec(registered(task)).max_episode_steps)
+
+
 def view_of(task: str, parameters: dict[str, Any]) -> View | None:
     """The view of a registered task: the attribute `view` of its environment.
 

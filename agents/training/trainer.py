@@ -90,7 +90,7 @@ class Trainer:
 
     def _learner(self, stream_seeds: list[int]) -> Learner:
         config, sizes = self.config, read_spaces(self.folder).sizes
-        return make_learner(config.algorithm, config.hyperparameters, stream_seeds, *sizes)
+        return make_learner(config.algorithm, config.learned, stream_seeds, *sizes)
 
     @functools.cached_property
     def _envs(self) -> SideBySide:

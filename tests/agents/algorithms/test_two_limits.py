@@ -1,11 +1,13 @@
 """Algorithms of several costs and multipliers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from gymnasium.envs.registration import EnvSpec
 from small_trainings import finished, of_run, small, trainer
 from toys import register as register_toys
 
@@ -120,3 +122,34 @@ def test_with_a_second_multiplier_of_0_it_is_the_algorithm_of_one(name):
         values = [multiplier_values(it)[:, 0] for it in (two, one)]
         np.testing.assert_allclose(*values, rtol=1e-4)
         assert values[0].max() > 0
+
+
+def test_limits_of_an_episode_are_those_of_a_cost_spread_evenly():
+    """Both limits of an episode of ten steps, 3 and 1, discounted step by step; the training is
+    that with these limits of Q_c, while its results are held to 3 and 1."""
+    spread = {d: sum(d / 10 * 0.9**k for k in range(10)) for d in (3.0, 1.0)}
+    limits = {"discount": 0.9, "initial_multiplier": 5.0}
+    of_episode = config("sac-two", **limits, limit_of="episode", cost_limit=3.0, cost_limit_2=1.0)
+    of_values = config("sac-two", **limits, cost_limit=spread[3.0], cost_limit_2=spread[1.0])
+    assert spread[3.0] == pytest.approx(1.953965, rel=1e-6)
+    assert of_episode.limits == {"cost": 3.0, "cost_2": 1.0}
+    converted, given = (
+        finished(trainer(replace(it, task_parameters={"max_episode_steps": 10})))
+        for it in (of_episode, of_values)
+    )
+    assert converted.learner.config.cost_limit == pytest.approx(spread[3.0], rel=1e-12)
+    for run in range(2):
+        a, b = of_run(converted, run), of_run(given, run)
+        assert a.keys() == b.keys()
+        for name, value in a.items():
+            np.testing.assert_allclose(value, b[name], rtol=1e-5, atol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize(("steps", "tasks"), [(80, ["Circle2D-1-v0"]), (None, [])])
+def test_a_limit_of_an_episode_needs_one_time_limit(tmp_path, monkeypatch, steps, tasks):
+    made = EnvSpec("Other-v0", lambda: gym.make("Circle2D-1-v0"), max_episode_steps=steps)
+    monkeypatch.setitem(gym.registry, "Other-v0", made)
+    own = small("sac-lag", limit_of="episode")
+    with pytest.raises(UserError, match="limit_of episode needs tasks with one time limit"):
+        TrainConfig("sac-lag", (*tasks, "Other-v0"), (0,), 100, own).write(tmp_path / "run")
+    assert not (tmp_path / "run").exists()
