@@ -3,6 +3,7 @@
 import csv
 import io
 import itertools
+import math
 import re
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pandas as pd
 import pytest
 import results_table
 import scipy.stats
-from results_table import LEVELS, UNITS, count, runs, short, solved
+from results_table import EMCC, LEVELS, SAFETY_LIMIT, UNITS, count, runs, short, solved
 
 import emcc
 from agents.algorithms import title
@@ -31,7 +32,7 @@ SOURCES = {
     "physics": ["level-0.zip", "runs.zip"],
     "sensitivity": ["runs.zip"],
     "library": ["runs.zip", "sac-lb.zip", "residual.zip"],
-    "safety": ["runs.zip"],
+    "safety": ["point-circle.zip", "runs.zip"],
     "solve": ["runs.zip", "units.zip", "physics-2.zip", "physics-3.zip"],
     "solve/safety": ["runs.zip"],
     "baselines/safety": [*itertools.chain(*results_table.SAFETY_TASKS.values())],
@@ -184,7 +185,7 @@ def test_the_safety_tasks():
     printed = results_table.paper(lines, results_table.POINT_GOAL, "TRPO-Lag").iloc[0]
     rises, falls = own["EMCC_0.99"] > own["EMCC_0.66"], own["EMCC_0.99"] < own["EMCC_0.33"]
     told(
-        "results/README.md",
+        "results/safety/README.md",
         f"from the middle to the last third in {count(rises)} runs",
         f"From the first to the last it falls in {count(falls)}; nor do the paper's own numbers "
         f"fall, {short(printed['EMCC_0.33'])} and {short(printed['EMCC_0.99'])}, though",
@@ -192,6 +193,53 @@ def test_the_safety_tasks():
         f"{short(printed.J_R, 1)}.",
     )
     told("results/baselines/README.md", f"has {short(own.J_R.mean(), 1)}, near it.")
+
+
+def on_point_circle():
+    lines = results_table.report("safety")
+    names = ("TRPO-Lag", results_table.SGD, "CPO", "SAC-Lag", "SAC-LB", "WCSAC")
+    return [runs(lines, results_table.POINT_CIRCLE, name) for name in names]
+
+
+def test_the_claim_on_safety_point_circle():
+    """Told as the report decides it."""
+    trpo, sgd, cpo, sac, lb, wcsac = on_point_circle()
+    section = page("results/safety/report.md").partition("### 2. On SafetyPointCircle1")[2]
+    section = section.partition("\n## ")[0]
+    verdict = re.search(r"\*\*(\w+)\*\*$", section, re.M)[1]
+    pairs = {
+        name: f"{short(trpo[name].mean(), digits)} against {short(sac[name].mean(), digits)}"
+        for name, digits in (("cost_rate", 2), ("J_C", 1), ("EMCC_0.33", 2))
+    }
+    p = dict(re.findall(r"^- ([\w.]+): .*; p: ([\d.]+)\)", section, re.M))
+    assert [float(p[name]) for name in pairs] == [0.018] * 3
+    falls = [count(own["EMCC_0.99"] < own["EMCC_0.33"]) for own in (trpo, cpo, sac, lb, wcsac)]
+    least = 1 / math.comb(len(trpo) + len(sac), len(sac))
+    told(
+        "results/safety/README.md",
+        f"**{verdict}.** It points the other way: TRPO-Lag has the higher cost rate, "
+        f"{pairs['cost_rate']}, the higher J_C, {pairs['J_C']}, and in the first third the lower "
+        f"EMCC, {pairs['EMCC_0.33']} (p = {short(least, 3)} each, the least that five and three "
+        "runs can give; to refute takes .01). The later thirds are not told apart "
+        f"(p = {short(p['EMCC_0.66'], 3)} and {short(p['EMCC_0.99'], 3)}).",
+        f"{share(sgd.J_C <= SAFETY_LIMIT)} keep the limit, at a J_R of {short(sgd.J_R.mean(), 1)} "
+        f"instead of {short(trpo.J_R.mean(), 1)}, and EMCC is lower in every third.",
+        f"third ({short(sgd['EMCC_0.33'].mean())} and {short(sac['EMCC_0.33'].mean())})",
+        f"alone keeps the limit in {share(lb.J_C <= SAFETY_LIMIT)}, at a J_C of "
+        f"{short(lb.J_C.max(), 1)} in each.",
+        f"J_R {short(wcsac.J_R.mean(), 1)}, in the paper 1.3.",
+        f"in {falls[0]} runs of TRPO-Lag, in {falls[1]} of CPO, SAC-Lag and SAC-LB each, in "
+        f"{falls[4]} of WCSAC",
+    )
+    assert all((sgd[name].mean() < trpo[name].mean()) for name in EMCC)
+    assert falls[1] == falls[2] == falls[3]
+    assert not any((own.J_C <= SAFETY_LIMIT).all() for own in (trpo, cpo, sac, wcsac))
+    told(
+        "results/README.md",
+        f"(p = {short(least, 3)} for both costs and EMCC_0.33, n = {len(trpo)} and {len(sac)})",
+        f"by Adam J_C is {short(trpo.J_C.mean(), 1)}, by plain ascent {short(sgd.J_C.mean(), 1)}, "
+        f"within the limit of 25 in {share(sgd.J_C <= SAFETY_LIMIT)}, as SAC-LB is.",
+    )
 
 
 def test_the_page_beside_omnisafe():

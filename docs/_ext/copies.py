@@ -10,6 +10,7 @@ TEXTS = {
     "metric.md": "emcc/README.md",
     "results.md": "results/README.md",
     "physics.md": "results/physics/README.md",
+    "safety.md": "results/safety/README.md",
     "library.md": "results/library/README.md",
     "omnisafe.md": "results/omnisafe/README.md",
     "solving.md": "results/solve/README.md",
