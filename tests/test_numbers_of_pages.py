@@ -32,7 +32,7 @@ SOURCES = {
     "physics": ["level-0.zip", "runs.zip"],
     "sensitivity": ["runs.zip"],
     "library": ["runs.zip", "sac-lb.zip", "residual.zip"],
-    "safety": ["point-circle.zip", "runs.zip"],
+    "safety": ["point-circle.zip", "runs.zip", "limit.zip"],
     "solve": ["runs.zip", "units.zip", "physics-2.zip", "physics-3.zip"],
     "solve/safety": ["runs.zip"],
     "baselines/safety": [*itertools.chain(*results_table.SAFETY_TASKS.values())],
@@ -193,6 +193,17 @@ def test_the_safety_tasks():
         f"{short(printed.J_R, 1)}.",
     )
     told("results/baselines/README.md", f"has {short(own.J_R.mean(), 1)}, near it.")
+    converted = "SAC-Lag (limit_of episode, 1,000,000 steps)"
+    usual = on_safety_task(results_table.POINT_GOAL)
+    pair = runs(lines, results_table.POINT_GOAL, converted), usual[usual.algorithm == "SAC-Lag"]
+    cost, usual_cost = (results_table.with_range(own.J_C, 1) for own in pair)
+    kept, usually_kept = (count(own.J_C <= SAFETY_LIMIT) for own in pair)
+    returns = " and ".join(short(own.J_R.mean(), 1) for own in pair)
+    told(
+        "results/safety/README.md",
+        f"J_C is {cost}, with the preset {usual_cost}; {kept} runs keep the limit, with the preset "
+        f"{usually_kept}. Neither has learned the task by then (J_R {returns})",
+    )
 
 
 def on_point_circle():
