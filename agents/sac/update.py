@@ -126,7 +126,7 @@ class ConstrainedSACConfig(SACConfig):
 
     @property
     def limited_cost(self) -> str:
-        """What the limit holds for in words, for tables."""
+        """The limited cost in words, for tables."""
         converted = ", converted from an episode's cost," if self.limit_of == "episode" else ""
         return f"discounted cost return Q_c{converted}"
 
