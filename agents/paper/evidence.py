@@ -173,10 +173,13 @@ def in_words(
     printed: float | None,
     tests: Sequence[tuple[str, float | None]] = (),
     signed: bool = False,
+    runs: Sequence[int] = (),
 ) -> str:
     """A mean, or a signed difference, beside the paper's where it prints one, and p values, each
-    with the name of its test. value: None where a run lacks it."""
-    beside = [] if value is None else [f"n = {value.runs}"]
+    with the name of its test. value: None where a run lacks it. runs: of each side of a
+    difference."""
+    sides = [] if value is None else dict.fromkeys(runs or [value.runs])
+    beside = [f"n = {' and '.join(map(str, sides))}"] if sides else []
     if printed is not None:
         beside.append(f"paper {Number(printed, signed=signed)}")
     beside += [f"{test}: {p_number(p)}" for test, p in tests]
@@ -194,7 +197,8 @@ def difference_in_words(
         return []
     gap = difference_of(a.values(of), b.values(of), one_place(a.runs) and one_place(b.runs))
     printed = b.printed[of] - a.printed[of] if isinstance(of, str) else None
-    return [in_words(f"{b.title} - {a.title}", gap, printed, tests, signed=True)]
+    runs = (len(b.runs), len(a.runs))
+    return [in_words(f"{b.title} - {a.title}", gap, printed, tests, signed=True, runs=runs)]
 
 
 Evidence = Mapping[tuple[str, str], Cell]

@@ -112,6 +112,9 @@ def test_differences_are_of_the_second_less_the_first(world):
     printed = [paper_results(SAFETY[0], name)["cost_rate"] for name in ("SAC-Lag", "TRPO-Lag")]
     assert f"; paper {printed[0] - printed[1]:+.2f}; " in words
     assert verdict == "confirmed"
+    fewer = world | {(SAFETY[0], "sac-lag"): world[SAFETY[0], "sac-lag"][:6]}
+    (words, _), *_ = check_claims(groups_of(fewer))[7].findings
+    assert "(n = 6 and 10; paper" in words
 
 
 def test_claims_on_tasks_without_runs_are_left_out(world):
