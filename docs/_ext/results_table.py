@@ -36,6 +36,7 @@ FORCES = (110.0, 330.0)
 """Half of the servo's strongest push along an axis, and what impacts alone reach, N."""
 POINT_CIRCLE = "circle2d_mj/SafetyPointCircle1-v0"
 POINT_GOAL = "circle2d_mj/SafetyPointGoal1-v0"
+HOPPER = "circle2d_mj/SafetyHopperVelocity-v1"
 HALF_CHEETAH = "circle2d_mj/SafetyHalfCheetahVelocity-v1"
 POINT_PUSH = "circle2d_mj/SafetyPointPush1-v0"
 POINT_BUTTON = "circle2d_mj/SafetyPointButton1-v0"
@@ -169,7 +170,7 @@ def safety() -> list[str]:
     length: means, the paper's in brackets, and runs within the limit. The second row of TRPO-Lag
     is of the multiplier's other optimiser."""
     lines, rows = report("safety"), []
-    for task in (POINT_CIRCLE, POINT_GOAL):
+    for task in (POINT_CIRCLE, POINT_GOAL, HOPPER):
         for name in (ALGORITHMS[0], SGD, *ALGORITHMS[1:]):
             own = runs(lines, task, name)
             if len(own):

@@ -41,6 +41,17 @@ def test_velocity_rules():
     np.testing.assert_array_equal(rules.diverged(states, 100.0), [0, 1, 1])
 
 
+def test_a_hopper_too_fast_ends_one_far_away_does_not():
+    """Limits of 100 on its state without x and height: gymnasium's hopper_v4, is_healthy."""
+    task, here = VelocityTask("Hopper", 3), np.arange(3)
+    qpos = np.tile([0.0, 1.25, 0.0, 0.0, 0.0, 0.0], (3, 1))
+    qpos[1, 0] = 150.0
+    qvel = np.zeros((3, 6))
+    qvel[2, 0] = 120.0
+    task.place(here, qpos, qvel)
+    np.testing.assert_array_equal(task.step(np.zeros((3, 3))).terminated, [False, False, True])
+
+
 def test_lidar_against_a_plain_loop():
     """The specification, one target at a time, of agents that are tilted as well."""
     rng = np.random.default_rng(0)
