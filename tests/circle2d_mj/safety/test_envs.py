@@ -131,10 +131,26 @@ def test_gremlins_and_timers_go_on_from_a_state():
     assert met.any()
     assert ((task.timer > 0) & (task.timer < 10)).any()
     other.load_state_dict(env.state_dict())
+    equal(other.simulation.observe(), task.observe())
     for k in range(60):
         action = np.tile([1.0, (-1.0) ** k], (6, 1))
         assert_alike(env.step(action), other.step(action))
     assert_alike(env.state_dict(), other.state_dict())
+
+
+def test_two_kinds_of_cost_make_one():
+    """A Point that pushes a vase inside a hazard."""
+    task, here = GoalTask("Point", 2), np.arange(1)
+    task.start(Streams(np.zeros(1, dtype=np.uint64)), here)
+    places, rows = task.places, task.world.rows
+    places[:, rows["hazards"].start] = places[:, 0]
+    places[:, rows["vases"].start] = places[:, 0] + [0.25, 0.0]
+    free = rows["vases"].stop - rows["vases"].start
+    task.place(here, places, np.zeros(1), np.zeros((1, free)))
+    infos = [task.step(np.array([[0.5, 0.0]])).info for _ in range(20)]
+    both = [i for i in infos if i["cost_vases_contact"] + i["cost_hazards"] == 2]
+    assert both
+    assert all(info["cost"] == 1 for info in both)
 
 
 def test_data_shows_the_world():
