@@ -47,13 +47,17 @@ def as_the_paper_says(task, name):
         parts = (0.5, 0.3, 0.2) if name == "trpo-lag" else (0.5, 0.35, 0.3)
         if name == "trpo-lag" and task in LEVEL[1:]:
             j_c, ends = 9.4, "corridor"
+        elif task == LEVEL[1]:
+            j_c = 4.0
     elif name in ("sac-lag", "sac-lb"):
         parts = (0.3, 0.4, 0.5)
         ends = "corridor" if task == LEVEL[0] or (name, task) == ("sac-lb", LEVEL[1]) else ends
         if (name, task) == ("sac-lag", SAFETY[0]):
             parts, rate, j_c = (0.3, 0.2, 0.1), 0.2, 2.0
+        elif (name, task) == ("sac-lag", LEVEL[1]):
+            parts = (0.6, 0.6, 0.5)
     else:
-        parts = (0.5, 0.6, 0.7)
+        parts = (0.6, 0.6, 0.7)
     runs = []
     for seed in ALL:
         shifted = [part + 0.003 * seed for part in parts]
@@ -107,19 +111,19 @@ def test_differences_are_of_the_second_less_the_first(world):
         "within 0.05: 1.000; p of the difference: <0.001)",
     }.items():
         assert any(told in words for words, _ in checked[k].findings)
-    (words, verdict), *_ = checked[7].findings
+    (words, verdict), *_ = checked[8].findings
     assert words.startswith("cost_rate: SAC-Lag - TRPO-Lag +0.10 [")
     printed = [paper_results(SAFETY[0], name)["cost_rate"] for name in ("SAC-Lag", "TRPO-Lag")]
     assert f"; paper {printed[0] - printed[1]:+.2f}; " in words
     assert verdict == "confirmed"
     fewer = world | {(SAFETY[0], "sac-lag"): world[SAFETY[0], "sac-lag"][:6]}
-    (words, _), *_ = check_claims(groups_of(fewer))[7].findings
+    (words, _), *_ = check_claims(groups_of(fewer))[8].findings
     assert "(n = 6 and 10; paper" in words
 
 
 def test_claims_on_tasks_without_runs_are_left_out(world):
     circle2d = {key: runs for key, runs in world.items() if key[0] in LEVEL}
-    assert len(verdicts(groups_of(circle2d))) == 7
+    assert len(verdicts(groups_of(circle2d))) == 8
     hopper = {key: runs[:3] for key, runs in world.items() if key[0] == SAFETY[2]}
     assert [of[0][:6] for of in check_claims(groups_of(hopper))] == ["EMCC o", "On Saf"]
 
@@ -183,9 +187,13 @@ SCENARIOS = {
     "CPO hardly lower": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.206}, 7, "undecided"),
     "SAC-LB lower in the middle": (LEVEL[2], "sac-lb", ALL, {"EMCC_0__66": 0.29}, 7, "refuted"),
     "early EMCC is not claimed": (LEVEL[2], "trpo-lag", ALL, {"EMCC_0__33": 0.9}, 7, "confirmed"),
-    "SAC-Lag cheaper": (SAFETY[0], "sac-lag", ALL, {"J_C": 0.5}, 8, "refuted"),
-    "SAC-Lag once longer": (SAFETY[0], "sac-lag", ALL[:5], {"EMCC_0__66": 0.5}, 8, "undecided"),
-    "TRPO-Lag shorter": (SAFETY[2], "trpo-lag", ALL, {"EMCC_0__33": 0.1}, 9, "refuted"),
+    "SAC-Lag cheaper": (SAFETY[0], "sac-lag", ALL, {"J_C": 0.5}, 9, "refuted"),
+    "SAC-Lag once longer": (SAFETY[0], "sac-lag", ALL[:5], {"EMCC_0__66": 0.5}, 9, "undecided"),
+    "TRPO-Lag shorter": (SAFETY[2], "trpo-lag", ALL, {"EMCC_0__33": 0.1}, 10, "refuted"),
+    "CPO cheaper": (LEVEL[1], "cpo", ALL, {"J_C": 0.5}, 8, "refuted"),
+    "CPO as cheap": (LEVEL[1], "cpo", ALL, {"J_C": 1.04}, 8, "undecided"),
+    "WCSAC shorter early": (LEVEL[1], "wcsac", ALL, {"EMCC_0__33": 0.4}, 8, "refuted"),
+    "on levels 2 and 3 not claimed": (LEVEL[2], "cpo", ALL, {"J_C": 0.5}, 8, "confirmed"),
 }
 
 
@@ -214,7 +222,7 @@ def test_cost_late_in_training(world):
 def test_what_decides_nothing(world):
     assert verdicts(groups_of(world, steps=10_000)) == []  # no claim: nothing is of the grid
     few = {key: runs[: 9 if key[0] in LEVEL else 2] for key, runs in world.items()}
-    assert verdicts(groups_of(few)) == ["undecided"] * 9
+    assert verdicts(groups_of(few)) == ["undecided"] * 10
     others = [
         group(task, "trpo-lag", world[task, "trpo-lag"], multiplier_optimizer="sgd")
         for task in LEVEL
@@ -223,7 +231,7 @@ def test_what_decides_nothing(world):
     # Beside the runs of the preset they change nothing.
     ablated = [group(of.task, "trpo-lag", changed(of.runs, ALL, J_C=0.0)) for of in others]
     ablated = [replace(of, config=other.config) for of, other in zip(ablated, others, strict=True)]
-    assert verdicts([*ablated, *groups_of(world)]) == ["confirmed"] * 9
+    assert verdicts([*ablated, *groups_of(world)]) == ["confirmed"] * 10
 
 
 def test_another_choice_that_changes_a_verdict(world):
@@ -270,7 +278,7 @@ def test_two_folders_of_other_seeds_count_together(world):
         for (task, name), runs in world.items()
         for of in (runs[:1], runs[1:], runs[:1])
     ]
-    assert verdicts(parts) == ["confirmed"] * 9
+    assert verdicts(parts) == ["confirmed"] * 10
 
 
 def test_what_is_missing_is_named(world):
@@ -289,7 +297,7 @@ def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
     demo = changed(world[LEVEL[1], "trpo-lag"], ALL, J_C=1.0, ends="right rim")
     others = [group(LEVEL[1], "trpo-lag", demo, steps=steps) for steps in (250_000, 2_000_000)]
     groups = groups_of(world)
-    assert verdicts([others[0], *groups, others[1]]) == ["confirmed"] * 9
+    assert verdicts([others[0], *groups, others[1]]) == ["confirmed"] * 10
     del world[LEVEL[1], "trpo-lag"]
     checked = check_claims([*others, *groups_of(world)])[0]
     assert checked.verdict == "undecided"
