@@ -116,6 +116,25 @@ def test_objects_left_alone_are_as_in_plain_mujoco(agent, cls):
     assert max(worst) < 1e-5
 
 
+def test_objects_that_push_others_are_as_in_plain_mujoco():
+    """A Point pushes the first of four vases in a row, all but that out of its own reach."""
+    task, here = GoalTask("Point", 2), np.arange(1)
+    task.start(Streams(np.zeros(1, dtype=np.uint64)), here)
+    rows, line = task.world.rows["vases"], np.outer((0.4, 0.7, 1.0, 1.3), (1.0, 0.0))
+    places = task.places
+    places[:, rows.start : rows.start + 4] = places[:, :1] + line
+    task.place(here, places, np.zeros(1), np.zeros((1, rows.stop - rows.start)))
+    for _ in range(40):  # they settle
+        task.step(np.zeros((1, 2)))
+    for _ in range(60):
+        data = task.batch.get_data(0)
+        task.step(np.array([[0.5, 0.0]]))
+        ten_substeps(task, data, [0.5, 0.0], [])
+        np.testing.assert_allclose(task.qpos[0], data.qpos, atol=1e-8)
+    moved = np.linalg.norm(task.places[0, rows] - places[0, rows], axis=-1)
+    assert (moved > 0.01).sum() >= 2
+
+
 def test_gremlins_and_timers_go_on_from_a_state():
     """In the middle of a gremlin's round and of a button's timer, into a new environment."""
     env, other = (SafetyVectorEnv("SafetyPointButton2", 6, max_episode_steps=None) for _ in "12")
