@@ -284,15 +284,16 @@ def on_policy(lines: pd.DataFrame) -> pd.DataFrame:
 @functools.cache
 def late_costs(task: str) -> pd.DataFrame:
     """By on-policy algorithm, in the last third of training on a Safety task, means over seeds:
-    "costing", the share of episodes that cost, and "longest", of all costs the share in their
-    episode's longest streak."""
+    "rate", the cost rate; "costing", the share of episodes that cost; and "longest", of all costs
+    the share in their episode's longest streak."""
     rows = []
     for group in read([RESULTS / "baselines" / "safety" / name for name in SAFETY_TASKS[task]], []):
         for run in group.runs:
             late = run.records.by_part(group.config.steps)[0.99]
             longest = late.longest_streak.sum() / max(late.cost.sum(), 1.0)
-            name = algorithms.title(group.config.algorithm)
-            rows.append({"algorithm": name, "costing": (late.cost > 0).mean(), "longest": longest})
+            rate, costing = late.cost.sum() / late.length.sum(), (late.cost > 0).mean()
+            shares = {"rate": rate, "costing": costing, "longest": longest}
+            rows.append({"algorithm": algorithms.title(group.config.algorithm), **shares})
     return on_policy(pd.DataFrame(rows)).groupby("algorithm").mean()
 
 
@@ -304,14 +305,17 @@ def ends(values: pd.Series, digits: int = 2) -> str:
 
 def safety_orders() -> list[str]:
     """A row for each Safety task of the benchmark: of the twelve on-policy algorithms' means,
-    Kendall's tau of late EMCC and the cost rate, and Spearman's rho of late EMCC and J_R; of the
-    late costs the share in their episode's longest streak. p values: two-sided, corrected for all
-    tasks but the one that gave the questions (Holm)."""
-    told = {}
+    Kendall's tau of late EMCC and the cost rate, and Spearman's rho of late EMCC and J_R; tau of
+    late EMCC and the late cost rate, and of the late costs the share in their episode's longest
+    streak. p values: two-sided, corrected for all tasks but the one that gave the questions (Holm).
+    """
+    told, beside = {}, {}
     for task in SAFETY_TASKS:
         own = on_policy(on_safety_task(task))
         means = own.groupby("algorithm")[["EMCC_0.99", "cost_rate", "J_R"]].mean()
-        late = means["EMCC_0.99"]
+        late, of_late = means["EMCC_0.99"], late_costs(task)
+        tau = scipy.stats.kendalltau(late, of_late["rate"][means.index]).statistic
+        beside[task] = short(tau), ends(of_late["longest"])
         told[task] = (
             scipy.stats.kendalltau(late, means.cost_rate),
             scipy.stats.spearmanr(late, means.J_R),
@@ -326,7 +330,7 @@ def safety_orders() -> list[str]:
                 f"{short(one.statistic)} ({_p(p.get((task, k), one.pvalue))})"
                 for k, one in enumerate(pair)
             ),
-            ends(late_costs(task)["longest"]),
+            *beside[task],
         )
         for task, pair in told.items()
     ]
