@@ -120,8 +120,8 @@ def test_objects_that_push_others_are_as_in_plain_mujoco():
     """A Point pushes the first of four vases in a row, all but that out of its own reach."""
     task, here = GoalTask("Point", 2), np.arange(1)
     task.start(Streams(np.zeros(1, dtype=np.uint64)), here)
-    rows, line = task.world.rows["vases"], np.outer((0.4, 0.7, 1.0, 1.3), (1.0, 0.0))
-    places = task.places
+    rows, places = task.world.rows["vases"], task.places
+    line = np.outer((0.4, 0.601, 0.802, 1.003), (1.0, 0.0))  # a millimetre apart
     places[:, rows.start : rows.start + 4] = places[:, :1] + line
     task.place(here, places, np.zeros(1), np.zeros((1, rows.stop - rows.start)))
     for _ in range(40):  # they settle
