@@ -150,6 +150,9 @@ def test_gremlins_and_timers_go_on_from_a_state():
     assert met.any()
     assert ((task.timer > 0) & (task.timer < 10)).any()
     other.load_state_dict(env.state_dict())
+    other.reset()
+    assert not other.simulation.timer.any()
+    other.load_state_dict(env.state_dict())
     equal(other.simulation.observe(), task.observe())
     for k in range(60):
         action = np.tile([1.0, (-1.0) ** k], (6, 1))
