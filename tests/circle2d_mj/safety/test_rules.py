@@ -1,13 +1,14 @@
 """Rules where nothing was recorded, lidars beside a plain loop, starts of the velocity tasks; the
 rest: test_parity.py."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import rules
 from circle2d_mj.safety.tasks import VELOCITY
-from circle2d_mj.safety.velocity import VelocityTask
+from circle2d_mj.safety.velocity import BODIES, VelocityTask
 
 
 def test_limits():
@@ -76,6 +77,19 @@ def test_lidar_against_a_plain_loop():
     np.testing.assert_allclose(seen, expected.reshape(50, 48), atol=1e-12)
     alone = rules.Lidars(1, groups, 3.0)(*(array[3:4] for array in inputs))
     np.testing.assert_array_equal(alone[0], seen[3])
+
+
+@pytest.mark.filterwarnings("ignore")  # gymnasium deprecates v4, which the original is made of
+@pytest.mark.parametrize("body", VELOCITY)
+def test_constants_are_those_of_gymnasium(body):
+    there, own = gym.make(f"{body}-v4").unwrapped, BODIES[body]
+    assert own.substeps == there.frame_skip
+    names = {"noise": "reset_noise_scale", "control_cost": "ctrl_cost_weight"}
+    names |= {"alive": "healthy_reward", "forward": "forward_reward_weight"}
+    names |= {"height": "healthy_z_range", "tilt": "healthy_angle_range"}
+    for name, of_gymnasium in names.items():
+        usual = own._field_defaults.get(name)
+        assert getattr(own, name) == getattr(there, f"_{of_gymnasium}", usual), name
 
 
 NOISE = {"HalfCheetah": 0.1, "Hopper": 0.005, "Swimmer": 0.1}
