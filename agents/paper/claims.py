@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 
@@ -328,15 +329,14 @@ COSTLY_BUT_SHORT = Claim(
 
 def _short_episodes(evidence: Evidence) -> list[Finding]:
     trpo, sac = (evidence[HOPPER, name] for name in ("trpo-lag", "sac-lb"))
-    lengths, costs = (lambda run, of=of: _early_mean(run, of) for of in ("length", "cost"))
     return [
-        _all_below("episode length", [(trpo, sac)], lengths, 3),
-        _all_below("cost of an episode", [(trpo, sac)], costs, 3),
+        _all_below("episode length", [(trpo, sac)], functools.partial(_early_mean, "length"), 3),
+        _all_below("cost of an episode", [(trpo, sac)], functools.partial(_early_mean, "cost"), 3),
         _all_below(EARLY, [(sac, trpo)], EARLY, 3),
     ]
 
 
-def _early_mean(run: Run, column: str) -> float:
+def _early_mean(column: str, run: Run) -> float:
     """Mean over the episodes that start in the first third of training."""
     rows = 3 * run.records.start_step < run.records.total_steps
     return float(getattr(run.records, column)[rows].mean())

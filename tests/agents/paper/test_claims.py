@@ -308,7 +308,7 @@ def test_the_first_third_by_hand():
     """Ten episodes of 10 steps: the first four start in the first 33 of 100 steps."""
     one = run(0, (0.5, 0.5, 0.5), 0.1, 1.0, "right rim", 1.0)
     one = replace(one, records=replace(one.records, cost=np.arange(10.0)))
-    assert claims._early_mean(one, "cost") == 1.5
+    assert claims._early_mean("cost", one) == 1.5
     assert claims._later_cost(one) == 6.5
 
 
