@@ -32,7 +32,7 @@ SOURCES = {
     "physics": ["level-0.zip", "runs.zip"],
     "sensitivity": ["runs.zip"],
     "library": ["runs.zip", "sac-lb.zip", "residual.zip"],
-    "safety": ["point-circle.zip", "runs.zip", "limit.zip"],
+    "safety": ["point-circle.zip", "runs.zip", "limit.zip", "hopper.zip"],
     "solve": ["runs.zip", "units.zip", "physics-2.zip", "physics-3.zip"],
     "solve/safety": ["runs.zip"],
     "baselines/safety": [*itertools.chain(*results_table.SAFETY_TASKS.values())],
