@@ -259,6 +259,25 @@ def test_the_claim_on_safety_point_circle():
     )
 
 
+def test_the_page_on_safety_hopper():
+    lines = results_table.report("safety")
+    own = runs(lines, results_table.HOPPER, "TRPO-Lag")
+    printed = results_table.paper(lines, results_table.HOPPER, "TRPO-Lag").iloc[0]
+    falls = count(own["EMCC_0.99"] < own["EMCC_0.33"])
+    ends = [
+        f"from {short(of['EMCC_0.33'])} to {short(of['EMCC_0.99'])}"
+        for of in (own[[*EMCC]].mean(), printed)
+    ]
+    told(
+        "results/safety/README.md",
+        f"falls in {falls} runs, {ends[0]} (in the paper {ends[1]}), and "
+        f"{share(own.J_C <= SAFETY_LIMIT)} keep the limit. Its return, {short(own.J_R.mean(), 1)}, "
+        f"is twice the paper's, {short(printed.J_R, 1)}; no run has less than "
+        f"{short(own.J_R.min(), 1)}.",
+    )
+    assert 1.9 < own.J_R.mean() / printed.J_R < 2.1
+
+
 def test_the_page_beside_omnisafe():
     """Its p value, and that EMCC falls in every run of PPO-Lag."""
     pairs = {
