@@ -276,6 +276,10 @@ def test_the_page_on_safety_hopper():
         f"{short(own.J_R.min(), 1)}.",
     )
     assert 1.9 < own.J_R.mean() / printed.J_R < 2.1
+    for task, omnisafe in ((results_table.HOPPER, 1391.8), (results_table.POINT_GOAL, 18.5)):
+        both = runs(lines, task, "TRPO-Lag"), results_table.paper(lines, task, "TRPO-Lag")
+        ours, theirs = (abs(side.J_R.mean() - omnisafe) for side in both)
+        assert ours < theirs
 
 
 def test_the_page_beside_omnisafe():
