@@ -212,6 +212,22 @@ def test_the_safety_tasks():
     )
 
 
+def test_ten_episodes_instead_of_a_hundred():
+    archives = [RESULTS / "safety" / name for name in SOURCES["safety"] if name != "limit.zip"]
+    evaluated = [
+        run.evaluation["deterministic"]["cost_returns"]
+        for group in read(archives, [])
+        for run in group.runs
+    ]
+    ten, hundred = (np.array([np.mean(costs[:n]) for costs in evaluated]) for n in (10, 100))
+    other_side = (ten <= SAFETY_LIMIT) != (hundred <= SAFETY_LIMIT)
+    told(
+        "results/safety/README.md",
+        f"a run's J_C is up to {short(np.abs(ten - hundred).max(), 1)} away, and "
+        f"{count(other_side)} runs are on the other side of the limit.",
+    )
+
+
 def on_point_circle():
     lines = results_table.report("safety")
     names = ("TRPO-Lag", results_table.SGD, "CPO", "SAC-Lag", "SAC-LB", "WCSAC")
