@@ -59,6 +59,7 @@ LIBRARY = {
 """Names of runs as in the later library of the paper's group, by their titles on its page."""
 SGD = "TRPO-Lag (multiplier_optimizer sgd)"
 UNITS = "SAC-LB (input_scale 15.0)"
+UNITS_WITH_PHYSICS = "SAC-LB (input_scale (15.0, 15.0, 1.1, 1.1))"
 PARTS = {
     "without-scale": "the unit of length",
     "without-novelty": "the bonus for new states",
@@ -401,10 +402,10 @@ def solving() -> list[str]:
     sources, rows = {"SAC-LB": report("circle2d")}, []
     fresh = report("solve")
     for task in (*LEVELS, *PHYSICS):
-        for name in ("SAC-LB", UNITS, "SAC-LB-Streak"):
+        for name in ("SAC-LB", UNITS, UNITS_WITH_PHYSICS, "SAC-LB-Streak"):
             own = runs(sources.get(name, fresh), task, name)
             if len(own):
-                title = name.replace("SAC-LB (input_scale 15.0)", "in units of length")
+                title = "in units of length" if "input_scale" in name else name
                 level = task[9] if task in LEVELS else f"{task[15]}, physics"
                 thirds, *others = means(own)
                 rows.append(_row(level, title, _counts(own), thirds.replace(" ", "/"), *others))
