@@ -32,7 +32,7 @@ SOURCES = {
     "physics": ["level-0.zip", "runs.zip"],
     "sensitivity": ["runs.zip"],
     "library": ["runs.zip", "sac-lb.zip", "residual.zip"],
-    "safety": ["point-circle.zip", "runs.zip", "limit.zip", "hopper.zip"],
+    "safety": ["point-circle.zip", "runs.zip", "limit.zip", "hopper.zip", "sac-lag.zip"],
     "solve": ["runs.zip", "units.zip", "physics-2.zip", "physics-3.zip"],
     "solve/safety": ["runs.zip"],
     "baselines/safety": [*itertools.chain(*results_table.SAFETY_TASKS.values())],
@@ -661,6 +661,18 @@ def test_the_levels_that_sac_lb_streak_solves():
         *(f"{share(side)}." for side in (streak, units)),
     )
     told("results/README.md", f"in {share(of_units[0])}: the strongest")
+    tasks = [
+        t for t in results_table.PHYSICS if len(runs(lines, t, results_table.UNITS_WITH_PHYSICS))
+    ]
+    names = ((lines, results_table.UNITS_WITH_PHYSICS), (lines, "SAC-LB-Streak"))
+    units, streak, preset = (
+        solved(on(*of, tasks)) for of in (*names, (results_table.report("physics"), "SAC-LB"))
+    )
+    told(
+        "results/solve/README.md",
+        f"solve {count(units)}, the preset {count(preset)} ({fisher(units, preset)}), SAC-LB-Streak "
+        f"{count(streak)} ({fisher(units, streak)}).",
+    )
 
 
 def test_the_example_of_ties():
