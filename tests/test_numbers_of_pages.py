@@ -244,32 +244,34 @@ def test_the_claim_on_safety_point_circle():
         name: f"{short(trpo[name].mean(), digits)} against {short(sac[name].mean(), digits)}"
         for name, digits in (("cost_rate", 2), ("J_C", 1), ("EMCC_0.33", 2))
     }
-    p = dict(re.findall(r"^- ([\w.]+): .*; p: ([\d.]+)\)", section, re.M))
-    assert [float(p[name]) for name in pairs] == [0.018] * 3
+    own, _, with_sgd = section.partition("\nWith sgd: ")
+    p = dict(re.findall(r"^- ([\w.]+): .*; p: ([\d.]+)\)", own, re.M))
+    assert [float(p[name]) for name in pairs] == [0.008] * 3
+    assert with_sgd.startswith("undecided\n")
     falls = [count(own["EMCC_0.99"] < own["EMCC_0.33"]) for own in (trpo, cpo, sac, lb, wcsac)]
-    least = 1 / math.comb(len(trpo) + len(sac), len(sac))
     told(
         "results/safety/README.md",
-        f"**{verdict}.** It points the other way: TRPO-Lag has the higher cost rate, "
+        f"**{verdict}**: TRPO-Lag has the higher cost rate, "
         f"{pairs['cost_rate']}, the higher J_C, {pairs['J_C']}, and in the first third the lower "
-        f"EMCC, {pairs['EMCC_0.33']} (p = {short(least, 3)} each, the least that five and three "
-        "runs can give; to refute takes .01). The later thirds are not told apart "
-        f"(p = {short(p['EMCC_0.66'], 3)} and {short(p['EMCC_0.99'], 3)}).",
+        f"EMCC, {pairs['EMCC_0.33']} (p = .008 each, n = {len(trpo)} and {len(sac)}; to refute "
+        f"takes .01). The later thirds are not told apart (p = {short(p['EMCC_0.66'], 3)} and "
+        f"{short(p['EMCC_0.99'], 3)}). Three seeds of SAC-Lag had left it undecided (p = "
+        f"{short(1 / math.comb(8, 3), 3)} each,",
         f"{share(sgd.J_C <= SAFETY_LIMIT)} keep the limit, at a J_R of {short(sgd.J_R.mean(), 1)} "
         f"instead of {short(trpo.J_R.mean(), 1)}, and EMCC is lower in every third.",
         f"third ({short(sgd['EMCC_0.33'].mean())} and {short(sac['EMCC_0.33'].mean())})",
         f"alone keeps the limit in {share(lb.J_C <= SAFETY_LIMIT)}, at a J_C of "
         f"{short(lb.J_C.max(), 1)} in each.",
         f"J_R {short(wcsac.J_R.mean(), 1)}, in the paper 1.3.",
-        f"in {falls[0]} runs of TRPO-Lag, in {falls[1]} of CPO, SAC-Lag and SAC-LB each, in "
-        f"{falls[4]} of WCSAC",
+        f"in {falls[0]} runs of TRPO-Lag and SAC-Lag each, in {falls[1]} of CPO and SAC-LB each, "
+        f"in {falls[4]} of WCSAC",
     )
     assert all((sgd[name].mean() < trpo[name].mean()) for name in EMCC)
-    assert falls[1] == falls[2] == falls[3]
+    assert (falls[0], falls[1]) == (falls[2], falls[3])
     assert not any((own.J_C <= SAFETY_LIMIT).all() for own in (trpo, cpo, sac, wcsac))
     told(
         "results/README.md",
-        f"(p = {short(least, 3)} for both costs and EMCC_0.33, n = {len(trpo)} and {len(sac)})",
+        f"(p = .008 for both costs and EMCC_0.33, n = {len(trpo)} and {len(sac)})",
         f"by Adam J_C is {short(trpo.J_C.mean(), 1)}, by plain ascent {short(sgd.J_C.mean(), 1)}, "
         f"within the limit of 25 in {share(sgd.J_C <= SAFETY_LIMIT)}, as SAC-LB is.",
     )
@@ -670,8 +672,8 @@ def test_the_levels_that_sac_lb_streak_solves():
     )
     told(
         "results/solve/README.md",
-        f"solve {count(units)}, the preset {count(preset)} ({fisher(units, preset)}), SAC-LB-Streak "
-        f"{count(streak)} ({fisher(units, streak)}).",
+        f"solve {count(units)}, the preset {count(preset)} ({fisher(units, preset)}), "
+        f"SAC-LB-Streak {count(streak)} ({fisher(units, streak)}).",
     )
 
 
