@@ -118,7 +118,8 @@ def test_the_verdicts():
             assert re.search(rf"(?<!\d)0?{re.escape(number)}(?!\d)", own), number
     counts = [sum(row[1] == verdict for row in rows) for verdict in ("confirmed", "refuted")]
     assert counts == [1, 5]
-    told = "Of eight of the paper's claims one is confirmed, five are refuted, two stay undecided"
+    # One more is refuted on SafetyPointCircle1: test_the_claim_on_safety_point_circle.
+    told = "Of nine of the paper's claims one is confirmed, six are refuted, two stay undecided"
     assert told in " ".join(page("README.md").split())
 
 
@@ -247,7 +248,7 @@ def test_the_claim_on_safety_point_circle():
     own, _, with_sgd = section.partition("\nWith sgd: ")
     p = dict(re.findall(r"^- ([\w.]+): .*; p: ([\d.]+)\)", own, re.M))
     assert [float(p[name]) for name in pairs] == [0.008] * 3
-    assert with_sgd.startswith("undecided\n")
+    assert with_sgd.startswith("undecided\n") and verdict == "Refuted"
     falls = [count(own["EMCC_0.99"] < own["EMCC_0.33"]) for own in (trpo, cpo, sac, lb, wcsac)]
     told(
         "results/safety/README.md",
@@ -273,7 +274,8 @@ def test_the_claim_on_safety_point_circle():
         "results/README.md",
         f"(p = .008 for both costs and EMCC_0.33, n = {len(trpo)} and {len(sac)})",
         f"by Adam J_C is {short(trpo.J_C.mean(), 1)}, by plain ascent {short(sgd.J_C.mean(), 1)}, "
-        f"within the limit of 25 in {share(sgd.J_C <= SAFETY_LIMIT)}, as SAC-LB is.",
+        f"within the limit of 25 in {share(sgd.J_C <= SAFETY_LIMIT)}, as SAC-LB is, and the claim "
+        "is undecided.",
     )
 
 
