@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -412,15 +413,15 @@ def solving() -> list[str]:
     return rows
 
 
-def compared() -> list[str]:
+def compared(levels: Sequence[str] = LEVELS, units: str = UNITS) -> list[str]:
     """A row for each measure: its mean over the levels for SAC-LB in units of length and for
     SAC-LB-Streak, with the p value over all levels (permutation test, runs exchanged within a
     level), corrected for the rows (Holm)."""
     lines, both, tests = report("solve"), {}, {}
     for name in (*SAFETY_MEASURES, "mean_streak", "J_R", "J_C"):
         sides = [
-            np.transpose([runs(lines, task, which)[name].to_numpy() for task in LEVELS])
-            for which in (UNITS, "SAC-LB-Streak")
+            np.transpose([runs(lines, task, which)[name].to_numpy() for task in levels])
+            for which in (units, "SAC-LB-Streak")
         ]
         both[name] = [short(side.mean(), 3) for side in sides]
         tests[name] = emcc.permutation_test(*sides, rng=np.random.default_rng(0))
