@@ -678,6 +678,7 @@ def test_the_levels_that_sac_lb_streak_solves():
     assert tested[:5] == ["p < .001"] * 5
     assert all(float(a) > float(b) for a, b in zip(higher, lower, strict=True) if float(a) > 0)
     told("results/physics/README.md", f"which solves {count(units)} on levels 1 to 3")
+    told("README.md", f"in units of length, does in 28 of 40, with physics in {count(units)}")
     told(
         "results/solve/README.md",
         f"solve {count(units)}, the preset {count(preset)} ({fisher(units, preset)}), "
