@@ -155,13 +155,12 @@ def test_the_sentences():
     waiting = on(lines, bootstrap.format("SAC-LB"), LEVELS).ends_in
     assert len(waiting) == 40 and waiting.str.contains("rim").all()
     on_0 = [ends(bootstrap.format(name), "corridor", LEVELS[:1]) for name in ("SAC-Lag", "SAC-LB")]
-    report = page("results/circle2d/report.md")
     off_policy = [
         runs(lines, task, name) for name in ("SAC-Lag", "SAC-LB", "WCSAC") for task in LEVELS
     ]
     falling = [int((own["EMCC_0.99"] < own["EMCC_0.33"]).sum()) for own in off_policy]
     assert f"methods' falls too, in {min(falling)} of 10 runs or more" in page("results/README.md")
-    cpo, sgd = "CPO (input_scale 15.0)", "TRPO-Lag (multiplier_optimizer sgd)"
+    cpo, sgd = "CPO (input_scale 15.0)", results_table.SGD
     told(
         "results/README.md",
         f"CPO waits at the rim or in a cut-out: {share(ends('CPO', 'corridor', LEVELS))} end",
@@ -179,6 +178,7 @@ def test_the_sentences():
     assert emcc.mean_interval(thick[0]).high < 0.56  # the rule, written before
     late = [f"{short(of.mean())} ({short(of.min())} to {short(of.max())})" for of in thick]
     told("results/README.md", "late EMCC is {}, in units of length {}; the".format(*late))
+    report = page("results/circle2d/report.md")
     nearest = re.findall(r"^\| CPO, (\w+) +\| (\d+ of \d+) *\|$", report, re.M)
     assert dict(nearest) == {"preset": "6 of 28", "units": "22 of 28"}
     assert "Of 120 comparisons" in report and "4 have equal cost rates" in report

@@ -286,15 +286,15 @@ LOWEST_LATE = Claim(
 
 
 def _cheap_but_long(evidence: Evidence) -> list[Finding]:
-    level_1, parts = LEVEL_TASKS[1], 4 * 2 * len(ON_POLICY)
+    level_1 = LEVEL_TASKS[1]
     pairs = [
         (evidence[level_1, off_policy], evidence[level_1, on_policy])
         for off_policy in ("sac-lag", "wcsac")
         for on_policy in ON_POLICY
     ]
     turned = [(on_policy, off_policy) for off_policy, on_policy in pairs]
-    shorter = [_all_below(name, turned, name, parts) for name in (EARLY, MIDDLE, LATE)]
-    return [_all_below("J_C", pairs, "J_C", parts), *shorter]
+    parts = [("J_C", pairs), *((name, turned) for name in (EARLY, MIDDLE, LATE))]
+    return [_all_below(name, of, name, len(parts) * len(pairs)) for name, of in parts]
 
 
 CHEAP_BUT_LONG = Claim(
@@ -313,8 +313,9 @@ POINT_CIRCLE, HOPPER = "circle2d_mj/SafetyPointCircle1-v0", "circle2d_mj/SafetyH
 
 def _costly_but_short(evidence: Evidence) -> list[Finding]:
     trpo, sac = (evidence[POINT_CIRCLE, name] for name in ("trpo-lag", "sac-lag"))
-    cheaper = [_all_below(name, [(trpo, sac)], name, 5) for name in ("cost_rate", "J_C")]
-    return cheaper + [_all_below(name, [(sac, trpo)], name, 5) for name in (EARLY, MIDDLE, LATE)]
+    parts = [(name, [(trpo, sac)], name) for name in ("cost_rate", "J_C")]
+    parts += [(name, [(sac, trpo)], name) for name in (EARLY, MIDDLE, LATE)]
+    return [_all_below(name, pairs, of, len(parts)) for name, pairs, of in parts]
 
 
 COSTLY_BUT_SHORT = Claim(
@@ -329,11 +330,12 @@ COSTLY_BUT_SHORT = Claim(
 
 def _short_episodes(evidence: Evidence) -> list[Finding]:
     trpo, sac = (evidence[HOPPER, name] for name in ("trpo-lag", "sac-lb"))
-    return [
-        _all_below("episode length", [(trpo, sac)], functools.partial(_early_mean, "length"), 3),
-        _all_below("cost of an episode", [(trpo, sac)], functools.partial(_early_mean, "cost"), 3),
-        _all_below(EARLY, [(sac, trpo)], EARLY, 3),
+    parts = [
+        ("episode length", [(trpo, sac)], functools.partial(_early_mean, "length")),
+        ("cost of an episode", [(trpo, sac)], functools.partial(_early_mean, "cost")),
+        (EARLY, [(sac, trpo)], EARLY),
     ]
+    return [_all_below(name, pairs, of, len(parts)) for name, pairs, of in parts]
 
 
 def _early_mean(column: str, run: Run) -> float:

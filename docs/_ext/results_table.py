@@ -293,7 +293,7 @@ def late_costs(task: str) -> pd.DataFrame:
         for run in group.runs:
             late = run.records.by_part(group.config.steps)[0.99]
             longest = late.longest_streak.sum() / max(late.cost.sum(), 1.0)
-            rate, costing = late.cost.sum() / late.length.sum(), (late.cost > 0).mean()
+            rate, costing = emcc.cost_rate(late.cost, late.length), (late.cost > 0).mean()
             shares = {"rate": rate, "costing": costing, "longest": longest}
             rows.append({"algorithm": algorithms.title(group.config.algorithm), **shares})
     return on_policy(pd.DataFrame(rows)).groupby("algorithm").mean()
