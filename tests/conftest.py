@@ -5,6 +5,7 @@ import os
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import settings
@@ -34,14 +35,17 @@ def opengl():
 
 
 @pytest.fixture
-def library_cpo(monkeypatch):
-    """The example; its algorithm is registered for one test alone."""
+def library(monkeypatch):
+    """The examples of the group's library; their algorithms are registered for one test alone."""
     from agents import algorithms
 
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "examples"))
-    yield importlib.import_module("library_cpo")
-    del sys.modules["library_cpo"]
-    algorithms._algorithms.registered.pop("cpo-library")
+    names = "library_cpo", "library_sac_lag"
+    yield SimpleNamespace(**{name: importlib.import_module(name) for name in names})
+    for name in names:
+        del sys.modules[name]
+    for name in ("cpo-library", "sac-lag-library"):
+        algorithms._algorithms.registered.pop(name)
 
 
 @pytest.fixture(scope="session")

@@ -52,7 +52,7 @@ def page(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", SOURCES)
-def test_the_published_archives_give_the_published_numbers(folder, library_cpo):
+def test_the_published_archives_give_the_published_numbers(folder, library):
     published = RESULTS / folder
     groups = with_distinct_titles(read([published / name for name in SOURCES[folder]], []))
     found = io.StringIO(numbers_csv(report_lines(groups, evidence.printed)))

@@ -1,0 +1,65 @@
+"""The examples of the paper group's CPO and SAC-Lag, beside CPO and SAC-Lag themselves."""
+
+import pytest
+import torch
+
+from agents.algorithms import cpo, sac_lag
+from agents.sac import update as sac
+from agents.sac.replay import Batch
+from agents.trust_region import Problem, conjugate_gradient
+
+
+def problem(gradient, cost_gradient, excess):
+    """With the identity as Hessian, and δ = 0.01."""
+    gradient, b = torch.tensor([gradient]), torch.tensor([cost_gradient])
+    solve = lambda v: conjugate_gradient(lambda x: x, v, 2)  # noqa: E731
+    return Problem(gradient, lambda: b, torch.tensor([excess]), lambda v: v, solve, 0.01)
+
+
+def test_where_the_limit_is_broken_it_goes_on_along_the_cost(library):
+    """g = (.6, .8), b = (1, 0), c = .05: q = 1, r = .6, s = 1, so that the branches of the dual are
+    worth -.162 (λ = 12) and -.141 (λ = √50). ν = .05 √50 - .6 < 0, so the step is g / √50 and the
+    predicted cost grows, where CPO goes back to the limit."""
+    found = problem([0.6, 0.8], [1.0, 0.0], 0.05)
+    library_cpo = library.library_cpo
+    its = library_cpo.step(library_cpo.LibraryCPOConfig(), found)
+    assert its.case.tolist() == [library_cpo.BROKEN]
+    expected = [[0.6 / 50**0.5, 0.8 / 50**0.5]]
+    torch.testing.assert_close(its.displacement, torch.tensor(expected), rtol=1e-4, atol=1e-4)
+    ours = cpo.step(cpo.CPOConfig(), found).displacement
+    assert ours[0, 0].item() == pytest.approx(-0.05, abs=1e-5)
+
+
+def test_a_short_gradient_is_not_followed(library):
+    """Its squared norm, .05, is below the residual at which its conjugate gradients stop."""
+    library_cpo = library.library_cpo
+    config, nothing = library_cpo.LibraryCPOConfig(), problem([0.1, 0.2], [0.0, 0.0], -1.0)
+    assert library_cpo.solve(config, nothing, torch.tensor([[0.1, 0.2]])).abs().max() < 2e-4
+    longer = torch.tensor([[0.3, 0.2]])
+    torch.testing.assert_close(library_cpo.solve(config, nothing, longer), longer)
+
+
+def test_the_multiplier_follows_the_actions_of_the_replay(library):
+    """With a limit between the cost critics' values at the replay's action, (1, 1), and at the
+    policy's, (0, 0), SAC-Lag's multiplier goes to the one side and this to the other."""
+    config = sac_lag.SACLagConfig(learning_rate=1e-9)
+    nets = sac.make_nets(config, 2, 2, 1)
+    state = sac.initial_state(nets, config, sac_lag.RULE, [0])
+    state = state._replace(actor=torch.zeros_like(state.actor))  # with noise 0 its action is 0
+    zeros, replayed = torch.zeros(1, 1, 2), torch.ones(1, 1, 2)
+    batch = Batch(zeros, replayed, *torch.zeros(2, 1, 1), zeros, *torch.zeros(2, 1, 1))
+    batch = batch._replace(cost=torch.zeros(1, 1, 1))
+
+    def risk(action):
+        return sac.values(nets, state.critics, zeros, action)[0, 2:].max().item()
+
+    limit = 0.5 * (risk(replayed) + risk(zeros))
+    config = sac_lag.SACLagConfig(learning_rate=1e-9, cost_limit=limit)
+    noise = sac.UpdateNoise(zeros, zeros)
+    moved = []
+    for rule in (sac_lag.RULE, library.library_sac_lag.rule):
+        after, _ = sac.update(nets, config, rule, state, batch, noise)
+        moved.append(after.multipliers[0].parameter[0, 0].item())
+    signs = [risk(action) > limit for action in (zeros, replayed)]
+    assert signs[0] != signs[1]
+    assert [step > 0 for step in moved] == signs
