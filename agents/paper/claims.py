@@ -63,6 +63,10 @@ def _straight(run: Run) -> bool:
     return in_corridor(run) and not within(run)
 
 
+def _waiting(run: Run) -> bool:
+    return not in_corridor(run) and within(run)
+
+
 def _straight_through(evidence: Evidence) -> list[Finding]:
     findings, parts = [], 3 * len(LEVEL_TASKS[1:])
     for task in LEVEL_TASKS[1:]:
@@ -157,7 +161,7 @@ def _low_cost(evidence: Evidence) -> list[Finding]:
 
 
 def _settled(run: Run) -> bool:
-    return not in_corridor(run) and within(run) and _later_cost(run) <= LIMIT
+    return _waiting(run) and _later_cost(run) <= LIMIT
 
 
 def _later_cost(run: Run) -> float:
@@ -308,6 +312,29 @@ CHEAP_BUT_LONG = Claim(
 )
 
 
+def _both_ways(evidence: Evidence) -> list[Finding]:
+    names = ("sac-lag", "wcsac")
+    does = ((_straight, "go through"), (_waiting, "wait within the limit"))
+    findings = []
+    for name in names:
+        cell = evidence[LEVEL_TASKS[2], name]
+        verdict = all_of(cell.judged(some, of, len(names) * len(does)) for of, _ in does)
+        facts = [fact for of, words in does for fact in cell.share(of, "", words)]
+        findings.append(finding(cell.title, verdict, [cell], facts))
+    return findings
+
+
+BOTH_WAYS = Claim(
+    "On level 2 the results of SAC-Lag and WCSAC vary strongly between seeds: some runs ignore the "
+    "region, the others wait at a local optimum at a cost of 0.",
+    "Of each of the two more than one run in twenty ends in the corridor with J_C above the limit, "
+    "and more than one in twenty outside it with J_C within the limit; refuted where no run does "
+    "one of them and fewer than half would.",
+    _both_ways,
+    LEVEL_TASKS[2:3],
+)
+
+
 POINT_CIRCLE, HOPPER = "circle2d_mj/SafetyPointCircle1-v0", "circle2d_mj/SafetyHopperVelocity-v1"
 
 
@@ -356,7 +383,7 @@ SHORT_EPISODES = Claim(
 
 
 CLAIMS = (STRAIGHT_THROUGH, TREND, CORRIDOR, LOW_COST, NOBODY, EQUAL_RATES, LOWEST_LATE)
-CLAIMS = (*CLAIMS, CHEAP_BUT_LONG, COSTLY_BUT_SHORT, SHORT_EPISODES)
+CLAIMS = (*CLAIMS, CHEAP_BUT_LONG, BOTH_WAYS, COSTLY_BUT_SHORT, SHORT_EPISODES)
 """Pages number them in this order."""
 
 

@@ -64,6 +64,8 @@ def as_the_paper_says(task, name):
         costs = rate + 0.001 * seed, j_c + 0.01 * seed
         length, cost = early[0] - seed % 2, early[1] + seed
         runs.append(run(seed, shifted, *costs, ends, later, (length, cost)))
+    if task == LEVEL[2] and name in ("sac-lag", "wcsac"):
+        runs = changed(runs, ALL[:5], ends="corridor", J_C=9.0)
     return runs
 
 
@@ -111,19 +113,19 @@ def test_differences_are_of_the_second_less_the_first(world):
         "within 0.05: 1.000; p of the difference: <0.001)",
     }.items():
         assert any(told in words for words, _ in checked[k].findings)
-    (words, verdict), *_ = checked[8].findings
+    (words, verdict), *_ = checked[9].findings
     assert words.startswith("cost_rate: SAC-Lag - TRPO-Lag +0.10 [")
     printed = [paper_results(SAFETY[0], name)["cost_rate"] for name in ("SAC-Lag", "TRPO-Lag")]
     assert f"; paper {printed[0] - printed[1]:+.2f}; " in words
     assert verdict == "confirmed"
     fewer = world | {(SAFETY[0], "sac-lag"): world[SAFETY[0], "sac-lag"][:6]}
-    (words, _), *_ = check_claims(groups_of(fewer))[8].findings
+    (words, _), *_ = check_claims(groups_of(fewer))[9].findings
     assert "(n = 6 and 10; paper" in words
 
 
 def test_claims_on_tasks_without_runs_are_left_out(world):
     circle2d = {key: runs for key, runs in world.items() if key[0] in LEVEL}
-    assert len(verdicts(groups_of(circle2d))) == 8
+    assert len(verdicts(groups_of(circle2d))) == 9
     hopper = {key: runs[:3] for key, runs in world.items() if key[0] == SAFETY[2]}
     assert [of[0][:6] for of in check_claims(groups_of(hopper))] == ["EMCC o", "On Saf"]
 
@@ -187,13 +189,19 @@ SCENARIOS = {
     "CPO hardly lower": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.206}, 7, "undecided"),
     "SAC-LB lower in the middle": (LEVEL[2], "sac-lb", ALL, {"EMCC_0__66": 0.29}, 7, "refuted"),
     "early EMCC is not claimed": (LEVEL[2], "trpo-lag", ALL, {"EMCC_0__33": 0.9}, 7, "confirmed"),
-    "SAC-Lag cheaper": (SAFETY[0], "sac-lag", ALL, {"J_C": 0.5}, 9, "refuted"),
-    "SAC-Lag once longer": (SAFETY[0], "sac-lag", ALL[:5], {"EMCC_0__66": 0.5}, 9, "undecided"),
-    "TRPO-Lag shorter": (SAFETY[2], "trpo-lag", ALL, {"EMCC_0__33": 0.1}, 10, "refuted"),
+    "SAC-Lag cheaper": (SAFETY[0], "sac-lag", ALL, {"J_C": 0.5}, 10, "refuted"),
+    "SAC-Lag once longer": (SAFETY[0], "sac-lag", ALL[:5], {"EMCC_0__66": 0.5}, 10, "undecided"),
+    "TRPO-Lag shorter": (SAFETY[2], "trpo-lag", ALL, {"EMCC_0__33": 0.1}, 11, "refuted"),
     "CPO cheaper": (LEVEL[1], "cpo", ALL, {"J_C": 0.5}, 8, "refuted"),
     "CPO as cheap": (LEVEL[1], "cpo", ALL, {"J_C": 1.04}, 8, "undecided"),
     "WCSAC shorter early": (LEVEL[1], "wcsac", ALL, {"EMCC_0__33": 0.4}, 8, "refuted"),
     "on levels 2 and 3 not claimed": (LEVEL[2], "cpo", ALL, {"J_C": 0.5}, 8, "confirmed"),
+    # With bounds at .05 / 4 the upper end of 0 of 10 is .355; the lower end of 2 of 10 is .03.
+    "all through": (LEVEL[2], "sac-lag", ALL, {"ends": "corridor", "J_C": 9.0}, 9, "refuted"),
+    "all wait": (LEVEL[2], "wcsac", ALL, {"ends": "top cut-out", "J_C": 0.0}, 9, "refuted"),
+    "eight through": (LEVEL[2], "wcsac", ALL[:8], {"ends": "corridor", "J_C": 9.0}, 9, "undecided"),
+    "seven through": (LEVEL[2], "wcsac", ALL[:7], {"ends": "corridor", "J_C": 9.0}, 9, "confirmed"),
+    "waits at a cost": (LEVEL[2], "wcsac", ALL[5:], {"J_C": 5.01}, 9, "refuted"),
 }
 
 
@@ -222,7 +230,7 @@ def test_cost_late_in_training(world):
 def test_what_decides_nothing(world):
     assert verdicts(groups_of(world, steps=10_000)) == []  # no claim: nothing is of the grid
     few = {key: runs[: 9 if key[0] in LEVEL else 2] for key, runs in world.items()}
-    assert verdicts(groups_of(few)) == ["undecided"] * 10
+    assert verdicts(groups_of(few)) == ["undecided"] * 11
     others = [
         group(task, "trpo-lag", world[task, "trpo-lag"], multiplier_optimizer="sgd")
         for task in LEVEL
@@ -231,7 +239,7 @@ def test_what_decides_nothing(world):
     # Beside the runs of the preset they change nothing.
     ablated = [group(of.task, "trpo-lag", changed(of.runs, ALL, J_C=0.0)) for of in others]
     ablated = [replace(of, config=other.config) for of, other in zip(ablated, others, strict=True)]
-    assert verdicts([*ablated, *groups_of(world)]) == ["confirmed"] * 10
+    assert verdicts([*ablated, *groups_of(world)]) == ["confirmed"] * 11
 
 
 def test_another_choice_that_changes_a_verdict(world):
@@ -278,7 +286,7 @@ def test_two_folders_of_other_seeds_count_together(world):
         for (task, name), runs in world.items()
         for of in (runs[:1], runs[1:], runs[:1])
     ]
-    assert verdicts(parts) == ["confirmed"] * 10
+    assert verdicts(parts) == ["confirmed"] * 11
 
 
 def test_what_is_missing_is_named(world):
@@ -297,7 +305,7 @@ def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
     demo = changed(world[LEVEL[1], "trpo-lag"], ALL, J_C=1.0, ends="right rim")
     others = [group(LEVEL[1], "trpo-lag", demo, steps=steps) for steps in (250_000, 2_000_000)]
     groups = groups_of(world)
-    assert verdicts([others[0], *groups, others[1]]) == ["confirmed"] * 10
+    assert verdicts([others[0], *groups, others[1]]) == ["confirmed"] * 11
     del world[LEVEL[1], "trpo-lag"]
     checked = check_claims([*others, *groups_of(world)])[0]
     assert checked.verdict == "undecided"
