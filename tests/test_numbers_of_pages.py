@@ -178,7 +178,7 @@ def test_the_sentences():
         f"with `bootstrap` {share(pd.concat(on_0))} of SAC-Lag and SAC-LB end",
         f"SAC-LB solves levels 1 to 3 in {share(solved(on(lines, UNITS, LEVELS[1:])))}",
         f"but {share(ends(cpo, 'corridor', LEVELS))} end in the corridor",
-        "in 22 of 28 measures, the preset in 6",
+        "in 22 of 28 (correlated) measures, the preset in 6",
     )
     own = results_table.report("sensitivity").query("kind == 'run'").groupby("folder")["EMCC_0.99"]
     thick = [own.get_group(name) for name in ("sac-lb", "sac-lb-units")]
@@ -280,31 +280,63 @@ def test_the_claim_on_safety_point_circle():
     told(
         "results/README.md",
         f"(p = .008 for both costs and EMCC_0.33, n = {len(trpo)} and {len(sac)})",
-        f"by Adam J_C is {short(trpo.J_C.mean(), 1)}, by plain ascent {short(sgd.J_C.mean(), 1)}, "
-        f"within the limit of 25 in {share(sgd.J_C <= SAFETY_LIMIT)}, as SAC-LB is, and the claim "
-        "is undecided.",
+        f"With plain ascent of TRPO-Lag's multiplier J_C is {short(sgd.J_C.mean(), 1)} instead of "
+        f"{short(trpo.J_C.mean(), 1)}, and the claim is undecided; so is that on "
+        "SafetyHopperVelocity (n = 3 and 3).",
     )
+
+
+def first_third(run):
+    """Mean length and mean cost of the episodes that start in it."""
+    first = 3 * run.records.start_step < run.records.total_steps
+    return run.records.length[first].mean(), run.records.cost[first].mean()
 
 
 def test_the_page_on_safety_hopper():
     lines = results_table.report("safety")
-    own = runs(lines, results_table.HOPPER, "TRPO-Lag")
-    printed = results_table.paper(lines, results_table.HOPPER, "TRPO-Lag").iloc[0]
-    falls = count(own["EMCC_0.99"] < own["EMCC_0.33"])
+    names = ("TRPO-Lag", "CPO", "SAC-LB")
+    trpo, cpo, lb = (runs(lines, results_table.HOPPER, name) for name in names)
+    falls = [count(own["EMCC_0.99"] < own["EMCC_0.33"]) for own in (trpo, cpo, lb)]
+    kept = [share(own.J_C <= SAFETY_LIMIT) for own in (trpo, cpo)]
+    assert (falls[0], kept[0]) == (falls[1], kept[1])
     ends = [
-        f"from {short(of['EMCC_0.33'])} to {short(of['EMCC_0.99'])}"
-        for of in (own[[*EMCC]].mean(), printed)
+        f"from {short(own['EMCC_0.33'].mean())} to {short(own['EMCC_0.99'].mean())}"
+        for own in (trpo, cpo)
     ]
+    archives = [RESULTS / "safety" / name for name in ("hopper.zip", "hopper-others.zip")]
+    by_name = {group.config.algorithm: group.runs for group in read(archives, [])}
+    early = [
+        np.mean([first_third(run) for run in by_name[n]], axis=0) for n in ("trpo-lag", "sac-lb")
+    ]
+    lengths = [np.mean(run.evaluation["deterministic"]["lengths"]) for run in by_name["sac-lb"]]
+    section = page("results/safety/report.md").partition("### 3. On SafetyHopperVelocity")[2]
+    verdict = re.search(r"\*\*(\w+)\*\*$", section, re.M)[1]
     told(
         "results/safety/README.md",
-        f"falls in {falls} runs, {ends[0]} (in the paper {ends[1]}), and "
-        f"{share(own.J_C <= SAFETY_LIMIT)} keep the limit. Its return, {short(own.J_R.mean(), 1)}, "
-        f"is twice the paper's, {short(printed.J_R, 1)}; no run has less than "
-        f"{short(own.J_R.min(), 1)}.",
+        f"**{verdict}**: three runs a side give a p of {short(2 / math.comb(6, 3), 1)} at best, "
+        f"and to refute takes {short(0.05 / 3, 3)}. EMCC is higher, "
+        f"{short(trpo['EMCC_0.33'].mean())} against {short(lb['EMCC_0.33'].mean())}. But the "
+        f"episodes are longer, {early[0][0]:.0f} steps against {early[1][0]:.0f}, and cost "
+        f"{early[0][1]:.1f} against {early[1][1]:.1f}:",
+        f"EMCC falls in {falls[0]} runs each, {' and '.join(ends)}, and {kept[0]} each keep",
+        f"Their returns, {short(trpo.J_R.mean(), 1)} and {short(cpo.J_R.mean(), 1)}, are two",
+        f"episodes of {min(lengths):.0f} to {max(lengths):.0f} steps, a return of "
+        f"{results_table.with_range(lb.J_R, 1)}, and in {count(lb.J_C <= SAFETY_LIMIT)} runs a J_C",
+        f"Its EMCC falls, in {falls[2]} runs; the paper's rises",
     )
-    assert 1.9 < own.J_R.mean() / printed.J_R < 2.1
-    for task, omnisafe in ((results_table.HOPPER, 1391.8), (results_table.POINT_GOAL, 18.5)):
-        both = runs(lines, task, "TRPO-Lag"), results_table.paper(lines, task, "TRPO-Lag")
+    printed = {
+        name: results_table.paper(lines, results_table.HOPPER, name).iloc[0] for name in names
+    }
+    assert 1.9 < trpo.J_R.mean() / printed["TRPO-Lag"].J_R < 2.1
+    assert 3.0 < cpo.J_R.mean() / printed["CPO"].J_R < 3.3
+    assert printed["SAC-LB"]["EMCC_0.99"] > printed["SAC-LB"]["EMCC_0.33"]
+    assert 9.5 < printed["SAC-LB"].J_C / lb.J_C.mean() < 10.5
+    for task, name, omnisafe in (
+        (results_table.HOPPER, "TRPO-Lag", 1391.8),
+        (results_table.HOPPER, "CPO", 1713.7),
+        (results_table.POINT_GOAL, "TRPO-Lag", 18.5),
+    ):
+        both = runs(lines, task, name), results_table.paper(lines, task, name)
         ours, theirs = (abs(side.J_R.mean() - omnisafe) for side in both)
         assert ours < theirs
 
