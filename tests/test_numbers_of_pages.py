@@ -40,7 +40,14 @@ SOURCES = {
         "hopper-others.zip",
         "sac-lag.zip",
     ],
-    "solve": ["runs.zip", "units.zip", "physics-2.zip", "physics-3.zip", "units-physics.zip"],
+    "solve": [
+        "runs.zip",
+        "units.zip",
+        "physics-2.zip",
+        "physics-3.zip",
+        "units-physics.zip",
+        "units-physics-0.zip",
+    ],
     "solve/safety": ["runs.zip"],
     "baselines/safety": [*itertools.chain(*results_table.SAFETY_TASKS.values())],
     "baselines": [
