@@ -31,7 +31,7 @@ SOURCES = {
     "circle2d": ["runs.zip"],
     "physics": ["level-0.zip", "runs.zip"],
     "sensitivity": ["runs.zip"],
-    "library": ["runs.zip", "sac-lb.zip", "residual.zip"],
+    "library": ["runs.zip", "sac-lb.zip", "residual.zip", "sac-lag.zip"],
     "safety": [
         "point-circle.zip",
         "runs.zip",

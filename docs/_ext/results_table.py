@@ -54,6 +54,7 @@ asked."""
 LIBRARY = {
     "CPO": "CPO-library (input_scale 15.0)",
     "CPO, solved": "CPO-library (input_scale 15.0, residual 1e-10)",
+    "SAC-Lag": "SAC-Lag-library (time_limit bootstrap, reward_scale running)",
     "SAC-LB": "SAC-LB (time_limit bootstrap, reward_scale running)",
     "WCSAC": "WCSAC (variance_target unsquared, damping_gradient through)",
 }
