@@ -459,8 +459,20 @@ def test_the_page_of_the_later_library():
         assert short(p, 3) == ".003" and p > least
     waiting = barrier.ends_in == "right rim"
     assert barrier.J_C.max() == 0
+    lag = pd.concat([results_table.runs_as_later("SAC-Lag", task) for task in LEVELS])
+    lag_through = lag[3:].ends_in == "corridor, through"
+    assert lag[:3].ends_in.str.contains("rim").all()
+    nearer_lag = np.sum([results_table.nearer_as_later("SAC-Lag", t) for t in LEVELS], axis=0)
+    for task in LEVELS:
+        printed = results_table.paper(lines, task, "SAC-Lag").iloc[0]
+        later, usual = results_table.runs_as_later("SAC-Lag", task), runs(lines, task, "SAC-Lag")
+        for name, closer_by in (("J_C", later), ("EMCC_0.33", usual)):
+            sides = [abs(own[name].mean() - printed[name]) for own in (later, usual)]
+            assert (sides[0] < sides[1]) == (closer_by is later)
     told(
         "results/library/README.md",
+        f"nearer in {nearer_lag[0]} of 28, the preset in {nearer_lag[1]}.",
+        f"go through on levels 1 to 3, in {share(lag_through)}.",
         f"nearer than the preset in {sum(one for one, _ in nearer)} of 28 measures",
         f"none ends in the corridor, {share(ends[0])}; in units of length alone "
         f"{share(ends[1], '')} do",
@@ -478,7 +490,7 @@ def test_the_page_of_the_later_library():
         "results/README.md",
         f"in {sum(one for one, _ in nearer)} of 28 measures, and {share(ends[0])} end in the "
         f"corridor; {count(ends[2])} do where",
-        f"SAC-LB as there waits at the rim in {share(waiting)}.",
+        f"SAC-LB as there waits at the rim in {share(waiting)}; SAC-Lag comes no nearer.",
     )
 
 
