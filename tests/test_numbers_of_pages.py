@@ -38,6 +38,7 @@ SOURCES = {
         "limit.zip",
         "hopper.zip",
         "hopper-others.zip",
+        "goal.zip",
         "sac-lag.zip",
     ],
     "solve": [
