@@ -234,6 +234,25 @@ def test_the_safety_tasks():
         f"No run has a return below {short(own.J_R.min(), 1)}, the paper's mean is "
         f"{short(printed.J_R, 1)}.",
     )
+    lb = runs(lines, results_table.POINT_GOAL, "SAC-LB")
+    theirs = results_table.paper(lines, results_table.POINT_GOAL, "SAC-LB").iloc[0]
+    places = {"J_R": 1, "cost_rate": 2, "J_C": 1}
+    numbers, beside = (
+        [short(side[name], digits) for name, digits in places.items()]
+        for side in (lb[[*places]].mean(), theirs)
+    )
+    kept, falls = lb.J_C <= SAFETY_LIMIT, lb["EMCC_0.99"] < lb["EMCC_0.33"]
+    ends, not_falling = (
+        [short(side[name]) for name in ("EMCC_0.33", "EMCC_0.99")]
+        for side in (lb[[*EMCC]].mean(), theirs)
+    )
+    told(
+        "results/safety/README.md",
+        "J_R {}, cost rate {}, J_C {} ({}, {}, {}).".format(*numbers, *beside),
+        f"{count(kept)} runs keep an episode's cost below 25",
+        f"falls in {count(falls)} runs, from {' to '.join(ends)}; the paper's "
+        f"{' and '.join(not_falling)} do not.",
+    )
     told("results/baselines/README.md", f"has {short(own.J_R.mean(), 1)}, near it.")
     converted = "SAC-Lag (limit_of episode, 1,000,000 steps)"
     usual = on_safety_task(results_table.POINT_GOAL)
