@@ -40,12 +40,11 @@ def library(monkeypatch):
     from agents import algorithms
 
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "examples"))
-    names = "library_cpo", "library_sac_lag"
-    yield SimpleNamespace(**{name: importlib.import_module(name) for name in names})
-    for name in names:
-        del sys.modules[name]
-    for name in ("cpo-library", "sac-lag-library"):
-        algorithms._algorithms.registered.pop(name)
+    modules = {name: importlib.import_module(f"library_{name}") for name in ("cpo", "sac_lag")}
+    yield SimpleNamespace(**modules)
+    for name in modules:
+        del sys.modules[f"library_{name}"]
+        algorithms._algorithms.registered.pop(f"{name.replace('_', '-')}-library")
 
 
 @pytest.fixture(scope="session")

@@ -21,9 +21,8 @@ def test_where_the_limit_is_broken_it_goes_on_along_the_cost(library):
     worth -.162 (λ = 12) and -.141 (λ = √50). ν = .05 √50 - .6 < 0, so the step is g / √50 and the
     predicted cost grows, where CPO goes back to the limit."""
     found = problem([0.6, 0.8], [1.0, 0.0], 0.05)
-    library_cpo = library.library_cpo
-    its = library_cpo.step(library_cpo.LibraryCPOConfig(), found)
-    assert its.case.tolist() == [library_cpo.BROKEN]
+    its = library.cpo.step(library.cpo.LibraryCPOConfig(), found)
+    assert its.case.tolist() == [library.cpo.BROKEN]
     expected = [[0.6 / 50**0.5, 0.8 / 50**0.5]]
     torch.testing.assert_close(its.displacement, torch.tensor(expected), rtol=1e-4, atol=1e-4)
     ours = cpo.step(cpo.CPOConfig(), found).displacement
@@ -32,11 +31,10 @@ def test_where_the_limit_is_broken_it_goes_on_along_the_cost(library):
 
 def test_a_short_gradient_is_not_followed(library):
     """Its squared norm, .05, is below the residual at which its conjugate gradients stop."""
-    library_cpo = library.library_cpo
-    config, nothing = library_cpo.LibraryCPOConfig(), problem([0.1, 0.2], [0.0, 0.0], -1.0)
-    assert library_cpo.solve(config, nothing, torch.tensor([[0.1, 0.2]])).abs().max() < 2e-4
+    config, nothing = library.cpo.LibraryCPOConfig(), problem([0.1, 0.2], [0.0, 0.0], -1.0)
+    assert library.cpo.solve(config, nothing, torch.tensor([[0.1, 0.2]])).abs().max() < 2e-4
     longer = torch.tensor([[0.3, 0.2]])
-    torch.testing.assert_close(library_cpo.solve(config, nothing, longer), longer)
+    torch.testing.assert_close(library.cpo.solve(config, nothing, longer), longer)
 
 
 def test_the_multiplier_follows_the_actions_of_the_replay(library):
@@ -57,7 +55,7 @@ def test_the_multiplier_follows_the_actions_of_the_replay(library):
     config = sac_lag.SACLagConfig(learning_rate=1e-9, cost_limit=limit)
     noise = sac.UpdateNoise(zeros, zeros)
     moved = []
-    for rule in (sac_lag.RULE, library.library_sac_lag.rule):
+    for rule in (sac_lag.RULE, library.sac_lag.rule):
         after, _ = sac.update(nets, config, rule, state, batch, noise)
         moved.append(after.multipliers[0].parameter[0, 0].item())
     signs = [risk(action) > limit for action in (zeros, replayed)]
