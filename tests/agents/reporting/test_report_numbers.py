@@ -201,6 +201,7 @@ def test_the_numbers_for_a_program(raw):
         assert line["task"] == TASK
         folders = [k for k, name in names.items() if name == key[0] and key[1] != "paper"]
         assert [line["folder"]] == (folders or [""])
+        assert line["seeds"] == (str(len(SEEDS)) if key[1] == "mean" else "")
     for key, name in names.items():
         for seed, run in zip(SEEDS, numbers[key], strict=True):
             assert found[name, "run", str(seed)]["ends_in"] == run["ends"]
