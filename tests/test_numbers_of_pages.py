@@ -194,6 +194,12 @@ def test_the_sentences():
             for name in ("WCSAC", bootstrap.format("WCSAC"))
         )
         nearer += int((other < terminal).sum())
+    on_1 = [runs(lines, LEVELS[1], name).J_C.to_numpy() for name in (cpo, "SAC-Lag", "WCSAC")]
+    for other in on_1[1:]:  # to refute claim 8 takes .05 over its 16 parts
+        p = emcc.permutation_test(on_1[0], other, rng=np.random.default_rng(0))
+        assert p > 0.05 / 16
+    in_corridor = runs(lines, LEVELS[0], "SAC-Lag").query("ends_in.str.startswith('corridor')")
+    assert len(in_corridor) == 4 and in_corridor.J_C.min() > 5  # none within the limit
     told(
         "results/README.md",
         f"(WCSAC alone is nearer with `bootstrap`, in {nearer} of 21 measures)",

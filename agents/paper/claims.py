@@ -265,12 +265,18 @@ def _below(a: Cell, b: Cell, of: Value, parts: int) -> tuple[Verdict, list[str]]
 
 def _lowest_late(evidence: Evidence) -> list[Finding]:
     tasks, others = LEVEL_TASKS[1:], [name for name in PAPER_ALGORITHMS if name != "trpo-lag"]
-    parts = 2 * len(tasks) * len(others)
-    findings = []
+    parts = []
     for task, measure in itertools.product(tasks, (MIDDLE, LATE)):
         pairs = [(evidence[task, "trpo-lag"], evidence[task, name]) for name in others]
-        findings.append(_all_below(f"{short(task)}, {measure}", pairs, measure, parts))
-    return findings
+        parts.append((f"{short(task)}, {measure}", pairs, measure))
+    return _each_below(parts)
+
+
+def _each_below(parts: Sequence[tuple[str, Sequence[tuple[Cell, Cell]], Value]]) -> list[Finding]:
+    """A finding for each group of comparisons: its name, pairs of which the first has the lower
+    mean, and of what. The claim has as many parts as pairs."""
+    count = sum(len(pairs) for _, pairs, _ in parts)
+    return [_all_below(name, pairs, of, count) for name, pairs, of in parts]
 
 
 def _all_below(name: str, pairs: Sequence[tuple[Cell, Cell]], of: Value, parts: int) -> Finding:
@@ -297,8 +303,8 @@ def _cheap_but_long(evidence: Evidence) -> list[Finding]:
         for on_policy in ON_POLICY
     ]
     turned = [(on_policy, off_policy) for off_policy, on_policy in pairs]
-    parts = [("J_C", pairs), *((name, turned) for name in (EARLY, MIDDLE, LATE))]
-    return [_all_below(name, of, name, len(parts) * len(pairs)) for name, of in parts]
+    longer = [(name, turned, name) for name in (EARLY, MIDDLE, LATE)]
+    return _each_below([("J_C", pairs, "J_C"), *longer])
 
 
 CHEAP_BUT_LONG = Claim(
@@ -341,8 +347,7 @@ POINT_CIRCLE, HOPPER = "circle2d_mj/SafetyPointCircle1-v0", "circle2d_mj/SafetyH
 def _costly_but_short(evidence: Evidence) -> list[Finding]:
     trpo, sac = (evidence[POINT_CIRCLE, name] for name in ("trpo-lag", "sac-lag"))
     parts = [(name, [(trpo, sac)], name) for name in ("cost_rate", "J_C")]
-    parts += [(name, [(sac, trpo)], name) for name in (EARLY, MIDDLE, LATE)]
-    return [_all_below(name, pairs, of, len(parts)) for name, pairs, of in parts]
+    return _each_below(parts + [(name, [(sac, trpo)], name) for name in (EARLY, MIDDLE, LATE)])
 
 
 COSTLY_BUT_SHORT = Claim(
@@ -357,12 +362,13 @@ COSTLY_BUT_SHORT = Claim(
 
 def _short_episodes(evidence: Evidence) -> list[Finding]:
     trpo, sac = (evidence[HOPPER, name] for name in ("trpo-lag", "sac-lb"))
-    parts = [
-        ("episode length", [(trpo, sac)], functools.partial(_early_mean, "length")),
-        ("cost of an episode", [(trpo, sac)], functools.partial(_early_mean, "cost")),
-        (EARLY, [(sac, trpo)], EARLY),
-    ]
-    return [_all_below(name, pairs, of, len(parts)) for name, pairs, of in parts]
+    return _each_below(
+        [
+            ("episode length", [(trpo, sac)], functools.partial(_early_mean, "length")),
+            ("cost of an episode", [(trpo, sac)], functools.partial(_early_mean, "cost")),
+            (EARLY, [(sac, trpo)], EARLY),
+        ]
+    )
 
 
 def _early_mean(column: str, run: Run) -> float:
