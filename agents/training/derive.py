@@ -63,10 +63,11 @@ class Visits(NamedTuple):
 
 
 class Steps:
-    """All steps of a training so far, from its files in `steps/`."""
+    """All steps of a training so far, from its files in `steps/`, up to a checkpoint's number."""
 
-    def __init__(self, folder: Path) -> None:
-        self._files = [Arrays(path) for path in numbered(folder, STEPS).values()]
+    def __init__(self, folder: Path, until: float = np.inf) -> None:
+        files = numbered(folder, STEPS).items()
+        self._files = [Arrays(path) for number, path in files if number <= until]
 
     def get(self, run: RunId, name: str) -> NDArray | None:
         """An array of a run over all files; None where there is none."""
@@ -80,9 +81,10 @@ class Steps:
         return self._files[0]["metrics"] if self._files else np.array([], dtype=np.str_)
 
 
-def steps_recorded(folder: Path, config: TrainConfig) -> NDArray[np.int64]:
-    """Steps of each run in `steps/`, [R]. Those of an epoch in which a run failed are not there."""
-    steps = Steps(folder)
+def steps_recorded(folder: Path, config: TrainConfig, until: float) -> NDArray[np.int64]:
+    """Steps of each run in `steps/` up to a checkpoint's number, [R]. Those of an epoch in which a
+    run failed are not there."""
+    steps = Steps(folder, until)
     lengths = (steps.get(run, "length") for run in config.runs)
     return np.array([0 if length is None else length.sum() for length in lengths], dtype=np.int64)
 

@@ -223,16 +223,17 @@ class Trainer:
         self._writing = self._saved_at - began
 
     def load(self) -> None:
-        """Load the newest checkpoint that opens, and drop what was written behind it.
+        """Load the newest checkpoint that opens and whose steps are there, and drop what was
+        written behind it.
 
-        Warns of damaged ones. Raises UserError where none of several opens, or a file of steps
-        before it is missing.
+        Warns of damaged ones. Raises UserError where there are some and none is whole.
         """
         checkpoints = numbered(self.folder, CHECKPOINTS)
         last: UserError | None = None
         for number in reversed(checkpoints):
             try:
                 self._load(Arrays(checkpoints[number]))
+                self._check_steps(number)
                 break
             except UserError as error:
                 last = last or error
@@ -252,7 +253,10 @@ class Trainer:
                     Path(str(path)).unlink()
         if not self.done:
             (self.folder / RESULTS).unlink(missing_ok=True)
-        recorded = derive.steps_recorded(self.folder, self.config)
+
+    def _check_steps(self, number: int) -> None:
+        """Raise UserError where the files of steps up to a checkpoint do not hold its steps."""
+        recorded = derive.steps_recorded(self.folder, self.config, number)
         going = self.failures == ""  # the epoch in which a run failed is not recorded
         if not np.array_equal(recorded[going], self.steps[going]):
             raise UserError(

@@ -156,15 +156,17 @@ def test_every_prefix_of_the_operations_goes_on_to_the_same(tmp_path, algorithm,
         assert_goes_on(made(tmp_path / "cut", state), expected)
 
 
-def test_a_training_that_goes_on_may_end_at_any_moment_too(tmp_path):
-    """It drops a damaged checkpoint, and what was written behind the one before."""
+@pytest.mark.parametrize("damaged", ["checkpoints", "steps"])
+def test_a_training_that_goes_on_may_end_at_any_moment_too(tmp_path, damaged):
+    """It drops a checkpoint that is damaged, or whose steps are, and what was written behind the
+    one before."""
     folder = tmp_path / "whole"
     config().write(folder)
     train(folder)
     expected = results(folder)
-    newest = sorted((folder / "checkpoints").iterdir())[-1]
+    newest = sorted((folder / damaged).iterdir())[-1]
     newest.write_bytes(newest.read_bytes()[:-30])
-    with pytest.warns(UserWarning, match="going on from the checkpoint before it"):
+    with pytest.warns(UserWarning, match=f"{newest.name} is damaged.* the checkpoint before it"):
         states = recorded(folder, train)
     assert results(folder) == expected
     assert len(states) > 10
