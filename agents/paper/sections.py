@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import isclose
+from math import comb, isclose
 from typing import NamedTuple
 
 from agents.algorithms import ALGORITHMS, title
@@ -37,15 +37,17 @@ from emcc.parts import PARTS
 
 CLAIMS = "The paper's claims"
 CLAIMS_WITH_PHYSICS = f"{CLAIMS}, on Circle2D with physics, of which it has no runs"
+LEAST_P = 2 / comb(2 * SAFETY_SEEDS, SAFETY_SEEDS)
 METHOD = (
     "A claim is confirmed where all its parts are, refuted where one is, undecided otherwise. Runs "
     f"with the presets' settings and of the paper's length count, {SEEDS} or more of an algorithm "
-    f"on a task, on a Safety task {SAFETY_SEEDS}. A run ends where its evaluated episodes end most "
-    f"often; Circle2D's limit is {LIMIT:g}. A rule on a share of runs holds where it holds for the "
-    "whole 95 % Clopper-Pearson interval. Means have 95 % t intervals; where runs end in different "
-    "places, or are fewer than five, their range. Differences are decided by permutation tests of "
-    f"Welch's t, equivalence by two one-sided ones, at {LEVEL:g}; to refute, at {LEVEL:g} divided "
-    "by the number of parts. "
+    f"on a task, on a Safety task {SAFETY_SEEDS} (as few on both sides decide no difference: p is "
+    f"{LEAST_P:g} at least). A run ends where its evaluated episodes end most often; Circle2D's "
+    f"limit is {LIMIT:g}. A rule on a share of runs holds where it holds for the whole 95 % "
+    "Clopper-Pearson interval. Means have 95 % t intervals; where runs end in different places, or "
+    "are fewer than five, their range. Differences are decided by permutation tests of Welch's t, "
+    f"equivalence by two one-sided ones, at {LEVEL:g}; to refute, at {LEVEL:g} divided by the "
+    "number of parts. "
     '"With bootstrap: refuted": the verdict with runs of another choice of what the paper does not '
     "print in the place of the preset's."
 )
