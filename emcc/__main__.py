@@ -22,7 +22,8 @@ PATH is
       which may cut episodes; reward); steps of an episode follow one another
   a row per episode: .csv (length, cost, longest_streak), or as emcc.EpisodeRecords.save writes it
 
-exit status: 0 each third of training has its EMCC; 1 no rollout starts in one of them; 2 a mistake
+exit status: 0 each third of training has its EMCC; 1 no rollout starts in one of them, or a run
+    that failed is left out; 2 a mistake
 """
 
 
@@ -71,11 +72,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         runs = list({(run.source, run.task, run.seed, run.cost): run for run in runs}.values())
         if options.total_steps is not None:
             runs = [replace(run, total_steps=options.total_steps) for run in runs]
-        finished = [run for run in runs if len(run.records)]
-        if not finished:
-            raise ValueError(f"{runs[0].source}: no finished trajectory")
+        complete = [run for run in runs if not run.incomplete]
+        if not complete:
+            raise ValueError(f"{runs[0].source}: {runs[0].incomplete}")
         groups: dict[tuple[str, ...], list[Run]] = {}
-        for run in finished:
+        for run in complete:
             seed = run.seed if options.per_run else ""
             groups.setdefault((run.source, run.task, run.cost, seed), []).append(run)
         if options.limit is None:
@@ -85,10 +86,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("\n".join(table.render(options.format) for table in tables), end="")
     except (ValueError, OSError, ImportError) as error:
         parser.error(str(error))
-    left_out = [_name(run) for run in runs if not len(run.records)]
-    for name in dict.fromkeys(left_out):  # of several costs once
-        print(f"left out: {name}: no finished trajectory", file=sys.stderr)
-    return int(any(None in _emcc_by_part(run, options.alpha, options.ties) for run in runs))
+    left_out = [f"{_name(run)}: {run.incomplete}" for run in runs if run.incomplete]
+    for words in dict.fromkeys(left_out):  # of several costs once
+        print(f"left out: {words}", file=sys.stderr)
+    lacking = any(None in _emcc_by_part(run, options.alpha, options.ties) for run in complete)
+    return int(lacking or bool(left_out))
 
 
 def _emcc_table(groups: Sequence[Sequence[Run]], options: argparse.Namespace) -> Table:

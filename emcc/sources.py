@@ -42,6 +42,13 @@ class Run:
     """Name of the cost in the environment's info."""
     episodes: EpisodeRecords | None = None
     """Whole episodes, where rollouts cut those of the records."""
+    failure: str = ""
+    """Why its training failed on the way."""
+
+    @property
+    def incomplete(self) -> str:
+        """Why no mean counts it; empty for a complete run."""
+        return self.failure or ("" if len(self.records) else "no finished trajectory")
 
 
 def read(path: str | os.PathLike[str], threshold: float = 0.0) -> EpisodeRecords:
@@ -109,14 +116,13 @@ def _read_run_folder(folder: Any, threshold: float) -> Iterator[Run]:
         prefix = f"{re.sub('[/:]', '-', task)}/{seed}/"
         for cost in costs:
             with named(results):
-                records = _records(arrays, prefix, cost, threshold)
-            yield Run(str(folder), records, steps, task, algorithm, seed, cost)
-
-
-def _records(arrays: Any, prefix: str, cost: str, threshold: float) -> EpisodeRecords:
-    if prefix + "failure" in arrays and prefix + "length" not in arrays:
-        return CostRecorder(1).records  # it failed in its first epoch
-    return records_of(arrays, prefix, cost, threshold)
+                failure = str(arrays[prefix + "failure"]) if prefix + "failure" in arrays else ""
+                if failure and prefix + "length" not in arrays:  # it failed in its first epoch
+                    records = CostRecorder(1).records
+                else:
+                    records = records_of(arrays, prefix, cost, threshold)
+            about = (steps, task, algorithm, seed, cost)
+            yield Run(str(folder), records, *about, failure=failure)
 
 
 def _arrays(path: Any) -> Any:

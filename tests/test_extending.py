@@ -73,11 +73,17 @@ def test_another_family_and_another_law(folder, module):
 
 
 def test_two_limits_on_two_costs(folder):
-    """Both costs are in the table; how their multipliers move: test_two_limits.py."""
+    """Both costs are in the table; how their multipliers move: test_two_limits.py. Where the agents
+    were is shown once, with the first cost."""
     done = circle2d(folder, *command_of("my_limits"), "--seeds", "0", "--steps", "1100")
     assert len(re.findall(r"PPO-Two \(.*cost_2.*\), mean of 1", done.out)) == 1
     updates = agents.load_runs(folder / "runs").to_pandas("updates")
     assert {"multiplier", "multiplier_2"} < {*updates}
+    done = circle2d(folder, "report", "runs", "--import", "my_limits")
+    assert "replay are of the first cost alone" in " ".join(done.out.split())
+    page = (folder / "runs/index.html").read_text()
+    (replayed,) = re.findall(r'"algorithm": ?"(.*?)"', page)
+    assert replayed.startswith("PPO-Two") and "cost_2)" not in replayed
 
 
 @pytest.mark.slow

@@ -1,1 +1,1 @@
-"""The command `circle2d`: one file a command."""
+"""The command `circle2d`."""

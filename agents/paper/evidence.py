@@ -231,7 +231,7 @@ def _cell(groups: Sequence[Group], task: str, name: str, choice: str) -> Cell:
     for group in groups:
         config = group.config
         same = registered_id(group.task) == task and config.algorithm == name
-        usual = not config.task_parameters and group.cost == config.costs[0]
+        usual = not config.task_parameters and group.is_of_first_cost
         for run in group.runs if same and usual and choice_of(group) == choice else ():
             if all(run.measures[measure] is not None for measure in printed):
                 by_steps.setdefault(config.steps, {}).setdefault(run.seed, run)

@@ -309,19 +309,29 @@ def orders_table(cells: Cells) -> Table:
         for part in [p for p in PARTS if all(p in of for of in found.values())]:
             rates = {name: [run.cost_rate for run in of[part]] for name, of in found.items()}
             emccs = {name: [run.emcc for run in of[part]] for name, of in found.items()}
-            rows.append(order_row(f"{task}, {PARTS[part]}", rates, emccs))
+            one_place = {name: own[task].one_place for name, own in cells.items()}
+            rows.append(order_row(f"{task}, {PARTS[part]}", rates, emccs, one_place))
     words = (
         "Pairs of algorithms of which the one with the lower mean cost rate has the higher mean "
         "EMCC in the same third of training; tau: Kendall's rank correlation of both orders; the "
         "pair whose EMCC differs most, A before B by the cost rate and after it by EMCC, with the "
-        f"differences A - B [Welch's 95 % t interval, of {FEWEST_RUNS} seeds or more]"
+        f"differences A - B [Welch's 95 % t interval, of {FEWEST_RUNS} seeds or more that end in one "
+        "place]"
     )
     head = ["task and third", "otherwise", "tau", "cost rate A - B", "EMCC A - B", "A, B"]
     return Table(words, head, rows)
 
 
-def order_row(name: str, rates: Mapping[str, list[float]], emccs: Mapping[str, list[float]]) -> Row:
-    """The pairs of a task and third that the two measures order otherwise."""
+def order_row(
+    name: str,
+    rates: Mapping[str, list[float]],
+    emccs: Mapping[str, list[float]],
+    one_place: Mapping[str, bool],
+) -> Row:
+    """The pairs of a task and third that the two measures order otherwise.
+
+    one_place: whether all runs of an algorithm end in one place.
+    """
     from scipy.stats import kendalltau
 
     rate, emcc = ({k: float(np.mean(v)) for k, v in of.items()} for of in (rates, emccs))
@@ -337,5 +347,6 @@ def order_row(name: str, rates: Mapping[str, list[float]], emccs: Mapping[str, l
     if not swapped:
         return Row(name, [*counts, Number(None), Number(None)], kind="difference")
     a, b = max(swapped, key=lambda pair: emcc[pair[0]] - emcc[pair[1]])
-    gaps = [number(difference_of(of[b], of[a]), 3, signed=True) for of in (rates, emccs)]
+    both = one_place[a] and one_place[b]
+    gaps = [number(difference_of(of[b], of[a], both), 3, signed=True) for of in (rates, emccs)]
     return Row(name, [*counts, *gaps], f"{a}, {b}", kind="difference")

@@ -55,7 +55,7 @@ class Section(NamedTuple):
     """How the statements are decided."""
     maps: Sequence[Maps] = ()
     replay: Mapping[str, Any] | None = None
-    """Data of `replay.replay_data`."""
+    """Data of `maps.replay_data`."""
 
     @property
     def anchor(self) -> str:

@@ -65,7 +65,7 @@ def heading(groups: Sequence[Group]) -> str:
 
 def _runs(groups: Sequence[Group]) -> int:
     """How many runs there are, each of which has a group for each of its costs."""
-    return sum(len(group.runs) for group in groups if group.cost == group.config.costs[0])
+    return sum(len(group.runs) for group in groups if group.is_of_first_cost)
 
 
 def summary(groups: Sequence[Group]) -> str:

@@ -66,9 +66,13 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     paper = sections(everything)
     by_task = _by_task(paper.usual)
     scenes = Scenes()
-    replay = replay_data(paper.usual, scenes, notes)
+    located = [group for group in paper.usual if group.is_of_first_cost]
+    if len(located) < len(paper.usual):
+        notes.append("visited states, trained policies and replay are of the first cost alone")
+    replay = replay_data(located, scenes, notes)
+    seen = _by_task(located)
     drawn = {
-        task: Section(task, figures=task_figures(groups), maps=maps(groups, scenes, notes))
+        task: Section(task, figures=task_figures(groups), maps=maps(seen[task], scenes, notes))
         for task, groups in by_task.items()
     }
     together = _figures_together(paper)

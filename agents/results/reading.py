@@ -105,7 +105,7 @@ class ReplayEpisode(NamedTuple):
     """The episode of highest MCC in a window of training."""
 
     window: int
-    """Index in `WINDOWS`."""
+    """Which of the `derive.WINDOWS` equal parts of training."""
     start_step: int
     """Environment steps before it."""
     points: NDArray[np.uint16]
@@ -173,6 +173,12 @@ class Group:
     def seeds(self) -> list[int]:
         """Seeds of the complete runs."""
         return [run.seed for run in self.runs]
+
+    @property
+    def is_of_first_cost(self) -> bool:
+        """Whether its cost is the training's first, of which visits, trained policies and replay
+        are."""
+        return self.cost == self.config.costs[0]
 
     @property
     def one_place(self) -> bool:

@@ -223,13 +223,15 @@ class Comparison(NamedTuple):
 
 
 def comparisons(groups: Sequence[Group]) -> list[Comparison]:
-    """All pairs of groups on a task, in each third. Groups of fewer than five runs are in none."""
+    """All pairs of groups on a task, of one cost, in each third. Groups of fewer than five runs are
+    in none."""
     enough = [group for group in groups if len(group.runs) >= FEWEST_RUNS]
     by_third = {id(group): thirds_of(group) for group in enough}
     compared = []
     for a, b in combinations(enough, 2):
         first, second = by_third[id(a)], by_third[id(b)]
-        for part in [p for p in first if p in second] if a.task == b.task else ():
+        alike = (a.task, a.cost) == (b.task, b.cost)
+        for part in [p for p in first if p in second] if alike else ():
             sides = first[part], second[part]
             rates = [run.cost_rate for run in sides[0]], [run.cost_rate for run in sides[1]]
             emccs = [run.emcc for run in sides[0]], [run.emcc for run in sides[1]]

@@ -210,7 +210,7 @@ class TrainConfig(Settings):
         check_folder(folder)
         _require_none(folder)
         spaces = spaces_of(self.tasks, self.task_parameters)
-        _check_memory(self.learned, len(self.runs), spaces.sizes)
+        _check_memory(self.learned, len(self.runs), self.steps, spaces.sizes)
         scale = getattr(self.hyperparameters, "input_scale", 1.0)
         if isinstance(scale, tuple) and len(scale) != spaces.observation_size:
             raise UserError(
@@ -336,15 +336,17 @@ NETS, COPIES, NUMBER = 5, 4, 4
 """Networks of a run, copies of each, and bytes of a number: the estimate is not exact."""
 
 
-def _check_memory(hyperparameters: Any, runs: int, sizes: tuple[int, int]) -> None:
+def _check_memory(hyperparameters: Any, runs: int, steps: int, sizes: tuple[int, int]) -> None:
     """Raise UserError, naming the hyper-parameter, where runs need more than the machine's memory.
 
-    sizes: numbers that an observation and an action hold.
+    steps: of each run, which fill no more of a replay; sizes: numbers that an observation and an
+    action hold.
     """
     observation, action = sizes
     needed = {}
     if (capacity := getattr(hyperparameters, "replay_size", None)) is not None:
-        needed["replay_size"] = runs * capacity * (2 * observation + action + 3) * NUMBER
+        held = min(capacity, steps)
+        needed["replay_size"] = runs * held * (2 * observation + action + 3) * NUMBER
     if hidden := getattr(hyperparameters, "hidden", ()):
         widths = (observation + action, *hidden, 2 * action)
         parameters = sum((a + 1) * b for a, b in pairwise(widths))

@@ -107,20 +107,24 @@ def test_a_part_without_rollouts_is_no_zero(tmp_path, capsys):
     assert (row["EMCC_0.33"], row["EMCC_0.99"]) == ("0.600 range 0.600 to 0.600", DASH)
 
 
-def test_a_run_without_an_episode_is_left_out_and_named_once(tmp_path, capsys):
+@pytest.mark.parametrize("episodes", [0, 8])
+def test_a_run_that_failed_is_left_out_and_named_once(tmp_path, capsys, episodes):
     both = written.arrays_of(costs_of(TEN)) | written.arrays_of(costs_of(TEN), "cost_2")
-    failed = {"failure": np.array("failed at step 40: its reward is not finite")}
+    failed = {"failure": np.array(f"failed at step {10 * episodes}: its reward is not finite")}
+    if episodes:  # all thirds have some
+        for cost in ("cost", "cost_2"):
+            failed |= written.arrays_of(costs_of([0.3] * episodes), cost)
     runs = {("A-v0", 0): both, ("A-v0", 1): failed}
     written.write_run(tmp_path / "a", runs, steps=100, costs=["cost", "cost_2"])
     for more in ((), ("--limit", "1")):
         assert main([str(tmp_path), *more, "--format", "csv"]) == 1
         out, err = capsys.readouterr()
-        assert err == f"left out: {tmp_path / 'a'}, A-v0, seed 1: no finished trajectory\n"
+        assert err == f"left out: {tmp_path / 'a'}, A-v0, seed 1: {failed['failure']}\n"
         assert "0.900" in out  # the late EMCC of the other run
     written.write_run(tmp_path / "b", {("A-v0", 1): failed})
     with pytest.raises(SystemExit):
         main([str(tmp_path / "b")])
-    assert "no finished trajectory" in capsys.readouterr().err
+    assert str(failed["failure"]) in capsys.readouterr().err
 
 
 def test_panels(tmp_path, capsys):

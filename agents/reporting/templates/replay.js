@@ -1,4 +1,4 @@
-// The player of the replay: its data are described in agents/reporting/replay.py.
+// The player of the replay: its data are described in agents/reporting/maps.py.
 (() => {
   "use strict";
   const data = JSON.parse(document.getElementById("replay-data").textContent);
@@ -13,7 +13,7 @@
   const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const count = (number) => number.toLocaleString("en-US");
 
-  // Number of the steps that are drawn of an episode: the rule of scenes.shown_states.
+  // Number of the steps that are drawn of an episode: the rule of maps.shown_states.
   function shownStates(length) {
     const every = Math.ceil(length / STATES), shown = [];
     for (let k = 0; k < length - 1; k += every) shown.push(k);

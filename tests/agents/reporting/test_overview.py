@@ -145,6 +145,11 @@ def test_fewer_than_five_runs_are_in_no_comparison(groups):
     assert separated_table(few) is over_tasks(few) is None
 
 
+def test_runs_are_compared_by_the_same_cost(groups):
+    other = [replace(of, cost="cost_2") for of in groups]
+    assert len(comparisons([*groups, *other])) == 2 * len(comparisons(groups))
+
+
 def test_over_tasks_by_hand(groups):
     table = over_tasks(groups)
     names = [row.name for row in table.rows]
@@ -230,10 +235,15 @@ def test_what_is_ordered_otherwise():
     """One of three pairs, A and B: .1 before .2, but .5 after .2; tau = (2 - 1)/3."""
     rates = {"A": [0.1, 0.1], "B": [0.3, 0.1], "C": [0.3, 0.3]}
     emccs = {"A": [0.5, 0.5], "B": [0.1, 0.3], "C": [0.6, 0.6]}
-    row = overall.order_row("task", rates, emccs)
-    counted, tau, rate, emcc = (cell.value for cell in row.numbers)
-    assert (counted, row.numbers[0].total, row.ends) == (1, 3, "A, B")
-    assert (tau, rate, emcc) == pytest.approx((1 / 3, -0.1, 0.3))
+    rates, emccs = ({k: 3 * v for k, v in of.items()} for of in (rates, emccs))
+    for one_place in (True, False):
+        places = dict.fromkeys("AC", True) | {"B": one_place}
+        row = overall.order_row("task", rates, emccs, places)
+        counted, tau, rate, emcc = (cell.value for cell in row.numbers)
+        assert (counted, row.numbers[0].total, row.ends) == (1, 3, "A, B")
+        assert (tau, rate, emcc) == pytest.approx((1 / 3, -0.1, 0.3))
+        ends = [(cell.low, cell.high) for cell in row.numbers[2:]]
+        assert ((None, None) in ends) is not one_place
 
 
 @pytest.mark.slow
