@@ -5,11 +5,9 @@ from __future__ import annotations
 import os
 import shutil
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
-
-from numpy.typing import NDArray
 
 from agents.errors import UserError, extra
 from agents.training.config import NO_RUNS, TrainConfig
@@ -19,9 +17,9 @@ from emcc import EpisodeRecords
 if TYPE_CHECKING:
     import pandas
 
-    from agents.results.reading import Group
+    from agents.results.reading import Group, Part
 
-Rows = Literal["measures", "episodes", "updates"]
+Rows = Literal["measures", "episodes", "updates", "evaluations"]
 
 
 class Runs:
@@ -81,12 +79,13 @@ class Runs:
         from agents.results.reading import run_records
 
         records = {}
-        for folder, config, arrays in self._arrays():
-            for run in config.runs:
-                if cost not in (None, *config.costs):
-                    raise UserError(f"{folder} has no cost {cost!r}: {', '.join(config.costs)}")
-                key = (folder, run.seed) if len(config.tasks) == 1 else (folder, *run)
-                records[key] = run_records(arrays, run, cost or config.costs[0])
+        for folder, part in zip(self.folders, self._parts, strict=True):
+            tasks, costs = part.config.tasks, part.config.costs
+            for run in part.config.runs:
+                if cost not in (None, *costs):
+                    raise UserError(f"{folder} has no cost {cost!r}: {', '.join(costs)}")
+                key = (folder, run.seed) if len(tasks) == 1 else (folder, *run)
+                records[key] = run_records(part.arrays, run, cost or costs[0])
         return records
 
     def table(self) -> str:
@@ -101,24 +100,30 @@ class Runs:
         seed, measure, part, value), from which reports are made.
 
         rows: "episodes" and "updates" have a row for each episode, or each epoch's update, of every
-        run so far, with the columns folder, algorithm, task and seed, and the hyper-parameters and
-        task parameters in which the folders differ. Archives have no updates.
+        run so far, "evaluations" for each episode of the evaluations on the way (`evaluate_every`)
+        and at the end; all have the columns folder, algorithm, task and seed, and the
+        hyper-parameters and task parameters in which the folders differ. Archives have no updates,
+        and of the evaluations the last.
         """
         if rows not in get_args(Rows):
             raise UserError(f"rows must be {', '.join(get_args(Rows))}, got {rows!r}")
         extra("pandas", "train")
         from agents.results import frame
 
-        if rows == "measures":
-            return frame.frame(self.results)
-        names = self._names
-        return frame.long_frame([(names[f], c, arrays) for f, c, arrays in self._arrays()], rows)
+        return (
+            frame.frame(self.results) if rows == "measures" else frame.long_frame(self._parts, rows)
+        )
 
-    def _arrays(self) -> list[tuple[Path, TrainConfig, Mapping[str, NDArray]]]:
-        from agents.results.reading import results_of
+    @property
+    def _parts(self) -> list[Part]:
+        """Each folder with what it holds by now."""
+        from agents.results.reading import Part, results_of
 
-        pairs = zip(self.folders, self.configs, strict=True)
-        return [(folder, config, results_of(opened(folder), config)) for folder, config in pairs]
+        parts = []
+        for (folder, name), config in zip(self._names.items(), self.configs, strict=True):
+            path = opened(folder)
+            parts.append(Part(path, name, name, results_of(path, config), config))
+        return parts
 
     @property
     def _names(self) -> dict[Path, str]:

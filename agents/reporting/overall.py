@@ -315,8 +315,8 @@ def orders_table(cells: Cells) -> Table:
         "Pairs of algorithms of which the one with the lower mean cost rate has the higher mean "
         "EMCC in the same third of training; tau: Kendall's rank correlation of both orders; the "
         "pair whose EMCC differs most, A before B by the cost rate and after it by EMCC, with the "
-        f"differences A - B [Welch's 95 % t interval, of {FEWEST_RUNS} seeds or more that end in one "
-        "place]"
+        f"differences A - B [Welch's 95 % t interval, of {FEWEST_RUNS} seeds or more that end in "
+        "one place]"
     )
     head = ["task and third", "otherwise", "tau", "cost rate A - B", "EMCC A - B", "A, B"]
     return Table(words, head, rows)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -14,8 +15,10 @@ from agents.algorithms import ALGORITHMS, title
 from agents.errors import UserError
 from agents.paper.presets import preset, usual_steps  # the settings that runs are named against
 from agents.results.measures import measures
-from agents.results.reading import Group, run_records
-from agents.training.config import RunId, TrainConfig
+from agents.results.reading import Group, Part, run_records
+from agents.training import evaluation
+from agents.training.config import POLICIES, RunId, TrainConfig
+from agents.training.files import Arrays, numbered
 from emcc.records import COLUMNS as RECORD_COLUMNS
 
 if TYPE_CHECKING:
@@ -50,24 +53,25 @@ def frame(groups: Sequence[Group]) -> pandas.DataFrame:
 
 
 def long_frame(
-    trainings: Sequence[tuple[str, TrainConfig, Mapping[str, NDArray]]],
-    rows: Literal["episodes", "updates"],
+    trainings: Sequence[Part], rows: Literal["episodes", "updates", "evaluations"]
 ) -> pandas.DataFrame:
-    """A row for each episode, or each epoch's update, of every run so far.
+    """A row for each episode, each epoch's update, or each evaluated episode of every run so far.
 
-    trainings: name of the folder, configuration, and results of each. Settings in which they differ
-    have a column each. Raises UserError for updates of an archive, which has none.
+    Settings in which the trainings differ have a column each. Raises UserError for updates of an
+    archive, which has none.
     """
     import pandas as pd
 
-    frames, columns_of = [], _episodes if rows == "episodes" else _updates
-    settings = [vars(c.hyperparameters) | c.task_parameters for _, c, _ in trainings]
+    columns_of = {"episodes": _episodes, "updates": _updates, "evaluations": _evaluations}[rows]
+    configs = [part.config for part in trainings]
+    frames, settings = [], [vars(c.hyperparameters) | c.task_parameters for c in configs]
     every = dict.fromkeys(name for own in settings for name in own)
     varied = [k for k in every if len({repr(own.get(k)) for own in settings}) > 1]
-    for (folder, config, arrays), own in zip(trainings, settings, strict=True):
-        about = {"folder": folder, "algorithm": config.algorithm} | {k: own.get(k) for k in varied}
-        for run in config.runs:
-            columns = columns_of(arrays, run, config)
+    for part, own in zip(trainings, settings, strict=True):
+        about = {"folder": part.folder, "algorithm": part.config.algorithm}
+        about |= {name: own.get(name) for name in varied}
+        for run in part.config.runs:
+            columns = columns_of(part, run)
             count = len(next(iter(columns.values())))
             first = {**about, "task": run.task, "seed": run.seed}
             # Lists, since a hyper-parameter may be a tuple.
@@ -75,19 +79,20 @@ def long_frame(
     return pd.concat(frames, ignore_index=True)
 
 
-def _episodes(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) -> dict[str, Any]:
+def _episodes(part: Part, run: RunId) -> dict[str, Any]:
     """Columns of the episodes of a run; further costs by their names."""
-    first, *others = config.costs
-    records = run_records(arrays, run, first)
+    first, *others = part.config.costs
+    records = run_records(part.arrays, run, first)
     columns = {k: getattr(records, "reward" if k == "return" else k) for k in RECORD_COLUMNS}
     for other in others:
-        of_other = run_records(arrays, run, other)
+        of_other = run_records(part.arrays, run, other)
         columns |= {other: of_other.cost, f"{other}_longest_streak": of_other.longest_streak}
     return columns
 
 
-def _updates(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) -> dict[str, Any]:
+def _updates(part: Part, run: RunId) -> dict[str, Any]:
     """Columns of the updates of a run; `step`: environment steps taken by then."""
+    arrays = part.arrays
     if f"{run.prefix}updates" not in arrays:
         if f"{run.prefix}failure" in arrays and f"{run.prefix}length" not in arrays:
             return {"rollout": np.arange(0), "step": np.arange(0)}  # it failed in its first epoch
@@ -99,6 +104,27 @@ def _updates(arrays: Mapping[str, NDArray], run: RunId, config: TrainConfig) -> 
     return {"rollout": np.arange(len(values)), "step": steps} | dict(
         zip(arrays["metrics"].tolist(), values.T, strict=True)
     )
+
+
+def _evaluations(part: Part, run: RunId) -> dict[str, Any]:
+    """Columns of the evaluated episodes of a run; `step`: environment steps taken by then; further
+    costs by their names."""
+    kept = numbered(part.path / POLICIES, run.prefix).items()
+    sources: dict[int, tuple[Mapping[str, NDArray], str]]
+    sources = {step: (Arrays(path), "") for step, path in kept}
+    if f"{run.prefix}evaluation/{evaluation.POLICIES[0]}/returns" in part.arrays:
+        sources[int(part.arrays[f"{run.prefix}length"].sum())] = part.arrays, run.prefix
+    names = ("step", "policy", "episode", "return", "cost", *part.config.costs[1:], "length")
+    columns: dict[str, list[Any]] = {name: [] for name in names}
+    for (step, (arrays, prefix)), policy in product(sources.items(), evaluation.POLICIES):
+        own = f"{prefix}evaluation/{policy}"
+        if f"{own}/returns" in arrays:
+            returns, costs, length = (arrays[f"{own}/{n}"] for n in ("returns", "costs", "lengths"))
+            count = len(returns)
+            values = ([step] * count, [policy] * count, range(count), returns, *costs.T, length)
+            for name, column in zip(names, values, strict=True):
+                columns[name] += list(column)
+    return columns
 
 
 def with_distinct_titles(groups: Sequence[Group]) -> list[Group]:

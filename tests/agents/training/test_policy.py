@@ -176,9 +176,16 @@ def test_policies_on_the_way(algorithm, tmp_path):
     early, late = (agents.load_policy(folder, seed=4, step=step) for step in (100, 200))
     assert (early.step, late.step) == (100, 200)
     assert not np.array_equal(early(OBSERVATIONS), late(OBSERVATIONS))
+    rows = agents.load_runs(folder).to_pandas("evaluations")
+    rows = rows[(rows.seed == 4) & (rows.policy == "deterministic")]
     with np.load(folder / "policies" / "Circle2D-1-v0" / "4" / "000000200.npz") as kept:
-        returns = kept["evaluation/deterministic/returns"]
-    assert returns.shape == (3,)
+        names = {"return": "returns", "cost": "costs", "length": "lengths"}
+        own = [kept[f"evaluation/deterministic/{name}"].ravel() for name in names.values()]
+    np.testing.assert_array_equal(rows[rows.step == 200][[*names]].T, own)
+    (group,) = agents.load_runs(folder).results
+    at_end = rows[rows.step == rows.step.max()]["return"]
+    np.testing.assert_array_equal(at_end, group.runs[1].evaluation["deterministic"]["returns"])
+    assert rows.step.unique().tolist() == [100, 200, 300] and len(rows) == 9
     with pytest.raises(agents.UserError, match="there are 100, 200, 300; training"):
         agents.load_policy(folder, seed=4, step=400)
     last = [agents.load_policy(folder, seed=3, step=step)(OBSERVATIONS) for step in (300, None)]
