@@ -92,9 +92,9 @@ def train(
     costs: names of costs in the task's info: all are recorded and evaluated; an algorithm limits
         the first, or as many as its rule says.
     checkpoint_every: environment steps of a run between checkpoints. evaluate_every: environment
-        steps of a run between evaluations; each also saves the policy, for
-        `load_policy(..., step=...)`. None: evaluate only at the end. evaluation_episodes: of each
-        policy, without its noise and with it, at the end.
+        steps of a run between evaluations, of which `Runs.to_pandas("evaluations")` has the
+        numbers; each also saves the policy, for `load_policy(..., step=...)`. None: evaluate only
+        at the end. evaluation_episodes: of each policy, without its noise and with it, at the end.
     vectorization: "auto": the task's own vector environment or one process; "sync": gymnasium's
         `SyncVectorEnv`; "async": a process for each environment. All give the same results.
         step_timeout: seconds that a step may take with "async"; None: no limit.

@@ -23,7 +23,6 @@ from agents.paper.presets import (
 )
 from agents.training.config import CONFIG, RESULTS, Device, TrainConfig, file_name
 from agents.training.environments import spaces_of
-from agents.training.files import Arrays
 from circle2d_mj.circle2d.config import LEVELS, Circle2DConfig
 from circle2d_mj.registration import KINEMATIC, PHYSICS
 
@@ -183,11 +182,6 @@ def prepare(folders: Mapping[Path, TrainConfig]) -> None:
 def finished(folder: Path) -> bool:
     """Whether all runs of a training have ended, also by a failure."""
     return (folder / RESULTS).exists()
-
-
-def has_failures(folder: Path) -> bool:
-    """Whether a run of a training that is finished met a NaN or an infinite number."""
-    return finished(folder) and any(name.endswith("/failure") for name in Arrays(folder / RESULTS))
 
 
 class Unprinted(NamedTuple):
