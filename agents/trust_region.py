@@ -100,7 +100,8 @@ def gradient_in(nets: Nets, actor: Tensor, block: Block, of: int) -> Tensor:
 def policy_step(
     nets: Nets, config: Any, rule: StepRule, state: OnPolicyState, epoch: Epoch
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """The policy after the rule's step and its line search -> [R, actor size], records [R]."""
+    """The policy after the rule's step and its line search -> [R, actor size], records [R]; NaN for
+    a run whose step is."""
     old = state.actor
     multipliers = lagrange.values(rule.multipliers, state.multipliers, len(old))
     advantage = rule.advantage(config, epoch.reward_advantage, epoch.cost_advantage, multipliers)
@@ -133,9 +134,12 @@ def policy_step(
 
     tries, decay = config.line_search_steps, config.line_search_decay
     found = line_search(old, step.displacement, judge, tries, decay)
+    # No step leads there, and the policy would stay as it is without a word.
+    lost = advantage.isnan().any(dim=-1) | step.displacement.isnan().any(dim=-1)
+    params = torch.where(lost[:, None], torch.nan, found.params)
     records = {"kl": found.kl, "step_scale": found.scale, "case": step.case.float()}
     names = lagrange.names(rule.multipliers)
-    return found.params, records | dict(zip(names, multipliers.unbind(dim=-1), strict=True))
+    return params, records | dict(zip(names, multipliers.unbind(dim=-1), strict=True))
 
 
 Product = Callable[[Tensor], Tensor]

@@ -117,7 +117,8 @@ def initial(multipliers: Sequence[Multiplier], config: Any, runs: int) -> tuple[
     """The states of a rule's multipliers before the first update.
 
     A PID controller starts from the same multiplier as the others, as its integral term. Raises
-    TypeError for a form with a law where the config has an optimiser, too.
+    TypeError for a form with a law where the config has an optimiser, too, and ValueError for a law
+    that returns another shape.
     """
     return tuple(_initial(multiplier.form, config, runs) for multiplier in multipliers)
 
@@ -127,6 +128,10 @@ def _initial(form: MultiplierForm, config: Any, runs: int) -> State:
     parameter = torch.full((runs, LANES), float(start))
     if form.law and hasattr(config, "multiplier_optimizer"):
         raise TypeError(f"the multiplier has a law: {config!r} must not have an optimizer")
+    if form.law:
+        after = tuple(form.law(config, parameter, torch.zeros(runs, 1)).shape)
+        if after not in (parameter.shape, (runs, 1)):
+            raise ValueError(f"a law must return [{runs}, {LANES}] or [{runs}, 1], got {[*after]}")
     if form.law or config.multiplier_optimizer != "pid":
         return MultiplierState(parameter, no_moments(parameter))
     value = form.value(parameter)

@@ -54,6 +54,7 @@ class OffPolicy:
         observation_size: int,
         action_size: int,
     ) -> None:
+        sac.check_rule(config, rule)
         self.config, self.rule, self.seeds = config, rule, tuple(seeds)
         self.episodes = 1
         risks = ("risk", *(f"risk_{k}" for k in range(2, rule.costs + 1)))

@@ -254,6 +254,30 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
     )
 
 
+def check_rule(config: Any, rule: CostRule) -> None:
+    """Raise ValueError where a function of a rule returns another shape than `CostRule` says: sums
+    would run over other axes. Each is called once, with zeros."""
+    runs, batch, costs = 2, 3, rule.costs
+    critics = torch.zeros(runs, config.cost_critics, batch)
+    rows, features = torch.zeros(runs, batch), torch.zeros(runs, batch, 1)
+    drawn = Batch(features, features, rows, rows, features, rows, rows)
+    multipliers = torch.zeros(runs, len(rule.multipliers))
+    of_costs = torch.zeros(runs, costs, batch)
+    returned = {
+        "risk": (rule.risk(config, critics), (runs, batch)),
+        "critic_loss": (rule.critic_loss(config, critics, critics, drawn), (runs,)),
+        "penalty": (rule.penalty(config, of_costs, multipliers), of_costs.shape),
+    }
+    if rule.augmented:
+        risks = torch.zeros(runs, costs)
+        returned["augmented"] = rule.augmented(config, multipliers, risks), multipliers.shape
+    for name, (value, shape) in returned.items():
+        if (given := list(np.shape(value))) != list(shape):
+            sizes = f"of {runs} runs, {batch} transitions, costs {costs}"
+            sizes += f" and multipliers {len(rule.multipliers)}"
+            raise ValueError(f"{name} must return {list(shape)}, got {given} ({sizes})")
+
+
 def values(nets: Nets, critics: Tensor, observation: Tensor, action: Tensor) -> Tensor:
     """Values of all critics of each run: [R, 2 + 2·C, B]."""
     return nets.critic.forward_each(critics, torch.cat([observation, action], dim=-1))

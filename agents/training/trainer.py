@@ -71,14 +71,14 @@ class Trainer:
 
     def __init__(self, folder: Path, config: TrainConfig) -> None:
         self.folder, self.config = folder, config
-        self.learner: Learner = self._learner(config.stream_seeds)
-        self.recorder = Recorder(
-            config.runs, self.learner.episodes, self.learner.metrics, config.costs
-        )
         count = len(config.runs)
         self.epoch = 0
         self.steps = np.zeros(count, dtype=np.int64)
         """Environment steps each run has taken, [R]."""
+        self.learner: Learner = self._learner(config.stream_seeds)
+        self.recorder = Recorder(
+            config.runs, self.learner.episodes, self.learner.metrics, config.costs
+        )
         self.failures = np.full(count, "", dtype="U200")
         """Why runs have stopped that met a NaN or an infinite number, [R]; the others go on."""
         self.stopped = False
@@ -90,7 +90,9 @@ class Trainer:
 
     def _learner(self, stream_seeds: list[int]) -> Learner:
         config, sizes = self.config, read_spaces(self.folder).sizes
-        return make_learner(config.algorithm, config.learned, stream_seeds, *sizes)
+        learned = config.learned
+        with self._own_code("is made"):
+            return make_learner(config.algorithm, learned, stream_seeds, *sizes)
 
     @functools.cached_property
     def _envs(self) -> SideBySide:

@@ -9,6 +9,7 @@ import torch
 
 from agents.algorithms.sac_lag import RULE, SACLagConfig
 from agents.lockstep import lagrange
+from agents.sac import OffPolicy
 from agents.sac import update as sac
 from agents.sac.replay import Batch
 
@@ -101,3 +102,25 @@ def test_every_critic_starts_elsewhere():
     nets = sac.make_nets(CONFIG, 3, 2, 1)
     critics = sac.initial_state(nets, CONFIG, RULE, (0, 1)).critics.flatten(0, 1).tolist()
     assert len(set(map(tuple, critics))) == 2 * 4
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"penalty": lambda config, risk, m: m * risk[:, 0]}, r"penalty must return .*\[2, 3\]"),
+        ({"multipliers": ()}, r"penalty must return \[2, 1, 3\], got \[2, 0, 3\]"),
+        ({"critic_loss": lambda *_: torch.zeros(())}, r"critic_loss must return \[2\], got \[\]"),
+        ({"risk": lambda config, values: values}, r"risk must return \[2, 3\], got \[2, 2, 3\]"),
+        ({"augmented": lambda config, m, risk: m.sum()}, r"augmented must return \[2, 1\]"),
+    ],
+)
+def test_a_rule_that_returns_other_shapes_is_refused(changed, message):
+    """Before it trains: a sum over another axis would go unnoticed."""
+    with pytest.raises(ValueError, match=message):
+        OffPolicy(SACLagConfig(), RULE._replace(**changed), (0, 1, 2), 2, 1)
+
+
+def test_a_law_that_returns_another_shape_is_refused():
+    law = lagrange.PROJECTED._replace(law=lambda config, parameter, cost: cost[:, 0])
+    with pytest.raises(ValueError, match=r"must return \[3, 32\] or \[3, 1\], got \[3\]"):
+        lagrange.initial((lagrange.Multiplier(law),), sac.ConstrainedSACConfig(), 3)
