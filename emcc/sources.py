@@ -152,6 +152,11 @@ def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeReco
     rewards = columns.numbers("reward", float) if "reward" in columns else None
     # An episode ends where its number changes, and behind a marked step; a rollout may cut it.
     rollouts, episodes = (columns.get(name, [""] * costs.size) for name in ("rollout", "episode"))
+    if len({*columns.get("env", ())}) > 1:
+        raise ValueError(
+            "has several environments in the column env: write whole episodes in the order in "
+            "which they ended, each with a number of its own in the column episode, and no env"
+        )
     cuts, ends = (np.array([a != b for a, b in pairwise([*x, None])]) for x in (rollouts, episodes))
     if len(set(rollouts)) < cuts.sum():
         raise ValueError("the steps of a rollout must follow one another")

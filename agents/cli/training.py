@@ -185,7 +185,7 @@ def resume(args: Sequence[str]) -> int:
     with AfterEpoch(options.imports) as after_epoch:
         api.resume(*options.folders, progress=True, on_epoch=after_epoch)
     for folder in done:
-        _say(f"{folder}: was done already: evaluated again")
+        _say(f"{folder}: was done already")
     return _finish(options.folders, after_epoch)
 
 

@@ -223,7 +223,8 @@ def _visited(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     for group, scene in seen:
         parts = group.visits()
         if parts is None:
-            notes.append(f"no heat map of {group.title}: {NO_POSITIONS}")
+            why = f"{NO_POSITIONS}, or a third of its training no rollout"
+            notes.append(f"no heat map of {group.title}: {why}")
             continue
         names.append(name_of(group))
         columns.append([(scene, visits_words(part), _coarser(part.counts)) for part in parts])

@@ -262,7 +262,8 @@ class TrainConfig(Settings):
             known = algorithm(str(name)).config if strict or name in ALGORITHMS else None
             return cls(hyperparameters=_of(known, own) if known else _plain(own), **values)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise UserError(f"{folder}/{CONFIG} is damaged: {error}") from error
+            words = f"{folder}/{CONFIG} is damaged, or {name} has changed since"
+            raise UserError(f"{words}: {error}") from error
 
 
 def read_spaces(folder: AnyPath) -> Spaces:

@@ -50,8 +50,8 @@ def train(folder: Path, *own: Callback) -> Trainer:
     The folder is one that `TrainConfig.write` made. own: further callbacks. Changes torch's threads
     and matrix products for the process (`backend.configure`); the last bits of results depend on
     them. NumPy has one thread meanwhile: its idle threads spin, which made two trainings side by
-    side on two cores nine times slower. Ends with an evaluation and `results.npz`, unless a
-    callback stopped it. Raises UserError where another process trains there.
+    side on two cores nine times slower. Ends with an evaluation and `results.npz`, unless these are
+    there or a callback stopped it. Raises UserError where another process trains there.
     """
     config = TrainConfig.read(folder)
     backend.configure(config.backend == "compiled", config.device)
@@ -59,11 +59,20 @@ def train(folder: Path, *own: Callback) -> Trainer:
         remove_unfinished(folder)
         trainer = Trainer(folder, config)
         trainer.load()
+        evaluated = trainer.done and _is_whole(folder / RESULTS)
         with contextlib.closing(trainer), callbacks.usual(trainer) as usual:
             trainer.run((*usual, *own))
-            if trainer.done:
+            if trainer.done and not evaluated:
                 derive.write_results(folder, config, trainer.learner.policy(), trainer.failures)
     return trainer
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether all arrays of a file can be read."""
+    try:
+        return bool(dict(Arrays(path)))
+    except UserError:
+        return False
 
 
 class Trainer:

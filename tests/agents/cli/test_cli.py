@@ -56,12 +56,22 @@ def test_train_and_report_print_and_write_the_table(folder, capsys):
 
 
 def test_evaluate_replaces_what_reports_show(folder, tmp_path, capsys):
+    """And `resume` of what is done keeps it, unless it is damaged."""
     copy = tmp_path / "runs"
     shutil.copytree(folder, copy)
+    name = "Circle2D-1-v0/0/evaluation/deterministic/returns"
     assert main(["evaluate", str(copy), "--episodes", "7"]) == 0
     assert "means over 7 episodes" in capsys.readouterr().out
     with np.load(copy / "results.npz") as results:
-        assert results["Circle2D-1-v0/0/evaluation/deterministic/returns"].shape == (7,)
+        assert results[name].shape == (7,)
+    content = (copy / "results.npz").read_bytes()
+    assert main(["resume", str(copy)]) == 0
+    assert "was done already" in capsys.readouterr().err
+    assert (copy / "results.npz").read_bytes() == content
+    (copy / "results.npz").write_bytes(content[:-40])
+    assert main(["resume", str(copy)]) == 0
+    with np.load(copy / "results.npz") as results, np.load(folder / "results.npz") as first:
+        np.testing.assert_array_equal(results[name], first[name])
 
 
 def test_settings_reach_the_training(tmp_path):
