@@ -175,9 +175,9 @@ def sweep(
 def resume(*folders: Folder, on_epoch: OnEpoch | None = None, progress: bool = False) -> Runs:
     """Go on with the runs of folders, from their newest checkpoints, as if never interrupted.
 
-    One folder after the other; of one that is done without `results.npz`, that is written. on_epoch,
-    progress: as in `train`. Raises UserError where there is nothing to go on with, or another
-    process trains there.
+    One folder after the other; of one that is done without `results.npz`, that is written.
+    on_epoch, progress: as in `train`. Raises UserError where there is nothing to go on with, or
+    another process trains there.
     """
     if not folders:
         raise UserError("resume needs a folder of runs")
