@@ -18,8 +18,8 @@ METADATA: dict[str, Any] = {"render_modes": render_modes()}
 class SafetyVectorEnv(TaskVectorEnv):
     """Many copies of one of `TASKS`, stepped together by MuJoCo.
 
-    Observations, actions, rewards and costs: see the task's simulation. num_threads: for MuJoCo's
-    steps; it changes no number. Seeds, autoreset and errors: see `TaskVectorEnv`.
+    Observations, actions, rewards, costs and parameters: see the task's simulation. num_threads:
+    for MuJoCo's steps; it changes no number. Seeds, autoreset and errors: see `TaskVectorEnv`.
     """
 
     metadata = METADATA
@@ -33,12 +33,13 @@ class SafetyVectorEnv(TaskVectorEnv):
         max_episode_steps: int | None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        **parameters: Any,
     ) -> None:
         if task not in TASKS:
             raise ValueError(f"task must be one of {list(TASKS)}, got {task!r}")
         found = TASKS[task]
         simulation = pkgutil.resolve_name(found.simulation)(
-            **found.arguments, num_envs=num_envs, num_threads=num_threads
+            **found.arguments, num_envs=num_envs, num_threads=num_threads, **parameters
         )
         super().__init__(
             simulation,
@@ -122,6 +123,7 @@ class SafetyEnv(TaskEnv):
         num_threads: int = 1,
         max_episode_steps: int | None,
         render_mode: str | None = None,
+        **parameters: Any,
     ) -> None:
         envs = SafetyVectorEnv(
             task,
@@ -129,6 +131,7 @@ class SafetyEnv(TaskEnv):
             max_episode_steps=max_episode_steps,
             autoreset_mode=AutoresetMode.DISABLED,
             render_mode=render_mode,
+            **parameters,
         )
         super().__init__(envs)
 

@@ -78,11 +78,13 @@ class ButtonTask(NavigationTask):
     family = "Button"
     has_goals = True
 
-    def __init__(self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1) -> None:
+    def __init__(
+        self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1, **changes: float
+    ) -> None:
         self.goal_button = np.zeros(num_envs, dtype=np.int64)
         self.timer = np.zeros(num_envs, dtype=np.int64)
         self._rows = np.arange(num_envs)
-        super().__init__(agent, level, num_envs, num_threads)
+        super().__init__(agent, level, num_envs, num_threads, **changes)
 
     def _lengths(self) -> Floats:
         return self._distance[:, self.world.rows["goal"]]

@@ -44,7 +44,8 @@ def sample_layout(
     while len(waiting):
         if attempts >= layout_tries:
             raise RuntimeError(
-                f"no layout found in {layout_tries} attempts for keepouts {areas.keepout}"
+                f"no layout found in {layout_tries} attempts: {len(areas.keepout) - 1} objects are "
+                "too many for the space"
             )
         # Crowded layouts fail often: many attempts at once, each with a stream of its own.
         keys = stream_keys(streams, index[waiting], _AT_ONCE).ravel()

@@ -36,15 +36,24 @@ class NavigationTask(MuJoCoTask):
 
     The observation is the agent's sensors, then 16 numbers for each lidar. Starts: a layout, all
     headings and turns of objects uniform, everything at rest. Source: safety-gymnasium 1.0.0.
+
+    Parameters of a task, in place of its level's: numbers of `hazards`, `vases`, `pillars` and
+    `gremlins`, of those that the level has, 0 among them, which leaves the observation's size as it
+    is; `half_width` of the square that holds all, m. Raises TypeError for a parameter that the task
+    does not have, ValueError for a value.
     """
 
     family: ClassVar[str]
     has_goals: ClassVar[bool] = False
 
-    def __init__(self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1) -> None:
-        self.world = worlds.world(agent, self.family, level)
+    def __init__(
+        self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1, **changes: float
+    ) -> None:
+        self._of_world = agent, self.family, level, tuple(sorted(changes.items()))
+        self.world = worlds.world(*self._of_world)
         model, scene = self.world.model, self.world.scene
-        super().__init__(model, num_envs, num_threads, SUBSTEPS, agent=agent, level=level)
+        arguments = {"agent": agent, "level": level, **changes}
+        super().__init__(model, num_envs, num_threads, SUBSTEPS, **arguments)
         self.agent = self.world.agent
         self.action_space = action_space(self.agent)
         self.observation_space = self._space()
@@ -71,7 +80,7 @@ class NavigationTask(MuJoCoTask):
         counts = [rows[kind].stop - rows[kind].start for kind in scene.lidars]
         groups = np.repeat(np.arange(len(counts)), counts)
         # They show all that is placed, in the order in which it is.
-        self._lidars = rules.Lidars(n, groups, scene.reach) if counts else None
+        self._lidars = rules.Lidars(n, groups, len(counts), scene.reach) if counts else None
         self._driven = "gremlins" in rows
         self._first_gremlin = len(self.world.mocap) - free  # of the mocap bodies
         self._flags = self.batch.expand("opt.disableflags")
@@ -212,7 +221,7 @@ class NavigationTask(MuJoCoTask):
     @property
     def picture_model(self) -> mujoco.MjModel:
         """The model with all that is drawn."""
-        return worlds.picture_model(self.agent.name, self.family, self._arguments["level"])
+        return worlds.picture_model(*self._of_world)
 
     def data(self, index: int) -> Any:
         """Return environment `index` as an MjData of `picture_model`."""

@@ -35,12 +35,12 @@ def length(vectors: Floats) -> Floats:
 class Lidars:
     """The lidars of `num_envs` agents, one for each group of targets.
 
-    group: [k], the number of each target's group, ascending from 0; reach: m.
+    group: [k], the number of each target's group, from 0; groups: how many; reach: m.
     """
 
-    def __init__(self, num_envs: int, group: NDArray[np.intp], reach: float) -> None:
+    def __init__(self, num_envs: int, group: NDArray[np.intp], groups: int, reach: float) -> None:
         self.reach = reach
-        self._shape = num_envs, LIDAR_BINS * (int(group[-1]) + 1)
+        self._shape = num_envs, LIDAR_BINS * groups
         rows = np.arange(num_envs)[:, None] * self._shape[1]
         self._first_bins = (rows + LIDAR_BINS * group)[..., None]
 

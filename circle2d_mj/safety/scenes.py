@@ -5,6 +5,7 @@ Lengths in metres, densities in kg/m³. Source: safety-gymnasium 1.0.0; loads no
 
 from __future__ import annotations
 
+from numbers import Integral, Real
 from typing import Literal, NamedTuple
 
 Colour = tuple[float, float, float, float]
@@ -58,6 +59,10 @@ class Scene(NamedTuple):
     """How far the lidars see"""
 
 
+Changes = tuple[tuple[str, float], ...]
+"""Parameters of a task by name: numbers of objects of the kinds in `COUNTED`, and half_width, m"""
+COUNTED = ("hazards", "vases", "pillars", "gremlins")
+MOST_OBJECTS, MOST_HALF_WIDTH = 100, 10.0
 AGENT_KEEPOUT = 0.4
 BOX = {"Point": (0.2, 0.001), "Car": (0.125, 0.0005), "Doggo": (0.2, 0.001)}
 """Half-width and density of the box to push, by agent; the half-width is its keepout, too"""
@@ -155,9 +160,34 @@ SCENES = {
 """The scenes, by the part of an id after the agent's name."""
 
 
-def scene(name: str, agent: str) -> Scene:
-    """Return a scene of `SCENES` as it is with an agent."""
+def parameters(scene: Scene) -> dict[str, float]:
+    """What can be changed of a scene, with its own values."""
+    numbers = {placed.kind: placed.number for placed in scene.placed if placed.kind in COUNTED}
+    return numbers if scene.start else numbers | {"half_width": scene.half_width}
+
+
+def scene(name: str, agent: str, changes: Changes = ()) -> Scene:
+    """Return a scene of `SCENES` as it is with an agent, changed.
+
+    Raises TypeError for a change that the scene does not have, ValueError for a value.
+    """
     found = SCENES[name]
     box = BOX[agent][0]
-    placed = (p._replace(keepout=box) if p.kind == "push_box" else p for p in found.placed)
-    return found._replace(placed=tuple(placed))
+    placed = {p.kind: p._replace(keepout=box) if p.kind == "push_box" else p for p in found.placed}
+    half_width = found.half_width
+    for key, value in changes:
+        if key not in parameters(found):
+            there = ", ".join(parameters(found)) or "no parameters"
+            raise TypeError(f"Safety{agent}{name} has no parameter {key!r}; it has {there}")
+        if key in COUNTED:
+            if not isinstance(value, Integral) or not 0 <= value <= MOST_OBJECTS:
+                rule = f"a whole number from 0 to {MOST_OBJECTS}"
+                raise ValueError(f"{key} must be {rule}, got {value!r}")
+            placed[key] = placed[key]._replace(number=int(value))
+        else:
+            least = max(AGENT_KEEPOUT, *(p.keepout for p in placed.values()))
+            if not isinstance(value, Real) or not least < value <= MOST_HALF_WIDTH:
+                rule = f"above {least:g} and at most {MOST_HALF_WIDTH:g} m"
+                raise ValueError(f"half_width must be {rule}, got {value!r}")
+            half_width = float(value)
+    return found._replace(placed=tuple(placed.values()), half_width=half_width)

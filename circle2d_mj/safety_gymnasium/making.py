@@ -26,11 +26,13 @@ def make(
     camera_id: int | None = None,
     width: int = 640,
     height: int = 640,
+    **parameters: Any,
 ) -> SafetyGymnasiumEnv | SafeAutoResetWrapper:
     """Make a task of the suite, as in `make("SafetyPointGoal1-v0")`; `step` returns six values.
 
     autoreset: reset at once where an episode ends, see `wrappers.SafeAutoResetWrapper`. width and
-    height: of pictures, pixels; a task has one view, whatever a camera's name or id.
+    height: of pictures, pixels; a task has one view, whatever a camera's name or id. parameters: of
+    the task, as in `hazards=4`, see `circle2d_mj.safety.navigation.NavigationTask`.
     Raises ValueError for an id that is not in `registry`.
     """
     _check_id(id)
@@ -39,6 +41,7 @@ def make(
         max_episode_steps=max_episode_steps,
         disable_env_checker=disable_env_checker,
         render_mode=render_mode,
+        **parameters,
     )
     made = SafetyGymnasiumEnv(env, width, height)
     return SafeAutoResetWrapper(made) if autoreset else made

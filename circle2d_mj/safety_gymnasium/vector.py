@@ -34,7 +34,7 @@ def make(
     The native vector environment steps all copies together, and `asynchronous` changes nothing;
     with `wrappers`, each applied to every copy, single environments are stepped one by one.
     max_episode_steps: None for the task's own. arguments: those of `make`; without wrappers
-    `render_mode` alone.
+    `render_mode` and the task's parameters alone.
     """
     _check_id(env_id)
     if max_episode_steps is not None:  # the native environment takes None for no limit at all

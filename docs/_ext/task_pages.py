@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 
 import circle2d_films
@@ -21,7 +22,7 @@ from circle2d_mj.registration import KINEMATIC, PHYSICS
 from circle2d_mj.safety import agents as safety_agents
 from circle2d_mj.safety import families
 from circle2d_mj.safety.navigation import NavigationTask
-from circle2d_mj.safety.scenes import scene
+from circle2d_mj.safety.scenes import COUNTED, parameters, scene
 from circle2d_mj.safety.tasks import IDS, VELOCITY
 from circle2d_mj.safety.velocity import BODIES, VelocityTask
 
@@ -64,6 +65,8 @@ COSTS = {
     "pillars": "the agent touches a pillar",
     "out_of_boundary": "the agent is beyond a wall",
 }
+CHANGED = {kind: f"Number of {kind}, of a level that has some; 0 for none." for kind in COUNTED}
+CHANGED["half_width"] = "Half-width of the square in which all is placed, m."
 ORIGINAL = (
     "The tasks are Safety-Gymnasium's, on current MuJoCo: see [parity](../../parity.md). The film "
     "shows an agent that draws its actions at random."
@@ -173,7 +176,7 @@ def _family(family: str) -> str:
         ],
         "Start": ["At random places that keep their distances, any heading, at rest."],
         "End": [_end(IDS[f"SafetyPoint{family}0"]), _terminates(family)],
-        "Arguments": [_safety_arguments(IDS[f"SafetyPoint{family}0"])],
+        "Arguments": [_safety_arguments(IDS[f"SafetyPoint{family}0"], parameters(first))],
         "Versions": ["- v0: the numbers of Safety-Gymnasium 1.0.0."],
     }
     return _safety_page(f"Safety{family}", FILMED[family], sections)
@@ -246,9 +249,10 @@ def _prose(cls: type) -> str:
     return " ".join(paragraphs[at].split())
 
 
-def _safety_arguments(name: str) -> str:
+def _safety_arguments(name: str, changed: Iterable[str] = ()) -> str:
+    rows = [(f"`{key}`", "the level's own", CHANGED[key]) for key in changed]
     steps = gym.spec(name).max_episode_steps
-    return _table(("argument", "default", "meaning"), _extra(("num_threads",), steps))
+    return _table(("argument", "default", "meaning"), rows + _extra(("num_threads",), steps))
 
 
 def _safety_page(name: str, film: str, sections: dict[str, list[str]]) -> str:

@@ -190,3 +190,67 @@ def test_data_shows_the_world():
                 for body, place in zip(bodies, task.places[1, rows], strict=True):
                     np.testing.assert_allclose(data.body(body).xpos[:2], place, atol=1e-12)
         assert_alike(env.state_dict(), before)
+
+
+LIKE_LEVEL_2 = {
+    "PointGoal": {"hazards": 10, "vases": 10, "half_width": 2.0},
+    "CarButton": {"hazards": 8, "gremlins": 6, "half_width": 1.8},
+    "PointPush": {"hazards": 4, "pillars": 4, "half_width": 2.0},
+}
+
+
+@pytest.mark.parametrize("name", LIKE_LEVEL_2)
+def test_level_1_with_the_objects_of_level_2_is_level_2(name):
+    """Bit for bit, but for the kinds of cost."""
+    first = gym.make(f"Safety{name}1-v0", **LIKE_LEVEL_2[name])
+    second = gym.make(f"Safety{name}2-v0")
+    for env in (first, second):
+        env.action_space.seed(5)
+    np.testing.assert_array_equal(*(env.reset(seed=5)[0] for env in (first, second)))
+    for _ in range(200):
+        (*one, info), (*other, beside) = (
+            env.step(env.action_space.sample()) for env in (first, second)
+        )
+        np.testing.assert_array_equal(one[0], other[0])
+        assert one[1:] == other[1:]
+        assert info.items() - {("cost", info["cost"])} <= beside.items()
+
+
+def test_none_of_a_kind():
+    """The observation keeps its size: that lidar sees nothing, and nothing of the kind costs."""
+    env = gym.make("SafetyPointGoal2-v0", hazards=0, vases=0, render_mode="rgb_array")
+    assert env.observation_space == gym.make("SafetyPointGoal2-v0").observation_space
+    env.reset(seed=0)
+    for _ in range(50):
+        observation, *_, info = env.step(env.action_space.sample())
+        assert not observation[-32:].any() and observation[-48:-32].any()
+        assert [v for k, v in info.items() if k.startswith("cost")] == [0.0] * 4
+    assert env.render().shape == (640, 640, 3)
+    assert env.unwrapped.task.hazards.pos == []
+
+
+@pytest.mark.parametrize(
+    ("task", "changes", "error", "message"),
+    [
+        (
+            "PointGoal1-v0",
+            {"hazard": 2},
+            TypeError,
+            "has no parameter 'hazard'; it has hazards, vases",
+        ),
+        (
+            "PointGoal0-v0",
+            {"hazards": 2},
+            TypeError,
+            "SafetyPointGoal0 has no .* it has half_width",
+        ),
+        ("PointCircle1-v0", {"half_width": 2.0}, TypeError, "it has no parameters"),
+        ("HopperVelocity-v1", {"hazards": 2}, TypeError, "unexpected keyword argument 'hazards'"),
+        ("PointGoal1-v0", {"hazards": 2.5}, ValueError, "number from 0 to 100, got 2.5"),
+        ("PointGoal1-v0", {"vases": -1}, ValueError, "vases must be .* got -1"),
+        ("PointGoal1-v0", {"half_width": 0.4}, ValueError, "above 0.4 and at most 10 m, got 0.4"),
+    ],
+)
+def test_parameters_that_a_task_does_not_have(task, changes, error, message):
+    with pytest.raises(error, match=message):
+        gym.make(f"Safety{task}", **changes)

@@ -73,9 +73,9 @@ def test_lidar_against_a_plain_loop():
             for at, value in [(b, s), (b + 1, share * s), (b - 1, (1 - share) * s)]:
                 row[at % 16] = max(row[at % 16], value)
     inputs = targets - position[:, None, :2], position[:, 2], frames[:, :, :2]
-    seen = rules.Lidars(50, groups, 3.0)(*inputs)
+    seen = rules.Lidars(50, groups, int(groups[-1]) + 1, 3.0)(*inputs)
     np.testing.assert_allclose(seen, expected.reshape(50, 48), atol=1e-12)
-    alone = rules.Lidars(1, groups, 3.0)(*(array[3:4] for array in inputs))
+    alone = rules.Lidars(1, groups, int(groups[-1]) + 1, 3.0)(*(array[3:4] for array in inputs))
     np.testing.assert_array_equal(alone[0], seen[3])
 
 
