@@ -38,6 +38,7 @@ SOURCES = {
         "limit.zip",
         "hopper.zip",
         "hopper-others.zip",
+        "hopper-more.zip",
         "goal.zip",
         "sac-lag.zip",
     ],
