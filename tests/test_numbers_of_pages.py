@@ -135,10 +135,8 @@ def test_the_verdicts():
     counts = [sum(row[1] == verdict for row in rows) for verdict in ("confirmed", "refuted")]
     assert counts == [1, 6]
     assert sum(bool(row[3]) for row in rows) == 4  # and two hang on TRPO-Lag's multiplier
-    # One more is refuted on SafetyPointCircle1: test_the_claim_on_safety_point_circle.
-    told = (
-        "Of eleven of the paper's claims one is confirmed, seven are refuted, three stay undecided"
-    )
+    # Two more are refuted on Safety tasks: see test_the_claim_on_safety_point_circle and _hopper.
+    told = "Of eleven of the paper's claims one is confirmed, eight are refuted, two stay undecided"
     assert told in " ".join(page("README.md").split())
 
 
@@ -335,15 +333,16 @@ def test_the_claim_on_safety_point_circle():
         "results/README.md",
         f"(p = .008 for both costs and EMCC_0.33, n = {len(trpo)} and {len(sac)})",
         f"With plain ascent of TRPO-Lag's multiplier J_C is {short(sgd.J_C.mean(), 1)} instead of "
-        f"{short(trpo.J_C.mean(), 1)}, and the claim is undecided; so is that on "
-        "SafetyHopperVelocity (n = 3 and 3).",
+        f"{short(trpo.J_C.mean(), 1)}, and the claim is undecided.",
     )
 
 
-def first_third(run):
-    """Mean length and mean cost of the episodes that start in it."""
-    first = 3 * run.records.start_step < run.records.total_steps
-    return run.records.length[first].mean(), run.records.cost[first].mean()
+def first_third(run, slices):
+    """Mean length and cost of the episodes that start in equal slices of it, mean over these."""
+    records = run.records
+    part = 3 * slices * records.start_step // records.total_steps
+    rows = [part == k for k in range(slices)]
+    return np.mean([(records.length[own].mean(), records.cost[own].mean()) for own in rows], axis=0)
 
 
 def test_the_page_on_safety_hopper():
@@ -351,30 +350,43 @@ def test_the_page_on_safety_hopper():
     names = ("TRPO-Lag", "CPO", "SAC-LB")
     trpo, cpo, lb = (runs(lines, results_table.HOPPER, name) for name in names)
     falls = [count(own["EMCC_0.99"] < own["EMCC_0.33"]) for own in (trpo, cpo, lb)]
-    kept = [share(own.J_C <= SAFETY_LIMIT) for own in (trpo, cpo)]
-    assert (falls[0], kept[0]) == (falls[1], kept[1])
+    kept = [share(own.J_C <= SAFETY_LIMIT, "") for own in (trpo, cpo)]
     ends = [
         f"from {short(own['EMCC_0.33'].mean())} to {short(own['EMCC_0.99'].mean())}"
         for own in (trpo, cpo)
     ]
-    archives = [RESULTS / "safety" / name for name in ("hopper.zip", "hopper-others.zip")]
-    by_name = {group.config.algorithm: group.runs for group in read(archives, [])}
-    early = [
-        np.mean([first_third(run) for run in by_name[n]], axis=0) for n in ("trpo-lag", "sac-lb")
-    ]
+    archives = ("hopper.zip", "hopper-others.zip", "hopper-more.zip")
+    groups = read([RESULTS / "safety" / name for name in archives], [])
+    by_name = {group.config.algorithm: group.runs for group in groups}
+    both = [by_name[name] for name in ("trpo-lag", "sac-lb")]
+    assert [len(side) for side in both] == [5, 5]
+    early, by_steps = (
+        [np.mean([first_third(run, slices) for run in side], axis=0) for side in both]
+        for slices in (1, 10)
+    )
     lengths = [np.mean(run.evaluation["deterministic"]["lengths"]) for run in by_name["sac-lb"]]
     section = page("results/safety/report.md").partition("### 3. On SafetyHopperVelocity")[2]
     verdict = re.search(r"\*\*(\w+)\*\*$", section, re.M)[1]
-    cost = float(re.search(r"^- cost of an episode: .*; p: ([\d.]+)\)", section, re.M)[1])
+    length, cost, longer = re.findall(r"^- .*; p: ([\d.]+)\): (\w+)", section, re.M)[:3]
+    assert (length[1], longer) == ("refuted", (length[0], "confirmed"))
     told(
         "results/safety/README.md",
-        f"**{verdict}**, as three runs a side must leave it: they give a p of "
-        f"{short(2 / math.comb(6, 3), 1)} at best. EMCC is higher, "
-        f"{short(trpo['EMCC_0.33'].mean())} against {short(lb['EMCC_0.33'].mean())}. But the "
-        f"episodes are longer, {early[0][0]:.0f} steps against {early[1][0]:.0f}, and their "
-        f"costs, {early[0][1]:.1f} and {early[1][1]:.1f}, are not told apart (p = "
-        f"{short(cost, 3)}).",
-        f"EMCC falls in {falls[0]} runs each, {' and '.join(ends)}, and {kept[0]} each keep",
+        f"**{verdict}**, by their length: {early[0][0]:.0f} steps against {early[1][0]:.0f} (p = "
+        f"{short(float(length[0]), 3)}, n = 5 and 5; to refute takes {short(0.05 / 3, 3)}).",
+        f"it is {by_steps[0][0]:.0f} against {by_steps[1][0]:.0f}. EMCC is higher, as claimed, "
+        f"{short(trpo['EMCC_0.33'].mean())} against {short(lb['EMCC_0.33'].mean())} (p = "
+        f"{short(float(longer[0]), 3)}); costs, {early[0][1]:.1f} and {early[1][1]:.1f}, are not "
+        f"told apart (p = {short(float(cost[0]), 3)}). Three runs a side had left it undecided, as "
+        f"they must (p = {short(2 / math.comb(6, 3), 1)} at best)",
+        f"EMCC falls in {falls[0]} and {falls[1]} runs, {' and '.join(ends)}, and "
+        f"{' and '.join(kept)} keep the limit.",
+    )
+    told(
+        "results/README.md",
+        f"on SafetyHopperVelocity is {verdict.lower()} (p = {short(float(length[0]), 3)}).",
+    )
+    told(
+        "results/safety/README.md",
         f"Their returns, {short(trpo.J_R.mean(), 1)} and {short(cpo.J_R.mean(), 1)}, are two",
         f"episodes of {min(lengths):.0f} to {max(lengths):.0f} steps, a return of "
         f"{results_table.with_range(lb.J_R, 1)}, and in {count(lb.J_C <= SAFETY_LIMIT)} runs a J_C",
@@ -386,7 +398,7 @@ def test_the_page_on_safety_hopper():
     assert 1.9 < trpo.J_R.mean() / printed["TRPO-Lag"].J_R < 2.1
     assert 3.0 < cpo.J_R.mean() / printed["CPO"].J_R < 3.3
     assert printed["SAC-LB"]["EMCC_0.99"] > printed["SAC-LB"]["EMCC_0.33"]
-    assert 9.5 < printed["SAC-LB"].J_C / lb.J_C.mean() < 10.5
+    assert 7.5 < printed["SAC-LB"].J_C / lb.J_C.mean() < 8.5
     for task, name, omnisafe in (
         (results_table.HOPPER, "TRPO-Lag", 1391.8),
         (results_table.HOPPER, "CPO", 1713.7),
