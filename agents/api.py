@@ -213,8 +213,9 @@ def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:
     """The tables of two sets of runs with the differences B - A, as Markdown: `circle2d compare`.
 
     a, b: a folder, an archive, or runs of one folder: a baseline's and an idea's. With out, writes
-    `compare.md`, `compare.csv`, and `compare.html` with the training curves of both, to that
-    folder. Raises UserError where a side has no complete run, or the two have no task in common.
+    `compare.md`, `compare.tex`, `compare.csv`, and `compare.html` with the training curves of both,
+    to that folder. Raises UserError where a side has no complete run, or the two have no task in
+    common.
     """
     from agents.reporting.compare import compare as compare_runs
     from agents.reporting.table import markdown

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -69,11 +70,10 @@ class Table:
             csv.writer(body, lineterminator="\n").writerows([self.head, *self.rows])
             return f"# {self.caption}\n{body.getvalue()}"
         if form == "latex":
-            escaped = ([cell.translate(LATEX) for cell in row] for row in (self.head, *self.rows))
-            rows = [" & ".join(row) + r" \\" for row in escaped]
-            top = (rf"\begin{{tabular}}{{l{'r' * (len(self.head) - 1)}}}", r"\toprule", rows[0])
-            end = (r"\bottomrule", r"\end{tabular}", "")
-            return "\n".join([f"% {self.caption}", *top, r"\midrule", *rows[1:], *end])
+            head, *rows = (
+                [cell.translate(LATEX) for cell in row] for row in (self.head, *self.rows)
+            )
+            return tabular(self.caption, head, rows)
         lines = [self.head, *self.rows]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         if form == "md":
@@ -86,6 +86,13 @@ class Table:
         else:
             body = ["  ".join(line).rstrip() for line in padded]
         return "\n".join([self.caption, "", *body, ""])
+
+
+def tabular(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Cells of LaTeX as a tabular with the rules of booktabs, below the caption as a comment."""
+    first, *lines = (" & ".join(row) + r" \\" for row in (head, *rows))
+    top = (rf"\begin{{tabular}}{{l{'r' * (len(head) - 1)}}}", r"\toprule", first, r"\midrule")
+    return "\n".join([f"% {caption}", *top, *lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
 LATEX = str.maketrans(

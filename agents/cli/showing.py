@@ -37,7 +37,7 @@ from emcc.parts import ALPHA, PARTS
 
 @dataclass(frozen=True)
 class ReportOptions(Settings):
-    """Print the table of trained runs beside the paper's; write report.md, report.csv,
+    """Print the table of trained runs beside the paper's; write report.md, report.tex, report.csv,
     and index.html with training curves and heat maps as well."""
 
     folders: Folders
@@ -76,8 +76,8 @@ class CompareOptions(Settings):
     b: Folder
     """Folder of the runs to compare with them."""
     out: Path | None = None
-    """Folder for compare.md, compare.csv, and compare.html with the training curves of both; by
-    default nothing is written."""
+    """Folder for compare.md, compare.tex, compare.csv, and compare.html with the training curves of
+    both; by default nothing is written."""
     width: Width = None
     imports: Imports = ()
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agents.errors import UserError
+from agents.errors import UserError, one_line
 from agents.reporting.figures import curves
 from agents.reporting.numbers import difference_lines, group_lines, numbers_csv
 from agents.reporting.overall import TASKS, differences_over_tasks
@@ -61,9 +61,9 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     a, b: folders, archives, or folders of archives, as `report` takes them. A group of B stands
     against the one of A with the same algorithm and settings, or where there is none against every
     group of A on the task, of the same cost. The last table has one test over all tasks of each
-    pair that is there on two tasks or more. With out, writes `compare.md`, `compare.csv`, and
-    `compare.html` with training curves, both sides in one figure. Raises UserError where a side has
-    no complete run, or the two have no task in common.
+    pair that is there on two tasks or more. With out, writes `compare.md`, `compare.csv`,
+    `compare.tex`, and `compare.html` with training curves, both sides in one figure. Raises
+    UserError where a side has no complete run, or the two have no task in common.
     """
     notes = [f"A is {a}, B is {b}."]
     sides = [with_distinct_titles(read([side], notes)) for side in (a, b)]
@@ -89,6 +89,8 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     title = " and ".join(f"{name_of_all(groups)} ({side})" for side, groups in named)
     write_whole(out / "compare.html", page(title, sections, how))
     write_whole(out / "compare.md", markdown(list(tables.values())))
+    tex = [f"% {one_line(name)}\n{table.latex()}" for name, table in tables.items()]
+    write_whole(out / "compare.tex", "\n".join(tex))
     lines = []
     for task, both in by_task.items():
         for name, groups in zip("AB", both, strict=True):

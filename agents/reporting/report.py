@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from agents.errors import UserError
+from agents.errors import UserError, one_line
 from agents.paper.sections import Paper, sections
 from agents.reporting.figures import (
     Figure,
@@ -43,11 +43,11 @@ class Report(NamedTuple):
 def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -> Report:
     """Write the report of every folder of runs at or below some folders, or in archives.
 
-    Writes `report.md`, `report.csv` for a program, and `index.html`, which holds everything, with
-    all figures. `report.md` has the details too: EMCC with ties split, and each task's panel. Runs
-    that are missing, damaged or unfinished are named below the table and left out of its means;
-    figures that cannot be drawn are named too. Folders that differ in their seeds alone count as
-    one, which is named as well.
+    Writes `report.md`, `report.csv` for a program, `report.tex` for a paper (the means of the main
+    tables), and `index.html`, which holds everything, with all figures. `report.md` has the details
+    too: EMCC with ties split, and each task's panel. Runs that are missing, damaged or unfinished
+    are named below the table and left out of its means; figures that cannot be drawn are named too.
+    Folders that differ in their seeds alone count as one, which is named as well.
 
     archive: a file to pack all that the report needs into; a report on it has the same bytes.
     A path may lead into an archive, such as `runs.zip/Circle2D-1-v0`: to the runs of that folder.
@@ -101,6 +101,8 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     ending = "Figures, heat maps and replay: index.html\n"
     write_whole(out / "report.md", markdown([*verdicts, *titled, ending]))
     write_whole(out / "report.csv", numbers_csv(report_lines(everything, paper.printed)))
+    tex = [f"% {one_line(name)}\n{table.latex()}" for name, table in main.items()]
+    write_whole(out / "report.tex", "\n".join(tex))
     return Report([*main.values(), *verdicts], left_out, out / "index.html")
 
 

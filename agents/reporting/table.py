@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 from agents.errors import one_line
 from emcc import Interval, Share
+from emcc.table import LATEX, tabular
 
 MISSING = "\N{EN DASH}"
 LEAST_WIDTH = 40
@@ -159,6 +160,15 @@ class Table:
         legend = [plain(self.legend), ""] if self.legend else []
         return "\n".join([*legend, *(f"| {line} |" for line in padded), *notes, ""])
 
+    def latex(self) -> str:
+        """The means with their intervals, and the paper's numbers, as a tabular with the rules of
+        booktabs; all rows of a table without means. Legend and notes are comments."""
+        rows = [row for row in self.rows if row.kind in ("mean", "paper")] or self.rows
+        lines = [[_latex(cell) for cell in row.cells[: self.columns]] for row in rows]
+        head = [_latex(cell) for cell in self.head[: self.columns]]
+        notes = [f"% Note: {one_line(note)}\n" for note in self.notes]
+        return tabular(one_line(self.legend), head, lines) + "".join(notes)
+
 
 _INTERVAL = re.compile(r" \[[^\]]*\]")
 """Intervals in words."""
@@ -198,6 +208,15 @@ def _markdown(cell: Cell) -> str:
     if not cell.marked:
         return str(cell)
     return f"**{cell.text}** {cell.interval}".rstrip()
+
+
+def _latex(cell: Cell) -> str:
+    if isinstance(cell, str):
+        return one_line(cell).translate(LATEX)
+    written = (words.translate(LATEX) for words in (cell.text, cell.interval))
+    text, interval = (re.sub(r"-(?=\d)", "$-$", words) for words in written)
+    text = rf"\textbf{{{text}}}" if cell.marked else text
+    return f"{text} {{\\scriptsize {interval}}}" if interval else text
 
 
 def show(blocks: Sequence[Block], width: int | None = None, more: str = "") -> None:

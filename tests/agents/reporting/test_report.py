@@ -17,7 +17,7 @@ from agents.paper.presets import preset
 from agents.reporting import provenance
 from agents.reporting.provenance import command, made
 from agents.reporting.report import report, table
-from agents.reporting.table import markdown
+from agents.reporting.table import Number, Row, Table, markdown
 from agents.reporting.tables import best
 from agents.results.reading import read
 from agents.training import config
@@ -216,3 +216,25 @@ def test_the_commit_is_told_where_it_is_known(tmp_path, monkeypatch):
     assert provenance.program().endswith(f", commit {head}")
     (tmp_path / "a").write_text("changed")
     assert provenance.program().endswith(f", commit {head}-dirty")
+
+
+def test_latex_has_the_means_and_what_letters_mean_there():
+    mean = Number(-4.25, 2, -5.0, -3.5, marked=True)
+    rows = [
+        Row("A & B, mean of 2", [mean, Number(None)], kind="mean"),
+        Row("A, seed 0", [Number(1.0), Number(2.0)]),
+        Row("paper", [Number(0.0004, 3, is_p=True), Number(1, total=2)], kind="paper"),
+    ]
+    table = Table("50 % of\nall", ["Task_1", "J_R", "solved"], rows, ["a note"])
+    assert table.latex().splitlines() == [
+        "% 50 % of all",
+        r"\begin{tabular}{lrr}",
+        r"\toprule",
+        r"Task\_1 & J\_R & solved \\",
+        r"\midrule",
+        r"A \& B, mean of 2 & \textbf{$-$4.25} {\scriptsize [$-$5.00, $-$3.50]} & -- \\",
+        r"paper & $<$0.001 & 1 of 2 \\",
+        r"\bottomrule",
+        r"\end{tabular}",
+        "% Note: a note",
+    ]
