@@ -7,6 +7,7 @@ import io
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
+from textwrap import fill
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -304,7 +305,8 @@ def intervals_figure(groups: Sequence[Group], printed: Reference) -> Figure:
             row[0].set_yticks(range(len(own)), names)
             row[0].set_ylabel(task.removeprefix("circle2d_mj/"), fontweight="bold")
         for axis, m in zip(axes[0], columns, strict=True):
-            axis.set_title(m.head.replace(" (", "\n("), fontsize=9)
+            lines = m.head.replace(" (", "\n(").splitlines()
+            axis.set_title("\n".join(fill(line, 18) for line in lines), fontsize=9)
         content = svg_of(figure)
     words = (
         "A dot for each run. Black bar: mean over seeds, its line the 95 % t interval of five "
@@ -327,7 +329,8 @@ def _draw_runs(
                 axis.plot([mean.low, mean.high], [place, place], color=style.colour, linewidth=1.6)
             means.append((mean.value, place))
             middles.append((iqm(values), place))
-        reference = printed(group.task, group.config.algorithm)
+        config = group.config
+        reference = None if config.task_parameters else printed(group.task, config.algorithm)
         if reference and m.name in reference.values:
             crosses.append((reference.values[m.name], place))
     looks = ("|", 11, "#999999"), ("|", 11, "black"), ("x", 5, "black")

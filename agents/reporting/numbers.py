@@ -39,9 +39,11 @@ def numbers_csv(lines: Iterable[Line]) -> str:
 
 
 def report_lines(groups: Sequence[Group], printed: Reference) -> Iterator[Line]:
-    """Means and runs of every group, then the printed numbers of the same algorithms."""
+    """Means and runs of every group, then the printed numbers of the same algorithms, on tasks as
+    they are registered."""
     yield from group_lines(groups)
-    for task, name in dict.fromkeys((group.task, group.config.algorithm) for group in groups):
+    own = [(group.task, group.config) for group in groups]
+    for task, name in dict.fromkeys((t, c.algorithm) for t, c in own if not c.task_parameters):
         if reference := printed(task, name):
             yield _line(task, title(name), "paper", reference.values)
 

@@ -9,7 +9,7 @@ from importlib.resources import files
 from types import SimpleNamespace
 
 import numpy as np
-from small_runs import cells, edit_results, write_evaluated, write_status
+from small_runs import cells, edit_results, lines_of, write_evaluated, write_status
 
 from agents.cli.main import main
 from agents.paper.evidence import paper_results
@@ -238,3 +238,17 @@ def test_latex_has_the_means_and_what_letters_mean_there():
         r"\end{tabular}",
         "% Note: a note",
     ]
+
+
+def test_no_printed_numbers_beside_a_task_with_other_parameters(tmp_path):
+    write_evaluated(tmp_path, "cpo", costs=(1, 2))
+    path = tmp_path / "config.json"
+    content = json.loads(path.read_text())
+    for parameters, kinds in (
+        ({}, {"mean", "run", "paper"}),
+        ({"optima_perturbation": 0.5}, {"mean", "run"}),
+    ):
+        path.write_text(json.dumps(content | {"task_parameters": parameters}))
+        assert ("paper (3 seeds)" in markdown(table(tmp_path))) is ("paper" in kinds)
+        found = {line["kind"] for line in lines_of(tmp_path / "report.csv")}
+        assert found & {"mean", "run", "paper"} == kinds
