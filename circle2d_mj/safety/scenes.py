@@ -162,7 +162,7 @@ SCENES = {
 
 def parameters(scene: Scene) -> dict[str, float]:
     """What can be changed of a scene, with its own values."""
-    numbers = {placed.kind: placed.number for placed in scene.placed if placed.kind in COUNTED}
+    numbers: dict[str, float] = {p.kind: p.number for p in scene.placed if p.kind in COUNTED}
     return numbers if scene.start else numbers | {"half_width": scene.half_width}
 
 
