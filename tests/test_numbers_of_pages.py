@@ -28,7 +28,7 @@ from agents.training.evaluation import POLICIES
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
 SOURCES = {
-    "circle2d": ["runs.zip"],
+    "circle2d": ["runs.zip", "bootstrap-2.zip"],
     "physics": ["level-0.zip", "runs.zip"],
     "sensitivity": ["runs.zip"],
     "library": ["runs.zip", "sac-lb.zip", "residual.zip", "sac-lag.zip"],
