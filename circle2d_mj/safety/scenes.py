@@ -178,7 +178,8 @@ def scene(name: str, agent: str, changes: Changes = ()) -> Scene:
     for key, value in changes:
         if key not in parameters(found):
             there = ", ".join(parameters(found)) or "no parameters"
-            raise TypeError(f"Safety{agent}{name} has no parameter {key!r}; it has {there}")
+            words = f"got an unexpected keyword argument {key!r}"  # Python's, for TorchRL
+            raise TypeError(f"Safety{agent}{name} {words}; it has {there}")
         if key in COUNTED:
             if not isinstance(value, Integral) or not 0 <= value <= MOST_OBJECTS:
                 rule = f"a whole number from 0 to {MOST_OBJECTS}"
