@@ -40,6 +40,7 @@ SOURCES = {
         "hopper-others.zip",
         "hopper-more.zip",
         "goal.zip",
+        "goal-others.zip",
         "sac-lag.zip",
     ],
     "solve": [
