@@ -267,6 +267,19 @@ def test_the_safety_tasks():
         f"{' and '.join(not_falling)} do not.",
     )
     told("results/baselines/README.md", f"has {short(own.J_R.mean(), 1)}, near it.")
+    for name in ("SAC-Lag", "WCSAC"):
+        own = runs(lines, results_table.POINT_GOAL, name)
+        theirs = results_table.paper(lines, results_table.POINT_GOAL, name).iloc[0]
+        falls = own["EMCC_0.99"] < own["EMCC_0.33"]
+        told(
+            "results/safety/README.md",
+            f"**{name}**: J_R {results_table.with_range(own.J_R, 1)}, cost rate "
+            f"{short(own.cost_rate.mean())}, J_C {results_table.with_range(own.J_C, 1)}; the paper "
+            f"{short(theirs.J_R, 1)}, {short(theirs.cost_rate)}, {short(theirs.J_C, 1)}. "
+            f"{count(own.J_C <= SAFETY_LIMIT)} runs keep the limit; EMCC falls in {count(falls)}, "
+            f"from {short(own['EMCC_0.33'].mean())} to {short(own['EMCC_0.99'].mean())} (the "
+            f"paper: {short(theirs['EMCC_0.33'])} and {short(theirs['EMCC_0.99'])}).",
+        )
     converted = "SAC-Lag (limit_of episode, 1,000,000 steps)"
     usual = on_safety_task(results_table.POINT_GOAL)
     pair = runs(lines, results_table.POINT_GOAL, converted), usual[usual.algorithm == "SAC-Lag"]
