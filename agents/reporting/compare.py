@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agents.errors import UserError, one_line
+from agents.errors import UserError
 from agents.reporting.figures import curves
 from agents.reporting.numbers import difference_lines, group_lines, numbers_csv
 from agents.reporting.overall import TASKS, differences_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import made
-from agents.reporting.table import Number, Table, markdown
+from agents.reporting.table import Number, Table, latex, markdown
 from agents.reporting.tables import caption, difference_rows, mean_row, measures_table, run_rows
 from agents.results.frame import changes, in_order, name_of, with_distinct_titles
 from agents.results.measures import measures
@@ -89,8 +89,7 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     title = " and ".join(f"{name_of_all(groups)} ({side})" for side, groups in named)
     write_whole(out / "compare.html", page(title, sections, how))
     write_whole(out / "compare.md", markdown(list(tables.values())))
-    tex = [f"% {one_line(name)}\n{table.latex()}" for name, table in tables.items()]
-    write_whole(out / "compare.tex", "\n".join(tex))
+    write_whole(out / "compare.tex", latex(tables))
     lines = []
     for task, both in by_task.items():
         for name, groups in zip("AB", both, strict=True):

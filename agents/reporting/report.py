@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from agents.errors import UserError, one_line
+from agents.errors import UserError
 from agents.paper.sections import Paper, sections
 from agents.reporting.figures import (
     Figure,
@@ -20,7 +20,7 @@ from agents.reporting.numbers import numbers_csv, report_lines
 from agents.reporting.overall import RATES, tables_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import heading, made, summary
-from agents.reporting.table import Block, Table, markdown, plain
+from agents.reporting.table import Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.frame import with_distinct_titles
 from agents.results.reading import Group, name_of_all, read, write_archive
@@ -101,8 +101,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     ending = "Figures, heat maps and replay: index.html\n"
     write_whole(out / "report.md", markdown([*verdicts, *titled, ending]))
     write_whole(out / "report.csv", numbers_csv(report_lines(everything, paper.printed)))
-    tex = [f"% {one_line(name)}\n{table.latex()}" for name, table in main.items()]
-    write_whole(out / "report.tex", "\n".join(tex))
+    write_whole(out / "report.tex", latex(main))
     return Report([*main.values(), *verdicts], left_out, out / "index.html")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -182,6 +182,11 @@ def markdown(blocks: Iterable[Block]) -> str:
     """The parts of a report as Markdown; a legend that the table before has too stands once."""
     shown = without_repeats(blocks)
     return "\n".join(block if isinstance(block, str) else block.markdown() for block in shown)
+
+
+def latex(tables: Mapping[str, Table]) -> str:
+    """Tables for LaTeX, each below its name as a comment."""
+    return "\n".join(f"% {one_line(name)}\n{table.latex()}" for name, table in tables.items())
 
 
 def without_repeats(blocks: Iterable[Block]) -> Iterator[Block]:

@@ -161,7 +161,7 @@ SCENES = {
 
 
 def parameters(scene: Scene) -> dict[str, float]:
-    """What can be changed of a scene, with its own values."""
+    """Parameters of a scene that may be changed, with its own values."""
     numbers: dict[str, float] = {p.kind: p.number for p in scene.placed if p.kind in COUNTED}
     return numbers if scene.start else numbers | {"half_width": scene.half_width}
 
