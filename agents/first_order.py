@@ -120,7 +120,11 @@ def surrogate_at(
     policy = nets.actor.distribution(actor, batch.observation)
     held = batch.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
     change = torch.where(held, policy.log_prob(batch.action) - batch.old_log_prob, 0.0)
-    return surrogate(config, policy, change.exp(), batch)
+    returned = surrogate(config, policy, change.exp(), batch)
+    shapes, runs = [list(value.shape) for value in returned], len(actor)
+    if shapes != [[runs], [runs]]:  # a sum over minibatches is another objective
+        raise ValueError(f"a surrogate must return two of [runs], here [{runs}], got {shapes}")
+    return returned
 
 
 @compiled

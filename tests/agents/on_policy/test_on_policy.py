@@ -267,6 +267,14 @@ def test_rows_of_weight_zero_do_not_count():
         torch.testing.assert_close(found, clipped_surrogate(line(0.5), without)[of])
 
 
+def test_a_surrogate_that_forgets_the_mean_is_an_error():
+    def unsummed(config, policy, ratio, batch):
+        return ratio * batch.advantage, torch.zeros(1)
+
+    with pytest.raises(ValueError, match=r"two of \[runs\], here \[1\], got \[\[1, 5\], \[1\]\]"):
+        surrogate_at(LINE, PPOConfig(), unsummed, line(0.5), five_steps())
+
+
 @pytest.mark.parametrize("longest", [0.05, 1e9])
 def test_steps_of_adam_against_separate_runs(longest):
     """Three steps of two runs; the second has no rows in the second minibatch, and waits."""
