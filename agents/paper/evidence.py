@@ -77,10 +77,12 @@ def _as_meant(task: str, title: str, measure: str, value: float) -> float:
     return -value if is_misprint else value
 
 
-def printed(task: str, algorithm: str) -> Printed | None:
-    """The paper's numbers for an algorithm on a task, as tables take them."""
+def printed(group: Group) -> Printed | None:
+    """The paper's numbers for a group's algorithm and task, as tables take them; none on a task
+    with other parameters than the paper's."""
+    task, algorithm = group.task, group.config.algorithm
     values = paper_results(task, title(algorithm))
-    if not values:
+    if not values or group.config.task_parameters:
         return None
     within = values["J_C"] <= preset(algorithm, task).cost_limit
     return Printed(values, within, f"paper ({PAPER_SEEDS} seeds)")

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from agents.algorithms import ALGORITHMS, title
 from agents.paper.claims import LIMIT, check_claims
-from agents.paper.evidence import SAFETY_SEEDS, SEEDS, choice_of, paper_results, printed
+from agents.paper.evidence import SAFETY_SEEDS, SEEDS, choice_of, printed
 from agents.paper.grid import MARGIN, SAFETY, ablations, unprinted
 from agents.paper.introduction import introduction
 from agents.paper.presets import PAPER_ALGORITHMS, is_circle2d, registered_id
@@ -147,15 +147,11 @@ def _notes(groups: Sequence[Group]) -> list[str]:
     """The settings of our presets that the paper does not print, and what it did otherwise."""
     task = groups[0].task
     titles: dict[str, dict[str, None]] = {}
-    for config in (group.config for group in groups):
-        setting, name = unprinted(config.algorithm), title(config.algorithm)
-        if (
-            setting
-            and setting.field not in hyperparameter_changes(config, task)
-            and paper_results(task, name)
-        ):
+    for group in filter(printed, groups):
+        config, setting = group.config, unprinted(group.config.algorithm)
+        if setting and setting.field not in hyperparameter_changes(config, task):
             choice = getattr(config.hyperparameters, setting.field)
-            titles.setdefault(setting.choices[choice], {})[name] = None
+            titles.setdefault(setting.choices[choice], {})[title(config.algorithm)] = None
     decides = ", which decides where runs end" if is_circle2d(task) else ""
     source = f"The paper does not print this choice{decides}."
     notes = [f"{', '.join(names)}: {meaning}. {source}" for meaning, names in titles.items()]
@@ -196,7 +192,7 @@ def choices_table(choices: Choices, kind: str, words: str) -> Table | None:
     for own in choices:
         task, name = own[0].task, own[0].config.algorithm
         complete = [group for group in own if group.runs]
-        reference = printed(task, name)
+        reference = printed(own[0])
         if reference:
             marked |= {(len(rows) + k, m) for k, m in _nearest(complete, reference.values)}
         for group in complete:
@@ -218,7 +214,8 @@ def nearest_table(choices: Choices) -> Table | None:
     compared: Counter[tuple[str, str]] = Counter()
     for own in choices:
         name, complete = title(own[0].config.algorithm), [group for group in own if group.runs]
-        found = list(_nearest(complete, paper_results(own[0].task, name)))
+        reference = printed(own[0])
+        found = list(_nearest(complete, reference.values)) if reference else []
         for k, group in enumerate(complete):
             key = name, _choice(group)
             compared[key] += len({m for _, m in found})
@@ -285,7 +282,8 @@ def ties_table(groups: Sequence[Group]) -> Table:
     rows: list[Row] = []
     for group in (group for own in by_task(groups).values() for group in own):
         name = f"{group.task}, {name_of(group)}"
-        values = paper_results(group.task, title(group.config.algorithm))
+        reference = printed(group)
+        values = reference.values if reference else {}
         both = [group, replace(group, runs=[_with_ties_split(group, run) for run in group.runs])]
         nearest = set(_nearest(both, values))
         for k, (way, own) in enumerate(zip(("kept", "split"), both, strict=True)):

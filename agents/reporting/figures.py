@@ -329,8 +329,7 @@ def _draw_runs(
                 axis.plot([mean.low, mean.high], [place, place], color=style.colour, linewidth=1.6)
             means.append((mean.value, place))
             middles.append((iqm(values), place))
-        config = group.config
-        reference = None if config.task_parameters else printed(group.task, config.algorithm)
+        reference = printed(group)
         if reference and m.name in reference.values:
             crosses.append((reference.values[m.name], place))
     looks = ("|", 11, "#999999"), ("|", 11, "black"), ("x", 5, "black")

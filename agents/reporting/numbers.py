@@ -39,13 +39,11 @@ def numbers_csv(lines: Iterable[Line]) -> str:
 
 
 def report_lines(groups: Sequence[Group], printed: Reference) -> Iterator[Line]:
-    """Means and runs of every group, then the printed numbers of the same algorithms, on tasks as
-    they are registered."""
+    """Means and runs of every group, then the printed numbers of the same algorithms."""
     yield from group_lines(groups)
-    own = [(group.task, group.config) for group in groups]
-    for task, name in dict.fromkeys((t, c.algorithm) for t, c in own if not c.task_parameters):
-        if reference := printed(task, name):
-            yield _line(task, title(name), "paper", reference.values)
+    known = {(g.task, g.config.algorithm): found for g in groups if (found := printed(g))}
+    for (task, name), reference in known.items():
+        yield _line(task, title(name), "paper", reference.values)
 
 
 def group_lines(groups: Sequence[Group], prefix: str = "") -> Iterator[Line]:

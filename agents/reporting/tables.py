@@ -45,19 +45,18 @@ class Printed(NamedTuple):
     """Name of the publication, and its number of runs."""
 
 
-Reference = Callable[[str, str], Printed | None]
-"""The printed numbers by task and algorithm, None where there are none."""
+Reference = Callable[[Group], Printed | None]
+"""The printed numbers for a group's algorithm and task, None where there are none."""
 
 
-def nothing_printed(task: str, algorithm: str) -> None:
+def nothing_printed(group: Group) -> None:
     """The reference of a report without one."""
 
 
 def task_table(
     groups: Sequence[Group], printed: Reference = nothing_printed, notes: Sequence[str] = ()
 ) -> Table:
-    """One task: for each algorithm the means above the printed numbers, which are of the task as it
-    is registered, then every run.
+    """One task: for each algorithm the means above the printed numbers, then every run.
 
     What is best among the means, and among the printed numbers, is marked: see `best`.
     """
@@ -65,13 +64,13 @@ def task_table(
     rows: list[Row] = []
     ours: dict[str, dict[int, Candidate]] = {}  # by cost: those of one policy are no rivals
     others = {}
-    registered = {g.config.algorithm for g in groups if not g.config.task_parameters}
     for name in dict.fromkeys(group.config.algorithm for group in groups):
-        for group in groups:
-            if group.config.algorithm == name and group.runs:
+        same = [group for group in groups if group.config.algorithm == name]
+        for group in same:
+            if group.runs:
                 ours.setdefault(group.cost, {})[len(rows)] = means(group), _keeps_all(group, groups)
                 rows.append(mean_row(group, name_of(group)))
-        if name in registered and (reference := printed(task, name)):
+        if reference := next(filter(None, map(printed, same)), None):  # one for all of them
             others[len(rows)] = reference.values, reference.within
             rows.append(printed_row(title(name), reference))
     rows = mark(rows, best(others).union(*map(best, ours.values())))

@@ -14,6 +14,7 @@ from small_runs import cells, edit_results, lines_of, write_evaluated, write_sta
 from agents.cli.main import main
 from agents.paper.evidence import paper_results
 from agents.paper.presets import preset
+from agents.paper.sections import ties_table
 from agents.reporting import provenance
 from agents.reporting.provenance import command, made
 from agents.reporting.report import report, table
@@ -252,3 +253,5 @@ def test_no_printed_numbers_beside_a_task_with_other_parameters(tmp_path):
         assert ("paper (3 seeds)" in markdown(table(tmp_path))) is ("paper" in kinds)
         found = {line["kind"] for line in lines_of(tmp_path / "report.csv")}
         assert found & {"mean", "run", "paper"} == kinds
+        ties = ties_table(read([tmp_path], []))
+        assert {row.kind for row in ties.rows} == kinds - {"run"}
