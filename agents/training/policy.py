@@ -58,7 +58,7 @@ def pretrained(algorithm: str, task: str) -> Path:
         hint = nearest(algorithm, algorithms)
         raise UserError(f"no policy of {algorithm!r} comes with the package: {hint}")
     tasks = [path.name for path in there if path.parent.name == algorithm]
-    name = task.rpartition(":")[2]
+    name = task.rpartition(":")[2].rpartition("/")[2]
     if name not in tasks:
         hint = nearest(name, tasks)
         raise UserError(f"no policy of {algorithm} for {task!r} comes with the package: {hint}")

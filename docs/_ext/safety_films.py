@@ -12,26 +12,32 @@ import task_pages
 from PIL import Image
 
 import circle2d_mj
+from agents.training.policy import load_policy
 
-SIZE, PICTURES = 240, 48
+SIZE, PICTURES, HOLD = 240, 48, 8
+"""Side of a picture, pictures, and steps from one to the next."""
 
 
 def write(name: str, folder: Path) -> None:
-    """Write the film of an agent that draws its actions at random, held for some steps each."""
+    """Write the film of the policy of `task_pages.shown_policy`, or of an agent that draws its
+    actions at random, held for some steps each."""
     env = gym.make(name, render_mode="rgb_array")
-    env.reset(seed=5)
+    observation, _ = env.reset(seed=5)
     env.action_space.seed(2)
-    hold = 2 if "Hopper" in name else 8
+    shown = task_pages.shown_policy(name.rpartition("/")[2])
+    policy = load_policy(shown) if shown else None
     frames = []
-    for step in range(PICTURES * hold):
-        if step % (2 * hold) == 0:
+    for step in range(PICTURES * HOLD):
+        if policy:
+            action = policy(observation)
+        elif step % (2 * HOLD) == 0:
             action = env.action_space.sample()
-        *_, terminated, truncated, _ = env.step(action)
-        if step % hold == 0:
+        observation, _, terminated, truncated, _ = env.step(action)
+        if step % HOLD == 0:
             picture = Image.fromarray(env.render())
             frames.append(picture.resize((SIZE, SIZE), Image.Resampling.LANCZOS))
         if terminated or truncated:
-            env.reset()
+            observation, _ = env.reset()
     env.close()
     path = folder / f"{name.rpartition('/')[2]}.gif"
     # One palette: viewers mix up those of single frames.

@@ -14,6 +14,7 @@ from gymnasium.spaces import Box
 from hyperparameters import texts
 
 from agents.paper.presets import PAPER_STEPS
+from agents.training.policy import FOLDER
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
 from circle2d_mj.circle2d.config import LEVELS
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoVectorEnv
@@ -67,10 +68,12 @@ COSTS = {
 }
 CHANGED = {kind: f"Number of {kind}, of a level that has some; 0 for none." for kind in COUNTED}
 CHANGED["half_width"] = "Half-width of the square in which all is placed, m."
-ORIGINAL = (
-    "The tasks are Safety-Gymnasium's, on current MuJoCo: see [parity](../../parity.md). The film "
-    "shows an agent that draws its actions at random."
-)
+ORIGINAL = "The tasks are Safety-Gymnasium's, on current MuJoCo: see [parity](../../parity.md)."
+
+
+def shown_policy(task: str) -> str:
+    """Name of the policy in a Safety task's film: CPO's where the package has one, else ""."""
+    return f"pretrained:cpo/{task}" if (FOLDER / "cpo" / task).is_dir() else ""
 
 
 def pages() -> dict[str, str]:
@@ -256,7 +259,9 @@ def _safety_arguments(name: str, changed: Iterable[str] = ()) -> str:
 
 
 def _safety_page(name: str, film: str, sections: dict[str, list[str]]) -> str:
-    head = [f"# {name}", f"![A film of {film}]({film}.gif)"]
+    policy = shown_policy(film)
+    shown = f"CPO's policy, `{policy}`" if policy else "An agent that draws its actions at random"
+    head = [f"# {name}", f"![A film of {film}]({film}.gif)", f"{shown}, on `{film}`."]
     for title, parts in sections.items():
         head += [f"## {title}", *filter(None, parts)]
     return "\n\n".join(head) + "\n"

@@ -294,3 +294,20 @@ def test_those_of_the_package_do_what_the_readme_says():
     assert (kept.costs <= 5).all()
     assert kept.mcc <= 0.06
     assert (kept.returns > -10).all()  # above the best that a cut-out allows
+
+
+@pytest.mark.parametrize(
+    ("name", "returns", "costs"),
+    [
+        ("cpo/SafetyPointCircle1-v0", (45, 55), (0, 40)),
+        ("trpo-lag/SafetyPointCircle1-v0", (48, 60), (100, 200)),
+        ("cpo/SafetyHopperVelocity-v1", (1690, 1740), (0, 20)),
+        ("sac-lb/circle2d_mj/SafetyHopperVelocity-v1", (380, 450), (25, 60)),
+        ("sac-lag/SafetyPointGoal1-v0", (22, 31), (25, 120)),
+    ],
+)
+def test_those_of_the_safety_tasks_do_as_their_runs_did(name, returns, costs):
+    """Ranges about the means of the archives' evaluations, which results/safety tells."""
+    found = agents.evaluate(f"pretrained:{name}", episodes=3)
+    assert returns[0] <= found.mean_return <= returns[1]
+    assert costs[0] <= found.mean_cost <= costs[1]
