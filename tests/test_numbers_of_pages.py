@@ -32,17 +32,7 @@ SOURCES = {
     "physics": ["level-0.zip", "runs.zip"],
     "sensitivity": ["runs.zip"],
     "library": ["runs.zip", "sac-lb.zip", "residual.zip", "sac-lag.zip"],
-    "safety": [
-        "point-circle.zip",
-        "runs.zip",
-        "limit.zip",
-        "hopper.zip",
-        "hopper-others.zip",
-        "hopper-more.zip",
-        "goal.zip",
-        "goal-others.zip",
-        "sac-lag.zip",
-    ],
+    "safety": sorted(path.name for path in (RESULTS / "safety").glob("*.zip")),
     "solve": [
         "runs.zip",
         "units.zip",
