@@ -257,7 +257,7 @@ def test_the_safety_tasks():
         f"{' and '.join(not_falling)} do not.",
     )
     told("results/baselines/README.md", f"has {short(own.J_R.mean(), 1)}, near it.")
-    for name in ("SAC-Lag", "WCSAC"):
+    for name in ("CPO", "SAC-Lag", "WCSAC"):
         own = runs(lines, results_table.POINT_GOAL, name)
         theirs = results_table.paper(lines, results_table.POINT_GOAL, name).iloc[0]
         falls = own["EMCC_0.99"] < own["EMCC_0.33"]
@@ -280,6 +280,18 @@ def test_the_safety_tasks():
         "results/safety/README.md",
         f"J_C is {cost}, with the preset {usual_cost}; {kept} runs keep the limit, with the preset "
         f"{usually_kept}. Neither has learned the task by then (J_R {returns})",
+    )
+
+
+def test_cpo_on_the_paper_s_safety_tasks():
+    lines = results_table.report("safety")
+    tasks = results_table.POINT_CIRCLE, results_table.POINT_GOAL, results_table.HOPPER
+    kept = [count(runs(lines, task, "CPO").J_C <= SAFETY_LIMIT) for task in tasks]
+    told(
+        "README.md",
+        "On the paper's Safety tasks, [10 000 000 steps each](results/safety/README.md), CPO keeps "
+        f"the limit in {kept[0]} runs on SafetyPointCircle1, {kept[2]} on SafetyHopperVelocity, "
+        f"{kept[1]} on SafetyPointGoal1.",
     )
 
 
@@ -414,10 +426,15 @@ def test_the_page_on_safety_hopper():
         (results_table.HOPPER, "TRPO-Lag", 1391.8),
         (results_table.HOPPER, "CPO", 1713.7),
         (results_table.POINT_GOAL, "TRPO-Lag", 18.5),
+        (results_table.POINT_GOAL, "CPO", 20.5),
     ):
         both = runs(lines, task, name), results_table.paper(lines, task, name)
         ours, theirs = (abs(side.J_R.mean() - omnisafe) for side in both)
         assert ours < theirs
+    for name, omnisafe in (("TRPO-Lag", 23.0), ("CPO", 28.8)):
+        own = runs(lines, results_table.POINT_GOAL, name)
+        theirs = results_table.paper(lines, results_table.POINT_GOAL, name)
+        assert abs(theirs.J_C.iloc[0] - omnisafe) < abs(own.J_C.mean() - omnisafe)
 
 
 def test_the_page_beside_omnisafe():

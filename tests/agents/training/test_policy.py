@@ -304,6 +304,7 @@ def test_those_of_the_package_do_what_the_readme_says():
         ("cpo/SafetyHopperVelocity-v1", (1690, 1740), (0, 20)),
         ("sac-lb/circle2d_mj/SafetyHopperVelocity-v1", (380, 450), (25, 60)),
         ("sac-lag/SafetyPointGoal1-v0", (22, 31), (25, 120)),
+        ("cpo/SafetyPointGoal1-v0", (21, 31), (15, 110)),
     ],
 )
 def test_those_of_the_safety_tasks_do_as_their_runs_did(name, returns, costs):
