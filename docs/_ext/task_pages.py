@@ -147,7 +147,9 @@ def _family(family: str) -> str:
     for agent in safety_agents.AGENTS:
         for level in levels:
             name, laid = IDS[f"Safety{agent}{family}{level}"], scene(f"{family}{level}", agent)
-            env, objects = gym.spec(name).make(), [f"{p.number} {p.kind}" for p in laid.placed]
+            env = gym.spec(name).make()
+            # A kind is named by its plural where a level may have several.
+            objects = [f"{p.number} {p.kind.rstrip('s' * (p.number == 1))}" for p in laid.placed]
             shown = ", ".join(objects) or "none"
             bounds = [f"{axis} = ±{at:g} m" for axis, at in zip("xy", laid.walls, strict=False)]
             walls = ", ".join(bounds)
