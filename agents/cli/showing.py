@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,7 +29,7 @@ from agents.errors import UserError
 from agents.export import Format
 from agents.reporting.table import show, working
 from agents.training.config import TrainConfig
-from agents.training.environments import task_id, unscaled
+from agents.training.environments import task_id, time_limit, unscaled
 from agents.training.policy import chosen_run, folder_of
 from circle2d_mj.circle2d.config import Camera
 from circle2d_mj.registration import PHYSICS
@@ -133,6 +134,10 @@ def heatmap(args: Sequence[str]) -> int:
     return 0
 
 
+PICTURES = 200
+"""Of an episode in a film, at most, where no other number is asked for."""
+
+
 @dataclass(frozen=True)
 class RenderOptions(Settings):
     """Draw episodes of trained policies: all in one picture (.png), or as a film (.gif, .mp4).
@@ -160,8 +165,9 @@ class RenderOptions(Settings):
     camera: Camera | None = None
     """Where a Circle2DMuJoCo task is seen from with --frames mujoco: above (the default), the side,
     or behind the agent."""
-    every: Annotated[int, In(1)] = 1
-    """Steps from a picture of a film to the next: it then goes on faster."""
+    every: Annotated[int, In(1)] | None = None
+    """Steps from a picture of a film to the next; by default the fewest that show an episode in 200
+    pictures, 20 seconds."""
     size: Size = 640
     imports: Imports = ()
 
@@ -183,23 +189,28 @@ def render(args: Sequence[str]) -> int:
     check_suffix(out, *[".png"] * (not by_mujoco), ".gif", ".mp4")
     if options.camera and not by_mujoco:
         raise UserError("camera needs --frames mujoco: the map has no camera")
-    if options.every > 1 and out.suffix.lower() == ".png":
+    if options.every is not None and out.suffix.lower() == ".png":
         raise UserError(f"every is for films: give --out a .gif or .mp4, got {str(out)!r}")
+    configs = [TrainConfig.read(folder) for folder in folders]
+    runs = [
+        chosen_run(folder, config, config.seeds[0] if seed is None else seed, options.task)
+        for folder, config, seed in zip(folders, configs, seeds, strict=True)
+    ]
+    parameters = [config.task_parameters for config in configs]
+    limits = [time_limit(run.task, of_run) for run, of_run in zip(runs, parameters, strict=True)]
+    every = options.every or max(math.ceil((limit or 1) / PICTURES) for limit in limits)
     panels = []
-    for folder, name, seed in zip(folders, names, seeds, strict=True):
-        config = TrainConfig.read(folder)
-        seed = config.seeds[0] if seed is None else seed
-        run = chosen_run(folder, config, seed, options.task)
+    for folder, config, run, name in zip(folders, configs, runs, names, strict=True):
         camera = camera_of(run.task, options.camera) if by_mujoco else None
-        how = (options.episodes, options.stochastic, by_mujoco, camera, options.every)
+        how = (options.episodes, options.stochastic, by_mujoco, camera, every)
         episodes, view = pictures.evaluation_episodes(folder, run, *how)
         heading = name or f"{title(config.algorithm)}, seed {run.seed}"
         panels.append(pictures.Panel(heading, view, episodes))
     if out.suffix.lower() == ".png":
         pictures.write_picture(out, pictures.picture(panels, options.size))
     else:
-        frames = pictures.film(panels, options.size, options.every)
-        pictures.write_film(out, frames, pictures.pictures_of(panels, options.every))
+        frames = pictures.film(panels, options.size, every)
+        pictures.write_film(out, frames, pictures.pictures_of(panels, every))
     print(out)
     return 0
 

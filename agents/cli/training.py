@@ -37,7 +37,7 @@ from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS, preset_with
 from agents.reporting.report import report, table
 from agents.reporting.table import show, working
-from agents.training import callbacks, evaluation, trainer
+from agents.training import callbacks, evaluation, policy, trainer
 from agents.training.callbacks import duration, share_done
 from agents.training.config import RESULTS, Device, TrainConfig
 from agents.training.derive import write_results
@@ -195,7 +195,7 @@ class EvaluateOptions:
     training that is done they replace those that reports show."""
 
     folder: Folder
-    """Folder of the runs."""
+    """Folder of the runs, or pretrained:ALGORITHM/TASK, a policy that comes with the package."""
     episodes: int | None = None
     """Episodes of each run and policy (deterministic, stochastic); by default as many as the
     training's own evaluation has."""
@@ -205,19 +205,28 @@ class EvaluateOptions:
 def evaluate(args: Sequence[str]) -> int:
     """Run `circle2d evaluate`; returns the exit status."""
     options = parse(EvaluateOptions, "evaluate", args)
-    folder, config = options.folder, TrainConfig.read(options.folder)
+    folder = policy.folder_of(options.folder)
+    config = TrainConfig.read(folder)
     if options.episodes is not None:
         config = replace(config, evaluation_episodes=options.episodes)
     episodes = config.evaluation_episodes
+    if folder != options.folder:  # a policy of the package: nothing is written
+        print(f"{options.folder}: means over {episodes} episodes")
+        for name in evaluation.POLICIES:
+            with working(f"playing {episodes} episodes"):
+                found = policy.evaluate(folder, None, episodes, name == "deterministic")
+            words = f"J_R {found.mean_return:.2f}, J_C {found.mean_cost:.2f}"
+            print(f"{config.runs[0]}, {name} policy: {words}")
+        return 0
     with locked(folder), working(f"playing {episodes} episodes of each run, by either way"):
         remove_unfinished(folder)
         trained = trainer.Trainer(folder, config)
         trained.load()
-        policy, going = trained.learner.policy(), trained.failures == ""
+        act, going = trained.learner.policy(), trained.failures == ""
         if trained.done:
-            results = write_results(folder, config, policy, trained.failures, episodes)
+            results = write_results(folder, config, act, trained.failures, episodes)
         else:
-            results = evaluation.evaluate_runs(config, policy, episodes, going)
+            results = evaluation.evaluate_runs(config, act, episodes, going)
     taken = trained.steps[going] if going.any() else trained.steps
     print(f"{folder}, after {taken.min()} of {config.steps} steps: means over {episodes} episodes")
     for name, result in results.items():

@@ -16,6 +16,7 @@ import pytest
 import toys
 from small_runs import lines_of
 
+import agents
 from agents.cli import showing
 from agents.cli.main import AfterEpoch, Ended, handling_signals, main
 from agents.cli.training import TrainOptions
@@ -53,6 +54,18 @@ def test_train_and_report_print_and_write_the_table(folder, capsys):
     ]
     assert [row["seed"] for row in lines_of(folder / "report.csv") if row["seed"]] == ["0", "1"]
     assert share_done(folder) == 1.0
+
+
+def test_evaluate_plays_a_policy_of_the_package(capsys):
+    name = "pretrained:trpo-lag/Circle2D-2-v0"
+    assert main(["evaluate", name, "--episodes", "3"]) == 0
+    expected = [f"{name}: means over 3 episodes"]
+    for deterministic in (True, False):
+        own = agents.evaluate(name, episodes=3, deterministic=deterministic)
+        kind = "deterministic" if deterministic else "stochastic"
+        words = f"J_R {own.mean_return:.2f}, J_C {own.mean_cost:.2f}"
+        expected.append(f"Circle2D-2-v0, seed 100, {kind} policy: {words}")
+    assert capsys.readouterr().out.splitlines() == expected
 
 
 def test_evaluate_replaces_what_reports_show(folder, tmp_path, capsys):

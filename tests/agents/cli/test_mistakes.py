@@ -66,7 +66,7 @@ def mistake(arguments, capsys):
         (["render", "{folder}", "--out", "{folder}/config.json/a.gif"], "config.json' is a file"),
         (["render", "{folder}", "--camera", "side"], "camera needs --frames mujoco"),
         (["render", "{folder}", "--every", "5"], "every is for films"),
-        (["render", "pretrained:cpo/Circle2D-2-v0"], "no policy of 'cpo' comes with the package"),
+        (["render", "pretrained:p3o/Circle2D-2-v0"], "no policy of 'p3o' comes with the package"),
         (["export", "{folder}", "--format", "pt"], "safetensors"),
         (["scene", "--task-parameters", "mass", "0"], "mass must be above 0"),
         (["scene", "Circle2D-1-v0"], "scene shows the tasks Circle2DMuJoCo-0-v0"),

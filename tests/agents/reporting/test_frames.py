@@ -72,6 +72,13 @@ def test_a_task_without_a_view_is_filmed_by_its_frames(walks, tmp_path):
     np.testing.assert_allclose(levels, 6 * np.array(times)[:, None].repeat(3, 1), atol=8)
 
 
+def test_a_long_episode_is_shown_in_two_hundred_pictures(tmp_path):
+    """500 steps: every third, and the last."""
+    command = "render pretrained:trpo-lag/SafetyPointCircle1-v0 --episodes 1 --size 64 --out"
+    assert main([*command.split(), str(tmp_path / "film.gif")]) == 0
+    assert len(imageio.imread(tmp_path / "film.gif")) == len({*range(0, 500, 3), 500})
+
+
 @pytest.mark.filterwarnings("ignore")  # of gymnasium, on the same mistakes
 @pytest.mark.parametrize(
     ("folder", "out", "message"),
