@@ -257,9 +257,10 @@ def test_the_safety_tasks():
         f"{' and '.join(not_falling)} do not.",
     )
     told("results/baselines/README.md", f"has {short(own.J_R.mean(), 1)}, near it.")
-    for name in ("CPO", "SAC-Lag", "WCSAC"):
-        own = runs(lines, results_table.POINT_GOAL, name)
-        theirs = results_table.paper(lines, results_table.POINT_GOAL, name).iloc[0]
+    goal = [(results_table.POINT_GOAL, name) for name in ("CPO", "SAC-Lag", "WCSAC")]
+    for task, name in (*goal, (results_table.HOPPER, "SAC-Lag")):
+        own = runs(lines, task, name)
+        theirs = results_table.paper(lines, task, name).iloc[0]
         falls = own["EMCC_0.99"] < own["EMCC_0.33"]
         told(
             "results/safety/README.md",

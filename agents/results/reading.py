@@ -518,6 +518,7 @@ def _pooled(groups: Sequence[Group], notes: list[str]) -> list[Group]:
         if len(same) == 1 or len(set(seeds)) < len(seeds):
             pooled += same
             continue
+        same.sort(key=lambda group: group.config.seeds)
         pooled.append(
             replace(
                 same[0],
