@@ -180,17 +180,18 @@ def test_several_sources_are_one(tmp_path):
 
 
 def test_folders_that_differ_in_their_seeds_count_as_one(tmp_path):
-    """The same numbers as of one training with all seeds; a limit of 5 is one of 5.0."""
+    """The same numbers as of one training with all seeds, whatever the folders' order; a limit of 5
+    is one of 5.0."""
     more = TRPO | {"steps": 300}
-    folders = {"whole": ((0, 1, 2), 5.0), "p/first": ((0, 1), 5.0), "p/later": ((2,), 5)}
+    folders = {"whole": ((0, 1, 2), 5.0), "p/one": ((0, 1), 5.0), "p/more": ((2,), 5)}
     for name, (seeds, limit) in folders.items():
         more |= {"seeds": seeds, "cost_limit": limit}
         agents.train("trpo-lag", TASK, out=tmp_path / name, **more)
     notes = []
     [pooled], [whole] = read([tmp_path / "p"], notes), read([tmp_path / "whole"], [])
     assert pooled.seeds == [0, 1, 2]
-    assert pooled.folder == "first + later"
-    assert "counted as one: p/first (seeds 0, 1); p/later (seeds 2)" in notes[0]
+    assert pooled.folder == "one + more"
+    assert "counted as one: p/one (seeds 0, 1); p/more (seeds 2)" in notes[0]
     assert [run.measures for run in pooled.runs] == [run.measures for run in whole.runs]
     for own, other in zip(pooled.visits(), whole.visits(), strict=True):
         np.testing.assert_array_equal(own.counts, other.counts)
