@@ -33,14 +33,7 @@ SOURCES = {
     "sensitivity": ["runs.zip"],
     "library": ["runs.zip", "sac-lb.zip", "residual.zip", "sac-lag.zip"],
     "safety": sorted(path.name for path in (RESULTS / "safety").glob("*.zip")),
-    "solve": [
-        "runs.zip",
-        "units.zip",
-        "physics-2.zip",
-        "physics-3.zip",
-        "units-physics.zip",
-        "units-physics-0.zip",
-    ],
+    "solve": sorted(path.name for path in (RESULTS / "solve").glob("*.zip")),
     "solve/safety": ["runs.zip"],
     "baselines/safety": [*itertools.chain(*results_table.SAFETY_TASKS.values())],
     "baselines": [
@@ -832,6 +825,23 @@ def test_the_levels_that_sac_lb_streak_solves():
         f"({fisher(units[10:], preset[10:])}; the rule was written before)",
         f"they solve {count(units)}, SAC-LB-Streak {count(streak)} ({fisher(units, streak)}).",
         f"streak and J_C are lower (p < .001 each); the return is not told apart ({tested[-2]}).",
+    )
+
+
+def test_three_parts_fewer():
+    lines = results_table.report("solve")
+    parts = "novelty_bonus 1.0, streak_weight 0.25"
+    name = f"SAC-LB (input_scale 15.0, time_limit terminal_cost, {parts})"
+    own, usual = ([runs(lines, task, of) for task in LEVELS] for of in (name, "SAC-LB-Streak"))
+    assert [len(level) for level in own] == [10, 0, 10, 0]
+    others = own[2][~solved(own[2])].ends_in
+    assert (len(others), others.str.contains("cut-out").sum()) == (6, 6)
+    ways = [short(own[0][name].mean()) for name in EMCC]
+    told(
+        "results/solve/README.md",
+        f"{count(solved(own[0]))} solve level 0, at an EMCC of {'/'.join(ways)}, but "
+        f"{count(solved(own[2]))} level 2, with all parts {count(solved(usual[2]))} "
+        f"({fisher(solved(own[2]), solved(usual[2]))}); six wait in cut-outs.",
     )
 
 
