@@ -135,7 +135,7 @@ def heatmap(args: Sequence[str]) -> int:
 
 
 PICTURES = 200
-"""Of an episode in a film, at most, where no other number is asked for."""
+"""Most pictures of an episode in a film, where `--every` is not given."""
 
 
 @dataclass(frozen=True)
