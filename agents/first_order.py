@@ -20,7 +20,7 @@ from agents.lockstep import lagrange, tree
 from agents.lockstep.backend import compiled, differentiate
 from agents.lockstep.lagrange import Multiplier
 from agents.lockstep.nets import Moments, adam, no_moments
-from agents.on_policy.epoch import Epoch, blocks_of, compared, minibatches
+from agents.on_policy.epoch import Epoch, blocks_of, compared, minibatches, raised_advantage
 from agents.on_policy.learner import OnPolicy
 from agents.on_policy.state import Gaussian, Nets, OnPolicyConfig, OnPolicyState
 
@@ -74,7 +74,7 @@ class Minibatch(NamedTuple):
     start: Any = None
     """The policy at the start of the passes, a `Gaussian`."""
     excess: Any = None
-    """[R, C]: mean cost of the epoch's episodes above the limit, `J_C - d`"""
+    """[R, C]: mean cost of the epoch's episodes above its limit, `J_C - d`; NaN of one without"""
     multipliers: Any = None
     """[R, M]"""
 
@@ -104,11 +104,15 @@ class Objective(NamedTuple):
 
     advantage: Callable[[Any, Tensor, Tensor, Tensor], Tensor]
     """(config, reward advantages [R, B], cost advantages [R, C, B], multipliers [R, M]) -> [R, B]:
-    the advantages that the policy raises."""
+    the advantages that the policy raises. Called for one run at a time, with the steps of its
+    epoch."""
     multipliers: tuple[Multiplier, ...] = ()
     """Each follows `J_C - d` of its cost."""
     costs: int = 1
     """How many costs are learned."""
+    limits: tuple[str, ...] = ("cost_limit",)
+    """Names of the hyper-parameters that limit the costs, in their order; a multiplier names that
+    of its cost itself."""
     surrogates: tuple[Surrogate, ...] = (clipped,)
     """Objectives of the actor's passes over an epoch: for each all of the passes, in turn."""
 
@@ -174,12 +178,10 @@ class FirstOrder(OnPolicy):
         actor, moments, runs = state.actor, state.actor_moments, len(self.seeds)
         assert moments is not None
         multipliers = lagrange.values(rule.multipliers, state.multipliers, runs)
-        advantages = epoch.reward_advantage, epoch.cost_advantage
-        advantage = rule.advantage(config, *advantages, multipliers)
+        advantage = raised_advantage(rule, config, epoch, multipliers)
         old = blocks_of(self.nets, actor, epoch, advantage)
         old_log_prob = torch.cat([block.old_log_prob for block in old], dim=-1)
-        limit = getattr(config, "cost_limit", 0.0)
-        costs = ((epoch.cost - limit).to(actor.dtype), multipliers)
+        excess = (epoch.cost - lagrange.limits(rule, config)).to(actor.dtype)
         clipped, count, run = torch.zeros(runs), torch.zeros(runs), torch.arange(runs)[:, None]
         for k, surrogate in enumerate(rule.surrogates):
             start = blocks_of(self.nets, actor, epoch, advantage) if k else old
@@ -194,7 +196,7 @@ class FirstOrder(OnPolicy):
                     weight = weight * going
                     policy = start[0].old._replace(mean=center)
                     batch = Minibatch(
-                        observation, action, weight, gain, before, cost_gain, policy, *costs
+                        observation, action, weight, gain, before, cost_gain, policy, excess, multipliers
                     )
                     stepped = actor_step(self.nets, config, actor, moments, batch, surrogate)
                     actor, moments, outside = stepped

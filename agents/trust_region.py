@@ -19,7 +19,14 @@ from agents.checks import In
 from agents.lockstep import lagrange
 from agents.lockstep.backend import compiled, differentiate, jacobian_products
 from agents.lockstep.lagrange import Multiplier
-from agents.on_policy.epoch import Block, Epoch, blocks_of, compared, compared_in
+from agents.on_policy.epoch import (
+    Block,
+    Epoch,
+    blocks_of,
+    compared,
+    compared_in,
+    raised_advantage,
+)
 from agents.on_policy.learner import OnPolicy
 from agents.on_policy.state import EpisodeCostLimit, Nets, OnPolicyConfig, OnPolicyState
 
@@ -53,7 +60,8 @@ class StepRule(NamedTuple):
 
     advantage: Callable[[Any, Tensor, Tensor, Tensor], Tensor]
     """(config, reward advantages [R, B], cost advantages [R, C, B], multipliers [R, M]) -> [R, B]:
-    the advantages that the policy's step raises."""
+    the advantages that the policy's step raises. Called for one run at a time, with the steps of
+    its epoch."""
     step: Callable[[Any, Problem], Step]
     """(config, problem) -> the step that is tried."""
     multipliers: tuple[Multiplier, ...] = ()
@@ -61,7 +69,10 @@ class StepRule(NamedTuple):
     has_cases: bool = False
     """Whether `Step.case` is worth recording."""
     costs: int = 1
-    """How many costs are learned."""
+    """How many costs are learned; the step and its line search see the first alone."""
+    limits: tuple[str, ...] = ("cost_limit",)
+    """Names of the hyper-parameters that limit the costs, in their order; a multiplier names that
+    of its cost itself."""
 
 
 @compiled
@@ -104,7 +115,7 @@ def policy_step(
     a run whose step is."""
     old = state.actor
     multipliers = lagrange.values(rule.multipliers, state.multipliers, len(old))
-    advantage = rule.advantage(config, epoch.reward_advantage, epoch.cost_advantage, multipliers)
+    advantage = raised_advantage(rule, config, epoch, multipliers)
     steps = blocks_of(nets, old, epoch, advantage)
 
     def gradient(of: int) -> Tensor:
@@ -115,7 +126,7 @@ def policy_step(
     problem = Problem(
         gradient=gradient(0),
         cost_gradient=lambda: gradient(1) * epoch.length[:, None],
-        excess=(epoch.cost[:, 0] - config.cost_limit).to(old.dtype),
+        excess=(epoch.cost - lagrange.limits(rule, config))[:, 0].to(old.dtype),
         product=product,
         solve=lambda b: conjugate_gradient(product, b, config.cg_iterations),
         target_kl=config.target_kl,

@@ -125,7 +125,8 @@ def register(name: str, algorithm: Algorithm) -> None:
     The module that registered a name may do so again, such as a notebook whose cell runs again; the
     new algorithm takes its place. Raises UserError where the name is taken or cannot name a folder,
     or a hyper-parameter has the name of an option, and TypeError where `algorithm` is no
-    `Algorithm` or its config no frozen dataclass with a default for every field.
+    `Algorithm` or its config no frozen dataclass with a default for every field, and ValueError
+    where a multiplier follows a cost, or names a hyper-parameter, that is not there.
     """
     words = name.split("-") if isinstance(name, str) else [""]
     if not all(word.isascii() and word.isalnum() and word == word.lower() for word in words):
@@ -156,8 +157,25 @@ def register(name: str, algorithm: Algorithm) -> None:
             f"the family of {name!r} takes a subclass of {of_config.__name__} as config and a "
             f"{of_rule.__name__} as rule, got {config.__name__} and {algorithm.rule!r}"
         )
+    _check_multipliers(name, algorithm)
     _algorithms.registered[name] = algorithm
     _algorithms.modules[name] = module
+
+
+def _check_multipliers(name: str, algorithm: Algorithm) -> None:
+    """Raise ValueError where a multiplier follows a cost that is not learned, or names a
+    hyper-parameter that the config lacks."""
+    rule, there = algorithm.rule, [field.name for field in dataclasses.fields(algorithm.config)]
+    for multiplier in getattr(rule, "multipliers", ()):
+        if not 0 <= multiplier.signal < rule.costs:
+            words = f"costs={rule.costs}, got {multiplier.signal}"
+            raise ValueError(f"signal of a multiplier of {name!r} must be below {words}")
+        for role in ("limit", "highest"):
+            if (field := getattr(multiplier, role)) and not hasattr(algorithm.config, field):
+                raise ValueError(
+                    f"{role} of a multiplier of {name!r} must be a hyper-parameter of "
+                    f"{algorithm.config.__name__}, got {field!r}: {nearest(field, there)}"
+                )
 
 
 def module_of(name: str) -> str:

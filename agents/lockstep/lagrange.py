@@ -147,6 +147,20 @@ def values(multipliers: Sequence[Multiplier], states: Sequence[State], runs: int
     return torch.cat([torch.zeros(runs, 0), *columns], dim=-1)
 
 
+def limit_names(rule: Any, config: Any) -> dict[int, str]:
+    """The hyper-parameter that limits each cost of a rule, by the number of the cost: see its
+    `limits` and multipliers; nothing for a cost without one."""
+    names = dict(enumerate(rule.limits)) | {own.signal: own.limit for own in rule.multipliers}
+    return {k: name for k, name in sorted(names.items()) if hasattr(config, name)}
+
+
+def limits(rule: Any, config: Any) -> Tensor:
+    """The limit of each cost, [C]; NaN for a cost without one."""
+    names = limit_names(rule, config)
+    chosen = [getattr(config, names[k]) if k in names else math.nan for k in range(rule.costs)]
+    return torch.tensor(chosen, dtype=torch.float64)
+
+
 def names(multipliers: Sequence[Multiplier]) -> tuple[str, ...]:
     """Names of the multipliers in records: multiplier, multiplier_2, ..."""
     return tuple("multiplier" + f"_{k}" * (k > 1) for k in range(1, len(multipliers) + 1))

@@ -8,7 +8,7 @@ other runs have.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -146,12 +146,28 @@ class Block(NamedTuple):
     """[R, BLOCK]"""
 
 
+def raised_advantage(rule: Any, config: Any, epoch: Epoch, multipliers: Tensor) -> Tensor:
+    """The advantages [R, B] that a rule has the policy raise, 0 in rows of weight 0.
+
+    Each run's are of its own steps alone, so that a rule may take their mean. Raises ValueError
+    where they have another shape.
+    """
+    raised = torch.zeros_like(epoch.reward_advantage)
+    for run, steps in enumerate((epoch.weight > 0).sum(dim=1).tolist()):
+        if steps:
+            own = slice(run, run + 1)
+            reward = epoch.reward_advantage[own, :steps]
+            cost = epoch.cost_advantage[own, :, :steps]
+            gains = rule.advantage(config, reward, cost, multipliers[own])
+            if gains.shape != reward.shape:
+                shapes = f"{list(reward.shape)}, got {list(gains.shape)}"
+                raise ValueError(f"advantage must be [runs, steps], here {shapes}")
+            raised[run, :steps] = gains[0]
+    return raised
+
+
 def blocks_of(nets: Nets, actor: Tensor, epoch: Epoch, objective: Tensor) -> list[Block]:
-    """The epoch's steps under the policy that took them; objective: advantages [R, B]. Raises
-    ValueError where they have another shape."""
-    if objective.shape != epoch.weight.shape:
-        shapes = f"{list(epoch.weight.shape)}, got {list(objective.shape)}"
-        raise ValueError(f"advantage must be [runs, steps], here {shapes}")
+    """The epoch's steps under the policy that took them; objective: advantages [R, B]."""
     first = epoch.cost_advantage[:, 0]
     columns = (epoch.observation, epoch.action, epoch.weight, objective, first)
     found = []

@@ -185,6 +185,9 @@ class CostRule(NamedTuple):
     """Each follows `E[risk] - d` of its cost."""
     costs: int = 1
     """How many costs are learned, by a pair of critics each, or by `cost_critics` of the config."""
+    limits: tuple[str, ...] = ("cost_limit",)
+    """Names of the hyper-parameters that limit the costs, in their order; a multiplier names that
+    of its cost itself."""
     augmented: Callable[[Any, Tensor, Tensor], Tensor] | None = None
     """(config, multipliers [R, M], mean risks [R, C] at the batch's own actions) -> [R, M]: the
     multipliers that the penalty sees. Where it is given, multipliers follow that risk, too, instead

@@ -169,12 +169,14 @@ class TrainConfig(Settings):
 
     @property
     def _limit_names(self) -> dict[int, str]:
-        """The hyper-parameters that limit a cost, by its number; none without `cost_limit`."""
-        if not hasattr(self.hyperparameters, "cost_limit"):
-            return {}
+        """The hyper-parameters that limit a cost, by its number; of an algorithm that is not
+        registered, or without a rule of the package's families, `cost_limit`."""
         rule = ALGORITHMS[self.algorithm].rule if self.algorithm in ALGORITHMS else None
-        own = {m.signal: m.limit for m in getattr(rule, "multipliers", ())}
-        return {0: "cost_limit"} | dict(sorted(own.items()))
+        if hasattr(rule, "limits"):
+            from agents.lockstep.lagrange import limit_names  # torch, which the rule has imported
+
+            return limit_names(rule, self.hyperparameters)
+        return {0: "cost_limit"} if hasattr(self.hyperparameters, "cost_limit") else {}
 
     @property
     def limits(self) -> dict[str, float]:

@@ -209,7 +209,8 @@ class Trainer:
                     raise UserError(
                         f"algorithm {self.config.algorithm!r} trains a run otherwise among others "
                         f"than alone ({name} differs): does it reduce over the first axis, that of "
-                        "runs? A mean over a batch is x.mean(dim=-1)"
+                        "runs? A mean over a batch is x.mean(dim=-1), in a surrogate "
+                        "agents.first_order.mean(batch, x)"
                     )
             self._compared += 1
             if self._compared == 2:

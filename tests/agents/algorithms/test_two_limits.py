@@ -16,6 +16,7 @@ from agents import algorithms
 from agents.algorithms import algorithm
 from agents.checks import In
 from agents.errors import UserError
+from agents.first_order import Objective, clipped
 from agents.lockstep import lagrange
 from agents.training.config import TrainConfig
 
@@ -143,6 +144,49 @@ def test_limits_of_an_episode_are_those_of_a_cost_spread_evenly():
         assert a.keys() == b.keys()
         for name, value in a.items():
             np.testing.assert_allclose(value, b[name], rtol=1e-5, atol=1e-6, err_msg=name)
+
+
+def test_limits_that_no_multiplier_has():
+    """A surrogate sees each cost above its own limit, of costs counted here; the limit of an
+    episode is converted in both. A cost that nothing limits has no excess."""
+    seen, own = [], algorithm("ppo-two")
+
+    def surrogate(config, policy, ratio, batch):
+        seen.append(batch.excess)
+        return clipped(config, policy, ratio, batch)
+
+    limits = ("cost_limit", "cost_limit_2")
+    rule = Objective(algorithm("ppo").rule.advantage, (), 2, limits, (surrogate,))
+    agents.register("p3o-two", own._replace(rule=rule))
+    it = trainer(config("p3o-two", cost_limit=3.0, cost_limit_2=7.0))
+    assert it.config.limits == {"cost": 3.0, "cost_2": 7.0}
+    it.run_epoch()
+    for run in (0, 1):
+        rows, count = of_run(it, run), it.learner.episodes
+        means = [rows[f"costs/{name}"].sum() / count for name in COSTS]
+        np.testing.assert_allclose(seen[0][run], np.array(means) - (3.0, 7.0), rtol=1e-5)
+    without = rule._replace(limits=("cost_limit",))
+    assert lagrange.limits(without, it.learner.config).isnan().tolist() == [False, True]
+    sac = algorithm("sac-two")
+    agents.register("lb-two", sac._replace(rule=sac.rule._replace(multipliers=(), limits=limits)))
+    tasks = {"task_parameters": {"max_episode_steps": 10}}
+    changes = {"discount": 0.9, "limit_of": "episode", "cost_limit": 3.0, "cost_limit_2": 1.0}
+    learned = replace(config("lb-two", **changes), **tasks).learned
+    spread = sum(0.9**k for k in range(10)) / 10
+    assert learned.cost_limit == pytest.approx(3.0 * spread)
+    assert learned.cost_limit_2 == pytest.approx(spread)
+
+
+def test_a_multiplier_of_what_is_not_there_is_refused():
+    own = algorithm("ppo-two")
+    first = own.rule.multipliers[0]
+    for wrong, words in (
+        (first._replace(signal=2), r"signal .* below costs=2, got 2"),
+        (first._replace(limit="cost_limt"), "'cost_limt': did you mean 'cost_limit'"),
+        (first._replace(highest="max_multiplier"), "highest .* hyper-parameter of Config"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            agents.register("wrong", own._replace(rule=own.rule._replace(multipliers=(wrong,))))
 
 
 @pytest.mark.parametrize(("steps", "tasks"), [(80, ["Circle2D-1-v0"]), (None, [])])

@@ -4,11 +4,16 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from small_runs import SAC, TRPO, differing, results, run_of
+from small_trainings import of_run
+from small_trainings import trained as small_training
 from toy_family import known
 from toys import Walk, registered
+from toys import register as register_toys
 
 import agents
+from agents.algorithms import algorithm
 from agents.errors import UserError
+from agents.on_policy.epoch import BLOCK
 from agents.results.reading import read, write_archive
 from agents.training.config import RunId, TrainConfig
 
@@ -75,6 +80,28 @@ def test_equal_trainings_leave_equal_bytes_by_any_vectorization(tmp_path, algori
         write_archive(folder.with_suffix(".zip"), read([folder], []))
         archives.append(folder.with_suffix(".zip").read_bytes())
     assert archives[0] == archives[1]
+
+
+def test_an_advantage_sees_its_own_steps_alone():
+    """However many more steps other runs have, the mean and the spread that a rule takes are those
+    of the run's own: by the docs' `x.mean(dim=-1)`."""
+    register_toys()
+    seen, own = [], algorithm("ppo-lag")
+
+    def advantage(config, reward, cost, multipliers):
+        seen.append(reward.std(correction=0).item())
+        raised = own.rule.advantage(config, reward, cost, multipliers)
+        return raised / raised.std(dim=-1, keepdim=True)
+
+    with known("ppo-scaled", own._replace(rule=own.rule._replace(advantage=advantage))):
+        together, alone = (
+            small_training("ppo-scaled", seeds=seeds, steps=2000, episodes=30)
+            for seeds in ((0, 1), (1,))
+        )
+    other, own_steps = (of_run(together, k)["length"].reshape(-1, 30).sum(axis=1) for k in (0, 1))
+    assert ((own_steps[: len(other)] <= BLOCK) & (other > BLOCK)).any()
+    np.testing.assert_allclose(seen, 1.0, atol=1e-4)
+    np.testing.assert_array_equal(of_run(together, 1)["actor"], of_run(alone, 0)["actor"])
 
 
 def test_tasks_that_do_not_fit_together_are_refused(tmp_path):
