@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
+import warnings
 import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from agents.errors import UserError, extra
+from agents.errors import OwnCodeError, UserError, extra
 from agents.training.config import NO_RUNS, TrainConfig
 from agents.training.files import opened
 from emcc import EpisodeRecords
@@ -60,12 +61,26 @@ class Runs:
     def results(self) -> list[Group]:
         """Measures and records of the complete runs, for each folder, task and cost.
 
-        Folders are named from the parent that they have in common. Raises UserError where no run is
-        complete: a run that was stopped has `records` only.
+        Folders are named from the parent that they have in common. A folder without a complete run
+        is left out with a warning: a run that was stopped has `records` only. Raises UserError
+        where no run is complete.
         """
         from agents.results.reading import read_folder
 
-        return [group for path, name in self._names.items() for group in read_folder(path, name)]
+        groups: list[Group] = []
+        left_out: list[UserError] = []
+        for path, name in self._names.items():
+            try:
+                groups += read_folder(path, name)
+            except OwnCodeError:
+                raise
+            except UserError as error:
+                left_out.append(error)
+        if left_out and not groups:
+            raise left_out[0]
+        for error in left_out:
+            warnings.warn(f"left out: {error}", stacklevel=2)
+        return groups
 
     @property
     def records(self) -> dict[Any, EpisodeRecords]:

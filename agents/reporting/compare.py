@@ -15,7 +15,13 @@ from agents.reporting.page import Section, page
 from agents.reporting.provenance import made
 from agents.reporting.table import Number, Table, latex, markdown
 from agents.reporting.tables import caption, difference_rows, mean_row, measures_table, run_rows
-from agents.results.frame import changes, in_order, name_of, with_distinct_titles
+from agents.results.frame import (
+    changes,
+    in_order,
+    name_of,
+    with_distinct_titles,
+    with_varied_settings,
+)
 from agents.results.measures import measures
 from agents.results.reading import Group, name_of_all, read
 from agents.results.statistics import LEVEL, Difference, Pair, differences, holm, two_sets
@@ -66,7 +72,9 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     UserError where a side has no complete run, or the two have no task in common.
     """
     notes = [f"A is {a}, B is {b}."]
-    sides = [with_distinct_titles(read([side], notes)) for side in (a, b)]
+    of_a, of_b = (read([side], notes) for side in (a, b))
+    both = with_varied_settings([*of_a, *of_b])
+    sides = [with_distinct_titles(both[: len(of_a)]), with_distinct_titles(both[len(of_a) :])]
     by_task = _by_task(a, b, sides, notes)
     pairs = [pair for both in by_task.values() for pair in both.pairs]
     tested = {_key(*pair): differences(*pair) for pair in pairs}

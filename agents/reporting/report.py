@@ -22,7 +22,7 @@ from agents.reporting.page import Section, page
 from agents.reporting.provenance import heading, made, summary
 from agents.reporting.table import Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
-from agents.results.frame import with_distinct_titles
+from agents.results.frame import with_distinct_titles, with_varied_settings
 from agents.results.reading import Group, name_of_all, read, write_archive
 from agents.training.files import archive_of, write_whole
 
@@ -60,7 +60,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
         _check_archive(archive)
     notes: list[str] = []
     name = out.resolve().name if len(paths) > 1 else None
-    everything = with_distinct_titles(read(paths, notes, name))
+    everything = with_distinct_titles(with_varied_settings(read(paths, notes, name)))
     left_out = [note for note in notes if note.startswith("left out")]
     # Early, since later its pictures would add to the memory that all else holds.
     paper = sections(everything)
@@ -111,7 +111,7 @@ def table(folder: Path) -> list[Table]:
     Writes `report.md` and `report.csv`, but into no archive. Otherwise as `report`.
     """
     notes: list[str] = []
-    everything = with_distinct_titles(read([folder], notes))
+    everything = with_distinct_titles(with_varied_settings(read([folder], notes)))
     paper = sections(everything)
     tables = _task_tables(_by_task(paper.usual), paper, notes) | paper.tables
     if archive_of(folder):

@@ -44,7 +44,7 @@ def frame(groups: Sequence[Group]) -> pandas.DataFrame:
             group.folder,
             *(run.seed, run.place, m.stem, m.part, run.measures.get(m.name)),
         )
-        for number, group in enumerate(groups)
+        for number, group in enumerate(with_varied_settings(groups))
         for run in group.runs
         for m in measures()
     ]
@@ -127,6 +127,23 @@ def _evaluations(part: Part, run: RunId) -> dict[str, Any]:
     return columns
 
 
+def with_varied_settings(groups: Sequence[Group]) -> list[Group]:
+    """Groups of which those of an unregistered algorithm, whose preset nobody knows, have the
+    hyper-parameters in their names in which the algorithm's groups differ."""
+    chosen: dict[str, list[dict[str, Any]]] = {}
+    for group in groups:
+        if (name := group.config.algorithm) not in ALGORITHMS:
+            chosen.setdefault(name, []).append(hyperparameter_changes(group.config, group.task))
+    named = []
+    for group in groups:
+        others = chosen.get(group.config.algorithm, [])
+        own = vars(group.config.hyperparameters).items() if others else ()
+        varied = [f"{k} {v}" for k, v in own if any(other.get(k) != v for other in others)]
+        apart = ", ".join(filter(None, [*varied, group.apart]))
+        named.append(dataclasses.replace(group, apart=apart))
+    return named
+
+
 def with_distinct_titles(groups: Sequence[Group]) -> list[Group]:
     """Groups of which those of one title on one task have their folders in their names."""
     keys = [(group.task, group.cost, title_of(group.config, group.task)) for group in groups]
@@ -157,8 +174,8 @@ def settings_of(group: Group) -> str:
 
 
 def differences(config: TrainConfig, task: str) -> list[str]:
-    """Each setting of `changes` in words, and the number of steps where it is not the usual one. Of
-    an unregistered algorithm, whose preset nobody knows, no hyper-parameter."""
+    """Each setting of `changes` in words, and the number of steps where it is not the usual one; of
+    an unregistered algorithm no hyper-parameter: see `with_varied_settings`."""
     known = config.algorithm in ALGORITHMS
     changed = changes(config, task) if known else config.task_parameters
     return [f"{name} {value}" for name, value in changed.items()] + unusual_steps(config, task)

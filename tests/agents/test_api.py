@@ -100,6 +100,33 @@ def test_folders_that_differ_in_a_setting_are_told_apart(tmp_path):
     assert rates == pytest.approx([0.1, 0.2, 0.3, 0.4])
 
 
+def test_settings_of_an_algorithm_that_is_not_imported_are_told_apart(tmp_path):
+    """Its sweep, as a page of the docs reads it: means by settings, of as many cost steps in every
+    episode of ten as written here; `compare` and `report` name them, too. What has not begun is
+    left out with a warning."""
+    for hidden, each in {(32, 32): (1, 2), (64,): (3, 4)}.items():
+        changed = dataclasses.replace(preset("sac-lag", "Circle2D-1-v0"), hidden=hidden)
+        folder = tmp_path / "nets" / str(len(hidden))
+        write_evaluated(folder, "sac-lag", each, changed)
+        config = (folder / "config.json").read_text()
+        (folder / "config.json").write_text(config.replace('"sac-lag"', '"sac-own"'))
+    young = tmp_path / "nets" / "young"
+    agents.train("cpo", seeds=0, steps=5000, out=young, on_epoch=lambda epoch: False)
+    with pytest.warns(UserWarning, match="left out: young holds no complete runs"):
+        frame = agents.load_runs(tmp_path / "nets").to_pandas()
+    assert len(agents.load_runs(tmp_path / "nets").to_pandas("episodes"))
+    rates = frame[frame.measure == "cost_rate"].groupby("settings").value.agg(["mean", "count"])
+    expected = {"100 steps, hidden (32, 32)": (0.15, 2), "100 steps, hidden (64,)": (0.35, 2)}
+    assert rates.index.tolist() == sorted(expected)
+    for name, (mean, count) in expected.items():
+        assert tuple(rates.loc[name]) == (pytest.approx(mean), count)
+    told = agents.compare(tmp_path / "nets" / "1", tmp_path / "nets" / "2")
+    assert "B - A: sac-own (100 steps, hidden (32, 32)) - sac-own (100 steps, hidden (64,))" in told
+    shutil.rmtree(tmp_path / "nets" / "1")
+    with pytest.raises(agents.UserError, match="young holds no complete runs"):
+        agents.load_runs(young).to_pandas()
+
+
 def test_finished_runs_are_opened_again(runs, tmp_path):
     """By a string, or from a folder above; without the module of an algorithm of one's own."""
     for name in "xy":
