@@ -182,6 +182,7 @@ class FirstOrder(OnPolicy):
         old = blocks_of(self.nets, actor, epoch, advantage)
         old_log_prob = torch.cat([block.old_log_prob for block in old], dim=-1)
         excess = (epoch.cost - lagrange.limits(rule, config)).to(actor.dtype)
+        costs = (excess, multipliers)
         clipped, count, run = torch.zeros(runs), torch.zeros(runs), torch.arange(runs)[:, None]
         for k, surrogate in enumerate(rule.surrogates):
             start = blocks_of(self.nets, actor, epoch, advantage) if k else old
@@ -196,7 +197,7 @@ class FirstOrder(OnPolicy):
                     weight = weight * going
                     policy = start[0].old._replace(mean=center)
                     batch = Minibatch(
-                        observation, action, weight, gain, before, cost_gain, policy, excess, multipliers
+                        observation, action, weight, gain, before, cost_gain, policy, *costs
                     )
                     stepped = actor_step(self.nets, config, actor, moments, batch, surrogate)
                     actor, moments, outside = stepped

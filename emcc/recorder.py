@@ -194,7 +194,7 @@ def costs_of(
 
 def _given_costs(infos: Mapping[str, Any], needed: NDArray[np.bool_], name: str) -> NDArray[Any]:
     """infos[name], whose mask infos["_" + name], where there is one, must cover those needed; with
-    a mask, which is gymnasium's own, no array of whole numbers or bools."""
+    a mask, which is gymnasium's own, no array of whole numbers or bools. [num_envs]"""
     name = _plain(infos, name)
     missing = needed & ~np.asarray(infos.get(f"_{name}", needed), dtype=bool)
     if missing.any():
@@ -205,7 +205,11 @@ def _given_costs(infos: Mapping[str, Any], needed: NDArray[np.bool_], name: str)
             f"info['{name}'] came as {costs.dtype}: gymnasium's vector environments give all costs "
             "the type of the first, which may have rounded others; let every one give a float"
         )
-    return costs
+    if costs.size != needed.size:
+        raise TypeError(
+            f"info['{name}'] must be one number for each environment, got {costs.shape}"
+        )
+    return costs.reshape(needed.shape)
 
 
 def _plain(info: Mapping[str, Any], name: str) -> str:

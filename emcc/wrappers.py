@@ -78,6 +78,17 @@ def resets_itself(env: gym.Env) -> bool:
     )
 
 
+def five(env: Any, values: tuple[Any, ...]) -> Any:
+    """The values of a step. ValueError for another number, such as Safety-Gymnasium's six."""
+    if len(values) != 5:
+        raise ValueError(
+            f"step of {env} must return gymnasium's five values, got {len(values)}; for the six of "
+            "Safety-Gymnasium there are circle2d_mj.FromSafetyGymnasium and, of vector "
+            "environments, emcc.CostRecorder"
+        )
+    return values
+
+
 class _Recorded:
     """The recorders that both wrappers have, one for each cost."""
 
@@ -136,7 +147,7 @@ class RecordEnvCosts(
     def step(self, action: Action) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
         """Step the environment and record the cost."""
         resets = self._finished and resets_itself(self.env)
-        result = _, reward, terminated, truncated, info = super().step(action)
+        result = _, reward, terminated, truncated, info = five(self.env, super().step(action))
         done = bool(terminated or truncated)
         if not resets:
             for name, recorder in self.recorders.items():
@@ -176,7 +187,7 @@ class VectorSteps(VectorWrapper):
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step the environments."""
-        result, active = super().step(actions), ~self._finished
+        result, active = five(self.env, super().step(actions)), ~self._finished
         done = as_array(result[2], "terminated") | as_array(result[3], "truncated")
         if self._mode == "NextStep":
             self._finished = done & active

@@ -151,8 +151,8 @@ class RenderOptions(Settings):
     out: Path | None = None
     """File to write, its suffix the format; by default trajectories.png, with --frames mujoco
     film.gif, in the first folder, or here for a policy of the package."""
-    episodes: int = 3
-    """The first episodes of the evaluation."""
+    episodes: int | None = None
+    """The first episodes of the evaluation; by default 3, or all where there are fewer."""
     task: Task = None
     seed: tuple[int, ...] | None = None
     """Seed of the run: one for all folders, or one for each; by default a folder's first."""
@@ -202,10 +202,13 @@ def render(args: Sequence[str]) -> int:
     panels = []
     for folder, config, run, name in zip(folders, configs, runs, names, strict=True):
         camera = camera_of(run.task, options.camera) if by_mujoco else None
-        how = (options.episodes, options.stochastic, by_mujoco, camera, every)
-        episodes, view = pictures.evaluation_episodes(folder, run, *how)
+        episodes = options.episodes
+        if episodes is None:
+            episodes = min(3, config.evaluation_episodes)
+        how = (episodes, options.stochastic, by_mujoco, camera, every)
+        shown, view = pictures.evaluation_episodes(folder, run, *how)
         heading = name or f"{title(config.algorithm)}, seed {run.seed}"
-        panels.append(pictures.Panel(heading, view, episodes))
+        panels.append(pictures.Panel(heading, view, shown))
     if out.suffix.lower() == ".png":
         pictures.write_picture(out, pictures.picture(panels, options.size))
     else:

@@ -179,7 +179,30 @@ def test_costs_that_gymnasium_may_have_rounded_are_refused():
         envs.step([0, 0])
 
 
+def test_costs_in_arrays_of_one_are_numbers():
+    scripts = [[[np.array([c]) for c in costs] for costs in script] for script in SCRIPTS]
+    makers = [partial(Scripted, script, reset_cost=False) for script in scripts]
+    envs = RecordCosts(SyncVectorEnv(makers))
+    steps, expected, _ = KNOWN[NEXT]
+    play(envs, steps)
+    assert rows(envs) == expected
+    maker = partial(Scripted, [[np.zeros(2), np.zeros(2)]], reset_cost=False)
+    two = RecordCosts(SyncVectorEnv([maker, maker]))
+    two.reset()
+    with pytest.raises(TypeError, match=r"one number for each environment, got \(2, 2\)"):
+        two.step([0, 0])
+
+
 def test_what_cannot_be_recorded_is_named():
+    step = {"step": lambda self, action: (*self.env.step(action), "a sixth")}
+    single, several = (
+        type("Six", (base,), step) for base in (gym.Wrapper, gym.vector.VectorWrapper)
+    )
+    for six, action in ((single(Scripted(SCRIPTS[0])), 0), (several(vector(NEXT)), [0, 0])):
+        six = RecordCosts(six)
+        six.reset()
+        with pytest.raises(ValueError, match=r"gymnasium's five values, got 6; .*CostRecorder"):
+            six.step(action)
     for silent, action in (
         (Scripted(SCRIPTS[0], step_cost=False), 0),
         (vector(NEXT, step_cost=False), [0, 0]),
