@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from circle2d_mj.core.engine import mujoco
 from circle2d_mj.core.simulation import Outcome, State
 from circle2d_mj.core.streams import Streams
-from circle2d_mj.safety import layout, rules, views, worlds
+from circle2d_mj.safety import layout, rules, scenes, views, worlds
 from circle2d_mj.safety.agents import action_space
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
 from circle2d_mj.safety.resting import SUBSTEPS, Circling, Resting
@@ -49,7 +49,9 @@ class NavigationTask(MuJoCoTask):
     def __init__(
         self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1, **changes: float
     ) -> None:
-        self._of_world = agent, self.family, level, tuple(sorted(changes.items()))
+        chosen = tuple(sorted(changes.items()))
+        scenes.scene(f"{self.family}{level}", agent, chosen)  # what it refuses may have no hash
+        self._of_world = agent, self.family, level, chosen
         self.world = worlds.world(*self._of_world)
         model, scene = self.world.model, self.world.scene
         arguments = {"agent": agent, "level": level, **changes}

@@ -246,6 +246,8 @@ def test_none_of_a_kind():
         ),
         ("PointCircle1-v0", {"half_width": 2.0}, TypeError, "it has no parameters"),
         ("HopperVelocity-v1", {"hazards": 2}, TypeError, "unexpected keyword argument 'hazards'"),
+        ("PointGoal1-v0", {"config": {}}, TypeError, "unexpected keyword argument 'config'"),
+        ("PointGoal1-v0", {"hazards": [2]}, ValueError, r"number from 0 to 100, got \[2\]"),
         ("PointGoal1-v0", {"hazards": 2.5}, ValueError, "number from 0 to 100, got 2.5"),
         ("PointGoal1-v0", {"vases": -1}, ValueError, "vases must be .* got -1"),
         ("PointGoal1-v0", {"half_width": 0.4}, ValueError, "above 0.4 and at most 10 m, got 0.4"),
