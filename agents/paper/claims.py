@@ -246,8 +246,7 @@ def _equal_rates(evidence: Evidence) -> list[Finding]:
 
 
 EQUAL_RATES = Claim(
-    "CPO and WCSAC have equal cost rates on level 3 and different EMCC: EMCC tells apart what "
-    "the cost rate cannot.",
+    "CPO and WCSAC have equal cost rates on level 3, and different EMCC in the later two thirds.",
     f"The mean cost rates are equivalent within {RATE_MARGIN:g} (refuted where they are not and a "
     "permutation test tells them apart); permutation tests tell the means of EMCC_0.66 and "
     f"EMCC_0.99 apart (refuted where they are equivalent within {EMCC_MARGIN:g}).",
