@@ -18,6 +18,7 @@ import emcc
 from agents import algorithms
 from agents.reporting.tables import emcc_above
 from agents.results.reading import read
+from emcc.parts import ALPHA
 
 RESULTS = Path(__file__).parents[2] / "results"
 EMCC = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99")
@@ -286,18 +287,19 @@ def on_policy(lines: pd.DataFrame) -> pd.DataFrame:
 
 @functools.cache
 def late_costs(task: str) -> pd.DataFrame:
-    """By on-policy algorithm, in the last third of training on a Safety task, means over seeds:
-    "rate", the cost rate; "costing", the share of episodes that cost; and "longest", of all costs
-    the share in their episode's longest streak."""
+    """By algorithm, in the last third of training on a Safety task, means over seeds: "rate", the
+    cost rate; "costing", the share of episodes that cost; "longest", of all costs the share in
+    their episode's longest streak; and "split", EMCC with ties split."""
     rows = []
     for group in read([RESULTS / "baselines" / "safety" / name for name in SAFETY_TASKS[task]], []):
         for run in group.runs:
             late = run.records.by_part(group.config.steps)[0.99]
             longest = late.longest_streak.sum() / max(late.cost.sum(), 1.0)
             rate, costing = emcc.cost_rate(late.cost, late.length), (late.cost > 0).mean()
-            shares = {"rate": rate, "costing": costing, "longest": longest}
+            split = emcc.emcc(late.mcc_per_rollout()[0], ALPHA, ties="split")
+            shares = {"rate": rate, "costing": costing, "longest": longest, "split": split}
             rows.append({"algorithm": algorithms.title(group.config.algorithm), **shares})
-    return on_policy(pd.DataFrame(rows)).groupby("algorithm").mean()
+    return pd.DataFrame(rows).groupby("algorithm").mean()
 
 
 def ends(values: pd.Series, digits: int = 2) -> str:
@@ -318,7 +320,7 @@ def safety_orders() -> list[str]:
         means = own.groupby("algorithm")[["EMCC_0.99", "cost_rate", "J_R"]].mean()
         late, of_late = means["EMCC_0.99"], late_costs(task)
         tau = scipy.stats.kendalltau(late, of_late["rate"][means.index]).statistic
-        beside[task] = short(tau), ends(of_late["longest"])
+        beside[task] = short(tau), ends(of_late["longest"][means.index])
         told[task] = (
             scipy.stats.kendalltau(late, means.cost_rate),
             scipy.stats.spearmanr(late, means.J_R),
@@ -382,8 +384,8 @@ def _counts(own: pd.DataFrame) -> str:
 
 
 def equal_rates() -> list[str]:
-    """A row for each level on which SAC-LB and SAC-LB-Streak have equal cost rates: both means of
-    each measure, and the p value of the equivalence test."""
+    """A row for each level on which SAC-LB and SAC-LB-Streak have equal cost rates, by an
+    equivalence test with p < .001: both means of each measure."""
     rows = []
     for task in LEVELS[1:3]:
         sides = (("circle2d", "SAC-LB"), ("solve", "SAC-LB-Streak"))
@@ -394,7 +396,8 @@ def equal_rates() -> list[str]:
         }
         rng = np.random.default_rng(0)
         equal = emcc.equivalence_test(*(side.cost_rate.to_numpy() for side in pair), 0.02, rng=rng)
-        rows.append(_row(task[9], both["cost_rate"], p_value(equal), *(both[k] for k in EMCC)))
+        if p_value(equal) == "p < .001":
+            rows.append(_row(task[9], both["cost_rate"], *(both[k] for k in EMCC)))
     return rows
 
 
