@@ -31,7 +31,7 @@ from emcc.panels import emcc_of_thirds
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
 SOURCES = {
-    "circle2d": ["runs.zip", "bootstrap-2.zip"],
+    "circle2d": ["runs.zip", "bootstrap.zip"],
     "physics": ["level-0.zip", "runs.zip"],
     "sensitivity": ["runs.zip"],
     "library": ["runs.zip", "sac-lb.zip", "residual.zip", "sac-lag.zip"],
