@@ -178,7 +178,7 @@ class FirstOrder(OnPolicy):
         actor, moments, runs = state.actor, state.actor_moments, len(self.seeds)
         assert moments is not None
         multipliers = lagrange.values(rule.multipliers, state.multipliers, runs)
-        advantage = raised_advantage(rule, config, epoch, multipliers)
+        advantage = raised_advantage(rule, config, epoch, steps, multipliers)
         old = blocks_of(self.nets, actor, epoch, advantage)
         old_log_prob = torch.cat([block.old_log_prob for block in old], dim=-1)
         excess = (epoch.cost - lagrange.limits(rule, config)).to(actor.dtype)

@@ -109,20 +109,25 @@ def gradient_in(nets: Nets, actor: Tensor, block: Block, of: int) -> Tensor:
 
 
 def policy_step(
-    nets: Nets, config: Any, rule: StepRule, state: OnPolicyState, epoch: Epoch
+    nets: Nets,
+    config: Any,
+    rule: StepRule,
+    state: OnPolicyState,
+    epoch: Epoch,
+    steps: NDArray[np.int64],
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The policy after the rule's step and its line search -> [R, actor size], records [R]; NaN for
-    a run whose step is."""
+    a run whose step is. steps: [R], of each run in the epoch."""
     old = state.actor
     multipliers = lagrange.values(rule.multipliers, state.multipliers, len(old))
-    advantage = raised_advantage(rule, config, epoch, multipliers)
-    steps = blocks_of(nets, old, epoch, advantage)
+    advantage = raised_advantage(rule, config, epoch, steps, multipliers)
+    in_blocks = blocks_of(nets, old, epoch, advantage)
 
     def gradient(of: int) -> Tensor:
-        parts = (gradient_in(nets, old, block, of) for block in steps)
+        parts = (gradient_in(nets, old, block, of) for block in in_blocks)
         return sum(parts, start=torch.zeros_like(old))
 
-    product = fisher_product(nets, old, steps, config.cg_damping)
+    product = fisher_product(nets, old, in_blocks, config.cg_damping)
     problem = Problem(
         gradient=gradient(0),
         cost_gradient=lambda: gradient(1) * epoch.length[:, None],
@@ -133,10 +138,10 @@ def policy_step(
         multipliers=multipliers,
     )
     step = rule.step(config, problem)
-    before, _ = compared(nets, old, steps)
+    before, _ = compared(nets, old, in_blocks)
 
     def judge(actor: Tensor) -> tuple[Tensor, Tensor]:
-        after, kl = compared(nets, actor, steps)
+        after, kl = compared(nets, actor, in_blocks)
         growth, cost_growth = (after - before).unbind(dim=-1)
         cost_growth = cost_growth * epoch.length
         near = step.divergence(kl, cost_growth) <= config.target_kl
@@ -279,5 +284,5 @@ class TrustRegion(OnPolicy):
         self, epoch: Epoch, steps: NDArray[np.int64], generators: list[np.random.Generator]
     ) -> tuple[OnPolicyState, dict[str, Tensor]]:
         """One step of the policy, from all of the epoch at once."""
-        actor, records = policy_step(self.nets, self.config, self.rule, self._state, epoch)
+        actor, records = policy_step(self.nets, self.config, self.rule, self._state, epoch, steps)
         return self._state._replace(actor=actor), records

@@ -146,23 +146,24 @@ class Block(NamedTuple):
     """[R, BLOCK]"""
 
 
-def raised_advantage(rule: Any, config: Any, epoch: Epoch, multipliers: Tensor) -> Tensor:
-    """The advantages [R, B] that a rule has the policy raise, 0 in rows of weight 0.
+def raised_advantage(
+    rule: Any, config: Any, epoch: Epoch, steps: NDArray[np.int64], multipliers: Tensor
+) -> Tensor:
+    """The advantages [R, B] that a rule has the policy raise, 0 behind the steps [R] of each run.
 
     Each run's are of its own steps alone, so that a rule may take their mean. Raises ValueError
     where they have another shape.
     """
     raised = torch.zeros_like(epoch.reward_advantage)
-    for run, steps in enumerate((epoch.weight > 0).sum(dim=1).tolist()):
-        if steps:
+    for run, n in enumerate(steps.tolist()):
+        if n:
             own = slice(run, run + 1)
-            reward = epoch.reward_advantage[own, :steps]
-            cost = epoch.cost_advantage[own, :, :steps]
+            reward, cost = epoch.reward_advantage[own, :n], epoch.cost_advantage[own, :, :n]
             gains = rule.advantage(config, reward, cost, multipliers[own])
             if gains.shape != reward.shape:
                 shapes = f"{list(reward.shape)}, got {list(gains.shape)}"
                 raise ValueError(f"advantage must be [runs, steps], here {shapes}")
-            raised[run, :steps] = gains[0]
+            raised[run, :n] = gains[0]
     return raised
 
 

@@ -165,7 +165,8 @@ def test_policy_steps(name, target_kl):
         epoch.cost_advantage[run, 0] = factor * epoch.reward_advantage[run]
     cost = excess[:, None] + it.config.cost_limit
     epoch, state = epoch._replace(cost=cost), double(it._state)
-    params, records = trpo.policy_step(it.nets, it.config, it.rule, state, epoch)
+    own = (it.nets, it.config, it.rule, state, epoch, packing.steps)
+    params, records = trpo.policy_step(*own)
     if name == "cpo":
         assert records["case"].tolist() == [1, 2, 3, 4, 1, 3, 2]
         assert (records["step_scale"] > 0).all()

@@ -202,18 +202,32 @@ def reduced(learner):
 
 @contextlib.contextmanager
 def two_families():
+    from agents.algorithms.ppo_lag import ALGORITHM as ppo
     from agents.algorithms.sac_lag import ALGORITHM as sac
     from agents.algorithms.trpo_lag import ALGORITHM as trpo
+    from agents.first_order import clipped, mean
 
     def family(config, rule, *args):
         return reduced(OffPolicy)(config, rule, *args)
 
-    def averaged(config, reward, cost, multipliers):
+    def averaged(config, policy, ratio, batch):
+        gain, outside = clipped(config, policy, ratio, batch)
+        paid = mean(batch, ratio * batch.cost_advantage[:, 0])
+        return gain - batch.multipliers.mean() * paid, outside
+
+    def averaged_advantage(config, reward, cost, multipliers):
         return reward - multipliers.mean() * cost[:, 0]
 
-    rule = trpo.rule._replace(advantage=averaged)
-    own, averages = sac._replace(family=family), trpo._replace(rule=rule)
-    with known("toy"), known("sac-reduced", own), known("sac-own", sac), known("avg", averages):
+    own = {
+        "toy": None,
+        "sac-reduced": sac._replace(family=family),
+        "sac-own": sac,
+        "avg": ppo._replace(rule=ppo.rule._replace(surrogates=(averaged,))),
+        "avg-own": trpo._replace(rule=trpo.rule._replace(advantage=averaged_advantage)),
+    }
+    with contextlib.ExitStack() as stack:
+        for name, algorithm in own.items():
+            stack.enter_context(known(name, algorithm))
         yield
 
 
@@ -234,10 +248,10 @@ def test_a_loss_that_reduces_over_the_runs_is_refused(tmp_path, algorithm, optio
 
 def test_an_algorithm_of_one_s_own_that_does_not_trains(tmp_path):
     class Unequal(Linear):
-        """Runs of one algorithm may differ by their seeds."""
+        """Runs of one algorithm may differ by their seeds; an advantage sees one run alone."""
 
     with two_families(), known("unequal", Algorithm("Toy", Numbers, Rule(), Unequal)):
-        for name, options in (("toy", {}), ("sac-own", SAC), ("unequal", {})):
+        for name, options in (("toy", {}), ("sac-own", SAC), ("unequal", {}), ("avg-own", SGD)):
             agents.train(name, "Walk-v0", **OPTIONS | options)
 
 

@@ -119,7 +119,8 @@ def test_no_step_beyond_the_trust_region_gets_through(seed):
     chosen.displacement[-2, 3] = epoch.cost_advantage[-1, 0, 5] = torch.nan
     rule = trpo.StepRule(lambda config, reward, *_: reward, lambda *_: chosen)
     state = OnPolicyState(actor, None, None, ())
-    params, records = trpo.policy_step(NETS, config, rule, state, epoch)
+    steps = np.full(runs, 60)
+    params, records = trpo.policy_step(NETS, config, rule, state, epoch, steps)
 
     def judged(run, candidate):
         old, new = (policy(p, epoch.observation[run, :60]) for p in (actor[run], candidate))
