@@ -24,6 +24,8 @@ from emcc.table import Columns
 
 ENDS = ("done", "terminated", "truncated")
 """Columns that mark the last step of an episode, in files of costs of steps."""
+ENVIRONMENTS = ("env", "env_id", "env_index", "worker", "rank")
+"""Columns that tell environments apart, whose steps may stand between each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,11 +154,13 @@ def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeReco
     rewards = columns.numbers("reward", float) if "reward" in columns else None
     # An episode ends where its number changes, and behind a marked step; a rollout may cut it.
     rollouts, episodes = (columns.get(name, [""] * costs.size) for name in ("rollout", "episode"))
-    if len({*columns.get("env", ())}) > 1:
-        raise ValueError(
-            "has several environments in the column env: write whole episodes in the order in "
-            "which they ended, each with a number of its own in the column episode, and no env"
-        )
+    for name in ENVIRONMENTS:
+        if len({*columns.get(name, ())}) > 1:
+            raise ValueError(
+                f"has several environments in the column {name}: write whole episodes in the order "
+                "in which they ended, each with a number of its own in the column episode, and no "
+                f"{name}"
+            )
     cuts, ends = (np.array([a != b for a, b in pairwise([*x, None])]) for x in (rollouts, episodes))
     if len(set(rollouts)) < cuts.sum():
         raise ValueError("the steps of a rollout must follow one another")

@@ -96,6 +96,7 @@ BAD_FILES = {
     "a negative cost": ("cost,done\n0,0\n-1,1\n", "costs must be finite and >= 0, got -1"),
     "interleaved": ("episode,cost\n0,1\n1,1\n0,1\n1,0\n", "an episode must follow one another"),
     "two at once": ("env,episode,cost\n0,0,1\n1,0,1\n0,0,0\n1,0,1\n", "several environments"),
+    "two by marks": ("env_id,done,cost\n0,0,1\n1,0,1\n0,1,0\n1,1,1\n", "the column env_id"),
     "two logs": ("rollout,cost,done\n0,1,0\n1,1,1\n0,1,1\n", "a rollout must follow one another"),
     "monitor.csv": ('#{"t": 1, "env": 2}\nr,l,t\n1,2,3\n', "has the columns r, l, t. EMCC needs"),
     "a column twice": ("cost,done,cost\n1,0,0\n", "names a column twice"),
