@@ -149,8 +149,8 @@ def sweep(
     grid: values of each hyper-parameter by its name: {"cost_limit": (1.0, 5.0), ...}. Each
         combination has a folder below `out`, named by its values. Given again, the same call goes
         on where it was interrupted. workers: processes, or tasks of Ray, at a time; by default as
-        many as there are cores. settings: the other arguments of `train`, hyper-parameters among
-        them.
+        many as there are cores. settings: the other arguments of `train` but on_epoch and
+        progress, hyper-parameters among them.
 
     Raises UserError for what is unknown or not allowed, before anything is written, and where a
     training fails; the others are done by then.
@@ -175,9 +175,9 @@ def sweep(
 def resume(*folders: Folder, on_epoch: OnEpoch | None = None, progress: bool = False) -> Runs:
     """Go on with the runs of folders, from their newest checkpoints, as if never interrupted.
 
-    One folder after the other; of one that is done without `results.npz`, that is written.
-    on_epoch, progress: as in `train`. Raises UserError where there is nothing to go on with, or
-    another process trains there.
+    Folders train one after the other; one that is done but lacks `results.npz` gets it, and one
+    that has it stays as it is. on_epoch, progress: as in `train`. Raises UserError where a folder
+    holds no runs, another process trains there, or every run failed.
     """
     if not folders:
         raise UserError("resume needs a folder of runs")
@@ -196,10 +196,10 @@ def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = N
 
     paths: folders, archives, folders of archives (`runs.zip/Circle2D-1-v0`), or runs, such as
     `train` returns. Folders that differ in their seeds alone count as one. Returns the main
-    tables and the paper's claims as Markdown. archive: a file to pack all that the report needs
-    into. out: folder to write to; by default that of the runs, for an archive the one beside it
-    that has its name without the suffix; several paths need one. Raises UserError where there are
-    no complete runs, or an archive is damaged.
+    tables and the paper's claims as Markdown. archive: a file to write, from
+    which the report can be made again. out: folder to write to, required with several paths; by
+    default the runs' own, for `runs.zip` the folder `runs` beside it. Raises UserError where there
+    are no complete runs, or an archive is damaged.
     """
     from agents.reporting.report import report as write_report
     from agents.reporting.table import markdown

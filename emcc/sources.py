@@ -56,8 +56,9 @@ class Run:
 def read(path: str | os.PathLike[str], threshold: float = 0.0) -> EpisodeRecords:
     """Records of one training run, from a file or run folder as `python -m emcc` reads it.
 
-    threshold: a step that costs more is a cost step; for files of costs of steps alone.
-    ValueError: several runs, or something that cannot be understood.
+    threshold: a step that costs more is a cost step.
+    ValueError: several runs, something that cannot be understood, or a threshold for a file with a
+    row for each episode, which holds streaks instead of costs of steps.
     """
     runs = read_runs(Path(path), threshold)
     if len(runs) > 1:

@@ -36,7 +36,8 @@ class Interval:
 
     kind: "t" (Student's t interval of a mean, Welch's of a difference), "bootstrap" (percentiles of
     resampled runs), or "range" (lowest and highest run, no coverage stated). low and high are None
-    where there is nothing to give: of a single run, and of a difference with too few runs.
+    where there is nothing to give: of a single run, and of a difference or a bootstrap with too few
+    runs. runs: their number, of several sets the smallest.
     """
 
     value: float

@@ -48,8 +48,9 @@ def RecordCosts(
     trajectory. Sub-environments must give the cost as a float: gymnasium's vector environments make
     an array of the type of the first cost they see, which would round others.
     TypeError: no gymnasium environment, or such an array of whole numbers or bools. ValueError: a
-    vector environment without an autoreset mode, an environment that steps without giving a cost,
-    costs that are not different names. KeyError: no such cost in info at all. RuntimeError: a step
+    vector environment without an autoreset mode, a step of other than five values, a
+    sub-environment that gives no cost, a cost that is negative or not finite, costs that are not
+    different names. KeyError: no such cost in info. RuntimeError: a step
     after an episode's end without a reset.
     """
     return of_kind(env, RecordEnvCosts, RecordVectorCosts)(env, rollout, threshold, costs)

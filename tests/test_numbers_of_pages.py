@@ -596,7 +596,7 @@ def test_the_page_with_physics():
     for name in ("TRPO-Lag", "SAC-Lag"):
         own = on(physics, name, tasks)
         assert own.ends_in.str.startswith("corridor, through").all() and not solved(own).any()
-    told("README.md", f"SAC-LB alone does, in {count(sides[0])}]")
+    told("README.md", f"only SAC-LB of the paper's five does, [in {count(sides[0])}]")
     in_units = results_table.report("solve")
     units = results_table.UNITS_WITH_PHYSICS
     of_levels = [runs(in_units, task, units) for task in [*tasks][1:]]
@@ -832,7 +832,7 @@ def test_the_levels_that_sac_lb_streak_solves():
     told(
         "README.md",
         f"Of 40 runs, ten on each level, {int(streak.sum())} end in the corridor",
-        f"with physics {count(physics)} do, on levels 1 to 3 {count(physics.iloc[10:])} (of",
+        f"with physics {count(physics)} do, {count(physics.iloc[10:])} on levels 1 to 3.",
     )
     own = pd.concat([results_table._part(lines, task, "-without-horizon") for task in LEVELS])
     others = own[~solved(own)].ends_in

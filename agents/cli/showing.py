@@ -152,7 +152,7 @@ class RenderOptions(Settings):
     """File to write, its suffix the format; by default trajectories.png, with --frames mujoco
     film.gif, in the first folder, or here for a policy of the package."""
     episodes: int | None = None
-    """The first episodes of the evaluation; by default 3, or all where there are fewer."""
+    """Number of episodes to draw, the first of the evaluation; by default 3, or all if fewer."""
     task: Task = None
     seed: tuple[int, ...] | None = None
     """Seed of the run: one for all folders, or one for each; by default a folder's first."""
@@ -161,7 +161,8 @@ class RenderOptions(Settings):
     stochastic: bool = False
     """Draw the stochastic policy instead of the deterministic one."""
     frames: Literal["map", "mujoco"] = "map"
-    """map: the way on the task's view from above. mujoco: films of the task as MuJoCo draws it."""
+    """map: the trajectory in the task's view, a plane of positions, distances or speeds. mujoco:
+    films of the task as MuJoCo draws it."""
     camera: Camera | None = None
     """Where a Circle2DMuJoCo task is seen from with --frames mujoco: above (the default), the side,
     or behind the agent."""
@@ -238,8 +239,8 @@ class ExportOptions:
     format: Format
     """safetensors: the network's arrays; onnx: a graph from observations to actions."""
     out: Path | None = None
-    """Folder for the files; by default `exported` in the runs' own, there one for each of several
-    tasks. Required for a policy that comes with the package."""
+    """Folder for the files; by default `exported` in the runs' folder, with a subfolder for the
+    task where there are several. Required for a policy that comes with the package."""
     seeds: tuple[int, ...] | None = None
     """Seeds of the runs to export; by default all."""
     task: Task = None

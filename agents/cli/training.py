@@ -63,17 +63,20 @@ class TrainOptions:
     """Environment steps of a run between checkpoints, from which a killed run goes on; more, where
     writing them would take more than 2 % of the time."""
     evaluate_every: int | None = None
-    """Environment steps of a run between evaluations, of 20 episodes of each policy, each of which
-    keeps the policy too (see `Runs.to_pandas`); by default there is none but that at the end."""
+    """Environment steps of a run between evaluations over 20 episodes of each policy; each
+    evaluation also saves the policy (see `Runs.to_pandas`). By default only the end is
+    evaluated."""
     evaluation_episodes: int = 100
     """Episodes of each run and policy (deterministic, stochastic) in the evaluation at the end."""
     task_parameters: dict[str, str] = field(default_factory=dict)
     """Keyword arguments for the tasks, as NAME VALUE ..., e.g. optima_perturbation 1.0 0.5."""
     costs: tuple[str, ...] = ("cost",)
-    """Names of costs in the tasks' info: all are recorded, and an algorithm limits the first."""
+    """Names of costs in the tasks' info: all are recorded; an algorithm limits the first, or as
+    many as its rule says."""
     vectorization: Vectorization = "auto"
-    """How environments run side by side: the task's own vector environment or one process (auto),
-    gymnasium's SyncVectorEnv (sync), a process each, for slow tasks (async)."""
+    """How environments run side by side. auto: the task's own vector environment, or gymnasium's
+    SyncVectorEnv where it has none; sync: always SyncVectorEnv; async: a process for each
+    environment, for slow tasks."""
     step_timeout: float | None = None
     """Seconds that a step may take with async; if a process does not answer in time, the training
     fails. By default there is no limit."""
@@ -191,8 +194,8 @@ def resume(args: Sequence[str]) -> int:
 
 @dataclass(frozen=True)
 class EvaluateOptions:
-    """Play episodes with the policies of a folder's newest checkpoint and print their means; of a
-    training that is done they replace those that reports show."""
+    """Play episodes with the policies of a folder's newest checkpoint and print their means. Once
+    the training is done, they replace the evaluation that reports show."""
 
     folder: Folder
     """Folder of the runs, or pretrained:ALGORITHM/TASK, a policy that comes with the package."""
@@ -254,7 +257,8 @@ class ReproduceOptions(Settings):
     out: Path
     """Folder for the runs and the report."""
     quick: bool = False
-    """A small version of everything: 2 seeds of 10 000 steps."""
+    """A small version of everything: 2 seeds of 10 000 steps, with --benchmark 30 000 on Safety
+    tasks."""
     benchmark: bool = False
     """Run the benchmark instead: all algorithms on Circle2D and five Safety tasks, 1 000 000 steps
     each; on Circle2D ten seeds, five off-policy, else three."""

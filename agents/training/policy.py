@@ -86,8 +86,8 @@ class Policy:
     seed: int
     """Seed of its run."""
     step: int | None
-    """Environment steps of its run by then, of a policy kept on the way those it is named by; None
-    where they were not recorded, as of policies of the package."""
+    """Environment steps that its run had taken; for a policy saved by `evaluate_every` the `step`
+    of `load_policy`. None where they were not recorded, as in policies of the package."""
     spaces: Spaces
     """Sizes, and bounds of actions."""
     in_lockstep: RunsPolicy

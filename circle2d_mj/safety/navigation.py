@@ -37,10 +37,10 @@ class NavigationTask(MuJoCoTask):
     The observation is the agent's sensors, then 16 numbers for each lidar. Starts: a layout, all
     headings and turns of objects uniform, everything at rest. Source: safety-gymnasium 1.0.0.
 
-    Parameters of a task, in place of its level's: numbers of `hazards`, `vases`, `pillars` and
-    `gremlins`, of those that the level has, 0 among them, which leaves the observation's size as it
-    is; `half_width` of the square that holds all, m. Raises TypeError for a parameter that the task
-    does not have, ValueError for a value.
+    Parameters that replace those of the level: the numbers of `hazards`, `vases`, `pillars` and
+    `gremlins`, for the kinds that the level has, from 0 to 100 (the observation keeps its size),
+    and `half_width`, m, of the square in which all are placed. Raises TypeError for a parameter
+    that the task does not have, ValueError for a value.
     """
 
     family: ClassVar[str]

@@ -78,9 +78,9 @@ def SafetyGymnasiumAPI(env: gym.Env | VectorEnv) -> SixValueEnv | SixValueVector
     """Wrap an environment so that `step` returns the cost as a value of its own.
 
     `step(action) -> observation, reward, cost, terminated, truncated, info`; `cost` is
-    `info["cost"]`, a float or, for a vector environment, a float array [num_envs]: of an episode's
-    last step in `AutoresetMode.SAME_STEP` that of `final_info`, of the step that only resets in
-    NEXT_STEP 0. Any single or vector environment with `info["cost"]` will do, but the
+    `info["cost"]`, a float or, for a vector environment, a float array [num_envs]. In SAME_STEP
+    mode the cost of an episode's last step is that in `final_info`; in NEXT_STEP mode the step that
+    only resets costs 0. Any single or vector environment with `info["cost"]` will do, but the
     sub-environments of gymnasium's vector environments must give it as a float. TypeError for
     anything else, KeyError where a step gives no cost.
     """

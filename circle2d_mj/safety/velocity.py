@@ -47,11 +47,11 @@ class Body(NamedTuple):
     planar: bool = True
     """Whether it moves in a plane; otherwise its speed is that of x and y"""
     height: tuple[float, float] | None = None
-    """An episode ends where the torso's height leaves this; None: it does not end,"""
+    """Heights of the torso, m, outside which an episode ends; None: it never ends."""
     tilt: tuple[float, float] | None = None
-    """or its tilt this,"""
+    """Tilts of the torso, rad, outside which it ends; None: any."""
     rest: float | None = None
-    """or another number of the state is as large as this."""
+    """Size of another number of the state from which on it ends; None: any."""
     rim: bool = False
     """Whether the limits of the height belong to it"""
     measured: str = "qpos"
