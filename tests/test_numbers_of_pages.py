@@ -332,7 +332,7 @@ def test_the_claim_on_safety_point_circle():
         name: f"{short(trpo[name].mean(), digits)} against {short(sac[name].mean(), digits)}"
         for name, digits in (("cost_rate", 2), ("J_C", 1), ("EMCC_0.33", 2))
     }
-    own, _, with_sgd = section.partition("\nWith sgd: ")
+    own, with_sgd = section.partition("\nWith ")[0], section.partition("\nWith sgd: ")[2]
     p = dict(re.findall(r"^- ([\w.]+): .*; p: ([\d.]+)\)", own, re.M))
     assert [float(p[name]) for name in pairs] == [0.008] * 3
     assert with_sgd.startswith("undecided\n") and verdict == "Refuted"
@@ -357,6 +357,28 @@ def test_the_claim_on_safety_point_circle():
         f"in {falls[0]} runs of TRPO-Lag and SAC-Lag each, in {falls[1]} of CPO and SAC-LB each, "
         f"in {falls[4]} of WCSAC",
     )
+    terminal = runs(
+        results_table.report("safety"), results_table.POINT_CIRCLE, results_table.TERMINAL
+    )
+    assert "\nWith terminal: undecided\n" in section
+    costs = [
+        f"{short(terminal[name].mean(), digits)} instead of {short(sac[name].mean(), digits)}"
+        for name, digits in (("cost_rate", 2), ("J_C", 1), ("J_R", 1))
+    ]
+    beside = [
+        f"{short(terminal[name].mean(), digits)} against {short(sgd[name].mean(), digits)}"
+        for name, digits in (("cost_rate", 2), ("J_C", 1))
+    ]
+    thirds = ["/".join(short(own[name].mean()) for name in EMCC) for own in (terminal, sgd)]
+    told(
+        "results/safety/README.md",
+        "the paper's in costs: a rate of {}, a J_C of {}, a J_R of {} (n = 3 and 5).".format(
+            *costs
+        ),
+        "the cost rate is {}, J_C {}".format(*beside),
+        f"EMCC is {thirds[0]} against {thirds[1]}, the higher in every third",
+    )
+    assert all(terminal[name].mean() > sgd[name].mean() for name in EMCC)
     assert all((sgd[name].mean() < trpo[name].mean()) for name in EMCC)
     assert (falls[0], falls[1]) == (falls[2], falls[3])
     assert not any((own.J_C <= SAFETY_LIMIT).all() for own in (trpo, cpo, sac, wcsac))
@@ -364,7 +386,7 @@ def test_the_claim_on_safety_point_circle():
         "results/README.md",
         f"(p = .008 for both costs and EMCC_0.33, n = {len(trpo)} and {len(sac)})",
         f"With plain ascent of TRPO-Lag's multiplier J_C is {short(sgd.J_C.mean(), 1)} instead of "
-        f"{short(trpo.J_C.mean(), 1)}, and the claim is undecided.",
+        f"{short(trpo.J_C.mean(), 1)}, and the claim is undecided; so it is with `terminal` in",
     )
 
 

@@ -61,6 +61,7 @@ LIBRARY = {
 }
 """Names of runs as in the later library of the paper's group, by their titles on its page."""
 SGD = "TRPO-Lag (multiplier_optimizer sgd)"
+TERMINAL = "SAC-Lag (time_limit terminal)"
 UNITS = "SAC-LB (input_scale 15.0)"
 UNITS_WITH_PHYSICS = "SAC-LB (input_scale (15.0, 15.0, 1.1, 1.1))"
 PARTS = {
@@ -169,16 +170,21 @@ def nearer_as_later(title: str, task: str) -> tuple[int, int]:
     return int((library < preset).sum()), int((preset < library).sum())
 
 
+def _place(name: str) -> int:
+    return ALGORITHMS.index(name.split(" (")[0])
+
+
 def safety() -> list[str]:
     """A row for each of the paper's Safety tasks and algorithm that trained there at the paper's
-    length: means, the paper's in brackets, and runs within the limit. The second row of TRPO-Lag
-    is of the multiplier's other optimiser."""
+    length: means, the paper's in brackets, and runs within the limit. Second rows are of other
+    choices of what the paper does not print."""
     lines, rows = report("safety"), []
     for task in (POINT_CIRCLE, POINT_GOAL, HOPPER):
-        for name in (ALGORITHMS[0], SGD, *ALGORITHMS[1:]):
+        for name in sorted((*ALGORITHMS, SGD, TERMINAL), key=_place):
             own = runs(lines, task, name)
             if len(own):
                 title = name.replace("(multiplier_optimizer sgd)", "with plain ascent")
+                title = title.replace("(time_limit terminal)", "with `terminal`")
                 beside = _beside(own, paper(lines, task, name.split(" (")[0]))
                 rows.append(_row(task[18:-3], title, *beside, count(own.J_C <= SAFETY_LIMIT)))
     return rows
