@@ -49,13 +49,11 @@ class NavigationTask(MuJoCoTask):
     def __init__(
         self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1, **changes: float
     ) -> None:
-        chosen = tuple(sorted(changes.items()))
-        scenes.scene(f"{self.family}{level}", agent, chosen)  # what it refuses may have no hash
-        self._of_world = agent, self.family, level, chosen
+        scene = scenes.scene(f"{self.family}{level}", agent, tuple(changes.items()))
+        self._of_world = agent, self.family, scene
         self.world = worlds.world(*self._of_world)
-        model, scene = self.world.model, self.world.scene
         arguments = {"agent": agent, "level": level, **changes}
-        super().__init__(model, num_envs, num_threads, SUBSTEPS, **arguments)
+        super().__init__(self.world.model, num_envs, num_threads, SUBSTEPS, **arguments)
         self.agent = self.world.agent
         self.action_space = action_space(self.agent)
         self.observation_space = self._space()

@@ -65,9 +65,9 @@ def names(kind: Kind, count: int) -> list[str]:
 
 
 @functools.cache
-def world(agent_name: str, family: str, level: int, changes: scenes.Changes = ()) -> World:
+def world(agent_name: str, family: str, scene: Scene) -> World:
     """Return the world of a task. Its model is shared: nobody writes to it."""
-    agent, scene = AGENTS[agent_name], scenes.scene(f"{family}{level}", agent_name, changes)
+    agent = AGENTS[agent_name]
     kinds = {p.kind: scenes.kind(p.kind, family, agent_name) for p in scene.placed}
     spec = _spec(agent, scene)
     rows, mocap, free = {"agent": slice(0, 1)}, [], []
@@ -111,14 +111,11 @@ def gremlin_alone(timestep: float) -> mujoco.MjModel:
 
 
 @functools.cache
-def picture_model(
-    agent_name: str, family: str, level: int, changes: scenes.Changes = ()
-) -> mujoco.MjModel:
+def picture_model(agent_name: str, family: str, scene: Scene) -> mujoco.MjModel:
     """Return the world's model with all that is drawn: goal, hazards and circle as mocap bodies
     behind the others, walls, a light and a camera."""
-    agent, scene = AGENTS[agent_name], scenes.scene(f"{family}{level}", agent_name, changes)
     kinds = {p.kind: scenes.kind(p.kind, family, agent_name) for p in scene.placed}
-    spec = _spec(agent, scene)
+    spec = _spec(AGENTS[agent_name], scene)
     for drawn in (False, True):
         for placed in scene.placed:
             if (kinds[placed.kind].physics == "none") is drawn:

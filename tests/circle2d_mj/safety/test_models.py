@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from safety_golden import parameters
 
-from circle2d_mj.safety import velocity, worlds
+from circle2d_mj.safety import scenes, velocity, worlds
 from circle2d_mj.safety.tasks import NAMES, TASKS
 
 SPHERE = 2
@@ -25,7 +25,9 @@ def model_of(task):
     arguments = TASKS[task].arguments
     if family == "Velocity":
         return velocity.model(**arguments)
-    return worlds.world(arguments["agent"], family, arguments["level"]).model
+    agent = arguments["agent"]
+    scene = scenes.scene(f"{family}{arguments['level']}", agent)
+    return worlds.world(agent, family, scene).model
 
 
 def inertia(principal, quaternion):
