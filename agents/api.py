@@ -196,10 +196,10 @@ def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = N
 
     paths: folders, archives, folders of archives (`runs.zip/Circle2D-1-v0`), or runs, such as
     `train` returns. Folders that differ in their seeds alone count as one. Returns the main
-    tables and the paper's claims as Markdown. archive: a file to write, from
-    which the report can be made again. out: folder to write to, required with several paths; by
-    default the runs' own, for `runs.zip` the folder `runs` beside it. Raises UserError where there
-    are no complete runs, or an archive is damaged.
+    tables and the paper's claims as Markdown. archive: a file to write, from which the report
+    can be made again. out: folder to write to, required with several paths; by default the runs'
+    own, for `runs.zip` the folder `runs` beside it. Raises UserError where there are no complete
+    runs, or an archive is damaged.
     """
     from agents.reporting.report import report as write_report
     from agents.reporting.table import markdown

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from emcc.arrays import as_number, check_range
 from emcc.recorder import cost_of, costs_of
 from emcc.streaks import weighted
-from emcc.wrappers import VectorSteps, of_kind, resets_itself
+from emcc.wrappers import VectorSteps, five, of_kind, resets_itself
 
 
 def StreakCost(
@@ -70,7 +70,8 @@ class StreakCostEnv(gym.Wrapper, RecordConstructorArgs):
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment; info["cost"] is weighted, info["plain_cost"] is not."""
         resets = self._finished and resets_itself(self.env)
-        observation, reward, terminated, truncated, info = self.env.step(action)
+        values = five(self.env, self.env.step(action))
+        observation, reward, terminated, truncated, info = values
         plain = 0.0 if resets else cost_of(info)
         check_range(np.asarray(plain), "cost", low=0)
         self._finished = bool(terminated or truncated)

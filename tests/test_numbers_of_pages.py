@@ -26,7 +26,6 @@ from agents.results.frame import changes, with_distinct_titles
 from agents.results.reading import read
 from agents.results.statistics import thirds_of
 from agents.training.evaluation import POLICIES
-from emcc.panels import emcc_of_thirds
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
@@ -144,6 +143,10 @@ def on(lines, name, tasks):
     return pd.concat([runs(lines, task, name) for task in tasks])
 
 
+def permuted(*sides):
+    return emcc.permutation_test(*map(np.asarray, sides), rng=np.random.default_rng(0))
+
+
 def fisher(*sides):
     table = [[int(side.sum()), int((~side).sum())] for side in sides]
     return results_table.p_value(scipy.stats.fisher_exact(table).pvalue)
@@ -188,7 +191,7 @@ def test_the_sentences():
         nearer += int((other < terminal).sum())
     on_1 = [runs(lines, LEVELS[1], name).J_C.to_numpy() for name in (cpo, "SAC-Lag", "WCSAC")]
     for other in on_1[1:]:  # to refute claim 8 takes .05 over its 16 parts
-        p = emcc.permutation_test(on_1[0], other, rng=np.random.default_rng(0))
+        p = permuted(on_1[0], other)
         assert p > 0.05 / 16
     in_corridor = runs(lines, LEVELS[0], "SAC-Lag").query("ends_in.str.startswith('corridor')")
     assert len(in_corridor) == 4 and in_corridor.J_C.min() > 5  # none within the limit
@@ -310,10 +313,6 @@ def test_ten_episodes_instead_of_a_hundred():
         f"a run's J_C is up to {short(np.abs(ten - hundred).max(), 1)} away, and "
         f"{count(other_side)} runs are on the other side of the limit.",
     )
-
-
-def permuted(*sides):
-    return emcc.permutation_test(*map(np.asarray, sides), rng=np.random.default_rng(0))
 
 
 def on_point_circle():
@@ -482,7 +481,7 @@ def test_the_page_beside_omnisafe():
     ]
     beyond = np.concatenate(epochs) >= results_table.SAFETY_LIMIT
     ours, as_there = (pairs[name][1]["J_R"] for name in ("CPO", "CPO as there"))
-    p = emcc.permutation_test(ours, as_there, rng=np.random.default_rng(0))
+    p = permuted(ours, as_there)
     share = as_there.mean() / ours.mean()
     assert 0.15 < share < 0.25
     gap = abs(pairs["PPO-Lag"][0]["J_C"].mean() - pairs["PPO-Lag"][1]["J_C"].mean())
@@ -560,7 +559,7 @@ def test_the_page_of_the_later_library():
     least = 0.05 / 24  # three levels, two thirds, four others
     for name in EMCC[1:]:
         sides = (side[name].to_numpy() for side in late)
-        p = emcc.permutation_test(*sides, rng=np.random.default_rng(0))
+        p = permuted(*sides)
         assert short(p, 3) == ".003" and p > least
     waiting = barrier.ends_in == "right rim"
     assert barrier.J_C.max() == 0
@@ -919,8 +918,8 @@ def test_parts_fewer():
 
 
 def test_with_ties_split():
-    """What splits the ties at EMCC's quantile: the one pair of the five that EMCC tells apart, the
-    largest move of a mean, no verdict, SAC-LB-Streak's means."""
+    """The one pair of the five that EMCC tells apart, the largest move of a mean, no verdict, and
+    SAC-LB-Streak's means, where ties at EMCC's quantile are split."""
     own = read([RESULTS / "circle2d" / name for name in SOURCES["circle2d"]], [])
     streak = [
         group
@@ -929,29 +928,27 @@ def test_with_ties_split():
     ]
 
     def split(group):
-        runs = [emcc_of_thirds(run.records, group.config.steps, ties="split") for run in group.runs]
-        return np.array([list(run.values()) for run in runs])
+        return replace(group, runs=[_with_ties_split(group, run) for run in group.runs])
 
-    moved = {True: [], False: []}
-    for group in own:
-        kept = np.array([group.values(name) for name in EMCC], float).T
-        gap = np.abs(split(group).mean(axis=0) - kept.mean(axis=0)).max()
+    def thirds(group):
+        return np.array([group.values(name) for name in EMCC], float)
+
+    other, moved = [*map(split, own)], {True: [], False: []}
+    for group, as_split in zip(own, other, strict=True):
+        gap = np.abs(thirds(as_split).mean(axis=1) - thirds(group).mean(axis=1)).max()
         moved[not changes(group.config, group.task)].append(gap)
-    other = [
-        replace(group, runs=[_with_ties_split(group, run) for run in group.runs]) for group in own
-    ]
-    kept, as_split = (
+    verdicts = [
         [statement.verdict for section in claims_sections(way) for statement in section.statements]
         for way in (own, other)
-    )
-    assert kept == as_split and kept.count("refuted") == 6
-    usual = [group for group in own if not changes(group.config, group.task)]
+    ]
+    assert verdicts[0] == verdicts[1] and verdicts[0].count("refuted") == 6
+    usual = [group for group in other if not changes(group.config, group.task)]
     assert len(usual) == 20
     p = []
     for a, b in itertools.combinations(usual, 2):
         if a.task == b.task:
-            for sides in zip(split(a).T, split(b).T, strict=True):
-                p.append(emcc.permutation_test(*sides, rng=np.random.default_rng(0)))
+            for sides in zip(thirds(a), thirds(b), strict=True):
+                p.append(permuted(*sides))
                 if {a.config.algorithm, b.config.algorithm, a.task} == {"cpo", "sac-lb", LEVELS[3]}:
                     last = len(p) - 1
     assert len(p) == 120
@@ -961,7 +958,8 @@ def test_with_ties_split():
         f"moves means of the presets by {short(max(moved[True]), 3)} at most, of other choices by "
         f"{short(max(moved[False]), 3)}, and",
     )
-    by_task = {group.task: split(group).mean(axis=0) for group in streak if len(group.runs) == 10}
+    full = [split(group) for group in streak if len(group.runs) == 10]
+    by_task = {group.task: thirds(group).mean(axis=1) for group in full}
     ways = ["/".join(short(value, 3) for value in by_task[task]) for task in LEVELS[:2]]
     told(
         "results/solve/README.md",

@@ -130,15 +130,13 @@ def _evaluations(part: Part, run: RunId) -> dict[str, Any]:
 def with_varied_settings(groups: Sequence[Group]) -> list[Group]:
     """Groups of which those of an unregistered algorithm, whose preset nobody knows, have the
     hyper-parameters in their names in which the algorithm's groups differ."""
-    chosen: dict[str, list[dict[str, Any]]] = {}
-    for group in groups:
-        if (name := group.config.algorithm) not in ALGORITHMS:
-            chosen.setdefault(name, []).append(hyperparameter_changes(group.config, group.task))
     named = []
     for group in groups:
-        others = chosen.get(group.config.algorithm, [])
-        own = vars(group.config.hyperparameters).items() if others else ()
-        varied = [f"{k} {v}" for k, v in own if any(other.get(k) != v for other in others)]
+        name, varied = group.config.algorithm, []
+        if name not in ALGORITHMS:
+            others = [vars(g.config.hyperparameters) for g in groups if g.config.algorithm == name]
+            own = vars(group.config.hyperparameters)
+            varied = [f"{k} {v}" for k, v in own.items() if any(o.get(k) != v for o in others)]
         apart = ", ".join(filter(None, [*varied, group.apart]))
         named.append(dataclasses.replace(group, apart=apart))
     return named
