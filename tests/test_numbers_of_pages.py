@@ -350,7 +350,9 @@ def test_the_claim_on_safety_point_circle():
         f"in {falls[4]} of WCSAC",
     )
     terminal = runs(
-        results_table.report("safety"), results_table.POINT_CIRCLE, results_table.TERMINAL
+        results_table.report("safety"),
+        results_table.POINT_CIRCLE,
+        results_table.TERMINAL.format("SAC-Lag"),
     )
     assert "\nWith terminal: undecided\n" in section
     costs = [

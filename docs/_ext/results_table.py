@@ -61,7 +61,7 @@ LIBRARY = {
 }
 """Names of runs as in the later library of the paper's group, by their titles on its page."""
 SGD = "TRPO-Lag (multiplier_optimizer sgd)"
-TERMINAL = "SAC-Lag (time_limit terminal)"
+TERMINAL = "{} (time_limit terminal)"
 UNITS = "SAC-LB (input_scale 15.0)"
 UNITS_WITH_PHYSICS = "SAC-LB (input_scale (15.0, 15.0, 1.1, 1.1))"
 PARTS = {
@@ -75,6 +75,19 @@ PARTS = {
     "margin": "streak cost, but with a margin: a limit of 3.5",
 }
 """Parts that SAC-LB-Streak was trained without, by the ends of its folders' names."""
+NESTED = {
+    "units of length": UNITS,
+    "+ streak cost": "SAC-LB (input_scale 15.0, streak_weight 0.25)",
+    "+ the bonus for new states": "SAC-LB (input_scale 15.0, novelty_bonus 1.0, "
+    "streak_weight 0.25)",
+    "+ bootstrapping at the time limit": "SAC-LB (input_scale 15.0, time_limit terminal_cost, "
+    "novelty_bonus 1.0, streak_weight 0.25)",
+    "+ its own step sizes and batches": "SAC-LB (learning_rate 0.001, temperature_lr 0.00015, "
+    "batch_size 128, gradient_steps 10, input_scale 15.0, time_limit terminal_cost, "
+    "novelty_bonus 1.0, streak_weight 0.25)",
+    "+ random share, brown noise: all": "SAC-LB-Streak",
+}
+"""SAC-LB with ever more parts of SAC-LB-Streak, by their names on the page."""
 
 
 @functools.cache
@@ -180,7 +193,8 @@ def safety() -> list[str]:
     choices of what the paper does not print."""
     lines, rows = report("safety"), []
     for task in (POINT_CIRCLE, POINT_GOAL, HOPPER):
-        for name in sorted((*ALGORITHMS, SGD, TERMINAL), key=_place):
+        ended = map(TERMINAL.format, ALGORITHMS)
+        for name in sorted((*ALGORITHMS, SGD, *ended), key=_place):
             own = runs(lines, task, name)
             if len(own):
                 title = name.replace("(multiplier_optimizer sgd)", "with plain ascent")
@@ -470,6 +484,17 @@ def parts() -> list[str]:
         )
         for part, title in PARTS.items()
     ]
+
+
+def nested() -> list[str]:
+    """A row for each step from SAC-LB in units of length to SAC-LB-Streak: the runs of ten that
+    solve each level, where it was trained there, and EMCC by third on level 2."""
+    lines, rows = report("solve"), []
+    for title, name in NESTED.items():
+        own = [runs(lines, task, name) for task in LEVELS]
+        solving = (str(int(solved(level).sum())) if len(level) else "" for level in own)
+        rows.append(_row(title, *solving, means(own[2])[0].replace(" ", "/")))
+    return rows
 
 
 def _part(lines: pd.DataFrame, task: str, end: str) -> pd.DataFrame:
