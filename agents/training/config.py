@@ -79,6 +79,20 @@ def file_name(task: str) -> str:
     return re.sub(r"[/:]", "-", task)
 
 
+def as_stored(value: Any) -> Any:
+    """A parameter of a task as its file gives it back: tuples as lists. Raises UserError for what
+    that cannot hold, such as keys that are no strings."""
+    if isinstance(value, dict):
+        if other := [key for key in value if not isinstance(key, str)]:
+            raise UserError(f"keys in task_parameters must be strings, got {other[0]!r}")
+        return {key: as_stored(own) for key, own in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [as_stored(own) for own in value]
+    if value is None or isinstance(value, (str, bool, int, float)):
+        return value
+    raise UserError(f"values in task_parameters must be plain, got {value!r}")
+
+
 def is_of_policy(name: str) -> bool:
     """Whether an array of a learner's state is one of its policy."""
     return name == "actor" or name.startswith("actor.")
@@ -144,6 +158,7 @@ class TrainConfig(Settings):
             raise UserError(f"seeds must be in [0, 2**63), got {self.seeds}")
         if not isinstance(self.task_parameters, dict):
             raise UserError(f"task_parameters must be values by name, got {self.task_parameters!r}")
+        object.__setattr__(self, "task_parameters", as_stored(self.task_parameters))
         if not isinstance(self.hyperparameters, UnregisteredHyperparameters):
             self._check_algorithm()
 
@@ -223,11 +238,10 @@ class TrainConfig(Settings):
         modules = [*dict.fromkeys(name for name in modules if name)]  # "" of built-in ones
         content = dataclasses.asdict(self) | made_with()
         content |= {"commit": commit(), "modules": modules, "spaces": spaces._asdict()}
-        for name in ("task_parameters", "hyperparameters"):
-            try:
-                json.dumps(content[name])
-            except (TypeError, ValueError, RecursionError) as error:
-                raise UserError(f"{name} must be plain values: {error}") from None
+        try:
+            json.dumps(content["hyperparameters"])
+        except (TypeError, ValueError, RecursionError) as error:
+            raise UserError(f"hyperparameters must be plain values: {error}") from None
         folder.mkdir(parents=True, exist_ok=True)
         with locked(folder):
             _require_none(folder)  # now that no other process can make it

@@ -293,6 +293,8 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
         ({"backend": "fast"}, "backend must be compiled or eager"),
         ({"step_timeout": 1e-9}, "step_timeout is for processes: .* async, got auto"),
         ({"task_parameters": [1]}, r"task_parameters must be values by name, got \[1\]"),
+        ({"task_parameters": {"a": {0: 1.0}}}, "keys in task_parameters must be strings, got 0"),
+        ({"task_parameters": {"a": [int]}}, "values in task_parameters must be plain, got <class"),
         ({"on_epoch": 3}, "on_epoch must be a function of an Epoch, got 3"),
         ({"out": 3}, "out must be a folder, got 3"),
         ({"task": []}, "task must be the id of a gymnasium task"),

@@ -109,6 +109,15 @@ def test_a_sweep_in_which_a_training_fails(importable):
         agents.sweep("cpo", "my_toys:Broken-v0", backend="eager", **more)
 
 
+def test_a_sweep_goes_on_with_a_tuple_in_its_task_parameters(importable):
+    (importable / "my_toys.py").write_text("import toys\n\ntoys.register()\n")
+    more = {"grid": {"cost_limit": (1.0,)}, "steps": 50, "episodes": 1, "seeds": 0}
+    more |= {"task_parameters": {"scale": (1.0, 2.0)}, "out": importable / "x"}
+    for _ in range(2):
+        [config] = agents.sweep("cpo", "my_toys:Walk-v0", backend="eager", **more).configs
+        assert config.task_parameters == {"scale": [1.0, 2.0]}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["local", "ray"])
 def test_a_sweep_is_its_trainings(tmp_path, engine):
