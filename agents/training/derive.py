@@ -110,8 +110,7 @@ def write_results(
             if not result.void[k]:
                 own = result.of_run(k)
                 if name == "deterministic":
-                    final, costs = result.final_observations[k], result.costs[k, :, 0]
-                    own |= places_of(views[run.task], final, costs)
+                    own |= places_of(views[run.task], result.ends[k], result.costs[k, :, 0])
                 prefix = f"{run.prefix}evaluation/{name}/"
                 arrays |= {prefix + key: array for key, array in own.items()}
         drawn = evaluated["deterministic"].paths[k]
@@ -254,11 +253,11 @@ def _replay(
 
 
 def places_of(
-    view: View | None, observations: NDArray[np.float32], costs: NDArray[np.float64]
+    view: View | None, ends: NDArray[np.float32], costs: NDArray[np.float64]
 ) -> dict[str, NDArray]:
     """Where evaluated episodes end, and by which way, where the view names places.
 
-    observations: the last of each episode; costs: [N], of whole episodes.
+    ends: [N, 2], positions; costs: [N], of whole episodes.
     """
     if view is None:
         return {}
@@ -266,10 +265,9 @@ def places_of(
     middle = np.array([[(left + right) / 2, (bottom + top) / 2]])
     if not view.places(middle):  # the task's places have no names
         return {}
-    positions = view.positions(observations, {})
-    places = {"places": np.array(view.places(positions), dtype=np.str_)}
+    places = {"places": np.array(view.places(ends), dtype=np.str_)}
     if isinstance(view, TellsWays):
-        places["ways"] = np.array(view.ways(positions, costs), dtype=np.str_)
+        places["ways"] = np.array(view.ways(ends, costs), dtype=np.str_)
     return places
 
 

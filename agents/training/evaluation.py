@@ -32,8 +32,8 @@ class Episodes(NamedTuple):
     """[R, N, C]: undiscounted, of each cost"""
     lengths: NDArray[np.int64]
     """[R, N]: steps"""
-    final_observations: NDArray[np.float32]
-    """[R, N, observation size]"""
+    ends: NDArray[np.float32]
+    """[R, N, 2]: positions; NaN where the task has no view"""
     void: NDArray[np.bool_]
     """[R]: runs that were not evaluated, or met a number that is not finite"""
     paths: list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]]
@@ -66,12 +66,12 @@ def evaluate_runs(
                 rollout = play(envs, config, policy, episodes, first, at_once, active, noisy)
                 paths = paths or paths_of(envs, rollout, len(active), DRAWN)
                 values = (rollout.returns, rollout.cost_returns, rollout.length)
-                values = (*values, rollout.final_observation, rollout.diverged)
+                values = (*values, ends_of(envs, rollout), rollout.diverged)
                 columns.append([v.reshape(len(active), at_once, *v.shape[1:]) for v in values])
             joined = (np.concatenate(parts, axis=1) for parts in zip(*columns, strict=True))
-            returns, costs, lengths, last, diverged = (c[:, :episodes] for c in joined)
+            returns, costs, lengths, ends, diverged = (c[:, :episodes] for c in joined)
             void = ~active | diverged.any(axis=1)
-            evaluated[name] = Episodes(returns, costs, lengths, last, void, paths)
+            evaluated[name] = Episodes(returns, costs, lengths, ends, void, paths)
     return evaluated
 
 
@@ -113,6 +113,17 @@ def play(
         return action.reshape(runs * count, -1)
 
     return collect(envs, seeds, act, np.repeat(active, count), config.costs)
+
+
+def ends_of(envs: SideBySide, rollout: Rollout) -> NDArray[np.float32]:
+    """Where each episode of a rollout ended, [N, 2]; NaN where its task has no view."""
+    ends = np.full((envs.num_envs, 2), np.nan, dtype=np.float32)
+    first = 0
+    for part in envs.parts:
+        own = slice(first, first := first + part.num_envs)
+        if (located := part.with_start) is not None:
+            ends[own] = located[rollout.length[own], np.arange(part.num_envs)]
+    return ends
 
 
 def paths_of(

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
@@ -147,10 +146,9 @@ class Trainer:
         config, learner, episodes = self.config, self.learner, self.learner.episodes
         active = self.active
         resets = environment_seeds(config.stream_seeds, Purpose.ENVIRONMENT, self.epoch, episodes)
-        envs: VectorEnv = self._envs if len(config.tasks) > 1 else self._envs.parts[0]
         with self._own_code("acts"):
             act = learner.explorer(self.epoch, self.steps)
-            rollout = collect(envs, resets, act, np.repeat(active, episodes), config.costs)
+            rollout = collect(self._envs, resets, act, np.repeat(active, episodes), config.costs)
         void = rollout.diverged.reshape(-1, episodes)
         learning = active & ~void.any(axis=1)
         metrics = np.full((len(active), len(learner.metrics)), np.nan)

@@ -266,12 +266,17 @@ class RecordSteps(VectorWrapper):
             given = self._view.positions(np.asarray(observation, dtype=np.float32), info)
         except KeyError as error:
             raise UserError(f"the view of {self.env} needs info[{error}]") from error
-        positions = np.asarray(given, dtype=np.float32)
+        positions = np.array(given, dtype=np.float32)  # the task may write into its own again
         if positions.shape != (self.num_envs, 2):
             raise UserError(
                 f"the view of {self.env} must give positions [{self.num_envs}, 2], "
                 f"got {list(positions.shape)}"
             )
+        lost = ~np.isfinite(positions).all(axis=1)
+        if lost.any():  # where the observation is not finite, the run alone fails
+            seen = np.isfinite(observation).reshape(self.num_envs, -1).all(axis=1)
+            if (lost & seen).any():
+                raise UserError(f"the view of {self.env} gives positions that are not finite")
         return positions
 
 

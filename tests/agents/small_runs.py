@@ -117,7 +117,8 @@ def write_evaluated(
         found |= {"lengths": np.full(len(paid), 10)}
         for policy in ("deterministic", "stochastic"):
             if at is not None and policy == "deterministic":
-                found |= derive.places_of(view, np.array(at[k % len(at)], np.float32), paid)
+                ends = view.positions(np.array(at[k % len(at)], np.float32), {})
+                found |= derive.places_of(view, ends, paid)
             results |= {f"{run.prefix}evaluation/{policy}/{n}": a for n, a in found.items()}
     write_arrays(folder / "results.npz", results)
     return config

@@ -83,8 +83,8 @@ def test_the_deterministic_policy_gets_no_noise():
         return np.full((*observation.shape[:2], 2), to, np.float32)
 
     found = evaluate_runs(circle2d(), policy, 3)
-    assert (found["deterministic"].final_observations == 1).all()
-    assert (found["stochastic"].final_observations == -1).all()
+    assert (found["deterministic"].ends == 15).all()  # the corner of the arena
+    assert (found["stochastic"].ends == -15).all()
 
 
 def test_evaluation_in_parts_is_that_at_once():

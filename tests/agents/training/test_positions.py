@@ -29,8 +29,7 @@ class Drift(gym.Env):
 
         @staticmethod
         def positions(observation, info):
-            x = info["px"] if "px" in info else 10 * observation[..., 0]
-            return np.stack([x, 10 * observation[..., 1]], axis=-1)
+            return np.stack([info["px"], 10 * observation[..., 1]], axis=-1)
 
         @staticmethod
         def places(positions):
@@ -145,6 +144,9 @@ def test_views(monkeypatch):
     assert view_of("no_such_module:Nowhere-v0", {}) is None
     monkeypatch.setattr(Drift.view, "positions", lambda observation, info: observation[..., :1])
     with pytest.raises(UserError, match=r"must give positions \[6, 2\], got \[6, 1\]"):
+        agents.train("trpo-lag", "Drift-v0", **OPTIONS)
+    monkeypatch.setattr(Drift.view, "positions", lambda observation, info: np.nan * observation)
+    with pytest.raises(UserError, match=r"the view of task 'Drift-v0' gives positions .*finite"):
         agents.train("trpo-lag", "Drift-v0", **OPTIONS)
     monkeypatch.setattr(Drift.view, "positions", lambda observation, info: info["height"])
     with pytest.raises(UserError, match=r"the view of .* needs info\['height'\]"):
