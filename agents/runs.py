@@ -113,8 +113,9 @@ class Runs:
     def to_pandas(self, rows: Rows = "measures") -> pandas.DataFrame:
         """The tidy frame that reports are made from: a row for each measure of each complete run.
 
-        Its columns: group, task, algorithm, settings, cost, folder, seed, ends_in, measure, part
-        (end of the third of training, NaN for the whole), value.
+        Its columns: group (a number for each folder, task and cost), task, algorithm, settings,
+        cost, folder, seed, ends_in, measure, part (end of the third of training, NaN for the
+        whole), value.
 
         rows: "episodes" and "updates" have a row for each episode, or each epoch's update, of every
         run so far, "evaluations" for each episode of the evaluations on the way (`evaluate_every`)

@@ -31,10 +31,10 @@ COLUMNS = (*COLUMNS, "measure", "part", "value")
 def frame(groups: Sequence[Group]) -> pandas.DataFrame:
     """A row for each complete run and measure.
 
-    group: number of the runs that differ in their seeds alone, for group-bys. settings: those that
-    are not the preset's, in words. cost: that the measures are of. ends_in: where most evaluated
-    episodes end, empty for a task without named places. part: end of the third of training that the
-    measure is of, NaN for one of the whole. value: NaN where the run lacks it.
+    group: number of the group, for group-bys. settings: those that are not the preset's, in words.
+    cost: that the measures are of. ends_in: where most evaluated episodes end, empty for a task
+    without named places. part: end of the third of training that the measure is of, NaN for one of
+    the whole. value: NaN where the run lacks it.
     """
     import pandas as pd
 
@@ -80,10 +80,11 @@ def long_frame(
 
 
 def _episodes(part: Part, run: RunId) -> dict[str, Any]:
-    """Columns of the episodes of a run; further costs by their names."""
+    """Columns of the episodes of a run; costs by their names."""
     first, *others = part.config.costs
     records = run_records(part.arrays, run, first)
     columns = {k: getattr(records, "reward" if k == "return" else k) for k in RECORD_COLUMNS}
+    columns = {first if k == "cost" else k: column for k, column in columns.items()}
     for other in others:
         of_other = run_records(part.arrays, run, other)
         columns |= {other: of_other.cost, f"{other}_longest_streak": of_other.longest_streak}
@@ -107,14 +108,14 @@ def _updates(part: Part, run: RunId) -> dict[str, Any]:
 
 
 def _evaluations(part: Part, run: RunId) -> dict[str, Any]:
-    """Columns of the evaluated episodes of a run; `step`: environment steps taken by then; further
-    costs by their names."""
+    """Columns of the evaluated episodes of a run; `step`: environment steps taken by then; costs by
+    their names."""
     kept = numbered(part.path / POLICIES, run.prefix).items()
     sources: dict[int, tuple[Mapping[str, NDArray], str]]
     sources = {step: (Arrays(path), "") for step, path in kept}
     if f"{run.prefix}evaluation/{evaluation.POLICIES[0]}/returns" in part.arrays:
         sources[int(part.arrays[f"{run.prefix}length"].sum())] = part.arrays, run.prefix
-    names = ("step", "policy", "episode", "return", "cost", *part.config.costs[1:], "length")
+    names = ("step", "policy", "episode", "return", *part.config.costs, "length")
     columns: dict[str, list[Any]] = {name: [] for name in names}
     for (step, (arrays, prefix)), policy in product(sources.items(), evaluation.POLICIES):
         own = f"{prefix}evaluation/{policy}"

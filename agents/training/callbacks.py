@@ -41,11 +41,11 @@ def usual(trainer: Trainer) -> Iterator[tuple[Callable[[Trainer], object], ...]]
 class Epoch:
     """An epoch of a training, for those who follow it: trackers, tuners, notebooks.
 
-    `runs[seed]` has, for each run that took part, "step": environment steps taken; "return" and
-    "cost" (undiscounted) and "length": means over the epoch's episodes; "mcc": the greatest share
-    of an episode in one streak of cost; further costs by their names; then the mean of each number
-    that the algorithm's updates give, such as "critic_loss", where the run learned. With several
-    tasks it is `runs[task, seed]`.
+    `runs[seed]` has, for each run that took part, "step": environment steps taken; "return", the
+    costs by their names, such as "cost" (all undiscounted), and "length": means over the epoch's
+    episodes; "mcc": the greatest share of an episode in one streak of the first cost; then the mean
+    of each number that the algorithm's updates give, such as "critic_loss", where the run learned.
+    With several tasks it is `runs[task, seed]`.
     """
 
     folder: Path

@@ -316,8 +316,8 @@ class Recorder:
         self._new: dict[str, list[NDArray]] = {}
         self._recent: deque[tuple[float, float]] = deque(maxlen=RECENT)
         self.latest: dict[RunId, dict[str, float]] = {}
-        """Numbers of the last epoch of each run that took part: "return", "cost", "length" (means
-        over its episodes), "mcc", further costs by their names, and the metrics that are there."""
+        """Numbers of the last epoch of each run that took part: "return", "length", the costs by
+        their names (means over its episodes), "mcc", and the metrics that are there."""
 
     def add(
         self,
@@ -349,9 +349,9 @@ class Recorder:
             self._append(run, "updates", metrics[k][None].astype(np.float32))
             first = np.concatenate([costs[steps, k, e, 0] for e, steps in enumerate(during)])
             streaks = longest_streaks(first, lengths[k])
-            numbers = {"return": returns[k].mean(), "cost": totals[k, :, 0].mean()}
-            numbers |= {"length": lengths[k].mean(), "mcc": (streaks / lengths[k]).max()}
-            numbers |= {name: totals[k, :, c].mean() for c, name in enumerate(self.costs) if c > 0}
+            numbers = {"return": returns[k].mean(), "length": lengths[k].mean()}
+            numbers |= {"mcc": (streaks / lengths[k]).max()}
+            numbers |= {name: totals[k, :, c].mean() for c, name in enumerate(self.costs)}
             named = zip(self.metrics, metrics[k], strict=True)
             numbers |= {name: value for name, value in named if not np.isnan(value)}
             self.latest[run] = {name: float(value) for name, value in numbers.items()}

@@ -192,6 +192,21 @@ def test_epochs_and_frames_name_further_costs():
     np.testing.assert_array_equal(column, runs.records_of("cost_2")[runs.folder, 1].cost)
 
 
+def test_a_first_cost_of_another_name_is_named():
+    """Beside one whose name is "cost"."""
+    epochs, more = [], BOTH | {"costs": ("cost_2", "cost"), "evaluate_every": 100}
+    runs = agents.train("cpo", "TwoCosts-v0", on_epoch=epochs.append, **more, **TRPO)
+    frames = {rows: runs.to_pandas(rows) for rows in ("episodes", "evaluations")}
+    of_run_1 = {rows: frame[frame.seed == 1] for rows, frame in frames.items()}
+    for cost, multiple in (("cost", 1.0), ("cost_2", 0.25)):
+        records = runs.records_of(cost)[runs.folder, 1]
+        assert epochs[0].runs[1][cost] == pytest.approx(records.cost[:2].mean())
+        np.testing.assert_array_equal(of_run_1["episodes"][cost], records.cost)
+        assert set(of_run_1["evaluations"][cost] % multiple) == {0.0}
+    first = runs.records_of("cost_2")[runs.folder, 1]
+    np.testing.assert_array_equal(of_run_1["episodes"]["longest_streak"], first.longest_streak)
+
+
 @pytest.mark.parametrize("vectorization", ["auto", "async"])
 def test_a_cost_that_the_task_lacks(tmp_path, vectorization):
     for task in ("Walk-v0", "Circle2D-1-v0"):
