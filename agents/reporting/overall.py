@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -48,14 +49,19 @@ Draws = NDArray[np.float64]
 
 
 def tables_over_tasks(groups: Sequence[Group]) -> dict[str, Table]:
-    """All of them by title, but those for which there is too little."""
-    cells = comparable(groups)
-    made = {RATES: separated_table(groups), TASKS: over_tasks(groups)}
+    """All of them by title, but those for which there is too little. What goes over tasks is of one
+    cost, the first group's."""
+    alike = [group for group in groups if group.cost == groups[0].cost]
+    cells = comparable(alike)
+    made = {TASKS: over_tasks(alike)}
     if len(cells) >= FEWEST_ALGORITHMS and len(tasks_of(cells)) >= FEWEST_TASKS:
-        names = dict.fromkeys(title(g.config.algorithm) for g in groups if g.runs)
+        names = dict.fromkeys(title(g.config.algorithm) for g in alike if g.runs)
         left_out = [name for name in names if name not in cells]
         made |= {RANKS: ranks_table(cells, left_out), ORDERS: orders_table(cells)}
-    return {name: table for name, table in made.items() if table is not None}
+    notes = [f"Of {groups[0].cost} alone."] if len(alike) < len(groups) else []
+    over = {k: replace(t, notes=[*t.notes, *notes]) for k, t in made.items() if t is not None}
+    rates = separated_table(groups)
+    return ({} if rates is None else {RATES: rates}) | over
 
 
 def tasks_of(cells: Cells) -> list[str]:

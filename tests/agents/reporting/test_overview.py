@@ -17,7 +17,8 @@ from agents.paper.evidence import printed
 from agents.paper.presets import preset
 from agents.reporting import overall
 from agents.reporting.figures import intervals_figure, profiles_figure
-from agents.reporting.overall import over_tasks, separated_table
+from agents.reporting.overall import TASKS as TOGETHER
+from agents.reporting.overall import over_tasks, separated_table, tables_over_tasks
 from agents.results.measures import RunData, measured
 from agents.results.reading import Group, Run, read, write_archive
 from agents.results.statistics import comparisons, thirds
@@ -148,6 +149,18 @@ def test_fewer_than_five_runs_are_in_no_comparison(groups):
 def test_runs_are_compared_by_the_same_cost(groups):
     other = [replace(of, cost="cost_2") for of in groups]
     assert len(comparisons([*groups, *other])) == 2 * len(comparisons(groups))
+
+
+def test_tables_over_tasks_are_of_one_cost(groups):
+    """WCSAC's runs, of another cost, are not ranked against it; they change nothing else."""
+    of_other = [
+        replace(of, cost="cost_2") if of.config.algorithm == "wcsac" else of for of in groups
+    ]
+    rest = [of for of in groups if of.config.algorithm != "wcsac"]
+    mixed, alone = (tables_over_tasks(own) for own in (of_other, rest))
+    assert mixed[TOGETHER].rows == alone[TOGETHER].rows
+    assert (*mixed[TOGETHER].notes,) == ("Of cost alone.",)
+    assert (*alone[TOGETHER].notes,) == ()
 
 
 def test_over_tasks_by_hand(groups):
