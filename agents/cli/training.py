@@ -234,7 +234,7 @@ def evaluate(args: Sequence[str]) -> int:
     print(f"{folder}, after {taken.min()} of {config.steps} steps: means over {episodes} episodes")
     for name, result in results.items():
         for k, run in enumerate(config.runs):
-            words = "no finite numbers"
+            words = trained.failures[k] or "no finite numbers"
             if not result.void[k]:
                 words = f"J_R {np.mean(result.returns[k]):.2f}"
                 costs = zip(config.costs, result.costs[k].mean(axis=0), strict=True)

@@ -88,17 +88,25 @@ class Policy:
     step: int | None
     """Environment steps that its run had taken; for a policy saved by `evaluate_every` the `step`
     of `load_policy`. None where they were not recorded, as in policies of the package."""
+    failure: str
+    """Why its run failed; else empty."""
     spaces: Spaces
     """Sizes, and bounds of actions."""
     in_lockstep: RunsPolicy
     """The policy as training calls it, with actions in [-1, 1]."""
 
     def __init__(
-        self, config: TrainConfig, run: RunId, step: int | None, spaces: Spaces, learner: Learner
+        self,
+        config: TrainConfig,
+        run: RunId,
+        step: int | None,
+        failure: str,
+        spaces: Spaces,
+        learner: Learner,
     ) -> None:
         """learner: holds the one run."""
         self.task, self.task_parameters = run.task, config.task_parameters
-        self.seed, self.step = run.seed, step
+        self.seed, self.step, self.failure = run.seed, step, failure
         self.spaces, self.in_lockstep = spaces, learner.policy()
         module = getattr(learner, "module", None)
         self._module = module(0) if module else None
@@ -211,7 +219,7 @@ def load_policy(
     config = TrainConfig.read(folder)
     run = chosen_run(folder, config, seed, task)
     spaces = read_spaces(folder)
-    arrays, step = read_policy_arrays(folder, config, run, step)
+    arrays, step, failure = read_policy_arrays(folder, config, run, step)
     stream_seed = config.stream_seeds[config.runs.index(run)]
     learner = make_learner(config.algorithm, config.hyperparameters, [stream_seed], *spaces.sizes)
     try:
@@ -225,7 +233,12 @@ def load_policy(
     except (KeyError, ValueError) as error:
         damaged = f"{folder}: the policy is damaged or of another version: {error}"
         raise UserError(damaged) from error
-    return Policy(config, run, step, spaces, learner)
+    return Policy(config, run, step, failure, spaces, learner)
+
+
+def bare(task: str) -> str:
+    """The id of a task without its module or the package's name before it."""
+    return re.split("[:/]", task)[-1]
 
 
 def chosen_run(
@@ -235,8 +248,8 @@ def chosen_run(
 
     task: also without its module, the package's name before it, or its version.
     """
-    known = {task: re.split("[:/]", task)[-1] for task in config.tasks}
-    meant = task and re.split("[:/]", task)[-1]
+    known = {task: bare(task) for task in config.tasks}
+    meant = task and bare(task)
     tasks = [k for k, name in known.items() if meant in (None, name, name.rpartition("-v")[0])]
     if not tasks:
         raise UserError(f"{folder} has no run on task {task!r}: its tasks are {config.tasks}")
@@ -253,9 +266,9 @@ def chosen_run(
 
 def read_policy_arrays(
     folder: Path, config: TrainConfig, run: RunId, step: int | None = None
-) -> tuple[dict[str, NDArray], int | None]:
-    """The arrays of the policy of one run, each [1, ...], and the steps that the run had taken,
-    None where they were not recorded.
+) -> tuple[dict[str, NDArray], int | None, str]:
+    """The arrays of the policy of one run, each [1, ...]; the steps that the run had taken, None
+    where they were not recorded; and why it failed, if it did.
 
     step: of a policy kept on the way; None for the newest checkpoint, of which nothing else is
     read. Raises UserError where there is no such policy.
@@ -269,7 +282,7 @@ def read_policy_arrays(
                 "keeps one every evaluate_every steps"
             )
         kept = Arrays(path)
-        return {name: kept[name] for name in kept if not name.startswith("evaluation/")}, step
+        return {name: kept[name] for name in kept if not name.startswith("evaluation/")}, step, ""
     k, error = config.runs.index(run), None
     for path in reversed(numbered(folder, CHECKPOINTS).values()):
         try:
@@ -279,12 +292,13 @@ def read_policy_arrays(
             names = names or [name for name in state if name not in ("epoch", "steps", "failures")]
             arrays = {name: state[name][k : k + 1] for name in names}
             steps = int(state["steps"][k]) if "steps" in state else None
+            failure = str(state["failures"][k]) if "failures" in state else ""
         except (UserError, KeyError, IndexError) as damaged:
             error = error or damaged
             continue
         if error:
             warnings.warn(f"{error}: this is the policy of the one before it", stacklevel=4)
-        return arrays, steps
+        return arrays, steps, failure
     raise UserError(f"{error}" if error else f"{folder} has no checkpoint yet")
 
 
@@ -357,27 +371,35 @@ def evaluate(
     action of the task. task: a gymnasium id with `info["cost"]`, by default the policy's own, with
     its `task_parameters`; required for a function. deterministic: for policies and folders;
     otherwise actions are drawn. seed: of the start states and draws, the same for all runs of a
-    folder. cost: its name in the infos. Raises UserError where the task does not fit the policy.
+    folder. cost: its name in the infos. Runs of a folder that failed are left out with a warning.
+    Raises UserError where the task does not fit the policy, and where every run failed; TaskFailure
+    for rewards and costs that are not finite, and for negative costs.
     """
     check("episodes", episodes, Annotated[int, In(1)])
     check("seed", seed, Annotated[int, In(0)])
     if isinstance(policy, (str, os.PathLike)):
         folder = folder_of(policy)
         config = TrainConfig.read(folder)
-        policies = [load_policy(folder, run.seed, task=run.task) for run in config.runs]
+        loaded = [load_policy(folder, run.seed, task=run.task) for run in config.runs]
+        failed = [f"{p.task}, seed {p.seed} {p.failure}" for p in loaded if p.failure]
+        if len(failed) == len(loaded):
+            raise UserError(f"every run of {folder} failed: {'; '.join(failed)}")
+        if failed:
+            warnings.warn(f"left out of {folder}: {'; '.join(failed)}", stacklevel=2)
+        policies = [p for p in loaded if not p.failure]
         given = (task, episodes, deterministic, seed, task_parameters, cost)
         results = [evaluate(of_run, *given) for of_run in policies]
         names = ("returns", "costs", "lengths", "longest_streaks")
         columns = [np.array([getattr(result, name) for result in results]) for name in names]
         played = " ".join(dict.fromkeys(result.task for result in results))
-        return Evaluation(played, tuple(run.seed for run in config.runs), *columns)
+        return Evaluation(played, tuple(p.seed for p in policies), *columns)
     if not callable(policy):
         raise TypeError(f"policy must be a policy, a function or a folder, got {policy!r}")
     own = policy if isinstance(policy, Policy) else None
     if task is None and own is None:
         raise UserError("evaluate needs the task where the policy is a function")
     name = task_id(task) if task is not None else own.task if own else ""
-    if own and task_parameters is None and name == own.task:
+    if own and task_parameters is None and bare(name) == bare(own.task):
         task_parameters = own.task_parameters
     try:
         made = gym.make(registered(name), disable_env_checker=True, **(task_parameters or {}))
@@ -409,6 +431,9 @@ def _episode(
         action = act(observation)
         _check_action(action, env.action_space)
         observation, reward, terminated, truncated, info = env.step(action)
+        if not np.isfinite([float(reward), info[cost]]).all() or info[cost] < 0:
+            given = f"reward {reward:g} and {cost} {info[cost]:g} in step {len(costs) + 1}"
+            raise TaskFailure(f"gives {given} of an episode; they must be finite, costs >= 0")
         rewards.append(float(reward))
         costs.append(info[cost])
         over = terminated or truncated

@@ -15,6 +15,7 @@ from toy_family import Linear, Numbers, Rule, known
 
 import agents
 from agents.algorithms import Algorithm
+from agents.cli.main import main
 from agents.errors import OwnCodeError, RunsFailed, TaskFailure, UserError
 from agents.sac import OffPolicy
 from agents.training.environments import make_envs
@@ -157,6 +158,23 @@ def test_an_algorithm_whose_numbers_fail(tmp_path):
             assert left.measures == runs[""].results[0].runs[1].measures
             with pytest.raises(RunsFailed, match=f"every run of .*: its {words}"):
                 agents.train("toy", "Walk-v0", wrong=wrong, **(OPTIONS | {"seeds": 0}))
+
+
+def test_an_evaluation_of_a_folder_leaves_failed_runs_out(tmp_path, capsys):
+    with known():
+        runs = agents.train(
+            "toy", "Walk-v0", wrong="nan", out=tmp_path / "x", **OPTIONS | {"steps": 300}
+        )
+        [group] = runs.results
+        failed, left = (agents.load_policy(runs, seed) for seed in OPTIONS["seeds"])
+        assert (failed.failure, left.failure) == (group.missing[failed.seed], "")
+        words = f"left out of .*: Walk-v0, seed {failed.seed} failed at step"
+        with pytest.warns(UserWarning, match=words):
+            found = agents.evaluate(runs, episodes=3)
+        assert found.seeds == (left.seed,)
+        np.testing.assert_array_equal(found.returns[0], agents.evaluate(left, episodes=3).returns)
+        assert main(["evaluate", str(tmp_path / "x"), "--episodes", "1"]) == 1
+    assert f"seed {failed.seed}, stochastic policy: failed at step" in capsys.readouterr().out
 
 
 def test_a_run_that_fails_right_after_a_checkpoint_keeps_its_episodes(tmp_path):

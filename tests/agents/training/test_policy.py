@@ -10,6 +10,7 @@ import torch
 from small_runs import SAC, TRPO, results
 
 import agents
+from agents.errors import TaskFailure
 from agents.training import policy as policies_of
 from agents.training import trainer as training
 from agents.training.config import TrainConfig
@@ -228,6 +229,26 @@ def test_evaluation_of_policies_and_folders(folder):
     np.testing.assert_array_equal(drawn[0].returns, drawn[1].returns)
     assert not np.array_equal(drawn[0].returns, one.returns)
     assert results(folder) == before
+
+
+def test_a_policy_s_task_parameters_hold_for_other_spellings_of_its_task(tmp_path):
+    more = {"task_parameters": {"max_episode_steps": 7}, "steps": 20}
+    policy = agents.load_policy(trained(tmp_path / "x", "cpo", "Circle2D-1-v0", **more), seed=0)
+    for task in (None, "Circle2D-1-v0", "circle2d_mj:Circle2D-1-v0", "Circle2D-1"):
+        assert agents.evaluate(policy, task, episodes=1).lengths.tolist() == [7]
+    assert agents.evaluate(policy, "Circle2D-2-v0", episodes=1).lengths.tolist() == [50]
+
+
+@pytest.mark.parametrize(
+    ("task", "parameters", "words"),
+    [
+        ("Walk-v0", {"poison": 1.0}, "'Walk-v0' gives reward nan and cost 0 in step 1 of an ep"),
+        ("Broken-v0", {"how": "negative", "at": 4}, "cost -1 in step 4 of an episode"),
+    ],
+)
+def test_an_evaluation_names_numbers_that_cannot_be(task, parameters, words):
+    with pytest.raises(TaskFailure, match=words):
+        agents.evaluate(lambda _: np.zeros(1, np.float32), task, 1, task_parameters=parameters)
 
 
 def test_an_evaluation_of_several_tasks_names_them(tmp_path):
