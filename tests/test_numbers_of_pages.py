@@ -384,6 +384,33 @@ def test_the_claim_on_safety_point_circle():
     )
 
 
+def test_where_values_end():
+    """In how many of a cell's six numbers `terminal` is nearer to the paper's."""
+    lines, names = results_table.report("safety"), [*EMCC, "cost_rate", "J_R", "J_C"]
+    cells = [(results_table.POINT_CIRCLE, name) for name in ("SAC-Lag", "SAC-LB", "WCSAC")]
+    cells.append((results_table.POINT_GOAL, "SAC-Lag"))
+    nearer, kept = [], []
+    for task, name in cells:
+        ended = runs(lines, task, results_table.TERMINAL.format(name))
+        printed = results_table.paper(lines, task, name)[names].iloc[0]
+        off = [(own[names].mean() - printed).abs() for own in (ended, runs(lines, task, name))]
+        nearer.append([*off[0].index[off[0] < off[1]]])
+        kept.append(count(ended.J_C <= SAFETY_LIMIT))
+        assert len(ended) == 3
+    assert (nearer[0], nearer[2]) == (["cost_rate", "J_R", "J_C"], [*EMCC])
+    counts = [*map(len, nearer)]
+    wcsac = runs(lines, results_table.POINT_CIRCLE, results_table.TERMINAL.format("WCSAC"))
+    told(
+        "results/safety/README.md",
+        f"{counts[0]} come nearer to the paper's than with `bootstrap` in SAC-Lag on "
+        f"SafetyPointCircle1 (cost rate, J_R and J_C), {counts[1]} in SAC-LB there, {counts[2]} in "
+        f"WCSAC there (EMCC) and {counts[3]} in SAC-Lag on SafetyPointGoal1:",
+        f"The limit is kept in {', '.join(kept[:3])} and {kept[3]} runs. One run of WCSAC learns "
+        f"SafetyPointCircle1, J_R {results_table.with_range(wcsac.J_R, 1)}.",
+    )
+    assert (RESULTS / "safety" / "report.md").read_text().count("\nWith terminal: ") == 1
+
+
 def first_third(run, slices):
     """Mean length and cost of the episodes that start in equal slices of it, mean over these."""
     records = run.records
