@@ -1,4 +1,4 @@
-"""The paper's part of a report: its numbers beside ours, other choices, claims, introduction."""
+"""The paper's part of a report: its numbers beside ours, other choices, claims."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from agents.algorithms import ALGORITHMS, title
 from agents.paper.claims import LIMIT, check_claims
 from agents.paper.evidence import SAFETY_SEEDS, SEEDS, choice_of, printed
 from agents.paper.grid import MARGIN, SAFETY, ablations, unprinted
-from agents.paper.introduction import introduction
 from agents.paper.presets import PAPER_ALGORITHMS, is_circle2d, registered_id
-from agents.reporting.figures import Figure
 from agents.reporting.overall import differences_over_tasks
 from agents.reporting.page import Section
 from agents.reporting.table import Number, Row, Table, number
@@ -89,7 +87,6 @@ class Paper(NamedTuple):
     """Tables of other choices, by title."""
     details: dict[str, Table]
     claims: list[Section]
-    introduction: list[Figure]
 
 
 def sections(groups: Sequence[Group]) -> Paper:
@@ -106,7 +103,6 @@ def sections(groups: Sequence[Group]) -> Paper:
         PARTS_TITLE: choices_table(of_parts, "part", f"{PARTS_TITLE}: {PARTS_MEANING}"),
         f"{PARTS_TITLE}, all tasks together": parts_over_tasks(of_parts),
     }
-    circle2d = any(is_circle2d(group.task) and group.runs for group in usual)
     return Paper(
         usual,
         printed,
@@ -114,7 +110,6 @@ def sections(groups: Sequence[Group]) -> Paper:
         {name: table for name, table in tables.items() if table is not None},
         {TIES: ties_table(usual)},
         claims_sections(groups),
-        introduction() if circle2d else [],
     )
 
 

@@ -56,12 +56,10 @@ THRESHOLDS = np.linspace(0, 1, 51)
 
 
 class Figure(NamedTuple):
-    """A picture file and its words."""
+    """A picture and its words."""
 
-    name: str
-    """Name of the file, without its suffix."""
-    kind: Literal["png", "svg"]
     content: bytes
+    """SVG."""
     title: str
     caption: str
 
@@ -234,7 +232,7 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
     )
     if limit is not None:
         words += f" Thin line: the cost limit, {limit:g}."
-    return Figure(f"curves-{task.replace('/', '-')}", "svg", svg, "Training curves", words)
+    return Figure(svg, "Training curves", words)
 
 
 def _draw(axis: Any, name: str, style: Style, at: NDArray, curve: Curve) -> None:
@@ -312,7 +310,7 @@ def intervals_figure(groups: Sequence[Group], printed: Reference) -> Figure:
         "A dot for each run. Black bar: mean over seeds, its line the 95 % t interval of five "
         "seeds or more that end in one place; grey bar: interquartile mean; cross: the paper."
     )
-    return Figure("intervals", "svg", content, "Every run", words)
+    return Figure(content, "Every run", words)
 
 
 def _draw_runs(
@@ -369,7 +367,7 @@ def rates_figure(groups: Sequence[Group]) -> Figure:
         "rates and different EMCC. Each task has a scale of its own."
     )
     content = _facets(groups, labels, draw, scale="row")
-    return Figure("cost-rate-against-emcc", "svg", content, "Cost rate against EMCC", words)
+    return Figure(content, "Cost rate against EMCC", words)
 
 
 def profiles_figure(groups: Sequence[Group]) -> Figure:
@@ -391,7 +389,7 @@ def profiles_figure(groups: Sequence[Group]) -> Figure:
         f"MCC right of where a run's line crosses {ALPHA:g} (dotted)."
     )
     content = _facets(groups, ("τ", "P(MCC > τ)"), draw, level=ALPHA)
-    return Figure("profiles", "svg", content, "Profiles of MCC", words)
+    return Figure(content, "Profiles of MCC", words)
 
 
 def _facets(

@@ -21,7 +21,6 @@ from circle2d_mj.render import canvas
 
 URL = " !$()*+,-./:;=?@[]^_`{|}~'"
 """Characters that need no escape in a data URL in double quotes."""
-MEDIA = {"png": "image/png", "svg": "image/svg+xml"}
 
 
 class Otherwise(NamedTuple):
@@ -112,7 +111,7 @@ def _template() -> Template:
         keep_trailing_newline=True,
     )
     environment.filters["embedded"] = _embedded
-    environment.filters["png"] = lambda content: _data(MEDIA["png"], content)
+    environment.filters["png"] = _png
     environment.filters["json"] = script_json
     environment.tests["number"] = lambda cell: isinstance(cell, Number)
     environment.tests["map"] = lambda cell: isinstance(cell, Map)
@@ -131,17 +130,15 @@ def script_json(data: Mapping[str, Any]) -> str:
 
 
 def _embedded(figure: Figure) -> str:
-    """A figure's file as a data URL."""
-    if figure.kind == "png":
-        return _data(MEDIA["png"], figure.content)
+    """A figure as a data URL."""
     # As text, which takes a third less than base64; no line breaks, no double quotes.
     svg = re.sub(rb"\s+([MLCQz])\s+", rb"\1", figure.content)  # the commands of paths
     svg = re.sub(rb"\s+", b" ", svg).replace(b"'", b"&apos;").replace(b'"', b"'")
-    return Markup(f"data:{MEDIA['svg']},{quote(svg, safe=URL)}")
+    return Markup(f"data:image/svg+xml,{quote(svg, safe=URL)}")
 
 
-def _data(media: str, content: bytes) -> str:
-    return f"data:{media};base64,{base64.b64encode(content).decode()}"
+def _png(content: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(content).decode()}"
 
 
 def _gradient() -> str:

@@ -90,7 +90,6 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
             for name, table in tables.items()
             if name not in together
         ),
-        *([Section("Circle2D and EMCC", figures=intro)] if (intro := paper.introduction) else []),
     ]
     out.mkdir(parents=True, exist_ok=True)
     title = f"{heading(paper.usual)} ({name_of_all(everything)})"

@@ -81,18 +81,6 @@ def _draw_scale(
     draw.text((left + length + gap // 2, middle), words[1], FAINT, font, anchor="lm")
 
 
-def labelled(picture: Picture, labels: Sequence[tuple[str, float, float]]) -> Picture:
-    """Write words on a picture.
-
-    labels: the words, and column and row of their middle, in pixels.
-    """
-    image = Image.fromarray(picture)
-    draw, font = ImageDraw.Draw(image), _font(len(picture), 18)
-    for words, column, row in labels:
-        draw.text((column, row), words, INK, font, anchor="mm", stroke_width=2, stroke_fill=PAPER)
-    return np.asarray(image)
-
-
 def _font(size: int, lines: float) -> ImageFont.FreeTypeFont:
     font = ImageFont.load_default(size / lines)
     assert isinstance(font, ImageFont.FreeTypeFont)
