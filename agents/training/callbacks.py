@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from agents.training.trainer import Trainer
 
 EVERY_SECONDS = 1.0
-"""Least time between two writes of a status, and of a display."""
+"""Least time between two writes of a status."""
 
 
 @contextlib.contextmanager
@@ -178,51 +178,31 @@ def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
             began = CLOCK.began
             return Text("" if began is None else f"compiling, {time.monotonic() - began:.0f} s")
 
-    fields = (TextColumn(f"{{task.fields[{name}]}}") for name in ("speed", "recent", "left"))
-    percentage = TextColumn("{task.percentage:.0f} %")
-    columns = (TextColumn("{task.description}"), BarColumn(), percentage, Compiling(), *fields)
-    console = Console(stderr=True)
+    title = f"{config.algorithm} {' '.join(config.tasks)} x {len(config.runs)}"
+    percentage, words = TextColumn("{task.percentage:.0f} %"), TextColumn("{task.fields[words]}")
+    console, meter, tenth = Console(stderr=True), Meter(config.steps), -1
+    columns = (TextColumn("{task.description}"), BarColumn(), percentage, Compiling(), words)
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        yield Display(config, console, bar)
+        shown = bar.add_task(title, total=config.steps, words="")
 
+        def show(trainer: Trainer) -> None:
+            nonlocal tenth
+            now = meter.read(trainer)
+            told = ["return {:.2f}, cost {:.2f}".format(*trainer.recorder.recent)]
+            if now.steps_per_second is not None:
+                told.insert(0, f"{now.steps_per_second:,.0f} steps/s")
+            if trainer.done:
+                told.append("evaluating")
+            elif now.seconds_left is not None:
+                told.append(f"{duration(now.seconds_left)} left")
+            bar.update(shown, completed=now.steps, words=", ".join(told))
+            if int(10 * now.share) > tenth:
+                tenth = int(10 * now.share)
+                if not console.is_terminal:
+                    after = f"{int(100 * now.share)} % after {now.seconds:.0f} s"
+                    print(f"{title}: {', '.join([after, *told])}", file=console.file, flush=True)
 
-class Display:
-    """Progress of a training, seen from the process that goes on with it."""
-
-    def __init__(self, config: TrainConfig, console: Any, bar: Any) -> None:
-        self.title = f"{config.algorithm} {' '.join(config.tasks)} x {len(config.runs)}"
-        self.console, self.bar = console, bar
-        self.task = bar.add_task(self.title, total=config.steps, speed="", recent="", left="")
-        self.meter, self.shown = Meter(config.steps), time.monotonic()
-        self.compiled = self.compiled_before = CLOCK.seconds
-        self.tenth = -1
-
-    def __call__(self, trainer: Trainer) -> None:
-        """Show progress where that is due."""
-        now, done = self.meter.read(trainer), trainer.done
-        is_tenth = int(10 * now.share) > self.tenth
-        if time.monotonic() - self.shown < EVERY_SECONDS and not done and not is_tenth:
-            return
-        self.shown = time.monotonic()
-        if CLOCK.seconds > self.compiled:
-            self.compiled = CLOCK.seconds
-            self._print(f"compiled in {self.compiled - self.compiled_before:.0f} s")
-        per_second = "" if now.steps_per_second is None else f"{now.steps_per_second:,.0f} steps/s"
-        left = "" if now.seconds_left is None else f"{duration(now.seconds_left)} left"
-        recent = "return {:.2f}, cost {:.2f}".format(*trainer.recorder.recent)
-        if done:  # an evaluation follows
-            recent, left = f"{recent}, evaluating", ""
-        shown: dict[str, Any] = {"speed": per_second, "recent": recent, "left": left}
-        self.bar.update(self.task, completed=now.steps, **shown)
-        if is_tenth or done:
-            self.tenth = int(10 * now.share)
-            after = f"{int(100 * now.share)} % after {now.seconds:.0f} s"
-            self._print(", ".join(filter(None, (after, per_second, recent, left))))
-
-    def _print(self, text: str) -> None:
-        """A line on stderr where that is no terminal."""
-        if not self.console.is_terminal:
-            print(f"{self.title}: {text}", file=self.console.file, flush=True)
+        yield show
 
 
 class StatusFile:
