@@ -14,9 +14,8 @@ from agents.results.reading import Group
 from agents.results.statistics import Difference, group_mean, known, places, within_limit
 from emcc import Interval, iqm
 
-Line = Sequence[str | int | float | None]
-SHARE = ("seeds", "share", "share_low", "share_high")
-"""Columns of a share of seeds: their number, the share, and its 95 % interval."""
+Line = Mapping[str, str | int | float | None]
+"""Cells by the head of their column; those that are not there are empty."""
 
 
 def numbers_csv(lines: Iterable[Line]) -> str:
@@ -31,10 +30,12 @@ def numbers_csv(lines: Iterable[Line]) -> str:
     interval is given. "ends in" and "within limit" are shares of the seeds, in columns of their
     own. folder: of the runs, below the report's or its side's.
     """
+    head = ["task", "algorithm", "kind", "seed", *(m.name for m in measures())]
+    head += ["seeds", "share", "share_low", "share_high", "ends_in", "folder"]
     text = io.StringIO()
-    names = [m.name for m in measures()]
-    head = ["task", "algorithm", "kind", "seed", *names, *SHARE, "ends_in", "folder"]
-    csv.writer(text, lineterminator="\n").writerows([head, *lines])
+    table = csv.DictWriter(text, head, extrasaction="ignore", lineterminator="\n")
+    table.writeheader()
+    table.writerows(lines)
     return text.getvalue()
 
 
@@ -43,64 +44,50 @@ def report_lines(groups: Sequence[Group], printed: Reference) -> Iterator[Line]:
     yield from group_lines(groups)
     known = {(g.task, g.config.algorithm): found for g in groups if (found := printed(g))}
     for (task, name), reference in known.items():
-        yield _line(task, title(name), "paper", reference.values)
+        yield {"task": task, "algorithm": title(name), "kind": "paper", **reference.values}
 
 
 def group_lines(groups: Sequence[Group], prefix: str = "") -> Iterator[Line]:
     """The means of each group with their intervals and its shares, then its runs."""
     for group in groups:
-        task, name, folder = group.task, prefix + name_of(group), group.folder
+        about = {"task": group.task, "algorithm": prefix + name_of(group), "folder": group.folder}
         if group.runs:
             means = {m.name: group_mean(group, m.name) for m in measures()}
-            yield from _interval_lines(task, name, "mean", means, folder, len(group.runs))
+            yield from _interval_lines(about, "mean", means, len(group.runs))
             values = {m.name: known(group.values(m.name)) for m in measures()}
             middle = {name: iqm(numbers) for name, numbers in values.items() if numbers}
-            yield _line(task, name, "iqm", middle, folder)
+            yield about | {"kind": "iqm"} | middle
             shares = [("ends in", place, share) for place, share in places(group).items()]
             if share := within_limit(group):
                 shares.append(("within limit", "", share))
             for kind, place, share in shares:
-                told = (share.runs, share.value, share.low, share.high)
-                yield _line(task, name, kind, {}, folder, ends=place, share=told)
+                told = {"kind": kind, "ends_in": place, "seeds": share.runs, "share": share.value}
+                yield about | told | {"share_low": share.low, "share_high": share.high}
         for run in group.runs:
-            yield _line(task, name, "run", run.measures, folder, run.seed, ends_words(run))
+            told = {"kind": "run", "seed": run.seed, "ends_in": ends_words(run)}
+            yield {**about, **told, **run.measures}
 
 
 def difference_lines(task: str, name: str, told: Mapping[str, Difference]) -> Iterator[Line]:
     """B - A of each measure, its p value, and the probability that B is better."""
-    yield from _interval_lines(task, name, "difference", {m: d.gap for m, d in told.items()})
-    yield _line(task, name, "p", {m: d.p for m, d in told.items()})
-    yield from _interval_lines(task, name, "improvement", {m: d.better for m, d in told.items()})
+    about = {"task": task, "algorithm": name}
+    yield from _interval_lines(about, "difference", {m: d.gap for m, d in told.items()})
+    yield about | {"kind": "p"} | {m: d.p for m, d in told.items()}
+    yield from _interval_lines(about, "improvement", {m: d.better for m, d in told.items()})
 
 
 def _interval_lines(
-    task: str,
-    name: str,
+    about: Mapping[str, str],
     kind: str,
     means: Mapping[str, Interval | None],
-    folder: str = "",
-    seeds: int | str = "",
+    seeds: int | None = None,
 ) -> Iterator[Line]:
     known = {measure: mean for measure, mean in means.items() if mean is not None}
-    values = {measure: mean.value for measure, mean in known.items()}
-    if values:
-        yield _line(task, name, kind, values, folder, share=(seeds, "", "", ""))
+    if known:
+        values = {measure: mean.value for measure, mean in known.items()}
+        yield {**about, "kind": kind, "seeds": seeds, **values}
     ranges = any(mean.kind == "range" for mean in known.values())
     for end, words in (("low", "lowest"), ("high", "highest")):
         ends = {m: getattr(mean, end) for m, mean in known.items()}
         if any(value is not None for value in ends.values()):
-            yield _line(task, name, f"{kind} {words if ranges else end}", ends, folder)
-
-
-def _line(
-    task: str,
-    name: str,
-    kind: str,
-    values: Mapping[str, float | None],
-    folder: str = "",
-    seed: int | str = "",
-    ends: str = "",
-    share: Sequence[float | str] = ("", "", "", ""),
-) -> Line:
-    numbers = [values.get(m.name) for m in measures()]
-    return [task, name, kind, seed, *numbers, *share, ends, folder]
+            yield {**about, "kind": f"{kind} {words if ranges else end}", **ends}
