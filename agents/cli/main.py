@@ -39,9 +39,6 @@ COMMANDS = {
 }
 """The file beside this one that has a function of each command's name, and what it does."""
 
-MEANT = {"help": "--help", "version": "--version", "-v": "--version", "-V": "--version"}
-"""Other programs' names of what this one has."""
-
 
 def usage() -> str:
     """Text of `circle2d --help`."""
@@ -63,13 +60,12 @@ def main(args: Sequence[str] | None = None) -> int:
         print(usage(), end="")
         return 0 if args else 2
     try:
-        with handling_signals():
-            if args[0] == "--version":
-                from importlib.metadata import version
+        if args[0] == "--version":
+            from importlib.metadata import version
 
-                print(f"circle2d-mj {version('circle2d-mj')}")
-                return 0
-            return _run(args[0], args[1:])
+            print(f"circle2d-mj {version('circle2d-mj')}")
+            return 0
+        return _run(args[0], args[1:])
     except UserError as error:
         if isinstance(error, OwnCodeError) and error.__cause__:
             traceback.print_exception(error.__cause__)
@@ -98,18 +94,19 @@ def _run(command: str, args: Sequence[str]) -> int:
     if command not in COMMANDS:
         kind = "option" if command.startswith("-") else "command"
         valid = ["--help", "--version"] if kind == "option" else list(COMMANDS)
-        hint = f"did you mean {MEANT[command]!r}?" if command in MEANT else nearest(command, valid)
-        given = command if len(command) < 80 else f"{command[:80]}..."
-        raise UserError(f"unknown {kind} {given!r}: {hint}")
-    with _current_folder_on_path(), warnings.catch_warnings():
+        raise UserError(f"unknown {kind} {command!r}: {nearest(command, valid)}")
+    if not {os.getcwd(), ""} & set(sys.path):  # the user's own modules, after installed ones
+        sys.path.append(os.getcwd())
+    with warnings.catch_warnings():
         warnings.showwarning = _print_warning
         try:
             _check_words(args)
-            with importing():
-                module = importlib.import_module(f"agents.cli.{COMMANDS[command][0]}")
-            status = getattr(module, command)(args)
-            sys.stdout.flush()
-            return status
+            # Before signals are handled: libraries turn what is raised meanwhile into other errors.
+            module = importlib.import_module(f"agents.cli.{COMMANDS[command][0]}")
+            with handling_signals():
+                status = getattr(module, command)(args)
+                sys.stdout.flush()
+                return status
         except ModuleNotFoundError as error:
             if not (hint := extra_hint(error, command)):
                 raise
@@ -129,20 +126,6 @@ def _print_warning(message: object, *_: object) -> None:
     _say(re.sub(r"\x1b\[[0-9;]*m", "", str(message)))
 
 
-@contextlib.contextmanager
-def _current_folder_on_path() -> Iterator[None]:
-    """Find the user's own modules in the current folder, after those that are installed."""
-    folder = os.getcwd()
-    if folder in sys.path or "" in sys.path:
-        yield
-        return
-    sys.path.append(folder)
-    try:
-        yield
-    finally:
-        sys.path.remove(folder)
-
-
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 """Not all of them are everywhere."""
 
@@ -155,23 +138,8 @@ class Ended(KeyboardInterrupt):
         self.number = number
 
 
-class _State:
-    """How the command takes the next signal."""
-
-    importing = False
-    """Nothing is done yet: the process ends at once, since libraries that are being imported turn
-    exceptions into others."""
-    training: AfterEpoch | None = None
-
-
-_state = _State()
-
-
 def _handle(number: int, frame: object) -> None:
-    if _state.importing:
-        os.write(2, b"circle2d: interrupted\n")
-        os._exit(128 + number)
-    training = _state.training
+    training = AfterEpoch.running
     if training is None or training.number is not None or not training.follows:
         raise Ended(number)
     training.number = number
@@ -199,19 +167,12 @@ def handling_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-@contextlib.contextmanager
-def importing() -> Iterator[None]:
-    """End the process at once, in one line, at a signal while modules are imported."""
-    _state.importing = True
-    try:
-        yield
-    finally:
-        _state.importing = False
-
-
 class AfterEpoch:
     """Follows a training. The first signal stops it after the epoch, with a checkpoint; the second
     ends it at once, as one does where no epoch follows."""
+
+    running: AfterEpoch | None = None
+    """The one that this process is in."""
 
     def __init__(self, imports: Sequence[str]) -> None:
         """imports: modules that `--import` named."""
@@ -235,11 +196,11 @@ class AfterEpoch:
         return self.number is None
 
     def __enter__(self) -> AfterEpoch:
-        _state.training = self
+        AfterEpoch.running = self
         return self
 
     def __exit__(self, *exception: object) -> None:
-        _state.training = None
+        AfterEpoch.running = None
 
     def words(self) -> str:
         """One line on where the training was stopped. Only after a signal."""
