@@ -209,24 +209,18 @@ def task_id(task: str) -> str:
     if not isinstance(task, str) or not TASK.fullmatch(task):
         given = repr(task)[:80]
         raise UserError(f"task must be the id of a gymnasium task, like 'Circle2D-1', got {given}")
-    name = import_module_of(task)
-    versions = [re.fullmatch(f"{re.escape(name)}-v([0-9]+)", other) for other in gym.registry]
-    newest = max(filter(None, versions), key=lambda found: int(found[1]), default=None)
-    if name not in gym.registry and newest:
-        return task + newest[0].removeprefix(name)
-    registered(task)
-    return task
-
-
-def import_module_of(task: str) -> str:
-    """The id of a task that the user names without its module, which is imported."""
     module, _, name = task.rpartition(":")
     if module:
         try:
             importlib.import_module(module)
         except Exception as error:  # of the user's own code
             raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
-    return name
+    versions = [re.fullmatch(f"{re.escape(name)}-v([0-9]+)", other) for other in gym.registry]
+    newest = max(filter(None, versions), key=lambda found: int(found[1]), default=None)
+    if name not in gym.registry and newest:
+        return task + newest[0].removeprefix(name)
+    registered(task)
+    return task
 
 
 def module_of_task(task: str) -> str:

@@ -36,7 +36,7 @@ from agents.training.config import (
     policy_path,
     read_spaces,
 )
-from agents.training.environments import Spaces, registered, task_id
+from agents.training.environments import Spaces, registered, spaces_of, task_id
 from agents.training.files import Arrays, numbered
 from agents.training.wrappers import CheckedEnv
 from emcc import cvar, longest_streak
@@ -401,6 +401,8 @@ def evaluate(
     name = task_id(task) if task is not None else own.task if own else ""
     if own and task_parameters is None and bare(name) == bare(own.task):
         task_parameters = own.task_parameters
+    if own and (spaces := spaces_of([name], task_parameters or {})) != own.spaces:
+        raise UserError(f"the policy of {own.task} has {own.spaces}, task {name!r} has {spaces}")
     try:
         made = gym.make(registered(name), disable_env_checker=True, **(task_parameters or {}))
     except Exception as error:  # of the task's own code
@@ -408,7 +410,6 @@ def evaluate(
     with contextlib.closing(CheckedEnv(made, (cost,))) as env:
         act: Callable[[NDArray], Any] = policy
         if own:
-            _check_fit(own, env.observation_space, env.action_space, name)
             rng = np.random.default_rng([seed, 1])
             act = functools.partial(own, deterministic=deterministic, rng=rng)
         starts = np.random.default_rng(seed).integers(2**31, size=episodes).tolist()
@@ -450,22 +451,3 @@ def _check_action(action: Any, space: gym.Space) -> None:
             f"the policy gives an action of shape {list(given.shape)}, the task takes one of "
             f"{list(space.shape or ())}"
         )
-
-
-def _check_fit(policy: Policy, observation: gym.Space, action: gym.Space, task: str) -> None:
-    """Raise UserError where a policy's observations or actions are not those of a task."""
-    spaces = policy.spaces
-    ours = f"observations {[spaces.observation_size]} and actions {[len(spaces.low)]}"
-    theirs = f"observations {_words(observation)} and actions {_words(action)}"
-    if isinstance(action, Box) and ours == theirs:
-        low, high = (np.array(bound, action.dtype) for bound in (spaces.low, spaces.high))
-        if np.array_equal(action.low, low) and np.array_equal(action.high, high):
-            return
-        ours = f"actions from {low.tolist()} to {high.tolist()}"
-        theirs = f"actions from {action.low.tolist()} to {action.high.tolist()}"
-    raise UserError(f"the policy of {policy.task} has {ours}, task {task!r} has {theirs}")
-
-
-def _words(space: gym.Space) -> str:
-    """The shape of a Box; another space as gymnasium writes it."""
-    return str(list(space.shape)) if isinstance(space, Box) else str(space)
