@@ -283,23 +283,16 @@ def read_policy_arrays(
             )
         kept = Arrays(path)
         return {name: kept[name] for name in kept if not name.startswith("evaluation/")}, step, ""
-    k, error = config.runs.index(run), None
-    for path in reversed(numbered(folder, CHECKPOINTS).values()):
-        try:
-            state = Arrays(path)
-            names = [name for name in state if is_of_policy(name)]
-            # A family without the convention: all of its state.
-            names = names or [name for name in state if name not in ("epoch", "steps", "failures")]
-            arrays = {name: state[name][k : k + 1] for name in names}
-            steps = int(state["steps"][k]) if "steps" in state else None
-            failure = str(state["failures"][k]) if "failures" in state else ""
-        except (UserError, KeyError, IndexError) as damaged:
-            error = error or damaged
-            continue
-        if error:
-            warnings.warn(f"{error}: this is the policy of the one before it", stacklevel=4)
-        return arrays, steps, failure
-    raise UserError(f"{error}" if error else f"{folder} has no checkpoint yet")
+    checkpoints = list(numbered(folder, CHECKPOINTS).values())
+    if not checkpoints:
+        raise UserError(f"{folder} has no checkpoint yet")
+    state, k = Arrays(checkpoints[-1]), config.runs.index(run)
+    names = [name for name in state if is_of_policy(name)]
+    # A family without the convention: all of its state.
+    names = names or [name for name in state if name not in ("epoch", "steps", "failures")]
+    arrays = {name: state[name][k : k + 1] for name in names}
+    steps = int(state["steps"][k]) if "steps" in state else None
+    return arrays, steps, str(state["failures"][k]) if "failures" in state else ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
