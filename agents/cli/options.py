@@ -130,10 +130,9 @@ def _integers(info: Any) -> Any:
 def integer(text: str) -> int:
     """Read an integer, 1e6 among them. Raises ValueError for any other text."""
     with contextlib.suppress(ValueError):
-        if text.isascii():  # not the digits of any script
-            return int(text)
+        return int(text)
     with contextlib.suppress(ValueError):
-        if text.isascii() and float(text).is_integer():
+        if float(text).is_integer():
             return int(float(text))
     raise ValueError(f"must be an integer such as 1000000 or 1e6, got {text!r}")
 

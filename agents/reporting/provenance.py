@@ -125,11 +125,7 @@ def command(config: TrainConfig, out: str, recorded: Mapping[str, Any]) -> str:
 
 
 def _typed(value: Any) -> str:
-    return " ".join(map(_quoted, value)) if isinstance(value, tuple) else _quoted(value)
-
-
-def _quoted(value: Any) -> str:
-    return shlex.quote(str(value))
+    return shlex.join(map(str, value if isinstance(value, tuple) else (value,)))
 
 
 def _list(numbers: Iterable[int]) -> str:

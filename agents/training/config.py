@@ -301,27 +301,21 @@ def _no_runs(folder: AnyPath) -> str:
         return f"{folder} is no folder: report, compare and load_runs alone read archives"
     if not folder.is_dir():
         return f"{folder} is no folder"
-    below = [] if not isinstance(folder, Path) else [*folder.glob("*/" + CONFIG)]
-    below = below or ([*folder.glob("*/*/" + CONFIG)] if isinstance(folder, Path) else [])
+    below: list[Path] = []
+    if isinstance(folder, Path):
+        below = sorted([*folder.glob("*/" + CONFIG), *folder.glob("*/*/" + CONFIG)])
     if not below:
         return f"{folder} {NO_RUNS}"
-    names = ", ".join(f"'{path.parent}'" for path in sorted(below)[:3])
-    one_of, more = "one of " * (len(below) > 1), ", ..." * (len(below) > 3)
-    return f"{folder} holds folders of runs: did you mean {one_of}{names}{more}?"
+    names = ", ".join(f"'{path.parent}'" for path in below[:3])
+    return f"{folder} holds folders of runs: did you mean {names}?"
 
 
 def _require_none(folder: Path) -> None:
-    if not (folder / CONFIG).exists():
-        return
-    try:
-        with locked(folder):
-            pass
-    except UserError:
-        raise UserError(f"{folder} is being trained in by another process") from None
-    raise UserError(
-        f"{folder} holds runs already: go on with them by 'circle2d resume {folder}' or "
-        f"agents.resume({str(folder)!r}), or choose another folder"
-    )
+    if (folder / CONFIG).exists():
+        raise UserError(
+            f"{folder} holds runs already: go on with them by 'circle2d resume {folder}' or "
+            f"agents.resume({str(folder)!r}), or choose another folder"
+        )
 
 
 def _of(kind: type, values: dict[str, Any]) -> Any:

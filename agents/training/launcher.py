@@ -202,20 +202,16 @@ def _last_words(log: Path, since: int) -> str:
     return (own or lines or ["its process printed nothing"])[-1]
 
 
-def _ray() -> Any:
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    # Of a cluster that is started here: as the local processes, not below all others.
-    os.environ.setdefault("RAY_worker_niceness", "0")
-    return extra("ray", "ray")
-
-
 @contextlib.contextmanager
 def _connected(address: str | None) -> Iterator[tuple[Any, int]]:
     """Connect to a cluster, or start one on this machine; yields Ray and its number of cores.
 
     A connection that the caller has already is used, and left.
     """
-    ray = _ray()
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    # Of a cluster that is started here: as the local processes, not below all others.
+    os.environ.setdefault("RAY_worker_niceness", "0")
+    ray = extra("ray", "ray")
     if ray.is_initialized():
         if address is not None:
             raise UserError("Ray is connected already: leave address out")
