@@ -160,32 +160,30 @@ def episode_means(group: Group, column: Literal["reward", "cost", "length"]) -> 
     return _over_runs(rows, group.one_place, UNBOUNDED if column == "reward" else COST)
 
 
-def emcc_along(records: EpisodeRecords, total_steps: int, alpha: float) -> list[float]:
+def emcc_along(records: EpisodeRecords, total_steps: int) -> list[float]:
     """EMCC of the rollouts of a run that start within half a window of each of `midpoints`; NaN
     where none does."""
     mcc, starts = records.mcc_per_rollout()
     near = (np.abs(starts - at) <= WINDOW / 2 * total_steps for at in midpoints(total_steps))
-    return [emcc(mcc[chosen], alpha) if chosen.any() else np.nan for chosen in near]
+    return [emcc(mcc[chosen], ALPHA) if chosen.any() else np.nan for chosen in near]
 
 
-def running_emcc(group: Group, alpha: float = ALPHA) -> Curve:
+def running_emcc(group: Group) -> Curve:
     """`emcc_along` of each run."""
-    rows = [emcc_along(run.records, group.config.steps, alpha) for run in group.runs]
+    rows = [emcc_along(run.records, group.config.steps) for run in group.runs]
     return _over_runs(rows, group.one_place, SHARE)
 
 
-def thirds_emcc(group: Group, alpha: float = ALPHA) -> Curve:
+def thirds_emcc(group: Group) -> Curve:
     """EMCC of the thirds of training: [3]."""
-    rows = [
-        [np.nan if value is None else value for value in of_run.values()]
-        for of_run in (emcc_of_thirds(r.records, group.config.steps, alpha) for r in group.runs)
-    ]
+    rows = [list(emcc_of_thirds(run.records, group.config.steps).values()) for run in group.runs]
     return _over_runs(rows, group.one_place, SHARE)
 
 
-def _over_runs(rows: Sequence[Sequence[float] | NDArray], one_place: bool, bounds: Bounds) -> Curve:
+def _over_runs(rows: Sequence[Any], one_place: bool, bounds: Bounds) -> Curve:
+    """rows: of each run its values, NaN or None where it has none."""
     points = np.full((3, len(rows[0])), np.nan)
-    for k, values in enumerate(np.array(rows).T):
+    for k, values in enumerate(np.array(rows, dtype=float).T):
         mean = mean_of(values.tolist(), one_place, bounds) if np.isfinite(values).all() else None
         if mean is not None:
             points[:, k] = [np.nan if v is None else v for v in (mean.value, mean.low, mean.high)]

@@ -354,8 +354,7 @@ def _run(run: Run, replay: Replay, steps: int, extent: Extent) -> dict[str, Any]
         "points": _text(tenths.clip(-(2**15), 2**15 - 1).astype("<i2")),
         "unsafe": _text(np.packbits(costs > 0)),
         "emcc": [
-            None if np.isnan(value) else round(value, 3)
-            for value in emcc_along(run.records, steps, ALPHA)
+            None if np.isnan(value) else round(value, 3) for value in emcc_along(run.records, steps)
         ],
     }
 

@@ -49,13 +49,7 @@ Reference = Callable[[Group], Printed | None]
 """The printed numbers for a group's algorithm and task, None where there are none."""
 
 
-def nothing_printed(group: Group) -> None:
-    """The reference of a report without one."""
-
-
-def task_table(
-    groups: Sequence[Group], printed: Reference = nothing_printed, notes: Sequence[str] = ()
-) -> Table:
+def task_table(groups: Sequence[Group], printed: Reference, notes: Sequence[str] = ()) -> Table:
     """One task: for each algorithm the means above the printed numbers, then every run.
 
     What is best among the means, and among the printed numbers, is marked: see `best`.

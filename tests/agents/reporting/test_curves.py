@@ -13,6 +13,7 @@ from agents.reporting.figures import POINTS, WINDOW, midpoints, thirds_emcc
 from agents.results.reading import Group, Run
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords, emcc
+from emcc.parts import ALPHA
 
 TOTAL = 4000
 
@@ -75,7 +76,7 @@ def test_episode_means_by_a_loop(column):
 
 
 def test_running_emcc_by_a_loop():
-    curve = figures.running_emcc(THREE, 0.3)
+    curve = figures.running_emcc(THREE)
     for k, middle in enumerate(midpoints(TOTAL)):
         values = []
         for run in RUNS[:3]:
@@ -86,23 +87,23 @@ def test_running_emcc_by_a_loop():
                 first, share = mcc.get(rollout, (start, 0.0))
                 mcc[rollout] = (first, max(share, streak / length))
             near = [v for s, v in mcc.values() if abs(s - middle) <= WINDOW / 2 * TOTAL]
-            values.append(emcc(near, 0.3))
+            values.append(emcc(near, ALPHA))
         assert curve.mean[k] == pytest.approx(np.mean(values))
         assert (curve.low[k], curve.high[k]) == (min(values), max(values))
 
 
 def test_emcc_of_the_thirds():
-    curve = thirds_emcc(THREE, 0.3)
+    curve = thirds_emcc(THREE)
     for k, (low, high) in enumerate(((0, 0.33), (0.33, 0.66), (0.66, 0.9901))):
         values = []
         for run in RUNS[:3]:
             mcc, starts = run.mcc_per_rollout()
-            values.append(emcc(mcc[(low * TOTAL <= starts) & (starts < high * TOTAL)], 0.3))
+            values.append(emcc(mcc[(low * TOTAL <= starts) & (starts < high * TOTAL)], ALPHA))
         assert curve.mean[k] == pytest.approx(np.mean(values))
         assert (curve.low[k], curve.high[k]) == (min(values), max(values))
 
 
 def test_one_run_has_a_line_alone():
-    curve = thirds_emcc(group(RUNS[:1]), 0.3)
+    curve = thirds_emcc(group(RUNS[:1]))
     assert np.isfinite(curve.mean).all()
     assert np.isnan(curve.low).all()
