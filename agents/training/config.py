@@ -343,34 +343,24 @@ def _tuples(parameters: Mapping[str, Any]) -> dict[str, Any]:
     return {k: tuple(v) if isinstance(v, list) else v for k, v in parameters.items()}
 
 
-NETS, COPIES, NUMBER = 5, 4, 4
-"""Networks of a run, copies of each, and bytes of a number: the estimate is not exact."""
-
-
 def _check_memory(hyperparameters: Any, runs: int, steps: int, sizes: tuple[int, int]) -> None:
-    """Raise UserError, naming the hyper-parameter, where runs need more than the machine's memory.
+    """Raise UserError where replay and networks need more than the machine's memory, by a rough
+    estimate.
 
     steps: of each run, which fill no more of a replay; sizes: numbers that an observation and an
     action hold.
     """
     observation, action = sizes
-    needed = {}
-    if (capacity := getattr(hyperparameters, "replay_size", None)) is not None:
-        held = min(capacity, steps)
-        needed["replay_size"] = runs * held * (2 * observation + action + 3) * NUMBER
-    if hidden := getattr(hyperparameters, "hidden", ()):
-        widths = (observation + action, *hidden, 2 * action)
-        parameters = sum((a + 1) * b for a, b in pairwise(widths))
-        needed["hidden"] = runs * parameters * NETS * COPIES * NUMBER
-        if (batch := getattr(hyperparameters, "batch_size", None)) is not None:
-            needed["batch_size"] = runs * batch * sum(hidden) * NETS * NUMBER
-    there = machine_memory()
-    for name, size in needed.items():
-        if size > there:
-            raise UserError(
-                f"{name} {getattr(hyperparameters, name)} needs about {size / 1e9:,.1f} GB of "
-                f"memory for {runs} runs; this machine has {there / 1e9:,.1f} GB"
-            )
+    capacity = min(getattr(hyperparameters, "replay_size", 0), steps)
+    widths = (observation + action, *getattr(hyperparameters, "hidden", ()), 2 * action)
+    network = sum((a + 1) * b for a, b in pairwise(widths))
+    numbers = capacity * (2 * observation + action + 3) + 5 * 4 * network  # five, with four copies
+    needed, there = 4 * runs * numbers, machine_memory()
+    if needed > there:
+        raise UserError(
+            f"replay_size and hidden need about {needed / 1e9:,.1f} GB of memory for {runs} runs; "
+            f"this machine has {there / 1e9:,.1f} GB"
+        )
 
 
 PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")
