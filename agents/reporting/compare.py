@@ -64,12 +64,9 @@ class Sides(NamedTuple):
 def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     """The tables of two folders of runs with the differences B - A, task by task, and over tasks.
 
-    a, b: folders, archives, or folders of archives, as `report` takes them. A group of B stands
-    against the one of A with the same algorithm and settings, or where there is none against every
-    group of A on the task, of the same cost. The last table has one test over all tasks of each
-    pair that is there on two tasks or more. With out, writes `compare.md`, `compare.csv`,
-    `compare.tex`, and `compare.html` with training curves, both sides in one figure. Raises
-    UserError where a side has no complete run, or the two have no task in common.
+    A group of B stands against the one of A with the same algorithm and settings, or where there is
+    none against every group of A on the task, of the same cost. The last table has one test over
+    all tasks of each pair that is there on two tasks or more. Otherwise see `agents.compare`.
     """
     notes = [f"A is {a}, B is {b}."]
     of_a, of_b = (read([side], notes) for side in (a, b))

@@ -41,19 +41,11 @@ class Report(NamedTuple):
 
 
 def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -> Report:
-    """Write the report of every folder of runs at or below some folders, or in archives.
+    """Write the report of every folder of runs at or below some folders: see `agents.report`.
 
-    Writes `report.md`, `report.csv` for a program, `report.tex` for a paper (the means of the main
-    tables), and `index.html`, which holds everything, with all figures. `report.md` has the details
-    too: EMCC with ties split, and each task's panel. Runs that are missing, damaged or unfinished
-    are named below the table and left out of its means; figures that cannot be drawn are named too.
-    Folders that differ in their seeds alone count as one, which is named as well.
-
-    archive: a file to pack all that the report needs into; a report on it has the same bytes.
-    A path may lead into an archive, such as `runs.zip/Circle2D-1-v0`: to the runs of that folder.
-    out: folder to write to; by default that of the runs, for an archive the one beside it that has
-    its name without the suffix; several paths need one. Raises UserError where no run is left, or
-    an archive is damaged.
+    `report.tex` has the means of the main tables; `report.md` and `index.html` have the details
+    too: EMCC with ties split, and each task's panel. Runs that are left out, figures that cannot be
+    drawn and folders that count as one are named below the last task's table.
     """
     out = _output_folder(paths, out)
     if archive is not None:
