@@ -69,22 +69,22 @@ def main(args: Sequence[str] | None = None) -> int:
     except UserError as error:
         if isinstance(error, OwnCodeError) and error.__cause__:
             traceback.print_exception(error.__cause__)
-        _say(error)
+        say(error)
         return 1 if isinstance(error, (OwnCodeError, RunsFailed)) else 2
     except BrokenPipeError:  # nobody reads on
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     except (OSError, MemoryError) as error:
-        _say(error or "out of memory")
+        say(error or "out of memory")
         return 2
     except KeyboardInterrupt as error:
         name = f" by {error}" if str(error) else ""
         how = "'circle2d resume' of a training, or the same 'circle2d reproduce', goes on"
-        _say(f"interrupted{name}; {how}")
+        say(f"interrupted{name}; {how}")
         return 128 + getattr(error, "number", 2)
 
 
-def _say(words: object) -> None:
+def say(words: object) -> None:
     """Print a line of the command's own."""
     print(f"circle2d: {one_line(words)}", file=sys.stderr)
 
@@ -123,7 +123,7 @@ def _check_words(args: Sequence[str]) -> None:
 
 def _print_warning(message: object, *_: object) -> None:
     """Print a warning as a line of the command's own, without the colours of gymnasium's."""
-    _say(re.sub(r"\x1b\[[0-9;]*m", "", str(message)))
+    say(re.sub(r"\x1b\[[0-9;]*m", "", str(message)))
 
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")

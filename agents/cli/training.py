@@ -19,7 +19,7 @@ from rich.markup import escape
 from agents import api
 from agents.algorithms import ALGORITHMS
 from agents.checks import Settings
-from agents.cli.main import AfterEpoch
+from agents.cli.main import AfterEpoch, say
 from agents.cli.options import (
     BackendChoice,
     Folder,
@@ -31,7 +31,7 @@ from agents.cli.options import (
     parse,
     values_of,
 )
-from agents.errors import UserError, one_line
+from agents.errors import UserError
 from agents.lockstep import backend as lockstep_backend
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS, preset_with
@@ -136,13 +136,13 @@ def _finish(folders: Sequence[Path], after_epoch: AfterEpoch) -> int:
     after_epoch: says whether a signal stopped the training, of which one line is printed then.
     """
     if after_epoch.number is not None:
-        _say(after_epoch.words())
+        say(after_epoch.words())
         return 128 + after_epoch.number
     for folder in folders:
         try:
             show(table(folder), more=str(folder / "report.md"))
         except UserError as error:  # the training itself is done
-            _say(f"no table: {error}")
+            say(f"no table: {error}")
     return name_failures(folders)
 
 
@@ -158,13 +158,9 @@ def name_failures(folders: Sequence[Path]) -> int:
                 why = "its evaluation met a number that is not finite"
             else:
                 continue
-            _say(f"{folder}: {run}: {why}")
+            say(f"{folder}: {run}: {why}")
             status = 1
     return status
-
-
-def _say(words: str) -> None:
-    print(f"circle2d: {one_line(words)}", file=sys.stderr)
 
 
 @dataclass(frozen=True)
@@ -183,12 +179,12 @@ def resume(args: Sequence[str]) -> int:
     for folder in options.folders:
         TrainConfig.read(folder)
         if (note := callbacks.other_session(folder)) and not grid.finished(folder):
-            _say(f"{folder}: {note}")
+            say(f"{folder}: {note}")
     done = [folder for folder in options.folders if grid.finished(folder)]
     with AfterEpoch(options.imports) as after_epoch:
         api.resume(*options.folders, progress=True, on_epoch=after_epoch)
     for folder in done:
-        _say(f"{folder}: was done already")
+        say(f"{folder}: was done already")
     return _finish(options.folders, after_epoch)
 
 
@@ -323,12 +319,12 @@ def reproduce(args: Sequence[str]) -> int:
         grid.prepare(configs)
         for folder in configs:
             if (note := callbacks.other_session(folder)) and not grid.finished(folder):
-                _say(f"{folder}: {note}")
+                say(f"{folder}: {note}")
         # The parts of a grid train at the same time: there each folder has a lock alone.
         with contextlib.nullcontext() if options.shard else locked(options.out):
             failed = _train_all(configs, trainings)
     for folder, why in failed.items():
-        _say(f"{folder} failed: {why}")
+        say(f"{folder} failed: {why}")
     if options.shard is not None:
         print(f"part {options.shard} is over; after all: circle2d report {options.out}")
         return int(bool(failed))
@@ -337,7 +333,7 @@ def reproduce(args: Sequence[str]) -> int:
             written = report(options.out, *options.beside, out=options.out)
         show(written.blocks, options.width, str(written.page))
     except UserError as error:
-        _say(f"no report: {error}")
+        say(f"no report: {error}")
         return 1
     return int(bool(failed or written.left_out))
 

@@ -343,15 +343,10 @@ class _KeepFrames(VectorWrapper):
     def _render(self) -> list[bytes]:
         envs: Any = self.unwrapped
         try:
-            return [_png(env.render()) for env in envs.envs]
+            frames = [np.asarray(env.render(), np.uint8) for env in envs.envs]
+            return [png(frame, optimize=False, compress_level=1) for frame in frames]
         except Exception as error:  # of the task's own code
             raise _without_frames(self._task, error) from error
-
-
-def _png(frame: Any) -> bytes:
-    if np.ndim(frame) != 3 or np.shape(frame)[-1] != 3:
-        raise ValueError(f"render() must give [height, width, 3], got {list(np.shape(frame))}")
-    return png(np.asarray(frame, np.uint8), optimize=False, compress_level=1)
 
 
 def _without_frames(task: str, error: Exception) -> UserError:
