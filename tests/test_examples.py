@@ -59,6 +59,7 @@ def test_a_thicker_wall(monkeypatch):
         assert region.contains(points).tolist() == [True, False, False, True]
     changes = {"cost_limit": 5.0, "time_limit": "terminal"}
     assert preset_with("sac-lb", name, changes) == preset("sac-lb", "Circle2D-3-v0")
+    del gym.registry[name]
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("slurm/*.sbatch")), ids=lambda path: path.name)
