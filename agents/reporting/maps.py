@@ -4,8 +4,8 @@ of training.
 On the page the picture below and the one on top are there once for each task; what lies between is
 an image of a pixel for each cell, or an SVG path in thousandths of the picture's side. The replay
 has, for every run, the episode of highest MCC in each window of training, and the running EMCC:
-positions in tenths of those, EMCC with three digits; all else is exact. The page's script,
-`templates/replay.js`, reads it.
+positions on a grid of 1024 points along each side of the box of those shown, EMCC with three
+digits; all else is exact. The page's script, `templates/replay.js`, reads it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from agents.reporting.figures import emcc_along
 from agents.results.frame import in_order, name_of
 from agents.results.measures import measure
 from agents.results.reading import Episode, Group, Replay, Run
-from agents.training.derive import DRAWN_POLICIES, WINDOWS, Visits
+from agents.training.derive import DRAWN_POLICIES, GRID_MAX, WINDOWS, Visits
 from agents.training.environments import view_of
 from agents.training.evaluation import DRAWN
 from circle2d_mj.core.view import Extent, Picture, View
@@ -41,6 +41,10 @@ STATES = 128
 SHADES = 31
 """Colours of a heat map."""
 NO_POSITIONS = "it has no positions"
+BITS = 10
+"""Bits of a coordinate: the last of the grid's points along a side is 2**BITS - 1."""
+DIGITS = 1000
+"""EMCC is stored as a multiple of 1 / DIGITS."""
 REPLAYED = 200
 """Runs of a replay, at most: each adds 12 kB to the page."""
 
@@ -333,31 +337,49 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
             if replay is None:
                 notes.append(f"no replay of {group.title}: {NO_POSITIONS}")
                 break
-            numbers = _run(run, replay, group.config.steps, scene.extent)
+            numbers = _run(run, replay, group.config.steps)
             runs.append({**named, "scene": scene.number, **numbers})
-    return {"windows": WINDOWS, "states": STATES, "parts": list(PARTS), "runs": runs}
+    extents = [list(scene.extent) for scene in scenes.all]
+    return {
+        "windows": WINDOWS,
+        "bits": BITS,
+        "digits": DIGITS,
+        "states": STATES,
+        "parts": list(PARTS),
+        "extents": extents,
+        "runs": runs,
+    }
 
 
-def _run(run: Run, replay: Replay, steps: int, extent: Extent) -> dict[str, Any]:
+def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
     """One run's entry: numbers of each episode, then all points and all costs in a row."""
     episodes = replay.episodes
-    points = np.concatenate([e.points[shown_states(len(e.points))] for e in episodes])
-    tenths = canvas.pixels(extent, replay.positions(points), 10 * SIDE).round()
+    points = [episode.points[shown_states(len(episode.points))] for episode in episodes]
     costs = np.concatenate([episode.costs for episode in episodes])
+    lengths = {len(episode.costs) for episode in episodes}
     return {
         "seed": run.seed,
         "steps": steps,
+        "box": replay.box.ravel().tolist(),
         "window": [episode.window for episode in episodes],
         "start": [episode.start_step for episode in episodes],
-        "length": [len(episode.costs) for episode in episodes],
-        "cost": [float(episode.costs.sum()) for episode in episodes],
-        "points": _text(tenths.clip(-(2**15), 2**15 - 1).astype("<i2")),
+        # One number where all episodes are as long, none where cost steps cost 1.
+        "length": lengths.pop() if len(lengths) == 1 else [len(e.costs) for e in episodes],
+        "cost": [float(e.costs.sum()) for e in episodes] if set(costs) - {0.0, 1.0} else None,
+        "points": _text(_packed(np.concatenate(points))),
         "unsafe": _text(np.packbits(costs > 0)),
         "emcc": [
-            None if np.isnan(value) else round(value, 3) for value in emcc_along(run.records, steps)
+            None if np.isnan(value) else round(value * DIGITS)
+            for value in emcc_along(run.records, steps)
         ],
     }
 
 
-def _text(data: NDArray[np.integer]) -> str:
+def _packed(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Points [N, 2] on the coarser grid: x and y of one after another, `BITS` bits each."""
+    coarse = np.round(points.astype(np.float64) * ((2**BITS - 1) / GRID_MAX)).astype(np.uint16)
+    return np.packbits(coarse.reshape(-1, 1) >> np.arange(BITS)[::-1] & 1)
+
+
+def _text(data: NDArray[np.uint8]) -> str:
     return base64.b64encode(data.tobytes()).decode()

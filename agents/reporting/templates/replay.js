@@ -30,17 +30,33 @@
     return best;
   }
 
+  // Read numbers of a few bits each, the highest bit first.
+  function bitReader(text) {
+    const read = bytes(text);
+    let at = 0;
+    return (bits) => {
+      let number = 0;
+      for (; bits > 0; bits--, at++) number = (number << 1) | ((read[at >> 3] >> (7 - (at & 7))) & 1);
+      return number;
+    };
+  }
+
   // All episodes of a run: points in the picture's units, whether each step cost, longest chain.
   function decoded(run) {
-    const points = new Int16Array(bytes(run.points).buffer), costs = bytes(run.unsafe);
-    let point = 0, step = 0;
+    const point = bitReader(run.points), cost = bitReader(run.unsafe), last = 2 ** data.bits - 1;
+    const [left, right, bottom, top] = data.extents[run.scene], [x0, y0, x1, y1] = run.box;
     return run.window.map((window, k) => {
-      const length = run.length[k], shown = shownStates(length);
-      const path = shown.map(() => [points[point++] / 10, points[point++] / 10]);
-      const unsafe = Array.from({ length }, () => (costs[step >> 3] >> (7 - (step++ & 7))) & 1);
-      const chain = longestChain(unsafe);
+      const length = Array.isArray(run.length) ? run.length[k] : run.length;
+      const shown = shownStates(length);
+      const path = shown.map(() => {
+        const x = x0 + (x1 - x0) * point(data.bits) / last;
+        const y = y0 + (y1 - y0) * point(data.bits) / last;
+        return [SIDE * (x - left) / (right - left), SIDE * (top - y) / (top - bottom)];
+      });
+      const unsafe = Array.from({ length }, () => cost(1)), chain = longestChain(unsafe);
+      const total = run.cost ? run.cost[k] : unsafe.filter(Boolean).length;
       return { path, shown, unsafe, chain, length, mcc: chain.length / length, window,
-        start: run.start[k], cost: run.cost[k] };
+        start: run.start[k], cost: total };
     });
   }
 
@@ -95,7 +111,7 @@
     run.emcc.forEach((value, k) => {
       if (value !== null) {
         const x = across((k + 0.5) / run.emcc.length * run.steps);
-        d += (broken ? "M" : "L") + point([x, up(value)]);
+        d += (broken ? "M" : "L") + point([x, up(value / data.digits)]);
       }
       broken = value === null;
     });

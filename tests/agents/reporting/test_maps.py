@@ -207,26 +207,27 @@ def test_every_number(runs):
     notes = []
     data = replay_data(groups_of(runs.folder / "a"), Scenes(), notes)
     assert notes == []
-    assert data["windows"] == 60
+    assert (data["windows"], data["extents"]) == (60, [[-15.0, 15.0, -15.0, 15.0]])
     assert [run["seed"] for run in data["runs"]] == [0, 1]
     for seed, run in enumerate(data["runs"]):
         assert (run["task"], run["algorithm"]) == ("Circle2D-3-v0", "SAC-Lag (120 steps)")
         # Windows of two steps: an episode each, in those where one starts.
         assert run["start"] == [5 * k for k in range(24)]
         assert run["window"] == [5 * k // 2 for k in range(24)]
-        assert run["length"] == [5] * 24
-        assert run["cost"] == runs.streaks
+        assert (run["length"], run["cost"]) == (5, None)
         np.testing.assert_array_equal(bits(run["unsafe"])[:120], runs.costs)
         visited = np.arange(240).reshape(120, 2) / 100 + seed
-        points = np.frombuffer(base64.b64decode(run["points"]), "<i2").reshape(120, 2)
-        expected = (visited * (1, -1) + 15) / 30 * 10_000  # the arena reaches from -15 to 15
-        assert np.abs(points - expected).max() <= 0.51
+        weights = 2 ** np.arange(9, -1, -1)
+        points = bits(run["points"])[: 120 * 20].reshape(120, 2, 10) @ weights
+        low, high = np.reshape(run["box"], (2, 2))
+        off = np.abs(low + points * (high - low) / 1023 - visited)
+        assert (off <= 0.51 * (high - low) / 1023).all()
     # The middle of 50 points lies at 61.2 of 120 steps: rollouts that start in [55.2, 67.2].
-    assert data["runs"][0]["emcc"][25] == round(max(runs.streaks[12:14]) / 5, 3)
+    assert data["runs"][0]["emcc"][25] == round(1000 * max(runs.streaks[12:14]) / 5)
 
 
 def test_costs_and_lengths_that_differ(runs):
-    """Costs other than 0 and 1 are summed."""
+    """Costs other than 0 and 1 are summed, and lengths told one by one, where they must be."""
     folder, lengths = runs.folder / "b", [5] * 22 + [10]
     write_runs(folder, weight=2.5, lengths=lengths, each=1)
     evaluate(folder)
