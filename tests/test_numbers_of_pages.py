@@ -914,28 +914,29 @@ def test_the_levels_that_sac_lb_streak_solves():
     )
 
 
-def test_parts_fewer():
+def test_nested_parts():
     lines = results_table.report("solve")
-    names = [name for name in lines.algorithm.unique() if "streak_weight 0.25" in name]
-    both = [[runs(lines, task, of) for task in LEVELS] for of in sorted(names, key=len)]
-    own, batches = both
-    usual = [runs(lines, task, "SAC-LB-Streak") for task in LEVELS]
-    assert [[len(level) for level in side] for side in both] == [[10, 0, 10, 0], [0, 0, 10, 0]]
-    waiting = batches[2][~batches[2].ends_in.str.startswith("corridor")].ends_in
-    assert (len(waiting), waiting.str.contains("cut-out").sum()) == (4, 4)
+    own = [[runs(lines, task, of) for task in LEVELS] for of in results_table.NESTED.values()]
+    sizes = [[len(level) for level in side] for side in own]
+    assert sizes[0] == sizes[5] == [10, 10, 10, 10]
+    assert sizes[1:5] == [[0, 10, 10, 0], [0, 10, 10, 10], [10, 0, 10, 0], [0, 0, 10, 0]]
+    on_2 = [solved(side[2]) for side in own]
+    assert max(chosen.sum() for chosen in on_2[1:5]) < 9  # by the rule the preset stays
+    few = pd.concat([own[1][2], own[2][2], own[2][3]])
+    waiting = few[~solved(few)].ends_in
+    assert len(waiting) == 28
+    assert waiting.str.contains("cut-out").all()
+    on_1 = [count(solved(side[1])) for side in own[1:3]]
+    assert on_1[0] == on_1[1]
     told(
         "results/solve/README.md",
-        f"the next to be tried, {count(solved(batches[2]))} solve level 2 "
-        f"({fisher(solved(batches[2]), solved(usual[2]))}); four wait in cut-outs.",
-    )
-    others = own[2][~solved(own[2])].ends_in
-    assert (len(others), others.str.contains("cut-out").sum()) == (6, 6)
-    ways = [short(own[0][name].mean()) for name in EMCC]
-    told(
-        "results/solve/README.md",
-        f"{count(solved(own[0]))} solve level 0, at an EMCC of {'/'.join(ways)}, but "
-        f"{count(solved(own[2]))} level 2, with all parts {count(solved(usual[2]))} "
-        f"({fisher(solved(own[2]), solved(usual[2]))}); six wait in cut-outs.",
+        f"{count(on_2[1])} solve level 2, without it {count(on_2[0])} ({fisher(*on_2[:2])}); with "
+        f"the bonus too {count(on_2[2])} ({fisher(on_2[0], on_2[2])}), and "
+        f"{count(solved(own[2][3]))} level 3. All 28 others wait there. On level 1, which has "
+        f"none, {on_1[0]} come in.",
+        f"{count(on_2[3])} with the first, {count(on_2[4])} with its step sizes too, "
+        f"{count(on_2[5])} with all parts ({fisher(on_2[3], on_2[5])} and "
+        f"{fisher(on_2[4], on_2[5])}).",
     )
 
 

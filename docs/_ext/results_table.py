@@ -524,7 +524,7 @@ PAGES = {
         *(functools.partial(benchmarked, task) for task in SAFETY_TASKS),
         safety_orders,
     ),
-    "solve/README.md": (solving, compared, parts),
+    "solve/README.md": (solving, compared, parts, nested),
 }
 """The tables of each page."""
 
