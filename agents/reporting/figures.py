@@ -280,7 +280,10 @@ def intervals_figure(groups: Sequence[Group], printed: Reference) -> Figure:
     A row of panels for each task, a column for each measure.
     """
     tasks, columns = by_task(groups), measures()
-    heights = [max(len(own), 5) for own in tasks.values()]  # the task's name stands beside
+    named = {task: [_wrapped(name_of(g), 34) for g in own] for task, own in tasks.items()}
+    # A row holds two lines of a name; the task's name stands beside.
+    lines = {task: max(name.count("\n") + 1 for name in names) for task, names in named.items()}
+    heights = [max(len(own) * max(lines[task] / 2, 1), 5) for task, own in tasks.items()]
     one_scale = all(task.rpartition(":")[2] in CIRCLE2D for task in tasks)
     with drawing(8) as pyplot:
         figure, axes = pyplot.subplots(
@@ -297,18 +300,21 @@ def intervals_figure(groups: Sequence[Group], printed: Reference) -> Figure:
             for axis, m in zip(row, columns, strict=True):
                 _draw_runs(axis, drawn, m, printed)
                 _frame(axis, len(own), m)
-            names = [name_of(group).replace(" (", "\n(") for group in own]
-            row[0].set_yticks(range(len(own)), names)
+            row[0].set_yticks(range(len(own)), named[task])
             row[0].set_ylabel(task.removeprefix("circle2d_mj/"), fontweight="bold")
         for axis, m in zip(axes[0], columns, strict=True):
-            lines = m.head.replace(" (", "\n(").splitlines()
-            axis.set_title("\n".join(fill(line, 18) for line in lines), fontsize=9)
+            axis.set_title(_wrapped(m.head, 18), fontsize=9)
         content = svg_of(figure)
     words = (
         "A dot for each run. Black bar: mean over seeds, its line the 95 % t interval of five "
         "seeds or more that end in one place; grey bar: interquartile mean; cross: the paper."
     )
     return Figure(content, "Every run", words)
+
+
+def _wrapped(name: str, width: int) -> str:
+    """A name in lines, what stands in brackets below the rest."""
+    return "\n".join(fill(line, width) for line in name.replace(" (", "\n(").splitlines())
 
 
 def _draw_runs(
