@@ -388,7 +388,7 @@ def test_where_values_end():
     """In how many of a cell's six numbers `terminal` is nearer to the paper's."""
     lines, names = results_table.report("safety"), [*EMCC, "cost_rate", "J_R", "J_C"]
     cells = [(results_table.POINT_CIRCLE, name) for name in ("SAC-Lag", "SAC-LB", "WCSAC")]
-    cells.append((results_table.POINT_GOAL, "SAC-Lag"))
+    cells += [(results_table.POINT_GOAL, name) for name in ("SAC-Lag", "SAC-LB", "WCSAC")]
     nearer, kept = [], []
     for task, name in cells:
         ended = runs(lines, task, results_table.TERMINAL.format(name))
@@ -398,15 +398,18 @@ def test_where_values_end():
         kept.append(count(ended.J_C <= SAFETY_LIMIT))
         assert len(ended) == 3
     assert (nearer[0], nearer[2]) == (["cost_rate", "J_R", "J_C"], [*EMCC])
+    assert {*kept[:1], *kept[2:]} == {"0 of 3"}
     counts = [*map(len, nearer)]
     wcsac = runs(lines, results_table.POINT_CIRCLE, results_table.TERMINAL.format("WCSAC"))
     told(
         "results/safety/README.md",
         f"{counts[0]} come nearer to the paper's than with `bootstrap` in SAC-Lag on "
         f"SafetyPointCircle1 (cost rate, J_R and J_C), {counts[1]} in SAC-LB there, {counts[2]} in "
-        f"WCSAC there (EMCC) and {counts[3]} in SAC-Lag on SafetyPointGoal1:",
-        f"The limit is kept in {', '.join(kept[:3])} and {kept[3]} runs. One run of WCSAC learns "
-        f"SafetyPointCircle1, J_R {results_table.with_range(wcsac.J_R, 1)}.",
+        f"WCSAC there (EMCC), and on SafetyPointGoal1 {counts[3]} in SAC-Lag, {counts[4]} in "
+        f"SAC-LB and {counts[5]} in WCSAC:",
+        f"The limit is kept in {kept[1]} runs of SAC-LB on SafetyPointCircle1, in {kept[0]} of "
+        f"every other cell. One run of WCSAC learns SafetyPointCircle1, J_R "
+        f"{results_table.with_range(wcsac.J_R, 1)}.",
     )
     assert (RESULTS / "safety" / "report.md").read_text().count("\nWith terminal: ") == 1
 
