@@ -24,7 +24,14 @@ def named(source: Any) -> Iterator[None]:
         yield
     except KeyError as error:
         raise ValueError(f"{source}: missing: {error.args[0]}") from error
-    except (TypeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except (
+        TypeError,
+        ValueError,
+        RecursionError,
+        EOFError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         raise ValueError(f"{source}: {error}") from error
 
 
