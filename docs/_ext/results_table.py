@@ -423,12 +423,11 @@ def equal_rates() -> list[str]:
 
 def solving() -> list[str]:
     """A row for each level and judged algorithm: runs of ten that solve it, and within the limit,
-    and means. SAC-LB's are the grid's, the others fresh seeds."""
-    sources, rows = {"SAC-LB": report("circle2d")}, []
-    fresh = report("solve")
+    and means."""
+    lines, rows = report("solve"), []
     for task in (*LEVELS, *PHYSICS):
-        for name in ("SAC-LB", UNITS, UNITS_WITH_PHYSICS, "SAC-LB-Streak"):
-            own = runs(sources.get(name, fresh), task, name)
+        for name in (UNITS, UNITS_WITH_PHYSICS, "SAC-LB-Streak"):
+            own = runs(lines, task, name)
             if len(own):
                 title = "in units of length" if "input_scale" in name else name
                 level = task[9] if task in LEVELS else f"{task[15]}, physics"
