@@ -71,12 +71,7 @@ def unscaled(
         if isinstance(error, (TypeError, ValueError)) and not module_of_task(task):
             raise UserError(f"cannot make task {task!r}: {error}") from error
         raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
-    actions: Any = envs.single_action_space
-    _check_space(task, "observation", envs.single_observation_space)
-    _check_space(task, "action", actions)
-    if not (np.isfinite([actions.low, actions.high]).all() and (actions.low < actions.high).all()):
-        rule = "have finite bounds, each low below its high"
-        raise UserError(f"the action space of task {task!r} must {rule}, got {actions}")
+    checked_spaces(task, envs.single_observation_space, envs.single_action_space)
     return envs
 
 
@@ -143,10 +138,8 @@ def spaces_of(tasks: Sequence[str], parameters: dict[str, Any]) -> Spaces:
     spaces: list[Spaces] = []
     for task in tasks:
         with contextlib.closing(unscaled(task, 1, parameters)) as envs:
-            observations: Any = envs.single_observation_space
-            actions: Any = envs.single_action_space
-            low, high = (tuple(map(float, bound)) for bound in (actions.low, actions.high))
-            spaces.append(Spaces(observations.shape[0], low, high, str(actions.dtype)))
+            own = envs.single_observation_space, envs.single_action_space
+            spaces.append(checked_spaces(task, *own))
     for task, other in zip(tasks, spaces, strict=True):
         if other != spaces[0]:
             raise UserError(
@@ -154,6 +147,18 @@ def spaces_of(tasks: Sequence[str], parameters: dict[str, Any]) -> Spaces:
                 f"{tasks[0]} has {spaces[0]}, {task} has {other}"
             )
     return spaces[0]
+
+
+def checked_spaces(task: str, observations: Any, actions: Any) -> Spaces:
+    """`Spaces` of the spaces of one environment of a task. Raises UserError where they are not flat
+    Boxes, that of the actions bounded."""
+    _check_space(task, "observation", observations)
+    _check_space(task, "action", actions)
+    if not (np.isfinite([actions.low, actions.high]).all() and (actions.low < actions.high).all()):
+        rule = "have finite bounds, each low below its high"
+        raise UserError(f"the action space of task {task!r} must {rule}, got {actions}")
+    low, high = (tuple(map(float, bound)) for bound in (actions.low, actions.high))
+    return Spaces(observations.shape[0], low, high, str(actions.dtype))
 
 
 class Spaces(NamedTuple):

@@ -36,7 +36,7 @@ from agents.training.config import (
     policy_path,
     read_spaces,
 )
-from agents.training.environments import Spaces, registered, spaces_of, task_id
+from agents.training.environments import Spaces, checked_spaces, registered, task_id
 from agents.training.files import Arrays, numbered
 from agents.training.wrappers import CheckedEnv
 from emcc import cvar, longest_streak
@@ -394,8 +394,6 @@ def evaluate(
     name = task_id(task) if task is not None else own.task if own else ""
     if own and task_parameters is None and bare(name) == bare(own.task):
         task_parameters = own.task_parameters
-    if own and (spaces := spaces_of([name], task_parameters or {})) != own.spaces:
-        raise UserError(f"the policy of {own.task} has {own.spaces}, task {name!r} has {spaces}")
     try:
         made = gym.make(registered(name), disable_env_checker=True, **(task_parameters or {}))
     except Exception as error:  # of the task's own code
@@ -403,6 +401,11 @@ def evaluate(
     with contextlib.closing(CheckedEnv(made, (cost,))) as env:
         act: Callable[[NDArray], Any] = policy
         if own:
+            spaces = checked_spaces(name, env.observation_space, env.action_space)
+            if spaces != own.spaces:
+                raise UserError(
+                    f"the policy of {own.task} has {own.spaces}, task {name!r} has {spaces}"
+                )
             rng = np.random.default_rng([seed, 1])
             act = functools.partial(own, deterministic=deterministic, rng=rng)
         starts = np.random.default_rng(seed).integers(2**31, size=episodes).tolist()
