@@ -13,6 +13,7 @@ from torch import nn
 
 from agents.algorithms import title
 from agents.errors import UserError, extra
+from agents.lockstep.normalizer import CLIP, Normalized
 from agents.paper.evidence import printed
 from agents.reporting.provenance import command
 from agents.reporting.tables import task_table
@@ -35,6 +36,9 @@ class Exported(NamedTuple):
     """By name: "net.0.weight" [out, in], "net.0.bias" [out], ..., "low" and "high" [action]."""
     layers: Sequence[tuple[str, str]]
     """Name of each linear layer, such as "net.0", and the function behind it, one of `KINDS`."""
+    normalized: str = ""
+    """Name of the module before the layers that normalises observations, if there is one; its
+    numbers are "NAME.mean" and "NAME.scale", both [observation]."""
 
 
 def export(
@@ -86,16 +90,19 @@ def _network(policy: Policy, seed: int) -> Exported:
     if not all(np.isfinite(array).all() for array in arrays.values()):
         raise UserError(f"the policy of seed {seed} diverged: choose other seeds")
     layers: list[tuple[str, str]] = []
+    normalized = ""
     parts = [(name, part) for name, part in module.named_modules() if not list(part.children())]
     for name, part in parts:
-        if isinstance(part, nn.Linear):
+        if isinstance(part, Normalized) and not layers:
+            normalized = name
+        elif isinstance(part, nn.Linear):
             layers.append((name, ""))
         elif type(part).__name__ in KINDS and layers:
             layers[-1] = layers[-1][0], type(part).__name__
         else:
             known = ", ".join(["Linear", *KINDS])
             raise UserError(f"export knows {known} of torch.nn, and the policy has {part}")
-    return Exported(arrays, layers)
+    return Exported(arrays, layers, normalized)
 
 
 def _write_safetensors(network: Exported, about: Mapping[str, str]) -> bytes:
@@ -110,13 +117,17 @@ def _write_onnx(network: Exported, about: Mapping[str, str]) -> bytes:
     onnx = extra("onnx", "export")
     helper, arrays = onnx.helper, dict(network.arrays)
     arrays |= {"range": arrays["high"] - arrays["low"]}
-    arrays |= {name: np.array(v, np.float32) for name, v in (("-1", -1), ("1", 1), ("2", 2))}
+    arrays |= {f"{v:g}": np.array(v, np.float32) for v in (-1, 1, 2, -CLIP, CLIP)}
     nodes, last = [], "observation"
 
     def add(kind: str, *inputs: str, output: str, **attributes: Any) -> str:
         nodes.append(helper.make_node(kind, inputs, [output], **attributes))
         return output
 
+    if name := network.normalized:
+        last = add("Sub", last, f"{name}.mean", output="centred")
+        last = add("Mul", last, f"{name}.scale", output="standardised")
+        last = add("Clip", last, f"{-CLIP:g}", f"{CLIP:g}", output="normalised")
     for name, kind in network.layers:
         weights = (f"{name}.weight", f"{name}.bias")
         last = add("Gemm", last, *weights, output=f"{name}.linear", transB=1)
@@ -208,6 +219,9 @@ pipeline_tag: reinforcement-learning
 
 def _layers(network: Exported) -> Iterator[str]:
     """Lines of code for the layers of a network, in numpy."""
+    if name := network.normalized:
+        seen = f'(x - net["{name}.mean"]) * net["{name}.scale"]'
+        yield f"    x = np.clip({seen}, {-CLIP:g}, {CLIP:g})"
     for name, kind in network.layers:
         yield f'    x = x @ net["{name}.weight"].T + net["{name}.bias"]'
         if kind:

@@ -14,9 +14,9 @@ from torch import Tensor, nn
 
 from agents.lockstep import lagrange, tree
 from agents.lockstep.backend import array, compiled, differentiate, tensor
-from agents.lockstep.nets import Moments, adam, mlp
+from agents.lockstep.nets import Moments, adam
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, streams
-from agents.lockstep.rollout import Act, Policy, Rollout, input_scale, learned
+from agents.lockstep.rollout import Act, Policy, Rollout, learned
 from agents.on_policy.epoch import Epoch, Packing, advantages, blocks, minibatches
 from agents.on_policy.state import Nets, OnPolicyState, initial_state, make_nets
 
@@ -91,6 +91,7 @@ class OnPolicy(ABC):
         self.action_size, self.costs = action_size, rule.costs
         self.nets = make_nets(config, observation_size, action_size, rule.costs)
         self._state = initial_state(self.nets, config, rule.multipliers, rule.costs, seeds)
+        self._normalizer = config.normalizer(len(seeds), observation_size)
 
     @abstractmethod
     def improve(
@@ -104,15 +105,15 @@ class OnPolicy(ABC):
 
     def policy(self) -> Policy:
         """The policy of every run as it stands now."""
-        params, scale = array(self._state.actor), input_scale(self.config)
-        return functools.partial(self.nets.actor.act, params, scale)
+        params, inputs = array(self._state.actor), self.config.inputs(self._normalizer)
+        return functools.partial(self.nets.actor.act, params, inputs)
 
     def module(self, run: int) -> nn.Module:
         """The deterministic policy of a run in PyTorch: observations -> actions."""
         net = self.nets.actor.net
         params = array(self._state.actor)[run : run + 1, : net.size]
-        first, *others = (layer[0] for layer in net.layers(params))
-        return mlp([input_scale(self.config)[..., None] * first, *others], net.activation)
+        layers = [layer[0] for layer in net.layers(params)]
+        return self.config.inputs(self._normalizer).module(run, layers, net.activation)
 
     def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
         """Actions of the runs in an epoch: the policy's, with its noise."""
@@ -145,6 +146,8 @@ class OnPolicy(ABC):
                 state, loss = critic_step(self.nets, self.config, state, data, rows, weight)
                 losses, count = losses + loss, count + (weight[:, :1] > 0)
         self._state = tree.where(active, self._followed(state, data, ahead=False), before)
+        if self._normalizer:
+            self._normalizer.count(rollout.observation, rollout.length)
         losses = losses / count
         records["critic_loss"], records["cost_critic_loss"] = losses[:, 0], losses[:, 1:].sum(dim=1)
         records["std"] = self._std()
@@ -160,9 +163,9 @@ class OnPolicy(ABC):
 
     def _epoch(self, rollout: Rollout, packing: Packing) -> Epoch:
         """Advantages and value targets of an epoch's steps, packed."""
-        observation = tensor(packing.pack(rollout.observation))
-        value = self._values(observation)
-        next_value = self._values(tensor(packing.pack(rollout.next_observation)))
+        columns = (rollout.observation, rollout.next_observation)
+        observation, following = (self._seen(packing.pack(column)) for column in columns)
+        value, next_value = self._values(observation), self._values(following)
         terminal = rollout.terminal(self.config.time_limit)
         gains = []
         for k, signal in enumerate((rollout.reward, *np.moveaxis(rollout.cost, -1, 0))):
@@ -193,6 +196,10 @@ class OnPolicy(ABC):
             discounted_cost=discounted_cost,
         )
 
+    def _seen(self, observation: NDArray[np.float32]) -> torch.Tensor:
+        """Observations of a `learned` rollout, packed, as networks see them."""
+        return tensor(self._normalizer.inputs(observation) if self._normalizer else observation)
+
     def _values(self, observation: torch.Tensor) -> NDArray[np.float32]:
         """Values of the critics, computed block by block: [R, 1 + C, B]."""
         parts = [values(self.nets, self._state.critics, *block) for block in blocks(observation)]
@@ -209,8 +216,12 @@ class OnPolicy(ABC):
 
     def state_dict(self) -> dict[str, NDArray]:
         """The whole training state as named arrays."""
-        return tree.flatten(self._state)
+        return tree.flatten(self._state) | (
+            self._normalizer.state_dict() if self._normalizer else {}
+        )
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
         """Load a state, bit for bit."""
         self._state = tree.unflatten(self._state, state)
+        if self._normalizer:
+            self._normalizer.load_state_dict(state)

@@ -25,6 +25,7 @@ from agents.lockstep.nets import (
     no_moments,
 )
 from agents.lockstep.noise import Purpose, stream
+from agents.lockstep.normalizer import InputConfig, Inputs
 from agents.lockstep.rollout import critic_inputs
 
 
@@ -81,16 +82,16 @@ class GaussianPolicy(NamedTuple):
     def act(
         self,
         params: NDArray[np.float32],
-        scale: NDArray[np.float32],
+        inputs: Inputs,
         observation: NDArray[np.float32],
         noise: NDArray[np.float32] | None,
     ) -> NDArray[np.float32]:
         """`μ + σ·noise` in numpy, not clipped; without noise the deterministic policy's `μ`.
 
-        observation: [R, N, observation size], seen times `scale`; noise: [R, N, A] -> [R, N, A].
+        observation: [R, N, observation size], as the task gives it; noise: [R, N, A] -> [R, N, A].
         """
         layers = self.net.layers(params[:, : self.net.size])
-        mean = forward_numpy(layers, scale * observation, self.net.activation)
+        mean = forward_numpy(layers, inputs(observation), self.net.activation)
         if noise is None:
             return mean
         log_std = params[:, None, self.net.size : self.net.size + self.net.sizes[-1]]
@@ -98,7 +99,7 @@ class GaussianPolicy(NamedTuple):
 
 
 @dataclass(frozen=True)
-class OnPolicyConfig(Settings):
+class OnPolicyConfig(InputConfig):
     """Hyper-parameters of all on-policy algorithms; a family adds its `batch_size`.
 
     The defaults are the paper's (table HP_Circle2D).
@@ -118,10 +119,6 @@ class OnPolicyConfig(Settings):
     """Sizes of the hidden layers of actor and critics. Paper: 64, 64."""
     activation: Activation = "tanh"
     """Function between the layers. Not printed in the paper; tanh."""
-    input_scale: Annotated[float | tuple[float, ...], In(1e-6, 1e6)] = 1.0
-    """Factor on observations before the networks, or one for each number of an observation. Small
-    tanh networks are smooth: observations in [-1, 1] whose details matter want a larger one. Not in
-    the paper; 1 leaves them as they are."""
     initial_log_std: Annotated[float, In(-20, 20)] = 0.0
     """Initial logarithm of the policy's standard deviation. Not printed in the paper; 0 as in
     Stable-Baselines3."""

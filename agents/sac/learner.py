@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from agents.lockstep import lagrange, tree
 from agents.lockstep.backend import array, tensor
 from agents.lockstep.lagrange import PIDState
-from agents.lockstep.nets import Activation, forward_numpy, mlp
+from agents.lockstep.nets import Activation, forward_numpy
 from agents.lockstep.noise import (
     Purpose,
     correlated_uniform,
@@ -22,7 +22,8 @@ from agents.lockstep.noise import (
     streams,
     uniform,
 )
-from agents.lockstep.rollout import Act, Policy, Rollout, critic_inputs, input_scale, learned
+from agents.lockstep.normalizer import Inputs
+from agents.lockstep.rollout import Act, Policy, Rollout, critic_inputs, learned
 from agents.sac import update as sac
 from agents.sac.replay import Batch, Novelty, Replay, ReturnScale
 from agents.sac.update import SACConfig
@@ -34,11 +35,11 @@ METRICS = ("critic_loss", "cost_critic_loss", "actor_loss", "temperature", "entr
 def _act(
     layers: Sequence[NDArray[np.float32]],
     activation: Activation,
-    scale: NDArray[np.float32],
+    inputs: Inputs,
     observation: NDArray[np.float32],
     noise: NDArray[np.float32] | None,
 ) -> NDArray[np.float32]:
-    return sac.act(forward_numpy(layers, scale * observation, activation), noise)
+    return sac.act(forward_numpy(layers, inputs(observation), activation), noise)
 
 
 class OffPolicy:
@@ -72,6 +73,7 @@ class OffPolicy:
             if config.novelty_bonus
             else None
         )
+        self._normalizer = config.normalizer(len(seeds), observation_size)
         running = config.reward_scale == "running"
         self._scale = ReturnScale(len(seeds), config.discount) if running else None
 
@@ -79,14 +81,17 @@ class OffPolicy:
         """The policy of every run as it stands now."""
         net = self.nets.actor
         layers = net.layers(array(self._state.actor))
-        return functools.partial(_act, layers, net.activation, input_scale(self.config))
+        return functools.partial(_act, layers, net.activation, self._inputs)
 
     def module(self, run: int) -> nn.Module:
         """The deterministic policy of a run in PyTorch: observations -> actions in [-1, 1]."""
         layers = [layer[run] for layer in self.nets.actor.layers(array(self._state.actor))]
         layers[-2:] = [layer[..., : self.action_size] for layer in layers[-2:]]  # of the mean
-        layers[0] = input_scale(self.config)[..., None] * layers[0]
-        return nn.Sequential(*mlp(layers, self.nets.actor.activation), nn.Tanh())
+        return self._inputs.module(run, layers, self.nets.actor.activation).append(nn.Tanh())
+
+    @property
+    def _inputs(self) -> Inputs:
+        return self.config.inputs(self._normalizer)
 
     def explorer(self, epoch: int, steps: NDArray[np.int64]) -> Act:
         """Actions of the runs in an epoch: random until `random_steps`, then the policy's.
@@ -132,12 +137,19 @@ class OffPolicy:
             self._novelty.add(rollout.next_observation, rollout.length)
         if self._scale:
             self._scale.add(rollout.reward, rollout.length)
-        learning = active & (self._replay.size >= self.config.batch_size)
+        metrics = self._update(epoch, active & (self._replay.size >= self.config.batch_size))
+        if self._normalizer:
+            self._normalizer.count(rollout.observation, rollout.length)
+        return metrics
+
+    def _update(self, epoch: int, learning: NDArray[np.bool_]) -> NDArray:
+        """Take an epoch's gradient steps; learning: [R], runs that take them. Returns as `learn`
+        does."""
         if not learning.any():
             return np.full((len(self.seeds), len(self.metrics)), np.nan)
         total = risks = 0.0
         for index, noise in self._draws(epoch):
-            batch = self._with_learned_reward(self._replay.gather(index))
+            batch = self._as_learned(self._replay.gather(index))
             state, metrics = sac.update(
                 self.nets, self.config, self.rule, self._state, batch, noise
             )
@@ -147,15 +159,19 @@ class OffPolicy:
         self._control_multipliers(risks / self.config.gradient_steps, learning)
         return np.where(learning[:, None], total / self.config.gradient_steps, np.nan)
 
-    def _with_learned_reward(self, batch: Batch) -> Batch:
+    def _as_learned(self, batch: Batch) -> Batch:
         """The batch with its rewards in the running scale, and with `novelty_bonus`, by what the
-        runs have seen until now."""
+        runs have seen until now, and its observations as networks see them."""
         if self._scale:
             batch = batch._replace(reward=tensor(self._scale.of(array(batch.reward))))
-        if not self._novelty:
-            return batch
-        novelty = tensor(self._novelty.of(array(batch.next_observation)))
-        return batch._replace(reward=batch.reward + self.config.novelty_bonus * novelty)
+        if self._novelty:
+            novelty = tensor(self._novelty.of(array(batch.next_observation)))
+            batch = batch._replace(reward=batch.reward + self.config.novelty_bonus * novelty)
+        if self._normalizer:
+            seen = self._normalizer.inputs
+            names = ("observation", "next_observation")
+            batch = batch._replace(**{k: tensor(seen(array(getattr(batch, k)))) for k in names})
+        return batch
 
     def _control_multipliers(self, risks: NDArray, learning: NDArray[np.bool_]) -> None:
         """One step of PID multipliers; risks: [R, C], means over the epoch's gradient steps.
@@ -209,11 +225,14 @@ class OffPolicy:
             for name, part in self._parts.items()
             for key, value in part.state_dict().items()
         }
-        return {**tree.flatten(self._state), **parts}
+        normalizer = self._normalizer.state_dict() if self._normalizer else {}
+        return {**tree.flatten(self._state), **parts, **normalizer}
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
         """Load a state, bit for bit."""
         self._state = tree.unflatten(self._state, state)
+        if self._normalizer:
+            self._normalizer.load_state_dict(state)
         for name, part in self._parts.items():
             prefix = f"{name}."
             arrays = {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}

@@ -13,6 +13,7 @@ from torch import Tensor
 from agents.lockstep import tree
 from agents.lockstep.backend import tensor
 from agents.lockstep.noise import Purpose, streams
+from agents.lockstep.normalizer import RunningMoments
 from agents.lockstep.rollout import Rollout
 
 
@@ -161,7 +162,7 @@ class ReturnScale:
 
     def __init__(self, runs: int, discount: float) -> None:
         self._discount = discount
-        self._moments = np.zeros((runs, 3))  # steps, mean, sum of squared deviations
+        self._moments = RunningMoments(runs)
 
     def add(self, reward: NDArray[np.float64], length: NDArray[np.int64]) -> None:
         """Count the first length [R] of the rewards [T, R] of an episode."""
@@ -171,28 +172,20 @@ class ReturnScale:
             total = returns[t] = now + self._discount * total
         for run, steps in enumerate(length):
             if steps:
-                self._count(run, np.ascontiguousarray(returns[:steps, run]))
-
-    def _count(self, run: int, returns: NDArray[np.float64]) -> None:
-        """Join the moments of more returns to a run's (Chan et al. 1979)."""
-        (before, mean, squares), more = self._moments[run], len(returns)
-        after, change = before + more, returns.mean() - mean
-        squares += ((returns - returns.mean()) ** 2).sum() + change**2 * before * more / after
-        self._moments[run] = after, mean + change * more / after, squares
+                self._moments.add(run, np.ascontiguousarray(returns[:steps, run]))
 
     def of(self, reward: NDArray[np.float32]) -> NDArray[np.float32]:
         """Rewards [R, B] in the scale of now; of a run that has counted steps."""
-        steps, _, squares = self._moments.T
-        deviation = np.sqrt(squares / np.maximum(steps, 1) + 1e-8)
+        deviation = np.sqrt(self._moments.variance + 1e-8)
         return np.clip(reward / deviation[:, None], -10.0, 10.0).astype(np.float32)
 
     def state_dict(self) -> dict[str, NDArray]:
         """The state for a checkpoint."""
-        return {"moments": self._moments}
+        return self._moments.state_dict()
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
         """Load a state. ValueError or KeyError for anything else."""
-        self._moments = tree.expect("moments", state, self._moments.shape, np.float64).copy()
+        self._moments.load_state_dict(state)
 
 
 def _inverses(matrices: NDArray[np.float64]) -> NDArray[np.float32]:

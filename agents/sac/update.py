@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import softplus
 
-from agents.checks import In, Settings
+from agents.checks import In
 from agents.errors import UserError
 from agents.lockstep import lagrange
 from agents.lockstep.backend import compiled, differentiate, tensor
 from agents.lockstep.lagrange import Multiplier, MultiplierState, State
 from agents.lockstep.nets import LANES, MLP, Activation, Moments, adam, check_batch, no_moments
 from agents.lockstep.noise import Purpose, stream
+from agents.lockstep.normalizer import InputConfig
 from agents.lockstep.rollout import critic_inputs
 from agents.sac.replay import Batch
 
@@ -32,7 +33,7 @@ TimeLimit = Literal["bootstrap", "terminal", "terminal_cost"]
 
 
 @dataclass(frozen=True)
-class SACConfig(Settings):
+class SACConfig(InputConfig):
     """Hyper-parameters of the SAC family.
 
     The defaults are the paper's (table HP_Circle2D) but for the time limit; presets set it for
@@ -65,10 +66,6 @@ class SACConfig(Settings):
     """Sizes of the hidden layers of actor and critics. Paper: 64, 64."""
     activation: Activation = "tanh"
     """Function between the layers. Not printed in the paper; tanh."""
-    input_scale: Annotated[float | tuple[float, ...], In(1e-6, 1e6)] = 1.0
-    """Factor on observations before the networks, or one for each number of an observation. Small
-    tanh networks are smooth: observations in [-1, 1] whose details matter want a larger one. Not in
-    the paper; 1 leaves them as they are."""
     target_rate: Annotated[float, In(0, 1)] = 0.005
     """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
     al."""

@@ -19,13 +19,17 @@ SMALL = {"batch_size": 32, "hidden": (32, 32), "input_scale": 2.0}
 OBSERVATIONS = np.random.default_rng(0).normal(0, 3, (1000, 2)).astype(np.float32)
 
 
-@pytest.fixture(scope="module", params=["sac-lb", "trpo-lag"])
+NORMALIZED = {"normalize_observations": True, "input_scale": 1.0}
+
+
+@pytest.fixture(scope="module", params=["sac-lb", "trpo-lag", "sac-lag", "ppo-lag"])
 def folder(request, tmp_path_factory):
-    """Of a task with actions in [-2, 2]."""
+    """Of a task with actions in [-2, 2]; the last two with normalised observations."""
     out = tmp_path_factory.mktemp("export") / "x"
-    more = {"evaluate_every": 100} if request.param == "trpo-lag" else {"random_steps": 250}
+    more = {"random_steps": 250} if request.param.startswith("sac") else {"evaluate_every": 100}
+    more |= NORMALIZED if request.param in ("sac-lag", "ppo-lag") else {}
     more |= {"seeds": (0, 4), "steps": 300, "out": out}
-    return agents.train(request.param, "Walk-v0", **SMALL, **more).folder
+    return agents.train(request.param, "Walk-v0", **(SMALL | more)).folder
 
 
 def loaded(card, monkeypatch, folder):

@@ -16,16 +16,21 @@ from agents.training.trainer import train
 
 register()
 
+VARIANTS = {
+    "pid": {"multiplier_optimizer": "pid"},
+    "normalized": {"normalize_observations": True},
+}
 WITH_PID = ("trpo-lag pid", "sac-lag pid", "wcsac pid")
-EVERYTHING = (*BUILT_IN, *WITH_PID)
+NORMALIZED = ("ppo-lag normalized", "cpo normalized", "sac-lb-streak normalized")
+EVERYTHING = (*BUILT_IN, *WITH_PID, *NORMALIZED)
 FAMILIES = ("trpo-lag", "cpo", "ppo-lag", "sac-lb", "wcsac")
 """One of each learner, and those with states of their own."""
 
 
 def config(name, seeds=(0, 1, 2), steps=160, **parameters):
-    """name: of an algorithm, and its multiplier's optimiser if it is not the default."""
-    name, _, optimizer = name.partition(" ")
-    own = small(name, **({"multiplier_optimizer": optimizer} if optimizer else {}))
+    """name: of an algorithm, and of a variant where one is meant."""
+    name, _, variant = name.partition(" ")
+    own = small(name, **VARIANTS.get(variant, {}))
     return TrainConfig(name, ("Walk-v0",), seeds, steps, own, parameters, checkpoint_every=100)
 
 

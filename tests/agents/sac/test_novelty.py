@@ -72,7 +72,7 @@ def test_the_bonus_joins_the_learned_reward_alone():
     learner = it.learner
     index = np.tile(np.arange(32), (2, 1))
     plain = learner._replay.gather(index)
-    with_bonus = learner._with_learned_reward(plain)
+    with_bonus = learner._as_learned(plain)
     novelty = learner._novelty.of(plain.next_observation.numpy())
     np.testing.assert_allclose(with_bonus.reward, plain.reward.numpy() + 3.0 * novelty, rtol=1e-6)
     assert (plain.reward <= 0).all()
@@ -101,7 +101,7 @@ def test_the_scale_follows_training_and_resumes():
     it = trained("sac-lag", "Circle2D-1-v0", steps=300, reward_scale="running", random_steps=100)
     learner = it.learner
     plain = learner._replay.gather(np.tile(np.arange(32), (2, 1)))
-    scaled = array(learner._with_learned_reward(plain).reward)
+    scaled = array(learner._as_learned(plain).reward)
     ratio = array(plain.reward) / scaled
     np.testing.assert_allclose(ratio, ratio[:, :1].repeat(32, axis=1), rtol=1e-5)
     again = ReturnScale(2, 0.99)

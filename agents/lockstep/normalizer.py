@@ -1,0 +1,167 @@
+"""Running moments of what runs have seen, and observations normalised by them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from agents.checks import In, Settings
+from agents.errors import UserError
+from agents.lockstep import tree
+from agents.lockstep.nets import Activation, mlp
+
+CLIP = 10.0
+"""Bound of normalised numbers, as in gymnasium and Stable-Baselines3."""
+
+
+class RunningMoments:
+    """Mean and variance of the numbers [*shape] that each of R runs has counted so far."""
+
+    def __init__(self, runs: int, *shape: int) -> None:
+        self._moments = np.zeros((runs, 3, *shape))  # count, mean, sum of squared deviations
+
+    def add(self, run: int, values: NDArray[np.float64]) -> None:
+        """Count values [n, *shape] of a run, n > 0 (Chan et al. 1979)."""
+        (before, mean, squares), more = self._moments[run], len(values)
+        own = values.mean(axis=0)
+        after, change = before + more, own - mean
+        squares = squares + (((values - own) ** 2).sum(axis=0) + change**2 * before * more / after)
+        self._moments[run] = after, mean + change * more / after, squares
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """[R, *shape]: 0 of a run that has counted nothing."""
+        return self._moments[:, 1]
+
+    @property
+    def variance(self) -> NDArray[np.float64]:
+        """[R, *shape]: 0 of a run that has counted nothing."""
+        return self._moments[:, 2] / np.maximum(self._moments[:, 0], 1)
+
+    @property
+    def empty(self) -> NDArray[np.bool_]:
+        """[R, *shape]: whether a run has counted nothing."""
+        return self._moments[:, 0] == 0
+
+    def state_dict(self) -> dict[str, NDArray]:
+        """The state for a checkpoint."""
+        return {"moments": self._moments}
+
+    def load_state_dict(self, state: dict[str, NDArray]) -> None:
+        """Load a state. ValueError or KeyError for anything else."""
+        self._moments = tree.expect("moments", state, self._moments.shape, np.float64).copy()
+
+
+class Inputs(NamedTuple):
+    """What the networks of R runs see of observations: `scale · x`, or with a mean
+    `clip(scale · (x - mean), -10, 10)`."""
+
+    scale: NDArray[np.float32]
+    """[] or [observation size]; with a mean [R, observation size]"""
+    mean: NDArray[np.float32] | None = None
+    """[R, observation size]"""
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Of observations [R, N, at least observation size]; numbers behind them, which critics
+        see, stay as they are where there is a mean."""
+        if self.mean is None:
+            return self.scale * observation
+        size = self.mean.shape[-1]
+        seen = (observation[..., :size] - self.mean[:, None]) * self.scale[:, None]
+        seen = np.minimum(np.maximum(seen, -CLIP), CLIP)
+        return np.concatenate([seen, observation[..., size:]], axis=-1)
+
+    def module(
+        self, run: int, layers: Sequence[NDArray[np.float32]], activation: Activation
+    ) -> nn.Sequential:
+        """A run's network in PyTorch on observations as the task gives them; layers: of `mlp`."""
+        if self.mean is None:
+            first, *others = layers
+            return mlp([self.scale[..., None] * first, *others], activation)
+        normalized = Normalized(self.mean[run], self.scale[run])
+        return nn.Sequential(normalized, *mlp(layers, activation))
+
+
+class Normalized(nn.Module):
+    """`clip(scale · (x - mean), -10, 10)`."""
+
+    mean: Tensor
+    scale: Tensor
+
+    def __init__(self, mean: NDArray[np.float32], scale: NDArray[np.float32]) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.from_numpy(mean.copy()))
+        self.register_buffer("scale", torch.from_numpy(scale.copy()))
+
+    def forward(self, observation: Tensor) -> Tensor:
+        return ((observation - self.mean) * self.scale).clamp(-CLIP, CLIP)
+
+
+class Normalizer(RunningMoments):
+    """Running moments of the observations that runs have acted on.
+
+    An epoch's actions and its update see the moments of the epochs before, in the first epoch mean
+    0 and variance 1. Source: `NormalizeObservation` of gymnasium, `VecNormalize` of
+    Stable-Baselines3, which bring them up to date at every step.
+    """
+
+    def count(self, observation: NDArray[np.float32], length: NDArray[np.int64]) -> None:
+        """Count the first length [R·E] steps of episodes [T, R·E, at least observation size]."""
+        runs, _, size = self._moments.shape
+        episodes = len(length) // runs
+        for run in range(runs):
+            own = range(run * episodes, (run + 1) * episodes)
+            seen = np.concatenate([observation[: length[k], k, :size] for k in own])
+            if len(seen):
+                self.add(run, seen.astype(np.float64))
+
+    def state_dict(self) -> dict[str, NDArray]:
+        """The state for a checkpoint, named as a part of the policy."""
+        return {"actor.observations": self._moments}
+
+    def load_state_dict(self, state: dict[str, NDArray]) -> None:
+        """Load a state. ValueError or KeyError for anything else."""
+        super().load_state_dict({"moments": state["actor.observations"]})
+
+    @property
+    def inputs(self) -> Inputs:
+        """What networks see by the moments of now."""
+        scale = np.where(self.empty, 1.0, 1.0 / np.sqrt(self.variance + 1e-8))
+        return Inputs(scale.astype(np.float32), self.mean.astype(np.float32))
+
+
+@dataclass(frozen=True)
+class InputConfig(Settings):
+    """How the networks of an algorithm see observations."""
+
+    input_scale: Annotated[float | tuple[float, ...], In(1e-6, 1e6)] = 1.0
+    """Factor on observations before the networks, or one for each number of an observation. Small
+    tanh networks are smooth: observations in [-1, 1] whose details matter want a larger one. Not in
+    the paper; 1 leaves them as they are."""
+    normalize_observations: bool = False
+    """Whether networks see each number of an observation less its mean and over its standard
+    deviation, both of all that the run has seen in the epochs before, clipped at ±10. Not in the
+    paper; in OmniSafe by default."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError naming the value that is not allowed."""
+        super().__post_init__()
+        if self.normalize_observations and self.input_scale != 1.0:
+            raise UserError(
+                "input_scale must be 1 with normalize_observations, which gives every number a "
+                f"scale of its own, got {self.input_scale}"
+            )
+
+    def inputs(self, normalizer: Normalizer | None) -> Inputs:
+        """What networks see; normalizer: of the runs, where there is one."""
+        return normalizer.inputs if normalizer else Inputs(np.asarray(self.input_scale, np.float32))
+
+    def normalizer(self, runs: int, observation_size: int) -> Normalizer | None:
+        """The normalizer of runs, if they have one."""
+        return Normalizer(runs, observation_size) if self.normalize_observations else None
