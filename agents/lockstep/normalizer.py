@@ -100,6 +100,7 @@ class Normalized(nn.Module):
         self.register_buffer("scale", torch.from_numpy(scale.copy()))
 
     def forward(self, observation: Tensor) -> Tensor:
+        """Of observations [..., size]: the same shape."""
         return ((observation - self.mean) * self.scale).clamp(-CLIP, CLIP)
 
 

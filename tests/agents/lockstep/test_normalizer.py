@@ -70,7 +70,7 @@ def test_statistics_are_those_of_vecnormalize():
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_networks_see_the_moments_of_the_epochs_before(name):
-    """Actions and learned rows, in torch's own layers; the replay keeps observations as they are."""
+    """Actions and learned rows, in torch's own layers; the replay keeps plain observations."""
     own = small(name, normalize_observations=True)
     it = trainer(TrainConfig(name, ("Walk-v0",), (0, 1), 2_000, own, {"scale": (1e3, 1e-3)}))
     seen, plain_learn = [[], []], it.learner.learn
