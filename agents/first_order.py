@@ -20,7 +20,14 @@ from agents.lockstep import lagrange, tree
 from agents.lockstep.backend import compiled, differentiate
 from agents.lockstep.lagrange import Multiplier
 from agents.lockstep.nets import Moments, adam, no_moments
-from agents.on_policy.epoch import Epoch, blocks_of, compared, minibatches, raised_advantage
+from agents.on_policy.epoch import (
+    Epoch,
+    blocks_of,
+    compared,
+    divergence,
+    minibatches,
+    raised_advantage,
+)
 from agents.on_policy.learner import OnPolicy
 from agents.on_policy.state import Gaussian, Nets, OnPolicyConfig, OnPolicyState
 
@@ -115,6 +122,9 @@ class Objective(NamedTuple):
     of its cost itself."""
     surrogates: tuple[Surrogate, ...] = (clipped,)
     """Objectives of the actor's passes over an epoch: for each all of the passes, in turn."""
+    reverse_kl: bool = False
+    """Whether `kl_stop` is compared with `KL(π ‖ π_k)` instead of `KL(π_k ‖ π)`, π_k being the
+    policy that took the steps."""
 
 
 def surrogate_at(
@@ -203,7 +213,7 @@ class FirstOrder(OnPolicy):
                     actor, moments, outside = stepped
                     clipped, count = clipped + outside, count + (weight[:, 0] > 0)
                 if config.kl_stop:
-                    _, moved = compared(self.nets, actor, start)
+                    moved = divergence(self.nets, actor, old, rule.reverse_kl)
                     going = going * (moved <= config.kl_stop)[:, None]
         _, kl = compared(self.nets, actor, old)
         records = {"kl": kl, "clipped": clipped / count}

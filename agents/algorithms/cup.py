@@ -1,7 +1,7 @@
 """CUP: constrained update projection.
 
 Source: Yang et al. 2022, "Constrained update projection approach to safe policy optimization",
-algorithm 1; its hyper-parameters are those of the authors' code.
+algorithm 1, and the authors' code, whose hyper-parameters it has.
 """
 
 from __future__ import annotations
@@ -40,5 +40,5 @@ def projection(
     return -mean(batch, loss), torch.zeros_like(loss[:, 0])
 
 
-RULE = Objective(advantage, (MULTIPLIER,), surrogates=(clipped, projection))
+RULE = Objective(advantage, (MULTIPLIER,), surrogates=(clipped, projection), reverse_kl=True)
 ALGORITHM = Algorithm("CUP", CUPConfig, RULE, FirstOrder)

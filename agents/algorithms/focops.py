@@ -1,7 +1,7 @@
 """FOCOPS: first-order constrained optimisation in policy space.
 
 Source: Zhang, Vuong & Ross 2020, "First order constrained optimization in policy space", algorithm
-1 and appendix; its hyper-parameters are those of the authors' code.
+1 and appendix, and the authors' code, whose hyper-parameters it has.
 """
 
 from __future__ import annotations
@@ -23,9 +23,17 @@ from agents.on_policy.state import EpisodeCostLimit, Gaussian
 class ProjectedMultiplierConfig(MultiplierConfig, EpisodeCostLimit, FirstOrderConfig):
     """Hyper-parameters that FOCOPS and CUP share, equal in both papers' code."""
 
+    limit_of: Literal["discounted", "episode"] = "episode"
+    """Whose limit `cost_limit` is: that of an episode's discounted cost, which the multiplier
+    follows (discounted; as in both papers' code), or that of its undiscounted cost, as in the other
+    on-policy algorithms (episode): the multiplier's limit is then `d (1 - γ^T) / ((1 - γ) T)`, T
+    steps being the task's time limit."""
+    standardize_cost_advantages: bool = True
+    """Whether cost advantages are divided by their standard deviation in an epoch. Zhang et al. and
+    Yang et al.: yes."""
     kl_stop: Annotated[float, In(0, 1e12)] = 0.02
-    """Mean KL divergence from the start of passes of the actor beyond which they end; 0: never.
-    Zhang et al. and Yang et al.: 0.02, in CUP's projection from the start of both steps."""
+    """Mean KL divergence `KL(π ‖ π_k)` from the policy that took the steps beyond which passes of
+    the actor end; 0: never. Zhang et al. and Yang et al.: 0.02."""
     multiplier_optimizer: Literal["adam", "sgd", "pid"] = "sgd"
     """How the multiplier follows the cost. Zhang et al. and Yang et al.: by the plain gradient
     (sgd)."""
@@ -37,6 +45,12 @@ class ProjectedMultiplierConfig(MultiplierConfig, EpisodeCostLimit, FirstOrderCo
     """Norm to which a longer gradient of the actor is scaled. Zhang et al. and Yang et al.: 40."""
     initial_log_std: Annotated[float, In(-20, 20)] = -0.5
     """Initial logarithm of the policy's standard deviation. Zhang et al. and Yang et al.: -0.5."""
+
+    @property
+    def limited_cost(self) -> str:
+        """The limited cost in words, for tables."""
+        converted = ", its limit converted from that of the undiscounted cost"
+        return "discounted cost of an episode" + converted * (self.limit_of == "episode")
 
 
 @dataclass(frozen=True)
@@ -68,6 +82,6 @@ def surrogate(
     return mean(batch, gain), mean(batch, torch.ones_like(near) - near)
 
 
-MULTIPLIER = Multiplier(PROJECTED, highest="max_multiplier", ahead=True)
-RULE = Objective(advantage, (MULTIPLIER,), surrogates=(surrogate,))
+MULTIPLIER = Multiplier(PROJECTED, highest="max_multiplier", ahead=True, discounted=True)
+RULE = Objective(advantage, (MULTIPLIER,), surrogates=(surrogate,), reverse_kl=True)
 ALGORITHM = Algorithm("FOCOPS", FOCOPSConfig, RULE, FirstOrder)

@@ -34,7 +34,7 @@ class Epoch(NamedTuple):
     reward_advantage: Tensor
     """[R, B], standardised"""
     cost_advantage: Tensor
-    """[R, C, B], centred"""
+    """[R, C, B], centred; with `standardize_cost_advantages` standardised"""
     value_targets: Tensor
     """[R, 1 + C, B]: of the reward, of each cost"""
     length: Tensor
@@ -198,3 +198,17 @@ def compared(nets: Nets, actor: Tensor, steps: list[Block]) -> tuple[Tensor, Ten
         of_block, kl_of_block = compared_in(nets, actor, block)
         surrogates, kl = surrogates + of_block, kl + kl_of_block
     return surrogates, kl
+
+
+@compiled
+def divergence_in(nets: Nets, actor: Tensor, block: Block, reverse: bool) -> Tensor:
+    """A block's part of the sum of `divergence`."""
+    policy = nets.actor.distribution(actor, block.observation)
+    kl = policy.kl(block.old) if reverse else block.old.kl(policy)
+    return (block.weight * torch.where(block.weight > 0, kl, 0.0)).sum(dim=-1)
+
+
+def divergence(nets: Nets, actor: Tensor, steps: list[Block], reverse: bool = False) -> Tensor:
+    """The mean KL divergence from the old policy to another, or the other way round, [R]."""
+    parts = (divergence_in(nets, actor, block, reverse) for block in steps)
+    return sum(parts, start=torch.zeros(len(actor)))

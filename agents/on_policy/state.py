@@ -119,6 +119,9 @@ class OnPolicyConfig(InputConfig):
     """Sizes of the hidden layers of actor and critics. Paper: 64, 64."""
     activation: Activation = "tanh"
     """Function between the layers. Not printed in the paper; tanh."""
+    standardize_cost_advantages: bool = False
+    """Whether cost advantages are divided by their standard deviation in an epoch, as those of the
+    reward are; they are centred in any case. Not printed in the paper."""
     initial_log_std: Annotated[float, In(-20, 20)] = 0.0
     """Initial logarithm of the policy's standard deviation. Not printed in the paper; 0 as in
     Stable-Baselines3."""

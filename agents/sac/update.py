@@ -8,9 +8,9 @@ algorithms and applications") with the cost terms of the algorithm's paper.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -126,12 +126,6 @@ class ConstrainedSACConfig(SACConfig):
         """The limited cost in words, for tables."""
         converted = ", converted from an episode's cost," if self.limit_of == "episode" else ""
         return f"discounted cost return Q_c{converted}"
-
-    def with_limits_of_episodes(self, names: Iterable[str], steps: int) -> Self:
-        """The config with limits, by name, of an episode of some steps as limits of Q_c: the mean
-        discount of a step, which is their ratio where all steps cost the same."""
-        mean = sum(self.discount**k for k in range(steps)) / steps
-        return replace(self, **{name: mean * getattr(self, name) for name in names})
 
 
 LOG_STD = (-20.0, 2.0)

@@ -201,15 +201,23 @@ class TrainConfig(Settings):
 
     @property
     def learned(self) -> Any:
-        """The hyper-parameters that the learner gets: with `limit_of` episode, its limits are
-        converted. Raises UserError where the tasks have no time limit, or different ones."""
-        if getattr(self.hyperparameters, "limit_of", "") != "episode":
-            return self.hyperparameters
+        """The hyper-parameters that the learner gets: with `limit_of` episode, limits of an
+        episode's cost become limits of its discounted cost, by the mean discount of a step, which
+        is their ratio where all steps cost the same. Raises UserError where the tasks have no time
+        limit, or different ones."""
+        given = self.hyperparameters
+        if getattr(given, "limit_of", "") != "episode":
+            return given
         limits = {task: time_limit(task, self.task_parameters) for task in self.tasks}
         steps, *others = set(limits.values())
         if steps is None or others:
-            raise UserError(f"limit_of episode needs tasks with one time limit, got {limits}")
-        return self.hyperparameters.with_limits_of_episodes(self._limit_names.values(), steps)
+            raise UserError(
+                f"limit_of episode needs tasks with one time limit, got {limits}; limit_of "
+                "discounted takes any, and a limit of the discounted cost"
+            )
+        mean = sum(given.discount**k for k in range(steps)) / steps
+        names = self._limit_names.values()
+        return dataclasses.replace(given, **{name: mean * getattr(given, name) for name in names})
 
     @property
     def settings(self) -> dict[str, Any]:
