@@ -20,7 +20,7 @@ BUILT_IN = (
     *("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"),
     *("sac-lb-streak", "ppo-lag", "ppo", "sac"),
     *("cppo-pid", "focops", "cup", "p3o", "ipo"),
-    *("crpo", "pcpo", "c-trpo", "rcpo", "sac-pid", "cal"),
+    *("crpo", "pcpo", "c-trpo", "rcpo", "sac-pid", "cal", "trpo-pid"),
 )
 """Each a module of this package that defines `ALGORITHM`. `ppo` and `sac` know no constraint."""
 

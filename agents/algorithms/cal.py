@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import torch
 from torch import Tensor
@@ -16,15 +16,19 @@ from torch import Tensor
 from agents.algorithms import Algorithm
 from agents.algorithms.sac_lag import penalty
 from agents.checks import In
-from agents.lockstep.lagrange import EXP, Multiplier, MultiplierConfig
-from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
+from agents.lockstep.lagrange import EXP, Multiplier
+from agents.sac import CostRule, MultiplierOfConfig, OffPolicy
 from agents.sac.replay import Batch
 
 
 @dataclass(frozen=True)
-class CALConfig(MultiplierConfig, ConstrainedSACConfig):
+class CALConfig(MultiplierOfConfig):
     """Hyper-parameters of CAL. The multiplier is λ = exp(parameter)."""
 
+    multiplier_of: Literal["replay", "start"] = "replay"
+    """What the multiplier follows and the quadratic penalty is of: the upper bound of the cost at
+    the states of the replay (replay; as Wu et al.), or at start states of the last 64 episodes
+    (start). The cost of episodes has no such bound."""
     initial_multiplier: Annotated[float, In(-50, 50)] = math.log(0.6931)
     """Initial parameter of the multiplier, before it is mapped to positive numbers. Wu et al.:
     log(0.6931)."""
@@ -54,8 +58,8 @@ def critic_loss(
 
 
 def augmented(config: CALConfig, multipliers: Tensor, risk: Tensor) -> Tensor:
-    """`max(0, λ - c (d - E[risk]))`, the augmented Lagrangian's slope; risk: at the batch's own
-    actions."""
+    """`max(0, λ - c (d - E[risk]))`, the augmented Lagrangian's slope; risk: that the
+    multiplier follows."""
     return (multipliers - config.convexity * (config.cost_limit - risk)).clamp(min=0.0)
 
 

@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 
 from agents.algorithms import Algorithm
-from agents.lockstep.lagrange import SOFTPLUS, Multiplier, MultiplierConfig
-from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy, SACConfig
+from agents.lockstep.lagrange import SOFTPLUS, Multiplier
+from agents.sac import CostRule, MultiplierOfConfig, OffPolicy, SACConfig
 from agents.sac.replay import Batch
 
 
 @dataclass(frozen=True)
-class SACLagConfig(MultiplierConfig, ConstrainedSACConfig):
+class SACLagConfig(MultiplierOfConfig):
     """Hyper-parameters of SAC-Lag.
 
     The multiplier is β = softplus(parameter): 0.69 for the parameter 0 it starts from.

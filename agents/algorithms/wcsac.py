@@ -11,22 +11,25 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import softplus
 
 from agents.algorithms import Algorithm
 from agents.checks import In
-from agents.lockstep.lagrange import EXP, Multiplier, MultiplierConfig
-from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
+from agents.lockstep.lagrange import EXP, Multiplier
+from agents.sac import CostRule, MultiplierOfConfig, OffPolicy
 from agents.sac.replay import Batch
+from emcc import cvar
 
 VARIANCE = (1e-8, 1e8)
 """Where variances are clamped."""
 
 
 @dataclass(frozen=True)
-class WCSACConfig(MultiplierConfig, ConstrainedSACConfig):
+class WCSACConfig(MultiplierOfConfig):
     """Hyper-parameters of WCSAC.
 
     The multiplier is κ = exp(parameter): 1 for the parameter 0 it starts from.
@@ -113,11 +116,31 @@ def unsquared_variance_target(
 
 
 def penalty(config: WCSACConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
-    """`(κ - κ_d) Γ` with the damping `κ_d = scale · E[d - Γ]`, by default without its gradient."""
+    """`(κ - κ_d) Γ` with the damping `κ_d = scale · E[d - Γ]`, by default without its gradient.
+
+    multipliers: κ, or where it follows something else than the replay `damped`.
+    """
+    if config.multiplier_of != "replay":
+        return multipliers[..., None] * risk
     mean = (risk.detach() if config.damping_gradient == "stopped" else risk).mean(-1, keepdim=True)
     damping = config.damping * (config.cost_limit - mean)
     return (multipliers[..., None] - damping) * risk
 
 
-RULE = CostRule(risk, critic_loss, penalty, (Multiplier(EXP),))
+def damped(config: WCSACConfig, multipliers: Tensor, followed: Tensor) -> Tensor:
+    """`κ - scale · (d - Γ)`, with what the multiplier follows in the place of Γ."""
+    return multipliers - config.damping * (config.cost_limit - followed)
+
+
+def worst(config: WCSACConfig, costs: NDArray[np.float64]) -> float:
+    """The mean of the worst share α of the costs of episodes [E]."""
+    return cvar(costs, config.risk_level, ties="split")
+
+
+RULE = CostRule(
+    *(risk, critic_loss, penalty, (Multiplier(EXP),)),
+    augmented=damped,
+    augments_replay=False,
+    of_episodes=worst,
+)
 ALGORITHM = Algorithm("WCSAC", WCSACConfig, RULE, OffPolicy)

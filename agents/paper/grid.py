@@ -31,7 +31,15 @@ QUICK_SEEDS, QUICK_STEPS = (0, 1), 10_000
 WORK = {"trpo-lag": 1.0, "cpo": 1.3, "sac-lag": 5.0, "sac-lb": 5.0, "wcsac": 5.2}
 WORK |= {"ppo-lag": 2.4, "ppo": 2.4, "sac": 4.8, "sac-lb-streak": 7.5}
 WORK |= dict.fromkeys(("cppo-pid", "focops", "p3o", "ipo"), 2.4) | {"cup": 3.5}
-WORK |= {"crpo": 1.0, "rcpo": 1.0, "pcpo": 1.3, "c-trpo": 1.3, "sac-pid": 5.0, "cal": 7.0}
+WORK |= {
+    "crpo": 1.0,
+    "rcpo": 1.0,
+    "trpo-pid": 1.0,
+    "pcpo": 1.3,
+    "c-trpo": 1.3,
+    "sac-pid": 5.0,
+    "cal": 7.0,
+}
 UNKNOWN_WORK = max(WORK.values())
 """Time of a step of an algorithm on Circle2D, in that of TRPO-Lag's; of one that is not listed the
 largest. Decides the order (what takes longest goes first) and the time left that is shown; no

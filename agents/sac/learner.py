@@ -25,7 +25,7 @@ from agents.lockstep.noise import (
 from agents.lockstep.normalizer import Inputs
 from agents.lockstep.rollout import Act, Policy, Rollout, critic_inputs, learned
 from agents.sac import update as sac
-from agents.sac.replay import Batch, Novelty, Replay, ReturnScale
+from agents.sac.replay import STARTS, Batch, Novelty, Recent, Replay, ReturnScale
 from agents.sac.update import SACConfig
 
 METRICS = ("critic_loss", "cost_critic_loss", "actor_loss", "temperature", "entropy")
@@ -74,6 +74,9 @@ class OffPolicy:
             else None
         )
         self._normalizer = config.normalizer(len(seeds), observation_size)
+        self._multiplier_of = getattr(config, "multiplier_of", "replay")
+        follows = self._multiplier_of != "replay"
+        self._recent = Recent(len(seeds), inputs, rule.costs) if follows else None
         running = config.reward_scale == "running"
         self._scale = ReturnScale(len(seeds), config.discount) if running else None
 
@@ -133,6 +136,8 @@ class OffPolicy:
         ends = rollout.terminal(of_rewards), rollout.terminal(of_costs)
         rollout = learned(rollout, self.config, self.costs)._replace(length=length)
         self._replay.add(rollout, *ends)
+        if self._recent:
+            self._recent.add(rollout)
         if self._novelty:
             self._novelty.add(rollout.next_observation, rollout.length)
         if self._scale:
@@ -150,14 +155,25 @@ class OffPolicy:
         total = risks = 0.0
         for index, noise in self._draws(epoch):
             batch = self._as_learned(self._replay.gather(index))
-            state, metrics = sac.update(
-                self.nets, self.config, self.rule, self._state, batch, noise
-            )
+            what = (self.nets, self.config, self.rule, self._state)
+            state, metrics = sac.update(*what, batch, noise, self._followed(noise))
             self._state = tree.where(learning, state, self._state)
             risks = risks + array(metrics["risks"])
             total = total + _columns(metrics)
         self._control_multipliers(risks / self.config.gradient_steps, learning)
         return np.where(learning[:, None], total / self.config.gradient_steps, np.nan)
+
+    def _followed(self, noise: sac.UpdateNoise) -> Tensor | None:
+        """What multipliers follow instead of a batch's risk: see `multiplier_of`; [R, C]."""
+        if self._recent is None:
+            return None
+        if self._multiplier_of == "episode":
+            of = functools.partial(self.rule.of_episodes, self.config)
+            return tensor(self._recent.costs(of))
+        starts, weight = self._recent.starts
+        seen = self._normalizer.inputs(starts) if self._normalizer else starts
+        what = (self.nets, self.config, self.rule, self._state)
+        return sac.risk_at(*what, tensor(seen), noise.start_action, tensor(weight))
 
     def _as_learned(self, batch: Batch) -> Batch:
         """The batch with its rewards in the running scale, and with `novelty_bonus`, by what the
@@ -192,16 +208,18 @@ class OffPolicy:
     def _draws(self, epoch: int) -> list[tuple[NDArray[np.int64], sac.UpdateNoise]]:
         """The draws of each gradient step of an epoch: slots [R, B] and action noise."""
         steps, batch = self.config.gradient_steps, self.config.batch_size
-        share, action_noise = [], []
+        share, action_noise, start_noise = [], [], []
         for rng in streams(self.seeds, Purpose.UPDATE, epoch):
             share.append(rng.random((steps, batch)))
             action_noise.append(normal(rng, (steps, 2, batch, self.action_size)))
+            if self._multiplier_of == "start":
+                start_noise.append(normal(rng, (steps, STARTS, self.action_size)))
         index = self._slots(np.stack(share, axis=1))
         noise = tensor(np.stack(action_noise, axis=1))
-        return [
-            (index[k], sac.UpdateNoise(noise[k, :, 0].contiguous(), noise[k, :, 1].contiguous()))
-            for k in range(steps)
-        ]
+        starts = tensor(np.stack(start_noise, axis=1)) if start_noise else [None] * steps
+        following, new = (noise[:, :, k].contiguous() for k in range(2))
+        noises = [sac.UpdateNoise(following[k], new[k], starts[k]) for k in range(steps)]
+        return list(zip(index, noises, strict=True))
 
     def _slots(self, share: NDArray[np.float64]) -> NDArray[np.int64]:
         """Slots of the replay, [steps, R, B], for numbers in [0, 1): the first `random_share` of a
@@ -214,8 +232,9 @@ class OffPolicy:
         return (low + share * (high - low)).astype(np.int64)
 
     @property
-    def _parts(self) -> dict[str, Replay | Novelty | ReturnScale]:
-        parts = {"replay": self._replay, "novelty": self._novelty, "scale": self._scale}
+    def _parts(self) -> dict[str, Replay | Recent | Novelty | ReturnScale]:
+        parts = {"replay": self._replay, "recent": self._recent}
+        parts |= {"novelty": self._novelty, "scale": self._scale}
         return {name: part for name, part in parts.items() if part is not None}
 
     def state_dict(self) -> dict[str, NDArray]:

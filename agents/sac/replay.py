@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -96,6 +96,50 @@ class Replay:
         held = int(self.size.max(initial=0))
         shape = (len(self.stored), held, self._rows.shape[2])
         self._rows[:, :held] = tree.expect("rows", state, shape, np.float32)
+
+
+STARTS, EPISODES = 64, 10
+"""Last episodes of which start states and costs are kept."""
+
+
+class Recent:
+    """Start states and undiscounted costs of the last episodes of R runs."""
+
+    def __init__(self, runs: int, observation_size: int, costs: int) -> None:
+        self._starts = np.zeros((runs, STARTS, observation_size), dtype=np.float32)
+        self._costs = np.zeros((runs, EPISODES, costs))
+        self._count = np.zeros(runs, dtype=np.int64)
+
+    def add(self, rollout: Rollout) -> None:
+        """Keep an episode of each run [T, R, ...] whose length is not 0."""
+        costs = rollout.cost_returns
+        for run in np.flatnonzero(rollout.length):
+            self._starts[run, self._count[run] % STARTS] = rollout.observation[0, run]
+            self._costs[run, self._count[run] % EPISODES] = costs[run]
+            self._count[run] += 1
+
+    @property
+    def starts(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Start states [R, STARTS, observation size], and weights [R, STARTS]: equal for those
+        that are held, adding up to 1."""
+        held = np.arange(STARTS) < self._count[:, None]
+        weight = held / np.maximum(held.sum(axis=1, keepdims=True), 1)
+        return self._starts, weight.astype(np.float32)
+
+    def costs(self, of: Callable[[NDArray[np.float64]], float]) -> NDArray[np.float32]:
+        """`of` a run's recent costs [E], for each of them: [R, C]; 0 of a run without episodes."""
+        held = [costs[:count] for costs, count in zip(self._costs, self._count, strict=True)]
+        found = [[of(own) if len(own) else 0.0 for own in costs.T] for costs in held]
+        return np.array(found, dtype=np.float32)
+
+    def state_dict(self) -> dict[str, NDArray]:
+        """The state for a checkpoint."""
+        return {"starts": self._starts, "costs": self._costs, "count": self._count}
+
+    def load_state_dict(self, state: dict[str, NDArray]) -> None:
+        """Load a state. ValueError or KeyError for anything else."""
+        for name, own in self.state_dict().items():
+            own[...] = tree.expect(name, state, own.shape, own.dtype)
 
 
 FEATURES = 128

@@ -22,7 +22,7 @@ from agents.checks import In
 from agents.errors import UserError
 from agents.lockstep import lagrange
 from agents.lockstep.backend import compiled, differentiate, tensor
-from agents.lockstep.lagrange import Multiplier, MultiplierState, State
+from agents.lockstep.lagrange import Multiplier, MultiplierConfig, MultiplierState, State
 from agents.lockstep.nets import LANES, MLP, Activation, Moments, adam, check_batch, no_moments
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.normalizer import InputConfig
@@ -128,6 +128,23 @@ class ConstrainedSACConfig(SACConfig):
         return f"discounted cost return Q_c{converted}"
 
 
+@dataclass(frozen=True)
+class MultiplierOfConfig(MultiplierConfig, ConstrainedSACConfig):
+    """Hyper-parameters of the SAC family's algorithms that have a multiplier."""
+
+    multiplier_of: Literal["replay", "start", "episode"] = "replay"
+    """What the multiplier follows: the risk at the states of the replay, most of which lie behind
+    the start of an episode (replay; as in the algorithms' papers), the risk at start states of the
+    last 64 episodes (start), or the undiscounted cost of the last 10 episodes, whose limit
+    `cost_limit` then is (episode; as in OmniSafe and FSRL). Not printed in the paper; replay."""
+
+    @property
+    def limited_cost(self) -> str:
+        """The limited cost in words, for tables."""
+        of_episode = self.multiplier_of == "episode"
+        return "undiscounted cost of an episode" if of_episode else super().limited_cost
+
+
 LOG_STD = (-20.0, 2.0)
 """Where the logarithm of the standard deviation is clamped."""
 
@@ -158,6 +175,11 @@ def act(outputs: NDArray[np.float32], noise: NDArray[np.float32] | None) -> NDAr
     return np.tanh(mean + np.exp(log_std) * noise)
 
 
+def mean_cost(config: Any, costs: NDArray[np.float64]) -> float:
+    """The mean of the costs of episodes [E]."""
+    return float(costs.mean())
+
+
 class CostRule(NamedTuple):
     """How an algorithm of the family treats costs. Every function takes its config first.
 
@@ -180,9 +202,14 @@ class CostRule(NamedTuple):
     """Names of the hyper-parameters that limit the costs, in their order; a multiplier names that
     of its cost itself."""
     augmented: Callable[[Any, Tensor, Tensor], Tensor] | None = None
-    """(config, multipliers [R, M], mean risks [R, C] at the batch's own actions) -> [R, M]: the
-    multipliers that the penalty sees. Where it is given, multipliers follow that risk, too, instead
-    of the risk at new actions of the policy."""
+    """(config, multipliers [R, M], what they follow [R, C]) -> [R, M]: the multipliers that the
+    penalty sees. Where it is given and `multiplier_of` is replay, multipliers follow the mean risk
+    at the batch's own actions, instead of that at new actions of the policy."""
+    augments_replay: bool = True
+    """Whether `augmented` is there for multipliers that follow the replay, too."""
+    of_episodes: Callable[[Any, NDArray[np.float64]], float] = mean_cost
+    """(config, a cost of recent episodes [E]) -> what a multiplier of `multiplier_of` episode
+    follows."""
 
 
 class Nets(NamedTuple):
@@ -217,6 +244,8 @@ class UpdateNoise(NamedTuple):
 
     next_action: Tensor
     new_action: Tensor
+    start_action: Any = None
+    """[R, STARTS, action size], with `multiplier_of` start"""
 
 
 def make_nets(config: SACConfig, observation_size: int, action_size: int, costs: int) -> Nets:
@@ -275,6 +304,23 @@ def check_rule(config: Any, rule: CostRule) -> None:
 def values(nets: Nets, critics: Tensor, observation: Tensor, action: Tensor) -> Tensor:
     """Values of all critics of each run: [R, 2 + 2·C, B]."""
     return nets.critic.forward_each(critics, torch.cat([observation, action], dim=-1))
+
+
+@compiled
+def risk_at(
+    nets: Nets,
+    config: Any,
+    rule: CostRule,
+    state: SACState,
+    observation: Tensor,
+    noise: Tensor,
+    weight: Tensor,
+) -> Tensor:
+    """The mean risk of each cost where the policy acts anew at observations [R, B, critic inputs]:
+    [R, C]; noise: [R, B, action size]; weight: [R, B], adds up to 1."""
+    outputs = nets.actor.forward(state.actor, nets.actor.inputs_of(observation))
+    q = values(nets, state.critics, observation, sample(outputs, noise)[0])
+    return (weight[:, None] * risks(config, rule, q)).sum(dim=-1)
 
 
 def cost_critics(values: Tensor, rule: CostRule) -> list[Tensor]:
@@ -357,12 +403,19 @@ def targets_of(
 
 @compiled
 def update(
-    nets: Nets, config: Any, rule: CostRule, state: SACState, batch: Batch, noise: UpdateNoise
+    nets: Nets,
+    config: Any,
+    rule: CostRule,
+    state: SACState,
+    batch: Batch,
+    noise: UpdateNoise,
+    followed: Tensor | None = None,
 ) -> tuple[SACState, dict[str, Tensor]]:
     """One gradient step of critics, actor, temperature and multiplier, in this order.
 
-    Temperature and multiplier see the actions that the actor's step was computed from. Returns the
-    new state and, for the records, means over the batch: [R], multipliers [R, M], risks [R, C].
+    Temperature and multiplier see the actions that the actor's step was computed from; followed:
+    [R, C], what multipliers follow instead of the batch's risk. Returns the new state and, for the
+    records, means over the batch: [R], multipliers [R, M], risks, those that are followed [R, C].
     """
     rate = config.learning_rate
     reward_target, next_values = targets_of(nets, config, state, batch, noise.next_action)
@@ -374,11 +427,11 @@ def update(
     critics, critic_moments = adam(state.critics, gradient, state.critic_moments, rate)
 
     multipliers = in_penalty = lagrange.values(rule.multipliers, state.multipliers, len(critics))
-    taken = None
-    if rule.augmented:
+    if rule.augmented and rule.augments_replay and followed is None:
         taken = values(nets, critics, batch.observation, batch.action)
-        taken = risks(config, rule, taken).mean(dim=-1)
-        in_penalty = rule.augmented(config, multipliers, taken)
+        followed = risks(config, rule, taken).mean(dim=-1)
+    if rule.augmented and followed is not None:
+        in_penalty = rule.augmented(config, multipliers, followed)
 
     def of_actor(actor: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
         what = (actor, critics, state, batch, noise.new_action, in_penalty)
@@ -386,7 +439,7 @@ def update(
 
     gradient, (loss, risk, log_prob) = differentiate(of_actor, state.actor)
     actor, actor_moments = adam(state.actor, gradient, state.actor_moments, rate)
-    risk = risk.mean(dim=-1) if taken is None else taken
+    risk = risk.mean(dim=-1) if followed is None else followed
     metrics |= {
         "actor_loss": loss,
         "temperature": state.log_temperature.exp()[:, 0],

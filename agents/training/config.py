@@ -206,7 +206,8 @@ class TrainConfig(Settings):
         is their ratio where all steps cost the same. Raises UserError where the tasks have no time
         limit, or different ones."""
         given = self.hyperparameters
-        if getattr(given, "limit_of", "") != "episode":
+        of_episodes = getattr(given, "multiplier_of", "") == "episode"  # they are compared as given
+        if getattr(given, "limit_of", "") != "episode" or of_episodes:
             return given
         limits = {task: time_limit(task, self.task_parameters) for task in self.tasks}
         steps, *others = set(limits.values())

@@ -19,10 +19,13 @@ register()
 VARIANTS = {
     "pid": {"multiplier_optimizer": "pid"},
     "normalized": {"normalize_observations": True},
+    "start": {"multiplier_of": "start"},
+    "episode": {"multiplier_of": "episode"},
 }
 WITH_PID = ("trpo-lag pid", "sac-lag pid", "wcsac pid")
 NORMALIZED = ("ppo-lag normalized", "cpo normalized", "sac-lb-streak normalized")
-EVERYTHING = (*BUILT_IN, *WITH_PID, *NORMALIZED)
+FOLLOWING = ("sac-lag start", "sac-pid episode", "wcsac start", "wcsac episode", "cal start")
+EVERYTHING = (*BUILT_IN, *WITH_PID, *NORMALIZED, *FOLLOWING)
 FAMILIES = ("trpo-lag", "cpo", "ppo-lag", "sac-lb", "wcsac")
 """One of each learner, and those with states of their own."""
 

@@ -33,6 +33,7 @@ SETTINGS = {  # steps, settings, the reward's noise
     "sac-lb": (1200, {}, 0.0),
     "wcsac": (1200, {"multiplier_lr": 1e-2}, 0.0),
     "cppo-pid": (4000, EPISODES | {"pid_kp": 1.0, "pid_ki": 0.5}, 1.0),
+    "trpo-pid": (4000, EPISODES | {"pid_kp": 1.0, "pid_ki": 0.5}, 1.0),
     "focops": (6400, BOUNDED, 1.0),
     "cup": (4000, BOUNDED, 1.0),
     "p3o": (6400, EPISODES | {"discount": 0.0}, 1.0),

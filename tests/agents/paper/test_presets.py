@@ -60,7 +60,18 @@ def test_presets_are_the_papers(name, task):
         assert getattr(config, field) == value, field
 
 
-BASELINES = ("cppo-pid", "focops", "cup", "p3o", "ipo", "crpo", "pcpo", "c-trpo", "rcpo")
+BASELINES = (
+    "cppo-pid",
+    "focops",
+    "cup",
+    "p3o",
+    "ipo",
+    "crpo",
+    "pcpo",
+    "c-trpo",
+    "rcpo",
+    "trpo-pid",
+)
 
 
 @pytest.mark.parametrize("name", [*BASELINES, "sac-pid", "cal"])

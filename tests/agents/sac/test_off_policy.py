@@ -49,7 +49,7 @@ def test_noise_is_fresh_and_without_a_share_every_slot_is_drawn():
     slots = np.concatenate([index.ravel() for index, _ in draws])
     assert (slots.min(), slots.max()) == (0, 1999)
     assert np.bincount(slots, minlength=2000).max() < 45  # of 12.8 on average
-    noises = [noise.numpy() for _, noises in draws[:6] for noise in noises]
+    noises = [noise.numpy() for _, noises in draws[:6] for noise in noises[:2]]
     assert len({run.tobytes() for noise in noises for run in noise}) == 2 * len(noises)
 
 
