@@ -1,10 +1,8 @@
 """The entrance from Python: the functions that `agents` exports.
 
 They sit on top of everything but the command line, which is a thin skin over them. Each is a guest
-in the caller's process: torch's threads, default device, matrix products and limit of compilations
-are as before when it returns or raises, and no signal handler is touched. Three things stay: on
-Linux, freed memory is kept for the next tensor (`mallopt`); TORCHINDUCTOR_CACHE_DIR is set where it
-was not; two callbacks measure the time of PyTorch's compiler.
+in the caller's process: torch's threads and the kernel of networks are as before when it returns or
+raises, and no signal handler is touched.
 
 >>> import agents, numpy as np
 >>> runs = agents.train("trpo-lag", "Circle2D-1-v0", seeds=0, steps=200, episodes=2)
@@ -26,6 +24,7 @@ import os
 import re
 import shutil
 import tempfile
+import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -33,11 +32,12 @@ from typing import Any, Literal
 from agents.algorithms import BUILT_IN, module_of
 from agents.errors import RunsFailed, UserError, extra
 from agents.lockstep import backend as lockstep_backend
+from agents.lockstep.kernel import Backend
 from agents.paper.presets import preset_with
 from agents.runs import Runs, folders_of
 from agents.training import callbacks, trainer
 from agents.training.callbacks import Epoch
-from agents.training.config import CONFIG, Backend, Device, TrainConfig
+from agents.training.config import CONFIG, TrainConfig
 from agents.training.environments import Vectorization, check_task, module_of_task, task_id
 from agents.training.files import check_folder
 
@@ -65,8 +65,7 @@ def train(
     evaluation_episodes: int = 100,
     vectorization: Vectorization = "auto",
     step_timeout: float | None = None,
-    backend: Backend | Literal["auto"] = "auto",
-    device: Device = "cpu",
+    backend: Backend = "c++",
     tensorboard: bool = False,
     on_epoch: OnEpoch | None = None,
     progress: bool = False,
@@ -98,7 +97,8 @@ def train(
     vectorization: "auto": the task's own vector environment or one process; "sync": gymnasium's
         `SyncVectorEnv`; "async": a process for each environment. All give the same results.
         step_timeout: seconds that a step may take with "async"; None: no limit.
-    backend: how updates run: "compiled", "eager", or "auto", which compiles long trainings.
+    backend: how networks are computed: "c++", for which a compiler is needed once, or "numpy", half
+        as fast, which also stands in with a warning where there is none.
     tensorboard: whether to write event files too. progress: whether to show it on stderr.
     on_epoch: called with an `Epoch` after each epoch; returning False stops the training after a
         checkpoint, without the evaluation at its end. `resume` goes on.
@@ -138,7 +138,7 @@ def sweep(
     *,
     grid: Mapping[str, Values],
     out: Folder,
-    backend: Backend | Literal["auto"] = "auto",
+    backend: Backend = "c++",
     engine: EngineName = "local",
     workers: int | None = None,
     address: str | None = None,
@@ -225,7 +225,7 @@ def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:
 
 SETTINGS = (
     *("seeds", "steps", "task_parameters", "costs", "checkpoint_every", "evaluate_every"),
-    *("evaluation_episodes", "vectorization", "step_timeout", "device", "tensorboard"),
+    *("evaluation_episodes", "vectorization", "step_timeout", "tensorboard"),
 )
 """Arguments of `train` that are fields of a configuration."""
 
@@ -234,7 +234,7 @@ def configs_of(
     algorithm: str,
     task: str | Iterable[str],
     hyperparameters: Sequence[Mapping[str, Any]],
-    backend: Backend | Literal["auto"],
+    backend: Backend,
     given: Mapping[str, Any],
 ) -> list[TrainConfig]:
     """A configuration for each choice of hyper-parameters. Raises UserError for what is not
@@ -272,7 +272,9 @@ def configs_of(
         check_task(name, first.task_parameters, first.costs)
     if first.tensorboard:
         extra("tensorboard", "tensorboard")
-    chosen = lockstep_backend.choose(backend, first.steps * len(first.runs), first.device)
+    chosen, why = lockstep_backend.choose(backend)
+    if why:
+        warnings.warn(why, stacklevel=4)
     return [dataclasses.replace(config, backend=chosen) for config in configs]
 
 
@@ -317,9 +319,8 @@ def _launch(
     from agents.paper import grid as grids
     from agents.training.launcher import launcher
 
-    first = next(iter(configs.values()))
     modules = modules_of(configs.values())
-    with launcher(engine, workers, modules, address, first.device) as trainings:
+    with launcher(engine, workers, modules, address) as trainings:
         grids.prepare(configs)
         for folder in configs:
             if not grids.finished(folder):

@@ -6,6 +6,7 @@ algorithms".
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
@@ -16,10 +17,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from agents.checks import In
-from agents.lockstep import lagrange, tree
-from agents.lockstep.backend import compiled, differentiate
+from agents.lockstep import kernel, lagrange, tree
+from agents.lockstep.backend import tensor
 from agents.lockstep.lagrange import Multiplier
-from agents.lockstep.nets import Moments, adam, no_moments
+from agents.lockstep.nets import Moments, adam_in_place, no_moments
 from agents.on_policy.epoch import (
     Epoch,
     blocks_of,
@@ -127,21 +128,56 @@ class Objective(NamedTuple):
     policy that took the steps."""
 
 
-def surrogate_at(
-    nets: Nets, config: Any, surrogate: Surrogate, actor: Tensor, batch: Minibatch
-) -> tuple[Tensor, Tensor]:
-    """The surrogate of actors [R, actor size], and the share that has no part in it, [R] each."""
-    policy = nets.actor.distribution(actor, batch.observation)
-    held = batch.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
-    change = torch.where(held, policy.log_prob(batch.action) - batch.old_log_prob, 0.0)
-    returned = surrogate(config, policy, change.exp(), batch)
-    shapes, runs = [list(value.shape) for value in returned], len(actor)
-    if shapes != [[runs], [runs]]:  # a sum over minibatches is another objective
-        raise ValueError(f"a surrogate must return two of [runs], here [{runs}], got {shapes}")
-    return returned
+class Slopes(NamedTuple):
+    """The gradient of a loss in what the actor says of a minibatch."""
+
+    mean: NDArray[np.float32]
+    """[R, B, A]"""
+    log_std: NDArray[np.float32]
+    """[R, A]"""
+    outside: NDArray[np.float32]
+    """[R]: share of steps that have no part in it"""
 
 
-@compiled
+def slopes(config: Any, surrogate: Surrogate, policy: Gaussian, batch: Minibatch) -> Slopes:
+    """The gradient of a surrogate, turned round to descend, by autograd in the policy's outputs."""
+    with torch.enable_grad():
+        leaves = [part.detach().requires_grad_() for part in (policy.mean, policy.log_std)]
+        policy = Gaussian(*leaves, leaves[1].exp())
+        held = batch.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
+        change = torch.where(held, policy.log_prob(batch.action) - batch.old_log_prob, 0.0)
+        returned = surrogate(config, policy, change.exp(), batch)
+        shapes, runs = [list(value.shape) for value in returned], len(policy.mean)
+        if shapes != [[runs], [runs]]:  # a sum over minibatches is another objective
+            raise ValueError(f"a surrogate must return two of [runs], here [{runs}], got {shapes}")
+        raised, outside = returned
+    found = torch.autograd.grad(-raised.sum(), leaves, allow_unused=True)
+    mean, log_std = (
+        torch.zeros_like(x) if g is None else g for g, x in zip(found, leaves, strict=True)
+    )
+    return Slopes(mean.numpy(), log_std[:, 0].numpy(), outside.detach().numpy())
+
+
+def clipped_slopes(config: Any, policy: Gaussian, batch: Minibatch) -> Slopes:
+    """`slopes` of `clipped` in closed form: `-ρ A ∂ log π` where ρ is not clipped, 0 elsewhere."""
+    mean, log_std, std, action, weight, advantage, old = (
+        x.numpy()
+        for x in (*policy, batch.action, batch.weight, batch.advantage, batch.old_log_prob)
+    )
+    z = (action - mean) / std
+    log_prob = (-0.5 * z * z - log_std - 0.5 * math.log(2.0 * math.pi)).sum(axis=-1)
+    ratio = np.exp(np.where(weight > 0, log_prob - old, 0.0))
+    beyond = np.abs(ratio - 1.0) > config.clip_range
+    cut = beyond & ((ratio > 1.0) == (advantage > 0.0))
+    slope = np.where(cut, 0.0, -weight * advantage * ratio)[..., None]
+    outside = (weight * beyond).sum(axis=-1)
+    return Slopes(slope * z / std, (slope * (z * z - 1.0)).sum(axis=1), outside)
+
+
+CLOSED: dict[Surrogate, Callable[[Any, Gaussian, Minibatch], Slopes]] = {clipped: clipped_slopes}
+"""Closed forms of `slopes`."""
+
+
 def actor_step(
     nets: Nets,
     config: Any,
@@ -149,23 +185,27 @@ def actor_step(
     moments: Moments,
     batch: Minibatch,
     surrogate: Surrogate = clipped,
-) -> tuple[Tensor, Moments, Tensor]:
-    """One Adam step of each run's actor up its surrogate; a run without steps waits.
+) -> NDArray[np.float32]:
+    """One Adam step of each run's actor up its surrogate, in place; a run without steps waits.
 
-    Returns actors, moments and the share of steps without a part before the step, [R].
+    Returns the share of steps without a part before the step, [R].
     """
-
-    def loss(actor: Tensor) -> tuple[Tensor, Tensor]:
-        raised, outside = surrogate_at(nets, config, surrogate, actor, batch)
-        return -raised.sum(), outside.detach()
-
-    gradient, outside = differentiate(loss, actor)
-    norm = (gradient * gradient).sum(dim=-1, keepdim=True).sqrt()
-    gradient = gradient * (config.max_gradient_norm / (norm + 1e-6)).clamp(max=1.0)
-    stepped, followed = adam(actor, gradient, moments, config.learning_rate)
-    present = batch.weight[:, 0] > 0
-    actor = torch.where(present[:, None], stepped, actor)
-    return actor, tree.select(present, followed, moments), outside
+    net, actions = nets.actor.net, nets.actor.net.sizes[-1]
+    params, spread = actor.numpy(), slice(net.size, net.size + actions)
+    weights, log_std = params[:, : net.size], tensor(params[:, None, spread])
+    seen, own = net.inputs_of(batch.observation).numpy(), kernel.of(params)
+    mean, tape = own.forward(net, weights, seen)
+    policy = Gaussian(tensor(mean), log_std, log_std.exp())
+    closed = CLOSED.get(surrogate)
+    found = closed(config, policy, batch) if closed else slopes(config, surrogate, policy, batch)
+    gradient = np.zeros_like(params)
+    gradient[:, : net.size], _ = own.backward(net, weights, seen, tape, found.mean, "p")
+    gradient[:, spread] = found.log_std
+    norm = np.sqrt((gradient * gradient).sum(axis=-1, keepdims=True))
+    gradient *= np.minimum(config.max_gradient_norm / (norm + 1e-6), 1.0)
+    present = batch.weight.numpy()[:, 0] > 0
+    adam_in_place(actor, gradient, moments, config.learning_rate, present)
+    return found.outside
 
 
 class FirstOrder(OnPolicy):
@@ -192,31 +232,39 @@ class FirstOrder(OnPolicy):
         old = blocks_of(self.nets, actor, epoch, advantage)
         old_log_prob = torch.cat([block.old_log_prob for block in old], dim=-1)
         excess = (epoch.cost - lagrange.limits(rule, config)).to(actor.dtype)
-        costs = (excess, multipliers)
-        clipped, count, run = torch.zeros(runs), torch.zeros(runs), torch.arange(runs)[:, None]
+        actor, moments = tree.copy((actor, moments))
+        columns = (epoch.observation, epoch.action, advantage, old_log_prob)
+        *columns, costs = (column.numpy() for column in (*columns, epoch.cost_advantage))
+        clipped, count, run = np.zeros(runs, np.float32), 0, np.arange(runs)[:, None]
         for k, surrogate in enumerate(rule.surrogates):
             start = blocks_of(self.nets, actor, epoch, advantage) if k else old
-            mean = torch.cat([block.old.mean for block in start], dim=1)
-            going = torch.ones(runs, 1)
+            mean = torch.cat([block.old.mean for block in start], dim=1).numpy()
+            going = np.ones((runs, 1), np.float32)
             for _ in range(config.actor_iterations):
                 for rows, weight in minibatches(steps, config.batch_size, generators):
-                    columns = (epoch.observation, epoch.action, advantage, old_log_prob, mean)
-                    observation, action, gain, before, center = (c[run, rows] for c in columns)
-                    index = rows[:, None].expand(-1, self.costs, -1)
-                    cost_gain = epoch.cost_advantage.gather(2, index)
-                    weight = weight * going
-                    policy = start[0].old._replace(mean=center)
-                    batch = Minibatch(
-                        observation, action, weight, gain, before, cost_gain, policy, *costs
+                    observation, action, gain, before = (
+                        tensor(column[run, rows]) for column in columns
                     )
-                    stepped = actor_step(self.nets, config, actor, moments, batch, surrogate)
-                    actor, moments, outside = stepped
-                    clipped, count = clipped + outside, count + (weight[:, 0] > 0)
+                    batch = Minibatch(observation, action, tensor(weight * going), gain, before)
+                    if surrogate not in CLOSED:
+                        of_costs = costs[
+                            run[..., None], np.arange(self.costs)[:, None], rows[:, None]
+                        ]
+                        policy = start[0].old._replace(mean=tensor(mean[run, rows]))
+                        batch = batch._replace(
+                            cost_advantage=tensor(of_costs),
+                            start=policy,
+                            excess=excess,
+                            multipliers=multipliers,
+                        )
+                    what = (self.nets, config, actor, moments, batch, surrogate)
+                    clipped += actor_step(*what)
+                    count = count + (batch.weight[:, 0] > 0).numpy()
                 if config.kl_stop:
                     moved = divergence(self.nets, actor, old, rule.reverse_kl)
-                    going = going * (moved <= config.kl_stop)[:, None]
+                    going = going * (moved <= config.kl_stop)[:, None].numpy()
         _, kl = compared(self.nets, actor, old)
-        records = {"kl": kl, "clipped": clipped / count}
+        records = {"kl": kl, "clipped": tensor(clipped / np.maximum(count, 1))}
         names = lagrange.names(rule.multipliers)
         records |= dict(zip(names, multipliers.unbind(dim=-1), strict=True))
         return state._replace(actor=actor, actor_moments=moments), records

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from agents.checks import In
 from agents.lockstep import lagrange
-from agents.lockstep.backend import compiled, differentiate, jacobian_products
+from agents.lockstep.backend import differentiate
 from agents.lockstep.lagrange import Multiplier
 from agents.on_policy.epoch import (
     Block,
@@ -29,6 +29,8 @@ from agents.on_policy.epoch import (
 )
 from agents.on_policy.learner import OnPolicy
 from agents.on_policy.state import EpisodeCostLimit, Nets, OnPolicyConfig, OnPolicyState
+
+Product = Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True)
@@ -75,30 +77,32 @@ class StepRule(NamedTuple):
     of its cost itself."""
 
 
-@compiled
-def fisher_in(nets: Nets, actor: Tensor, block: Block, v: Tensor) -> Tensor:
-    """`Jᵀ M J v` of a block, J the Jacobian of mean and log-std, and M the Fisher information of a
-    Gaussian in them: `1/σ²` and 2. All [R, actor size].
+def fisher_in(nets: Nets, actor: Tensor, block: Block) -> Product:
+    """v -> `Jᵀ M J v` of a block, J the Jacobian of mean and log-std, and M the Fisher information
+    of a Gaussian in them: `1/σ²` and 2. All [R, actor size].
     """
+    net, actions = nets.actor.net, nets.actor.net.sizes[-1]
+    seen = net.inputs_of(block.observation)
+    push, pull = net.products(actor[:, : net.size], seen)
+    weight = block.weight[..., None] / (block.old.std * block.old.std)
+    total = 2.0 * block.weight.sum(dim=-1, keepdim=True)
 
-    def parameters(params: Tensor) -> Tensor:
-        policy = nets.actor.distribution(params, block.observation)
-        return torch.cat([policy.mean, policy.log_std.expand_as(policy.mean)], dim=-1)
+    def product(v: Tensor) -> Tensor:
+        image = torch.zeros_like(v)
+        image[:, : net.size] = pull(weight * push(v))
+        spread = slice(net.size, net.size + actions)
+        image[:, spread] = total * v[:, spread]
+        return image
 
-    push, pull = jacobian_products(parameters, actor)
-    variance = block.old.std * block.old.std
-    information = torch.cat([1.0 / variance, torch.full_like(variance, 2.0)], dim=-1)
-    return pull(push(v) * (block.weight[..., None] * information))
+    return product
 
 
-def fisher_product(
-    nets: Nets, actor: Tensor, steps: list[Block], damping: float
-) -> Callable[[Tensor], Tensor]:
+def fisher_product(nets: Nets, actor: Tensor, steps: list[Block], damping: float) -> Product:
     """v -> H v for the Hessian of the mean KL divergence at the policy itself, plus the damping."""
-    return lambda v: sum((fisher_in(nets, actor, block, v) for block in steps), start=damping * v)
+    products = [fisher_in(nets, actor, block) for block in steps]
+    return lambda v: sum((product(v) for product in products), start=damping * v)
 
 
-@compiled
 def gradient_in(nets: Nets, actor: Tensor, block: Block, of: int) -> Tensor:
     """A block's part of the gradient of `compared`'s surrogate `of`, [R, actor size]."""
 
@@ -156,9 +160,6 @@ def policy_step(
     records = {"kl": found.kl, "step_scale": found.scale, "case": step.case.float()}
     names = lagrange.names(rule.multipliers)
     return params, records | dict(zip(names, multipliers.unbind(dim=-1), strict=True))
-
-
-Product = Callable[[Tensor], Tensor]
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:

@@ -28,7 +28,7 @@ BUILT_IN = (
 RESERVED = (
     *("algorithm", "task", "seeds", "steps", "out", "task_parameters", "costs"),
     *("checkpoint_every", "evaluate_every", "vectorization", "step_timeout", "backend"),
-    *("device", "tensorboard", "on_epoch", "progress", "engine", "address", "grid", "workers"),
+    *("tensorboard", "on_epoch", "progress", "engine", "address", "grid", "workers"),
     *("evaluation_episodes", "imports"),
 )
 """Parameters of `agents.train` and `agents.sweep` and options of `circle2d train`, which no

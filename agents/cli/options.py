@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import dropwhile, islice, takewhile
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import tyro
 
@@ -19,7 +19,6 @@ from agents.errors import OTHER_NAMES, OwnCodeError, UserError, described
 from agents.reporting.table import LEAST_WIDTH
 
 T = TypeVar("T")
-BackendChoice = Literal["auto", "compiled", "eager"]
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
 """A folder that stands before the options."""
 Folders = Annotated[

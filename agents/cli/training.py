@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import sys
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +22,6 @@ from agents.algorithms import ALGORITHMS
 from agents.checks import Settings
 from agents.cli.main import AfterEpoch, say
 from agents.cli.options import (
-    BackendChoice,
     Folder,
     Folders,
     Imports,
@@ -33,13 +33,14 @@ from agents.cli.options import (
 )
 from agents.errors import UserError
 from agents.lockstep import backend as lockstep_backend
+from agents.lockstep.kernel import Backend
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS, preset_with
 from agents.reporting.report import report, table
 from agents.reporting.table import show, working
 from agents.training import callbacks, evaluation, policy, trainer
 from agents.training.callbacks import duration, share_done
-from agents.training.config import RESULTS, Device, TrainConfig
+from agents.training.config import RESULTS, TrainConfig
 from agents.training.derive import write_results
 from agents.training.environments import Vectorization, check_task, task_id
 from agents.training.files import Arrays, archive_of, check_folder, locked, remove_unfinished
@@ -82,12 +83,9 @@ class TrainOptions:
     fails. By default there is no limit."""
     tensorboard: bool = False
     """Write TensorBoard event files too."""
-    backend: BackendChoice = "auto"
-    """How updates run. compiled: half as fast again as eager, after a minute of compilation the
-    first time and seconds from then on. eager: operation by operation. auto: compiled where that
-    pays, from 300 000 steps of all runs together on, and there is a C++ compiler."""
-    device: Device = "cpu"
-    """Where updates run: cuda on a GPU."""
+    backend: Backend = "c++"
+    """How networks are computed: in C++, compiled in two seconds the first time, or in NumPy, half
+    as fast, which also stands in with a warning where there is no C++ compiler."""
     imports: Imports = ()
 
 
@@ -282,17 +280,15 @@ class ReproduceOptions(Settings):
     steps: int | None = None
     """Environment steps of each run; by default the paper's: 1 000 000 on Circle2D, 10 000 000 on
     its Safety tasks; with --quick 10 000, with --benchmark 1 000 000."""
-    backend: BackendChoice | None = None
-    """How updates run: see `circle2d train ALGORITHM --help`. By default the backend that the runs
-    in out began with, else auto."""
-    device: Device = "cpu"
-    """Where updates run: cuda on a GPU."""
+    backend: Backend | None = None
+    """How networks are computed: see `circle2d train ALGORITHM --help`. By default as the runs in
+    out began, else c++."""
     workers: int | None = None
     """Trainings at a time, each of one thread; by default one for each core that this process may
     use, or that the Ray cluster has."""
     engine: EngineName = "local"
-    """local: processes of this machine. ray: tasks of a Ray cluster, of one core each (and one GPU
-    with --device cuda); needs the extra [ray]."""
+    """local: processes of this machine. ray: tasks of a Ray cluster, of one core each; needs the
+    extra [ray]."""
     address: str | None = None
     """The Ray cluster's head, HOST:PORT, or auto for one that runs on this machine; by default
     RAY_ADDRESS, or else a cluster of this machine is started."""
@@ -313,7 +309,7 @@ def reproduce(args: Sequence[str]) -> int:
     if options.shard is not None:
         configs = grid.shard(configs, *_shard(options.shard))
     modules = [*dict.fromkeys([*options.imports, *api.modules_of(configs.values())])]
-    how = (options.engine, options.workers, modules, options.address, options.device)
+    how = (options.engine, options.workers, modules, options.address)
     # The engine first: one that refuses leaves no folder behind.
     with launcher(*how) as trainings:
         grid.prepare(configs)
@@ -351,20 +347,21 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
         check_task(task, parameters)
     seeds, steps = options.seeds, options.steps
     if options.benchmark:
-        what = (tasks, names, seeds, steps, options.device, options.quick, parameters)
+        what = (tasks, names, seeds, steps, options.quick, parameters)
         configs = grid.benchmark(options.out, *what)
     else:
         if seeds is None:
             seeds = grid.QUICK_SEEDS if options.quick else grid.SEEDS
         if steps is None and options.quick:
             steps = grid.QUICK_STEPS
-        what = (tasks, names, seeds, steps, options.device, options.ablations, parameters)
+        what = (tasks, names, seeds, steps, options.ablations, parameters)
         configs = grid.grid(options.out, *what)
-    usual: BackendChoice = "auto"
+    usual: Backend = "c++"
     if begun := next((f for f in configs if (f / "config.json").exists()), None):
         usual = TrainConfig.read(begun).backend
-    longest = max(len(config.runs) * config.steps for config in configs.values())
-    backend = lockstep_backend.choose(options.backend or usual, longest, options.device)
+    backend, why = lockstep_backend.choose(options.backend or usual)
+    if why:
+        warnings.warn(why, stacklevel=2)
     return {folder: replace(config, backend=backend) for folder, config in configs.items()}
 
 

@@ -8,9 +8,9 @@ same alone as among others.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from agents.errors import UserError
+from agents.lockstep import kernel, tree
+from agents.lockstep.kernel import Activation
 
-Activation = Literal["tanh", "relu", "silu"]
 LANES = 32
-SMALL_PRODUCT = 4096
-"""Multiplications of a matrix product up to which torch may compute it otherwise than among others:
-it hands batches of products to oneDNN by the size of the whole batch."""
 
 
 def check_batch(batch_size: int) -> None:
@@ -47,8 +45,9 @@ class MLP:
         self.sizes = tuple(sizes)
         self.activation: Activation = activation
         n_in, *hidden, n_out = self.sizes
-        filled = (n_in, *(-(-n // LANES) * LANES for n in hidden), n_out)
-        self._own, self._shapes = _shapes(self.sizes), _shapes(filled)
+        self.widths = (n_in, *(-(-n // LANES) * LANES for n in hidden), n_out)
+        """Sizes, hidden ones filled."""
+        self._own, self._shapes = _shapes(self.sizes), _shapes(self.widths)
         counts = [rows * columns for rows, columns in self._shapes]
         self.size = -(-sum(counts) // LANES) * LANES
         """Length of the flat vector, padding included."""
@@ -62,39 +61,32 @@ class MLP:
             layer[0] = rng.uniform(-bound, bound, layer.size).reshape(layer.shape[1:])
         return params
 
-    def forward(self, params: Tensor, x: Tensor) -> Tensor:
-        """The outputs of networks params [N, size] for inputs x [N, B, in]: [N, B, out]."""
-        parts = params.split(self._splits, dim=-1)
-        # view: torch 2.11 cannot compile unflatten for a GPU.
-        layers = [p.view(len(p), *shape) for p, shape in zip(parts, self._shapes, strict=False)]
-        # tanh(z) = 2σ(2z) - 1, with the factors folded into the weights: torch's tanh kernel on
-        # CPU is six times slower than its sigmoid, and weights are smaller than activations.
-        folded = self.activation == "tanh"
-        if folded:
-            layers = [_without_gradient(*of) for of in zip(layers, self._own, strict=True)]
-        for i, (weight, bias) in enumerate(zip(layers[::2], layers[1::2], strict=True)):
-            if i > 0 and folded:
-                x, bias = torch.sigmoid(x), bias - weight.sum(dim=-2, keepdim=True)
-                weight = 2.0 * weight
-            elif i > 0:
-                x = torch.relu(x) if self.activation == "relu" else torch.nn.functional.silu(x)
-            if i < len(self.sizes) - 2 and folded:
-                weight, bias = 2.0 * weight, 2.0 * bias
-            if weight.shape[-1] == 1:  # slow as a matrix product
-                x = (x * weight.transpose(-1, -2)).sum(dim=-1, keepdim=True) + bias
-            elif x.shape[-2] * weight[0].numel() <= SMALL_PRODUCT:
-                x = (x[..., None] * weight[:, None]).sum(dim=-2) + bias
-            else:
-                x = torch.baddbmm(bias, x, weight)
-        return x
+    def forward(self, params: Tensor, x: Tensor, share: int = 1) -> Tensor:
+        """The outputs of networks params [N, at least size] for inputs x [N / share, B, in], each
+        seen by `share` networks, one behind the other: [N, B, out]. Gradients go to both."""
+        return _Network.apply(params, x, self, share)
 
     def forward_each(self, params: Tensor, inputs: Tensor) -> Tensor:
         """One output of each of K networks a run, params [R, K, size], for the same inputs
         [R, B, in]: [R, K, B]."""
-        (runs, batch, width), count = inputs.shape, params.shape[1]
-        inputs = inputs[:, None].expand(runs, count, batch, width)
-        inputs = inputs.reshape(runs * count, batch, width)
-        return self.forward(params.flatten(0, 1), inputs).view(runs, count, batch)
+        count = params.shape[1]
+        return self.forward(params.flatten(0, 1), inputs, count).unflatten(0, (-1, count))[..., 0]
+
+    def products(
+        self, params: Tensor, x: Tensor
+    ) -> tuple[Callable[[Tensor], Tensor], Callable[[Tensor], Tensor]]:
+        """v -> J v and u -> Jᵀ u, J the Jacobian of `forward` in its parameters; v: [N, at least
+        size], u: [N, B, out]."""
+        given = self, _rows(params), np.ascontiguousarray(x.numpy())
+        own = kernel.of(given[1])
+        _, tape = own.forward(*given)
+
+        def pull(u: Tensor) -> Tensor:
+            gradient, _ = own.backward(*given, tape, u.numpy(), "p")
+            assert gradient is not None
+            return torch.from_numpy(gradient)
+
+        return lambda v: torch.from_numpy(own.tangent(*given, tape, _rows(v))), pull
 
     def inputs_of(self, observation: Tensor) -> Tensor:
         """The first of observations [..., at least in]: behind them may stand what others see."""
@@ -107,16 +99,35 @@ class MLP:
         return [p[:, :rows, :columns] for p, (rows, columns) in zip(filled, self._own, strict=True)]
 
 
-def _without_gradient(layer: Tensor, own: tuple[int, int]) -> Tensor:
-    """The layer [N, in, out] with zeros beyond its own shape, which get no gradient.
+class _Network(torch.autograd.Function):
+    """A network's outputs, with the kernel's products in the place of PyTorch's own gradients."""
 
-    With tanh, folded as above, theirs would be a difference of equal sums, 0 but for rounding; and
-    Adam makes a whole step of that.
-    """
-    if layer.shape[1:] == own:
-        return layer
-    beyond = (0, layer.shape[2] - own[1], 0, layer.shape[1] - own[0])
-    return torch.nn.functional.pad(layer[:, : own[0], : own[1]], beyond)
+    @staticmethod
+    def forward(ctx: Any, params: Tensor, x: Tensor, net: MLP, share: int) -> Tensor:
+        """See `MLP.forward`."""
+        numbers = _rows(params), np.ascontiguousarray(x.numpy())
+        outputs, tape = kernel.of(numbers[0]).forward(net, *numbers, share)
+        ctx.given = net, *numbers, tape, share
+        return torch.from_numpy(outputs)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
+        """Gradients of parameters and inputs where they are needed."""
+        net, params, x, tape, share = ctx.given
+        needed = ctx.needs_input_grad[:2]
+        of = "p" * needed[0] + "x" * needed[1]
+        dy = gradients[0].numpy()
+        pulled = kernel.of(params).backward(net, params, x, tape, dy, of, share)
+        of_params, of_inputs = (None if g is None else torch.from_numpy(g) for g in pulled)
+        if of_inputs is not None and share > 1:
+            of_inputs = of_inputs.unflatten(0, (-1, share)).sum(dim=1)
+        return of_params, of_inputs, None, None
+
+
+def _rows(params: Tensor) -> NDArray:
+    """Parameters [N, at least size] whose rows are contiguous, wherever they begin."""
+    array = params.detach().numpy()
+    return array if array.strides[-1] == array.itemsize else np.ascontiguousarray(array)
 
 
 def _shapes(sizes: Sequence[int]) -> list[tuple[int, int]]:
@@ -143,9 +154,6 @@ def _silu(x: NDArray) -> NDArray:
 _IN_NUMPY = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0), "silu": _silu}
 
 
-BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
-
-
 class Moments(NamedTuple):
     """Adam's optimiser state of parameters [R, ...]."""
 
@@ -167,12 +175,35 @@ def adam(
     params: Tensor, gradient: Tensor, moments: Moments, learning_rate: float
 ) -> tuple[Tensor, Moments]:
     """One step down the gradient; all [R, ...]. Source: Kingma & Ba 2015, algorithm 1."""
-    mean = moments.mean.lerp(gradient, 1.0 - BETA1)
-    square = (BETA2 * moments.square).addcmul(gradient, gradient, value=1.0 - BETA2)
-    decay1, decay2 = BETA1 * moments.decay1, BETA2 * moments.decay2
-    scale = (square / (1.0 - decay2)).sqrt() + EPSILON
-    step = mean / (1.0 - decay1) / scale
-    return params - learning_rate * step, Moments(mean, square, decay1, decay2)
+    stepped, after = tree.copy((params, moments))
+    adam_in_place(stepped, gradient.numpy(), after, learning_rate)
+    return stepped, after
+
+
+def adam_in_place(
+    params: Tensor,
+    gradient: NDArray,
+    moments: Moments,
+    learning_rate: float,
+    present: NDArray[np.bool_] | None = None,
+) -> None:
+    """`adam` of parameters [R, P] or [R, K, P], which it changes; present: [R], runs that take the
+    step, by default all."""
+    if present is not None and not present.all():
+        for run in np.flatnonzero(present):
+            own = slice(run, run + 1)
+            adam_in_place(params[own], gradient[own], Moments(*(m[own] for m in moments)),
+                          learning_rate)  # fmt: skip
+        return
+    rest = []
+    for decay, beta in zip(moments[2:], (kernel.BETA1, kernel.BETA2), strict=True):
+        numbers = decay.numpy()
+        numbers *= beta
+        rest.append(1 - numbers.reshape(-1))
+    runs = len(gradient)
+    rows = [x.numpy().reshape(runs, -1) for x in (params, moments.mean, moments.square)]
+    own, mean, square = rows
+    kernel.of(own).adam(own, gradient.reshape(runs, -1), mean, square, tuple(rest), learning_rate)
 
 
 ACTIVATIONS: dict[Activation, type[nn.Module]] = {

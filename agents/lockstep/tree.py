@@ -13,7 +13,7 @@ import torch
 from numpy.typing import DTypeLike, NDArray
 from torch import Tensor
 
-from agents.lockstep.backend import array, compiled, tensor
+from agents.lockstep.backend import array, tensor
 
 Tree = TypeVar("Tree")
 
@@ -32,12 +32,20 @@ def select(mask: Tensor, new: Any, old: Any) -> Any:
     return _like(new, (select(mask, a, b) for a, b in zip(new, old, strict=True)))
 
 
+def copy(tree: Tree) -> Tree:
+    """The tree with tensors of its own."""
+    if tree is None:
+        return tree
+    if isinstance(tree, Tensor):
+        return tree.clone(memory_format=torch.contiguous_format)
+    return _like(tree, map(copy, tree))  # pyright: ignore
+
+
 def finite(tree: Any) -> NDArray[np.bool_]:
     """Mask of the runs that hold only finite numbers, [R]."""
     return array(_finite(list(_leaves(tree))))
 
 
-@compiled
 def _finite(leaves: list[Tensor]) -> Tensor:
     return torch.stack([leaf.flatten(1).isfinite().all(dim=1) for leaf in leaves]).all(dim=0)
 

@@ -15,7 +15,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from agents.lockstep.backend import compiled, tensor
 from agents.on_policy.state import Gaussian, Nets
 
 BLOCK = 512
@@ -86,7 +85,7 @@ def blocks(*columns: Tensor) -> Iterator[tuple[Tensor, ...]]:
 
 def minibatches(
     steps: NDArray[np.int64], size: int, streams: list[np.random.Generator]
-) -> Iterator[tuple[Tensor, Tensor]]:
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
     """One pass over the rows of each run in an order of its own: rows [R, size], weights [R, size].
 
     The weights of a run's minibatch add up to 1, or to 0 where it has no rows left.
@@ -100,7 +99,7 @@ def minibatches(
         part = slice(start, start + size)
         here = held[:, part]
         weight = here / np.maximum(here.sum(axis=1, keepdims=True), 1)
-        yield tensor(order[:, part]), tensor(weight.astype(np.float32))
+        yield order[:, part], weight.astype(np.float32)
 
 
 def advantages(
@@ -179,7 +178,6 @@ def blocks_of(nets: Nets, actor: Tensor, epoch: Epoch, objective: Tensor) -> lis
     return found
 
 
-@compiled
 def compared_in(nets: Nets, actor: Tensor, block: Block) -> tuple[Tensor, Tensor]:
     """A block's part of the sums of `compared`."""
     policy = nets.actor.distribution(actor, block.observation)
@@ -200,7 +198,6 @@ def compared(nets: Nets, actor: Tensor, steps: list[Block]) -> tuple[Tensor, Ten
     return surrogates, kl
 
 
-@compiled
 def divergence_in(nets: Nets, actor: Tensor, block: Block, reverse: bool) -> Tensor:
     """A block's part of the sum of `divergence`."""
     policy = nets.actor.distribution(actor, block.observation)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -12,61 +11,48 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from agents.lockstep import lagrange, tree
-from agents.lockstep.backend import array, compiled, differentiate, tensor
-from agents.lockstep.nets import Moments, adam
+from agents.lockstep import kernel, lagrange, tree
+from agents.lockstep.backend import array, tensor
+from agents.lockstep.nets import adam_in_place
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout, learned
 from agents.on_policy.epoch import Epoch, Packing, advantages, blocks, minibatches
 from agents.on_policy.state import Nets, OnPolicyState, initial_state, make_nets
 
 
-@compiled
 def values(nets: Nets, critics: Tensor, observation: Tensor) -> Tensor:
     """Values of all critics of each run at observations [R, B, critic inputs]: [R, 1 + C, B]."""
     return nets.critic.forward_each(critics, observation)
 
 
 def critic_step(
-    nets: Nets, config: Any, state: OnPolicyState, epoch: Epoch, rows: Tensor, weight: Tensor
-) -> tuple[OnPolicyState, Tensor]:
-    """One Adam step of all critics on half the mean squared error of a minibatch.
-
-    rows, weight: [R, B]. A run without rows in it waits. Returns the new state and the losses,
-    [R, 1 + C].
-    """
-    run = torch.arange(len(rows))[:, None]
-    observation = epoch.observation[run, rows]
-    targets = epoch.value_targets
-    target = targets.gather(2, rows[:, None].expand(-1, targets.shape[1], -1))
-    critics, moments, losses = critics_update(
-        nets, config, state.critics, state.critic_moments, observation, target, weight
-    )
-    return state._replace(critics=critics, critic_moments=moments), losses
-
-
-@compiled
-def critics_update(
     nets: Nets,
     config: Any,
-    critics: Tensor,
-    moments: Moments,
-    observation: Tensor,
-    target: Tensor,
-    weight: Tensor,
-) -> tuple[Tensor, Moments, Tensor]:
-    """`critic_step` on the rows that it fetched."""
+    state: OnPolicyState,
+    epoch: Epoch,
+    rows: NDArray[np.int64],
+    weight: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """One Adam step of all critics, in place, on half the mean squared error of a minibatch.
 
-    def loss(critics: Tensor) -> tuple[Tensor, Tensor]:
-        error = values(nets, critics, observation) - target
-        parts = 0.5 * (weight[:, None] * error * error).sum(dim=-1)
-        return parts.sum(), parts.detach()
-
-    gradient, parts = differentiate(loss, critics)
-    stepped, followed = adam(critics, gradient, moments, config.learning_rate)
+    rows, weight: [R, B]. A run without rows in it waits. Returns the losses, [R, 1 + C].
+    """
+    runs, count, size = state.critics.shape
+    params = state.critics.numpy().reshape(-1, size)
+    observation = epoch.observation.numpy()[np.arange(runs)[:, None], rows]
+    run = np.arange(runs)[:, None]
+    target = epoch.value_targets.numpy()[run[..., None], np.arange(count)[:, None], rows[:, None]]
+    own = kernel.of(params)
+    value, tape = own.forward(nets.critic, params, observation, count)
+    error = value.reshape(target.shape) - target
+    slope = weight[:, None] * error
+    of_value = slope.reshape(value.shape)
+    gradient, _ = own.backward(nets.critic, params, observation, tape, of_value, "p", count)
+    assert gradient is not None
+    gradient = gradient.reshape(runs, count, size)
     present = weight[:, 0] > 0
-    stepped = torch.where(present[:, None, None], stepped, critics)
-    return stepped, tree.select(present, followed, moments), parts
+    adam_in_place(state.critics, gradient, state.critic_moments, config.learning_rate, present)
+    return 0.5 * (slope * error).sum(axis=-1)
 
 
 class OnPolicy(ABC):
@@ -105,8 +91,8 @@ class OnPolicy(ABC):
 
     def policy(self) -> Policy:
         """The policy of every run as it stands now."""
-        params, inputs = array(self._state.actor), self.config.inputs(self._normalizer)
-        return functools.partial(self.nets.actor.act, params, inputs)
+        params = array(self._state.actor).copy()  # updates change it in place
+        return self.nets.actor.acting(params, self.config.inputs(self._normalizer))
 
     def module(self, run: int) -> nn.Module:
         """The deterministic policy of a run in PyTorch: observations -> actions."""
@@ -139,16 +125,18 @@ class OnPolicy(ABC):
         before = self._state
         self._state = self._followed(before, data, ahead=True)
         state, records = self.improve(data, packing.steps, generators)
-        losses = torch.zeros(len(self.seeds), 1 + self.costs)
-        count = torch.zeros(len(self.seeds), 1)
+        state = state._replace(
+            **{k: tree.copy(getattr(state, k)) for k in ("critics", "critic_moments")}
+        )
+        losses, count = np.zeros((len(self.seeds), 1 + self.costs), np.float32), 0
         for _ in range(self.config.critic_iterations):
-            for rows, weight in minibatches(packing.steps, self.config.batch_size, generators):
-                state, loss = critic_step(self.nets, self.config, state, data, rows, weight)
-                losses, count = losses + loss, count + (weight[:, :1] > 0)
+            for batch in minibatches(packing.steps, self.config.batch_size, generators):
+                losses += critic_step(self.nets, self.config, state, data, *batch)
+                count = count + (batch[1][:, :1] > 0)
         self._state = tree.where(active, self._followed(state, data, ahead=False), before)
         if self._normalizer:
             self._normalizer.count(rollout.observation, rollout.length)
-        losses = losses / count
+        losses = tensor(losses / np.maximum(count, 1))
         records["critic_loss"], records["cost_critic_loss"] = losses[:, 0], losses[:, 1:].sum(dim=1)
         records["std"] = self._std()
         columns = np.stack([array(records[name]) for name in self.metrics], axis=-1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ from agents.lockstep.nets import (
 )
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.normalizer import InputConfig, Inputs
-from agents.lockstep.rollout import critic_inputs
+from agents.lockstep.rollout import Policy, critic_inputs
 
 
 class Gaussian(NamedTuple):
@@ -79,23 +80,27 @@ class GaussianPolicy(NamedTuple):
             log_std.exp()[:, None, :actions],
         )
 
-    def act(
-        self,
-        params: NDArray[np.float32],
-        inputs: Inputs,
-        observation: NDArray[np.float32],
-        noise: NDArray[np.float32] | None,
-    ) -> NDArray[np.float32]:
-        """`μ + σ·noise` in numpy, not clipped; without noise the deterministic policy's `μ`.
-
-        observation: [R, N, observation size], as the task gives it; noise: [R, N, A] -> [R, N, A].
-        """
+    def acting(self, params: NDArray[np.float32], inputs: Inputs) -> Policy:
+        """The policy of those parameters in numpy, from observations as the task gives them."""
+        std = np.exp(params[:, None, self.net.size : self.net.size + self.net.sizes[-1]])
         layers = self.net.layers(params[:, : self.net.size])
-        mean = forward_numpy(layers, inputs(observation), self.net.activation)
-        if noise is None:
-            return mean
-        log_std = params[:, None, self.net.size : self.net.size + self.net.sizes[-1]]
-        return mean + np.exp(log_std) * noise
+        return functools.partial(_act, layers, self.net.activation, std, inputs)
+
+
+def _act(
+    layers: Sequence[NDArray[np.float32]],
+    activation: Activation,
+    std: NDArray[np.float32],
+    inputs: Inputs,
+    observation: NDArray[np.float32],
+    noise: NDArray[np.float32] | None,
+) -> NDArray[np.float32]:
+    """`μ + σ·noise`, not clipped; without noise the deterministic policy's `μ`.
+
+    observation: [R, N, observation size]; noise: [R, N, A] -> [R, N, A].
+    """
+    mean = forward_numpy(layers, inputs(observation), activation)
+    return mean if noise is None else mean + std * noise
 
 
 @dataclass(frozen=True)

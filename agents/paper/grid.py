@@ -21,7 +21,7 @@ from agents.paper.presets import (
     preset,
     usual_steps,
 )
-from agents.training.config import CONFIG, RESULTS, Device, TrainConfig, file_name
+from agents.training.config import CONFIG, RESULTS, TrainConfig, file_name
 from agents.training.environments import spaces_of
 from circle2d_mj.circle2d.config import LEVELS, Circle2DConfig
 from circle2d_mj.registration import KINEMATIC, PHYSICS
@@ -73,7 +73,6 @@ def grid(
     algorithms: Sequence[str],
     seeds: Sequence[int],
     steps: int | None = None,
-    device: Device = "cpu",
     with_ablations: bool = False,
     task_parameters: Mapping[str, Any] | None = None,
 ) -> dict[Path, TrainConfig]:
@@ -83,8 +82,7 @@ def grid(
     The folder of an algorithm is `out/ALGORITHM` where all tasks train in it together: they have
     equal presets and spaces, and are few. Otherwise each task has its own, `out/TASK/ALGORITHM`.
     steps: of each run; by default the usual ones of its task. with_ablations: those of `ablations`
-    as well, in folders like trpo-lag-sgd. Raises UserError for what is unknown. Of eager updates,
-    until a backend is chosen.
+    as well, in folders like trpo-lag-sgd. Raises UserError for what is unknown.
     """
     tasks = list(dict.fromkeys(tasks))
     order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, UNKNOWN_WORK))
@@ -108,7 +106,7 @@ def grid(
                 length, own = lengths[together[0]], by_task[together[0]]
                 parameters = dict(task_parameters or {})
                 trainings[path] = TrainConfig(
-                    name, tuple(together), tuple(seeds), length, own, parameters, device=device
+                    name, tuple(together), tuple(seeds), length, own, parameters
                 )
     return trainings
 
@@ -119,7 +117,6 @@ def benchmark(
     algorithms: Sequence[str],
     seeds: Sequence[int] | None = None,
     steps: int | None = None,
-    device: Device = "cpu",
     quick: bool = False,
     task_parameters: Mapping[str, Any] | None = None,
 ) -> dict[Path, TrainConfig]:
@@ -136,7 +133,7 @@ def benchmark(
             count = (10 if hasattr(preset(name, task), "episodes") else 5) if circle2d else 3
             chosen = (QUICK_SEEDS if quick else range(count)) if seeds is None else seeds
             length = steps or usual
-            trainings |= grid(out, [task], [name], chosen, length, device, False, task_parameters)
+            trainings |= grid(out, [task], [name], chosen, length, False, task_parameters)
     return dict(sorted(trainings.items(), key=lambda pair: -work(pair[1])))
 
 

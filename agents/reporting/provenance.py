@@ -116,8 +116,7 @@ def command(config: TrainConfig, out: str, recorded: Mapping[str, Any]) -> str:
     if config.task_parameters:
         pairs = (part for pair in config.task_parameters.items() for part in pair)
         options["task_parameters"] = tuple(pairs)
-    options |= {"backend": config.backend}  # without it the machine decides
-    for name in ("costs", "vectorization", "device", "evaluation_episodes"):
+    for name in ("costs", "vectorization", "backend", "evaluation_episodes"):
         if (value := getattr(config, name)) != getattr(TrainConfig, name):
             options[name] = value
     typed = (f"--{k.replace('_', '-')} {_typed(v)}" for k, v in (options | {"out": out}).items())

@@ -20,10 +20,18 @@ from torch.nn.functional import softplus
 
 from agents.checks import In
 from agents.errors import UserError
-from agents.lockstep import lagrange
-from agents.lockstep.backend import compiled, differentiate, tensor
+from agents.lockstep import kernel, lagrange, tree
+from agents.lockstep.backend import tensor
 from agents.lockstep.lagrange import Multiplier, MultiplierConfig, MultiplierState, State
-from agents.lockstep.nets import LANES, MLP, Activation, Moments, adam, check_batch, no_moments
+from agents.lockstep.nets import (
+    LANES,
+    MLP,
+    Activation,
+    Moments,
+    adam_in_place,
+    check_batch,
+    no_moments,
+)
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.normalizer import InputConfig
 from agents.lockstep.rollout import critic_inputs
@@ -306,7 +314,6 @@ def values(nets: Nets, critics: Tensor, observation: Tensor, action: Tensor) -> 
     return nets.critic.forward_each(critics, torch.cat([observation, action], dim=-1))
 
 
-@compiled
 def risk_at(
     nets: Nets,
     config: Any,
@@ -333,75 +340,154 @@ def risks(config: Any, rule: CostRule, values: Tensor) -> Tensor:
     return torch.stack([rule.risk(config, own) for own in cost_critics(values, rule)], dim=1)
 
 
-def critic_loss(
-    nets: Nets,
+class Critics(NamedTuple):
+    """What all critics say of some rows, and what their gradients need."""
+
+    seen: NDArray[np.float32]
+    """[R, B, critic inputs + A]"""
+    tape: Any
+    values: Tensor
+    """[R, 2 + 2·C, B]"""
+
+
+def critics_at(
+    nets: Nets, critics: Tensor, observation: Tensor, action: NDArray[np.float32]
+) -> Critics:
+    """All critics [R, 2 + 2·C, size] at observations [R, B, critic inputs] and actions
+    [R, B, A]."""
+    runs, count, size = critics.shape
+    seen = np.concatenate([observation.numpy(), action], axis=-1)
+    params = critics.numpy().reshape(-1, size)
+    found, tape = kernel.of(params).forward(nets.critic, params, seen, count)
+    return Critics(seen, tape, tensor(found.reshape(runs, count, -1)))
+
+
+def pulled(nets: Nets, critics: Tensor, at: Critics, slope: NDArray, of: str) -> NDArray:
+    """The gradient of a loss in the critics' parameters, [R, 2 + 2·C, size] (of "p"), or in the
+    actions, [R, B, A] (of "x"); slope: in their values, [R, 2 + 2·C, B]."""
+    runs, count, size = critics.shape
+    params = critics.numpy().reshape(-1, size)
+    dy = slope.reshape(runs * count, -1, 1)
+    of_params, of_inputs = kernel.of(params).backward(
+        nets.critic, params, at.seen, at.tape, dy, of, count
+    )
+    if of_params is not None:
+        return of_params.reshape(critics.shape)
+    assert of_inputs is not None
+    _, batch, width = of_inputs.shape
+    actions = slice(nets.critic.sizes[0] - nets.actor.sizes[-1] // 2, None)
+    return of_inputs.reshape(runs, count, batch, width)[..., actions].sum(axis=1)
+
+
+def critic_slope(
     config: Any,
     rule: CostRule,
-    critics: Tensor,
+    found: Tensor,
     batch: Batch,
-    reward_target: Tensor,
-    next_values: Tensor,
-) -> tuple[Tensor, dict[str, Tensor]]:
-    """Half the mean squared error of each reward critic, and the rule's loss of the cost critics.
+    reward_target: NDArray[np.float32],
+    following: Tensor,
+) -> tuple[NDArray[np.float32], dict[str, Tensor]]:
+    """The gradient in the critics' values [R, 2 + 2·C, B] of half the mean squared error of each
+    reward critic and the rule's loss of the cost critics, and both parts [R].
 
-    next_values: of all target critics at the next action, [R, 2 + 2·C, B].
-
-    Returns the sum over runs, and both parts [R].
+    following: the target critics' values at the next action, [R, 2 + 2·C, B].
     """
-    q = values(nets, critics, batch.observation, batch.action)
-    error = q[:, :2] - reward_target[:, None]
-    reward_part = 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
-    both = cost_critics(q, rule), cost_critics(next_values, rule)
-    pairs = enumerate(zip(*both, strict=True))
-    losses = [
-        rule.critic_loss(config, *pair, batch._replace(cost=batch.cost[:, k])) for k, pair in pairs
-    ]
-    cost_part = sum(losses[1:], start=losses[0])
-    parts = {"critic_loss": reward_part.detach(), "cost_critic_loss": cost_part.detach()}
-    return (reward_part + cost_part).sum(), parts
+    error = found[:, :2].numpy() - reward_target[:, None]
+    slope = np.empty(found.shape, error.dtype)
+    slope[:, :2] = error / error.shape[-1]
+    reward_part = 0.5 * (error * error).mean(axis=-1).sum(axis=-1)
+    with torch.enable_grad():
+        costs = found[:, 2:].detach().requires_grad_()
+        pairs = zip(costs.chunk(rule.costs, 1), cost_critics(following, rule), strict=True)
+        losses = [
+            rule.critic_loss(config, own, theirs, batch._replace(cost=batch.cost[:, k]))
+            for k, (own, theirs) in enumerate(pairs)
+        ]
+        cost_part = sum(losses[1:], start=losses[0])
+    slope[:, 2:] = torch.autograd.grad(cost_part.sum(), costs)[0].numpy()
+    return slope, {"critic_loss": tensor(reward_part), "cost_critic_loss": cost_part.detach()}
 
 
-def actor_loss(
+def actor_slope(
+    config: Any, rule: CostRule, found: Tensor, multipliers: Tensor
+) -> tuple[NDArray[np.float32], Tensor, Tensor]:
+    """The gradient of `E[-min Q + penalty(risk)]` in the critics' values [R, 2 + 2·C, B], that mean
+    without its gradient [R], and the risks [R, C, B]; multipliers: [R, M]."""
+    with torch.enable_grad():
+        leaf = found.detach().requires_grad_()
+        risk = risks(config, rule, leaf)
+        penalty = rule.penalty(config, risk, multipliers).sum(dim=1)
+        loss = (penalty - torch.minimum(leaf[:, 0], leaf[:, 1])).mean(dim=-1)
+    (slope,) = torch.autograd.grad(loss.sum(), leaf)
+    return slope.numpy(), loss.detach(), risk.detach()
+
+
+class Sampled(NamedTuple):
+    """`sample` in numpy, with what its gradient needs."""
+
+    action: NDArray[np.float32]
+    """[R, B, A]"""
+    log_prob: NDArray[np.float32]
+    """[R, B]"""
+    outputs: NDArray[np.float32]
+    """Of the policy net, [R, B, 2·A]"""
+    spread: NDArray[np.float32]
+    """`σ·noise`, [R, B, A]"""
+
+    def slope(
+        self, of_action: NDArray[np.float32], of_log_prob: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """The gradient of a loss in the outputs, from those in action [R, B, A] and
+        log-probability [R, B, 1].
+
+        `∂a/∂u = 1 - a²`, `∂ log π/∂u = 2 a`, `∂u/∂ log σ = σ·noise`, `∂ log π/∂ log σ = 2 a σ·noise
+        - 1`.
+        """
+        in_u = of_action * (1.0 - self.action * self.action) + of_log_prob * 2.0 * self.action
+        raw = self.outputs[..., self.action.shape[-1] :]
+        inside = (raw >= LOG_STD[0]) & (raw <= LOG_STD[1])
+        return np.concatenate([in_u, inside * (in_u * self.spread - of_log_prob)], axis=-1)
+
+
+LOG_2, LOG_2_PI = math.log(2.0), math.log(2.0 * math.pi)
+
+
+def sampled(outputs: NDArray[np.float32], noise: NDArray[np.float32]) -> Sampled:
+    """See `sample`; outputs: [R, B, 2·A]; noise: [R, B, A]."""
+    half = outputs.shape[-1] // 2
+    log_std = np.minimum(np.maximum(outputs[..., half:], LOG_STD[0]), LOG_STD[1])
+    spread = np.exp(log_std) * noise
+    u = outputs[..., :half] + spread
+    log_slope = 2.0 * (LOG_2 - u - np.logaddexp(0.0, -2.0 * u))
+    log_prob = (-0.5 * (noise * noise + LOG_2_PI) - log_std - log_slope).sum(axis=-1)
+    return Sampled(np.tanh(u), log_prob, outputs, spread)
+
+
+def actor_gradient(
     nets: Nets,
     config: Any,
     rule: CostRule,
-    actor: Tensor,
-    critics: Tensor,
     state: SACState,
-    batch: Batch,
+    observation: Tensor,
     noise: Tensor,
     multipliers: Tensor,
-) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
-    """`E[α log π - min Q + penalty(risk)]` over actions drawn anew; multipliers: [R, M].
-
-    Returns the sum over runs, and [R], risks [R, C, B] and log π [R, B] without gradient.
-    """
-    outputs = nets.actor.forward(actor, nets.actor.inputs_of(batch.observation))
-    action, log_prob = sample(outputs, noise)
-    q = values(nets, critics, batch.observation, action)
-    risk = risks(config, rule, q)
-    temperature = state.log_temperature.exp()[:, :1]
-    penalty = rule.penalty(config, risk, multipliers).sum(dim=1)
-    reward = torch.minimum(q[:, 0], q[:, 1])
-    loss = (temperature * log_prob - reward + penalty).mean(dim=-1)
-    return loss.sum(), (loss.detach(), risk.detach(), log_prob.detach())
-
-
-def targets_of(
-    nets: Nets, config: SACConfig, state: SACState, batch: Batch, noise: Tensor
-) -> tuple[Tensor, Tensor]:
-    """`r + γ (min Q' - α log π)` at the next action, and all target critics' values there.
-
-    -> [R, B] and [R, 2 + 2·C, B].
-    """
-    outputs = nets.actor.forward(state.actor, nets.actor.inputs_of(batch.next_observation))
-    action, log_prob = sample(outputs, noise)
-    q = values(nets, state.targets, batch.next_observation, action)
-    soft_value = torch.minimum(q[:, 0], q[:, 1]) - state.log_temperature.exp()[:, :1] * log_prob
-    return batch.reward + config.discount * (1.0 - batch.terminal) * soft_value, q
+) -> tuple[NDArray[np.float32], Tensor, Tensor, NDArray[np.float32]]:
+    """The gradient of `E[α log π - min Q + penalty(risk)]` in the actors [R, actor size], over
+    actions drawn anew with that noise [R, B, A]; the loss [R], risks [R, C, B], log π [R, B]."""
+    actor, alpha = state.actor.numpy(), state.log_temperature.exp()[:, :1]
+    seen, own = nets.actor.inputs_of(observation).numpy(), kernel.of(actor)
+    outputs, tape = own.forward(nets.actor, actor, seen)
+    new = sampled(outputs, noise.numpy())
+    at = critics_at(nets, state.critics, observation, new.action)
+    slope, loss, risk = actor_slope(config, rule, at.values, multipliers)
+    of_log_prob = (alpha.numpy() / seen.shape[1])[..., None]
+    in_outputs = new.slope(pulled(nets, state.critics, at, slope, "x"), of_log_prob)
+    gradient, _ = own.backward(nets.actor, actor, seen, tape, in_outputs, "p")
+    assert gradient is not None
+    loss = loss + alpha[:, 0] * tensor(new.log_prob.mean(axis=-1))
+    return gradient, loss, risk, new.log_prob
 
 
-@compiled
 def update(
     nets: Nets,
     config: Any,
@@ -413,68 +499,65 @@ def update(
 ) -> tuple[SACState, dict[str, Tensor]]:
     """One gradient step of critics, actor, temperature and multiplier, in this order.
 
-    Temperature and multiplier see the actions that the actor's step was computed from; followed:
-    [R, C], what multipliers follow instead of the batch's risk. Returns the new state and, for the
-    records, means over the batch: [R], multipliers [R, M], risks, those that are followed [R, C].
+    Losses are summed over runs and averaged over the batch: the critics' are those of
+    `critic_slope` against `r + γ (min Q' - α log π)`, the actor's is `E[α log π - min Q +
+    penalty(risk)]` over actions drawn anew. Networks are the kernel's; a rule is differentiated in
+    the critics' values. Temperature and multiplier see the actions that the actor's step was
+    computed from; followed: [R, C], what multipliers follow instead of the batch's risk. Returns
+    the new state and, for the records, means over the batch: [R], multipliers [R, M], risks, those
+    that are followed [R, C].
     """
     rate = config.learning_rate
-    reward_target, next_values = targets_of(nets, config, state, batch, noise.next_action)
+    after = state._replace(**{k: tree.copy(getattr(state, k)) for k in LEARNED})
+    temperature = state.log_temperature.exp()
+    alpha = temperature.numpy()[:, :1]
+    own, actor = kernel.of(state.actor.numpy()), after.actor.numpy()
 
-    def of_critics(critics: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        return critic_loss(nets, config, rule, critics, batch, reward_target, next_values)
+    seen = nets.actor.inputs_of(batch.next_observation).numpy()
+    outputs, _ = own.forward(nets.actor, actor, seen)
+    following = sampled(outputs, noise.next_action.numpy())
+    targets = critics_at(nets, state.targets, batch.next_observation, following.action).values
+    low = np.minimum(*targets[:, :2].numpy().swapaxes(0, 1))
+    going = config.discount * (1.0 - batch.terminal.numpy())
+    target = batch.reward.numpy() + going * (low - alpha * following.log_prob)
 
-    gradient, metrics = differentiate(of_critics, state.critics)
-    critics, critic_moments = adam(state.critics, gradient, state.critic_moments, rate)
+    at = critics_at(nets, after.critics, batch.observation, batch.action.numpy())
+    slope, metrics = critic_slope(config, rule, at.values, batch, target, targets)
+    gradient = pulled(nets, after.critics, at, slope, "p")
+    adam_in_place(after.critics, gradient, after.critic_moments, rate)
 
-    multipliers = in_penalty = lagrange.values(rule.multipliers, state.multipliers, len(critics))
+    multipliers = in_penalty = lagrange.values(rule.multipliers, state.multipliers, len(alpha))
     if rule.augmented and rule.augments_replay and followed is None:
-        taken = values(nets, critics, batch.observation, batch.action)
-        followed = risks(config, rule, taken).mean(dim=-1)
+        taken = critics_at(nets, after.critics, batch.observation, batch.action.numpy())
+        followed = risks(config, rule, taken.values).mean(dim=-1)
     if rule.augmented and followed is not None:
         in_penalty = rule.augmented(config, multipliers, followed)
 
-    def of_actor(actor: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
-        what = (actor, critics, state, batch, noise.new_action, in_penalty)
-        return actor_loss(nets, config, rule, *what)
+    what = (after, batch.observation, noise.new_action, in_penalty)
+    gradient, loss, risk, log_prob = actor_gradient(nets, config, rule, *what)
+    adam_in_place(after.actor, gradient, after.actor_moments, rate)
 
-    gradient, (loss, risk, log_prob) = differentiate(of_actor, state.actor)
-    actor, actor_moments = adam(state.actor, gradient, state.actor_moments, rate)
     risk = risk.mean(dim=-1) if followed is None else followed
+    entropy = -log_prob.mean(axis=-1)
     metrics |= {
         "actor_loss": loss,
-        "temperature": state.log_temperature.exp()[:, 0],
+        "temperature": temperature[:, 0],
         "multipliers": multipliers,
         "risks": risk,
-        "entropy": -log_prob.mean(dim=-1),
+        "entropy": tensor(entropy),
     }
-    log_temperature, temperature_moments = temperature_step(
-        config, state, log_prob, batch.action.shape[-1]
-    )
-    states = state.multipliers
-    if all(isinstance(part, MultiplierState) for part in states):  # a PID follows once an epoch
-        states = lagrange.follow(rule.multipliers, config, states, risk)
-    # One constructor call: of two chained _replace calls torch 2.11 on Python 3.12 returns an empty
-    # tuple where it compiles.
-    after = SACState(
-        actor=actor,
-        critics=critics,
-        targets=state.targets.lerp(critics, config.target_rate),
-        log_temperature=log_temperature,
-        multipliers=states,
-        actor_moments=actor_moments,
-        critic_moments=critic_moments,
-        temperature_moments=temperature_moments,
-    )
+    # Descend `-α E[log π + target entropy]` along log α, with the target entropy -A.
+    excess = tensor(-entropy)[:, None] - batch.action.shape[-1]
+    of_temperature = (-temperature * excess).numpy()
+    moments = after.temperature_moments
+    adam_in_place(after.log_temperature, of_temperature, moments, config.temperature_lr)
+    after.targets.lerp_(after.critics, config.target_rate)
+    if all(isinstance(part, MultiplierState) for part in state.multipliers):
+        states = lagrange.follow(rule.multipliers, config, state.multipliers, risk)
+        after = after._replace(multipliers=states)  # a PID follows once an epoch
     return after, metrics
 
 
-def temperature_step(
-    config: SACConfig, state: SACState, log_prob: Tensor, action_size: int
-) -> tuple[Tensor, Moments]:
-    """Descend `-α E[log π + target entropy]`, target entropy -A, along log α; log_prob: [R, B].
-
-    Returns log α and its moments.
-    """
-    excess = log_prob.mean(dim=-1, keepdim=True) - action_size
-    gradient = -state.log_temperature.exp() * excess
-    return adam(state.log_temperature, gradient, state.temperature_moments, config.temperature_lr)
+LEARNED = ("actor", "critics", "targets", "log_temperature")
+LEARNED += ("actor_moments", "critic_moments", "temperature_moments")
+"""Parts of the state that an update changes in place, in a copy."""

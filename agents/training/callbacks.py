@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from agents.errors import UserError, extra
-from agents.lockstep.backend import CLOCK
 from agents.training import evaluation
 from agents.training.config import STATUS, TrainConfig, is_of_policy, made_with, policy_path
 from agents.training.files import AnyPath, read_json, write_arrays, write_json
@@ -152,7 +151,7 @@ class Meter:
         now, going = time.monotonic(), trainer.failures == ""
         steps = int(trainer.steps[going].min(initial=self._steps))
         share = min(1.0, steps / self._steps)
-        taken = (now - CLOCK.seconds, int(trainer.steps.sum()), share)
+        taken = (now, int(trainer.steps.sum()), share)
         self._first = self._first or taken
         seconds, more, gained = (b - a for a, b in zip(self._first, taken, strict=True))
         known = seconds > 0 and gained > 0
@@ -168,20 +167,12 @@ def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
     Yields the callback. A bar on a terminal; elsewhere a line for every tenth of the training.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
-    from rich.text import Text
-
-    class Compiling(ProgressColumn):
-        """For how long the compiler has been working; empty where it is not."""
-
-        def render(self, task: Task) -> Text:
-            began = CLOCK.began
-            return Text("" if began is None else f"compiling, {time.monotonic() - began:.0f} s")
+    from rich.progress import BarColumn, Progress, TextColumn
 
     title = f"{config.algorithm} {' '.join(config.tasks)} x {len(config.runs)}"
     percentage, words = TextColumn("{task.percentage:.0f} %"), TextColumn("{task.fields[words]}")
     console, meter, tenth = Console(stderr=True), Meter(config.steps), -1
-    columns = (TextColumn("{task.description}"), BarColumn(), percentage, Compiling(), words)
+    columns = (TextColumn("{task.description}"), BarColumn(), percentage, words)
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         shown = bar.add_task(title, total=config.steps, words="")
 

@@ -25,11 +25,12 @@ from dataclasses import dataclass, make_dataclass
 from importlib.metadata import distribution, version
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from agents.algorithms import ALGORITHMS, algorithm, module_of
 from agents.checks import In, Settings
 from agents.errors import UserError
+from agents.lockstep.kernel import Backend
 from agents.lockstep.noise import stream_seed
 from agents.training.environments import (
     Spaces,
@@ -48,15 +49,13 @@ from agents.training.files import (
     write_json,
 )
 
-Backend = Literal["compiled", "eager"]
-Device = Literal["cpu", "cuda"]
 CONFIG, STATUS, RESULTS = "config.json", "status.json", "results.npz"
 CHECKPOINTS, STEPS, POLICIES = "checkpoints", "steps", "policies"
 ALGORITHM = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of algorithms: see `agents.algorithms.register`."""
 NO_RUNS = "holds no runs: no config.json that circle2d train wrote"
-RECORDED = ("versions", "machine", "commit", "spaces", "modules")
-"""Entries of config.json that are no settings: what made the runs."""
+RECORDED = ("versions", "machine", "commit", "spaces", "modules", "device")
+"""Entries of config.json that are no settings: what made the runs, and in version 0.3 where."""
 
 
 class RunId(NamedTuple):
@@ -137,11 +136,9 @@ class TrainConfig(Settings):
     """Seconds that a step of environments in processes of their own may take; None: any."""
     tensorboard: bool = False
     """Whether to write TensorBoard event files too."""
-    backend: Backend = "eager"
-    """How updates run: as compiled code, or operation by operation. Results differ in their last
-    bits, and so, in the end, in where chaos leads."""
-    device: Device = "cpu"
-    """Where updates run."""
+    backend: Backend = "c++"
+    """How networks are computed. Results differ in their last bits, and so, in the end, in where
+    chaos leads."""
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
@@ -283,6 +280,8 @@ class TrainConfig(Settings):
             raise UserError(f"algorithm {name!r} of {folder} is not registered here: {how}")
         try:
             values = _tuples({k: v for k, v in content.items() if k not in RECORDED})
+            if values.get("backend") in ("compiled", "eager"):  # of version 0.3
+                del values["backend"]
             own = _tuples(values.pop("hyperparameters"))
             known = algorithm(str(name)).config if strict or name in ALGORITHMS else None
             return cls(hyperparameters=_of(known, own) if known else _plain(own), **values)

@@ -101,15 +101,13 @@ def launcher(
     count: int | None = None,
     imports: Sequence[str] = (),
     address: str | None = None,
-    device: str = "cpu",
 ) -> Iterator[Launcher]:
     """A launcher of an engine, put away at the end of the `with` block.
 
     count: trainings at a time, by default as many as there are cores. imports: modules that each
     process imports first. address: of the Ray cluster's head, such as 10.0.0.1:6379, or auto for
-    one of this machine; None starts one here, unless RAY_ADDRESS names one. device: cuda, where
-    each training needs a GPU. Raises UserError for an unknown engine, a missing library, and a
-    cluster that does not answer.
+    one of this machine; None starts one here, unless RAY_ADDRESS names one. Raises UserError for an
+    unknown engine, a missing library, and a cluster that does not answer.
     """
     check("workers", count, Annotated[int | None, In(1, MOST_WORKERS)])
     if engine not in ("local", "ray"):
@@ -120,8 +118,7 @@ def launcher(
         most, train = cores(), functools.partial(_train_here, imports=imports)
         if engine == "ray":
             ray, most = stack.enter_context(_connected(address))
-            gpus = int(device == "cuda")
-            train = functools.partial(_train_on_ray, ray, imports=imports, gpus=gpus)
+            train = functools.partial(_train_on_ray, ray, imports=imports)
         yield stack.enter_context(Launcher(count or most, train))
 
 
@@ -249,9 +246,7 @@ def _check_reachable(address: str) -> None:
 Files = Mapping[str, bytes]
 
 
-def _train_on_ray(
-    ray: Any, folder: Path, ending: threading.Event, imports: Sequence[str], gpus: int
-) -> str:
+def _train_on_ray(ray: Any, folder: Path, ending: threading.Event, imports: Sequence[str]) -> str:
     """Train a folder as a task of Ray; why it failed, or nothing.
 
     The nodes need the package, and no files in common. The task trains in a folder of its node's
@@ -260,7 +255,7 @@ def _train_on_ray(
     """
     losses = 0
     with locked(folder, PATIENCE):
-        task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=0)(_train_there)
+        task = ray.remote(num_cpus=1, max_retries=0)(_train_there)
         while True:
             files = {name: (folder / name).read_bytes() for name in _names(folder)}
             messages = task.options(num_returns="streaming").remote(folder.name, files, imports)

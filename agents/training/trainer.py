@@ -47,13 +47,13 @@ def train(folder: Path, *own: Callback) -> Trainer:
     """Train the runs of a folder to their end, from the newest checkpoint if there is one.
 
     The folder is one that `TrainConfig.write` made. own: further callbacks. Changes torch's threads
-    and matrix products for the process (`backend.configure`); the last bits of results depend on
-    them. NumPy has one thread meanwhile: its idle threads spin, which made two trainings side by
-    side on two cores nine times slower. Ends with an evaluation and `results.npz`, unless these are
-    there or a callback stopped it. Raises UserError where another process trains there.
+    and the kernel of networks for the process (`backend.configure`). NumPy has one thread
+    meanwhile: its idle threads spin, which made two trainings side by side on two cores nine times
+    slower. Ends with an evaluation and `results.npz`, unless these are there or a callback stopped
+    it. Raises UserError where another process trains there.
     """
     config = TrainConfig.read(folder)
-    backend.configure(config.backend == "compiled", config.device)
+    backend.configure(config.backend)
     with threadpool_limits(1, user_api="blas"), locked(folder):
         remove_unfinished(folder)
         trainer = Trainer(folder, config)

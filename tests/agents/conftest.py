@@ -8,6 +8,6 @@ from agents.lockstep import backend
 
 @pytest.fixture(autouse=True, scope="session")
 def as_in_training():
-    backend.configure()
+    backend.configure(backend.choose("c++")[0])
     with few_episodes():
         yield

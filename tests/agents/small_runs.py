@@ -20,7 +20,7 @@ TASK = "Circle2D-3-v0"
 STREAKS = [(0, 4), (5, 1), (2, 2), (3, 0), (5, 5), (1, 0), (2, 4), (0, 0), (1, 1), (3, 2), (2, 2)]
 STREAKS += [(0, 1)]
 
-TINY = {"backend": "eager", "hidden": (8,)}
+TINY = {"backend": "numpy", "hidden": (8,)}
 SAC = TINY | {"random_steps": 40, "gradient_steps": 1, "batch_size": 32, "replay_size": 500}
 TRPO = TINY | {"episodes": 2, "critic_iterations": 2}
 """Settings of trainings that take a fraction of a second."""

@@ -71,7 +71,7 @@ def try_options(tally: Tally, count, rng, root):
             tally.note("options of other commands", here(command).problem((0, 1, 2)))
             return
         algorithm = data.draw(st.sampled_from(sorted(ALGORITHMS)))
-        command = ["train", algorithm, "--out", str(out), "--backend", "eager"]
+        command = ["train", algorithm, "--out", str(out), "--backend", "numpy"]
         names = st.lists(st.sampled_from(options_of(algorithm)), min_size=1, max_size=2)
         for name in data.draw(names):
             command += [f"--{name.replace('_', '-')}", data.draw(values)]

@@ -144,7 +144,7 @@ def measures(folder):
     return {run.seed: run.measures for group in groups for run in group.runs}
 
 
-def scenes(root, backend="eager", names=()):
+def scenes(root, backend="numpy", names=()):
     """Every command that writes, but for reproduce. names: some of them; by default all, with
     compiled updates those that train."""
     options = [*SMALL, "50", "--backend", backend]
@@ -240,7 +240,7 @@ def try_tasks(tally: Tally, count, rng, root):
         how, at, apart = rng.choice(HOW), rng.randrange(21, 140), rng.random() < 0.4
         shutil.rmtree(out, ignore_errors=True)
         command = ["train", "sac-lag", "--task", "Broken-v0", *SMALL, "20", *SAC]
-        command += ["--backend", "eager", "--task-parameters", "how", how, "at", str(at)]
+        command += ["--backend", "numpy", "--task-parameters", "how", how, "at", str(at)]
         if apart or how in ("die", "hang"):
             command += ["--vectorization", "async", "--step-timeout", "1.5"]
         done = forked(lambda it=(*command, "--out", str(out)): main(it))

@@ -27,7 +27,7 @@ from agents.training.config import TrainConfig
 from agents.training.policy import load_policy
 from agents.training.trainer import Trainer
 
-TRAIN = ["train", "sac-lag", "--seeds", "0", "1", "--steps", "300", "--backend", "eager"]
+TRAIN = ["train", "sac-lag", "--seeds", "0", "1", "--steps", "300", "--backend", "numpy"]
 
 
 @pytest.fixture(scope="module")

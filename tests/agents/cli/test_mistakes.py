@@ -9,7 +9,7 @@ import torch
 from agents.cli.main import main
 from agents.training import config
 
-TRAIN = ("train", "sac-lag", "--seeds", "0", "1", "--steps", "600", "--backend", "eager")
+TRAIN = ("train", "sac-lag", "--seeds", "0", "1", "--steps", "600", "--backend", "numpy")
 TO = (*TRAIN, "--out", "{tmp}/x")
 REPRODUCE = ("reproduce", "--quick", "--out", "{tmp}/x")
 

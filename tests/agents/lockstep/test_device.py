@@ -88,7 +88,7 @@ def test_numpy_has_one_thread_in_training_and_the_callers_afterwards():
 
     seen = []
     with threadpool_limits(3, user_api="blas"):
-        arguments = {"seeds": 0, "steps": 200, "episodes": 2, "backend": "eager"}
+        arguments = {"seeds": 0, "steps": 200, "episodes": 2, "backend": "numpy"}
         agents.train("trpo-lag", **arguments, on_epoch=lambda _: seen.append(of_numpy()))
         assert of_numpy() == {3}
     assert seen == [{1}, {1}]

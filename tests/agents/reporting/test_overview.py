@@ -265,7 +265,7 @@ def test_a_method_of_ones_own_beside_published_ones(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_method.py").write_text(MINE)
     tasks = ["Circle2D-0-v0", "Circle2D-1-v0"]
-    more = {"seeds": (0, 1), "steps": 1100, "backend": "eager"}
+    more = {"seeds": (0, 1), "steps": 1100, "backend": "numpy"}
     for name in ("cpo", "trpo-lag"):
         agents.train(name, tasks, out=tmp_path / "published" / name, **more)
     published = read([tmp_path / "published"], [])

@@ -68,7 +68,7 @@ def raw(written, tmp_path_factory):
     for name, choice, options in runs:
         written.clear()
         command = ["train", name, "--task", TASK, "--steps", str(STEPS)]
-        command += ["--seeds", *map(str, SEEDS), "--vectorization", "sync", "--backend", "eager"]
+        command += ["--seeds", *map(str, SEEDS), "--vectorization", "sync", "--backend", "numpy"]
         with few_episodes(EVALUATED):
             assert main([*command, *options, "--out", str(out / (name + choice))]) == 0
         numbers[name + choice] = numbers_of(list(written.values()), EPISODES[name])

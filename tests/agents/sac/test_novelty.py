@@ -57,7 +57,7 @@ def test_the_number_of_threads_does_not_matter():
     found = set()
     for threads in (1, 2):
         with backend.restored(), threadpool_limits(threads):
-            backend.configure()
+            backend.configure("numpy")
             novelty, rng = Novelty(2.0, range(10), 2), np.random.default_rng(0)
             for k in range(12):
                 states = rng.normal(size=(50, 10, 2)).astype(np.float32)

@@ -2,6 +2,7 @@
 plain loop, `test_stable_baselines` beside another library's."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -45,32 +46,23 @@ def test_losses_by_hand():
     The actor's mean is 0 and its deviation 1; with noise 0, a = 0 and per component
     log π = -½ ln 2π - 2 (ln 2 - 0 - ln 2) = -0.9189385, both: -1.8378771.
     """
-    nets, state = constant_nets(CONFIG, [3.0, 4.0, 6.0, 7.0], [2.0, 1.5, 8.0, 9.0])
-    batch, noise = two_transitions(), torch.zeros(1, 2, 2)
+    config = replace(CONFIG, learning_rate=1e-12)  # the actor's loss is with the stepped critics
+    nets, state = constant_nets(config, [3.0, 4.0, 6.0, 7.0], [2.0, 1.5, 8.0, 9.0])
+    noise = sac.UpdateNoise(torch.zeros(1, 2, 2), torch.zeros(1, 2, 2))
     log_prob = -math.log(2 * math.pi)
-    target, next_values = sac.targets_of(nets, CONFIG, state, batch, noise)
-    # 1 + 0.9 (min(2, 1.5) + 1.8378771) = 4.0040894; the terminal one keeps its reward
-    assert target[0].tolist() == pytest.approx([1 + 0.9 * (1.5 - log_prob), -2.0], rel=1e-6)
-    assert target[0, 0].item() == pytest.approx(4.0040894, rel=1e-6)
-    assert next_values[0, 2:].tolist() == [[8.0, 8.0], [9.0, 9.0]]
-
-    _, parts = sac.critic_loss(nets, CONFIG, RULE, state.critics, batch, target, next_values)
+    _, found = sac.update(nets, config, RULE, state, two_transitions(), noise)
+    # targets: 1 + 0.9 (min(2, 1.5) + 1.8378771) = 4.0040894, and -2, the terminal one's reward;
     # ½ mean[(3 - 4.0040894)², (3 + 2)²] + ½ mean[(4 - 4.0040894)², (4 + 2)²]
     # = ½ (1.0081955 + 25) / 2 + ½ (0.0000167 + 36) / 2 = 6.5020489 + 9.0000042
-    assert parts["critic_loss"].item() == pytest.approx(15.5020531, rel=1e-6)
+    assert found["critic_loss"].item() == pytest.approx(15.5020531, rel=1e-6)
     # cost targets: 0 + 0.9 · max(8, 9) = 8.1 and 1 (terminal)
     # ½ mean[(6 - 8.1)², (6 - 1)²] + ½ mean[(7 - 8.1)², (7 - 1)²]
     # = ½ (4.41 + 25) / 2 + ½ (1.21 + 36) / 2 = 7.3525 + 9.3025
-    assert parts["cost_critic_loss"].item() == pytest.approx(16.655, rel=1e-6)
-
-    multipliers = lagrange.values(RULE.multipliers, state.multipliers, 1)
-    loss, (_, risk, found) = sac.actor_loss(
-        nets, CONFIG, RULE, state.actor, state.critics, state, batch, noise, multipliers
-    )
-    assert risk.tolist() == [[[7.0, 7.0]]]
-    assert found[0].tolist() == pytest.approx([log_prob] * 2, rel=1e-6)
+    assert found["cost_critic_loss"].item() == pytest.approx(16.655, rel=1e-6)
+    assert found["risks"].tolist() == [[7.0]]
+    assert found["entropy"].item() == pytest.approx(-log_prob, rel=1e-6)
     # α log π - min Q + β max Q_c = -1.8378771 - 3 + 0.6931472 · 7 = 0.0141533
-    assert loss.item() == pytest.approx(0.0141533, abs=1e-6)
+    assert found["actor_loss"].item() == pytest.approx(0.0141533, abs=1e-6)
 
 
 @pytest.mark.parametrize("scale", [0.1, 1.0, 3.0])
