@@ -139,23 +139,28 @@ class Slopes(NamedTuple):
     """[R]: share of steps that have no part in it"""
 
 
+def surrogate_at(
+    config: Any, surrogate: Surrogate, policy: Gaussian, batch: Minibatch
+) -> tuple[Tensor, Tensor]:
+    """The surrogate of a policy, and the share that has no part in it, [R] each."""
+    held = batch.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
+    change = torch.where(held, policy.log_prob(batch.action) - batch.old_log_prob, 0.0)
+    returned = surrogate(config, policy, change.exp(), batch)
+    shapes, runs = [list(value.shape) for value in returned], len(policy.mean)
+    if shapes != [[runs], [runs]]:  # a sum over minibatches is another objective
+        raise ValueError(f"a surrogate must return two of [runs], here [{runs}], got {shapes}")
+    return returned
+
+
 def slopes(config: Any, surrogate: Surrogate, policy: Gaussian, batch: Minibatch) -> Slopes:
     """The gradient of a surrogate, turned round to descend, by autograd in the policy's outputs."""
     with torch.enable_grad():
-        leaves = [part.detach().requires_grad_() for part in (policy.mean, policy.log_std)]
-        policy = Gaussian(*leaves, leaves[1].exp())
-        held = batch.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
-        change = torch.where(held, policy.log_prob(batch.action) - batch.old_log_prob, 0.0)
-        returned = surrogate(config, policy, change.exp(), batch)
-        shapes, runs = [list(value.shape) for value in returned], len(policy.mean)
-        if shapes != [[runs], [runs]]:  # a sum over minibatches is another objective
-            raise ValueError(f"a surrogate must return two of [runs], here [{runs}], got {shapes}")
-        raised, outside = returned
-    found = torch.autograd.grad(-raised.sum(), leaves, allow_unused=True)
-    mean, log_std = (
-        torch.zeros_like(x) if g is None else g for g, x in zip(found, leaves, strict=True)
-    )
-    return Slopes(mean.numpy(), log_std[:, 0].numpy(), outside.detach().numpy())
+        mean, log_std = (part.detach().requires_grad_() for part in policy[:2])
+        policy = Gaussian(mean, log_std, log_std.exp())
+        raised, outside = surrogate_at(config, surrogate, policy, batch)
+    zeros = {"allow_unused": True, "materialize_grads": True}
+    in_mean, in_log_std = torch.autograd.grad(-raised.sum(), (mean, log_std), **zeros)
+    return Slopes(in_mean.numpy(), in_log_std[:, 0].numpy(), outside.detach().numpy())
 
 
 def clipped_slopes(config: Any, policy: Gaussian, batch: Minibatch) -> Slopes:

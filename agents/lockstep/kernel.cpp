@@ -8,6 +8,9 @@
 #include <cstdint>
 #include <cstring>
 #include <vector>
+#ifdef __GLIBC__
+#include <malloc.h>
+#endif
 
 #ifdef __AVX512F__
 constexpr int LANES = 16, COLUMNS = 4; // 6 rows of as many vectors fit into the registers
@@ -157,6 +160,16 @@ static void affine(const float *x, int64_t in, const float *w, const float *b, i
 }
 
 extern "C" {
+
+// Has glibc hand freed blocks to the next array instead of back to the system: the page faults of
+// fresh megabytes cost as much as the arithmetic that fills them.
+void keep_freed_memory() {
+#ifdef __GLIBC__
+  mallopt(M_MMAP_THRESHOLD, 32 << 20);
+  mallopt(M_TRIM_THRESHOLD, INT32_MAX);
+  mallopt(M_TOP_PAD, 64 << 20);
+#endif
+}
 
 // Outputs y [nets][rows][out] of networks params [nets], `stride` numbers apart, for inputs
 // x [nets / share][rows][in]; tape [nets][2][hidden * rows] gets values and slopes of hidden layers.

@@ -162,22 +162,22 @@ class InCpp:
     """The kernel in C++, for float32."""
 
     def __init__(self, library: Path) -> None:
-        self._library = ctypes.CDLL(str(library))
+        self.library = ctypes.CDLL(str(library))
         pointer, long, float_ = ctypes.c_void_p, ctypes.c_int64, ctypes.c_float
         shape = [ctypes.c_int, pointer, ctypes.c_int, long, long, pointer, long, pointer, long]
-        self._library.forward.argtypes = [*shape, pointer, pointer]
-        self._library.backward.argtypes = [*shape, *[pointer] * 3, long, pointer]
-        self._library.tangent.argtypes = [*shape, pointer, pointer, long, pointer]
-        self._library.adam.argtypes = [long, long, *[pointer] * 6, float_]
+        self.library.forward.argtypes = [*shape, pointer, pointer]
+        self.library.backward.argtypes = [*shape, *[pointer] * 3, long, pointer]
+        self.library.tangent.argtypes = [*shape, pointer, pointer, long, pointer]
+        self.library.adam.argtypes = [long, long, *[pointer] * 6, float_]
         for name in ("forward", "backward", "tangent", "adam"):
-            getattr(self._library, name).restype = None
+            getattr(self.library, name).restype = None
 
     def forward(self, net: Shape, params: Float, x: Float, share: int = 1) -> tuple[Float, Any]:
         """See `Kernel`."""
         nets, rows, hidden = len(params), x.shape[1], sum(net.widths[1:-1])
         y = np.empty((nets, rows, net.widths[-1]), np.float32)
         tape = np.empty((nets, 2, hidden * rows), np.float32)
-        self._library.forward(*_of(net, params, x, share), y.ctypes.data, tape.ctypes.data)
+        self.library.forward(*_of(net, params, x, share), y.ctypes.data, tape.ctypes.data)
         return y, tape
 
     def backward(
@@ -189,14 +189,14 @@ class InCpp:
         gx = np.empty((nets, rows, net.widths[0]), np.float32) if "x" in of else None
         given = (tape.ctypes.data, np.ascontiguousarray(dy).ctypes.data)
         to = (_data(gp), params.shape[1], _data(gx))
-        self._library.backward(*_of(net, params, x, share), *given, *to)
+        self.library.backward(*_of(net, params, x, share), *given, *to)
         return gp, gx
 
     def tangent(self, net: Shape, params: Float, x: Float, tape: Any, v: Float) -> Float:
         """See `Kernel`."""
         jy = np.empty((len(params), x.shape[1], net.widths[-1]), np.float32)
         given = (tape.ctypes.data, v.ctypes.data, v.strides[0] // 4)
-        self._library.tangent(*_of(net, params, x, 1), *given, jy.ctypes.data)
+        self.library.tangent(*_of(net, params, x, 1), *given, jy.ctypes.data)
         return jy
 
     def adam(
@@ -210,7 +210,7 @@ class InCpp:
     ) -> None:
         """See `Kernel`."""
         arrays = [a.ctypes.data for a in (params, gradient, mean, square, *rest)]
-        self._library.adam(*params.shape, *arrays, rate)
+        self.library.adam(*params.shape, *arrays, rate)
 
 
 def _of(net: Shape, params: Float, x: Float, share: int) -> tuple[Any, ...]:
@@ -325,6 +325,8 @@ def use(backend: Backend) -> None:
     """Compute float32 by that kernel from now on. Raises NoCpp."""
     global _kernel
     _kernel = in_cpp() if backend == "c++" else IN_NUMPY
+    if isinstance(_kernel, InCpp):
+        _kernel.library.keep_freed_memory()
 
 
 def used() -> Backend:

@@ -65,12 +65,12 @@ def test_what_register_refuses(sac_fixed):
             register(name, own)
     loose = make_dataclass("Config", [("a", int, 1)])
     incomplete = make_dataclass("Config", [("a", int)], frozen=True)
-    named = make_dataclass("Config", [("device", str, "cpu")], frozen=True)  # as in `train`
+    named = make_dataclass("Config", [("backend", str, "c++")], frozen=True)  # as in `train`
     cpo, ppo = algorithm("cpo"), algorithm("ppo-lag")
     for wrong, named_in_message in (
         *((own._replace(config=c), "config of 'own'") for c in (loose, dict, loose(), None)),
         (own._replace(config=incomplete), r"Config\.a of 'own' needs a default"),
-        (own._replace(config=named), r"Config\.device of 'own'"),
+        (own._replace(config=named), r"Config\.backend of 'own'"),
         *((other._replace(rule=own.rule), "rule") for other in (cpo, ppo)),
         *((other._replace(config=own.config), "config") for other in (cpo, ppo)),
         (own._replace(family=None), "family of 'own'"),

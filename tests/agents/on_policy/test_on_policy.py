@@ -9,6 +9,7 @@ import torch
 from modules import data, flat, module
 from torch.distributions import Independent, Normal
 
+from agents import first_order
 from agents import trust_region as trpo
 from agents.algorithms import cpo, trpo_lag
 from agents.algorithms.cpo import CPOConfig
@@ -17,7 +18,7 @@ from agents.first_order import Minibatch, PPOConfig, actor_step, clipped, surrog
 from agents.lockstep.nets import MLP, no_moments
 from agents.lockstep.rollout import Rollout
 from agents.on_policy.epoch import BLOCK, Packing, advantages, minibatches
-from agents.on_policy.state import GaussianPolicy, Nets
+from agents.on_policy.state import Gaussian, GaussianPolicy, Nets
 from agents.trust_region import TrustRegion
 
 METRICS = ("kl", "step_scale", "critic_loss", "cost_critic_loss", "std")
@@ -194,7 +195,7 @@ def test_a_pass_takes_every_row_once():
     passes = list(minibatches(steps, 256, generators))
     assert len(passes) == 4
     for run, n in enumerate(steps):
-        taken = torch.cat([rows[run][weight[run] > 0] for rows, weight in passes])
+        taken = np.concatenate([rows[run][weight[run] > 0] for rows, weight in passes])
         assert sorted(taken.tolist()) == list(range(n))
         for k, (rows, weight) in enumerate(passes):
             assert rows.shape == weight.shape == (4, 256)
@@ -206,19 +207,13 @@ def test_a_pass_takes_every_row_once():
 
 
 CRITIC = MLP((3, 32, 1))
-LINE = Nets(GaussianPolicy(MLP((1, 1))), CRITIC)
-"""Mean = weight · observation + bias, in parameters 0 and 1; log-std in parameter 32."""
-BIAS, LOG_STD = 1, 32
+CONFIG = PPOConfig(clip_range=0.2)
 
 
-def clipped_surrogate(actor, batch):
-    return surrogate_at(LINE, PPOConfig(clip_range=0.2), clipped, actor, batch)
-
-
-def line(bias):
-    params = torch.zeros(1, LINE.actor.size, dtype=torch.float64)
-    params[0, BIAS] = bias
-    return params
+def normal_policy(mean):
+    """N(mean, 1) at five steps of one run."""
+    log_std = torch.zeros(1, 1, 1, dtype=torch.float64)
+    return Gaussian(torch.full((1, 5, 1), mean, dtype=torch.float64), log_std, log_std.exp())
 
 
 def five_steps():
@@ -243,15 +238,31 @@ def test_surrogate_and_its_gradient_by_hand():
     a = -1, A = -1: clipped to -0.8, slopes 0.
     a = ¼, A = 3: 3; slopes -0.75 and -2.8125.
     """
-    at = line(0.5)
-    found, outside = clipped_surrogate(at, five_steps())
+    policy, batch = normal_policy(0.5), five_steps()
+    found, outside = surrogate_at(CONFIG, clipped, policy, batch)
     assert found.item() == pytest.approx((2.4 - 1.4549914 + 0.5352614 - 0.8 + 3.0) / 5, abs=1e-7)
     assert outside.item() == pytest.approx(4 / 5)
-    slope = torch.func.grad(lambda p: clipped_surrogate(p, five_steps())[0].sum())(at)
-    assert slope[0, BIAS].item() == pytest.approx((-0.7274957 - 0.8028921 - 0.75) / 5, abs=1e-7)
-    by_hand = (1.0912436 + 0.6690768 - 2.8125) / 5
-    assert slope[0, LOG_STD].item() == pytest.approx(by_hand, abs=1e-6)
-    assert slope[0, 0] == 0  # the weight's: all observations are 0
+    by_autograd = first_order.slopes(CONFIG, clipped, policy, batch)
+    for slopes in (by_autograd, first_order.clipped_slopes(CONFIG, policy, batch)):
+        by_hand = np.array([0.0, -0.7274957, -0.8028921, 0.0, -0.75]) / 5
+        np.testing.assert_allclose(-slopes.mean[0, :, 0], by_hand, atol=1e-7)
+        assert -slopes.log_std.item() == pytest.approx((1.0912436 + 0.6690768 - 2.8125) / 5)
+        assert slopes.outside.item() == pytest.approx(4 / 5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_closed_form_is_autograds(seed):
+    """Of random minibatches; in some rows are of weight 0."""
+    generator = torch.Generator().manual_seed(seed)
+    draw = lambda *shape: torch.randn(*shape, generator=generator).double()  # noqa: E731
+    log_std = 0.3 * draw(3, 1, 2)
+    policy = Gaussian(draw(3, 64, 2), log_std, log_std.exp())
+    weight = torch.rand(3, 64, generator=generator).double().clamp(min=0.3) - 0.3
+    old = policy.log_prob(action := draw(3, 64, 2)) + 0.3 * draw(3, 64)
+    batch = Minibatch(draw(3, 64, 1), action, weight, draw(3, 64), old)
+    for name, own in first_order.clipped_slopes(CONFIG, policy, batch)._asdict().items():
+        expected = getattr(first_order.slopes(CONFIG, clipped, policy, batch), name)
+        np.testing.assert_allclose(own, expected, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
 def test_rows_of_weight_zero_do_not_count():
@@ -262,9 +273,14 @@ def test_rows_of_weight_zero_do_not_count():
         old_log_prob=torch.where(torch.arange(5) == 4, -1e9, step.old_log_prob),
     )
     without = Minibatch(*(part[:, :4] for part in far[:5]))
-    for of in (0, 1):
-        found = clipped_surrogate(line(0.5), far)[of]
-        torch.testing.assert_close(found, clipped_surrogate(line(0.5), without)[of])
+    policy = normal_policy(0.5)
+    cut = policy._replace(mean=policy.mean[:, :4])
+    pairs = [first_order.slopes(CONFIG, clipped, *pair) for pair in ((policy, far), (cut, without))]
+    pairs += [first_order.clipped_slopes(CONFIG, *pair) for pair in ((policy, far), (cut, without))]
+    for whole, part in zip(pairs[::2], pairs[1::2], strict=True):
+        np.testing.assert_array_equal(whole.mean[:, :4], part.mean)
+        np.testing.assert_array_equal(whole.mean[:, 4:], 0.0)
+        np.testing.assert_allclose(whole.log_std, part.log_std)
 
 
 def test_a_surrogate_that_forgets_the_mean_is_an_error():
@@ -272,7 +288,7 @@ def test_a_surrogate_that_forgets_the_mean_is_an_error():
         return ratio * batch.advantage, torch.zeros(1)
 
     with pytest.raises(ValueError, match=r"two of \[runs\], here \[1\], got \[\[1, 5\], \[1\]\]"):
-        surrogate_at(LINE, PPOConfig(), unsummed, line(0.5), five_steps())
+        surrogate_at(CONFIG, unsummed, normal_policy(0.5), five_steps())
 
 
 @pytest.mark.parametrize("longest", [0.05, 1e9])
@@ -292,7 +308,7 @@ def test_steps_of_adam_against_separate_runs(longest):
         weight = (torch.arange(32) < held[:, None]) / held[:, None].clamp(min=1)
         observation, action, gain, before = columns.split((3, 2, 1, 1), dim=-1)
         batch = Minibatch(observation, action, weight, gain[..., 0], before[..., 0] / 3 - 2.5)
-        actor, moments, _ = actor_step(nets, config, actor, moments, batch)
+        actor_step(nets, config, actor, moments, batch)
         for run, n in enumerate(held):
             if n == 0:
                 continue

@@ -13,6 +13,7 @@ from agents import trust_region as trpo
 from agents.algorithms import trpo_lag
 from agents.algorithms.cpo import CPOConfig
 from agents.algorithms.trpo_lag import TRPOLagConfig
+from agents.lockstep.normalizer import Inputs
 from agents.on_policy import state as on_policy
 from agents.on_policy.epoch import BLOCK, Epoch, blocks_of, compared
 from agents.on_policy.state import OnPolicyState
@@ -163,9 +164,8 @@ def test_distribution_against_torch():
     observation, action = normal(3, 7, OBSERVATION, seed=1), normal(3, 7, ACTION, seed=2)
     found = ACTOR.distribution(params, observation)
     log_prob, kl = found.log_prob(action), found.kl(ACTOR.distribution(others, observation))
-    one = np.ones((), np.float32)
-    acted = ACTOR.act(params.numpy(), one, observation.numpy(), action.numpy())  # action: the noise
-    deterministic = ACTOR.act(params.numpy(), one, observation.numpy(), None)
+    act = ACTOR.acting(params.numpy(), Inputs(np.ones((), np.float32)))
+    acted, deterministic = act(observation.numpy(), action.numpy()), act(observation.numpy(), None)
     for run in range(3):
         theirs = policy(params[run], observation[run])
         other = policy(others[run], observation[run])
@@ -197,8 +197,8 @@ def test_compared_and_its_gradient_against_separate_runs(steps, size):
     blocks = blocks_of(NETS, old, epoch, epoch.reward_advantage)
     found, kl = compared(NETS, new, blocks)
     for of, advantage in enumerate((epoch.reward_advantage, epoch.cost_advantage[:, 0])):
-        gradient = torch.func.grad(lambda p, of=of: compared(NETS, p, blocks)[0][:, of].sum())
-        moved = gradient(new)
+        at = new.clone().requires_grad_()
+        (moved,) = torch.autograd.grad(compared(NETS, at, blocks)[0][:, of].sum(), at)
         for run, n in enumerate(steps):
             vector = new[run].clone().requires_grad_()
             observation, action = epoch.observation[run, :n], epoch.action[run, :n]

@@ -1,0 +1,125 @@
+"""The kernel in C++ and in NumPy: against each other, PyTorch and itself among other networks."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_trainings import assert_same, finished, of_run, small, trainer
+from toys import register
+
+from agents.lockstep import kernel
+from agents.lockstep.nets import MLP
+from agents.training.config import TrainConfig
+
+register()
+
+
+def kernels():
+    try:
+        return [kernel.in_cpp(), kernel.IN_NUMPY]
+    except kernel.NoCpp as error:
+        pytest.skip(str(error))
+
+
+shapes = st.tuples(
+    st.integers(1, 40),
+    st.lists(st.integers(1, 70), max_size=3),
+    st.integers(1, 20),
+    st.sampled_from(["tanh", "relu", "silu"]),
+    st.integers(1, 3),  # inputs
+    st.integers(1, 3),  # networks that share one
+    st.integers(1, 150),  # rows
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(shapes)
+def test_both_are_float64s_autograd_but_for_rounding(shape):
+    """Values and all three products, for any depth and width; a network is, bit for bit, what it is
+    alone."""
+    n_in, hidden, n_out, activation, inputs, share, rows = shape
+    net, nets = MLP((n_in, *hidden, n_out), activation), inputs * share
+    rng = np.random.default_rng(0)
+    params = np.stack([net.initial(rng) for _ in range(nets)])
+    x, dy = rng.normal(size=(inputs, rows, n_in)), rng.normal(size=(nets, rows, n_out))
+    v = np.where(params == 0, 0, rng.normal(size=params.shape))
+    x, dy, v = (a.astype(np.float32) for a in (x, dy, v))
+
+    def values(p, x):
+        at = 0
+        x = x.repeat_interleave(share, dim=0)
+        for k, (a, b) in enumerate(pairwise(net.widths)):
+            w, bias = p[:, at : at + a * b].view(-1, a, b), p[:, None, at + a * b : at + a * b + b]
+            x, at = x @ w + bias, at + a * b + b
+            if k < len(net.widths) - 2:
+                x = getattr(torch.nn.functional, activation)(x)
+        return x
+
+    given_ = [torch.from_numpy(a).double().requires_grad_() for a in (params, x)]
+    y = values(*given_)
+    expected = [y.detach(), *torch.autograd.grad(y, given_, torch.from_numpy(dy).double())]
+    _, jy = torch.autograd.functional.jvp(
+        lambda p: values(p, given_[1]), given_[0], torch.from_numpy(v).double()
+    )
+    for own in kernels():
+        found, tape = own.forward(net, params, x, share)
+        gp, gx = own.backward(net, params, x, tape, dy, "px", share)
+        gx = gx.reshape(inputs, share, rows, n_in).sum(axis=1)
+        whole = params.repeat(1, axis=0), np.repeat(x, share, axis=0)
+        _, tape = own.forward(net, *whole)
+        tangent = own.tangent(net, *whole, tape, v)
+        for ours, theirs in zip((found, gp, gx, tangent), (*expected, jy), strict=True):
+            scale = max(1.0, theirs.abs().max().item())
+            np.testing.assert_allclose(ours / scale, theirs.detach().numpy() / scale, atol=3e-5)
+        k = nets - 1
+        alone, tape = own.forward(net, params[k:], x[k // share :][:1])
+        np.testing.assert_array_equal(alone[0], found[k])
+        of_p, _ = own.backward(net, params[k:], x[k // share :][:1], tape, dy[k:], "p")
+        np.testing.assert_array_equal(of_p[0], gp[k])
+
+
+def test_what_is_not_a_number_stays_so():
+    """In a run's own outputs and gradients alone."""
+    net = MLP((2, 32, 1))
+    params = np.stack([net.initial(np.random.default_rng(0)) for _ in range(2)])
+    params[1, 0] = np.nan
+    x = np.ones((2, 5, 2), np.float32)
+    for own in kernels():
+        y, tape = own.forward(net, params, x)
+        gp, _ = own.backward(net, params, x, tape, np.ones_like(y), "p")
+        assert np.isfinite(y[0]).all() and np.isnan(y[1]).all()
+        assert np.isfinite(gp[0]).all() and np.isnan(gp[1]).any()
+
+
+def test_a_kernel_that_computes_wrongly_is_not_taken():
+    class Wrong(kernel.InNumpy):
+        def tangent(self, *given):
+            return 1.001 * super().tangent(*given)
+
+    assert kernel.error_of(kernel.IN_NUMPY) < 1e-5
+    assert kernel.error_of(Wrong()) > kernel.TOLERANCE
+
+
+@pytest.mark.parametrize("name", ["ppo-lag", "cpo", "sac-lag", "cup", "wcsac"])
+def test_trainings_in_cpp_and_numpy_are_one_but_for_rounding(name):
+    """After the first epochs; in either a run is, bit for bit, what it is alone. Conjugate
+    gradients magnify rounding."""
+    kernels()
+    found, near = {}, 1e-4 if name == "cpo" else 1e-5
+    for backend in ("c++", "numpy"):
+        kernel.use(backend)
+        try:
+            runs = [
+                finished(trainer(TrainConfig(name, ("Walk-v0",), seeds, 150, small(name))))
+                for seeds in ((0, 1, 2), (1,))
+            ]
+        finally:
+            kernel.use("c++")
+        found[backend] = of_run(runs[0], 1)
+        assert_same(found[backend], of_run(runs[1], 0))
+    for key, value in found["c++"].items():
+        if value.dtype.kind == "f" and key.startswith(("actor", "critics")):
+            np.testing.assert_allclose(value, found["numpy"][key], atol=near, err_msg=key)
