@@ -15,11 +15,10 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
-from gymnasium.wrappers.vector import RescaleAction
 
 from agents.errors import OwnCodeError, TaskFailure, UserError, described, nearest
 from agents.lockstep.rollout import require_info
-from agents.training.wrappers import CheckedEnv, Guard, quiet_worker, recorded_info
+from agents.training.wrappers import CheckedEnv, Guard, ScaledActions, quiet_worker, recorded_info
 from circle2d_mj.core.view import View
 
 Vectorization = Literal["auto", "sync", "async"]
@@ -42,12 +41,8 @@ def make_envs(
     same numbers. step_timeout: see `Guard`. Raises UserError for an unknown task, parameters it
     refuses, and spaces that are not flat Boxes (actions: bounded); stepping them, TaskFailure.
     """
-    envs = Guard(unscaled(task, num_envs, parameters, vectorization, costs), task, step_timeout)
-    actions: Any = envs.single_action_space
-    if (actions.low == -1).all() and (actions.high == 1).all():
-        return envs
-    one = np.ones_like(actions.low)
-    return RescaleAction(envs, -one, one)
+    envs = unscaled(task, num_envs, parameters, vectorization, costs)
+    return ScaledActions(Guard(envs, task, step_timeout))
 
 
 def unscaled(

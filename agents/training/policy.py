@@ -38,7 +38,7 @@ from agents.training.config import (
 )
 from agents.training.environments import Spaces, checked_spaces, registered, task_id
 from agents.training.files import Arrays, numbered
-from agents.training.wrappers import CheckedEnv
+from agents.training.wrappers import Bounds, CheckedEnv
 from emcc import cvar, longest_streak
 
 FOLDER = Path(__file__).parent.parent / "policies"
@@ -112,11 +112,7 @@ class Policy:
         self._module = module(0) if module else None
         self._rng = np.random.default_rng()
         low, high = (np.array(bound, dtype=spaces.dtype) for bound in (spaces.low, spaces.high))
-        self._low, self._high = low, high
-        # The arithmetic of gymnasium's RescaleAction, so that actions are those of training.
-        self._gradient = (2.0 / (high.astype(np.longdouble) - low)).astype(low.dtype)
-        self._intercept = self._gradient * -low + np.array(-1.0, dtype=low.dtype)
-        self._rescales = not ((low == -1).all() and (high == 1).all())
+        self._bounds = Bounds(low, high)
 
     def __repr__(self) -> str:
         return f"Policy(task={self.task!r}, seed={self.seed})"
@@ -136,12 +132,9 @@ class Policy:
         observations, alone = self._batch(observation)
         noise = None
         if not deterministic:
-            shape = (1, len(observations), len(self._low))
+            shape = (1, len(observations), len(self._bounds.low))
             noise = (rng or self._rng).standard_normal(shape, dtype=np.float32)
-        action = np.clip(self.in_lockstep(observations[None], noise)[0], -1.0, 1.0)
-        action = action.astype(self._low.dtype)
-        if self._rescales:
-            action = np.clip((action - self._intercept) / self._gradient, self._low, self._high)
+        action = self._bounds(np.clip(self.in_lockstep(observations[None], noise)[0], -1.0, 1.0))
         return action[0] if alone else action
 
     def predict(
@@ -166,13 +159,13 @@ class Policy:
         """
         if self._module is None:
             raise UserError(f"{self!r} has no module: its Learner has no method `module`")
-        return _Bounded(copy.deepcopy(self._module), self._low, self._high)
+        return _Bounded(copy.deepcopy(self._module), self._bounds.low, self._bounds.high)
 
     def _batch(self, observation: ArrayLike) -> tuple[NDArray[np.float32], bool]:
         """Observations as [N, size], and whether one was given alone."""
         size = self.spaces.observation_size
         given = np.asarray(observation)
-        if not np.issubdtype(given.dtype, np.number) or np.iscomplexobj(given):
+        if given.dtype.kind not in "biuf":
             raise TypeError(f"observation must hold real numbers, got an array of {given.dtype}")
         if given.ndim not in (1, 2) or given.shape[-1] != size:
             raise ValueError(
@@ -196,7 +189,8 @@ class _Bounded(nn.Module):
 
     def forward(self, observation: Tensor) -> Tensor:
         share = (self.net(observation).clamp(-1.0, 1.0) + 1.0) / 2.0
-        return self.low + (self.high - self.low) * share
+        action = self.low + (self.high - self.low) * share
+        return action.clamp(self.low, self.high)  # which rounding may lead beyond
 
 
 def load_policy(

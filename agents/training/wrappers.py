@@ -13,8 +13,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import logger
-from gymnasium.vector import AsyncVectorEnv, VectorEnv, VectorWrapper
+from gymnasium.spaces import Box
+from gymnasium.vector import AsyncVectorEnv, VectorActionWrapper, VectorEnv, VectorWrapper
 from gymnasium.vector.async_vector_env import _async_worker
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from agents.errors import OwnCodeError, TaskFailure, UserError, described
@@ -150,6 +152,42 @@ class Guard(VectorWrapper):
             elif isinstance(error, (EOFError, ConnectionError)):
                 why = "a process of its environments ended"
             raise TaskFailure(f"task {self._task!r} failed {when}: {why}") from error
+
+
+class Bounds:
+    """Bounds of a task's actions: takes the actions of policies, in [-1, 1], to them."""
+
+    def __init__(self, low: NDArray, high: NDArray) -> None:
+        """low, high: [action size], of the type of the task's actions."""
+        self.low, self.high = low, high
+        self._same = bool((low == -1).all() and (high == 1).all())
+
+    def __call__(self, action: NDArray) -> NDArray:
+        """Actions [..., action size] in [-1, 1] as the task takes them: of its type, and within its
+        bounds, beyond which rounding may lead."""
+        if self._same:
+            return action.astype(self.low.dtype, copy=False)
+        share = (1.0 + action.astype(np.float64)) / 2.0
+        scaled = (self.low * (1.0 - share) + self.high * share).astype(self.low.dtype)
+        return np.minimum(np.maximum(scaled, self.low), self.high)
+
+
+class ScaledActions(VectorActionWrapper):
+    """Environments that take actions in [-1, 1] in the place of the task's own."""
+
+    def __init__(self, env: VectorEnv) -> None:
+        super().__init__(env)
+        space: Any = env.single_action_space
+        self._bounds = Bounds(space.low, space.high)
+        self.single_action_space = Box(-1.0, 1.0, space.shape, np.float32)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    def __repr__(self) -> str:
+        return repr(self.env)
+
+    def actions(self, actions: NDArray) -> NDArray:
+        """The task's own actions."""
+        return self._bounds(actions)
 
 
 def _check_shapes(arrays: dict[str, tuple[Any, Any]]) -> None:

@@ -1,17 +1,26 @@
 """Other people's tasks: their action bounds, and costs that gymnasium would change on the way."""
 
+from fractions import Fraction
+from types import SimpleNamespace
+
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from small_runs import steps_of
+from torch import nn
 from toys import registered
 
 import agents
 from agents.errors import UserError
-from agents.training.environments import make_envs, spaces_of, task_id
+from agents.training.config import RunId
+from agents.training.environments import checked_spaces, make_envs, spaces_of, task_id
+from agents.training.policy import Policy, _Bounded
 
 
 class Other(gym.Env):
@@ -43,6 +52,50 @@ def test_actions_are_rescaled_and_costs_stay_what_they_are():
     costs = envs.step(np.array([[-1.0], [0.5]], np.float32))[4]["cost"]
     np.testing.assert_allclose(costs, [0.0, 0.3])  # actions 0 and 3
     np.testing.assert_allclose(envs.unwrapped.envs[1].unwrapped.seen, [3.0, 3.0])
+
+
+SIDES = st.floats(-(2.0**99), 2.0**99, width=32, allow_subnormal=False)
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(SIDES, SIDES).filter(lambda b: b[0] != b[1]), min_size=1, max_size=4))
+def test_every_action_lies_within_the_bounds(bounds):
+    """Of float32, be they as unequal as they may: at the ends, beyond them and between. Training
+    and the policy that plays alone send the same."""
+    low, high = np.sort(np.array(bounds, np.float32), axis=1).T
+    space = Box(low, high)
+    shares = np.array([-1.0, 1.0, 0.0, -0.3, 1 / 3, np.nextafter(1, 0), -7.0, 7.0], np.float32)
+    given = np.repeat(shares[:, None], len(low), axis=1)
+    of_task = type("Bounded", (Other,), {"action_space": space, "step": lambda self, a: a})
+    with registered(Bounded=of_task):
+        envs = make_envs("Bounded-v0", len(given), {})
+    sent = envs.actions(np.clip(given, -1, 1))
+    assert all(space.contains(action) for action in sent)
+    np.testing.assert_array_equal(sent[:2], [low, high])
+    exact = [(Fraction(float(a)) + Fraction(float(b))) / 2 for a, b in zip(low, high, strict=True)]
+    np.testing.assert_allclose(sent[2], np.array(exact, np.float32), rtol=1e-6)
+    spaces = checked_spaces("Bounded-v0", Other.observation_space, space)
+    np.testing.assert_array_equal(policy_of(spaces, given)(np.zeros((len(given), 3))), sent)
+    module = _Bounded(nn.Identity(), low, high)
+    assert all(space.contains(action.numpy()) for action in module(torch.tensor(given)))
+
+
+def policy_of(spaces, actions):
+    """A policy whose network gives these actions."""
+    learner = SimpleNamespace(policy=lambda: lambda observation, noise: actions[None])
+    config = SimpleNamespace(task_parameters={})
+    return Policy(config, RunId("Bounded-v0", 0), None, "", spaces, learner)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float64])
+@pytest.mark.parametrize("high", [1.0, 3.0])
+def test_actions_have_the_type_of_the_space(dtype, high):
+    space = Box(-1.0, high, (1,), dtype)
+    with registered(Typed=type("Typed", (Other,), {"action_space": space})):
+        envs = make_envs("Typed-v0", 1, {})
+    [sent] = envs.actions(np.ones((1, 1), np.float32))
+    assert space.contains(sent)
+    assert sent == high
 
 
 @pytest.mark.parametrize(("low", "high"), [(-np.inf, np.inf), (1.0, 1.0)])
