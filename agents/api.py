@@ -31,13 +31,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from agents.algorithms import BUILT_IN, module_of
-from agents.errors import RunsFailed, UserError, extra
+from agents.errors import RemoteTraceback, RunsFailed, UserError, extra
 from agents.lockstep import backend as lockstep_backend
 from agents.paper.presets import preset_with
 from agents.runs import Runs, folders_of
 from agents.training import callbacks, trainer
 from agents.training.callbacks import Epoch
-from agents.training.config import CONFIG, Backend, Device, TrainConfig
+from agents.training.config import CONFIG, Backend, Device, TrainConfig, finished
 from agents.training.environments import Vectorization, check_task, module_of_task, task_id
 from agents.training.files import check_folder
 
@@ -322,7 +322,7 @@ def _launch(
     with launcher(engine, workers, modules, address, first.device) as trainings:
         grids.prepare(configs)
         for folder in configs:
-            if not grids.finished(folder):
+            if not finished(folder):
                 trainings.submit(folder)
         trainings.wait(every=0.5)
         failed = trainings.failed
@@ -367,5 +367,7 @@ def _train(folder: Path, on_epoch: OnEpoch | None, progress: bool) -> trainer.Tr
             own.append(callbacks.follower(on_epoch))
         trained = trainer.train(folder, *own)
     if (trained.failures != "").all():
-        raise RunsFailed(f"every run of {folder} failed; the first {trained.failures[0]}")
+        trace = next(filter(None, trained.tracebacks), "")
+        words = f"every run of {folder} failed; the first {trained.failures[0]}"
+        raise RunsFailed(words) from (trained.cause or (RemoteTraceback(trace) if trace else None))
     return trained

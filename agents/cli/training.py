@@ -37,10 +37,9 @@ from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS, preset_with
 from agents.reporting.report import report, table
 from agents.reporting.table import show, working
-from agents.training import callbacks, evaluation, policy, trainer
+from agents.training import callbacks, derive, evaluation, policy, trainer
 from agents.training.callbacks import duration, share_done
-from agents.training.config import RESULTS, Device, TrainConfig
-from agents.training.derive import write_results
+from agents.training.config import RESULTS, Device, TrainConfig, finished
 from agents.training.environments import Vectorization, check_task, task_id
 from agents.training.files import Arrays, archive_of, check_folder, locked, remove_unfinished
 from agents.training.launcher import EngineName, Launcher, launcher
@@ -152,8 +151,11 @@ def name_failures(folders: Sequence[Path]) -> int:
     for folder in folders:
         arrays = Arrays(folder / RESULTS)
         for run in TrainConfig.read(folder, strict=False).runs:
-            if run.prefix + "failure" in arrays:
-                why = str(arrays[run.prefix + "failure"])
+            found = (name for name in derive.FAILURES if run.prefix + name in arrays)
+            if (name := next(found, None)) is not None:
+                why = str(arrays[run.prefix + name])
+                if run.prefix + "traceback" in arrays:
+                    print(arrays[run.prefix + "traceback"], end="", file=sys.stderr)
             elif f"{run.prefix}evaluation/deterministic/returns" not in arrays:
                 why = "its evaluation met a number that is not finite"
             else:
@@ -178,9 +180,9 @@ def resume(args: Sequence[str]) -> int:
     options = parse(ResumeOptions, "resume", args)
     for folder in options.folders:
         TrainConfig.read(folder)
-        if (note := callbacks.other_session(folder)) and not grid.finished(folder):
+        if (note := callbacks.other_session(folder)) and not finished(folder):
             say(f"{folder}: {note}")
-    done = [folder for folder in options.folders if grid.finished(folder)]
+    done = [folder for folder in options.folders if finished(folder)]
     with AfterEpoch(options.imports) as after_epoch:
         api.resume(*options.folders, progress=True, on_epoch=after_epoch)
     for folder in done:
@@ -223,14 +225,15 @@ def evaluate(args: Sequence[str]) -> int:
         trained.load()
         act, going = trained.learner.policy(), trained.failures == ""
         if trained.done:
-            results = write_results(folder, config, act, trained.failures, episodes)
+            why = (trained.failures, trained.tracebacks)
+            results = derive.write_results(folder, config, act, *why, episodes)
         else:
             results = evaluation.evaluate_runs(config, act, episodes, going)
     taken = trained.steps[going] if going.any() else trained.steps
     print(f"{folder}, after {taken.min()} of {config.steps} steps: means over {episodes} episodes")
     for name, result in results.items():
         for k, run in enumerate(config.runs):
-            words = trained.failures[k] or "no finite numbers"
+            words = trained.failures[k] or result.why(k)
             if not result.void[k]:
                 words = f"J_R {np.mean(result.returns[k]):.2f}"
                 costs = zip(config.costs, result.costs[k].mean(axis=0), strict=True)
@@ -318,7 +321,7 @@ def reproduce(args: Sequence[str]) -> int:
     with launcher(*how) as trainings:
         grid.prepare(configs)
         for folder in configs:
-            if (note := callbacks.other_session(folder)) and not grid.finished(folder):
+            if (note := callbacks.other_session(folder)) and not finished(folder):
                 say(f"{folder}: {note}")
         # The parts of a grid train at the same time: there each folder has a lock alone.
         with contextlib.nullcontext() if options.shard else locked(options.out):
@@ -395,7 +398,7 @@ def _tasks(options: ReproduceOptions) -> Sequence[str]:
 
 def _train_all(configs: Mapping[Path, TrainConfig], trainings: Launcher) -> dict[Path, str]:
     """Train what is not finished, showing it; returns the folders that failed, and why."""
-    left = [folder for folder in configs if not grid.finished(folder)]
+    left = [folder for folder in configs if not finished(folder)]
     if not left:  # a shard of a grid with fewer trainings than shards has none
         return {}
     work = {folder: grid.work(config) for folder, config in configs.items()}

@@ -32,9 +32,9 @@ class Rollout(NamedTuple):
     """[T, N]: the episode was cut off, by a time limit for instance"""
     length: NDArray[np.int64]
     """[N]: steps of each episode; 0 where there was none"""
-    failure: NDArray[np.str_]
-    """[N]: name of a number that was not finite ("action", "observation", "reward" or the cost's),
-    which makes the episode void; else empty"""
+    failure: NDArray[np.object_]
+    """[N]: what makes the episode void: the name of a number that was not finite ("action",
+    "observation", "reward" or the cost's), or the TaskFailure of its environment; else empty"""
 
     def of(self, episodes: slice) -> Rollout:
         """Some of the episodes."""
@@ -83,6 +83,10 @@ class Rollout(NamedTuple):
         return self.next_observation[self.length - 1, np.arange(len(self.length))]
 
 
+FAILURE = "agents.failure"
+"""Key of the info for failures of single environments, [N]: TaskFailures, None elsewhere."""
+
+
 def require_info(source: object, info: Mapping[str, Any], names: Sequence[str]) -> None:
     """Raise UserError, naming the source, where the info of a step lacks a number."""
     for name in names:
@@ -115,13 +119,21 @@ def collect(
     [N, observation size] -> actions [N, action size]; active: [N], the environments of which an
     episode is wanted, all by default; costs: their names in the infos. An environment whose episode
     has ended waits for the others, and its further steps are left out; so does one whose action is
-    not finite. Raises UserError where the environment lacks a cost, TaskFailure for a negative one
-    or no end.
+    not finite, and one that fails alone (`FAILURE`). Raises UserError where the environment lacks a
+    cost, TaskFailure where it has no end.
     """
-    observation = _reset(envs, seed=list(seeds))
     running = np.ones(len(seeds), dtype=bool) if active is None else active.copy()
     length = np.zeros(len(seeds), dtype=np.int64)
-    failure = np.full(len(seeds), "", dtype="U64")
+    failure = np.full(len(seeds), "", dtype=object)
+
+    def note_failures(info: Mapping[str, Any]) -> None:
+        if FAILURE in info:
+            failed = running & (info[FAILURE] != None)  # noqa: E711  # of each
+            failure[failed] = info[FAILURE][failed]
+            running[failed] = False
+
+    observation, info = _reset(envs, seed=list(seeds))
+    note_failures(info)
     steps: list[tuple] = []
     while running.any() or not steps:  # at least once: arrays of no step have no shape
         if len(steps) == MAX_STEPS:
@@ -136,6 +148,7 @@ def collect(
             action = np.where(finite[:, None], action, np.float32(0.0))
         clipped = np.minimum(np.maximum(action, -1.0), 1.0)  # `clip` takes twice as long
         following, reward, terminated, truncated, info = envs.step(clipped)
+        note_failures(info)
         require_info(envs, info, costs)
         cost = np.stack([info[name] for name in costs], axis=-1)
         following = np.asarray(following, dtype=np.float32)
@@ -145,23 +158,24 @@ def collect(
         running &= ~ended
         observation = following
         if ended.any() and running.any():
-            observation = _reset(envs, options={"reset_mask": ended.copy()})
+            observation, _ = _reset(envs, options={"reset_mask": ended.copy()})
     columns = [np.stack(column) for column in zip(*steps, strict=True)]
     return _checked(Rollout._make([*columns, length, failure]), envs, costs)
 
 
-def _reset(envs: VectorEnv, **kwargs: Any) -> NDArray[np.float32]:
-    return np.asarray(envs.reset(**kwargs)[0], dtype=np.float32)
+def _reset(envs: VectorEnv, **kwargs: Any) -> tuple[NDArray[np.float32], Mapping[str, Any]]:
+    observation, info = envs.reset(**kwargs)
+    return np.asarray(observation, dtype=np.float32), info
 
 
 def _checked(rollout: Rollout, envs: VectorEnv, costs: Sequence[str]) -> Rollout:
-    """The rollout with episodes marked that hold numbers which are not finite. Raises TaskFailure
-    for a negative cost."""
-    if len(below := np.argwhere((rollout.cost < 0) & rollout.during[..., None])):
-        step, env, k = below[0]
-        value = f"{rollout.cost[step, env, k]:g} in step {step + 1} of an episode"
-        raise TaskFailure(f"{envs} gives a negative {costs[k]}: {value}")
+    """The rollout with episodes marked that hold numbers which are not finite, and negative
+    costs."""
     failure = np.full_like(rollout.failure, "")
+    # The first of each environment: the others are written over.
+    for step, env, k in np.argwhere((rollout.cost < 0) & rollout.during[..., None])[::-1]:
+        value = f"{rollout.cost[step, env, k]:g} in step {step + 1} of an episode"
+        failure[env] = TaskFailure(f"{envs} gives a negative {costs[k]}: {value}")
     columns = {"observation": rollout.next_observation, "reward": rollout.reward[..., None]}
     columns |= {name: rollout.cost[..., [k]] for k, name in enumerate(costs)}
     for name, values in columns.items():

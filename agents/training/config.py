@@ -52,6 +52,8 @@ Backend = Literal["compiled", "eager"]
 Device = Literal["cpu", "cuda"]
 CONFIG, STATUS, RESULTS = "config.json", "status.json", "results.npz"
 CHECKPOINTS, STEPS, POLICIES = "checkpoints", "steps", "policies"
+COUNTERS = ("epoch", "steps", "failures", "tracebacks")
+"""Arrays of a checkpoint beside the learner's state."""
 ALGORITHM = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of algorithms: see `agents.algorithms.register`."""
 NO_RUNS = "holds no runs: no config.json that circle2d train wrote"
@@ -77,6 +79,11 @@ class RunId(NamedTuple):
 def file_name(task: str) -> str:
     """A task's id as a part of a path."""
     return re.sub(r"[/:]", "-", task)
+
+
+def finished(folder: AnyPath) -> bool:
+    """Whether all runs of a training have ended, also by a failure."""
+    return (folder / RESULTS).is_file()
 
 
 def as_stored(value: Any) -> Any:

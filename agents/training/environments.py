@@ -7,6 +7,7 @@ import functools
 import importlib
 import inspect
 import re
+import traceback
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -16,9 +17,17 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
-from agents.errors import OwnCodeError, TaskFailure, UserError, described, nearest
+from agents.errors import OWN_ERRORS, OwnCodeError, TaskFailure, UserError, described, nearest
 from agents.lockstep.rollout import require_info
-from agents.training.wrappers import CheckedEnv, Guard, ScaledActions, quiet_worker, recorded_info
+from agents.training.wrappers import (
+    CheckedEnv,
+    FailsAlone,
+    Guard,
+    ScaledActions,
+    quiet_worker,
+    recorded_info,
+    silent,
+)
 from circle2d_mj.core.view import View
 
 Vectorization = Literal["auto", "sync", "async"]
@@ -33,16 +42,17 @@ def make_envs(
     vectorization: Vectorization = "auto",
     step_timeout: float | None = None,
     costs: Sequence[str] = ("cost",),
+    alone: bool = False,
 ) -> VectorEnv:
     """`num_envs` environments that take actions in [-1, 1] and do not reset themselves.
 
     auto: the task's own vector environment where it has one that need not reset itself, gymnasium's
     `SyncVectorEnv` otherwise; async: `AsyncVectorEnv`, a process for each environment. All give the
-    same numbers. step_timeout: see `Guard`. Raises UserError for an unknown task, parameters it
-    refuses, and spaces that are not flat Boxes (actions: bounded); stepping them, TaskFailure.
+    same numbers. step_timeout, alone: see `Guard`. Raises UserError for an unknown task, parameters
+    it refuses, and spaces that are not flat Boxes (actions: bounded); stepping them, TaskFailure.
     """
     envs = unscaled(task, num_envs, parameters, vectorization, costs)
-    return ScaledActions(Guard(envs, task, step_timeout))
+    return ScaledActions(Guard(envs, task, step_timeout, alone))
 
 
 def unscaled(
@@ -60,9 +70,16 @@ def unscaled(
             mode, how = "vector_entry_point", own
         else:
             own |= {"worker": quiet_worker} if mode == "async" else {}
-            how = {"vector_kwargs": own, "wrappers": (functools.partial(CheckedEnv, costs=costs),)}
-        envs = gym.make_vec(name, num_envs, vectorization_mode=mode, **how, **parameters)
-    except Exception as error:  # of the task's own code
+            wrappers = (functools.partial(CheckedEnv, costs=costs), FailsAlone)
+            how = {"vector_kwargs": own, "wrappers": wrappers}
+        with silent() if mode == "async" else contextlib.nullcontext():
+            envs = gym.make_vec(name, num_envs, vectorization_mode=mode, **how, **parameters)
+    except OWN_ERRORS as error:  # of the task's own code
+        # gymnasium wraps the error of another process in one of the same class.
+        inner = error.args[0] if isinstance(error, OwnCodeError) else error
+        if isinstance(inner, OwnCodeError):
+            traceback.clear_frames(error.__traceback__)  # which hold the other processes
+            raise OwnCodeError(f"cannot make task {task!r}: {inner}") from inner.__cause__
         if isinstance(error, (TypeError, ValueError)) and not module_of_task(task):
             raise UserError(f"cannot make task {task!r}: {error}") from error
         raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
@@ -213,7 +230,7 @@ def task_id(task: str) -> str:
     if module:
         try:
             importlib.import_module(module)
-        except Exception as error:  # of the user's own code
+        except OWN_ERRORS as error:  # of the user's own code
             raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
     versions = [re.fullmatch(f"{re.escape(name)}-v([0-9]+)", other) for other in gym.registry]
     newest = max(filter(None, versions), key=lambda found: int(found[1]), default=None)

@@ -169,7 +169,7 @@ class Arrays(Mapping[str, NDArray]):
         return len(self._names)
 
     def _damaged(self, error: BaseException) -> UserError:
-        return UserError(f"{self.path} is damaged: {error or type(error).__name__}")
+        return UserError(f"{self.path} is damaged: {str(error) or type(error).__name__}")
 
 
 def numbered(folder: AnyPath, name: str) -> dict[int, AnyPath]:

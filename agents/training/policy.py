@@ -23,12 +23,21 @@ from torch import from_numpy as to_tensor
 from agents.algorithms import Learner
 from agents.algorithms import learner as make_learner
 from agents.checks import In, check
-from agents.errors import OwnCodeError, TaskFailure, UserError, described, nearest
+from agents.errors import (
+    OWN_ERRORS,
+    OwnCodeError,
+    TaskFailure,
+    UserError,
+    described,
+    nearest,
+    no_exit,
+)
 from agents.lockstep import tree
 from agents.lockstep.rollout import MAX_STEPS
 from agents.lockstep.rollout import Policy as RunsPolicy
 from agents.training.config import (
     CHECKPOINTS,
+    COUNTERS,
     POLICIES,
     RunId,
     TrainConfig,
@@ -283,7 +292,7 @@ def read_policy_arrays(
     state, k = Arrays(checkpoints[-1]), config.runs.index(run)
     names = [name for name in state if is_of_policy(name)]
     # A family without the convention: all of its state.
-    names = names or [name for name in state if name not in ("epoch", "steps", "failures")]
+    names = names or [name for name in state if name not in COUNTERS]
     arrays = {name: state[name][k : k + 1] for name in names}
     steps = int(state["steps"][k]) if "steps" in state else None
     return arrays, steps, str(state["failures"][k]) if "failures" in state else ""
@@ -343,6 +352,7 @@ class Evaluation:
         return cvar(self.costs.ravel(), alpha)
 
 
+@no_exit()
 def evaluate(
     policy: Policy | Callable[[NDArray], Any] | str | os.PathLike[str],
     task: str | None = None,
@@ -390,7 +400,7 @@ def evaluate(
         task_parameters = own.task_parameters
     try:
         made = gym.make(registered(name), disable_env_checker=True, **(task_parameters or {}))
-    except Exception as error:  # of the task's own code
+    except OWN_ERRORS as error:  # of the task's own code
         raise OwnCodeError(f"cannot make task {name!r}: {described(error)}") from error
     with contextlib.closing(CheckedEnv(made, (cost,))) as env:
         act: Callable[[NDArray], Any] = policy
