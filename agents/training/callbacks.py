@@ -264,10 +264,10 @@ def other_session(folder: AnyPath) -> str:
 
 
 def _status(folder: AnyPath) -> dict[str, Any]:
-    """Empty where the file is missing or damaged: no result depends on it."""
+    """Empty where the file is missing, damaged or cannot be read: no result depends on it."""
     try:
         return read_json(folder / STATUS)
-    except UserError:
+    except (UserError, OSError):
         return {}
 
 
