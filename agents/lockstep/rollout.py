@@ -150,7 +150,9 @@ def collect(
         following, reward, terminated, truncated, info = envs.step(clipped)
         note_failures(info)
         require_info(envs, info, costs)
-        cost = np.stack([info[name] for name in costs], axis=-1)
+        # In float64 from here on: an episode's sum in float32 loses digits.
+        reward = np.array(reward, dtype=np.float64)
+        cost = np.stack([info[name] for name in costs], axis=-1).astype(np.float64)
         following = np.asarray(following, dtype=np.float32)
         steps.append((observation, action, reward, cost, following, terminated, truncated))
         length += running

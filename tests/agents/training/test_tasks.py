@@ -18,6 +18,7 @@ from toys import registered
 
 import agents
 from agents.errors import UserError
+from agents.lockstep.rollout import collect
 from agents.training.config import RunId
 from agents.training.environments import checked_spaces, make_envs, spaces_of, task_id
 from agents.training.policy import Policy, _Bounded
@@ -148,6 +149,25 @@ class InPlace(VectorEnv):
         self.reward[:], self.cost[:] = self.seen[:, 0], self.seen[:, 0] % 2
         self.over[1] = self.seen[:, 0] == 5
         return self.seen, self.reward, *self.over, {"cost": self.cost}
+
+
+class Single(InPlace):
+    """Rewards and costs of .1 in float32, 50 000 steps an episode."""
+
+    def step(self, actions):
+        super().step(actions)
+        self.over[1] = self.seen[:, 0] == 50_000
+        tenths = np.full(self.num_envs, 0.1, np.float32)
+        return self.seen, tenths, *self.over, {"cost": tenths}
+
+
+def test_sums_of_float32_are_taken_in_float64():
+    """In float32 the sum would be 5002.5."""
+    exact = 50_000 * float(np.float32(0.1))
+    rollout = collect(Single(2), [0, 1], lambda seen: np.zeros((2, 1), np.float32))
+    assert rollout.reward.dtype == rollout.cost.dtype == np.float64
+    np.testing.assert_allclose(rollout.returns, exact, rtol=1e-10)
+    np.testing.assert_allclose(rollout.cost_returns, exact, rtol=1e-10)
 
 
 def test_a_vector_environment_that_writes_into_its_arrays_again():
