@@ -6,9 +6,8 @@ import contextlib
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator, Sequence
-from numbers import Real
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -22,11 +21,14 @@ from numpy.typing import NDArray
 from agents.errors import OWN_ERRORS, OwnCodeError, TaskFailure, UserError, described
 from agents.lockstep.rollout import FAILURE, require_info
 from circle2d_mj.core.view import View
+from emcc.arrays import as_flag, as_one
+
+T = TypeVar("T")
 
 
 class CheckedEnv(gym.Wrapper):
-    """Makes the reward, the costs and what is recorded of every step floats, and errors of the task
-    TaskFailures.
+    """Makes the reward, the costs and what is recorded of every step floats, its ends bools, and
+    errors of the task TaskFailures.
 
     gymnasium's vector environments type an array of costs by the first cost they meet, and fill in
     0 where one is missing: either would change costs silently. A failure has the error of the task
@@ -47,16 +49,16 @@ class CheckedEnv(gym.Wrapper):
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment. Raises TaskFailure for any error of it, and where the reward or a
-        cost is no number."""
+        cost is no number, or an end neither True nor False."""
         self._steps += 1
         with failing(f"in step {self._steps} of an episode"):
             observation, reward, terminated, truncated, info = self.env.step(action)
             self._check(observation)
             require_info(self.env, info, self.numbers)
             numbers = {name: self._number(f"info[{name!r}]", info[name]) for name in self.numbers}
-            if isinstance(reward, np.ndarray) and reward.size == 1:
-                reward = reward.reshape(())[()]
             reward = self._number("reward", reward)
+            terminated = self._number("terminated", terminated, as_flag)
+            truncated = self._number("truncated", truncated, as_flag)
         return observation, reward, terminated, truncated, info | numbers
 
     def _check(self, observation: Any) -> None:
@@ -67,10 +69,12 @@ class CheckedEnv(gym.Wrapper):
                 f"got {list(np.shape(observation))}"
             )
 
-    def _number(self, name: str, value: Any) -> float:
-        if not isinstance(value, (Real, np.floating, np.integer, np.bool_)):
-            raise UserError(f"{self.env} gives {name} = {value!r}, which is no number")
-        return float(value)
+    def _number(self, name: str, value: Any, read: Callable[[Any, str], T] = as_one) -> T:
+        try:
+            return read(value, name)
+        except (TypeError, ValueError) as error:
+            kind = "neither True nor False" if read is as_flag else "no number"
+            raise UserError(f"{self.env} gives {name} = {value!r}, which is {kind}") from error
 
 
 @contextlib.contextmanager
@@ -162,7 +166,8 @@ class Guard(VectorWrapper):
             columns |= {"info['cost']": info["cost"]} if "cost" in info else {}
             shapes = {name: (values, self._each) for name, values in columns.items()}
             _check_shapes(shapes | {"observations": (observations, self._shape)})
-        return observations, rewards, terminated, truncated, self._named(info)
+            ends = (_flags("terminated", terminated), _flags("truncated", truncated))
+        return observations, rewards, *ends, self._named(info)
 
     def _named(self, info: dict[str, Any]) -> dict[str, Any]:
         """The info with the task's name in the failures. Raises the first unless all are alone."""
@@ -234,6 +239,14 @@ class ScaledActions(VectorActionWrapper):
     def actions(self, actions: NDArray) -> NDArray:
         """The task's own actions."""
         return self._bounds(actions)
+
+
+def _flags(name: str, values: Any) -> NDArray[np.bool_]:
+    """An array of bools. Raises UserError where some are neither True nor False, 1 nor 0."""
+    array = np.asarray(values)
+    if array.dtype != bool and not np.isin(array, (0, 1)).all():
+        raise UserError(f"{name} must be True or False, got {array.tolist()}")
+    return array.astype(bool, copy=False)
 
 
 def _check_shapes(arrays: dict[str, tuple[Any, Any]]) -> None:

@@ -12,9 +12,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_runs import steps_of
+from small_runs import TRPO, steps_of
 from torch import nn
-from toys import registered
+from toys import Walk, registered
 
 import agents
 from agents.errors import UserError
@@ -149,6 +149,43 @@ class InPlace(VectorEnv):
         self.reward[:], self.cost[:] = self.seen[:, 0], self.seen[:, 0] % 2
         self.over[1] = self.seen[:, 0] == 5
         return self.seen, self.reward, *self.over, {"cost": self.cost}
+
+
+KINDS = {
+    "array of one": lambda x: np.array([x]),
+    "0-d array": np.array,
+    "list": lambda x: [x],
+    "numpy": lambda x: np.bool_(x) if x in (0, 1) else np.float64(x),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_one_number_is_one_number_in_any_form(kind):
+    """The training is the same where rewards, costs and ends come in other forms."""
+
+    class Boxed(Walk):
+        def step(self, action):
+            observation, *numbers, info = super().step(action)
+            return observation, *map(kind, numbers), {"cost": kind(info["cost"])}
+
+    more = TRPO | {"seeds": 0, "steps": 120}
+    found = []
+    for task, vectorization in ((Walk, "sync"), (Boxed, "sync"), (Boxed, "async")):
+        with registered(Boxed=task):
+            runs = agents.train("cpo", "Boxed-v0", vectorization=vectorization, **more)
+            found.append(runs.results[0].runs[0].measures)
+    assert found[1:] == found[:1] * 2
+
+
+@pytest.mark.parametrize("end", [np.nan, "no", None, 2])
+def test_an_end_is_true_or_false(end):
+    class Odd(Walk):
+        def step(self, action):
+            observation, reward, _, *others = super().step(action)
+            return observation, reward, end, *others
+
+    with registered(Odd=Odd), pytest.raises(UserError, match="neither True nor False"):
+        agents.train("cpo", "Odd-v0", **TRPO)
 
 
 class Single(InPlace):
