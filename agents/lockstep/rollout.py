@@ -102,8 +102,13 @@ Policy = Callable[[NDArray[np.float32], NDArray[np.float32] | None], NDArray[np.
 deterministic policy) -> actions [R, N, A]"""
 
 
-MAX_STEPS = 100_000
-"""Steps after which an episode counts as one that never ends."""
+MAX_STEPS = 10_000
+"""Steps after which an episode of a task without a time limit counts as one that never ends."""
+ENDS = (
+    "the task needs a time limit, such as --task-parameters max_episode_steps 1000, or in Python "
+    'task_parameters={"max_episode_steps": 1000}'
+)
+"""What to do about an episode that never ends."""
 
 
 def collect(
@@ -112,12 +117,14 @@ def collect(
     act: Act,
     active: NDArray[np.bool_] | None = None,
     costs: Sequence[str] = ("cost",),
+    most_steps: int = MAX_STEPS,
 ) -> Rollout:
     """One whole episode of every environment, each reset with its seed.
 
     envs: N environments that do not reset themselves (autoreset mode DISABLED); act: observations
     [N, observation size] -> actions [N, action size]; active: [N], the environments of which an
-    episode is wanted, all by default; costs: their names in the infos. An environment whose episode
+    episode is wanted, all by default; costs: their names in the infos; most_steps: after which an
+    episode counts as one that never ends. An environment whose episode
     has ended waits for the others, and its further steps are left out; so does one whose action is
     not finite, and one that fails alone (`FAILURE`). Raises UserError where the environment lacks a
     cost, TaskFailure where it has no end.
@@ -136,8 +143,10 @@ def collect(
     note_failures(info)
     steps: list[tuple] = []
     while running.any() or not steps:  # at least once: arrays of no step have no shape
-        if len(steps) == MAX_STEPS:
-            raise TaskFailure(f"an episode of {envs} has not ended after {MAX_STEPS} steps")
+        if len(steps) == most_steps:
+            raise TaskFailure(
+                f"an episode of {envs} has not ended after {most_steps} steps: {ENDS}"
+            )
         with np.errstate(over="ignore", invalid="ignore"):  # found by the next line
             action = act(observation)
         if not np.isfinite(action).all():

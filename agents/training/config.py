@@ -27,6 +27,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
+
 from agents.algorithms import ALGORITHMS, algorithm, module_of
 from agents.checks import In, Settings
 from agents.errors import UserError
@@ -35,6 +37,7 @@ from agents.training.environments import (
     Spaces,
     Vectorization,
     module_of_task,
+    most_steps,
     spaces_of,
     time_limit,
 )
@@ -188,6 +191,11 @@ class TrainConfig(Settings):
     def stream_seeds(self) -> list[int]:
         """Seeds of the random streams of each run: they depend on its seed and its task."""
         return [stream_seed(run.seed, run.task) for run in self.runs]
+
+    @property
+    def most_steps(self) -> int:
+        """Steps after which an episode of a task counts as one that never ends."""
+        return most_steps(*(time_limit(task, self.task_parameters) for task in self.tasks))
 
     @property
     def _limit_names(self) -> dict[int, str]:
@@ -368,6 +376,14 @@ def _check_memory(hyperparameters: Any, runs: int, steps: int, sizes: tuple[int,
             f"replay_size and hidden need about {needed / 1e9:,.1f} GB of memory for {runs} runs; "
             f"this machine has {there / 1e9:,.1f} GB"
         )
+    size = getattr(hyperparameters, "replay_size", 0)  # whose memory is asked for at once
+    try:
+        np.empty((runs, size, 2 * observation + action + 3), dtype=np.float32)
+    except (MemoryError, ValueError):
+        raise UserError(
+            f"replay_size {size} cannot be allocated for {runs} runs, and they take {steps} steps: "
+            "more than these are never used"
+        ) from None
 
 
 PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")

@@ -18,7 +18,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 from agents.errors import OWN_ERRORS, OwnCodeError, TaskFailure, UserError, described, nearest
-from agents.lockstep.rollout import require_info
+from agents.lockstep.rollout import MAX_STEPS, require_info
 from agents.training.wrappers import (
     CheckedEnv,
     FailsAlone,
@@ -109,6 +109,11 @@ def check_task(task: str, parameters: dict[str, Any], costs: Sequence[str] = ("c
 def time_limit(task: str, parameters: dict[str, Any]) -> int | None:
     """Steps after which an episode of a registered task is cut off; None where it is not known."""
     return parameters.get("max_episode_steps", gym.spec(registered(task)).max_episode_steps)
+
+
+def most_steps(*limits: int | None) -> int:
+    """Steps after which an episode counts as one that never ends, by the tasks' time limits."""
+    return max(MAX_STEPS, *(limit or 0 for limit in limits))
 
 
 def view_of(task: str, parameters: dict[str, Any]) -> View | None:
@@ -263,7 +268,16 @@ def is_native(task: str) -> bool:
 
 
 def _check_space(task: str, name: str, space: gym.Space) -> None:
-    if not isinstance(space, Box) or len(space.shape) != 1 or not space.shape[0]:
-        raise UserError(f"the {name} space of task {task!r} must be a flat Box, got {space}")
-    if name == "action" and not np.issubdtype(space.dtype, np.floating):
-        raise UserError(f"the action space of task {task!r} must be of floats, got {space}")
+    flat = isinstance(space, Box) and len(space.shape) == 1 and bool(space.shape[0])
+    if flat and (name == "observation" or np.issubdtype(space.dtype, np.floating)):
+        return
+    must = "a flat Box" if not flat else "of floats"
+    remedy = (
+        "register the task with gymnasium.wrappers.FlattenObservation around it"
+        if name == "observation"
+        else "the algorithms here have continuous actions alone"
+    )
+    raise UserError(
+        f"the {name} space of task {task!r} must be {must}, got {space}: {remedy}; the metric, "
+        "emcc.RecordCosts, works with any library and any space"
+    )

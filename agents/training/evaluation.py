@@ -125,7 +125,8 @@ def play(
         action = policy(observation, next(noise)[:, chosen] if noisy else None)
         return action.reshape(runs * count, -1)
 
-    return collect(envs, seeds, act, np.repeat(active, count), config.costs)
+    how = (np.repeat(active, count), config.costs, config.most_steps)
+    return collect(envs, seeds, act, *how)
 
 
 def ends_of(envs: SideBySide, rollout: Rollout) -> NDArray[np.float32]:

@@ -33,7 +33,7 @@ from agents.errors import (
     no_exit,
 )
 from agents.lockstep import tree
-from agents.lockstep.rollout import MAX_STEPS
+from agents.lockstep.rollout import ENDS
 from agents.lockstep.rollout import Policy as RunsPolicy
 from agents.training.config import (
     CHECKPOINTS,
@@ -45,7 +45,13 @@ from agents.training.config import (
     policy_path,
     read_spaces,
 )
-from agents.training.environments import Spaces, checked_spaces, registered, task_id
+from agents.training.environments import (
+    Spaces,
+    checked_spaces,
+    most_steps,
+    registered,
+    task_id,
+)
 from agents.training.files import Arrays, numbered
 from agents.training.wrappers import Bounds, CheckedEnv
 from emcc import cvar, longest_streak
@@ -426,9 +432,10 @@ def _episode(
     """Return, cost, length and longest streak of an episode."""
     observation, _ = env.reset(seed=seed)
     rewards, costs, over = [], [], False
+    most = most_steps(env.spec.max_episode_steps if env.spec else None)
     while not over:
-        if len(costs) == MAX_STEPS:
-            raise TaskFailure(f"has an episode that has not ended after {MAX_STEPS} steps")
+        if len(costs) == most:
+            raise TaskFailure(f"has an episode that has not ended after {most} steps: {ENDS}")
         action = act(observation)
         _check_action(action, env.action_space)
         observation, reward, terminated, truncated, info = env.step(action)

@@ -181,7 +181,8 @@ class Trainer:
         resets = environment_seeds(config.stream_seeds, Purpose.ENVIRONMENT, self.epoch, episodes)
         with self._own_code("acts"):
             act = learner.explorer(self.epoch, self.steps)
-            rollout = collect(self._envs, resets, act, np.repeat(active, episodes), config.costs)
+            how = (np.repeat(active, episodes), config.costs, config.most_steps)
+            rollout = collect(self._envs, resets, act, *how)
         void = rollout.diverged.reshape(-1, episodes)
         learning = active & ~void.any(axis=1)
         metrics = np.full((len(active), len(learner.metrics)), np.nan)

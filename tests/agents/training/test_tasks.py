@@ -1,5 +1,6 @@
 """Other people's tasks: their action bounds, and costs that gymnasium would change on the way."""
 
+from dataclasses import replace
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -17,9 +18,9 @@ from torch import nn
 from toys import Walk, registered
 
 import agents
-from agents.errors import UserError
+from agents.errors import TaskFailure, UserError
 from agents.lockstep.rollout import collect
-from agents.training.config import RunId
+from agents.training.config import RunId, TrainConfig
 from agents.training.environments import checked_spaces, make_envs, spaces_of, task_id
 from agents.training.policy import Policy, _Bounded
 
@@ -188,6 +189,48 @@ def test_an_end_is_true_or_false(end):
         agents.train("cpo", "Odd-v0", **TRPO)
 
 
+class Endless(Walk):
+    """A walk that nothing ends."""
+
+    def step(self, action):
+        observation, reward, _, _, info = super().step(action)
+        return observation, reward, False, False, info
+
+
+def test_a_task_without_a_time_limit_is_told_how_to_get_one():
+    """After 10 000 steps, in training and in the evaluation of a policy."""
+    with registered(Endless=Endless):
+        words = "not ended after 10000 steps: .*--task-parameters max_episode_steps"
+        with pytest.raises(TaskFailure, match=words):
+            agents.train("cpo", "Endless-v0", **TRPO | {"episodes": 1})
+        with pytest.raises(TaskFailure, match=words):
+            agents.evaluate(lambda seen: np.zeros(1, np.float32), "Endless-v0", episodes=1)
+        more = {"steps": 10, "seeds": 0, "task_parameters": {"max_episode_steps": 10}}
+        runs = agents.train("cpo", "Endless-v0", **TRPO | {"episodes": 1} | more)
+        assert runs.records[runs.folder, 0].length.tolist() == [10]
+        limit = {"max_episode_steps": 10_020}  # as many as the user wants
+        still = agents.evaluate(lambda seen: np.zeros(1), "Endless-v0", 1, task_parameters=limit)
+        assert still.lengths == 10_020
+        assert replace(TrainConfig.read(runs.folder), task_parameters=limit).most_steps == 10_020
+
+
+class Pieces(Walk):
+    """A walk whose observation is in pieces."""
+
+    observation_space = gym.spaces.Dict({"x": Box(-9, 9, (1,)), "t": Box(0, 1, (1,))})
+
+    def observation(self):
+        return {"x": np.array([self.x], np.float32), "t": np.array([self.t / 40], np.float32)}
+
+
+def test_other_spaces_are_told_what_makes_them_flat():
+    flat = {"Flat": lambda: gym.wrappers.FlattenObservation(Pieces())}
+    with registered(Pieces=Pieces, **flat):
+        with pytest.raises(UserError, match=r"FlattenObservation.*emcc\.RecordCosts"):
+            agents.train("cpo", "Pieces-v0", **TRPO)
+        agents.train("cpo", "Flat-v0", **TRPO | {"steps": 50, "seeds": 0})
+
+
 class Single(InPlace):
     """Rewards and costs of .1 in float32, 50 000 steps an episode."""
 
@@ -201,7 +244,8 @@ class Single(InPlace):
 def test_sums_of_float32_are_taken_in_float64():
     """In float32 the sum would be 5002.5."""
     exact = 50_000 * float(np.float32(0.1))
-    rollout = collect(Single(2), [0, 1], lambda seen: np.zeros((2, 1), np.float32))
+    act = lambda seen: np.zeros((2, 1), np.float32)  # noqa: E731
+    rollout = collect(Single(2), [0, 1], act, most_steps=50_000)
     assert rollout.reward.dtype == rollout.cost.dtype == np.float64
     np.testing.assert_allclose(rollout.returns, exact, rtol=1e-10)
     np.testing.assert_allclose(rollout.cost_returns, exact, rtol=1e-10)
