@@ -184,10 +184,10 @@ def resume(args: Sequence[str]) -> int:
             say(f"{folder}: {note}")
     done = [folder for folder in options.folders if finished(folder)]
     with AfterEpoch(options.imports) as after_epoch:
-        api.resume(*options.folders, progress=True, on_epoch=after_epoch)
+        runs = api.resume(*options.folders, progress=True, on_epoch=after_epoch)
     for folder in done:
         say(f"{folder}: was done already")
-    return _finish(options.folders, after_epoch)
+    return _finish(runs.folders, after_epoch)
 
 
 @dataclass(frozen=True)
@@ -219,6 +219,7 @@ def evaluate(args: Sequence[str]) -> int:
             words = f"J_R {found.mean_return:.2f}, J_C {found.mean_cost:.2f}"
             print(f"{config.runs[0]}, {name} policy: {words}")
         return 0
+    folder = folder.absolute()  # a task may change the current one
     with locked(folder), working(f"playing {episodes} episodes of each run, by either way"):
         remove_unfinished(folder)
         trained = trainer.Trainer(folder, config)
@@ -230,7 +231,8 @@ def evaluate(args: Sequence[str]) -> int:
         else:
             results = evaluation.evaluate_runs(config, act, episodes, going)
     taken = trained.steps[going] if going.any() else trained.steps
-    print(f"{folder}, after {taken.min()} of {config.steps} steps: means over {episodes} episodes")
+    done = f"after {taken.min()} of {config.steps} steps"
+    print(f"{options.folder}, {done}: means over {episodes} episodes")
     for name, result in results.items():
         for k, run in enumerate(config.runs):
             words = trained.failures[k] or result.why(k)
@@ -308,6 +310,7 @@ class ReproduceOptions(Settings):
 def reproduce(args: Sequence[str]) -> int:
     """Run `circle2d reproduce`; returns the exit status."""
     options = parse(ReproduceOptions, "reproduce", args)
+    options = replace(options, out=options.out.absolute())  # a task may change the current folder
     check_folder(options.out)
     for source in options.beside:
         if not source.exists() and archive_of(source) is None:

@@ -19,6 +19,7 @@ import json
 import os
 import platform
 import re
+import shutil
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass, make_dataclass
@@ -43,6 +44,7 @@ from agents.training.environments import (
 )
 from agents.training.files import (
     AnyPath,
+    NoLocks,
     archive_of,
     check_folder,
     locked,
@@ -257,10 +259,16 @@ class TrainConfig(Settings):
             json.dumps(content["hyperparameters"])
         except (TypeError, ValueError, RecursionError) as error:
             raise UserError(f"hyperparameters must be plain values: {error}") from None
+        there = folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
-        with locked(folder):
-            _require_none(folder)  # now that no other process can make it
-            write_json(folder / CONFIG, content)
+        try:
+            with locked(folder):
+                _require_none(folder)  # now that no other process can make it
+                write_json(folder / CONFIG, content)
+        except NoLocks:
+            if not there:
+                shutil.rmtree(folder)
+            raise
         return spaces
 
     @classmethod

@@ -57,12 +57,17 @@ def content_of(path: AnyPath) -> Iterator[None]:
     raise UserError(f"{path} is damaged: {str(why) or type(why).__name__}")
 
 
+class NoLocks(UserError):
+    """A file system without file locks."""
+
+
 @contextlib.contextmanager
 def locked(folder: Path, patience: float = 0.0) -> Iterator[None]:
     """Keep other processes from training and evaluating in a folder meanwhile.
 
     A process that is killed holds nothing. patience: seconds to wait for a lock that another
-    process holds. Raises UserError where it still holds it then.
+    process holds. Raises UserError where it still holds it then, NoLocks where the file system has
+    none.
     """
     with warnings.catch_warnings():  # where the system has no file locks: filelock makes do
         warnings.simplefilter("ignore")
@@ -72,6 +77,13 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[None]:
         lock.acquire(timeout=patience, poll_interval=0.1)
     except Timeout:
         raise UserError(f"another process is training or evaluating in {folder}") from None
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP):
+            raise
+        raise NoLocks(
+            f"{lock.lock_file} cannot be locked: {error.strerror}. The file system has no locks, "
+            "as NFS mounted without them: choose a folder on a local disk, or mount it with locks"
+        ) from None
     try:
         yield
     finally:

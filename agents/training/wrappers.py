@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -183,8 +184,10 @@ class Guard(VectorWrapper):
         return info | {FAILURE: named}
 
     def close(self, **kwargs: Any) -> None:
-        """Close the environments; end their processes where they do not answer."""
+        """Close the environments; end their processes where they do not answer in time."""
         try:
+            if isinstance(self.env, AsyncVectorEnv) and self._timeout is not None:
+                close_processes(self.env, self._timeout)
             self.env.close(**kwargs)
         except OWN_ERRORS:  # of processes that are gone, or of the task's own code
             if isinstance(self.env, AsyncVectorEnv):
@@ -265,6 +268,18 @@ def silent() -> Iterator[None]:
         yield
     finally:
         log.min_level = before
+
+
+def close_processes(envs: AsyncVectorEnv, timeout: float) -> None:
+    """Close environments in processes, and end those that have not ended after so many seconds;
+    gymnasium would wait for them for ever."""
+    for pipe in envs.parent_pipes:
+        if pipe is not None and not pipe.closed:
+            pipe.send(("close", None))
+    until = time.monotonic() + timeout
+    for process in envs.processes:
+        process.join(max(0.0, until - time.monotonic()))
+    end_processes(envs)
 
 
 def end_processes(envs: AsyncVectorEnv) -> None:

@@ -134,7 +134,7 @@ def test_actions_are_kept_as_chosen_and_taken_clipped():
 def test_an_episode_that_never_ends():
     how = {"act": lambda observation: observation, "most_steps": 6}
     assert collect(scripted(), [2, 6, 4], **how).length.max() == 6
-    with pytest.raises(TaskFailure, match="has not ended after 6 steps: .* max_episode_steps"):
+    with pytest.raises(TaskFailure, match=r"has not ended after 6 steps: .* max_episode_steps"):
         collect(scripted(), [2, 7, 4], **how)
 
 

@@ -6,6 +6,7 @@ import os
 import pickle
 import re
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -193,6 +194,27 @@ def test_a_process_of_an_environment_that_fails(tmp_path, how, words):
         more["task_parameters"] = {"how": how}
         agents.train("cpo", "Broken-v0", out=tmp_path / "x", **more)
     assert not multiprocessing.active_children()
+
+
+def test_a_close_that_hangs_ends_in_time():
+    """As a step would; the process is ended."""
+    here = os.getpid()
+
+    class Hangs(toys.Walk):
+        def close(self):
+            if os.getpid() != here:
+                time.sleep(60)
+
+    with toys.registered(Hangs=Hangs):
+        for step in (False, True):
+            envs = make_envs("Hangs-v0", 2, {}, "async", step_timeout=0.5)
+            envs.reset(seed=[1, 2])
+            if step:
+                envs.step(np.zeros((2, 1), np.float32))
+            began = time.monotonic()
+            envs.close()
+            assert time.monotonic() - began < 10
+            assert not multiprocessing.active_children()
 
 
 def test_a_task_that_cannot_be_made_in_its_process():

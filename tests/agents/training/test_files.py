@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_runs import TRPO, results
+from toys import Walk, registered
 
 import agents
 from agents.cli.main import main
@@ -80,7 +81,7 @@ def test_every_flipped_bit_is_found_or_changes_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE, errno.EACCES, errno.EMFILE])
-def test_an_error_that_passes_is_no_damage(tmp_path, monkeypatch, number):
+def test_an_error_that_passes_is_no_damage(tmp_path, monkeypatch, capsys, number):
     """Nothing is deleted, and the next resume goes on as if nothing had been."""
     more = TRPO | {"seeds": 0, "steps": 400, "checkpoint_every": 100}
     agents.train("cpo", TASK, out=tmp_path / "whole", **more)
@@ -99,6 +100,9 @@ def test_an_error_that_passes_is_no_damage(tmp_path, monkeypatch, number):
         failing_reads(patch, checkpoint, MemoryError())
         with pytest.raises(MemoryError):
             agents.resume(tmp_path / "x")
+        capsys.readouterr()
+        assert main(["resume", str(tmp_path / "x")]) == 2
+        assert capsys.readouterr().err == "circle2d: out of memory\n"
     agents.resume(tmp_path / "x")
     assert results(tmp_path / "x") == results(tmp_path / "whole")
 
@@ -183,6 +187,38 @@ def test_a_lock_with_and_without_fcntl(tmp_path, how):
     third, held = hold(tmp_path, how)
     assert held
     assert third.communicate("done\n") == ("", "")
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks(tmp_path, monkeypatch, number):
+    def fails(*args):
+        raise OSError(number, os.strerror(number))
+
+    fcntl = pytest.importorskip("fcntl")
+    monkeypatch.setattr(fcntl, "flock", fails)
+    with pytest.raises(UserError, match=r"x/\.lock cannot be locked.* NFS.*local disk"):
+        agents.train("cpo", TASK, out=tmp_path / "x", **TRPO | {"seeds": 0, "steps": 50})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_task_that_changes_the_current_folder(tmp_path, monkeypatch):
+    """Folders given relative to it stay where they were."""
+    (tmp_path / "other").mkdir()
+
+    class Elsewhere(Walk):
+        def __init__(self):
+            super().__init__()
+            os.chdir(tmp_path / "other")
+
+    monkeypatch.chdir(tmp_path)
+    more = ["--seeds", "0", "--steps", "50", "--backend", "eager", "--hidden", "8"]
+    with registered(Elsewhere=Elsewhere):
+        assert main(["train", "cpo", "--task", "Elsewhere-v0", "--out", "x", *more]) == 0
+        for command in (["resume", "x"], ["evaluate", "x", "--episodes", "1"]):
+            os.chdir(tmp_path)
+            assert main(command) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"x", "other"}
+    assert not list((tmp_path / "other").iterdir())
 
 
 def test_a_folder_that_is_being_trained_is_said_to_be(tmp_path):
