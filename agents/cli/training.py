@@ -151,15 +151,10 @@ def name_failures(folders: Sequence[Path]) -> int:
     for folder in folders:
         arrays = Arrays(folder / RESULTS)
         for run in TrainConfig.read(folder, strict=False).runs:
-            found = (name for name in derive.FAILURES if run.prefix + name in arrays)
-            if (name := next(found, None)) is not None:
-                why = str(arrays[run.prefix + name])
-                if run.prefix + "traceback" in arrays:
-                    print(arrays[run.prefix + "traceback"], end="", file=sys.stderr)
-            elif f"{run.prefix}evaluation/deterministic/returns" not in arrays:
-                why = "its evaluation met a number that is not finite"
-            else:
+            if not (why := derive.why_failed(arrays, run)):
                 continue
+            if run.prefix + "traceback" in arrays:
+                print(arrays[run.prefix + "traceback"], end="", file=sys.stderr)
             say(f"{folder}: {run}: {why}")
             status = 1
     return status

@@ -33,8 +33,9 @@ class Rollout(NamedTuple):
     length: NDArray[np.int64]
     """[N]: steps of each episode; 0 where there was none"""
     failure: NDArray[np.object_]
-    """[N]: what makes the episode void: the name of a number that was not finite ("action",
-    "observation", "reward" or the cost's), or the TaskFailure of its environment; else empty"""
+    """[N]: what makes the episode void: the name of a number that was not finite in float32
+    ("action", "observation", "reward" or the cost's), or the TaskFailure of its environment; else
+    empty"""
 
     def of(self, episodes: slice) -> Rollout:
         """Some of the episodes."""
@@ -102,6 +103,7 @@ Policy = Callable[[NDArray[np.float32], NDArray[np.float32] | None], NDArray[np.
 deterministic policy) -> actions [R, N, A]"""
 
 
+LARGEST = float(np.finfo(np.float32).max)
 MAX_STEPS = 10_000
 """Steps after which an episode of a task without a time limit counts as one that never ends."""
 ENDS = (
@@ -180,18 +182,19 @@ def _reset(envs: VectorEnv, **kwargs: Any) -> tuple[NDArray[np.float32], Mapping
 
 
 def _checked(rollout: Rollout, envs: VectorEnv, costs: Sequence[str]) -> Rollout:
-    """The rollout with episodes marked that hold numbers which are not finite, and negative
-    costs."""
+    """The rollout with episodes marked that hold negative costs, or numbers that are not finite in
+    float32, in which networks learn; these are NaN then."""
     failure = np.full_like(rollout.failure, "")
     # The first of each environment: the others are written over.
     for step, env, k in np.argwhere((rollout.cost < 0) & rollout.during[..., None])[::-1]:
         value = f"{rollout.cost[step, env, k]:g} in step {step + 1} of an episode"
         failure[env] = TaskFailure(f"{envs} gives a negative {costs[k]}: {value}")
     columns = {"observation": rollout.next_observation, "reward": rollout.reward[..., None]}
-    columns |= {name: rollout.cost[..., [k]] for k, name in enumerate(costs)}
+    columns |= {name: rollout.cost[..., k : k + 1] for k, name in enumerate(costs)}
     for name, values in columns.items():
-        if not (finite := np.isfinite(values).all(axis=-1)).all():
-            void = (~finite & rollout.during).any(axis=0)
+        if not (finite := np.abs(values) <= LARGEST).all():
+            values[~finite] = np.nan
+            void = (~finite.all(axis=-1) & rollout.during).any(axis=0)
             failure[void & (failure == "")] = name
     failure = np.where(failure == "", rollout.failure, failure)  # else the last action
     return rollout._replace(failure=failure)

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import contextlib
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,8 +40,6 @@ from emcc import EpisodeRecords, emcc, worst
 from emcc.parts import ALPHA, PARTS, rollouts_by_part
 from emcc.records import records_of
 
-FAILURES = ("failure", "evaluation_failure")
-"""Arrays of a run that say why it failed."""
 CELLS = 160
 """Cells along each side of a heat map."""
 WINDOWS = 60
@@ -205,6 +203,15 @@ def pack_costs(costs: NDArray[np.floating]) -> dict[str, NDArray]:
     if (costs[unsafe] != 1).any():
         packed["values"] = costs[unsafe]
     return packed
+
+
+def why_failed(arrays: Mapping[str, NDArray], run: RunId) -> str:
+    """Why a run of `results.npz` failed, or its evaluation; "" where neither did."""
+    for name in ("failure", "evaluation_failure"):
+        if run.prefix + name in arrays:
+            return str(arrays[run.prefix + name])
+    evaluated = f"{run.prefix}evaluation/deterministic/returns" in arrays
+    return "" if evaluated else "its evaluation met a number that is not finite"  # before 0.4
 
 
 def count_visits(

@@ -196,6 +196,29 @@ def test_a_process_of_an_environment_that_fails(tmp_path, how, words):
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.parametrize("algorithm", ["cpo", "sac-lag", "ppo"])
+@pytest.mark.parametrize("name", ["reward", "cost"])
+def test_numbers_beyond_float32_end_their_run_alone(algorithm, name):
+    """As infinite ones do: networks learn in float32."""
+
+    class Huge(toys.Walk):
+        def step(self, action):
+            observation, reward, *ends, info = super().step(action)
+            if self.np_random.random() < 0.005:
+                reward, info = (1e308, info) if name == "reward" else (reward, {"cost": 1e308})
+            return observation, reward, *ends, info
+
+    family = SAC if algorithm == "sac-lag" else TRPO
+    options = {k: v for k, v in family.items() if k != "critic_iterations"}
+    with toys.registered(Huge=Huge):
+        more = OPTIONS | options | {"seeds": range(6), "steps": 80}
+        [group] = agents.train(algorithm, "Huge-v0", **more).results
+    assert 1 <= len(group.missing) < 6
+    words = (rf"failed at step \d+: its {name} is", "its evaluation met a number that is")
+    for why in group.missing.values():
+        assert re.match(f"{'|'.join(words)} not finite", why)
+
+
 def test_a_close_that_hangs_ends_in_time():
     """As a step would; the process is ended."""
     here = os.getpid()
