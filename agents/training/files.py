@@ -17,7 +17,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,8 +179,10 @@ class _Reopened:
     """A file that is open within `with` alone: a training may have more than a process may open."""
 
     def __init__(self, path: AnyPath) -> None:
-        self._open: Callable[[], IO[bytes]] = functools.partial(open, path, "rb")
-        if not isinstance(path, Path):  # in an archive, where it is compressed
+        self._open: Callable[[], IO[bytes]]
+        if isinstance(path, Path):
+            self._open = lambda: path.open("rb")
+        else:  # in an archive, where it is compressed
             self._open = functools.partial(io.BytesIO, path.read_bytes())
         with self:
             self.size = self._file.seek(0, os.SEEK_END)
@@ -212,7 +214,7 @@ class Arrays(Mapping[str, NDArray]):
         with content_of(path), _there(path):
             self._source = _Reopened(path)
         with content_of(path), self._source:
-            self._file = zipfile.ZipFile(self._source)  # pyright: ignore[reportArgumentType]
+            self._file = zipfile.ZipFile(cast("IO[bytes]", self._source))
             for member in self._file.infolist():
                 self._file.open(member).close()  # an array whose name is damaged would be missing
                 beyond = member.header_offset + member.compress_size > self._source.size

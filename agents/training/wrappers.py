@@ -113,8 +113,9 @@ class FailsAlone(gym.Wrapper):
         """Step the environment, unless it has failed."""
         if FAILURE not in self._info:
             try:
-                self._observation, *numbers, self._info = self.env.step(action)
-                return self._observation, *numbers, self._info
+                result = self.env.step(action)
+                self._observation, self._info = result[0], result[4]
+                return result
             except TaskFailure as error:
                 self._info = self._info | self._zeros | {FAILURE: error}
         return self._observation, 0.0, False, False, self._info

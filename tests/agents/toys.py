@@ -80,9 +80,9 @@ class Walk(gym.Env):
 class Broken(gym.Env):
     """Episodes of 20 steps; step `at` of each environment, counted over its episodes, goes wrong.
 
-    `how` says in which way: "raise", "die", "hang", "reset" (the reset before that step raises), or
-    the name of what is odd: observation, reward, complex, cost, missing, negative. "init": it
-    cannot be made.
+    `how` says in which way: "raise", "exit", "die", "hang", "reset" (the reset before that step
+    raises), or the name of what is odd: observation, reward, complex, cost, missing, negative.
+    "init": it cannot be made.
     """
 
     observation_space = Box(-1.0, 1.0, (2,))
@@ -106,6 +106,8 @@ class Broken(gym.Env):
         if self.taken >= self.at:
             if self.how == "raise":
                 raise LookupError("motor\nbroken")
+            if self.how == "exit":
+                sys.exit(0)
             if self.how == "die":
                 os._exit(3)
             if self.how == "hang":
