@@ -104,6 +104,7 @@ deterministic policy) -> actions [R, N, A]"""
 
 
 LARGEST = float(np.finfo(np.float32).max)
+"""Numbers beyond it count as infinite."""
 MAX_STEPS = 10_000
 """Steps after which an episode of a task without a time limit counts as one that never ends."""
 ENDS = (

@@ -208,6 +208,7 @@ class _Bounded(nn.Module):
         return action.clamp(self.low, self.high)  # which rounding may lead beyond
 
 
+@no_exit()
 def load_policy(
     folder: str | os.PathLike[str],
     seed: int | None = None,

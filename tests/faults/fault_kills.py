@@ -264,6 +264,7 @@ def try_limits(tally: Tally, root):
     """A training that leaves more files than a process may open; a file system without locks."""
     out = root / "limits"
     short = ["--task-parameters", "max_episode_steps", "2", "--evaluation-episodes", "1"]
+    short += ["--hidden", "8", "--critic-iterations", "2"]
     command = ["train", "cpo", "--episodes", "1", *short, *SMALL, "1", "--backend", "eager"]
     command += ["--out", str(out)]
 
