@@ -127,10 +127,10 @@ def collect(
     envs: N environments that do not reset themselves (autoreset mode DISABLED); act: observations
     [N, observation size] -> actions [N, action size]; active: [N], the environments of which an
     episode is wanted, all by default; costs: their names in the infos; most_steps: after which an
-    episode counts as one that never ends. An environment whose episode
-    has ended waits for the others, and its further steps are left out; so does one whose action is
-    not finite, and one that fails alone (`FAILURE`). Raises UserError where the environment lacks a
-    cost, TaskFailure where it has no end.
+    episode counts as one that never ends. An environment whose episode has ended waits for the
+    others, and its further steps are left out; so does one whose action is not finite, and one that
+    fails alone (`FAILURE`). Raises UserError where the environment lacks a cost, TaskFailure where
+    it has no end.
     """
     running = np.ones(len(seeds), dtype=bool) if active is None else active.copy()
     length = np.zeros(len(seeds), dtype=np.int64)

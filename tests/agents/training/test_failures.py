@@ -78,14 +78,14 @@ EXITS = "SystemExit: 0"
 NEGATIVE = "gives a negative cost: -1 in step"
 
 
-@pytest.mark.parametrize("vectorization", ["sync", "async"])
 @pytest.mark.parametrize(
-    ("algorithm", "how", "words"),
+    ("algorithm", "how", "words", "vectorization"),
     [
-        ("cpo", "raise", UNSTABLE),
-        ("sac-lag", "raise", UNSTABLE),
-        ("cpo", "exit", EXITS),
-        ("cpo", "negative", NEGATIVE),
+        ("cpo", "raise", UNSTABLE, "sync"),
+        ("sac-lag", "raise", UNSTABLE, "async"),
+        ("cpo", "exit", EXITS, "sync"),
+        ("cpo", "exit", EXITS, "async"),
+        ("cpo", "negative", NEGATIVE, "sync"),
     ],
 )
 def test_a_run_whose_task_fails_stops_alone(tmp_path, capsys, algorithm, how, words, vectorization):
