@@ -30,14 +30,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from agents.algorithms import BUILT_IN, module_of
-from agents.errors import RunsFailed, UserError, extra
+from agents.errors import RemoteTraceback, RunsFailed, UserError, extra
 from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.kernel import Backend
 from agents.paper.presets import preset_with
 from agents.runs import Runs, folders_of
 from agents.training import callbacks, trainer
 from agents.training.callbacks import Epoch
-from agents.training.config import CONFIG, TrainConfig
+from agents.training.config import CONFIG, TrainConfig, finished
 from agents.training.environments import Vectorization, check_task, module_of_task, task_id
 from agents.training.files import check_folder
 
@@ -110,13 +110,12 @@ def train(
     run failed; an error of the task's or the algorithm's own code is its cause.
     """
     given = {name: value for name, value in locals().items() if name in SETTINGS}
-    if out is not None:
-        _to_write(out)  # before anything that takes long
+    place = None if out is None else _to_write(out)  # before anything that takes long
     (config,) = configs_of(algorithm, task, [hyperparameters], backend, given)
     callbacks.check_callback(on_epoch)
     if engine != "local" and (on_epoch or progress):
         raise UserError("on_epoch and progress are of the engine local")
-    folder = Path(tempfile.mkdtemp(prefix="agents-")) if out is None else _to_write(out)
+    folder = Path(tempfile.mkdtemp(prefix="agents-")) if place is None else place
     try:
         if engine == "local" and address is None:
             config.write(folder)
@@ -182,7 +181,7 @@ def resume(*folders: Folder, on_epoch: OnEpoch | None = None, progress: bool = F
     if not folders:
         raise UserError("resume needs a folder of runs")
     callbacks.check_callback(on_epoch)
-    paths = list(dict.fromkeys(folders_of(*folders)))
+    paths = list(dict.fromkeys(path.absolute() for path in folders_of(*folders)))
     for path in paths:
         TrainConfig.read(path)
     for path in paths:
@@ -323,7 +322,7 @@ def _launch(
     with launcher(engine, workers, modules, address) as trainings:
         grids.prepare(configs)
         for folder in configs:
-            if not grids.finished(folder):
+            if not finished(folder):
                 trainings.submit(folder)
         trainings.wait(every=0.5)
         failed = trainings.failed
@@ -351,11 +350,12 @@ def modules_of(configs: Collection[TrainConfig]) -> list[str]:
 
 
 def _to_write(out: Folder) -> Path:
-    """The folder to write to. Raises UserError for what is none."""
+    """The folder to write to, absolute: a task may change the current one. Raises UserError for
+    what is none."""
     if not isinstance(out, (str, os.PathLike)) or not os.fspath(out):
         raise UserError(f"out must be a folder, got {out!r}")
     check_folder(Path(out))
-    return Path(out)
+    return Path(out).absolute()
 
 
 def _train(folder: Path, on_epoch: OnEpoch | None, progress: bool) -> trainer.Trainer:
@@ -368,5 +368,7 @@ def _train(folder: Path, on_epoch: OnEpoch | None, progress: bool) -> trainer.Tr
             own.append(callbacks.follower(on_epoch))
         trained = trainer.train(folder, *own)
     if (trained.failures != "").all():
-        raise RunsFailed(f"every run of {folder} failed; the first {trained.failures[0]}")
+        trace = next(filter(None, trained.tracebacks), "")
+        words = f"every run of {folder} failed; the first {trained.failures[0]}"
+        raise RunsFailed(words) from (trained.cause or (RemoteTraceback(trace) if trace else None))
     return trained

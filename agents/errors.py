@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import importlib
 import pickle
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
+
+OWN_ERRORS = (Exception, SystemExit)
+"""Errors of the user's own code. `sys.exit` in it would end the command as if all were done."""
 
 
 class UserError(ValueError):
@@ -36,11 +40,35 @@ class RunsFailed(UserError):
     """Trainings that failed, all else being done. The command line exits with status 1."""
 
 
+class HelpShown(SystemExit):
+    """The end of a command that was asked for its help."""
+
+
+@contextlib.contextmanager
+def no_exit() -> Iterator[None]:
+    """Raise OwnCodeError for `sys.exit` in the user's own code, wherever that is called."""
+    try:
+        yield
+    except HelpShown:
+        raise
+    except SystemExit as error:
+        raise OwnCodeError(f"code of your own ended the program: {described(error)}") from error
+
+
 class TaskFailure(OwnCodeError):
     """An environment that failed while it was made, reset or stepped."""
 
 
-class _RemoteTraceback(Exception):
+def traced(error: BaseException | None) -> str:
+    """The traceback of an error of the user's own code; "" where it is not one."""
+    if error is None or isinstance(error, UserError):
+        return ""
+    if isinstance(error, RemoteTraceback):
+        return error.args[0]
+    return "".join(traceback.format_exception(error))
+
+
+class RemoteTraceback(Exception):
     """The traceback of an error in another process, which no pickle holds."""
 
     def __str__(self) -> str:
@@ -53,7 +81,7 @@ def _with_cause(
     error = kind(message)
     error.__cause__ = cause
     if cause is not None:
-        cause.__cause__ = _RemoteTraceback(trace)
+        cause.__cause__ = RemoteTraceback(trace)
     return error
 
 

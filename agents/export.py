@@ -139,7 +139,9 @@ def _write_onnx(network: Exported, about: Mapping[str, str]) -> bytes:
             last = add(node, last, output=f"{name}.{node.lower()}")
     last = add("Clip", last, "-1", "1", output="clipped")
     last = add("Div", add("Add", last, "1", output="above"), "2", output="share")
-    add("Add", "low", add("Mul", "range", last, output="scaled"), output="action")
+    last = add("Add", "low", add("Mul", "range", last, output="scaled"), output="rounded")
+    # By rounding beyond the bounds, which Clip takes as numbers alone.
+    add("Min", add("Max", last, "low", output="raised"), "high", output="action")
     sizes = {
         "observation": arrays[f"{network.layers[0][0]}.weight"].shape[1],
         "action": len(arrays["low"]),
@@ -252,7 +254,8 @@ def policy(observation):
     x = np.asarray(observation, np.float32)
 {layers}
     share = (np.clip(x, -1, 1) + 1) / 2
-    return net["low"] + (net["high"] - net["low"]) * share
+    action = net["low"] + (net["high"] - net["low"]) * share
+    return np.clip(action, net["low"], net["high"])
 """,
     "onnx": """
 import numpy as np

@@ -11,6 +11,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -147,6 +148,30 @@ def as_number(value: float, name: str, low: float = -math.inf) -> float:
     if number < low:
         raise ValueError(f"{name} must be >= {low:g}, got {number}")
     return number
+
+
+def as_one(value: Any, name: str) -> float:
+    """The number that a value holds: a real number, or an array of one element of any shape.
+
+    NaN and infinite ones too. TypeError: no number, or several.
+    """
+    if isinstance(value, Real):
+        try:
+            return float(value)
+        except OverflowError as error:
+            raise ValueError(f"{name} must be finite, got a number beyond all floats") from error
+    array = as_array(value, name)
+    if array.size != 1:
+        raise TypeError(f"{name} must be one number, got shape {array.shape}")
+    return float(array.reshape(()))
+
+
+def as_flag(value: Any, name: str) -> bool:
+    """True or False, from a bool, 0 or 1, or an array of one. TypeError, ValueError: another."""
+    number = as_one(value, name)
+    if number not in (0.0, 1.0):
+        raise ValueError(f"{name} must be True or False, got {value!r}")
+    return number == 1.0
 
 
 def as_count(value: int, name: str) -> int:

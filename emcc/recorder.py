@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_count, as_number, check_range, exceed
+from emcc.arrays import as_array, as_count, as_number, as_one, check_range, exceed
 from emcc.records import COLUMNS, EpisodeRecords
 
 
@@ -161,10 +161,7 @@ def cost_of(info: Mapping[str, Any], name: str = "cost") -> float:
     Its value is checked by `CostRecorder`. KeyError: no cost. TypeError: not one number.
     """
     name = _plain(info, name)
-    cost = as_array(info[name], f"info['{name}']")
-    if cost.size != 1:
-        raise TypeError(f"info['{name}'] must be one number, got shape {cost.shape}")
-    return float(cost.reshape(()))
+    return as_one(info[name], f"info['{name}']")
 
 
 def costs_of(
@@ -199,7 +196,11 @@ def _given_costs(infos: Mapping[str, Any], needed: NDArray[np.bool_], name: str)
     missing = needed & ~np.asarray(infos.get(f"_{name}", needed), dtype=bool)
     if missing.any():
         raise ValueError(f"sub-environment {int(np.argmax(missing))} gave no {name!r} in its info")
-    costs = as_array(infos[name], f"info['{name}']")
+    given, named = infos[name], f"info['{name}']"
+    if isinstance(given, np.ndarray) and given.dtype == object and given.shape == needed.shape:
+        each = zip(given, needed, strict=True)  # of kinds that gymnasium makes no array of
+        given = np.array([as_one(cost, named) if needs else 0.0 for cost, needs in each])
+    costs = as_array(given, named)
     if f"_{name}" in infos and costs.dtype.kind in "biu":
         raise TypeError(
             f"info['{name}'] came as {costs.dtype}: gymnasium's vector environments give all costs "

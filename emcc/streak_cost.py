@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from emcc.arrays import as_number, check_range
+from emcc.arrays import as_flag, as_number, check_range
 from emcc.recorder import cost_of, costs_of
 from emcc.streaks import weighted
 from emcc.wrappers import VectorSteps, five, of_kind, resets_itself
@@ -74,12 +74,13 @@ class StreakCostEnv(gym.Wrapper, RecordConstructorArgs):
         observation, reward, terminated, truncated, info = values
         plain = 0.0 if resets else cost_of(info)
         check_range(np.asarray(plain), "cost", low=0)
-        self._finished = bool(terminated or truncated)
+        terminated, truncated = as_flag(terminated, "terminated"), as_flag(truncated, "truncated")
+        self._finished = terminated or truncated
         self._streak = self._streak + 1 if plain > self.threshold else 0
         cost = np.float64(weighted(plain, self._streak, self.weight))
         info = {**info, "cost": cost, "plain_cost": np.float64(plain)}
         observation = _observed(observation, self._streak, self.scale)
-        return observation, reward, bool(terminated), bool(truncated), info
+        return observation, reward, terminated, truncated, info
 
 
 class StreakCostVectorEnv(VectorSteps):

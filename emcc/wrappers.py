@@ -9,7 +9,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array
+from emcc.arrays import as_array, as_flag, as_one
 from emcc.recorder import CostRecorder, cost_of, costs_of
 from emcc.records import EpisodeRecords
 
@@ -149,10 +149,10 @@ class RecordEnvCosts(
         """Step the environment and record the cost."""
         resets = self._finished and resets_itself(self.env)
         result = _, reward, terminated, truncated, info = five(self.env, super().step(action))
-        done = bool(terminated or truncated)
+        done = as_flag(terminated, "terminated") | as_flag(truncated, "truncated")
         if not resets:
             for name, recorder in self.recorders.items():
-                recorder.step([cost_of(info, name)], [float(reward)], [done])
+                recorder.step([cost_of(info, name)], [as_one(reward, "reward")], [done])
         self._finished = done
         return result
 
@@ -216,6 +216,9 @@ class RecordVectorCosts(_Recorded, VectorSteps):
 
     def _after_step(self, active: NDArray[np.bool_], done: NDArray[np.bool_], *result: Any) -> Any:
         _, rewards, _, _, infos = result
+        rewards = as_array(rewards, "reward")
+        if rewards.size == self.num_envs:  # an array of one for each
+            rewards = rewards.reshape(self.num_envs)
         for name, recorder in self.recorders.items() if active.any() else ():
             recorder.step(costs_of(infos, active, done, name), rewards, done, active)
         return result

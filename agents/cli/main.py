@@ -13,14 +13,22 @@ import re
 import signal
 import sys
 import threading
-import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agents.errors import OwnCodeError, RunsFailed, UserError, extra_hint, nearest, one_line
+from agents.errors import (
+    OwnCodeError,
+    RunsFailed,
+    UserError,
+    extra_hint,
+    nearest,
+    no_exit,
+    one_line,
+    traced,
+)
 
 if TYPE_CHECKING:  # the command line starts without torch
     from agents.training.callbacks import Epoch
@@ -67,15 +75,16 @@ def main(args: Sequence[str] | None = None) -> int:
             return 0
         return _run(args[0], args[1:])
     except UserError as error:
-        if isinstance(error, OwnCodeError) and error.__cause__:
-            traceback.print_exception(error.__cause__)
+        failed = isinstance(error, (OwnCodeError, RunsFailed))
+        if failed and error.__cause__:
+            print(traced(error.__cause__), end="", file=sys.stderr)
         say(error)
-        return 1 if isinstance(error, (OwnCodeError, RunsFailed)) else 2
+        return 1 if failed else 2
     except BrokenPipeError:  # nobody reads on
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     except (OSError, MemoryError) as error:
-        say(error or "out of memory")
+        say(str(error) or "out of memory")
         return 2
     except KeyboardInterrupt as error:
         name = f" by {error}" if str(error) else ""
@@ -103,7 +112,7 @@ def _run(command: str, args: Sequence[str]) -> int:
             _check_words(args)
             # Before signals are handled: libraries turn what is raised meanwhile into other errors.
             module = importlib.import_module(f"agents.cli.{COMMANDS[command][0]}")
-            with handling_signals():
+            with handling_signals(), no_exit():
                 status = getattr(module, command)(args)
                 sys.stdout.flush()
                 return status

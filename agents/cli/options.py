@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar
 import tyro
 
 from agents.checks import In
-from agents.errors import OTHER_NAMES, OwnCodeError, UserError, described
+from agents.errors import OTHER_NAMES, OWN_ERRORS, HelpShown, OwnCodeError, UserError, described
 from agents.reporting.table import LEAST_WIDTH
 
 T = TypeVar("T")
@@ -67,7 +67,7 @@ def parse(options: type[T], command: str, args: Sequence[str]) -> T:
             return tyro.cli(options, prog=f"circle2d {command}", args=list(args))
     except SystemExit as exit_:
         if not exit_.code:
-            raise
+            raise HelpShown(0) from None
         meant = [f"{arg} is {MEANT[arg]} here" for arg in args if arg in MEANT]
         raise UserError("; ".join([_in_a_line(message.getvalue()), *meant])) from None
 
@@ -93,7 +93,7 @@ def import_modules(args: Sequence[str]) -> None:
             raise UserError(f"--import takes a module's name: {name.removesuffix('.py')!r}")
         try:
             importlib.import_module(name)
-        except Exception as error:  # of the user's own code
+        except OWN_ERRORS as error:  # of the user's own code
             if isinstance(error, ModuleNotFoundError) and f"{name}.".startswith(f"{error.name}."):
                 raise UserError(f"--import: there is no module {name!r}") from error
             raise OwnCodeError(f"cannot import {name!r}: {described(error)}") from error

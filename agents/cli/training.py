@@ -38,10 +38,9 @@ from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS, preset_with
 from agents.reporting.report import report, table
 from agents.reporting.table import show, working
-from agents.training import callbacks, evaluation, policy, trainer
+from agents.training import callbacks, derive, evaluation, policy, trainer
 from agents.training.callbacks import duration, share_done
-from agents.training.config import RESULTS, TrainConfig
-from agents.training.derive import write_results
+from agents.training.config import RESULTS, TrainConfig, finished
 from agents.training.environments import Vectorization, check_task, task_id
 from agents.training.files import Arrays, archive_of, check_folder, locked, remove_unfinished
 from agents.training.launcher import EngineName, Launcher, launcher
@@ -150,12 +149,10 @@ def name_failures(folders: Sequence[Path]) -> int:
     for folder in folders:
         arrays = Arrays(folder / RESULTS)
         for run in TrainConfig.read(folder, strict=False).runs:
-            if run.prefix + "failure" in arrays:
-                why = str(arrays[run.prefix + "failure"])
-            elif f"{run.prefix}evaluation/deterministic/returns" not in arrays:
-                why = "its evaluation met a number that is not finite"
-            else:
+            if not (why := derive.why_failed(arrays, run)):
                 continue
+            if run.prefix + "traceback" in arrays:
+                print(arrays[run.prefix + "traceback"], end="", file=sys.stderr)
             say(f"{folder}: {run}: {why}")
             status = 1
     return status
@@ -176,14 +173,14 @@ def resume(args: Sequence[str]) -> int:
     options = parse(ResumeOptions, "resume", args)
     for folder in options.folders:
         TrainConfig.read(folder)
-        if (note := callbacks.other_session(folder)) and not grid.finished(folder):
+        if (note := callbacks.other_session(folder)) and not finished(folder):
             say(f"{folder}: {note}")
-    done = [folder for folder in options.folders if grid.finished(folder)]
+    done = [folder for folder in options.folders if finished(folder)]
     with AfterEpoch(options.imports) as after_epoch:
-        api.resume(*options.folders, progress=True, on_epoch=after_epoch)
+        runs = api.resume(*options.folders, progress=True, on_epoch=after_epoch)
     for folder in done:
         say(f"{folder}: was done already")
-    return _finish(options.folders, after_epoch)
+    return _finish(runs.folders, after_epoch)
 
 
 @dataclass(frozen=True)
@@ -215,20 +212,23 @@ def evaluate(args: Sequence[str]) -> int:
             words = f"J_R {found.mean_return:.2f}, J_C {found.mean_cost:.2f}"
             print(f"{config.runs[0]}, {name} policy: {words}")
         return 0
+    folder = folder.absolute()  # a task may change the current one
     with locked(folder), working(f"playing {episodes} episodes of each run, by either way"):
         remove_unfinished(folder)
         trained = trainer.Trainer(folder, config)
         trained.load()
         act, going = trained.learner.policy(), trained.failures == ""
         if trained.done:
-            results = write_results(folder, config, act, trained.failures, episodes)
+            why = (trained.failures, trained.tracebacks)
+            results = derive.write_results(folder, config, act, *why, episodes)
         else:
             results = evaluation.evaluate_runs(config, act, episodes, going)
     taken = trained.steps[going] if going.any() else trained.steps
-    print(f"{folder}, after {taken.min()} of {config.steps} steps: means over {episodes} episodes")
+    done = f"after {taken.min()} of {config.steps} steps"
+    print(f"{options.folder}, {done}: means over {episodes} episodes")
     for name, result in results.items():
         for k, run in enumerate(config.runs):
-            words = trained.failures[k] or "no finite numbers"
+            words = trained.failures[k] or result.why(k)
             if not result.void[k]:
                 words = f"J_R {np.mean(result.returns[k]):.2f}"
                 costs = zip(config.costs, result.costs[k].mean(axis=0), strict=True)
@@ -301,6 +301,7 @@ class ReproduceOptions(Settings):
 def reproduce(args: Sequence[str]) -> int:
     """Run `circle2d reproduce`; returns the exit status."""
     options = parse(ReproduceOptions, "reproduce", args)
+    options = replace(options, out=options.out.absolute())  # a task may change the current folder
     check_folder(options.out)
     for source in options.beside:
         if not source.exists() and archive_of(source) is None:
@@ -314,7 +315,7 @@ def reproduce(args: Sequence[str]) -> int:
     with launcher(*how) as trainings:
         grid.prepare(configs)
         for folder in configs:
-            if (note := callbacks.other_session(folder)) and not grid.finished(folder):
+            if (note := callbacks.other_session(folder)) and not finished(folder):
                 say(f"{folder}: {note}")
         # The parts of a grid train at the same time: there each folder has a lock alone.
         with contextlib.nullcontext() if options.shard else locked(options.out):
@@ -392,7 +393,7 @@ def _tasks(options: ReproduceOptions) -> Sequence[str]:
 
 def _train_all(configs: Mapping[Path, TrainConfig], trainings: Launcher) -> dict[Path, str]:
     """Train what is not finished, showing it; returns the folders that failed, and why."""
-    left = [folder for folder in configs if not grid.finished(folder)]
+    left = [folder for folder in configs if not finished(folder)]
     if not left:  # a shard of a grid with fewer trainings than shards has none
         return {}
     work = {folder: grid.work(config) for folder, config in configs.items()}

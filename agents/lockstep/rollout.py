@@ -32,9 +32,10 @@ class Rollout(NamedTuple):
     """[T, N]: the episode was cut off, by a time limit for instance"""
     length: NDArray[np.int64]
     """[N]: steps of each episode; 0 where there was none"""
-    failure: NDArray[np.str_]
-    """[N]: name of a number that was not finite ("action", "observation", "reward" or the cost's),
-    which makes the episode void; else empty"""
+    failure: NDArray[np.object_]
+    """[N]: what makes the episode void: the name of a number that was not finite in float32
+    ("action", "observation", "reward" or the cost's), or the TaskFailure of its environment; else
+    empty"""
 
     def of(self, episodes: slice) -> Rollout:
         """Some of the episodes."""
@@ -83,6 +84,10 @@ class Rollout(NamedTuple):
         return self.next_observation[self.length - 1, np.arange(len(self.length))]
 
 
+FAILURE = "agents.failure"
+"""Key of the info for failures of single environments, [N]: TaskFailures, None elsewhere."""
+
+
 def require_info(source: object, info: Mapping[str, Any], names: Sequence[str]) -> None:
     """Raise UserError, naming the source, where the info of a step lacks a number."""
     for name in names:
@@ -98,8 +103,15 @@ Policy = Callable[[NDArray[np.float32], NDArray[np.float32] | None], NDArray[np.
 deterministic policy) -> actions [R, N, A]"""
 
 
-MAX_STEPS = 100_000
-"""Steps after which an episode counts as one that never ends."""
+LARGEST = float(np.finfo(np.float32).max)
+"""Numbers beyond it count as infinite."""
+MAX_STEPS = 10_000
+"""Steps after which an episode of a task without a time limit counts as one that never ends."""
+ENDS = (
+    "the task needs a time limit, such as --task-parameters max_episode_steps 1000, or in Python "
+    'task_parameters={"max_episode_steps": 1000}'
+)
+"""What to do about an episode that never ends."""
 
 
 def collect(
@@ -108,24 +120,36 @@ def collect(
     act: Act,
     active: NDArray[np.bool_] | None = None,
     costs: Sequence[str] = ("cost",),
+    most_steps: int = MAX_STEPS,
 ) -> Rollout:
     """One whole episode of every environment, each reset with its seed.
 
     envs: N environments that do not reset themselves (autoreset mode DISABLED); act: observations
     [N, observation size] -> actions [N, action size]; active: [N], the environments of which an
-    episode is wanted, all by default; costs: their names in the infos. An environment whose episode
-    has ended waits for the others, and its further steps are left out; so does one whose action is
-    not finite. Raises UserError where the environment lacks a cost, TaskFailure for a negative one
-    or no end.
+    episode is wanted, all by default; costs: their names in the infos; most_steps: after which an
+    episode counts as one that never ends. An environment whose episode has ended waits for the
+    others, and its further steps are left out; so does one whose action is not finite, and one that
+    fails alone (`FAILURE`). Raises UserError where the environment lacks a cost, TaskFailure where
+    it has no end.
     """
-    observation = _reset(envs, seed=list(seeds))
     running = np.ones(len(seeds), dtype=bool) if active is None else active.copy()
     length = np.zeros(len(seeds), dtype=np.int64)
-    failure = np.full(len(seeds), "", dtype="U64")
+    failure = np.full(len(seeds), "", dtype=object)
+
+    def note_failures(info: Mapping[str, Any]) -> None:
+        if FAILURE in info:
+            failed = running & (info[FAILURE] != None)  # noqa: E711  # of each
+            failure[failed] = info[FAILURE][failed]
+            running[failed] = False
+
+    observation, info = _reset(envs, seed=list(seeds))
+    note_failures(info)
     steps: list[tuple] = []
     while running.any() or not steps:  # at least once: arrays of no step have no shape
-        if len(steps) == MAX_STEPS:
-            raise TaskFailure(f"an episode of {envs} has not ended after {MAX_STEPS} steps")
+        if len(steps) == most_steps:
+            raise TaskFailure(
+                f"an episode of {envs} has not ended after {most_steps} steps: {ENDS}"
+            )
         with np.errstate(over="ignore", invalid="ignore"):  # found by the next line
             action = act(observation)
         if not np.isfinite(action).all():
@@ -136,8 +160,11 @@ def collect(
             action = np.where(finite[:, None], action, np.float32(0.0))
         clipped = np.minimum(np.maximum(action, -1.0), 1.0)  # `clip` takes twice as long
         following, reward, terminated, truncated, info = envs.step(clipped)
+        note_failures(info)
         require_info(envs, info, costs)
-        cost = np.stack([info[name] for name in costs], axis=-1)
+        # In float64 from here on: an episode's sum in float32 loses digits.
+        reward = np.array(reward, dtype=np.float64)
+        cost = np.stack([info[name] for name in costs], axis=-1).astype(np.float64)
         following = np.asarray(following, dtype=np.float32)
         steps.append((observation, action, reward, cost, following, terminated, truncated))
         length += running
@@ -145,28 +172,30 @@ def collect(
         running &= ~ended
         observation = following
         if ended.any() and running.any():
-            observation = _reset(envs, options={"reset_mask": ended.copy()})
+            observation, _ = _reset(envs, options={"reset_mask": ended.copy()})
     columns = [np.stack(column) for column in zip(*steps, strict=True)]
     return _checked(Rollout._make([*columns, length, failure]), envs, costs)
 
 
-def _reset(envs: VectorEnv, **kwargs: Any) -> NDArray[np.float32]:
-    return np.asarray(envs.reset(**kwargs)[0], dtype=np.float32)
+def _reset(envs: VectorEnv, **kwargs: Any) -> tuple[NDArray[np.float32], Mapping[str, Any]]:
+    observation, info = envs.reset(**kwargs)
+    return np.asarray(observation, dtype=np.float32), info
 
 
 def _checked(rollout: Rollout, envs: VectorEnv, costs: Sequence[str]) -> Rollout:
-    """The rollout with episodes marked that hold numbers which are not finite. Raises TaskFailure
-    for a negative cost."""
-    if len(below := np.argwhere((rollout.cost < 0) & rollout.during[..., None])):
-        step, env, k = below[0]
-        value = f"{rollout.cost[step, env, k]:g} in step {step + 1} of an episode"
-        raise TaskFailure(f"{envs} gives a negative {costs[k]}: {value}")
+    """The rollout with episodes marked that hold negative costs, or numbers that are not finite in
+    float32, in which networks learn; these are NaN then."""
     failure = np.full_like(rollout.failure, "")
+    # The first of each environment: the others are written over.
+    for step, env, k in np.argwhere((rollout.cost < 0) & rollout.during[..., None])[::-1]:
+        value = f"{rollout.cost[step, env, k]:g} in step {step + 1} of an episode"
+        failure[env] = TaskFailure(f"{envs} gives a negative {costs[k]}: {value}")
     columns = {"observation": rollout.next_observation, "reward": rollout.reward[..., None]}
-    columns |= {name: rollout.cost[..., [k]] for k, name in enumerate(costs)}
+    columns |= {name: rollout.cost[..., k : k + 1] for k, name in enumerate(costs)}
     for name, values in columns.items():
-        if not (finite := np.isfinite(values).all(axis=-1)).all():
-            void = (~finite & rollout.during).any(axis=0)
+        if not (finite := np.abs(values) <= LARGEST).all():
+            values[~finite] = np.nan
+            void = (~finite.all(axis=-1) & rollout.during).any(axis=0)
             failure[void & (failure == "")] = name
     failure = np.where(failure == "", rollout.failure, failure)  # else the last action
     return rollout._replace(failure=failure)

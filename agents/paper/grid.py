@@ -21,7 +21,7 @@ from agents.paper.presets import (
     preset,
     usual_steps,
 )
-from agents.training.config import CONFIG, RESULTS, TrainConfig, file_name
+from agents.training.config import CONFIG, TrainConfig, file_name
 from agents.training.environments import spaces_of
 from circle2d_mj.circle2d.config import LEVELS, Circle2DConfig
 from circle2d_mj.registration import KINEMATIC, PHYSICS
@@ -182,11 +182,6 @@ def prepare(folders: Mapping[Path, TrainConfig]) -> None:
     for folder, config in folders.items():
         if folder not in there:
             config.write(folder)
-
-
-def finished(folder: Path) -> bool:
-    """Whether all runs of a training have ended, also by a failure."""
-    return (folder / RESULTS).exists()
 
 
 class Unprinted(NamedTuple):

@@ -14,7 +14,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageOps
 
-from agents.errors import UserError
+from agents.errors import OWN_ERRORS, TaskFailure, UserError
 from agents.lockstep.rollout import Rollout
 from agents.reporting.maps import Column, Ground, heat_figure, png
 from agents.results.frame import title_of
@@ -129,7 +129,9 @@ def evaluation_episodes(
 
     def played(envs: VectorEnv) -> Rollout:
         rollout = play(envs, alone, policy, evaluated, 0, episodes, np.ones(1, bool), noisy)
-        if rollout.diverged.any():
+        for cause in filter(None, rollout.failure):
+            if isinstance(cause, TaskFailure):
+                raise cause
             raise UserError(f"the policy of {run} gives numbers that are not finite")
         return rollout
 
@@ -345,9 +347,9 @@ class _KeepFrames(VectorWrapper):
         try:
             frames = [np.asarray(env.render(), np.uint8) for env in envs.envs]
             return [png(frame, optimize=False, compress_level=1) for frame in frames]
-        except Exception as error:  # of the task's own code
+        except OWN_ERRORS as error:  # of the task's own code
             raise _without_frames(self._task, error) from error
 
 
-def _without_frames(task: str, error: Exception) -> UserError:
+def _without_frames(task: str, error: BaseException) -> UserError:
     return UserError(f"task {task!r} gives no frames by render_mode 'rgb_array': {error}")

@@ -13,7 +13,7 @@ from functools import cached_property
 from operator import attrgetter
 from typing import Any, Literal
 
-from agents.errors import OwnCodeError, described
+from agents.errors import OWN_ERRORS, OwnCodeError, described
 from emcc import EpisodeRecords, cost_rate
 from emcc.panels import emcc_of_thirds
 from emcc.parts import PARTS
@@ -123,7 +123,7 @@ def measured(data: RunData, run: str) -> dict[str, float | None]:
     for m in measures():
         try:
             values[m.name] = m.compute(data)
-        except Exception as error:
+        except OWN_ERRORS as error:
             if m in BUILT_IN:
                 raise
             words = f"measure {m.name!r} failed on run {run}: {described(error)}"

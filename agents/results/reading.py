@@ -454,7 +454,7 @@ def _read_run(
         raise UserError(f"unfinished: {records.total_steps} of {config.steps} steps")
     evaluation = _evaluation(arrays, run, config.costs.index(cost))
     if not evaluation:
-        raise UserError("its evaluation met a number that is not finite")
+        raise UserError(derive.why_failed(arrays, run))
     try:
         values = measured(RunData(records, config.steps, evaluation), f"{title}, {run}")
     except OwnCodeError:

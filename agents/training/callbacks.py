@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import secrets
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from agents.errors import UserError, extra
+from agents.errors import TaskFailure, UserError, extra
 from agents.training import evaluation
 from agents.training.config import STATUS, TrainConfig, is_of_policy, made_with, policy_path
 from agents.training.files import AnyPath, read_json, write_arrays, write_json
@@ -109,6 +110,9 @@ def keep_policies(trainer: Trainer) -> Callable[[Trainer], None]:
         for k in np.flatnonzero(due).tolist():
             arrays = {name: array[k : k + 1] for name, array in kept.items()}
             for name, result in results.items():
+                if isinstance(result.failure[k], TaskFailure):
+                    place = f"{config.runs[k]}, {now[k]} steps"
+                    warnings.warn(f"{place}: {result.why(k)}", stacklevel=2)
                 if not result.void[k]:
                     of_run = result.of_run(k).items()
                     arrays |= {f"evaluation/{name}/{key}": values for key, values in of_run}
@@ -251,10 +255,10 @@ def other_session(folder: AnyPath) -> str:
 
 
 def _status(folder: AnyPath) -> dict[str, Any]:
-    """Empty where the file is missing or damaged: no result depends on it."""
+    """Empty where the file is missing, damaged or cannot be read: no result depends on it."""
     try:
         return read_json(folder / STATUS)
-    except UserError:
+    except (UserError, OSError):
         return {}
 
 

@@ -19,6 +19,7 @@ import json
 import os
 import platform
 import re
+import shutil
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass, make_dataclass
@@ -26,6 +27,8 @@ from importlib.metadata import distribution, version
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
+
+import numpy as np
 
 from agents.algorithms import ALGORITHMS, algorithm, module_of
 from agents.checks import In, Settings
@@ -36,11 +39,13 @@ from agents.training.environments import (
     Spaces,
     Vectorization,
     module_of_task,
+    most_steps,
     spaces_of,
     time_limit,
 )
 from agents.training.files import (
     AnyPath,
+    NoLocks,
     archive_of,
     check_folder,
     locked,
@@ -51,6 +56,8 @@ from agents.training.files import (
 
 CONFIG, STATUS, RESULTS = "config.json", "status.json", "results.npz"
 CHECKPOINTS, STEPS, POLICIES = "checkpoints", "steps", "policies"
+COUNTERS = ("epoch", "steps", "failures", "tracebacks")
+"""Arrays of a checkpoint beside the learner's state."""
 ALGORITHM = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of algorithms: see `agents.algorithms.register`."""
 NO_RUNS = "holds no runs: no config.json that circle2d train wrote"
@@ -76,6 +83,11 @@ class RunId(NamedTuple):
 def file_name(task: str) -> str:
     """A task's id as a part of a path."""
     return re.sub(r"[/:]", "-", task)
+
+
+def finished(folder: AnyPath) -> bool:
+    """Whether all runs of a training have ended, also by a failure."""
+    return (folder / RESULTS).is_file()
 
 
 def as_stored(value: Any) -> Any:
@@ -180,6 +192,11 @@ class TrainConfig(Settings):
         return [stream_seed(run.seed, run.task) for run in self.runs]
 
     @property
+    def most_steps(self) -> int:
+        """Steps after which an episode of a task counts as one that never ends."""
+        return most_steps(*(time_limit(task, self.task_parameters) for task in self.tasks))
+
+    @property
     def _limit_names(self) -> dict[int, str]:
         """The hyper-parameters that limit a cost, by its number; of an algorithm that is not
         registered, or without a rule of the package's families, `cost_limit`."""
@@ -248,10 +265,16 @@ class TrainConfig(Settings):
             json.dumps(content["hyperparameters"])
         except (TypeError, ValueError, RecursionError) as error:
             raise UserError(f"hyperparameters must be plain values: {error}") from None
+        there = folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
-        with locked(folder):
-            _require_none(folder)  # now that no other process can make it
-            write_json(folder / CONFIG, content)
+        try:
+            with locked(folder):
+                _require_none(folder)  # now that no other process can make it
+                write_json(folder / CONFIG, content)
+        except NoLocks:
+            if not there:
+                shutil.rmtree(folder)
+            raise
         return spaces
 
     @classmethod
@@ -369,6 +392,14 @@ def _check_memory(hyperparameters: Any, runs: int, steps: int, sizes: tuple[int,
             f"replay_size and hidden need about {needed / 1e9:,.1f} GB of memory for {runs} runs; "
             f"this machine has {there / 1e9:,.1f} GB"
         )
+    size = getattr(hyperparameters, "replay_size", 0)  # whose memory is asked for at once
+    try:
+        np.empty((runs, size, 2 * observation + action + 3), dtype=np.float32)
+    except (MemoryError, ValueError):
+        raise UserError(
+            f"replay_size {size} cannot be allocated for {runs} runs, and they take {steps} steps: "
+            "more than these are never used"
+        ) from None
 
 
 PACKAGES = ("circle2d-mj", "gymnasium", "mujoco", "numpy", "torch")

@@ -7,7 +7,8 @@ Arrays of a run, below its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`
 - `info/NAME/...`: numbers of each step that the task has recorded, packed as the costs are, values
   to five digits
 - `updates` [epochs, metrics], whose names are the array `metrics` of the file
-- `failure`: why the run failed; of none that did not
+- `failure`: why the run failed, `evaluation_failure`: why its evaluation did; of none that did
+  not. `traceback`: of the error of the task, where it was one
 - `evaluation/POLICY/returns`, `/costs` and `/lengths`; of the deterministic policy also `/places`
   and `/ways`, where its episodes end and how they came there, where the task names them
 - `trained/length`, `/positions` and `/costs`: the first evaluated episodes of a task with a view
@@ -21,14 +22,14 @@ from __future__ import annotations
 
 import contextlib
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.errors import UserError
+from agents.errors import UserError, traced
 from agents.lockstep.rollout import Policy
 from agents.training.config import RESULTS, STEPS, RunId, TrainConfig, file_name
 from agents.training.environments import recorded_of, view_of
@@ -93,26 +94,33 @@ def write_results(
     folder: Path,
     config: TrainConfig,
     policy: Policy,
-    failures: NDArray[np.str_],
+    failures: NDArray[np.object_],
+    tracebacks: NDArray[np.object_],
     episodes: int | None = None,
 ) -> dict[str, Episodes]:
     """Evaluate the policies of a training that is done, and write `results.npz`.
 
-    failures: [R], why runs failed. episodes: others than the configuration's. Returns the
-    evaluations by policy.
+    failures, tracebacks: [R], why runs failed. episodes: others than the configuration's. Returns
+    the evaluations by policy.
     """
     episodes = config.evaluation_episodes if episodes is None else episodes
     evaluated = evaluate_runs(config, policy, episodes, failures == "")
     arrays = derived(folder, config, failures)
     views = {task: view_of(task, config.task_parameters) for task in config.tasks}
     for k, run in enumerate(config.runs):
+        trace = tracebacks[k]
         for name, result in evaluated.items():
+            if result.failure[k]:
+                arrays[run.prefix + "evaluation_failure"] = np.array(result.why(k))
+                trace = traced(getattr(result.failure[k], "__cause__", None))
             if not result.void[k]:
                 own = result.of_run(k)
                 if name == "deterministic":
                     own |= places_of(views[run.task], result.ends[k], result.costs[k, :, 0])
                 prefix = f"{run.prefix}evaluation/{name}/"
                 arrays |= {prefix + key: array for key, array in own.items()}
+        if trace:
+            arrays[run.prefix + "traceback"] = np.array(trace)
         drawn = evaluated["deterministic"].paths[k]
         first = config.seeds.index(run.seed) < DRAWN_POLICIES
         if drawn and first and not evaluated["deterministic"].void[k]:
@@ -125,7 +133,7 @@ def write_results(
 
 
 def derived(
-    folder: Path, config: TrainConfig, failures: NDArray[np.str_] | None = None
+    folder: Path, config: TrainConfig, failures: NDArray | None = None
 ) -> dict[str, NDArray]:
     """The arrays of `results.npz` but for evaluations, of a training that need not be done."""
     steps = Steps(folder)
@@ -195,6 +203,15 @@ def pack_costs(costs: NDArray[np.floating]) -> dict[str, NDArray]:
     if (costs[unsafe] != 1).any():
         packed["values"] = costs[unsafe]
     return packed
+
+
+def why_failed(arrays: Mapping[str, NDArray], run: RunId) -> str:
+    """Why a run of `results.npz` failed, or its evaluation; "" where neither did."""
+    for name in ("failure", "evaluation_failure"):
+        if run.prefix + name in arrays:
+            return str(arrays[run.prefix + name])
+    evaluated = f"{run.prefix}evaluation/deterministic/returns" in arrays
+    return "" if evaluated else "its evaluation met a number that is not finite"  # before 0.4
 
 
 def count_visits(

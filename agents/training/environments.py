@@ -7,6 +7,7 @@ import functools
 import importlib
 import inspect
 import re
+import traceback
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -15,11 +16,18 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
-from gymnasium.wrappers.vector import RescaleAction
 
-from agents.errors import OwnCodeError, TaskFailure, UserError, described, nearest
-from agents.lockstep.rollout import require_info
-from agents.training.wrappers import CheckedEnv, Guard, quiet_worker, recorded_info
+from agents.errors import OWN_ERRORS, OwnCodeError, TaskFailure, UserError, described, nearest
+from agents.lockstep.rollout import MAX_STEPS, require_info
+from agents.training.wrappers import (
+    CheckedEnv,
+    FailsAlone,
+    Guard,
+    ScaledActions,
+    quiet_worker,
+    recorded_info,
+    silent,
+)
 from circle2d_mj.core.view import View
 
 Vectorization = Literal["auto", "sync", "async"]
@@ -34,20 +42,17 @@ def make_envs(
     vectorization: Vectorization = "auto",
     step_timeout: float | None = None,
     costs: Sequence[str] = ("cost",),
+    alone: bool = False,
 ) -> VectorEnv:
     """`num_envs` environments that take actions in [-1, 1] and do not reset themselves.
 
     auto: the task's own vector environment where it has one that need not reset itself, gymnasium's
     `SyncVectorEnv` otherwise; async: `AsyncVectorEnv`, a process for each environment. All give the
-    same numbers. step_timeout: see `Guard`. Raises UserError for an unknown task, parameters it
-    refuses, and spaces that are not flat Boxes (actions: bounded); stepping them, TaskFailure.
+    same numbers. step_timeout, alone: see `Guard`. Raises UserError for an unknown task, parameters
+    it refuses, and spaces that are not flat Boxes (actions: bounded); stepping them, TaskFailure.
     """
-    envs = Guard(unscaled(task, num_envs, parameters, vectorization, costs), task, step_timeout)
-    actions: Any = envs.single_action_space
-    if (actions.low == -1).all() and (actions.high == 1).all():
-        return envs
-    one = np.ones_like(actions.low)
-    return RescaleAction(envs, -one, one)
+    envs = unscaled(task, num_envs, parameters, vectorization, costs)
+    return ScaledActions(Guard(envs, task, step_timeout, alone))
 
 
 def unscaled(
@@ -65,9 +70,16 @@ def unscaled(
             mode, how = "vector_entry_point", own
         else:
             own |= {"worker": quiet_worker} if mode == "async" else {}
-            how = {"vector_kwargs": own, "wrappers": (functools.partial(CheckedEnv, costs=costs),)}
-        envs = gym.make_vec(name, num_envs, vectorization_mode=mode, **how, **parameters)
-    except Exception as error:  # of the task's own code
+            wrappers = (functools.partial(CheckedEnv, costs=costs), FailsAlone)
+            how = {"vector_kwargs": own, "wrappers": wrappers}
+        with silent() if mode == "async" else contextlib.nullcontext():
+            envs = gym.make_vec(name, num_envs, vectorization_mode=mode, **how, **parameters)
+    except OWN_ERRORS as error:  # of the task's own code
+        # gymnasium wraps the error of another process in one of the same class.
+        inner = error.args[0] if isinstance(error, OwnCodeError) else error
+        if isinstance(inner, OwnCodeError):
+            traceback.clear_frames(error.__traceback__)  # which hold the other processes
+            raise OwnCodeError(f"cannot make task {task!r}: {inner}") from inner.__cause__
         if isinstance(error, (TypeError, ValueError)) and not module_of_task(task):
             raise UserError(f"cannot make task {task!r}: {error}") from error
         raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
@@ -97,6 +109,11 @@ def check_task(task: str, parameters: dict[str, Any], costs: Sequence[str] = ("c
 def time_limit(task: str, parameters: dict[str, Any]) -> int | None:
     """Steps after which an episode of a registered task is cut off; None where it is not known."""
     return parameters.get("max_episode_steps", gym.spec(registered(task)).max_episode_steps)
+
+
+def most_steps(*limits: int | None) -> int:
+    """Steps after which an episode counts as one that never ends, by the tasks' time limits."""
+    return max(MAX_STEPS, *(limit or 0 for limit in limits))
 
 
 def view_of(task: str, parameters: dict[str, Any]) -> View | None:
@@ -218,7 +235,7 @@ def task_id(task: str) -> str:
     if module:
         try:
             importlib.import_module(module)
-        except Exception as error:  # of the user's own code
+        except OWN_ERRORS as error:  # of the user's own code
             raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
     versions = [re.fullmatch(f"{re.escape(name)}-v([0-9]+)", other) for other in gym.registry]
     newest = max(filter(None, versions), key=lambda found: int(found[1]), default=None)
@@ -251,7 +268,16 @@ def is_native(task: str) -> bool:
 
 
 def _check_space(task: str, name: str, space: gym.Space) -> None:
-    if not isinstance(space, Box) or len(space.shape) != 1 or not space.shape[0]:
-        raise UserError(f"the {name} space of task {task!r} must be a flat Box, got {space}")
-    if name == "action" and not np.issubdtype(space.dtype, np.floating):
-        raise UserError(f"the action space of task {task!r} must be of floats, got {space}")
+    flat = isinstance(space, Box) and len(space.shape) == 1 and bool(space.shape[0])
+    if flat and (name == "observation" or np.issubdtype(space.dtype, np.floating)):
+        return
+    must = "a flat Box" if not flat else "of floats"
+    remedy = (
+        "register the task with gymnasium.wrappers.FlattenObservation around it"
+        if name == "observation"
+        else "the algorithms here have continuous actions alone"
+    )
+    raise UserError(
+        f"the {name} space of task {task!r} must be {must}, got {space}: {remedy}; the metric, "
+        "emcc.RecordCosts, works with any library and any space"
+    )

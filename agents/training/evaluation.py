@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
+from agents.errors import TaskFailure, one_line
 from agents.lockstep.noise import Purpose, environment_seeds, normal, steps_of_noise
 from agents.lockstep.rollout import Policy as RunsPolicy
 from agents.lockstep.rollout import Rollout, collect
@@ -34,11 +35,20 @@ class Episodes(NamedTuple):
     """[R, N]: steps"""
     ends: NDArray[np.float32]
     """[R, N, 2]: positions; NaN where the task has no view"""
+    failure: NDArray[np.object_]
+    """[R]: as `Rollout.failure`, of the first episode that failed"""
     void: NDArray[np.bool_]
-    """[R]: runs that were not evaluated, or met a number that is not finite"""
+    """[R]: runs that were not evaluated, or failed in it"""
     paths: list[list[tuple[NDArray[np.float32], NDArray[np.float64]]]]
     """The first `DRAWN` episodes of each run whose task has a view: positions [T + 1, 2], the start
     first, and costs [T]"""
+
+    def why(self, k: int) -> str:
+        """Words on why the k-th run's evaluation failed."""
+        cause = self.failure[k]
+        if isinstance(cause, TaskFailure):
+            return f"its evaluation failed: {one_line(cause)}"
+        return f"its evaluation met a number that is not finite: its {cause}"
 
     def of_run(self, k: int) -> dict[str, NDArray]:
         """The numbers of the k-th run's episodes that are kept, by name."""
@@ -66,12 +76,14 @@ def evaluate_runs(
                 rollout = play(envs, config, policy, episodes, first, at_once, active, noisy)
                 paths = paths or paths_of(envs, rollout, len(active), DRAWN)
                 values = (rollout.returns, rollout.cost_returns, rollout.length)
-                values = (*values, ends_of(envs, rollout), rollout.diverged)
+                values = (*values, ends_of(envs, rollout), rollout.failure)
                 columns.append([v.reshape(len(active), at_once, *v.shape[1:]) for v in values])
             joined = (np.concatenate(parts, axis=1) for parts in zip(*columns, strict=True))
-            returns, costs, lengths, ends, diverged = (c[:, :episodes] for c in joined)
-            void = ~active | diverged.any(axis=1)
-            evaluated[name] = Episodes(returns, costs, lengths, ends, void, paths)
+            returns, costs, lengths, ends, causes = (c[:, :episodes] for c in joined)
+            failure = np.array([next(filter(None, of_run), "") for of_run in causes], dtype=object)
+            failure[~active] = ""
+            void = ~active | (failure != "")
+            evaluated[name] = Episodes(returns, costs, lengths, ends, failure, void, paths)
     return evaluated
 
 
@@ -80,7 +92,8 @@ def runs_envs(config: TrainConfig, each: int) -> SideBySide:
     parts = []
     for task in config.tasks:
         how = (config.vectorization, config.step_timeout, config.costs)
-        envs = make_envs(task, len(config.seeds) * each, config.task_parameters, *how)
+        count = len(config.seeds) * each
+        envs = make_envs(task, count, config.task_parameters, *how, alone=True)
         of_task = (task, config.task_parameters)
         parts.append(RecordSteps(envs, view_of(*of_task), list(recorded_of(*of_task))))
     return SideBySide(parts, config.costs)
@@ -112,7 +125,8 @@ def play(
         action = policy(observation, next(noise)[:, chosen] if noisy else None)
         return action.reshape(runs * count, -1)
 
-    return collect(envs, seeds, act, np.repeat(active, count), config.costs)
+    how = (np.repeat(active, count), config.costs, config.most_steps)
+    return collect(envs, seeds, act, *how)
 
 
 def ends_of(envs: SideBySide, rollout: Rollout) -> NDArray[np.float32]:

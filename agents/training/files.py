@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import functools
 import io
 import json
 import lzma
+import math
 import os
 import secrets
 import struct
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +29,36 @@ AnyPath = Path | zipfile.Path
 UNFINISHED = ".unfinished"
 """Ends the name of a file that is being written."""
 UNREADABLE = (
-    *(OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, Warning),
+    *(ValueError, KeyError, TypeError, EOFError, RuntimeError, Warning, SyntaxError),
     *(zipfile.BadZipFile, lzma.LZMAError, zlib.error, struct.error, NotImplementedError),
-    SyntaxError,
 )
 """Errors that damaged files have zipfile, json and numpy raise."""
+
+
+@contextlib.contextmanager
+def content_of(path: AnyPath) -> Iterator[None]:
+    """Raise UserError, naming the file, where its content has not its form or checksum.
+
+    An error of the disk or of the memory passes: it says nothing about the file, which may be whole
+    the next time.
+    """
+    why: BaseException
+    try:
+        yield
+        return
+    except UserError:
+        raise
+    except UNREADABLE as error:
+        why = error
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a place before the file's start, from a damaged directory
+            raise
+        why = error
+    raise UserError(f"{path} is damaged: {str(why) or type(why).__name__}")
+
+
+class NoLocks(UserError):
+    """A file system without file locks."""
 
 
 @contextlib.contextmanager
@@ -38,7 +66,8 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[None]:
     """Keep other processes from training and evaluating in a folder meanwhile.
 
     A process that is killed holds nothing. patience: seconds to wait for a lock that another
-    process holds. Raises UserError where it still holds it then.
+    process holds. Raises UserError where it still holds it then, NoLocks where the file system has
+    none.
     """
     with warnings.catch_warnings():  # where the system has no file locks: filelock makes do
         warnings.simplefilter("ignore")
@@ -48,6 +77,13 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[None]:
         lock.acquire(timeout=patience, poll_interval=0.1)
     except Timeout:
         raise UserError(f"another process is training or evaluating in {folder}") from None
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP):
+            raise
+        raise NoLocks(
+            f"{lock.lock_file} cannot be locked: {error.strerror}. The file system has no locks, "
+            "as NFS mounted without them: choose a folder on a local disk, or mount it with locks"
+        ) from None
     try:
         yield
     finally:
@@ -99,12 +135,10 @@ def opened(path: Path) -> AnyPath:
 
 def read_json(path: AnyPath) -> dict[str, Any]:
     """Read a JSON object. Raises UserError naming the file where it is missing or damaged."""
-    if not path.is_file():
-        raise UserError(f"{path} is missing")
-    try:
-        content = json.loads(path.read_bytes().decode("utf-8"))
-    except (*UNREADABLE, RecursionError) as error:
-        raise UserError(f"{path} is damaged: {error}") from None
+    with content_of(path):
+        with _there(path):
+            data = path.read_bytes()
+        content = json.loads(data.decode("utf-8"))
     if not isinstance(content, dict):
         raise UserError(f"{path} is damaged: must be a JSON object, got {type(content).__name__}")
     return content
@@ -126,38 +160,87 @@ def write_arrays(
                 np.lib.format.write_array(file, np.asanyarray(array), allow_pickle=False)
 
 
+@contextlib.contextmanager
+def _there(path: AnyPath) -> Iterator[None]:
+    """Raise UserError where there is no such file."""
+    try:
+        yield
+    except (FileNotFoundError, IsADirectoryError, NotADirectoryError, KeyError):
+        raise UserError(f"{path} is missing") from None
+
+
+_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+
+
+class _Reopened:
+    """A file that is open within `with` alone: a training may have more than a process may open."""
+
+    def __init__(self, path: AnyPath) -> None:
+        self._open: Callable[[], IO[bytes]]
+        if isinstance(path, Path):
+            self._open = lambda: path.open("rb")
+        else:  # in an archive, where it is compressed
+            self._open = functools.partial(io.BytesIO, path.read_bytes())
+        with self:
+            self.size = self._file.seek(0, os.SEEK_END)
+
+    def __enter__(self) -> None:
+        self._file = self._open()
+
+    def __exit__(self, *exception: object) -> None:
+        self._file.close()
+
+    def read(self, count: int = -1) -> bytes:
+        """At most so many bytes; a damaged directory may ask for more than memory holds."""
+        left = max(0, self.size - self._file.tell())
+        return self._file.read(left if count < 0 else min(count, left))
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "_file":
+            raise AttributeError(name)
+        return getattr(self._file, name)
+
+
 class Arrays(Mapping[str, NDArray]):
     """The arrays of an .npz file by name, each read, and compared with its checksum, when it is
-    asked for. Raises UserError naming the file where it is missing or damaged."""
+    asked for; meanwhile the file is closed. Raises UserError naming the file where it is missing or
+    damaged, OSError where it cannot be read."""
 
     def __init__(self, path: AnyPath) -> None:
         self.path = path
-        if not path.is_file():
-            raise UserError(f"{path} is missing")
-        try:
-            # One in an archive is read as a whole: it is compressed there.
-            source = path if isinstance(path, Path) else io.BytesIO(path.read_bytes())
-            self._file = zipfile.ZipFile(source)
+        with content_of(path), _there(path):
+            self._source = _Reopened(path)
+        with content_of(path), self._source:
+            self._file = zipfile.ZipFile(cast("IO[bytes]", self._source))
             for member in self._file.infolist():
                 self._file.open(member).close()  # an array whose name is damaged would be missing
-                if b"PK\1\2" in member.comment + member.extra:  # so would be what that holds
+                beyond = member.header_offset + member.compress_size > self._source.size
+                if beyond or b"PK\1\2" in member.comment + member.extra:  # as would what that holds
                     raise zipfile.BadZipFile("its directory is damaged")
-        except UNREADABLE as error:
-            raise self._damaged(error) from None
         self._names = {name.removesuffix(".npy"): name for name in self._file.namelist()}
 
     def __getitem__(self, name: str) -> NDArray:
         if name not in self._names:
             raise KeyError(name)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")  # of a damaged header too
-                with self._file.open(self._names[name]) as file:
-                    array = np.lib.format.read_array(file, allow_pickle=False)
-                    file.read()  # to its end, where its checksum is compared
-                    return array
-        except UNREADABLE as error:
-            raise self._damaged(error) from None
+        with content_of(self.path), self._source, warnings.catch_warnings():
+            warnings.simplefilter("error")  # of a damaged header too
+            self._check_size(self._names[name])
+            with self._file.open(self._names[name]) as file:
+                array = np.lib.format.read_array(file, allow_pickle=False)
+                file.read()  # to its end, where its checksum is compared
+        return array
+
+    def _check_size(self, member: str) -> None:
+        """Raise ValueError where an array's header asks for another size than there is: it would be
+        taken for a lack of memory."""
+        with self._file.open(member) as file:
+            shape, _, dtype = _HEADERS[np.lib.format.read_magic(file)](file)
+            held = self._file.getinfo(member).file_size - file.tell()
+        if not dtype.hasobject and math.prod(shape) * dtype.itemsize != held:
+            raise ValueError(f"{member} holds {held} bytes, its header says {list(shape)} {dtype}")
 
     def __contains__(self, name: object) -> bool:
         return name in self._names
@@ -167,9 +250,6 @@ class Arrays(Mapping[str, NDArray]):
 
     def __len__(self) -> int:
         return len(self._names)
-
-    def _damaged(self, error: BaseException) -> UserError:
-        return UserError(f"{self.path} is damaged: {error or type(error).__name__}")
 
 
 def numbered(folder: AnyPath, name: str) -> dict[int, AnyPath]:

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 
 from agents.checks import In, check
 from agents.errors import UserError, extra
-from agents.training.config import CHECKPOINTS, RESULTS, STATUS, STEPS
+from agents.training.config import CHECKPOINTS, RESULTS, STATUS, STEPS, finished
 from agents.training.files import UNFINISHED, locked, write_whole
 
 EngineName = Literal["local", "ray"]
@@ -142,7 +142,7 @@ def _train_here(folder: Path, ending: threading.Event, imports: Sequence[str]) -
                 process.wait(0.2)
     finally:
         _end(process)
-    return _last_words(log, since) if process.returncode else ""
+    return _why(folder, process.returncode, since)
 
 
 def start(folder: Path, imports: Sequence[str]) -> subprocess.Popen:
@@ -187,6 +187,15 @@ def end_with_parent() -> None:
         os._exit(128 + signal.SIGTERM)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def _why(folder: Path, status: int, since: int = 0) -> str:
+    """Why a training failed whose process ended with a status, or nothing. since: byte at which
+    its log begins."""
+    words = _last_words(folder / LOG, since)
+    if status == 0 and not finished(folder):
+        return f"its process ended before the training did: {words}"
+    return words if status else ""
 
 
 def _last_words(log: Path, since: int) -> str:
@@ -267,7 +276,7 @@ def _train_on_ray(ray: Any, folder: Path, ending: threading.Event, imports: Sequ
                         take_in(folder, sent, names)
                         losses = 0 if any(n.startswith(CHECKPOINTS) for n in sent) else losses
                         if status is not None:
-                            return _last_words(folder / LOG, 0) if status else ""
+                            return _why(folder, status)
                 ray.cancel(messages)
                 return "interrupted"
             except StopIteration:

@@ -23,12 +23,21 @@ from torch import from_numpy as to_tensor
 from agents.algorithms import Learner
 from agents.algorithms import learner as make_learner
 from agents.checks import In, check
-from agents.errors import OwnCodeError, TaskFailure, UserError, described, nearest
+from agents.errors import (
+    OWN_ERRORS,
+    OwnCodeError,
+    TaskFailure,
+    UserError,
+    described,
+    nearest,
+    no_exit,
+)
 from agents.lockstep import tree
-from agents.lockstep.rollout import MAX_STEPS
+from agents.lockstep.rollout import ENDS
 from agents.lockstep.rollout import Policy as RunsPolicy
 from agents.training.config import (
     CHECKPOINTS,
+    COUNTERS,
     POLICIES,
     RunId,
     TrainConfig,
@@ -36,9 +45,15 @@ from agents.training.config import (
     policy_path,
     read_spaces,
 )
-from agents.training.environments import Spaces, checked_spaces, registered, task_id
+from agents.training.environments import (
+    Spaces,
+    checked_spaces,
+    most_steps,
+    registered,
+    task_id,
+)
 from agents.training.files import Arrays, numbered
-from agents.training.wrappers import CheckedEnv
+from agents.training.wrappers import Bounds, CheckedEnv
 from emcc import cvar, longest_streak
 
 FOLDER = Path(__file__).parent.parent / "policies"
@@ -112,11 +127,7 @@ class Policy:
         self._module = module(0) if module else None
         self._rng = np.random.default_rng()
         low, high = (np.array(bound, dtype=spaces.dtype) for bound in (spaces.low, spaces.high))
-        self._low, self._high = low, high
-        # The arithmetic of gymnasium's RescaleAction, so that actions are those of training.
-        self._gradient = (2.0 / (high.astype(np.longdouble) - low)).astype(low.dtype)
-        self._intercept = self._gradient * -low + np.array(-1.0, dtype=low.dtype)
-        self._rescales = not ((low == -1).all() and (high == 1).all())
+        self._bounds = Bounds(low, high)
 
     def __repr__(self) -> str:
         return f"Policy(task={self.task!r}, seed={self.seed})"
@@ -136,12 +147,9 @@ class Policy:
         observations, alone = self._batch(observation)
         noise = None
         if not deterministic:
-            shape = (1, len(observations), len(self._low))
+            shape = (1, len(observations), len(self._bounds.low))
             noise = (rng or self._rng).standard_normal(shape, dtype=np.float32)
-        action = np.clip(self.in_lockstep(observations[None], noise)[0], -1.0, 1.0)
-        action = action.astype(self._low.dtype)
-        if self._rescales:
-            action = np.clip((action - self._intercept) / self._gradient, self._low, self._high)
+        action = self._bounds(np.clip(self.in_lockstep(observations[None], noise)[0], -1.0, 1.0))
         return action[0] if alone else action
 
     def predict(
@@ -166,13 +174,13 @@ class Policy:
         """
         if self._module is None:
             raise UserError(f"{self!r} has no module: its Learner has no method `module`")
-        return _Bounded(copy.deepcopy(self._module), self._low, self._high)
+        return _Bounded(copy.deepcopy(self._module), self._bounds.low, self._bounds.high)
 
     def _batch(self, observation: ArrayLike) -> tuple[NDArray[np.float32], bool]:
         """Observations as [N, size], and whether one was given alone."""
         size = self.spaces.observation_size
         given = np.asarray(observation)
-        if not np.issubdtype(given.dtype, np.number) or np.iscomplexobj(given):
+        if given.dtype.kind not in "biuf":
             raise TypeError(f"observation must hold real numbers, got an array of {given.dtype}")
         if given.ndim not in (1, 2) or given.shape[-1] != size:
             raise ValueError(
@@ -196,9 +204,11 @@ class _Bounded(nn.Module):
 
     def forward(self, observation: Tensor) -> Tensor:
         share = (self.net(observation).clamp(-1.0, 1.0) + 1.0) / 2.0
-        return self.low + (self.high - self.low) * share
+        action = self.low + (self.high - self.low) * share
+        return action.clamp(self.low, self.high)  # which rounding may lead beyond
 
 
+@no_exit()
 def load_policy(
     folder: str | os.PathLike[str],
     seed: int | None = None,
@@ -289,7 +299,7 @@ def read_policy_arrays(
     state, k = Arrays(checkpoints[-1]), config.runs.index(run)
     names = [name for name in state if is_of_policy(name)]
     # A family without the convention: all of its state.
-    names = names or [name for name in state if name not in ("epoch", "steps", "failures")]
+    names = names or [name for name in state if name not in COUNTERS]
     arrays = {name: state[name][k : k + 1] for name in names}
     steps = int(state["steps"][k]) if "steps" in state else None
     return arrays, steps, str(state["failures"][k]) if "failures" in state else ""
@@ -349,6 +359,7 @@ class Evaluation:
         return cvar(self.costs.ravel(), alpha)
 
 
+@no_exit()
 def evaluate(
     policy: Policy | Callable[[NDArray], Any] | str | os.PathLike[str],
     task: str | None = None,
@@ -396,7 +407,7 @@ def evaluate(
         task_parameters = own.task_parameters
     try:
         made = gym.make(registered(name), disable_env_checker=True, **(task_parameters or {}))
-    except Exception as error:  # of the task's own code
+    except OWN_ERRORS as error:  # of the task's own code
         raise OwnCodeError(f"cannot make task {name!r}: {described(error)}") from error
     with contextlib.closing(CheckedEnv(made, (cost,))) as env:
         act: Callable[[NDArray], Any] = policy
@@ -422,9 +433,10 @@ def _episode(
     """Return, cost, length and longest streak of an episode."""
     observation, _ = env.reset(seed=seed)
     rewards, costs, over = [], [], False
+    most = most_steps(env.spec.max_episode_steps if env.spec else None)
     while not over:
-        if len(costs) == MAX_STEPS:
-            raise TaskFailure(f"has an episode that has not ended after {MAX_STEPS} steps")
+        if len(costs) == most:
+            raise TaskFailure(f"has an episode that has not ended after {most} steps: {ENDS}")
         action = act(observation)
         _check_action(action, env.action_space)
         observation, reward, terminated, truncated, info = env.step(action)

@@ -17,12 +17,29 @@ from threadpoolctl import threadpool_limits
 
 from agents.algorithms import BUILT_IN, Learner
 from agents.algorithms import learner as make_learner
-from agents.errors import OwnCodeError, UserError, described
+from agents.errors import (
+    OWN_ERRORS,
+    OwnCodeError,
+    TaskFailure,
+    UserError,
+    described,
+    no_exit,
+    one_line,
+    traced,
+)
 from agents.lockstep import backend, tree
 from agents.lockstep.noise import Purpose, environment_seeds
 from agents.lockstep.rollout import Rollout, collect
 from agents.training import callbacks, derive
-from agents.training.config import CHECKPOINTS, RESULTS, STEPS, RunId, TrainConfig, read_spaces
+from agents.training.config import (
+    CHECKPOINTS,
+    COUNTERS,
+    RESULTS,
+    STEPS,
+    RunId,
+    TrainConfig,
+    read_spaces,
+)
 from agents.training.evaluation import runs_envs
 from agents.training.files import (
     Arrays,
@@ -43,6 +60,7 @@ Callback = Callable[["Trainer"], object]
 """Called after every epoch. False, be it numpy's, stops the training after a checkpoint."""
 
 
+@no_exit()
 def train(folder: Path, *own: Callback) -> Trainer:
     """Train the runs of a folder to their end, from the newest checkpoint if there is one.
 
@@ -62,7 +80,8 @@ def train(folder: Path, *own: Callback) -> Trainer:
         with contextlib.closing(trainer), callbacks.usual(trainer) as usual:
             trainer.run((*usual, *own))
             if trainer.done and not evaluated:
-                derive.write_results(folder, config, trainer.learner.policy(), trainer.failures)
+                why = (trainer.failures, trainer.tracebacks)
+                derive.write_results(folder, config, trainer.learner.policy(), *why)
     return trainer
 
 
@@ -72,6 +91,15 @@ def _is_whole(path: Path) -> bool:
         return bool(dict(Arrays(path)))
     except UserError:
         return False
+
+
+def _texts(arrays: Mapping[str, NDArray], name: str, shape: tuple[int, ...]) -> NDArray[np.object_]:
+    """Strings of any length. KeyError where they are missing, ValueError for anything else."""
+    found = arrays[name]
+    if found.shape != shape or found.dtype.kind != "U":
+        given = f"{list(found.shape)} {found.dtype}"
+        raise ValueError(f"{name} is {given}, expected {list(shape)} strings")
+    return found.astype(object)
 
 
 class Trainer:
@@ -87,8 +115,13 @@ class Trainer:
         self.recorder = Recorder(
             config.runs, self.learner.episodes, self.learner.metrics, config.costs
         )
-        self.failures = np.full(count, "", dtype="U200")
-        """Why runs have stopped that met a NaN or an infinite number, [R]; the others go on."""
+        self.failures = np.full(count, "", dtype=object)
+        """Why runs have stopped that met an error of their task, a NaN or an infinite number, [R];
+        the others go on."""
+        self.tracebacks = np.full(count, "", dtype=object)
+        """Tracebacks of these errors, [R]."""
+        self.cause: BaseException | None = None
+        """The first of these errors that this process met."""
         self.stopped = False
         """Whether a callback stopped it."""
         self._saved_at, self._writing = time.monotonic(), 0.0
@@ -148,7 +181,8 @@ class Trainer:
         resets = environment_seeds(config.stream_seeds, Purpose.ENVIRONMENT, self.epoch, episodes)
         with self._own_code("acts"):
             act = learner.explorer(self.epoch, self.steps)
-            rollout = collect(self._envs, resets, act, np.repeat(active, episodes), config.costs)
+            how = (np.repeat(active, episodes), config.costs, config.most_steps)
+            rollout = collect(self._envs, resets, act, *how)
         void = rollout.diverged.reshape(-1, episodes)
         learning = active & ~void.any(axis=1)
         metrics = np.full((len(active), len(learner.metrics)), np.nan)
@@ -171,13 +205,17 @@ class Trainer:
     def _note_failures(
         self, rollout: Rollout, active: NDArray[np.bool_], finite: NDArray[np.bool_]
     ) -> None:
-        """Stop the runs that met a number which is not finite, or hold one."""
+        """Stop the runs whose task failed, and those that met or hold a number not finite."""
         causes = rollout.failure.reshape(len(active), -1)
         for run in np.flatnonzero(active):
             own = "" if finite[run] else "update"
             if cause := next(filter(None, causes[run]), own):
-                step = self.steps[run]
-                self.failures[run] = f"failed at step {step}: its {cause} is not finite"
+                failed = isinstance(cause, TaskFailure)
+                words = one_line(cause) if failed else f"its {cause} is not finite"
+                self.failures[run] = f"failed at step {self.steps[run]}: {words}"
+                if failed:
+                    self.tracebacks[run] = traced(cause.__cause__)
+                    self.cause = self.cause or cause.__cause__
 
     @contextlib.contextmanager
     def _own_code(self, does: str) -> Iterator[None]:
@@ -186,7 +224,7 @@ class Trainer:
             yield
         except UserError:
             raise
-        except Exception as error:
+        except OWN_ERRORS as error:
             name, step = self.config.algorithm, int(self.steps.max())
             words = f"algorithm {name!r} failed at step {step} where it {does}: {described(error)}"
             raise OwnCodeError(words) from error
@@ -222,8 +260,9 @@ class Trainer:
         # The number is that of the run that is behind; at the end, of the first.
         steps = self.steps.max() if self.done else self.steps[self.active].min()
         number = max(int(steps), 1 + max(numbered(self.folder, CHECKPOINTS), default=-1))
-        counters = {"epoch": np.array(self.epoch), "steps": self.steps, "failures": self.failures}
-        state = counters | self.learner.state_dict()
+        texts = (self.failures.astype(np.str_), self.tracebacks.astype(np.str_))
+        counters = (np.array(self.epoch), self.steps, *texts)
+        state = dict(zip(COUNTERS, counters, strict=True)) | self.learner.state_dict()
         for name, arrays in ((STEPS, self.recorder.take()), (CHECKPOINTS, state)):
             (self.folder / name).mkdir(exist_ok=True)
             write_arrays(numbered_path(self.folder, name, number), arrays)
@@ -280,8 +319,9 @@ class Trainer:
             content = dict(state)
             self.learner.load_state_dict(content)
             self.steps = tree.expect("steps", content, self.steps.shape, np.int64)
-            like = self.failures
-            self.failures = tree.expect("failures", content, like.shape, like.dtype)
+            self.failures = _texts(content, "failures", self.steps.shape)
+            content.setdefault("tracebacks", np.full(self.steps.shape, ""))  # before 0.4
+            self.tracebacks = _texts(content, "tracebacks", self.steps.shape)
             self.epoch = int(tree.expect("epoch", content, (), np.int64))
             self._alone = None
         except (KeyError, ValueError) as error:

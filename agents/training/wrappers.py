@@ -6,25 +6,30 @@ import contextlib
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator, Sequence
-from numbers import Real
-from typing import Any
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import logger
-from gymnasium.vector import AsyncVectorEnv, VectorEnv, VectorWrapper
+from gymnasium.spaces import Box
+from gymnasium.vector import AsyncVectorEnv, VectorActionWrapper, VectorEnv, VectorWrapper
 from gymnasium.vector.async_vector_env import _async_worker
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from agents.errors import OwnCodeError, TaskFailure, UserError, described
-from agents.lockstep.rollout import require_info
+from agents.errors import OWN_ERRORS, OwnCodeError, TaskFailure, UserError, described
+from agents.lockstep.rollout import FAILURE, require_info
 from circle2d_mj.core.view import View
+from emcc.arrays import as_flag, as_one
+
+T = TypeVar("T")
 
 
 class CheckedEnv(gym.Wrapper):
-    """Makes the reward, the costs and what is recorded of every step floats, and errors of the task
-    TaskFailures.
+    """Makes the reward, the costs and what is recorded of every step floats, its ends bools, and
+    errors of the task TaskFailures.
 
     gymnasium's vector environments type an array of costs by the first cost they meet, and fill in
     0 where one is missing: either would change costs silently. A failure has the error of the task
@@ -33,36 +38,44 @@ class CheckedEnv(gym.Wrapper):
 
     def __init__(self, env: gym.Env, costs: Sequence[str]) -> None:
         super().__init__(env)
-        self._numbers, self._steps = (*costs, *recorded_info(env)), 0
+        self.numbers, self._steps = (*costs, *recorded_info(env)), 0
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
         """Reset the environment. Raises TaskFailure for any error of it."""
         self._steps = 0
         with failing("in a reset"):
-            return self.env.reset(**kwargs)
+            observation, info = self.env.reset(**kwargs)
+            self._check(observation)
+        return observation, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the environment. Raises TaskFailure for any error of it, and UserError where the
-        reward or a cost is no number."""
+        """Step the environment. Raises TaskFailure for any error of it, and where the reward or a
+        cost is no number, or an end neither True nor False."""
         self._steps += 1
         with failing(f"in step {self._steps} of an episode"):
             observation, reward, terminated, truncated, info = self.env.step(action)
-            shape = self.env.observation_space.shape
-            if np.shape(observation) != shape:
-                raise UserError(
-                    f"an observation must be {list(shape or ())}, as its space says, "
-                    f"got {list(np.shape(observation))}"
-                )
-        require_info(self.env, info, self._numbers)
-        numbers = {name: self._number(f"info[{name!r}]", info[name]) for name in self._numbers}
-        if isinstance(reward, np.ndarray) and reward.size == 1:
-            reward = reward.reshape(())[()]
-        return observation, self._number("reward", reward), terminated, truncated, info | numbers
+            self._check(observation)
+            require_info(self.env, info, self.numbers)
+            numbers = {name: self._number(f"info[{name!r}]", info[name]) for name in self.numbers}
+            reward = self._number("reward", reward)
+            terminated = self._number("terminated", terminated, as_flag)
+            truncated = self._number("truncated", truncated, as_flag)
+        return observation, reward, terminated, truncated, info | numbers
 
-    def _number(self, name: str, value: Any) -> float:
-        if not isinstance(value, (Real, np.floating, np.integer, np.bool_)):
-            raise UserError(f"{self.env} gives {name} = {value!r}, which is no number")
-        return float(value)
+    def _check(self, observation: Any) -> None:
+        shape = self.env.observation_space.shape
+        if np.shape(observation) != shape:
+            raise UserError(
+                f"an observation must be {list(shape or ())}, as its space says, "
+                f"got {list(np.shape(observation))}"
+            )
+
+    def _number(self, name: str, value: Any, read: Callable[[Any, str], T] = as_one) -> T:
+        try:
+            return read(value, name)
+        except (TypeError, ValueError) as error:
+            kind = "neither True nor False" if read is as_flag else "no number"
+            raise UserError(f"{self.env} gives {name} = {value!r}, which is {kind}") from error
 
 
 @contextlib.contextmanager
@@ -70,21 +83,55 @@ def failing(when: str) -> Iterator[None]:
     """Raise TaskFailure for any error of a task's own code, with that as its cause."""
     try:
         yield
-    except UserError:
+    except MemoryError:  # of the machine
         raise
-    except Exception as error:
-        raise TaskFailure(f"failed {when}: {described(error)}") from error
+    except OWN_ERRORS as error:
+        why = error if isinstance(error, UserError) else described(error)
+        raise TaskFailure(f"failed {when}: {why}") from error
+
+
+class FailsAlone(gym.Wrapper):
+    """Tells of a failure in the info instead of raising it: the environments beside it go on.
+
+    Until its next reset it gives its last observation and info, and zeros for all numbers.
+    """
+
+    def __init__(self, env: CheckedEnv) -> None:
+        super().__init__(env)
+        space, self._zeros = env.observation_space, dict.fromkeys(env.numbers, 0.0)
+        self._observation, self._info = np.zeros(space.shape or (), space.dtype), {}
+
+    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
+        """Reset the environment."""
+        try:
+            self._observation, self._info = self.env.reset(**kwargs)
+        except TaskFailure as error:
+            self._info = self._info | self._zeros | {FAILURE: error}
+        return self._observation, self._info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the environment, unless it has failed."""
+        if FAILURE not in self._info:
+            try:
+                result = self.env.step(action)
+                self._observation, self._info = result[0], result[4]
+                return result
+            except TaskFailure as error:
+                self._info = self._info | self._zeros | {FAILURE: error}
+        return self._observation, 0.0, False, False, self._info
 
 
 class Guard(VectorWrapper):
     """Names the task in the failures of its environments: those that raise, give arrays of other
     shapes than their spaces, end or do not answer."""
 
-    def __init__(self, env: VectorEnv, task: str, step_timeout: float | None = None) -> None:
+    def __init__(
+        self, env: VectorEnv, task: str, step_timeout: float | None = None, alone: bool = False
+    ) -> None:
         """step_timeout: seconds that a step or reset of environments in processes of their own may
-        take; None: any."""
+        take; None: any. alone: leave the failures of single environments in the info."""
         super().__init__(env)
-        self._task, self._timeout, self._steps = task, step_timeout, 0
+        self._task, self._timeout, self._steps, self._alone = task, step_timeout, 0, alone
         self._shape, self._each = env.observation_space.shape, (env.num_envs,)
 
     def __repr__(self) -> str:
@@ -98,20 +145,20 @@ class Guard(VectorWrapper):
             self._steps = 0
         with self._failing("in a reset"):
             if isinstance(self.env, AsyncVectorEnv):
-                with _silent():
+                with silent():
                     self.env.reset_async(seed=seed, options=options)
                     observations, info = self.env.reset_wait(self._timeout)
             else:
                 observations, info = self.env.reset(seed=seed, options=options)
             _check_shapes({"observations": (observations, self._shape)})
-        return observations, info
+        return observations, self._named(info)
 
     def step(self, actions: Any) -> tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]:
         """Step the environments. Raises TaskFailure."""
         self._steps += 1
         with self._failing(f"in step {self._steps} of an episode"):
             if isinstance(self.env, AsyncVectorEnv):
-                with _silent():
+                with silent():
                     self.env.step_async(actions)
                     results = self.env.step_wait(self._timeout)
             else:
@@ -121,13 +168,29 @@ class Guard(VectorWrapper):
             columns |= {"info['cost']": info["cost"]} if "cost" in info else {}
             shapes = {name: (values, self._each) for name, values in columns.items()}
             _check_shapes(shapes | {"observations": (observations, self._shape)})
-        return results
+            ends = (_flags("terminated", terminated), _flags("truncated", truncated))
+        return observations, rewards, *ends, self._named(info)
+
+    def _named(self, info: dict[str, Any]) -> dict[str, Any]:
+        """The info with the task's name in the failures. Raises the first unless all are alone."""
+        if FAILURE not in info:
+            return info
+        named = np.full(self.num_envs, None)
+        for k, error in enumerate(info[FAILURE]):
+            if error is not None:
+                named[k] = TaskFailure(f"task {self._task!r} {error}")
+                named[k].__cause__ = error.__cause__
+                if not self._alone:
+                    raise named[k]
+        return info | {FAILURE: named}
 
     def close(self, **kwargs: Any) -> None:
-        """Close the environments; end their processes where they do not answer."""
+        """Close the environments; end their processes where they do not answer in time."""
         try:
+            if isinstance(self.env, AsyncVectorEnv) and self._timeout is not None:
+                close_processes(self.env, self._timeout)
             self.env.close(**kwargs)
-        except Exception:  # of processes that are gone, or of the task's own code
+        except OWN_ERRORS:  # of processes that are gone, or of the task's own code
             if isinstance(self.env, AsyncVectorEnv):
                 end_processes(self.env)
 
@@ -135,21 +198,59 @@ class Guard(VectorWrapper):
     def _failing(self, when: str) -> Iterator[None]:
         try:
             yield
-        except Exception as error:
+        except OWN_ERRORS as error:
             if isinstance(self.env, AsyncVectorEnv):
                 end_processes(self.env)
-            # gymnasium wraps the error of another process in one of the same class.
-            inner = error.args[0] if error.args and isinstance(error.args[0], UserError) else error
-            if isinstance(inner, OwnCodeError):  # `CheckedEnv` says when
-                raise TaskFailure(f"task {self._task!r} {inner}") from (inner.__cause__ or inner)
-            why = described(error)
-            if isinstance(inner, UserError):
-                why = str(inner)
-            elif isinstance(error, (TimeoutError, multiprocessing.TimeoutError)):
+            why = str(error) if isinstance(error, UserError) else described(error)
+            if isinstance(error, (TimeoutError, multiprocessing.TimeoutError)):
                 why = f"a process did not answer within step_timeout, {self._timeout:g} s"
             elif isinstance(error, (EOFError, ConnectionError)):
                 why = "a process of its environments ended"
             raise TaskFailure(f"task {self._task!r} failed {when}: {why}") from error
+
+
+class Bounds:
+    """Bounds of a task's actions: takes the actions of policies, in [-1, 1], to them."""
+
+    def __init__(self, low: NDArray, high: NDArray) -> None:
+        """low, high: [action size], of the type of the task's actions."""
+        self.low, self.high = low, high
+        self._same = bool((low == -1).all() and (high == 1).all())
+
+    def __call__(self, action: NDArray) -> NDArray:
+        """Actions [..., action size] in [-1, 1] as the task takes them: of its type, and within its
+        bounds, beyond which rounding may lead."""
+        if self._same:
+            return action.astype(self.low.dtype, copy=False)
+        share = (1.0 + action.astype(np.float64)) / 2.0
+        scaled = (self.low * (1.0 - share) + self.high * share).astype(self.low.dtype)
+        return np.minimum(np.maximum(scaled, self.low), self.high)
+
+
+class ScaledActions(VectorActionWrapper):
+    """Environments that take actions in [-1, 1] in the place of the task's own."""
+
+    def __init__(self, env: VectorEnv) -> None:
+        super().__init__(env)
+        space: Any = env.single_action_space
+        self._bounds = Bounds(space.low, space.high)
+        self.single_action_space = Box(-1.0, 1.0, space.shape, np.float32)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    def __repr__(self) -> str:
+        return repr(self.env)
+
+    def actions(self, actions: NDArray) -> NDArray:
+        """The task's own actions."""
+        return self._bounds(actions)
+
+
+def _flags(name: str, values: Any) -> NDArray[np.bool_]:
+    """An array of bools. Raises UserError where some are neither True nor False, 1 nor 0."""
+    array = np.asarray(values)
+    if array.dtype != bool and not np.isin(array, (0, 1)).all():
+        raise UserError(f"{name} must be True or False, got {array.tolist()}")
+    return array.astype(bool, copy=False)
 
 
 def _check_shapes(arrays: dict[str, tuple[Any, Any]]) -> None:
@@ -160,7 +261,7 @@ def _check_shapes(arrays: dict[str, tuple[Any, Any]]) -> None:
 
 
 @contextlib.contextmanager
-def _silent() -> Iterator[None]:
+def silent() -> Iterator[None]:
     """Keep gymnasium from printing the errors of its processes, which it raises as well."""
     log: Any = logger
     before, log.min_level = log.min_level, log.ERROR + 1
@@ -168,6 +269,18 @@ def _silent() -> Iterator[None]:
         yield
     finally:
         log.min_level = before
+
+
+def close_processes(envs: AsyncVectorEnv, timeout: float) -> None:
+    """Close environments in processes, and end those that have not ended after so many seconds;
+    gymnasium would wait for them for ever."""
+    for pipe in envs.parent_pipes:
+        if pipe is not None and not pipe.closed:
+            pipe.send(("close", None))
+    until = time.monotonic() + timeout
+    for process in envs.processes:
+        process.join(max(0.0, until - time.monotonic()))
+    end_processes(envs)
 
 
 def end_processes(envs: AsyncVectorEnv) -> None:
@@ -182,17 +295,33 @@ def end_processes(envs: AsyncVectorEnv) -> None:
     envs.closed = True
 
 
-def quiet_worker(*args: Any) -> None:
+def quiet_worker(index: int, make: Any, pipe: Any, parent_pipe: Any, *others: Any) -> None:
     """gymnasium's process of one environment, which leaves Ctrl-C to its parent, ends by itself
-    with it, and prints nothing of either."""
+    with it, and prints nothing of either. Where the environment cannot be made here, the parent
+    gets an OwnCodeError."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in ("SIGTERM", "SIGHUP"):  # the parent's handlers are not the child's
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_DFL)
     try:
-        _async_worker(*args)  # pyright: ignore[reportCallIssue]
+        try:
+            env = make()
+        except OWN_ERRORS as error:
+            parent_pipe.close()
+            pipe.recv()
+            _, errors, *_ = others
+            errors.put((index, OwnCodeError, _with_words(error), ""))
+            pipe.send((None, False))
+            return
+        _async_worker(index, lambda: env, pipe, parent_pipe, *others)
     except BaseException:
         os._exit(1)  # the parent is gone, or knows from the pipe
+
+
+def _with_words(error: BaseException) -> OwnCodeError:
+    told = OwnCodeError(described(error))
+    told.__cause__ = error
+    return told
 
 
 def recorded_info(env: Any) -> dict[str, str]:
@@ -262,10 +391,15 @@ class RecordSteps(VectorWrapper):
 
     def _located(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
         assert self._view is not None
+        if FAILURE in info and all(info[FAILURE]):  # they may have no info to look at
+            return np.zeros((self.num_envs, 2), np.float32)
         try:
             given = self._view.positions(np.asarray(observation, dtype=np.float32), info)
         except KeyError as error:
             raise UserError(f"the view of {self.env} needs info[{error}]") from error
+        except OWN_ERRORS as error:
+            words = f"the view of {self.env} failed: {described(error)}"
+            raise TaskFailure(words) from error
         positions = np.array(given, dtype=np.float32)  # the task may write into its own again
         if positions.shape != (self.num_envs, 2):
             raise UserError(
@@ -283,7 +417,7 @@ class RecordSteps(VectorWrapper):
 class SideBySide(VectorEnv):
     """Vector environments of several tasks that do not reset themselves, one after the other in
     every array. They have observations of one size and actions of one size. The info of a step
-    holds the costs."""
+    holds the costs, and failures."""
 
     def __init__(self, parts: Sequence[RecordSteps], costs: Sequence[str]) -> None:
         self.parts, self._costs = parts, costs
@@ -301,28 +435,40 @@ class SideBySide(VectorEnv):
         """Reset all, with a seed for each environment; or those in `options["reset_mask"]`."""
         if options is None:
             pairs = zip(self.parts, self._split(seed), strict=True)
-            observations = [part.reset(seed=seeds.tolist())[0] for part, seeds in pairs]
+            resets = [part.reset(seed=seeds.tolist()) for part, seeds in pairs]
+            observations, infos = zip(*resets, strict=True)
         else:
+            infos = ()  # of episodes that are over
             observations = []
             masks = self._split(options["reset_mask"])
             for part, mask, last in zip(self.parts, masks, self._split(self._last), strict=True):
                 to_reset = {"reset_mask": mask.copy()}
                 observations.append(part.reset(options=to_reset)[0] if mask.any() else last)
         self._last = np.concatenate(observations)
-        return self._last, {}
+        return self._last, self._failures(infos)
 
     def step(
         self, actions: NDArray
     ) -> tuple[NDArray, NDArray, NDArray, NDArray, dict[str, NDArray]]:
         """Step all; actions: [N, action size]."""
-        results = []
+        results, infos = [], []
         for part, own in zip(self.parts, self._split(actions), strict=True):
             *columns, info = part.step(own)
             require_info(part, info, self._costs)
             results.append((*columns, *(info[name] for name in self._costs)))
+            infos.append(info)
         columns = [np.concatenate(column) for column in zip(*results, strict=True)]
         self._last, reward, terminated, truncated, *costs = columns
-        return self._last, reward, terminated, truncated, dict(zip(self._costs, costs, strict=True))
+        info = dict(zip(self._costs, costs, strict=True)) | self._failures(infos)
+        return self._last, reward, terminated, truncated, info
+
+    def _failures(self, infos: Sequence[dict[str, Any]]) -> dict[str, NDArray[np.object_]]:
+        """The failures in the infos of all parts; {} where there are none."""
+        if not any(FAILURE in info for info in infos):
+            return {}
+        pairs = zip(self.parts, infos, strict=True)
+        each = [info.get(FAILURE, np.full(part.num_envs, None)) for part, info in pairs]
+        return {FAILURE: np.concatenate(each)}
 
     def close(self, **kwargs: Any) -> None:
         """Close all."""

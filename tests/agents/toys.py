@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import sys
 import time
 
 import gymnasium as gym
@@ -39,7 +40,7 @@ class Walk(gym.Env):
 
     Actions in [-2, 2] move x by a tenth of them and some noise; a step with x > 0.5 costs 1. Its
     observations are float64. Bad luck of probability `poison` makes the reward, the cost or the
-    observation NaN.
+    observation NaN, the cost negative, or ends in an error or an exit.
     """
 
     observation_space = Box(-np.inf, np.inf, (2,), np.float64)
@@ -64,7 +65,14 @@ class Walk(gym.Env):
         out = abs(self.x) > 1
         given = {"reward": self.x, "cost": float(self.x > 0.5), "observation": self.observation()}
         if self.np_random.random() < self.poison:
-            given[self.poisons] *= np.nan
+            if self.poisons == "raise":
+                raise FloatingPointError("unstable")
+            if self.poisons == "exit":
+                sys.exit(0)
+            if self.poisons == "negative":
+                given["cost"] = -1.0
+            else:
+                given[self.poisons] *= np.nan
         info = {"cost": float(given["cost"])}
         return given["observation"], float(given["reward"]), out, not out and self.t == 40, info
 
@@ -72,9 +80,9 @@ class Walk(gym.Env):
 class Broken(gym.Env):
     """Episodes of 20 steps; step `at` of each environment, counted over its episodes, goes wrong.
 
-    `how` says in which way: "raise", "die", "hang", "reset" (the reset before that step raises), or
-    the name of what is odd: observation, reward, complex, cost, missing, negative. "init": it
-    cannot be made.
+    `how` says in which way: "raise", "exit", "die", "hang", "reset" (the reset before that step
+    raises), or the name of what is odd: observation, reward, complex, cost, missing, negative.
+    "init": it cannot be made.
     """
 
     observation_space = Box(-1.0, 1.0, (2,))
@@ -98,6 +106,8 @@ class Broken(gym.Env):
         if self.taken >= self.at:
             if self.how == "raise":
                 raise LookupError("motor\nbroken")
+            if self.how == "exit":
+                sys.exit(0)
             if self.how == "die":
                 os._exit(3)
             if self.how == "hang":

@@ -193,6 +193,60 @@ def test_costs_in_arrays_of_one_are_numbers():
         two.step([0, 0])
 
 
+ONES = {
+    "array of one": lambda x: np.array([x]),
+    "0-d array": np.array,
+    "numpy's bool": lambda x: np.bool_(x),
+    "list": lambda x: [x],
+    "float32": np.float32,
+}
+BITS = [[0.0, 1.0, 1.0], [1.0]]
+
+
+class Boxed(gym.Wrapper):
+    """Gives the cost, and where asked all numbers, in a kind of array of one."""
+
+    def __init__(self, kind, all_of_them=False):
+        super().__init__(Scripted(BITS, reset_cost=False))
+        self.kind, self.all = kind, all_of_them
+
+    def step(self, action):
+        observation, _, *ends, info = self.env.step(action)
+        reward = self.kind(1.0) if self.all else 1.0
+        ends = [self.kind(end) if self.all else end for end in ends]
+        return observation, reward, *ends, {"cost": self.kind(info["cost"])}
+
+
+@pytest.mark.parametrize("kind", ONES.values(), ids=ONES)
+def test_one_number_is_one_number_in_any_form(kind):
+    """Of single and vector environments: episodes of 3 and 1 steps."""
+    single, both = RecordCosts(Boxed(kind, all_of_them=True)), [partial(Boxed, kind)] * 2
+    several = RecordCosts(SyncVectorEnv(both, autoreset_mode=SAME))
+    single.reset()
+    several.reset()
+    for step in range(4):
+        if step == 3:
+            single.reset()
+        single.step(0)
+        several.step([0, 0])
+    assert rows(single) == [(0, 0, 3, 2.0, 2), (1, 3, 1, 1.0, 1)]
+    assert single.records.reward.tolist() == [3.0, 1.0]
+    assert several.records.cost.tolist() == [2.0, 2.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("end", [np.nan, "no", None, 2, np.zeros(2)])
+def test_an_end_is_true_or_false(end):
+    class Odd(gym.Wrapper):
+        def step(self, action):
+            return *self.env.step(action)[:2], end, False, {"cost": 1.0}
+
+    for wrapper in (RecordCosts, StreakCost):
+        env = wrapper(Odd(Scripted([[1.0]])))
+        env.reset()
+        with pytest.raises((TypeError, ValueError), match="terminated must be"):
+            env.step(0)
+
+
 def test_what_cannot_be_recorded_is_named():
     step = {"step": lambda self, action: (*self.env.step(action), "a sixth")}
     single, several = (

@@ -1,7 +1,9 @@
 """SIGKILL, full disks and signals at random file operations of every command; failing tasks."""
 
 import errno
+import fcntl
 import os
+import re
 import resource
 import shutil
 import signal
@@ -28,9 +30,10 @@ class Operations:
     Only for processes that end: an audit hook cannot be removed.
     """
 
-    def __init__(self, folder, at=-1, act=lambda file: None, until=None):
-        """act: called at operation `at`, and at all to `until`, by default at that one."""
-        self.folder, self.act, self.count = str(folder), act, 0
+    def __init__(self, folder, at=-1, act=lambda file: None, until=None, reading=False):
+        """act: called at operation `at`, and at all to `until`, by default at that one. reading:
+        count the files that are opened for reading instead of what is written."""
+        self.folder, self.act, self.count, self.reading = str(folder), act, 0, reading
         self.at, self.until = at, at if until is None else until
         self.fsync = os.fsync
 
@@ -45,14 +48,16 @@ class Operations:
     def _audit(self, event, arguments):
         if event not in EVENTS or not str(arguments[0]).startswith(self.folder):
             return
-        if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & WRITING):
+        writes = event != "open" or (isinstance(arguments[2], int) and arguments[2] & WRITING)
+        if bool(writes) == self.reading:
             return
         if event == "os.remove" and self.until > self.at:
             return  # a full disk does not keep files from being removed
         self._next(None)
 
     def _fsync(self, file):
-        self._next(file)
+        if not self.reading:
+            self._next(file)
         self.fsync(file)
 
     def _next(self, file):
@@ -72,16 +77,21 @@ class Scene:
         self._prepare()
         self.before_it = measures(self.folder) if before else {}
 
+        self.operations, self.reads = self._count(), None
+        self.expected, self.measures = results(self.folder), measures(self.folder)
+
+    def _count(self, reading=False):
+        """Operations of the command on the files of its folder."""
+
         def count():
-            with Operations(self.folder) as operations:
-                status = main(args(self.folder))
+            with Operations(self.folder, reading=reading) as operations:
+                status = main(self.args(self.folder))
             print(f"\n{operations.count}")
             return status
 
         done = forked(count)
         assert done.status == 0, done.err
-        self.operations = int(done.out.splitlines()[-1])
-        self.expected, self.measures = results(self.folder), measures(self.folder)
+        return int(done.out.splitlines()[-1])
 
     def _prepare(self):
         if self.before is None:
@@ -100,6 +110,25 @@ class Scene:
 
         done = forked(run)
         return self.after(done, allowed, f"{self.name}, operation {at} of {self.operations}")
+
+    def unread(self, rng, error):
+        """One file that cannot be read this once: that is no damage of it."""
+        self._prepare()
+        if self.reads is None:
+            self.reads = self._count(reading=True)
+            self._prepare()
+        at = rng.randint(1, self.reads)
+
+        def fails(file):
+            raise error
+
+        def run():
+            with Operations(self.folder, at, fails, reading=True):
+                return main(self.args(self.folder))
+
+        done, where = forked(run), f"{self.name}, {error!r} at read {at} of {self.reads}"
+        taken = re.search("damaged|checkpoint before|missing", done.err)
+        return f"{where}: {done.err[-300:]}" if taken else self.after(done, (0, 2), where)
 
     def limited(self, rng):
         """The command where files cannot become longer than some bytes."""
@@ -222,6 +251,45 @@ def try_disks(tally: Tally, found, count, rng):
             tally.note("limit of file sizes", scene.limited(rng))
 
 
+def try_reads(tally: Tally, found, count, rng):
+    """Files that cannot be read at one time, as on a network's disk, or for lack of memory."""
+    numbers = (errno.EIO, errno.ESTALE, errno.EACCES, errno.EMFILE)
+    errors = [*(OSError(number, os.strerror(number)) for number in numbers), MemoryError()]
+    scenes = [scene for scene in found if scene.name in ("resume", "evaluate")]
+    for scene in chosen(scenes, count, rng):
+        tally.note("file not read once", scene.unread(rng, rng.choice(errors)))
+
+
+def try_limits(tally: Tally, root):
+    """A training that leaves more files than a process may open; a file system without locks."""
+    out = root / "limits"
+    short = ["--task-parameters", "max_episode_steps", "2", "--evaluation-episodes", "1"]
+    short += ["--hidden", "8", "--critic-iterations", "2"]
+    command = ["train", "cpo", "--episodes", "1", *short, *SMALL, "1", "--backend", "numpy"]
+    command += ["--out", str(out)]
+
+    def few_handles():
+        hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+        resource.setrlimit(resource.RLIMIT_NOFILE, (64, hard))
+        return main(command)
+
+    problem = forked(few_handles).problem((0,))
+    files = len(list((out / "steps").iterdir()))
+    tally.note("few file handles", problem or ("" if files > 64 else f"{files} files alone"))
+    shutil.rmtree(out)
+
+    def without_locks():
+        def fails(*args):
+            raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+        fcntl.flock = fails
+        return main(command)
+
+    done = forked(without_locks)
+    problem = done.problem((2,)) or ("a folder was left" if out.exists() else "")
+    tally.note("no file locks", problem or ("" if ".lock" in done.err else done.err))
+
+
 def try_signals(tally: Tally, found, count, rng):
     """SIGTERM, SIGINT and SIGHUP at random operations."""
     for scene in chosen(found, count, rng):
@@ -229,26 +297,34 @@ def try_signals(tally: Tally, found, count, rng):
         tally.note("SIGTERM, SIGINT, SIGHUP", scene.fault(rng, act, allowed))
 
 
-HOW = ("observation", "reward", "cost", "raise", "complex", "missing", "negative", "die", "hang")
+HOW = ("observation", "reward", "cost", "raise", "exit", "complex", "missing", "negative")
+ENDS = ("die", "hang")
+"""Failures that end the training; the others end the runs that they happen to."""
 
 
 def try_tasks(tally: Tally, count, rng, root):
-    """Tasks that fail: a traceback, one line, status 1, a whole checkpoint, no process left."""
+    """Tasks that fail: one line, status 1, no process left; a whole checkpoint, or all that was
+    done, which is not begun again."""
     toys.register()
     out = root / "failing"
     for _ in range(count):
-        how, at, apart = rng.choice(HOW), rng.randrange(21, 140), rng.random() < 0.4
+        how, at, apart = rng.choice(HOW + ENDS), rng.randrange(21, 140), rng.random() < 0.4
         shutil.rmtree(out, ignore_errors=True)
         command = ["train", "sac-lag", "--task", "Broken-v0", *SMALL, "20", *SAC]
         command += ["--backend", "numpy", "--task-parameters", "how", how, "at", str(at)]
-        if apart or how in ("die", "hang"):
+        if apart or how in ENDS:
             command += ["--vectorization", "async", "--step-timeout", "1.5"]
         done = forked(lambda it=(*command, "--out", str(out)): main(it))
         told = [line for line in done.err.splitlines() if line.startswith("circle2d: ")]
         problem = "" if (done.status, len(told)) == (1, 1) else f"{done.status}: {done.err[-600:]}"
         newest = max(numbered(out, "checkpoints"), default=0)
-        if not problem and newest != (at - 1) // 20 * 20:  # episodes have 20 steps
+        if not problem and how in ENDS and newest != (at - 1) // 20 * 20:  # episodes have 20 steps
             problem = f"checkpoint at {newest}"
+        if not problem and how not in ENDS:
+            before = results(out)
+            again = forked(lambda: main(["resume", str(out)]))
+            problem = "" if again.status == 1 else f"again: {again.status}: {again.err[-300:]}"
+            problem = problem or difference(results(out), before)
         if not problem and (left := processes(out)):
             problem = f"processes are left: {left}"
         tally.note("failing environments", f"{how} at {at}: {problem}" if problem else "")

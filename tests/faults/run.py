@@ -17,14 +17,22 @@ sys.path[:0] = [str(Path(__file__).parent), str(ROOT / "tests" / "agents"), str(
 from fault_common import Tally  # noqa: E402
 from fault_damage import try_damage  # noqa: E402
 from fault_inputs import try_arrays, try_options  # noqa: E402
-from fault_kills import scenes, try_disks, try_kills, try_signals, try_tasks  # noqa: E402
+from fault_kills import (  # noqa: E402
+    scenes,
+    try_disks,
+    try_kills,
+    try_limits,
+    try_reads,
+    try_signals,
+    try_tasks,
+)
 from small_runs import checkpoints_often  # noqa: E402
 
 
 def main():
     """Run as many faults of each kind as the options say."""
     parser = argparse.ArgumentParser(description=__doc__)
-    counts = {"kills": 800, "compiled": 200, "disks": 150, "signals": 100}
+    counts = {"kills": 800, "compiled": 200, "disks": 150, "signals": 100, "reads": 150}
     counts |= {"damage": 2000, "options": 1500, "arrays": 9000, "environments": 40}
     for name, count in counts.items():
         parser.add_argument(f"--{name}", type=int, default=count)
@@ -36,17 +44,19 @@ def main():
         root = Path(folder)
         (root / "eager").mkdir()
         (root / "compiled").mkdir()
-        if chosen.kills + chosen.disks + chosen.signals + chosen.damage:
+        if chosen.kills + chosen.disks + chosen.signals + chosen.reads + chosen.damage:
             found = scenes(root / "eager")
             try_kills(tally, found, chosen.kills, rng)
             try_disks(tally, found, chosen.disks, rng)
             try_signals(tally, found, chosen.signals, rng)
+            try_reads(tally, found, chosen.reads, rng)
             try_damage(tally, root / "eager" / "whole", chosen.damage, rng, root)
         if chosen.options:
             try_options(tally, chosen.options, rng, root)
         if chosen.arrays:
             try_arrays(tally, chosen.arrays, rng)
         try_tasks(tally, chosen.environments, rng, root)
+        try_limits(tally, root)
         if chosen.compiled:  # last: the process holds compiled code from here on
             compiled = scenes(root / "compiled", "compiled")
             try_kills(tally, compiled, chosen.compiled, rng, " (compiled)")

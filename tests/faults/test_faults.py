@@ -6,7 +6,7 @@ import pytest
 from fault_common import Tally
 from fault_damage import try_damage
 from fault_inputs import try_arrays, try_options
-from fault_kills import scenes, try_disks, try_kills, try_signals
+from fault_kills import scenes, try_disks, try_kills, try_limits, try_reads, try_signals, try_tasks
 from small_runs import checkpoints_often
 
 QUICK = ("train", "resume", "evaluate")
@@ -14,15 +14,19 @@ QUICK = ("train", "resume", "evaluate")
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_few_faults(tmp_path):
-    """A process that is killed, a full disk, a signal, a damaged file, an odd option or array."""
+    """A process that is killed, a full disk, a signal, a file that is damaged or not read once, a
+    task that fails, an odd option or array."""
     rng, tally = random.Random(1), Tally()
     with checkpoints_often():
         found = scenes(tmp_path, names=QUICK)
         try_kills(tally, found, 1, rng)
         try_disks(tally, found, 2, rng)
         try_signals(tally, found, 1, rng)
+        try_reads(tally, found, 4, rng)
+        try_tasks(tally, 3, rng, tmp_path)
+        try_limits(tally, tmp_path)
         try_damage(tally, tmp_path / "whole", 4, rng, tmp_path)
     try_options(tally, 15, rng, tmp_path)
     try_arrays(tally, 200, rng)
-    assert sum(tally.tried.values()) == 223
+    assert sum(tally.tried.values()) == 232
     assert not tally.defects

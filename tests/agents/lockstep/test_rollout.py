@@ -131,11 +131,11 @@ def test_actions_are_kept_as_chosen_and_taken_clipped():
     assert taken == [-1.0, -0.5, 0.5]
 
 
-def test_an_episode_that_never_ends(monkeypatch):
-    monkeypatch.setattr("agents.lockstep.rollout.MAX_STEPS", 6)
-    assert collect(scripted(), [2, 6, 4], lambda observation: observation).length.max() == 6
-    with pytest.raises(TaskFailure, match="has not ended after 6 steps"):
-        collect(scripted(), [2, 7, 4], lambda observation: observation)
+def test_an_episode_that_never_ends():
+    how = {"act": lambda observation: observation, "most_steps": 6}
+    assert collect(scripted(), [2, 6, 4], **how).length.max() == 6
+    with pytest.raises(TaskFailure, match=r"has not ended after 6 steps: .* max_episode_steps"):
+        collect(scripted(), [2, 7, 4], **how)
 
 
 register()

@@ -1,5 +1,7 @@
 """Measures: the tidy frame of them, means, one from outside, and those that runs lack."""
 
+import sys
+
 import numpy as np
 import pytest
 from small_runs import cells, groups_of, lines_of, write_evaluated
@@ -111,9 +113,12 @@ def test_a_mean_of_what_is_not_known_is_not_known():
     assert (found.value, found.low, found.high) == (3.5, None, None)
 
 
-def test_a_measure_that_raises_is_named_and_the_run_is_not_blamed(tmp_path):
+@pytest.mark.parametrize(
+    ("wrong", "error"), [(lambda run: [][0], IndexError), (lambda run: sys.exit(0), SystemExit)]
+)
+def test_a_measure_that_raises_is_named_and_the_run_is_not_blamed(tmp_path, wrong, error):
     write_evaluated(tmp_path / "cpo", "cpo", costs=(4, 4))
-    register(Measure("mine", "mine", "", 2, "lower", lambda run: [][0]))
+    register(Measure("mine", "mine", "", 2, "lower", wrong))
     try:
         with pytest.raises(
             OwnCodeError, match=r"'mine' failed on run .*cpo, Circle2D-1-v0, seed 0"
@@ -121,7 +126,7 @@ def test_a_measure_that_raises_is_named_and_the_run_is_not_blamed(tmp_path):
             report(tmp_path)
     finally:
         unregister("mine")
-    assert isinstance(raised.value.__cause__, IndexError)
+    assert isinstance(raised.value.__cause__, error)
     assert not (tmp_path / "report.csv").exists()
 
 

@@ -2,8 +2,11 @@
 
 import contextlib
 import multiprocessing
+import os
 import pickle
 import re
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -59,18 +62,126 @@ RESETS = "failed in a reset: LookupError: .*" + line(toys.__file__, "door")
     ],
 )
 def test_a_task_that_fails(tmp_path, how, vectorization, words):
-    """The checkpoint before it is there, and training goes on from it."""
+    """Here each run does, in the same step."""
     at = 40 if how == "reset" else 50
     parameters = {"how": how, "at": at}
     more = OPTIONS | SAC | {"task_parameters": parameters, "vectorization": vectorization}
-    with pytest.raises(TaskFailure, match="(?s)^task 'Broken-v0'.*" + words) as raised:
+    words = "(?s)every run of .*x failed; the first .*task 'Broken-v0'.*" + words
+    with pytest.raises(RunsFailed, match=words) as raised:
         agents.train("sac-lag", "Broken-v0", out=tmp_path / "x", **more)
-    if how in ("raise", "reset"):
-        assert type(raised.value.__cause__) is LookupError
+    assert (type(raised.value.__cause__) is LookupError) == (how in ("raise", "reset"))
     assert not multiprocessing.active_children()
-    newest = sorted((tmp_path / "x" / "checkpoints").iterdir())[-1]
-    assert newest.stem == "000000040" if how != "reset" else "000000020"
+
+
+UNSTABLE = "FloatingPointError: unstable"
+EXITS = "SystemExit: 0"
+NEGATIVE = "gives a negative cost: -1 in step"
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "how", "words", "vectorization"),
+    [
+        ("cpo", "raise", UNSTABLE, "sync"),
+        ("sac-lag", "raise", UNSTABLE, "async"),
+        ("cpo", "exit", EXITS, "sync"),
+        ("cpo", "exit", EXITS, "async"),
+        ("cpo", "negative", NEGATIVE, "sync"),
+    ],
+)
+def test_a_run_whose_task_fails_stops_alone(tmp_path, capsys, algorithm, how, words, vectorization):
+    """The others are what they are where nothing fails. It is named, and is not begun again."""
+    more = OPTIONS | (TRPO if algorithm == "cpo" else SAC) | {"seeds": (0, 1, 2, 3), "steps": 160}
+    more["vectorization"] = vectorization
+    healthy = agents.train(algorithm, "Walk-v0", **more).results[0]
+    parameters = {"poison": 0.002, "poisons": how}
+    out = tmp_path / "x"
+    runs = agents.train(algorithm, "Walk-v0", task_parameters=parameters, out=out, **more)
+    assert not multiprocessing.active_children()
+    [group] = runs.results
+    left = [run.seed for run in group.runs]
+    assert 1 <= len(left) < 4
+    assert {*left, *group.missing} == {0, 1, 2, 3}
+    measured = {run.seed: run.measures for run in healthy.runs}
+    assert {run.seed: run.measures for run in group.runs} == {k: measured[k] for k in left}
+    for seed, why in group.missing.items():
+        assert re.match(rf"failed at step \d+: task 'Walk-v0' .*{words}", why)
+        assert agents.load_policy(out, seed).failure == why
+    before = [path.read_bytes() for path in sorted(out.glob("*/*.npz"))]
+    capsys.readouterr()
+    assert main(["resume", str(out)]) == 1
+    assert [path.read_bytes() for path in sorted(out.glob("*/*.npz"))] == before
+    told = capsys.readouterr().err
+    assert len(re.findall(f"(?m)^circle2d: .*seed .*{words}", told)) == len(group.missing)
+    raised = {"raise": 'raise FloatingPointError("unstable")', "exit": "sys.exit(0)"}.get(how)
+    assert raised is None or told.count(raised) == len(group.missing)
+    assert main(["report", str(out)]) == 1
+    assert capsys.readouterr().out.count("left out: x, seed ") == len(group.missing)
+
+
+def test_a_task_that_fails_in_the_evaluation_alone(tmp_path, capsys):
+    """The training is done, and each run's evaluation is named with its traceback."""
+
+    class Late(toys.Walk):
+        late = False
+
+        def step(self, action):
+            if Late.late:
+                sys.exit(0)
+            return super().step(action)
+
+    def end(epoch):
+        Late.late = all(numbers["step"] >= epoch.steps for numbers in epoch.runs.values())
+
+    with toys.registered(Late=Late):
+        out = tmp_path / "x"
+        agents.train("cpo", "Late-v0", out=out, on_epoch=end, **OPTIONS | TRPO)
+        assert main(["resume", str(out)]) == 1
+    told = capsys.readouterr().err
+    assert len(re.findall("seed [01]: its evaluation failed: task 'Late-v0'.*Exit: 0", told)) == 2
+    assert told.count("sys.exit(0)") == 2
+
+
+def exits(*args):
+    """Code of a user's own that ends the program as if all was done."""
+    sys.exit(0)
+
+
+def test_an_exit_in_a_callback(tmp_path):
+    """The epoch is saved, and the training can go on."""
+    with pytest.raises(OwnCodeError, match=r"SystemExit: 0 .*test_failures\.py, line") as raised:
+        agents.train("cpo", "Walk-v0", out=tmp_path / "x", on_epoch=exits, **OPTIONS | TRPO)
+    assert type(raised.value.__cause__) is SystemExit
+    assert len(list((tmp_path / "x" / "checkpoints").iterdir())) == 1
     assert not (tmp_path / "x" / "results.npz").exists()
+
+
+def test_an_exit_in_a_module_or_a_policy(tmp_path, monkeypatch):
+    (tmp_path / "exits.py").write_text("import sys\nsys.exit(0)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["resume", "--import", "exits", str(tmp_path)]) == 1
+    with pytest.raises(OwnCodeError, match="'exits:X-v0': SystemExit"):
+        agents.train("cpo", "exits:X-v0", **OPTIONS)
+    with pytest.raises(OwnCodeError, match="SystemExit: 0"):
+        agents.evaluate(exits, "Walk-v0", episodes=1)
+    with pytest.raises(SystemExit) as shown:
+        main(["resume", "--help"])
+    assert shown.value.code == 0
+
+
+def test_ctrl_c_in_a_task_is_no_failure_of_it(tmp_path):
+    class Stopped(toys.Walk):
+        taken = 0
+
+        def step(self, action):
+            Stopped.taken += 1
+            if Stopped.taken == 30:
+                raise KeyboardInterrupt
+            return super().step(action)
+
+    with toys.registered(Stopped=Stopped):
+        with pytest.raises(KeyboardInterrupt):
+            agents.train("cpo", "Stopped-v0", out=tmp_path / "x", **OPTIONS | TRPO)
+        agents.resume(tmp_path / "x")
 
 
 DIES, HANGS = "a process of its environments ended", "a process did not answer within step_timeout"
@@ -83,6 +194,75 @@ def test_a_process_of_an_environment_that_fails(tmp_path, how, words):
         more["task_parameters"] = {"how": how}
         agents.train("cpo", "Broken-v0", out=tmp_path / "x", **more)
     assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize("algorithm", ["cpo", "sac-lag", "ppo"])
+@pytest.mark.parametrize("name", ["reward", "cost"])
+def test_numbers_beyond_float32_end_their_run_alone(algorithm, name):
+    """As infinite ones do: networks learn in float32."""
+
+    class Huge(toys.Walk):
+        def step(self, action):
+            observation, reward, *ends, info = super().step(action)
+            if self.np_random.random() < 0.005:
+                reward, info = (1e308, info) if name == "reward" else (reward, {"cost": 1e308})
+            return observation, reward, *ends, info
+
+    family = SAC if algorithm == "sac-lag" else TRPO
+    options = {k: v for k, v in family.items() if k != "critic_iterations"}
+    with toys.registered(Huge=Huge):
+        more = OPTIONS | options | {"seeds": range(6), "steps": 80}
+        [group] = agents.train(algorithm, "Huge-v0", **more).results
+    assert 1 <= len(group.missing) < 6
+    words = (rf"failed at step \d+: its {name} is", "its evaluation met a number that is")
+    for why in group.missing.values():
+        assert re.match(f"{'|'.join(words)} not finite", why)
+
+
+def test_a_close_that_hangs_ends_in_time():
+    """As a step would; the process is ended."""
+    here = os.getpid()
+
+    class Hangs(toys.Walk):
+        def close(self):
+            if os.getpid() != here:
+                time.sleep(60)
+
+    with toys.registered(Hangs=Hangs):
+        for step in (False, True):
+            envs = make_envs("Hangs-v0", 2, {}, "async", step_timeout=0.5)
+            envs.reset(seed=[1, 2])
+            if step:
+                envs.step(np.zeros((2, 1), np.float32))
+            began = time.monotonic()
+            envs.close()
+            assert time.monotonic() - began < 10
+            assert not multiprocessing.active_children()
+
+
+def test_a_task_that_cannot_be_made_in_its_process():
+    """In this one it can. The user's own line is told."""
+    here = os.getpid()
+
+    class Apart(toys.Walk):
+        def __init__(self):
+            if os.getpid() != here:
+                raise LookupError("no second one")
+
+    with toys.registered(Apart=Apart):
+        words = r"cannot make task 'Apart-v0': LookupError: no second one \(.*failures.py, line \d+"
+        with pytest.raises(OwnCodeError, match=words) as raised:
+            make_envs("Apart-v0", 2, {}, "async")
+    assert type(raised.value.__cause__) is LookupError
+    assert not multiprocessing.active_children()
+
+
+def test_an_exit_in_a_vector_environment_ends_the_training(monkeypatch):
+    envs = make_envs("Circle2D-1-v0", 2, {}, alone=True)
+    monkeypatch.setattr(type(envs.unwrapped), "step", exits)
+    envs.reset(seed=[1, 2])
+    with pytest.raises(TaskFailure, match=r"'Circle2D-1-v0' failed in step 1 .*SystemExit: 0"):
+        envs.step(np.zeros((2, 2), np.float32))
 
 
 @pytest.mark.parametrize("vectorization", ["auto", "async"])
@@ -132,14 +312,22 @@ def test_arrays_of_other_shapes_from_a_vector_environment():
         envs.step(np.zeros((3, 1), np.float32))
 
 
-@pytest.mark.parametrize(("wrong", "does"), [("learn", "learns"), ("act", "acts")])
-def test_an_algorithm_that_fails(tmp_path, wrong, does):
+@pytest.mark.parametrize(
+    ("wrong", "does", "words"),
+    [
+        ("learn", "learns", "nothing to learn from"),
+        ("act", "acts", "nothing to act by"),
+        ("exit", "learns", "sys.exit"),
+    ],
+)
+def test_an_algorithm_that_fails(tmp_path, wrong, does, words):
     with known():
-        source = line(toy_family.__file__, "nothing to " + wrong.replace("learn", "learn from"))
-        words = rf"'toy' failed at step \d+ where it {does}: ZeroDivisionError: .*{source}"
+        source = line(toy_family.__file__, words)
+        error = SystemExit if wrong == "exit" else ZeroDivisionError
+        words = rf"'toy' failed at step \d+ where it {does}: {error.__name__}: .*{source}"
         with pytest.raises(OwnCodeError, match=words) as raised:
             agents.train("toy", "Walk-v0", wrong=wrong, out=tmp_path / "x", **OPTIONS)
-        assert type(raised.value.__cause__) is ZeroDivisionError
+        assert type(raised.value.__cause__) is error
         with pytest.raises(OwnCodeError):
             agents.resume(tmp_path / "x")
 

@@ -1,17 +1,24 @@
 """Files of runs, whole or not at all; the lock of a folder; configurations."""
 
+import builtins
 import dataclasses
+import errno
+import io
 import json
 import multiprocessing
 import os
 import subprocess
 import sys
+import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 from small_runs import TRPO, results
+from toys import Walk, registered
 
 import agents
+from agents.cli.main import main
 from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.training import files
@@ -73,6 +80,70 @@ def test_every_flipped_bit_is_found_or_changes_nothing(tmp_path):
             np.testing.assert_array_equal(found[name], array)
 
 
+@pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE, errno.EACCES, errno.EMFILE])
+def test_an_error_that_passes_is_no_damage(tmp_path, monkeypatch, capsys, number):
+    """Nothing is deleted, and the next resume goes on as if nothing had been."""
+    more = TRPO | {"seeds": 0, "steps": 400, "checkpoint_every": 100}
+    agents.train("cpo", TASK, out=tmp_path / "whole", **more)
+    stops = more | {"on_epoch": lambda epoch: epoch.runs[0]["step"] < 250}
+    agents.train("cpo", TASK, out=tmp_path / "x", **stops)
+    before = results(tmp_path / "x")
+    checkpoint = max((tmp_path / "x" / "checkpoints").iterdir())
+    for path in (checkpoint, max((tmp_path / "x" / "steps").iterdir()), tmp_path / "x/config.json"):
+        with monkeypatch.context() as patch:
+            failing_reads(patch, path, OSError(number, os.strerror(number), str(path)))
+            with pytest.raises(OSError, match=os.strerror(number)):
+                agents.resume(tmp_path / "x")
+            assert main(["resume", str(tmp_path / "x")]) == 2
+        assert results(tmp_path / "x") == before
+    with monkeypatch.context() as patch:
+        failing_reads(patch, checkpoint, MemoryError())
+        with pytest.raises(MemoryError):
+            agents.resume(tmp_path / "x")
+        capsys.readouterr()
+        assert main(["resume", str(tmp_path / "x")]) == 2
+        assert capsys.readouterr().err == "circle2d: out of memory\n"
+    agents.resume(tmp_path / "x")
+    assert results(tmp_path / "x") == results(tmp_path / "whole")
+
+
+def failing_reads(patch, path, error):
+    """Reading a file raises an error."""
+    usual = io.open
+
+    def opens(file, *args, **kwargs):
+        if isinstance(file, (str, os.PathLike)) and os.fspath(file) == str(path):
+            raise error
+        return usual(file, *args, **kwargs)
+
+    for place in (io, builtins):
+        patch.setattr(place, "open", opens)
+
+
+def test_a_header_that_asks_for_too_much_is_damage(tmp_path):
+    """With a checksum of its own, so that only the size tells it from a lack of memory."""
+    content = io.BytesIO()
+    header = {"descr": "<f8", "fortran_order": False, "shape": (2**40,)}
+    np.lib.format.write_array_header_1_0(content, header)
+    with zipfile.ZipFile(tmp_path / "x.npz", "w") as archive:
+        archive.writestr("a.npy", content.getvalue() + bytes(80))
+    with pytest.raises(UserError, match=r"x\.npz is damaged: a\.npy holds 80 bytes"):
+        _ = Arrays(tmp_path / "x.npz")["a"]
+
+
+def test_one_file_is_open_at_a_time(tmp_path):
+    """A training may leave more files than a process may open."""
+    for k in range(5):
+        write_arrays(tmp_path / f"{k}.npz", {"a": np.array([k]), "b": np.zeros(3)})
+    handles = Path("/proc/self/fd")
+    if not handles.exists():
+        pytest.skip("no /proc")
+    before = len(list(handles.iterdir()))
+    several = [Arrays(tmp_path / f"{k}.npz") for k in range(5)]
+    assert [int(arrays["a"][0]) for arrays in several] == [0, 1, 2, 3, 4]
+    assert len(list(handles.iterdir())) == before
+
+
 def test_damaged_json_is_named(tmp_path):
     path = tmp_path / "x.json"
     for text in ("[" * 100_000, '{"a":' * 100_000, "\x00", "12", '"x"', "true", "{", "\udcff"):
@@ -116,6 +187,38 @@ def test_a_lock_with_and_without_fcntl(tmp_path, how):
     third, held = hold(tmp_path, how)
     assert held
     assert third.communicate("done\n") == ("", "")
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks(tmp_path, monkeypatch, number):
+    def fails(*args):
+        raise OSError(number, os.strerror(number))
+
+    fcntl = pytest.importorskip("fcntl")
+    monkeypatch.setattr(fcntl, "flock", fails)
+    with pytest.raises(UserError, match=r"x/\.lock cannot be locked.* NFS.*local disk"):
+        agents.train("cpo", TASK, out=tmp_path / "x", **TRPO | {"seeds": 0, "steps": 50})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_task_that_changes_the_current_folder(tmp_path, monkeypatch):
+    """Folders given relative to it stay where they were."""
+    (tmp_path / "other").mkdir()
+
+    class Elsewhere(Walk):
+        def __init__(self):
+            super().__init__()
+            os.chdir(tmp_path / "other")
+
+    monkeypatch.chdir(tmp_path)
+    more = ["--seeds", "0", "--steps", "50", "--backend", "numpy", "--hidden", "8"]
+    with registered(Elsewhere=Elsewhere):
+        assert main(["train", "cpo", "--task", "Elsewhere-v0", "--out", "x", *more]) == 0
+        for command in (["resume", "x"], ["evaluate", "x", "--episodes", "1"]):
+            os.chdir(tmp_path)
+            assert main(command) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"x", "other"}
+    assert not list((tmp_path / "other").iterdir())
 
 
 def test_a_folder_that_is_being_trained_is_said_to_be(tmp_path):

@@ -53,6 +53,20 @@ def test_so_many_at_a_time_and_one_that_fails_stops_no_other():
     assert changes
 
 
+def test_a_process_that_ends_before_its_training_is_no_success(tmp_path, monkeypatch):
+    """With status 0, as after `sys.exit` in somebody's code."""
+    folder = made(tmp_path / "x")
+
+    def ends(folder, imports):
+        return subprocess.Popen([sys.executable, "-c", ""], stdin=subprocess.PIPE)
+
+    monkeypatch.setattr(module, "start", ends)
+    with launcher(count=1) as trainings:
+        trainings.submit(folder)
+        trainings.wait(every=0.05)
+        assert "ended before the training did" in trainings.failed[folder]
+
+
 def test_leaving_ends_those_that_run_and_starts_no_other():
     started = []
 

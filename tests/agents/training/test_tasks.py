@@ -1,17 +1,28 @@
 """Other people's tasks: their action bounds, and costs that gymnasium would change on the way."""
 
+from dataclasses import replace
+from fractions import Fraction
+from types import SimpleNamespace
+
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from small_runs import steps_of
-from toys import registered
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_runs import TRPO, steps_of
+from torch import nn
+from toys import Walk, registered
 
 import agents
-from agents.errors import UserError
-from agents.training.environments import make_envs, spaces_of, task_id
+from agents.errors import TaskFailure, UserError
+from agents.lockstep.rollout import collect
+from agents.training.config import RunId, TrainConfig
+from agents.training.environments import checked_spaces, make_envs, spaces_of, task_id
+from agents.training.policy import Policy, _Bounded
 
 
 class Other(gym.Env):
@@ -43,6 +54,50 @@ def test_actions_are_rescaled_and_costs_stay_what_they_are():
     costs = envs.step(np.array([[-1.0], [0.5]], np.float32))[4]["cost"]
     np.testing.assert_allclose(costs, [0.0, 0.3])  # actions 0 and 3
     np.testing.assert_allclose(envs.unwrapped.envs[1].unwrapped.seen, [3.0, 3.0])
+
+
+SIDES = st.floats(-(2.0**99), 2.0**99, width=32, allow_subnormal=False)
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(SIDES, SIDES).filter(lambda b: b[0] != b[1]), min_size=1, max_size=4))
+def test_every_action_lies_within_the_bounds(bounds):
+    """Of float32, be they as unequal as they may: at the ends, beyond them and between. Training
+    and the policy that plays alone send the same."""
+    low, high = np.sort(np.array(bounds, np.float32), axis=1).T
+    space = Box(low, high)
+    shares = np.array([-1.0, 1.0, 0.0, -0.3, 1 / 3, np.nextafter(1, 0), -7.0, 7.0], np.float32)
+    given = np.repeat(shares[:, None], len(low), axis=1)
+    of_task = type("Bounded", (Other,), {"action_space": space, "step": lambda self, a: a})
+    with registered(Bounded=of_task):
+        envs = make_envs("Bounded-v0", len(given), {})
+    sent = envs.actions(np.clip(given, -1, 1))
+    assert all(space.contains(action) for action in sent)
+    np.testing.assert_array_equal(sent[:2], [low, high])
+    exact = [(Fraction(float(a)) + Fraction(float(b))) / 2 for a, b in zip(low, high, strict=True)]
+    np.testing.assert_allclose(sent[2], np.array(exact, np.float32), rtol=1e-6)
+    spaces = checked_spaces("Bounded-v0", Other.observation_space, space)
+    np.testing.assert_array_equal(policy_of(spaces, given)(np.zeros((len(given), 3))), sent)
+    module = _Bounded(nn.Identity(), low, high)
+    assert all(space.contains(action.numpy()) for action in module(torch.tensor(given)))
+
+
+def policy_of(spaces, actions):
+    """A policy whose network gives these actions."""
+    learner = SimpleNamespace(policy=lambda: lambda observation, noise: actions[None])
+    config = SimpleNamespace(task_parameters={})
+    return Policy(config, RunId("Bounded-v0", 0), None, "", spaces, learner)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float64])
+@pytest.mark.parametrize("high", [1.0, 3.0])
+def test_actions_have_the_type_of_the_space(dtype, high):
+    space = Box(-1.0, high, (1,), dtype)
+    with registered(Typed=type("Typed", (Other,), {"action_space": space})):
+        envs = make_envs("Typed-v0", 1, {})
+    [sent] = envs.actions(np.ones((1, 1), np.float32))
+    assert space.contains(sent)
+    assert sent == high
 
 
 @pytest.mark.parametrize(("low", "high"), [(-np.inf, np.inf), (1.0, 1.0)])
@@ -95,6 +150,105 @@ class InPlace(VectorEnv):
         self.reward[:], self.cost[:] = self.seen[:, 0], self.seen[:, 0] % 2
         self.over[1] = self.seen[:, 0] == 5
         return self.seen, self.reward, *self.over, {"cost": self.cost}
+
+
+KINDS = {
+    "array of one": lambda x: np.array([x]),
+    "0-d array": np.array,
+    "list": lambda x: [x],
+    "numpy": lambda x: np.bool_(x) if x in (0, 1) else np.float64(x),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_one_number_is_one_number_in_any_form(kind):
+    """The training is the same where rewards, costs and ends come in other forms."""
+
+    class Boxed(Walk):
+        def step(self, action):
+            observation, *numbers, info = super().step(action)
+            return observation, *map(kind, numbers), {"cost": kind(info["cost"])}
+
+    more = TRPO | {"seeds": 0, "steps": 120}
+    found = []
+    for task, vectorization in ((Walk, "sync"), (Boxed, "sync"), (Boxed, "async")):
+        with registered(Boxed=task):
+            runs = agents.train("cpo", "Boxed-v0", vectorization=vectorization, **more)
+            found.append(runs.results[0].runs[0].measures)
+    assert found[1:] == found[:1] * 2
+
+
+@pytest.mark.parametrize("end", [np.nan, "no", None, 2])
+def test_an_end_is_true_or_false(end):
+    class Odd(Walk):
+        def step(self, action):
+            observation, reward, _, *others = super().step(action)
+            return observation, reward, end, *others
+
+    with registered(Odd=Odd), pytest.raises(UserError, match="neither True nor False"):
+        agents.train("cpo", "Odd-v0", **TRPO)
+
+
+class Endless(Walk):
+    """A walk that nothing ends."""
+
+    def step(self, action):
+        observation, reward, _, _, info = super().step(action)
+        return observation, reward, False, False, info
+
+
+def test_a_task_without_a_time_limit_is_told_how_to_get_one():
+    """After 10 000 steps, in training and in the evaluation of a policy."""
+    with registered(Endless=Endless):
+        words = "not ended after 10000 steps: .*--task-parameters max_episode_steps"
+        with pytest.raises(TaskFailure, match=words):
+            agents.train("cpo", "Endless-v0", **TRPO | {"episodes": 1})
+        with pytest.raises(TaskFailure, match=words):
+            agents.evaluate(lambda seen: np.zeros(1, np.float32), "Endless-v0", episodes=1)
+        more = {"steps": 10, "seeds": 0, "task_parameters": {"max_episode_steps": 10}}
+        runs = agents.train("cpo", "Endless-v0", **TRPO | {"episodes": 1} | more)
+        assert runs.records[runs.folder, 0].length.tolist() == [10]
+        limit = {"max_episode_steps": 10_020}  # as many as the user wants
+        still = agents.evaluate(lambda seen: np.zeros(1), "Endless-v0", 1, task_parameters=limit)
+        assert still.lengths == 10_020
+        assert replace(TrainConfig.read(runs.folder), task_parameters=limit).most_steps == 10_020
+
+
+class Pieces(Walk):
+    """A walk whose observation is in pieces."""
+
+    observation_space = gym.spaces.Dict({"x": Box(-9, 9, (1,)), "t": Box(0, 1, (1,))})
+
+    def observation(self):
+        return {"x": np.array([self.x], np.float32), "t": np.array([self.t / 40], np.float32)}
+
+
+def test_other_spaces_are_told_what_makes_them_flat():
+    flat = {"Flat": lambda: gym.wrappers.FlattenObservation(Pieces())}
+    with registered(Pieces=Pieces, **flat):
+        with pytest.raises(UserError, match=r"FlattenObservation.*emcc\.RecordCosts"):
+            agents.train("cpo", "Pieces-v0", **TRPO)
+        agents.train("cpo", "Flat-v0", **TRPO | {"steps": 50, "seeds": 0})
+
+
+class Single(InPlace):
+    """Rewards and costs of .1 in float32, 50 000 steps an episode."""
+
+    def step(self, actions):
+        super().step(actions)
+        self.over[1] = self.seen[:, 0] == 50_000
+        tenths = np.full(self.num_envs, 0.1, np.float32)
+        return self.seen, tenths, *self.over, {"cost": tenths}
+
+
+def test_sums_of_float32_are_taken_in_float64():
+    """In float32 the sum would be 5002.5."""
+    exact = 50_000 * float(np.float32(0.1))
+    act = lambda seen: np.zeros((2, 1), np.float32)  # noqa: E731
+    rollout = collect(Single(2), [0, 1], act, most_steps=50_000)
+    assert rollout.reward.dtype == rollout.cost.dtype == np.float64
+    np.testing.assert_allclose(rollout.returns, exact, rtol=1e-10)
+    np.testing.assert_allclose(rollout.cost_returns, exact, rtol=1e-10)
 
 
 def test_a_vector_environment_that_writes_into_its_arrays_again():
