@@ -19,6 +19,7 @@ from torch import Tensor
 from agents.checks import In
 from agents.lockstep import kernel, lagrange, tree
 from agents.lockstep.backend import tensor
+from agents.lockstep.kernel import Float
 from agents.lockstep.lagrange import Multiplier
 from agents.lockstep.nets import Moments, adam_in_place, no_moments
 from agents.on_policy.epoch import (
@@ -131,11 +132,11 @@ class Objective(NamedTuple):
 class Slopes(NamedTuple):
     """The gradient of a loss in what the actor says of a minibatch."""
 
-    mean: NDArray[np.float32]
+    mean: Float
     """[R, B, A]"""
-    log_std: NDArray[np.float32]
+    log_std: Float
     """[R, A]"""
-    outside: NDArray[np.float32]
+    outside: Float
     """[R]: share of steps that have no part in it"""
 
 
@@ -158,8 +159,9 @@ def slopes(config: Any, surrogate: Surrogate, policy: Gaussian, batch: Minibatch
         mean, log_std = (part.detach().requires_grad_() for part in policy[:2])
         policy = Gaussian(mean, log_std, log_std.exp())
         raised, outside = surrogate_at(config, surrogate, policy, batch)
-    zeros = {"allow_unused": True, "materialize_grads": True}
-    in_mean, in_log_std = torch.autograd.grad(-raised.sum(), (mean, log_std), **zeros)
+    in_mean, in_log_std = torch.autograd.grad(
+        -raised.sum(), (mean, log_std), allow_unused=True, materialize_grads=True
+    )
     return Slopes(in_mean.numpy(), in_log_std[:, 0].numpy(), outside.detach().numpy())
 
 

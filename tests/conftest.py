@@ -1,7 +1,6 @@
 """Settings and fixtures of all tests."""
 
 import importlib
-import os
 import shutil
 import sys
 from pathlib import Path
@@ -13,9 +12,6 @@ from hypothesis import settings
 # The same examples each time, however slow the machine: a failure can be seen again.
 settings.register_profile("suite", deadline=None, derandomize=True)
 settings.load_profile("suite")
-
-# Compiling takes longer than most tests; those of compiled code take it back.
-os.environ.setdefault("TORCH_COMPILE_DISABLE", "1")
 
 
 @pytest.fixture(scope="session")

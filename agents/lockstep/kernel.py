@@ -34,9 +34,15 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 class Shape(Protocol):
     """What the functions here need to know of a network."""
 
-    widths: tuple[int, ...]
-    """Of inputs, hidden layers, filled to a multiple of 32, and outputs."""
-    activation: Activation
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Of inputs, hidden layers, filled to a multiple of 32, and outputs."""
+        ...
+
+    @property
+    def activation(self) -> Activation:
+        """Behind the hidden layers."""
+        ...
 
 
 class Kernel(Protocol):
@@ -149,7 +155,7 @@ def _silu(z: Float) -> tuple[Float, Float]:
     return z * s, s * (1 + z * (1 - s))
 
 
-_ACTIVATIONS: dict[str, Callable[[Float], tuple[Float, Float]]] = {
+_ACTIVATIONS: dict[Activation, Callable[[Float], tuple[Float, Float]]] = {
     "tanh": _tanh,
     "relu": _relu,
     "silu": _silu,
@@ -304,7 +310,7 @@ def error_of(kernel: Kernel) -> float:
     return worst
 
 
-def _results(kernel: Kernel, net: Shape, given: list[Float]) -> list[Float]:
+def _results(kernel: Kernel, net: Shape, given: Sequence[Float]) -> list[Float]:
     """What all functions of a kernel return."""
     params, x, dy, v = given
     y, tape = kernel.forward(net, params, x, 2)

@@ -32,13 +32,13 @@ def select(mask: Tensor, new: Any, old: Any) -> Any:
     return _like(new, (select(mask, a, b) for a, b in zip(new, old, strict=True)))
 
 
-def copy(tree: Tree) -> Tree:
+def copy(tree: Any) -> Any:
     """The tree with tensors of its own."""
     if tree is None:
         return tree
     if isinstance(tree, Tensor):
         return tree.clone(memory_format=torch.contiguous_format)
-    return _like(tree, map(copy, tree))  # pyright: ignore
+    return _like(tree, map(copy, tree))
 
 
 def finite(tree: Any) -> NDArray[np.bool_]:

@@ -79,9 +79,7 @@ class Replay:
         parts = (part.contiguous() for part in rows.split(self._widths, dim=-1))
         observation, action, reward, cost, next_observation, *ends = parts
         terminal, cost_terminal = (end[..., 0] for end in ends)
-        # A clone, not `contiguous`: with one cost that would keep strides of its own, and one run
-        # beside its copy would be compiled anew, to other last bits.
-        cost = cost.transpose(1, 2).clone(memory_format=torch.contiguous_format)
+        cost = cost.transpose(1, 2).contiguous()
         return Batch(
             observation, action, reward[..., 0], cost, next_observation, terminal, cost_terminal
         )

@@ -22,6 +22,7 @@ from agents.checks import In
 from agents.errors import UserError
 from agents.lockstep import kernel, lagrange, tree
 from agents.lockstep.backend import tensor
+from agents.lockstep.kernel import Float
 from agents.lockstep.lagrange import Multiplier, MultiplierConfig, MultiplierState, State
 from agents.lockstep.nets import (
     LANES,
@@ -343,16 +344,14 @@ def risks(config: Any, rule: CostRule, values: Tensor) -> Tensor:
 class Critics(NamedTuple):
     """What all critics say of some rows, and what their gradients need."""
 
-    seen: NDArray[np.float32]
+    seen: Float
     """[R, B, critic inputs + A]"""
     tape: Any
     values: Tensor
     """[R, 2 + 2·C, B]"""
 
 
-def critics_at(
-    nets: Nets, critics: Tensor, observation: Tensor, action: NDArray[np.float32]
-) -> Critics:
+def critics_at(nets: Nets, critics: Tensor, observation: Tensor, action: Float) -> Critics:
     """All critics [R, 2 + 2·C, size] at observations [R, B, critic inputs] and actions
     [R, B, A]."""
     runs, count, size = critics.shape
@@ -362,7 +361,7 @@ def critics_at(
     return Critics(seen, tape, tensor(found.reshape(runs, count, -1)))
 
 
-def pulled(nets: Nets, critics: Tensor, at: Critics, slope: NDArray, of: str) -> NDArray:
+def pulled(nets: Nets, critics: Tensor, at: Critics, slope: Float, of: str) -> Float:
     """The gradient of a loss in the critics' parameters, [R, 2 + 2·C, size] (of "p"), or in the
     actions, [R, B, A] (of "x"); slope: in their values, [R, 2 + 2·C, B]."""
     runs, count, size = critics.shape
@@ -384,9 +383,9 @@ def critic_slope(
     rule: CostRule,
     found: Tensor,
     batch: Batch,
-    reward_target: NDArray[np.float32],
+    reward_target: Float,
     following: Tensor,
-) -> tuple[NDArray[np.float32], dict[str, Tensor]]:
+) -> tuple[Float, dict[str, Tensor]]:
     """The gradient in the critics' values [R, 2 + 2·C, B] of half the mean squared error of each
     reward critic and the rule's loss of the cost critics, and both parts [R].
 
@@ -410,7 +409,7 @@ def critic_slope(
 
 def actor_slope(
     config: Any, rule: CostRule, found: Tensor, multipliers: Tensor
-) -> tuple[NDArray[np.float32], Tensor, Tensor]:
+) -> tuple[Float, Tensor, Tensor]:
     """The gradient of `E[-min Q + penalty(risk)]` in the critics' values [R, 2 + 2·C, B], that mean
     without its gradient [R], and the risks [R, C, B]; multipliers: [R, M]."""
     with torch.enable_grad():
@@ -425,18 +424,16 @@ def actor_slope(
 class Sampled(NamedTuple):
     """`sample` in numpy, with what its gradient needs."""
 
-    action: NDArray[np.float32]
+    action: Float
     """[R, B, A]"""
-    log_prob: NDArray[np.float32]
+    log_prob: Float
     """[R, B]"""
-    outputs: NDArray[np.float32]
+    outputs: Float
     """Of the policy net, [R, B, 2·A]"""
-    spread: NDArray[np.float32]
+    spread: Float
     """`σ·noise`, [R, B, A]"""
 
-    def slope(
-        self, of_action: NDArray[np.float32], of_log_prob: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+    def slope(self, of_action: Float, of_log_prob: Float) -> Float:
         """The gradient of a loss in the outputs, from those in action [R, B, A] and
         log-probability [R, B, 1].
 
@@ -452,7 +449,7 @@ class Sampled(NamedTuple):
 LOG_2, LOG_2_PI = math.log(2.0), math.log(2.0 * math.pi)
 
 
-def sampled(outputs: NDArray[np.float32], noise: NDArray[np.float32]) -> Sampled:
+def sampled(outputs: Float, noise: Float) -> Sampled:
     """See `sample`; outputs: [R, B, 2·A]; noise: [R, B, A]."""
     half = outputs.shape[-1] // 2
     log_std = np.minimum(np.maximum(outputs[..., half:], LOG_STD[0]), LOG_STD[1])
@@ -471,7 +468,7 @@ def actor_gradient(
     observation: Tensor,
     noise: Tensor,
     multipliers: Tensor,
-) -> tuple[NDArray[np.float32], Tensor, Tensor, NDArray[np.float32]]:
+) -> tuple[Float, Tensor, Tensor, Float]:
     """The gradient of `E[α log π - min Q + penalty(risk)]` in the actors [R, actor size], over
     actions drawn anew with that noise [R, B, A]; the loss [R], risks [R, C, B], log π [R, B]."""
     actor, alpha = state.actor.numpy(), state.log_temperature.exp()[:, :1]

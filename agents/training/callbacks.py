@@ -142,7 +142,7 @@ class Meter:
     """Measures a training after each of its epochs.
 
     The first epoch of a process is not counted in its speed, since it pays for what is done only
-    once, nor is the time in which the compiler works.
+    once.
     """
 
     def __init__(self, steps: int) -> None:

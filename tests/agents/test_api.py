@@ -290,7 +290,7 @@ def test_the_runs_are_those_of_the_command(runs, tmp_path, capsys):
         ({"steps": 0}, "steps must be at least 1"),
         ({"task_parameters": {"level": 3}}, "level is part of the task's id"),
         ({"vectorization": "threads"}, "vectorization must be auto or sync or async"),
-        ({"backend": "fast"}, "backend must be compiled or eager"),
+        ({"backend": "fast"}, r"backend must be c\+\+ or numpy"),
         ({"step_timeout": 1e-9}, "step_timeout is for processes: .* async, got auto"),
         ({"task_parameters": [1]}, r"task_parameters must be values by name, got \[1\]"),
         ({"task_parameters": {"a": {0: 1.0}}}, "keys in task_parameters must be strings, got 0"),

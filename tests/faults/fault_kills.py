@@ -173,16 +173,15 @@ def measures(folder):
     return {run.seed: run.measures for group in groups for run in group.runs}
 
 
-def scenes(root, backend="numpy", names=()):
-    """Every command that writes, but for reproduce. names: some of them; by default all, with
-    compiled updates those that train."""
-    options = [*SMALL, "50", "--backend", backend]
+def scenes(root, names=()):
+    """Every command that writes, but for reproduce. names: some of them; by default all."""
+    options = [*SMALL, "50"]
     whole, stopped = root / "whole", root / "stopped"
     sac = ["train", "sac-lag", "--evaluate-every", "100", *SAC, *options]
     cpo = ["train", "cpo", "--episodes", "1", *options]
     assert here([*sac, "--out", str(whole)]).status == 0
     settings = {"random_steps": 50, "gradient_steps": 1, "batch_size": 32, "evaluate_every": 100}
-    settings |= {"seeds": (0, 1), "steps": 150, "checkpoint_every": 50, "backend": backend}
+    settings |= {"seeds": (0, 1), "steps": 150, "checkpoint_every": 50}
     stop = {"on_epoch": lambda epoch: epoch.runs[0]["step"] < 100, "out": stopped}
     agents.train("sac-lag", **settings, **stop)
 
@@ -202,8 +201,7 @@ def scenes(root, backend="numpy", names=()):
         "film": (whole, film, film),
         "report": (whole, packed, packed),
     }
-    names = names or (found if backend == "eager" else ("train", "train cpo", "resume"))
-    return [Scene(name, root, *found[name]) for name in names]
+    return [Scene(name, root, *found[name]) for name in names or found]
 
 
 def kill_of(rng):

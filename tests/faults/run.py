@@ -32,7 +32,7 @@ from small_runs import checkpoints_often  # noqa: E402
 def main():
     """Run as many faults of each kind as the options say."""
     parser = argparse.ArgumentParser(description=__doc__)
-    counts = {"kills": 800, "compiled": 200, "disks": 150, "signals": 100, "reads": 150}
+    counts = {"kills": 1000, "disks": 150, "signals": 100, "reads": 150}
     counts |= {"damage": 2000, "options": 1500, "arrays": 9000, "environments": 40}
     for name, count in counts.items():
         parser.add_argument(f"--{name}", type=int, default=count)
@@ -42,24 +42,19 @@ def main():
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as folder, checkpoints_often():
         root = Path(folder)
-        (root / "eager").mkdir()
-        (root / "compiled").mkdir()
         if chosen.kills + chosen.disks + chosen.signals + chosen.reads + chosen.damage:
-            found = scenes(root / "eager")
+            found = scenes(root)
             try_kills(tally, found, chosen.kills, rng)
             try_disks(tally, found, chosen.disks, rng)
             try_signals(tally, found, chosen.signals, rng)
             try_reads(tally, found, chosen.reads, rng)
-            try_damage(tally, root / "eager" / "whole", chosen.damage, rng, root)
+            try_damage(tally, root / "whole", chosen.damage, rng, root)
         if chosen.options:
             try_options(tally, chosen.options, rng, root)
         if chosen.arrays:
             try_arrays(tally, chosen.arrays, rng)
         try_tasks(tally, chosen.environments, rng, root)
         try_limits(tally, root)
-        if chosen.compiled:  # last: the process holds compiled code from here on
-            compiled = scenes(root / "compiled", "compiled")
-            try_kills(tally, compiled, chosen.compiled, rng, " (compiled)")
     print(tally.table())
     print(f"{time.monotonic() - started:.0f} s")
     return int(bool(tally.defects))

@@ -50,7 +50,7 @@ def mistake(arguments, capsys):
         ([*TO, "--hidden", "60000", "60000"], "hidden need about [0-9.,]+ GB of memory"),
         ([*TO, "--replay-size", "1e10", "--steps", "1e10"], "replay_size .* GB .* for 2 runs"),
         ([*TO, "--replay-size", "1e12"], "replay_size 1000000000000 cannot be allocated"),
-        ([*TO, "--backend", "compiled"], "TORCH_COMPILE_DISABLE"),
+        ([*TO, "--backend", "compiled"], "--backend"),
         ([*TO, "--task", "Circle2D-9"], "did you mean 'Circle2D-\\d-v0'"),
         ([*TO, "--task", "\x1b[31mred"], r"\\x1b\[31mred"),
         ([*TO, "--task", "CartPole-v1"], "action space.*flat Box.*continuous.*RecordCosts"),
