@@ -81,25 +81,30 @@ static Vector hyperbolic(Vector x) {
 
 enum Activation { TANH, RELU, SILU };
 
-// The activation of `count` numbers in place, and its slope there; count is a multiple of 16.
+// The activation of `count` numbers in place, and of silu its slope there, which the values do not
+// tell; count is a multiple of 16.
 static void activate(int kind, float *x, float *slope, int64_t count) {
   const Vector one = all(1.0f), zero = all(0.0f);
   for (int64_t i = 0; i < count; i += LANES) {
-    Vector z = *(Vector *)(x + i), y, d;
-    if (kind == TANH) {
-      y = hyperbolic(z);
-      d = one - y * y;
-    } else if (kind == RELU) {
-      y = z < zero ? zero : z; // NaN stays
-      d = z > zero ? one : zero;
-    } else {
+    const Vector z = *(Vector *)(x + i);
+    if (kind == TANH)
+      *(Vector *)(x + i) = hyperbolic(z);
+    else if (kind == RELU)
+      *(Vector *)(x + i) = z < zero ? zero : z; // NaN stays
+    else {
       const Vector s = 0.5f * hyperbolic(0.5f * z) + 0.5f;
-      y = z * s;
-      d = s * (one + z * (one - s));
+      *(Vector *)(x + i) = z * s;
+      *(Vector *)(slope + i) = s * (one + z * (one - s));
     }
-    *(Vector *)(x + i) = y;
-    *(Vector *)(slope + i) = d;
   }
+}
+
+// y times the slope of the activation, whose values are given.
+static void steepen(int kind, float *y, const float *values, const float *slope, int64_t count) {
+  for (int64_t i = 0; i < count; i++)
+    y[i] *= kind == TANH   ? 1.0f - values[i] * values[i]
+            : kind == RELU ? (values[i] > 0.0f ? 1.0f : 0.0f)
+                           : slope[i];
 }
 
 struct Shape {
@@ -107,6 +112,10 @@ struct Shape {
   const int64_t *n;  // layers + 1 widths, hidden ones filled to a multiple of 16
   int activation;
   int64_t hidden = 0, size = 0;
+  // Network k's part of a tape: values of hidden layers, of silu their slopes, too.
+  template <class T> T *kept(T *tape, int64_t k, int64_t rows) const {
+    return tape + k * hidden * rows * (activation == SILU ? 2 : 1);
+  }
   Shape(int layers, const int64_t *n, int activation) : layers(layers), n(n), activation(activation) {
     for (int l = 0; l < layers; l++) size += n[l] * n[l + 1] + n[l + 1];
     for (int l = 1; l < layers; l++) hidden += n[l];
@@ -172,7 +181,8 @@ void keep_freed_memory() {
 }
 
 // Outputs y [nets][rows][out] of networks params [nets], `stride` numbers apart, for inputs
-// x [nets / share][rows][in]; tape [nets][2][hidden * rows] gets values and slopes of hidden layers.
+// x [nets / share][rows][in]; tape [nets][1 or, of silu, 2][hidden * rows] gets values of hidden
+// layers, and slopes.
 void forward(int layers, const int64_t *n, int activation, int64_t nets, int64_t share,
              const float *params, int64_t stride, const float *x, int64_t rows, float *y,
              float *tape) {
@@ -181,7 +191,7 @@ void forward(int layers, const int64_t *n, int activation, int64_t nets, int64_t
   std::vector<float> last(ROWS * width);
   for (int64_t k = 0; k < nets; k++) {
     const float *p = params + k * stride, *input = x + k / share * rows * n[0];
-    float *values = tape + k * 2 * shape.hidden * rows, *slopes = values + shape.hidden * rows;
+    float *values = shape.kept(tape, k, rows), *slopes = values + shape.hidden * rows;
     for (int64_t r = 0; r < rows; r += ROWS) {
       const int64_t some = rows - r < ROWS ? rows - r : ROWS;
       const float *w = p, *from = input + r * n[0];
@@ -211,7 +221,7 @@ void backward(int layers, const int64_t *n, int activation, int64_t nets, int64_
   std::vector<float> delta(ROWS * widest), before(ROWS * widest), last(n[layers - 1] * width);
   for (int64_t k = 0; k < nets; k++) {
     const float *p = params + k * stride, *input = x + k / share * rows * n[0];
-    const float *values = tape + k * 2 * shape.hidden * rows, *slopes = values + shape.hidden * rows;
+    const float *values = shape.kept(tape, k, rows), *slopes = values + shape.hidden * rows;
     float *g = gp ? gp + k * gstride : nullptr;
     if (g) memset(g, 0, 4 * shape.size);
     for (int64_t r = 0; r < rows; r += ROWS) {
@@ -244,7 +254,7 @@ void backward(int layers, const int64_t *n, int activation, int64_t nets, int64_
         product(delta.data(), filled, 1, turn(1, p + weight, in, columns, to), to, before.data(), to,
                 some, to, columns);
         if (l > 1)
-          for (int64_t i = 0; i < some * in; i++) before[i] *= slopes[at + i];
+          steepen(activation, before.data(), values + at, slopes + at, some * in);
         else
           for (int64_t i = 0; i < some; i++)
             memcpy(gx + (k * rows + r + i) * in, &before[i * to], 4 * in);
@@ -266,7 +276,7 @@ void tangent(int layers, const int64_t *n, int activation, int64_t nets, int64_t
   std::vector<float> dot(ROWS * widest), next(ROWS * widest), none(widest);
   for (int64_t k = 0; k < nets; k++) {
     const float *input = x + k / share * rows * n[0];
-    const float *values = tape + k * 2 * shape.hidden * rows, *slopes = values + shape.hidden * rows;
+    const float *values = shape.kept(tape, k, rows), *slopes = values + shape.hidden * rows;
     for (int64_t r = 0; r < rows; r += ROWS) {
       const int64_t some = rows - r < ROWS ? rows - r : ROWS;
       int64_t weight = 0;
@@ -278,7 +288,7 @@ void tangent(int layers, const int64_t *n, int activation, int64_t nets, int64_t
         if (l > 1) affine(dot.data(), in, pk + weight, none.data(), n[l], filled, next.data(), some, true);
         const int64_t at = shape.start(l, rows) + r * n[l];
         if (l < layers)
-          for (int64_t i = 0; i < some * n[l]; i++) next[i] *= slopes[at + i];
+          steepen(activation, next.data(), values + at, slopes + at, some * n[l]);
         from = values + at;
         dot.swap(next);
         weight = bias + n[l];

@@ -182,7 +182,7 @@ class InCpp:
         """See `Kernel`."""
         nets, rows, hidden = len(params), x.shape[1], sum(net.widths[1:-1])
         y = np.empty((nets, rows, net.widths[-1]), np.float32)
-        tape = np.empty((nets, 2, hidden * rows), np.float32)
+        tape = np.empty((nets, 1 + (net.activation == "silu"), hidden * rows), np.float32)
         self.library.forward(*_of(net, params, x, share), y.ctypes.data, tape.ctypes.data)
         return y, tape
 
