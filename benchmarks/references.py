@@ -114,7 +114,7 @@ def main():
     options = parser.parse_args()
     warnings.filterwarnings("ignore", module="stable_baselines3")  # a last, smaller minibatch
     gym.register(TASK, entry_point=Free, disable_env_checker=True)
-    backend.configure()
+    backend.configure("c++")
     torch.set_num_threads(1)
     print("| algorithm | steps | implementation | seeds |", " | ".join("1234"), "|")
     for name in options.algorithms:

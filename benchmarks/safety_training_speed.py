@@ -6,7 +6,7 @@ PYTHON: an interpreter where omnisafe 0.5.0 and safety-gymnasium 1.0.0 are insta
 on these. Stable-Baselines3, which has no constraint and so PPO alone, runs on the task of this
 package. All: 10,000 steps an epoch, 10 passes, networks of 64 and 64, equal minibatches; what only
 one side has is off. Speeds are of CPU time, one thread, rollout, updates and records included, of
-the second epoch; the first one compiles. Each measurement has a process of its own; all take turns.
+the second epoch. Each measurement has a process of its own; all take turns.
 Medians are printed, of speeds and of their ratios to OmniSafe's and to Stable-Baselines3's.
 """
 
@@ -54,7 +54,7 @@ def ours(name, runs):
     from agents.training.config import TrainConfig
     from agents.training.trainer import Trainer
 
-    backend.configure()
+    backend.configure("c++")
     config = algorithm(name).config(episodes=EPOCH // 1000, critic_iterations=10)
     if hasattr(config, "batch_size"):
         config = algorithm(name).config(**vars(config) | {"batch_size": BATCH[name]})

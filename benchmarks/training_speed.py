@@ -1,7 +1,7 @@
 """Environment steps a second of training: runs in lockstep beside the plain one-run loop, one core.
 
 Every measurement has a process of its own, so that none has another's settings. What is timed
-begins after imports, compiling and a warm-up, and holds rollout, replay, updates and records. Turns
+begins after imports and a warm-up, and holds rollout, replay, updates and records. Turns
 go through all of them, so that a ratio is of neighbours; ratios and speeds are medians over turns.
 The limit is what the matrix products of an epoch alone would allow, at the best speed of a batched
 product that this core has shown in the same run.
@@ -11,6 +11,7 @@ python benchmarks/training_speed.py --algorithms cpo wcsac --runs 3 12 --turns 3
 
 import argparse
 import contextlib
+import itertools
 import os
 import statistics
 import subprocess
@@ -74,10 +75,10 @@ def prepared(algorithm, runs):
 
 
 def lockstep(algorithm, runs, how):
-    """Speed of all runs together; how: "compiled" or "eager"."""
+    """Speed of all runs together; how: the backend, "c++" or "numpy"."""
     from agents.lockstep import backend
 
-    backend.configure(how == "compiled")
+    backend.configure(how)
     with prepared(algorithm, runs) as trainer:
         while trainer.steps[0] < WARM_UP:
             trainer.run_epoch()
@@ -88,22 +89,51 @@ def lockstep(algorithm, runs, how):
         return (trainer.steps.sum() - before) / (time.perf_counter() - start)
 
 
+def counted_kernel():
+    """A kernel in NumPy that counts the operations of its matrix products."""
+    from agents.lockstep import kernel
+
+    class Counted(kernel.InNumpy):
+        operations = 0
+
+        def count(self, net, nets, rows, first):
+            """Of a product with each layer's weights; first: whether with the first layer's."""
+            layers = list(itertools.pairwise(net.widths))[0 if first else 1 :]
+            self.operations += 2 * nets * rows * sum(a * b for a, b in layers)
+
+        def forward(self, net, params, x, share=1):
+            self.count(net, len(params), x.shape[1], first=True)
+            return super().forward(net, params, x, share)
+
+        def backward(self, net, params, x, tape, dy, of, share=1):
+            self.count(net, len(params), x.shape[1], first="x" in of)
+            if "p" in of:
+                self.count(net, len(params), x.shape[1], first=True)
+            return super().backward(net, params, x, tape, dy, of, share)
+
+        def tangent(self, net, params, x, tape, v):
+            self.count(net, len(params), x.shape[1], first=True)
+            self.count(net, len(params), x.shape[1], first=False)
+            return super().tangent(net, params, x, tape, v)
+
+    return Counted()
+
+
 def limit(algorithm):
     """Speed of one run if it had its matrix products alone to compute, at this core's best speed of
     a batched product: that of the first hidden layer of 12 runs' critics."""
     import torch
-    from torch.utils.flop_counter import FlopCounterMode
 
-    from agents.lockstep import backend
+    from agents.lockstep import backend, kernel
 
-    backend.configure()
+    backend.configure("numpy")
     with prepared(algorithm, 1) as trainer:
         while trainer.steps[0] < WARM_UP:
             trainer.run_epoch()
-        before = trainer.steps[0]
-        with FlopCounterMode(display=False) as counter:
-            trainer.run_epoch()
-        operations = counter.get_total_flops() / (trainer.steps[0] - before)
+        before, counted = trainer.steps[0], counted_kernel()
+        kernel.IN_NUMPY, kernel._kernel = counted, counted
+        trainer.run_epoch()
+        operations = counted.operations / (trainer.steps[0] - before)
     a, b = torch.randn(48, 256, 64), torch.randn(48, 64, 64)
     best = 0.0
     for _ in range(50):
@@ -154,7 +184,7 @@ def main():
     parser.add_argument("--algorithms", nargs="+", choices=STEPS, default=list(STEPS))
     parser.add_argument("--runs", nargs="+", type=int, default=[12], help="numbers in lockstep")
     parser.add_argument("--turns", type=int, default=3)
-    parser.add_argument("--how", choices=["compiled", "eager"], default="compiled")
+    parser.add_argument("--how", choices=["c++", "numpy"], default="c++")
     parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.one:
