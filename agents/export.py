@@ -80,7 +80,8 @@ def export(
 
 
 def _network(policy: Policy, seed: int) -> Exported:
-    """The network of a policy. Raises UserError for other layers, and numbers not finite."""
+    """The network of a policy. Raises UserError for other layers, for a policy that is more than
+    these in a row, and for numbers that are not finite."""
     module = policy.to_torch()
     arrays = {name: value.numpy() for name, value in module.state_dict().items()}
     if not all(np.isfinite(array).all() for array in arrays.values()):
@@ -88,13 +89,15 @@ def _network(policy: Policy, seed: int) -> Exported:
     layers: list[tuple[str, str]] = []
     parts = [(name, part) for name, part in module.named_modules() if not list(part.children())]
     for name, part in parts:
-        if isinstance(part, nn.Linear):
+        if isinstance(part, nn.Linear) and part.bias is not None:
             layers.append((name, ""))
         elif type(part).__name__ in KINDS and layers:
             layers[-1] = layers[-1][0], type(part).__name__
         else:
-            known = ", ".join(["Linear", *KINDS])
+            known = ", ".join(["Linear with bias", *KINDS])
             raise UserError(f"export knows {known} of torch.nn, and the policy has {part}")
+    in_a_row = nn.Sequential(*(part for _, part in parts))
+    policy.check_same(policy.bounded(in_a_row), "its module's layers in a row, as export writes it")
     return Exported(arrays, layers)
 
 

@@ -6,10 +6,12 @@ import shutil
 import gymnasium as gym
 import numpy as np
 import pytest
+import toy_family
 import torch
 from small_runs import SAC, TRPO, results
 
 import agents
+from agents.algorithms import Algorithm
 from agents.errors import TaskFailure
 from agents.training import policy as policies_of
 from agents.training.config import TrainConfig
@@ -92,6 +94,46 @@ def test_the_module_of_pytorch_is_equal(folder):
     copy = type(module)(module.net, np.zeros(1, np.float32), np.ones(1, np.float32))
     copy.load_state_dict(module.state_dict())  # bounds are part of the state
     torch.testing.assert_close(copy.high, torch.tensor([2.0]))
+
+
+class Projected(toy_family.Linear):
+    """A policy whose actions are projected onto half of their range behind its network."""
+
+    in_module = False
+
+    def policy(self):
+        act = super().policy()
+        return lambda observation, noise: np.clip(act(observation, noise), -0.5, 0.5)
+
+    def module(self, run):
+        net = torch.nn.Linear(2, 1)
+        net.load_state_dict(
+            {"weight": torch.tensor(self.actor[run]), "bias": torch.zeros(1)}
+        )
+        return torch.nn.Sequential(net, torch.nn.Hardtanh(-0.5, 0.5)) if self.in_module else net
+
+
+class Both(Projected):
+    """The module does so, too."""
+
+    in_module = True
+
+
+@pytest.mark.parametrize("family", [Projected, Both])
+def test_a_module_must_act_as_the_policy_does(family, tmp_path, monkeypatch):
+    """A projection of actions is not lost: the half of [-2, 2] is [-1, 1]."""
+    algorithm = Algorithm("Toy", toy_family.Numbers, toy_family.Rule(), family)
+    with toy_family.known(algorithm=algorithm):
+        out = agents.train("toy", "Walk-v0", seeds=0, steps=50, out=tmp_path / "x").folder
+        policy = agents.load_policy(out)
+        # Steep, so that the projection is seen.
+        assert np.abs(policy(100 * OBSERVATIONS)).max() == 1
+        if family is Projected:
+            with pytest.raises(agents.UserError, match="Policy.*acts otherwise than the module"):
+                policy.to_torch()
+            return
+        found = policy.to_torch()(torch.tensor(OBSERVATIONS, dtype=torch.float32))
+        np.testing.assert_allclose(found.detach().numpy(), policy(OBSERVATIONS), atol=1e-6)
 
 
 def test_neither_replay_nor_environment_is_needed(folder, tmp_path):
