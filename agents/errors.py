@@ -111,6 +111,11 @@ def one_line(text: object) -> str:
     )
 
 
+def is_missing(error: BaseException, module: str) -> bool:
+    """Whether an import failed because there is no such module, or no package that it lies in."""
+    return isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{error.name}.")
+
+
 def extra(module: str, name: str) -> Any:
     """A module that the extra `name` brings. Raises UserError where it is not installed."""
     try:

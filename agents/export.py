@@ -18,7 +18,7 @@ from agents.reporting.provenance import command
 from agents.reporting.tables import task_table
 from agents.results.reading import read
 from agents.training.config import CONFIG, TrainConfig, file_name, read_spaces
-from agents.training.files import read_json, write_whole
+from agents.training.files import check_folder, read_json, write_whole
 from agents.training.policy import Policy, load_policy
 
 Format = Literal["safetensors", "onnx"]
@@ -70,6 +70,7 @@ def export(
         )
         for seed, policy in policies.items()
     }
+    check_folder(out)
     out.mkdir(parents=True, exist_ok=True)
     for path, content in contents.items():
         write_whole(path, content)

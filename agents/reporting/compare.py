@@ -25,7 +25,7 @@ from agents.results.frame import (
 from agents.results.measures import measures
 from agents.results.reading import Group, name_of_all, read
 from agents.results.statistics import LEVEL, Difference, Pair, differences, holm, two_sets
-from agents.training.files import write_whole
+from agents.training.files import check_folder, write_whole
 
 METHOD = (
     "B - A: difference of the means [Welch's 95 % t interval, of five seeds or more on both sides "
@@ -68,6 +68,8 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
     none against every group of A on the task, of the same cost. The last table has one test over
     all tasks of each pair that is there on two tasks or more. Otherwise see `agents.compare`.
     """
+    if out is not None:
+        check_folder(out)
     notes = [f"A is {a}, B is {b}."]
     of_a, of_b = (read([side], notes) for side in (a, b))
     both = with_varied_settings([*of_a, *of_b])
