@@ -208,18 +208,26 @@ def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = N
     return markdown(write_report(*folders_of(*paths), archive=file, out=folder).blocks)
 
 
-def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:
+def compare(
+    a: Folder,
+    b: Folder,
+    out: Folder | None = None,
+    measures: str | Sequence[str] | None = None,
+) -> str:
     """The tables of two sets of runs with the differences B - A, as Markdown: `circle2d compare`.
 
     a, b: a folder, an archive, or runs of one folder: a baseline's and an idea's. With out, writes
     `compare.md`, `compare.tex`, `compare.csv`, and `compare.html` with the training curves of both,
-    to that folder. Raises UserError where a side has no complete run, or the two have no task in
-    common.
+    to that folder. measures: names of those that are tested, such as "J_R", by default all: p
+    values are corrected for the number of tests. Raises UserError where a side has no complete run,
+    or the two have no task in common.
     """
     from agents.reporting.compare import compare as compare_runs
     from agents.reporting.table import markdown
 
-    return markdown(compare_runs(Path(a), Path(b), None if out is None else _to_write(out)))
+    folder = None if out is None else _to_write(out)
+    asked = (measures,) if isinstance(measures, str) else measures
+    return markdown(compare_runs(Path(a), Path(b), folder, asked))
 
 
 SETTINGS = (
