@@ -23,7 +23,7 @@ from torch import from_numpy as to_tensor
 
 from agents.algorithms import Learner
 from agents.algorithms import learner as make_learner
-from agents.checks import In, check
+from agents.checks import In, as_integer, check
 from agents.errors import (
     OWN_ERRORS,
     OwnCodeError,
@@ -263,7 +263,8 @@ def load_policy(
 
     Needs neither the task's environment nor the replay. Raises UserError for what is not there.
     """
-    folder = folder_of(folder)
+    folder, step = folder_of(folder), as_integer(step)
+    check("step", step, int | None)
     config = TrainConfig.read(folder)
     run = chosen_run(folder, config, seed, task)
     spaces = read_spaces(folder)
@@ -417,6 +418,7 @@ def evaluate(
     Raises UserError where the task does not fit the policy, and where every run failed; TaskFailure
     for rewards and costs that are not finite, and for negative costs.
     """
+    episodes = as_integer(episodes)
     check("episodes", episodes, Annotated[int, In(1)])
     check("seed", seed, Annotated[int, In(0)])
     if isinstance(policy, (str, os.PathLike)):

@@ -109,9 +109,9 @@ def test_a_gpu_that_is_not_there(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("module", "options", "hint"),
     [
-        ("tensorboard", [*TRAIN, "--tensorboard"], "circle2d-mj[tensorboard]"),
-        ("ray", ["reproduce", "--quick", "--engine", "ray"], "circle2d-mj[ray]"),
-        ("onnx", ["export", "{folder}", "--format", "onnx"], "circle2d-mj[export]"),
+        ("tensorboard", [*TRAIN, "--tensorboard"], "pip install -c constraints.txt '.[tensorboard]'"),
+        ("ray", ["reproduce", "--quick", "--engine", "ray"], "pip install -c constraints.txt '.[ray]'"),
+        ("onnx", ["export", "{folder}", "--format", "onnx"], "pip install -c constraints.txt '.[export]'"),
     ],
 )
 def test_a_library_that_is_missing(module, options, hint, folder, tmp_path, capsys, monkeypatch):

@@ -198,6 +198,19 @@ def test_a_damaged_checkpoint_and_none(tmp_path):
         agents.load_policy(copy, seed=0)
 
 
+def test_numbers_of_steps_and_episodes_may_be_whole_floats(tmp_path):
+    one = trained(tmp_path / "x", "cpo", seeds=0, steps=2e2, evaluate_every=1e2)
+    other = trained(tmp_path / "y", "cpo", seeds=0, steps=200, evaluate_every=100)
+    assert results(one) == results(other)
+    early = agents.load_policy(one, step=1e2)
+    assert early.step == 100
+    assert len(agents.evaluate(early, episodes=3.0).returns) == 3
+    with pytest.raises(agents.UserError, match=r"step must be an integer or None, got 1\.5"):
+        agents.load_policy(one, step=1.5)
+    with pytest.raises(agents.UserError, match=r"steps must be an integer, got 2\.5"):
+        trained(tmp_path / "z", "cpo", steps=2.5)
+
+
 @pytest.mark.parametrize("algorithm", ["sac-lag", "cpo"])
 def test_policies_on_the_way(algorithm, tmp_path):
     """They change no result; that at the end is the last one."""
