@@ -22,10 +22,10 @@ class EMCCCallback(BaseCallback):
     """Records the costs of a training, and logs EMCC and its companions as emcc/*.
 
     Works with every algorithm and VecEnv; the cost is info["cost"] of every step. costs: names of
-    others, such as ("cost", "cost_2"): all are recorded, and those of the second and further ones
-    logged as emcc/cost_2/*. `records`, `episodes`, `panel()` and the limit are of the first cost,
-    `records_by_cost` and `episodes_by_cost` of all. The numbers go to SB3's logger, so to TensorBoard and to W&B's synchronised TensorBoard: while training those of
-    the last rollouts, at its end EMCC of the thirds of training.
+    others, such as ("cost", "cost_2"): `records_by_cost` and `episodes_by_cost` are of all,
+    `records`, `episodes`, `panel()` and the limit of the first. The numbers go to SB3's logger, so
+    to TensorBoard and to W&B's synchronised TensorBoard, of the second cost as emcc/cost_2/*: while
+    training those of the last rollouts, at its end EMCC of the thirds of training.
 
     rollout: "auto" is "update" for on-policy algorithms (a rollout is what is collected between two
     updates, and cuts running episodes), and "episode" for all others; a number of environment steps

@@ -29,8 +29,8 @@ from agents.training.files import check_folder, write_whole
 
 METHOD = (
     "B - A: difference of the means [Welch's 95 % t interval, of five seeds or more on both sides "
-    "that end in one place]; p: two-sided permutation test of Welch's t{}; P(B better): probability that a run of B is better than one of "
-    "A, equal ones half [95 % bootstrap interval]"
+    "that end in one place]; p: two-sided permutation test of Welch's t{}; P(B better): "
+    "probability that a run of B is better than one of A, equal ones half [95 % bootstrap interval]"
 )
 Tested = Mapping[tuple[int, int], Mapping[str, Difference]]
 """The differences of pairs, by the identities of their groups."""

@@ -205,8 +205,8 @@ def differences_over_tasks(
     words = (
         "Over all tasks that both have: B - A, difference of the means over seeds and tasks [95 % "
         f"bootstrap interval, of {FEWEST_RUNS} seeds or more]; p: {TEST}"
-        f"{corrected(tests, 'of this table')}; P(B better): probability that a run of B is better than "
-        "one of A on a task, equal ones half"
+        f"{corrected(tests, 'of this table')}; P(B better): probability that a run of B "
+        "is better than one of A on a task, equal ones half"
     )
     return Table(words, ["over all tasks", *(m.head for m in columns)], rows)
 

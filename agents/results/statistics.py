@@ -148,9 +148,7 @@ def _better(m: Measure, a: list[float] | None, b: list[float] | None) -> Interva
     return emcc.bootstrap(emcc.probability_of_improvement, *sides, rng=rng)
 
 
-def only(
-    asked: Collection[str] | None, told: Mapping[str, Difference]
-) -> Mapping[str, Difference]:
+def only(asked: Collection[str] | None, told: Mapping[str, Difference]) -> Mapping[str, Difference]:
     """The differences with p values of the measures alone that are asked about; None: of all."""
     if asked is None:
         return told

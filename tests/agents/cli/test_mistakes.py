@@ -109,15 +109,17 @@ def test_a_gpu_that_is_not_there(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("module", "options", "hint"),
     [
-        ("tensorboard", [*TRAIN, "--tensorboard"], "pip install -c constraints.txt '.[tensorboard]'"),
-        ("ray", ["reproduce", "--quick", "--engine", "ray"], "pip install -c constraints.txt '.[ray]'"),
-        ("onnx", ["export", "{folder}", "--format", "onnx"], "pip install -c constraints.txt '.[export]'"),
+        ("tensorboard", [*TRAIN, "--tensorboard"], "[tensorboard]"),
+        ("ray", ["reproduce", "--quick", "--engine", "ray"], "[ray]"),
+        ("onnx", ["export", "{folder}", "--format", "onnx"], "[export]"),
     ],
 )
 def test_a_library_that_is_missing(module, options, hint, folder, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
     options = [word.format(folder=folder) for word in options]
-    assert hint in mistake([*options, "--out", str(tmp_path / "x")], capsys)
+    assert f"pip install -c constraints.txt '.{hint}'" in mistake(
+        [*options, "--out", str(tmp_path / "x")], capsys
+    )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -133,7 +135,7 @@ def test_a_pipe_or_a_device_is_not_replaced(command, folder, tmp_path, capsys):
     err = mistake([word.format(folder=folder, pipe=pipe) for word in command], capsys)
     assert "a.png is a device or a pipe" in err
     assert pipe.is_fifo()
-    with pytest.raises(ValueError, match="a.png is a device or a pipe"):
+    with pytest.raises(ValueError, match=r"a\.png is a device or a pipe"):
         EpisodeRecords.from_costs([1.0], [1]).save(pipe)
     assert pipe.is_fifo()
 

@@ -6,8 +6,8 @@ import shutil
 import gymnasium as gym
 import numpy as np
 import pytest
-import toy_family
 import torch
+import toy_family
 from small_runs import SAC, TRPO, results
 
 import agents
@@ -107,9 +107,7 @@ class Projected(toy_family.Linear):
 
     def module(self, run):
         net = torch.nn.Linear(2, 1)
-        net.load_state_dict(
-            {"weight": torch.tensor(self.actor[run]), "bias": torch.zeros(1)}
-        )
+        net.load_state_dict({"weight": torch.tensor(self.actor[run]), "bias": torch.zeros(1)})
         return torch.nn.Sequential(net, torch.nn.Hardtanh(-0.5, 0.5)) if self.in_module else net
 
 
@@ -129,7 +127,7 @@ def test_a_module_must_act_as_the_policy_does(family, tmp_path, monkeypatch):
         # Steep, so that the projection is seen.
         assert np.abs(policy(100 * OBSERVATIONS)).max() == 1
         if family is Projected:
-            with pytest.raises(agents.UserError, match="Policy.*acts otherwise than the module"):
+            with pytest.raises(agents.UserError, match=r"Policy.*acts otherwise than the module"):
                 policy.to_torch()
             return
         found = policy.to_torch()(torch.tensor(OBSERVATIONS, dtype=torch.float32))

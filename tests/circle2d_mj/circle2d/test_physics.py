@@ -144,7 +144,7 @@ def test_a_scene_that_lacks_something_is_refused(old, new, words, tmp_path):
     path.write_text(asset("xml/circle2d.xml").read_text().replace(old, new, 1))
     with pytest.raises(ValueError, match=f"xml '.*own.xml' .*{words}"):
         Circle2DMuJoCoEnv(xml=path)
-    with pytest.raises(ValueError, match="none.xml' is no scene that MuJoCo reads"):
+    with pytest.raises(ValueError, match=r"none\.xml' is no scene that MuJoCo reads"):
         Circle2DMuJoCoEnv(xml=tmp_path / "none.xml")
     with pytest.raises(TypeError, match="xml must be the path of a file, got 3"):
         Circle2DMuJoCoEnv(xml=3)
