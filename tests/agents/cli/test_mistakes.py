@@ -60,7 +60,10 @@ def mistake(arguments, capsys):
         ([*TO, "--task", "Pendulum-v1"], "info\\['cost'\\]"),
         ([*TO, "--task", "Circle2D-1", "Circle2D-1"], "different"),
         ([*TO, "--task-parameters", "max_episode_steps", "None"], "episodes must end"),
-        ([*TRAIN, "--out", "{folder}"], "holds runs already: go on with them by 'circle2d resume"),
+        (
+            [*TRAIN, "--out", "{folder}"],
+            "holds runs already, which are done: train them on by 'circle2d resume",
+        ),
         ([*TRAIN, "--out", "{folder}/config.json"], "be a folder, but '.*config.json' is a file"),
         (["resume"], "resume needs a folder of runs"),
         (["report", "{folder}", "--width", "9"], "width must be at least 40 or None, got 9"),
