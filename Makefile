@@ -2,7 +2,7 @@
 # make test: run the tests.
 # make check: make slow (slow tests, among them installations in environments of their own), make docs.
 # make docs: build the documentation: docs/_build/html/index.html.
-# make integrate: install [integrations] as well, and run the tests against other libraries.
+# make integrate: install [integrations] and [tianshou] as well, and run the tests against other libraries.
 # make ray: install [ray] as well, and kill nodes and drivers of clusters, six minutes.
 # make faults: kill, damage, fill and mistype thousands of times, about 25 minutes on a core; prints what
 # was tried and what was wrong (docs/faults.md).
@@ -76,7 +76,7 @@ INTEGRATED += tests/agents/test_sweeps.py::test_training_on_ray
 integrate: $(VENV)/develops
 	sed -e 's/^pandas==.*/pandas<3/' -e 's/^filelock==.*/filelock<4/' constraints.txt \
 		> $(VENV)/constraints.txt
-	$(PIP) -c $(VENV)/constraints.txt -e '.[dev,integrations]'
+	$(PIP) -c $(VENV)/constraints.txt -e '.[dev,integrations,tianshou]'
 	$(BIN)/python -m pytest -m "slow or not slow" -n logical --durations 5 $(INTEGRATED)
 
 ray: $(VENV)/develops

@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from agents.algorithms import BUILT_IN, module_of
+from agents.checks import as_integer
 from agents.errors import RemoteTraceback, RunsFailed, UserError, extra
 from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.kernel import Backend
@@ -171,19 +172,32 @@ def sweep(
 
 
 @lockstep_backend.restored()
-def resume(*folders: Folder, on_epoch: OnEpoch | None = None, progress: bool = False) -> Runs:
+def resume(
+    *folders: Folder,
+    steps: int | None = None,
+    on_epoch: OnEpoch | None = None,
+    progress: bool = False,
+) -> Runs:
     """Go on with the runs of folders, from their newest checkpoints, as if never interrupted.
 
     Folders train one after the other; one that is done but lacks `results.npz` gets it, and one
-    that has it stays as it is. on_epoch, progress: as in `train`. Raises UserError where a folder
-    holds no runs, another process trains there, or every run failed.
+    that has it stays as it is. steps: a new, greater number of environment steps of each run: a
+    training that is done goes on too, bit for bit as if it had had that number, and that backend,
+    from the start. on_epoch, progress: as in `train`. Raises UserError where a folder holds no
+    runs, another process trains there, every run failed, or runs have more steps already.
     """
     if not folders:
         raise UserError("resume needs a folder of runs")
     callbacks.check_callback(on_epoch)
     paths = list(dict.fromkeys(path.absolute() for path in folders_of(*folders)))
+    steps = as_integer(steps)
     for path in paths:
         TrainConfig.read(path)
+        if steps is not None:
+            trainer.check_longer(path, steps)
+    for path in paths:
+        if steps is not None:
+            trainer.lengthen(path, steps)
     for path in paths:
         if _train(path, on_epoch, progress).stopped:
             break
@@ -208,18 +222,26 @@ def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = N
     return markdown(write_report(*folders_of(*paths), archive=file, out=folder).blocks)
 
 
-def compare(a: Folder, b: Folder, out: Folder | None = None) -> str:
+def compare(
+    a: Folder,
+    b: Folder,
+    out: Folder | None = None,
+    measures: str | Sequence[str] | None = None,
+) -> str:
     """The tables of two sets of runs with the differences B - A, as Markdown: `circle2d compare`.
 
     a, b: a folder, an archive, or runs of one folder: a baseline's and an idea's. With out, writes
     `compare.md`, `compare.tex`, `compare.csv`, and `compare.html` with the training curves of both,
-    to that folder. Raises UserError where a side has no complete run, or the two have no task in
-    common.
+    to that folder. measures: names of those that are tested, such as "J_R", by default all: p
+    values are corrected for the number of tests. Raises UserError where a side has no complete run,
+    or the two have no task in common.
     """
     from agents.reporting.compare import compare as compare_runs
     from agents.reporting.table import markdown
 
-    return markdown(compare_runs(Path(a), Path(b), None if out is None else _to_write(out)))
+    folder = None if out is None else _to_write(out)
+    asked = (measures,) if isinstance(measures, str) else measures
+    return markdown(compare_runs(Path(a), Path(b), folder, asked))
 
 
 SETTINGS = (

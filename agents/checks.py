@@ -37,7 +37,8 @@ class Settings:
     """Base of a frozen dataclass whose values are checked against the types of its fields.
 
     Checked are numbers (by `In`, if it stands beside the type), bool, Literal, tuples of numbers,
-    and unions of these. Numbers of numpy become Python's. A class with rules between its fields
+    and unions of these. Numbers of numpy become Python's, and whole floats integers where these are
+    asked for, as 1e6 on the command line. A class with rules between its fields
     adds them to `__post_init__`.
     """
 
@@ -46,7 +47,17 @@ class Settings:
         for name, value in list(vars(self).items()):
             object.__setattr__(self, name, _plain(value))
         for name, hint in _hints(type(self)).items():
+            object.__setattr__(self, name, as_integer(getattr(self, name), hint))
             check(name, getattr(self, name), hint)
+
+
+def as_integer(value: Any, hint: Any = int) -> Any:
+    """A whole number that is a float, such as 1e6, as an integer where the type asks for one; any
+    other value as it is."""
+    kinds = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    kinds = [get_args(k)[0] if get_origin(k) is Annotated else k for k in kinds]
+    asked = int in kinds and float not in kinds
+    return int(value) if asked and isinstance(value, float) and value.is_integer() else value
 
 
 def check(name: str, value: Any, hint: Any) -> None:

@@ -111,12 +111,17 @@ def one_line(text: object) -> str:
     )
 
 
+def is_missing(error: BaseException, module: str) -> bool:
+    """Whether an import failed because there is no such module, or no package that it lies in."""
+    return isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{error.name}.")
+
+
 def extra(module: str, name: str) -> Any:
     """A module that the extra `name` brings. Raises UserError where it is not installed."""
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        raise UserError(f"{module} is not installed: pip install 'circle2d-mj[{name}]'") from error
+        raise UserError(f"{module} is not installed: {_how_to_install(name)}") from error
 
 
 EXTRA = (
@@ -126,11 +131,16 @@ EXTRA = (
 """Packages that training and reports need, and that an installation without [train] lacks."""
 
 
+def _how_to_install(name: str) -> str:
+    """An extra's installation: from the code, since no index of packages has circle2d-mj."""
+    return f"in the folder of circle2d-mj's code, pip install -c constraints.txt '.[{name}]'"
+
+
 def extra_hint(error: ModuleNotFoundError, user: str) -> str:
     """Return how to install the package of [train] that `user` lacks; "" for any other module."""
     if (error.name or "").partition(".")[0] not in EXTRA:
         return ""
-    return f"{user} needs {error.name}, which is not installed: pip install 'circle2d-mj[train]'"
+    return f"{user} needs {error.name}, which is not installed: {_how_to_install('train')}"
 
 
 OTHER_NAMES = {

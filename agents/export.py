@@ -19,7 +19,7 @@ from agents.reporting.provenance import command
 from agents.reporting.tables import task_table
 from agents.results.reading import read
 from agents.training.config import CONFIG, TrainConfig, file_name, read_spaces
-from agents.training.files import read_json, write_whole
+from agents.training.files import check_folder, read_json, write_whole
 from agents.training.policy import Policy, load_policy
 
 Format = Literal["safetensors", "onnx"]
@@ -74,6 +74,7 @@ def export(
         )
         for seed, policy in policies.items()
     }
+    check_folder(out)
     out.mkdir(parents=True, exist_ok=True)
     for path, content in contents.items():
         write_whole(path, content)
@@ -84,7 +85,8 @@ def export(
 
 
 def _network(policy: Policy, seed: int) -> Exported:
-    """The network of a policy. Raises UserError for other layers, and numbers not finite."""
+    """The network of a policy. Raises UserError for other layers, for a policy that is more than
+    these in a row, and for numbers that are not finite."""
     module = policy.to_torch()
     arrays = {name: value.numpy() for name, value in module.state_dict().items()}
     if not all(np.isfinite(array).all() for array in arrays.values()):
@@ -95,13 +97,15 @@ def _network(policy: Policy, seed: int) -> Exported:
     for name, part in parts:
         if isinstance(part, Normalized) and not layers:
             normalized = name
-        elif isinstance(part, nn.Linear):
+        elif isinstance(part, nn.Linear) and part.bias is not None:
             layers.append((name, ""))
         elif type(part).__name__ in KINDS and layers:
             layers[-1] = layers[-1][0], type(part).__name__
         else:
-            known = ", ".join(["Linear", *KINDS])
+            known = ", ".join(["Linear with bias", *KINDS])
             raise UserError(f"export knows {known} of torch.nn, and the policy has {part}")
+    in_a_row = nn.Sequential(*(part for _, part in parts))
+    policy.check_same(policy.bounded(in_a_row), "its module's layers in a row, as export writes it")
     return Exported(arrays, layers, normalized)
 
 

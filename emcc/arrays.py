@@ -191,3 +191,10 @@ def exceed(costs: NDArray[Any], threshold: float) -> NDArray[np.bool_]:
     numpy alone would round the threshold to the type of costs of lower precision.
     """
     return np.greater(costs, threshold, signature="dd->?")
+
+
+def as_names(value: Any, name: str) -> tuple[str, ...]:
+    """Different names, one at least. ValueError: anything else."""
+    if isinstance(value, str) or not value or len(set(value)) < len(value):
+        raise ValueError(f'{name} must be different names, as in ("cost",), got {value!r}')
+    return tuple(value)

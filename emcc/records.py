@@ -237,8 +237,11 @@ class EpisodeRecords:
         return "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""])
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a CSV file, whole or not at all; equal records give equal bytes."""
+        """Write a CSV file, whole or not at all; equal records give equal bytes. ValueError for a
+        device or a pipe, which the file would replace."""
         path = Path(path)
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise ValueError(f"{path} is a device or a pipe, which no file may replace")
         unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
         try:
             with unfinished.open("w", encoding="utf-8", newline="") as file:

@@ -1,10 +1,11 @@
 """EMCC of a training with Stable-Baselines3."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from emcc.arrays import as_count, as_number
+from emcc.arrays import as_count, as_names, as_number
 from emcc.panels import WINDOW, Panel, measures_of, panel
 from emcc.parts import ALPHA, worst
 from emcc.recorder import CostRecorder, cost_of
@@ -20,9 +21,11 @@ except ModuleNotFoundError as error:
 class EMCCCallback(BaseCallback):
     """Records the costs of a training, and logs EMCC and its companions as emcc/*.
 
-    Works with every algorithm and VecEnv; the cost is info["cost"] of every step. The numbers go to
-    SB3's logger, so to TensorBoard and to W&B's synchronised TensorBoard: while training those of
-    the last rollouts, at its end EMCC of the thirds of training.
+    Works with every algorithm and VecEnv; the cost is info["cost"] of every step. costs: names of
+    others, such as ("cost", "cost_2"): `records_by_cost` and `episodes_by_cost` are of all,
+    `records`, `episodes`, `panel()` and the limit of the first. The numbers go to SB3's logger, so
+    to TensorBoard and to W&B's synchronised TensorBoard, of the second cost as emcc/cost_2/*: while
+    training those of the last rollouts, at its end EMCC of the thirds of training.
 
     rollout: "auto" is "update" for on-policy algorithms (a rollout is what is collected between two
     updates, and cuts running episodes), and "episode" for all others; a number of environment steps
@@ -33,7 +36,7 @@ class EMCCCallback(BaseCallback):
     while training. limit: cost limit of an episode, for the measures that need one; None omits
     them. Measures of whole episodes are logged once one has ended. threshold: a step whose cost
     exceeds it is a cost step.
-    ValueError: arguments that are not allowed. KeyError: no cost in the info of a step.
+    ValueError: arguments that are not allowed. KeyError: no such cost in the info of a step.
     """
 
     def __init__(
@@ -44,6 +47,7 @@ class EMCCCallback(BaseCallback):
         limit: float | None = None,
         threshold: float = 0.0,
         verbose: int = 0,
+        costs: Sequence[str] = ("cost",),
     ) -> None:
         super().__init__(verbose)
         if isinstance(rollout, str) and rollout not in ("auto", "update", "episode"):
@@ -53,12 +57,13 @@ class EMCCCallback(BaseCallback):
         self.rollout, self.alpha, self.window = rollout, alpha, as_count(window, "window")
         self.limit = None if limit is None else as_number(limit, "limit", low=0)
         self.threshold = as_number(threshold, "threshold", low=0)
-        self._started: tuple[CostRecorder, CostRecorder] | None = None
+        self.costs = as_names(costs, "costs")
+        self._started: dict[str, tuple[CostRecorder, CostRecorder]] | None = None
         self._last_obs: Any = None  # from which the model would go on after training
 
     @property
-    def _recorders(self) -> tuple[CostRecorder, CostRecorder]:
-        """Recorders of the rollouts, and of whole episodes, whatever cuts the rollouts."""
+    def _recorders(self) -> dict[str, tuple[CostRecorder, CostRecorder]]:
+        """Recorders of each cost's rollouts, and of whole episodes, whatever cuts the rollouts."""
         if self._started is None:
             raise RuntimeError(
                 "nothing is recorded: give the callback to model.learn(callback=...)"
@@ -68,65 +73,98 @@ class EMCCCallback(BaseCallback):
     @property
     def records(self) -> EpisodeRecords:
         """Trajectories of the rollouts; behind them the running ones, as far as they are."""
-        return self._recorders[0].snapshot
+        return self.records_by_cost[self.costs[0]]
+
+    @property
+    def records_by_cost(self) -> dict[str, EpisodeRecords]:
+        """`records` by each cost, by its name."""
+        return {name: of_rollouts.snapshot for name, (of_rollouts, _) in self._recorders.items()}
 
     @property
     def episodes(self) -> EpisodeRecords:
         """Whole episodes; running ones are left out."""
-        return self._recorders[1].records
+        return self.episodes_by_cost[self.costs[0]]
+
+    @property
+    def episodes_by_cost(self) -> dict[str, EpisodeRecords]:
+        """`episodes` by each cost, by its name."""
+        return {name: whole.records for name, (_, whole) in self._recorders.items()}
 
     def panel(self, limit: float | None = None) -> Panel:
         """All measures of the training so far: `emcc.panel`. limit: by default the callback's."""
         limit = self.limit if limit is None else limit
-        steps = self._recorders[0].steps
-        return panel(self.records, limit, self.alpha, total_steps=steps, episodes=self.episodes)
+        return self._panel(self.costs[0], limit)
+
+    def _panel(self, name: str, limit: float | None) -> Panel:
+        of_rollouts, whole = self._recorders[name]
+        how = {"total_steps": of_rollouts.steps, "episodes": whole.records}
+        return panel(of_rollouts.snapshot, limit, self.alpha, **how)
 
     def _on_training_start(self) -> None:
         if self._started is not None and not self.locals["reset_num_timesteps"]:
             if self.model._last_obs is not self._last_obs:  # the environment was reset in between
-                for recorder in self._started:
-                    recorder.cut()
+                for recorders in self._started.values():
+                    for recorder in recorders:
+                        recorder.cut()
             return
         rollout = self.rollout
         if rollout == "auto":
             rollout = "update" if isinstance(self.model, OnPolicyAlgorithm) else "episode"
         self._by_update = rollout == "update"
         envs, kind = self.training_env.num_envs, "manual" if self._by_update else rollout
-        whole = CostRecorder(envs, "episode", self.threshold)
-        self._started = CostRecorder(envs, kind, self.threshold), whole
+        self._started = {
+            name: (
+                CostRecorder(envs, kind, self.threshold),
+                CostRecorder(envs, "episode", self.threshold),
+            )
+            for name in self.costs
+        }
 
     def _on_step(self) -> bool:
-        costs = [cost_of(info) for info in self.locals["infos"]]
         norm = self.model.get_vec_normalize_env()
         rewards = self.locals["rewards"] if norm is None else norm.get_original_reward()
-        for recorder in self._recorders:
-            recorder.step(costs, rewards, self.locals["dones"])
+        for name, recorders in self._recorders.items():
+            costs = [cost_of(info, name) for info in self.locals["infos"]]
+            for recorder in recorders:
+                recorder.step(costs, rewards, self.locals["dones"])
         if not self._by_update and np.any(self.locals["dones"]):
             self._log()
         return True
 
     def _on_rollout_end(self) -> None:
         if self._by_update:
-            self._recorders[0].end_rollout()
+            self._end_rollout()
             self._log()
 
     def _on_training_end(self) -> None:
         self._last_obs = self.model._last_obs
-        recorder, _ = self._recorders
         if self._by_update:  # an episode that is a rollout goes on with the next `learn`
-            recorder.end_rollout()
-        if not recorder.steps:
-            return
-        for part, measures in self.panel().parts.items():
-            if measures is not None:
-                self.logger.record(f"emcc/emcc_{part}", measures.emcc)
+            self._end_rollout()
+        for name, (recorder, _) in self._recorders.items():
+            if not recorder.steps:
+                return
+            for part, measures in self._panel(name, self._limit_of(name)).parts.items():
+                if measures is not None:
+                    self.logger.record(f"{self._prefix(name)}emcc_{part}", measures.emcc)
         self.logger.dump(self.num_timesteps)
 
     def _log(self) -> None:
-        recent, episodes = (recorder.recent(self.window) for recorder in self._recorders)
-        if not len(recent):
-            return
-        measures = measures_of(recent, episodes, self.limit, self.alpha, self.window, "all")
-        for name, value in vars(measures).items():
-            if isinstance(value, (int, float)):
-                self.logger.record(f"emcc/{name}", value)
+        for cost, recorders in self._recorders.items():
+            recent, episodes = (recorder.recent(self.window) for recorder in recorders)
+            if not len(recent):
+                return
+            how = (self._limit_of(cost), self.alpha, self.window, "all")
+            for name, value in vars(measures_of(recent, episodes, *how)).items():
+                if isinstance(value, (int, float)):
+                    self.logger.record(f"{self._prefix(cost)}{name}", value)
+
+    def _end_rollout(self) -> None:
+        for of_rollouts, _ in self._recorders.values():
+            of_rollouts.end_rollout()
+
+    def _limit_of(self, cost: str) -> float | None:
+        return self.limit if cost == self.costs[0] else None
+
+    def _prefix(self, cost: str) -> str:
+        """Before the names of a cost's numbers in the logger."""
+        return "emcc/" if cost == self.costs[0] else f"emcc/{cost}/"

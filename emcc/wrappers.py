@@ -9,7 +9,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_flag, as_one
+from emcc.arrays import as_array, as_flag, as_names, as_one
 from emcc.recorder import CostRecorder, cost_of, costs_of
 from emcc.records import EpisodeRecords
 
@@ -96,9 +96,8 @@ class _Recorded:
     recorders: dict[str, CostRecorder]
 
     def _record(self, num_envs: int, rollout: int | str, threshold: float, costs: Any) -> None:
-        if isinstance(costs, str) or not costs or len(set(costs)) < len(costs):
-            raise ValueError(f'costs must be different names, as in ("cost",), got {costs!r}')
-        self.recorders = {name: CostRecorder(num_envs, rollout, threshold) for name in costs}
+        names = as_names(costs, "costs")
+        self.recorders = {name: CostRecorder(num_envs, rollout, threshold) for name in names}
 
     @property
     def recorder(self) -> CostRecorder:

@@ -30,6 +30,7 @@ ELSEWHERE = ("docs/extending.md", "docs/ray.md")
 DRAWING = ("docs/environments.md",)
 README = TEXTS["README.md"]
 OWN = {"sac-fixed": {"--price"}, "trpo-price": {"--price"}, "sac-mw": {"--gain"}}
+OWN |= {"sac-quantile": {"--cost-critics"}, "reinforce-state": {"--std"}}
 OWN |= {"ppo-two": {"--cost-limit", "--second-limit"}}
 """Algorithms of docs/extending.md, and their options."""
 TITLES = ("Description", "Action space", "Observation space", "Reward", "Cost", "Start", "End")

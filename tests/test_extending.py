@@ -1,18 +1,27 @@
 """The files and commands of the page on an algorithm, task and measure of one's own."""
 
+import importlib.util
 import json
 import os
 import re
 import shutil
+import sys
+from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 
 import imageio.v3 as imageio
+import numpy as np
 import pytest
+import torch
+import toys
 from fault_common import forked
 
 import agents
+from agents.algorithms import _algorithms
 from agents.cli.main import main
 
+toys.register()
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 
@@ -45,6 +54,8 @@ def folder(tmp_path):
 ALGORITHMS = {
     "my_algorithm": ("sac-fixed", "SAC-Fixed", "price 0.5", "Price of a unit of discounted cost"),
     "my_trpo": ("trpo-price", "TRPO-Price", "price 0.5", "Price of cost beside the multiplier"),
+    "my_quantiles": ("sac-quantile", "SAC-Quantile", "cost_critics 8", "Outputs of the cost"),
+    "my_learner": ("reinforce-state", "REINFORCE-State", "std 0.3", "Standard deviation"),
     "my_law": ("sac-mw", "SAC-MW", "gain 0.002", "Growth of the multiplier's logarithm"),
 }
 """Module -> name, title, its hyper-parameter as the command sets it, and the text of that."""
@@ -63,13 +74,77 @@ def trained(folder, module):
     assert f"{title} ({changed}, 1,100 steps), mean of 1" in done.out
     assert json.loads((folder / "runs/config.json").read_text())["algorithm"] == name
     text = circle2d(folder, "train", name, "--import", module, "--help").out
-    assert f"--{changed.partition(' ')[0]}" in text
+    assert f"--{changed.partition(' ')[0].replace('_', '-')}" in text
     assert said in re.sub(r"[│\s]+", " ", text)
 
 
-@pytest.mark.parametrize("module", ["my_trpo", "my_law"])
+@pytest.mark.parametrize("module", ["my_trpo", "my_law", "my_quantiles", "my_learner"])
 def test_another_family_and_another_law(folder, module):
     trained(folder, module)
+
+
+@pytest.fixture
+def example(monkeypatch):
+    """A function of a module of the examples, whose algorithm is known meanwhile."""
+    for name in ("registered", "modules"):
+        monkeypatch.setattr(_algorithms, name, getattr(_algorithms, name).copy())
+
+    def load(name):
+        spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
+        module = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, name, module)  # where dataclasses and pickle look
+        spec.loader.exec_module(module)
+        return module
+
+    return load
+
+
+def test_quantiles_by_hand(example):
+    """Sums of the pinball of Huber's loss over pairs of output and target; the worst quarter."""
+    own, rng = example("my_quantiles"), np.random.default_rng(0)
+    config = own.SACQuantileConfig(cost_critics=8, discount=0.9)
+    values, after = rng.normal(0, 2, (2, 2, 8, 3))
+    batch = SimpleNamespace(
+        cost=torch.tensor(rng.random((2, 3))), cost_terminal=torch.tensor([[0.0, 1, 0]] * 2)
+    )
+    found = own.critic_loss(config, torch.tensor(values), torch.tensor(after), batch)
+    for run in range(2):
+        expected = 0.0
+        for i, j, b in product(range(8), range(8), range(3)):
+            left = 0.9 * (1 - float(batch.cost_terminal[run, b]))
+            error = float(batch.cost[run, b]) + left * after[run, j, b] - values[run, i, b]
+            huber = error**2 / 2 if abs(error) < 1 else abs(error) - 0.5
+            expected += abs((i + 0.5) / 8 - (error < 0)) * huber / (8 * 3)
+        assert float(found[run]) == pytest.approx(expected)
+    worst = np.sort(values, axis=1)[:, -2:].mean(axis=1)
+    np.testing.assert_allclose(own.risk(config, torch.tensor(values)), worst)
+
+
+def test_a_learner_of_ones_own_finds_the_constrained_optimum(tmp_path, example):
+    """In one step, reward -(a - 0.8)², cost (1 + a) / 2 limited to 0.6: a = 0.2 at λ = 2.4. It goes
+    on bit for bit after an interruption, and no run depends on the others."""
+    example("my_learner")
+    how = {"steps": 12_000, "cost_limit": 0.6, "multiplier_lr": 0.1, "learning_rate": 0.01}
+    how |= {"std": 0.3, "episodes": 20, "evaluation_episodes": 2}
+    whole = agents.train("reinforce-state", "Target-v0", seeds=(0, 1), out=tmp_path / "x", **how)
+    last = whole.to_pandas("updates").query("step > 9000")
+    assert last.cost.mean() == pytest.approx(0.6, abs=0.02)
+    assert last.multiplier.mean() == pytest.approx(2.4, abs=0.4)
+    policy = agents.load_policy(whole.folder, seed=1)
+    assert float(policy([0.0])[0]) == pytest.approx(0.2, abs=0.1)
+    inputs = np.linspace(-1, 1, 5, dtype=np.float32)[:, None]
+    module = policy.to_torch()(torch.tensor(inputs)).detach()
+    np.testing.assert_allclose(module, policy(inputs), atol=1e-6)
+    how |= {"steps": 2_000}
+    whole = agents.train("reinforce-state", "Target-v0", seeds=(0, 1), out=tmp_path / "w", **how)
+    more = how | {"on_epoch": lambda epoch: epoch.runs[0]["step"] < 1_000}
+    agents.train("reinforce-state", "Target-v0", seeds=(0, 1), out=tmp_path / "y", **more)
+    agents.resume(tmp_path / "y")
+    name = "results.npz"
+    assert (tmp_path / "y" / name).read_bytes() == (whole.folder / name).read_bytes()
+    alone = agents.train("reinforce-state", "Target-v0", seeds=1, out=tmp_path / "z", **how)
+    ours = whole.to_pandas("episodes").query("seed == 1")["return"]
+    assert ours.tolist() == alone.to_pandas("episodes")["return"].tolist()
 
 
 def test_two_limits_on_two_costs(folder):

@@ -41,7 +41,7 @@ try:
     agents.train
 except ImportError as error:
     assert str(error).startswith("agents.train needs "), error
-    assert str(error).endswith("pip install 'circle2d-mj[train]'"), error
+    assert str(error).endswith("pip install -c constraints.txt '.[train]'"), error
 else:
     raise AssertionError("agents.train is there")
 np.save("costs.npy", np.tile([0.0, 1.0, 1.0, 0.0], (9, 1)))
@@ -124,3 +124,12 @@ def test_the_lowest_versions(wheel, tmp_path, opengl):
     run(tmp_path, "venv/bin/python", "-c", load)
     assert "EMCC" in run(tmp_path, "venv/bin/python", "-m", "emcc", "runs/sac").stdout
     assert (tmp_path / "film.mp4").stat().st_size > 1000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("extra", sorted(EXTRAS))
+def test_an_extra_can_be_resolved(extra, tmp_path):
+    """With the versions that were tested together; tianshou needs older ones."""
+    pins = () if extra == "tianshou" else ("-c", str(PINS))
+    pip = (sys.executable, "-m", "pip", "install", "--dry-run", "--quiet", "--ignore-installed")
+    run(tmp_path, *pip, *pins, f"{ROOT}[{extra}]")

@@ -42,7 +42,8 @@ class Learner(Protocol):
 
     Arrays of the state whose names are `actor` or begin with `actor.` are those that the policy
     depends on: a trained policy is loaded from them alone. For `to_torch` a learner also has a
-    method `module(run)`: its deterministic policy as an `nn.Module`, observations -> actions.
+    method `module(run)`: its deterministic policy as an `nn.Module`, observations -> actions. Where
+    these are not those of `policy`, `to_torch` is refused.
     """
 
     episodes: int

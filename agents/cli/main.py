@@ -104,8 +104,6 @@ def _run(command: str, args: Sequence[str]) -> int:
         kind = "option" if command.startswith("-") else "command"
         valid = ["--help", "--version"] if kind == "option" else list(COMMANDS)
         raise UserError(f"unknown {kind} {command!r}: {nearest(command, valid)}")
-    if not {os.getcwd(), ""} & set(sys.path):  # the user's own modules, after installed ones
-        sys.path.append(os.getcwd())
     with warnings.catch_warnings():
         warnings.showwarning = _print_warning
         try:

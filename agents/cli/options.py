@@ -6,7 +6,9 @@ import ast
 import contextlib
 import importlib
 import io
+import os
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import dropwhile, islice, takewhile
 from pathlib import Path
@@ -15,7 +17,15 @@ from typing import Annotated, Any, TypeVar
 import tyro
 
 from agents.checks import In
-from agents.errors import OTHER_NAMES, OWN_ERRORS, HelpShown, OwnCodeError, UserError, described
+from agents.errors import (
+    OTHER_NAMES,
+    OWN_ERRORS,
+    HelpShown,
+    OwnCodeError,
+    UserError,
+    described,
+    is_missing,
+)
 from agents.reporting.table import LEAST_WIDTH
 
 T = TypeVar("T")
@@ -87,14 +97,18 @@ def values_of(option: str, args: Sequence[str], most: int | None = None) -> list
 
 
 def import_modules(args: Sequence[str]) -> None:
-    """Import the modules that `--import` names. Raises UserError where one cannot be imported."""
-    for name in values_of("--import", args, most=1):
+    """Import the modules that `--import` names, which may lie in the current folder: without the
+    option nothing there is ever imported. Raises UserError where one cannot be imported."""
+    names = values_of("--import", args, most=1)
+    if names and not {os.getcwd(), ""} & set(sys.path):
+        sys.path.append(os.getcwd())  # after installed ones
+    for name in names:
         if name.endswith(".py"):
             raise UserError(f"--import takes a module's name: {name.removesuffix('.py')!r}")
         try:
             importlib.import_module(name)
         except OWN_ERRORS as error:  # of the user's own code
-            if isinstance(error, ModuleNotFoundError) and f"{name}.".startswith(f"{error.name}."):
+            if is_missing(error, name):
                 raise UserError(f"--import: there is no module {name!r}") from error
             raise OwnCodeError(f"cannot import {name!r}: {described(error)}") from error
 
@@ -145,7 +159,7 @@ def check_suffix(path: Path, *allowed: str) -> None:
     if path.suffix.lower() not in allowed:
         raise UserError(f"out must end in {' or '.join(allowed)}, got {str(path)!r}")
     for part in path.parents:
-        if part.is_file():
+        if part.exists() and not part.is_dir():
             raise UserError(f"out must lie in a folder, but {str(part)!r} is a file")
 
 

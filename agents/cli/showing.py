@@ -79,6 +79,9 @@ class CompareOptions(Settings):
     out: Path | None = None
     """Folder for compare.md, compare.tex, compare.csv, and compare.html with the training curves of
     both; by default nothing is written."""
+    measure: tuple[str, ...] | None = None
+    """Measures that are tested, such as J_R: the p values are corrected for the number of tests. By
+    default all are."""
     width: Width = None
     imports: Imports = ()
 
@@ -89,7 +92,7 @@ def compare(args: Sequence[str]) -> int:
 
     options = parse(CompareOptions, "compare", args)
     with working("reading runs and drawing figures"):
-        tables = compare_runs(options.a, options.b, options.out)
+        tables = compare_runs(options.a, options.b, options.out, options.measure)
     show(tables, options.width)
     return 0
 

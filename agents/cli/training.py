@@ -165,6 +165,9 @@ class ResumeOptions:
 
     folders: Folders
     """Folders of runs, one after the other."""
+    steps: int | None = None
+    """A new, greater number of environment steps of each run: trainings that are done go on, bit
+    for bit as if they had had it from the start."""
     imports: Imports = ()
 
 
@@ -176,10 +179,14 @@ def resume(args: Sequence[str]) -> int:
         if (note := callbacks.other_session(folder)) and not finished(folder):
             say(f"{folder}: {note}")
     done = [folder for folder in options.folders if finished(folder)]
+    if options.steps is not None:
+        done = [folder for folder in done if TrainConfig.read(folder).steps == options.steps]
     with AfterEpoch(options.imports) as after_epoch:
-        runs = api.resume(*options.folders, progress=True, on_epoch=after_epoch)
+        how = {"steps": options.steps, "progress": True, "on_epoch": after_epoch}
+        runs = api.resume(*options.folders, **how)
     for folder in done:
-        say(f"{folder}: was done already")
+        steps = TrainConfig.read(folder).steps
+        say(f"{folder}: was done already, all {steps} steps; --steps N, of a greater N, goes on")
     return _finish(runs.folders, after_epoch)
 
 

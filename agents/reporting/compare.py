@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agents.errors import UserError
+from agents.errors import UserError, nearest
 from agents.reporting.figures import curves
 from agents.reporting.numbers import difference_lines, group_lines, numbers_csv
 from agents.reporting.overall import TASKS, differences_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import made
-from agents.reporting.table import Number, Table, latex, markdown
+from agents.reporting.table import Number, Table, corrected, latex, markdown
 from agents.reporting.tables import caption, difference_rows, mean_row, measures_table, run_rows
 from agents.results.frame import (
     changes,
@@ -24,14 +24,13 @@ from agents.results.frame import (
 )
 from agents.results.measures import measures
 from agents.results.reading import Group, name_of_all, read
-from agents.results.statistics import LEVEL, Difference, Pair, differences, holm, two_sets
-from agents.training.files import write_whole
+from agents.results.statistics import LEVEL, Difference, Pair, differences, holm, only, two_sets
+from agents.training.files import check_folder, write_whole
 
 METHOD = (
     "B - A: difference of the means [Welch's 95 % t interval, of five seeds or more on both sides "
-    "that end in one place]; p: two-sided permutation test of Welch's t, corrected for the {} "
-    "comparisons made here (Holm); P(B better): probability that a run of B is better than one of "
-    "A, equal ones half [95 % bootstrap interval]"
+    "that end in one place]; p: two-sided permutation test of Welch's t{}; P(B better): "
+    "probability that a run of B is better than one of A, equal ones half [95 % bootstrap interval]"
 )
 Tested = Mapping[tuple[int, int], Mapping[str, Difference]]
 """The differences of pairs, by the identities of their groups."""
@@ -61,28 +60,36 @@ class Sides(NamedTuple):
         return pairs
 
 
-def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
+def compare(
+    a: Path, b: Path, out: Path | None = None, asked: Sequence[str] | None = None
+) -> list[Table]:
     """The tables of two folders of runs with the differences B - A, task by task, and over tasks.
 
     A group of B stands against the one of A with the same algorithm and settings, or where there is
     none against every group of A on the task, of the same cost. The last table has one test over
-    all tasks of each pair that is there on two tasks or more. Otherwise see `agents.compare`.
+    all tasks of each pair that is there on two tasks or more. asked: names of the measures that are
+    tested, by default all. Otherwise see `agents.compare`.
     """
+    for name in () if asked is None else asked:
+        if name not in (known := [m.name for m in measures()]):
+            raise UserError(f"there is no measure {name!r}: {nearest(name, known)}")
+    if out is not None:
+        check_folder(out)
     notes = [f"A is {a}, B is {b}."]
     of_a, of_b = (read([side], notes) for side in (a, b))
     both = with_varied_settings([*of_a, *of_b])
     sides = [with_distinct_titles(both[: len(of_a)]), with_distinct_titles(both[len(of_a) :])]
     by_task = _by_task(a, b, sides, notes)
     pairs = [pair for both in by_task.values() for pair in both.pairs]
-    tested = {_key(*pair): differences(*pair) for pair in pairs}
+    tested = {_key(*pair): only(asked, differences(*pair)) for pair in pairs}
     sets = two_sets((_name(*pair), pair) for pair in pairs)
-    corrected, tests = holm(tested)
+    adjusted, tests = holm(tested)
     *_, last = by_task
     tables = {
-        task: _table(task, both, corrected, tests, notes if task == last else [])
+        task: _table(task, both, adjusted, tests, notes if task == last else [])
         for task, both in by_task.items()
     }
-    if (together := differences_over_tasks(sets)) is not None:
+    if (together := differences_over_tasks(sets, asked)) is not None:
         tables[TASKS] = together
     if out is None:
         return list(tables.values())
@@ -102,7 +109,7 @@ def compare(a: Path, b: Path, out: Path | None = None) -> list[Table]:
         for pair in both.pairs:
             lines += difference_lines(task, _name(*pair), tested[_key(*pair)])
     for name, two in sets.items():
-        lines += difference_lines(f"{two.tasks} tasks", name, two.differences())
+        lines += difference_lines(f"{two.tasks} tasks", name, only(asked, two.differences()))
     write_whole(out / "compare.csv", numbers_csv(lines))
     return list(tables.values())
 
@@ -136,10 +143,10 @@ def _table(task: str, sides: Sides, tested: Tested, tests: int, notes: Sequence[
     rows = [mean_row(group, name) for name, group in sides.named]
     for pair in sides.pairs:
         told = tested[_key(*pair)]
-        rows += difference_rows(_name(*pair), told, measures(), beside=[Number(None)])
+        rows += difference_rows(_name(*pair), told, measures(), tests, beside=[Number(None)])
     for prefix, groups in zip(("A: ", "B: "), sides, strict=True):
         rows += [row for group in in_order(groups) for row in run_rows(group, prefix)]
-    words = f"{caption([*sides.a, *sides.b])}; {METHOD.format(tests)}"
+    words = f"{caption([*sides.a, *sides.b])}; {METHOD.format(corrected(tests, 'made here'))}"
     return measures_table(words, task, rows, [*notes, *_too_few(task, sides, tests)])
 
 

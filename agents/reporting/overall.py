@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.algorithms import title
-from agents.reporting.table import Number, Row, Table, number, p_number
+from agents.reporting.table import Number, Row, Table, corrected, number, p_head, p_number
 from agents.reporting.tables import difference_rows
 from agents.results.frame import by_task, changes, in_order, name_of, title_of
 from agents.results.reading import Group, Run
@@ -28,6 +28,7 @@ from agents.results.statistics import (
     holm,
     known,
     matrices,
+    only,
     thirds_of,
 )
 from emcc import iqm
@@ -99,7 +100,7 @@ def comparable(groups: Iterable[Group]) -> Cells:
     return on_every_task(alike, lambda group: title(group.config.algorithm))
 
 
-SEPARATED = ("cost rate A", "cost rate B", "B - A", "p equal", "EMCC A", "EMCC B", "B - A", "p")
+SEPARATED = ("cost rate A", "cost rate B", "B - A", "p equal", "EMCC A", "EMCC B", "B - A")
 
 
 def separated_table(groups: Sequence[Group]) -> Table | None:
@@ -122,7 +123,8 @@ def separated_table(groups: Sequence[Group]) -> Table | None:
         f"{len(pairs)} tests (Holm), is at most {LEVEL:g}. Differences with Welch's 95 % t "
         "interval, where all runs of either end in one place"
     )
-    return Table(words, ["A and B", *SEPARATED], list(map(_separated_row, shown)))
+    head = ["A and B", *SEPARATED, p_head(len(pairs))]
+    return Table(words, head, list(map(_separated_row, shown)))
 
 
 def _separated_row(pair: Comparison) -> Row:
@@ -137,10 +139,9 @@ def _separated_row(pair: Comparison) -> Row:
 
 
 TEST = (
-    "permutation test of Welch's t of the means over seeds and tasks, runs exchanged within tasks, "
-    "corrected for"
+    "permutation test of Welch's t of the means over seeds and tasks, runs exchanged within tasks"
 )
-"""The test of both tables over tasks, before the number of comparisons."""
+"""The test of both tables over tasks."""
 
 
 def over_tasks(groups: Sequence[Group]) -> Table | None:
@@ -170,7 +171,7 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
         }
     )
     for name, told in tested.items():
-        _, p, better = difference_rows("", told, columns)
+        _, p, better = difference_rows("", told, columns, tests)
         rows += [Row(name, better.numbers, kind="test"), p]
     words = [f"Over {tasks} tasks, presets' runs: interquartile mean of all seeds and tasks"]
     if pairs:
@@ -180,30 +181,32 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
         )
     words.append("[95 % bootstrap interval]")
     if pairs:
-        words.append(f"p: {TEST} the {tests} comparisons of this table (Holm)")
+        words.append(f"p: {TEST}{corrected(tests, 'of this table')}")
     ending = f". Algorithms with {FEWEST_RUNS} common seeds or more on every task"
     caption = "; ".join(words) + ending
     return Table(caption, [f"{tasks} tasks", *(m.head for m in columns)], rows)
 
 
-def differences_over_tasks(sets: Mapping[str, TwoSets]) -> Table | None:
+def differences_over_tasks(
+    sets: Mapping[str, TwoSets], asked: Collection[str] | None = None
+) -> Table | None:
     """Differences B - A of the means over all tasks, with a test of each; None of no sets.
 
-    sets: by the name of their rows.
+    sets: by the name of their rows; asked: see `agents.results.statistics.only`.
     """
     if not sets:
         return None
     columns = common_measures()
-    tested, tests = holm({name: two.differences() for name, two in sets.items()})
+    tested, tests = holm({name: only(asked, two.differences()) for name, two in sets.items()})
     rows = []
     for name, told in tested.items():
         # A digit more than means have: over tasks small differences can be told from none.
-        rows += difference_rows(f"{name}, {sets[name].size}", told, columns, more_digits=1)
+        rows += difference_rows(f"{name}, {sets[name].size}", told, columns, tests, more_digits=1)
     words = (
         "Over all tasks that both have: B - A, difference of the means over seeds and tasks [95 % "
-        f"bootstrap interval, of {FEWEST_RUNS} seeds or more]; p: {TEST} the {tests} "
-        "comparisons of this table (Holm); P(B better): probability that a run of B is better than "
-        "one of A on a task, equal ones half"
+        f"bootstrap interval, of {FEWEST_RUNS} seeds or more]; p: {TEST}"
+        f"{corrected(tests, 'of this table')}; P(B better): probability that a run of B "
+        "is better than one of A on a task, equal ones half"
     )
     return Table(words, ["over all tasks", *(m.head for m in columns)], rows)
 

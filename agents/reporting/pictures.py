@@ -23,7 +23,7 @@ from agents.training.config import RunId, TrainConfig
 from agents.training.derive import Steps, count_visits
 from agents.training.environments import make_envs, registered, view_of
 from agents.training.evaluation import paths_of, play, runs_envs
-from agents.training.files import whole, write_whole
+from agents.training.files import check_file, whole, write_whole
 from agents.training.policy import chosen_run, load_policy
 from circle2d_mj.core.view import Picture, View
 from circle2d_mj.render import canvas
@@ -280,8 +280,7 @@ def write_film(path: Path, frames: Iterable[Picture], total: int) -> None:
 
 
 def _prepare(path: Path) -> None:
-    if path.is_dir():
-        raise UserError(f"{path} is a folder; a file is to be written")
+    check_file(path)
     path.parent.mkdir(parents=True, exist_ok=True)
 
 

@@ -24,7 +24,7 @@ from agents.reporting.table import Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.frame import with_distinct_titles, with_varied_settings
 from agents.results.reading import Group, name_of_all, read, write_archive
-from agents.training.files import archive_of, write_whole
+from agents.training.files import archive_of, check_file, check_folder, write_whole
 
 RUNS = "Every run"
 
@@ -122,15 +122,13 @@ def _output_folder(paths: Sequence[Path], out: Path | None) -> Path:
     chosen = out or paths[0]
     if out is None and archive is not None:
         chosen = archive.with_suffix("") / paths[0].relative_to(archive)
-    if chosen.is_file():
-        raise UserError(f"{chosen} is a file; the report needs a folder: give another for out")
+    check_folder(chosen)
     return chosen
 
 
 def _check_archive(path: Path) -> None:
     """Make the folder of a file to be written. Raises UserError where there can be none."""
-    if path.is_dir():
-        raise UserError(f"archive must be a file, but {str(path)!r} is a folder")
+    check_file(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -80,6 +80,16 @@ def p_number(p: float | None) -> Number:
     return Number(p, 3, is_p=True)
 
 
+def p_head(tests: int) -> str:
+    """The name of p values that are corrected for so many tests by Holm's method."""
+    return f"p, corrected for {tests} (Holm)" if tests > 1 else "p"
+
+
+def corrected(tests: int, where: str) -> str:
+    """The correction in words, behind the name of a test; empty for a test alone."""
+    return f", corrected for the {tests} comparisons {where} (Holm)" if tests > 1 else ""
+
+
 def count(share: Share | None) -> Number:
     """The cell of a share of runs."""
     if share is None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.algorithms import title
-from agents.reporting.table import Number, Row, Table, count, number, p_number
+from agents.reporting.table import Number, Row, Table, count, number, p_head, p_number
 from agents.results.frame import in_order, name_of
 from agents.results.measures import Measure, measure, measures
 from agents.results.reading import Group, Run
@@ -163,18 +163,20 @@ def difference_rows(
     name: str,
     told: Mapping[str, Difference],
     columns: Sequence[Measure],
+    tests: int,
     more_digits: int = 0,
     beside: Sequence[Number] = (),
 ) -> list[Row]:
     """The rows of B - A of some measures, of its p values, and of P(B better).
 
-    told: with corrected p values; more_digits: than means have; beside: further cells of each row.
+    told: with p values corrected for so many tests; more_digits: than means have; beside: further
+    cells of each row.
     """
     both = [(m, told[m.name]) for m in columns]
     gaps = [number(d.gap, m.digits + more_digits, signed=True) for m, d in both]
     return [
         Row(name, [*gaps, *beside], kind="difference"),
-        Row("p", [*(p_number(d.p) for _, d in both), *beside], kind="test"),
+        Row(p_head(tests), [*(p_number(d.p) for _, d in both), *beside], kind="test"),
         Row("P(B better)", [*(number(d.better) for _, d in both), *beside], kind="test"),
     ]
 

@@ -148,6 +148,13 @@ def _better(m: Measure, a: list[float] | None, b: list[float] | None) -> Interva
     return emcc.bootstrap(emcc.probability_of_improvement, *sides, rng=rng)
 
 
+def only(asked: Collection[str] | None, told: Mapping[str, Difference]) -> Mapping[str, Difference]:
+    """The differences with p values of the measures alone that are asked about; None: of all."""
+    if asked is None:
+        return told
+    return {m: d if m in asked else d._replace(p=None) for m, d in told.items()}
+
+
 def holm(
     tested: Mapping[Key, Mapping[str, Difference]],
 ) -> tuple[dict[Key, dict[str, Difference]], int]:

@@ -342,6 +342,12 @@ def _no_runs(folder: AnyPath) -> str:
 
 
 def _require_none(folder: Path) -> None:
+    if finished(folder):
+        raise UserError(
+            f"{folder} holds runs already, which are done: train them on by 'circle2d resume "
+            f"{folder} --steps N' or agents.resume({str(folder)!r}, steps=N), or choose another "
+            "folder"
+        )
     if (folder / CONFIG).exists():
         raise UserError(
             f"{folder} holds runs already: go on with them by 'circle2d resume {folder}' or "

@@ -17,7 +17,15 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
-from agents.errors import OWN_ERRORS, OwnCodeError, TaskFailure, UserError, described, nearest
+from agents.errors import (
+    OWN_ERRORS,
+    OwnCodeError,
+    TaskFailure,
+    UserError,
+    described,
+    is_missing,
+    nearest,
+)
 from agents.lockstep.rollout import MAX_STEPS, require_info
 from agents.training.wrappers import (
     CheckedEnv,
@@ -215,8 +223,8 @@ def registered(task: str) -> str:
             raise UserError(f"cannot make task {task!r}: {error}") from None
         hint = nearest(name, gym.registry, otherwise="gymnasium does not have it")
         raise UserError(
-            f"unknown task {task!r}: {hint} (a task of your own: 'MODULE:{name}', or import its "
-            "module first, on the command line by --import MODULE)"
+            f"unknown task {task!r}: {hint} (a task of your own: import its module first, on the "
+            "command line by --import MODULE)"
         ) from None
     return name
 
@@ -236,6 +244,9 @@ def task_id(task: str) -> str:
         try:
             importlib.import_module(module)
         except OWN_ERRORS as error:  # of the user's own code
+            if is_missing(error, module):  # itself
+                words = f"there is no module {module!r}; for one in the current folder give"
+                raise UserError(f"task {task!r}: {words} --import {module}") from None
             raise OwnCodeError(f"cannot make task {task!r}: {described(error)}") from error
     versions = [re.fullmatch(f"{re.escape(name)}-v([0-9]+)", other) for other in gym.registry]
     newest = max(filter(None, versions), key=lambda found: int(found[1]), default=None)

@@ -93,7 +93,8 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[None]:
 @contextlib.contextmanager
 def whole(path: Path) -> Iterator[IO[bytes]]:
     """A new file that takes the place of `path` at the end, flushed; nothing is left of it where
-    that is not reached."""
+    that is not reached. Raises UserError as `check_file`."""
+    check_file(path)
     unfinished = path.with_name(f".{path.name}.{secrets.token_hex(8)}{UNFINISHED}")
     try:
         with unfinished.open("xb") as file:  # x: follows no link
@@ -269,5 +270,13 @@ def numbered_path(folder: Path, name: str, number: int) -> Path:
 def check_folder(path: Path) -> None:
     """Raise UserError for a folder that cannot be made, since a file is in its way."""
     for part in (path, *path.parents):
-        if part.is_file():
+        if part.exists() and not part.is_dir():
             raise UserError(f"out must be a folder, but {str(part)!r} is a file")
+
+
+def check_file(path: Path) -> None:
+    """Raise UserError for a file that is not to be replaced: a folder, a device, a pipe."""
+    if path.is_dir():
+        raise UserError(f"{path} is a folder; a file is to be written")
+    if path.exists() and not path.is_file():
+        raise UserError(f"{path} is a device or a pipe, which no file may replace: give another")

@@ -151,7 +151,8 @@ def start(folder: Path, imports: Sequence[str]) -> subprocess.Popen:
     options = [option for name in imports for option in ("--import", name)]
     with (folder / LOG).open("ab") as log:
         return subprocess.Popen(
-            [sys.executable, "-c", PROGRAM, "resume", str(folder), *options],
+            # -P: else Python would look for every module in the current folder first.
+            [sys.executable, "-P", "-c", PROGRAM, "resume", str(folder), *options],
             stdout=log,
             stderr=log,
             stdin=subprocess.PIPE,

@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import gymnasium as gym
 import numpy as np
+import torch
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
@@ -22,7 +23,7 @@ from torch import from_numpy as to_tensor
 
 from agents.algorithms import Learner
 from agents.algorithms import learner as make_learner
-from agents.checks import In, check
+from agents.checks import In, as_integer, check
 from agents.errors import (
     OWN_ERRORS,
     OwnCodeError,
@@ -85,6 +86,13 @@ def folder_of(given: str | os.PathLike[str]) -> Path:
     kind, colon, name = Path(given).as_posix().partition(":")
     algorithm, _, task = name.partition("/")
     return pretrained(algorithm, task) if kind == "pretrained" and colon else Path(given)
+
+
+OBSERVATIONS, SIZES = 256, (0.01, 10.0)
+"""Number and smallest and largest standard deviation of the observations on which a module must act
+as its policy does."""
+SAME = 1e-3
+"""Share of the bounds' range that rounding may make between them."""
 
 
 class Policy:
@@ -170,11 +178,42 @@ class Policy:
         """The deterministic policy as a module: observations [..., size] -> actions [..., size].
 
         Equal to the policy itself up to rounding in float32, rescaling and bounds included. Raises
-        UserError for a family of algorithms that does not offer one.
+        UserError for a family of algorithms that does not offer one, and where its actions on some
+        observations are not the policy's.
         """
         if self._module is None:
             raise UserError(f"{self!r} has no module: its Learner has no method `module`")
-        return _Bounded(copy.deepcopy(self._module), self._bounds.low, self._bounds.high)
+        module = self.bounded(copy.deepcopy(self._module))
+        self.check_same(module, "the module that its Learner's method `module` returns")
+        return module
+
+    def bounded(self, net: nn.Module) -> nn.Module:
+        """A network of actions in [-1, 1], as a module of actions within the task's bounds."""
+        return _Bounded(net, self._bounds.low, self._bounds.high)
+
+    def check_same(self, module: nn.Module, words: str) -> None:
+        """Raise UserError where the actions of a module on some observations are not the policy's:
+        what a Learner's `policy` does beside its network, such as a projection of actions, is lost.
+
+        words: what the module is.
+        """
+        shape = (OBSERVATIONS, self.spaces.observation_size)
+        sizes = np.geomspace(*SIZES, OBSERVATIONS)[:, None]
+        observations = (sizes * np.random.default_rng(0).standard_normal(shape)).astype(np.float32)
+        ours = self(observations)
+        with torch.no_grad():
+            found = module(to_tensor(observations)).numpy()
+        if found.shape != ours.shape:
+            raise UserError(f"{words} gives actions {list(found.shape)}, not {list(ours.shape)}")
+        far = np.abs(found - ours) > SAME * (self._bounds.high - self._bounds.low)
+        unlike = far | (np.isnan(found) != np.isnan(ours))  # one that diverged is equal to itself
+        if unlike.any():
+            k = int(unlike.any(axis=-1).argmax())
+            raise UserError(
+                f"{self!r} acts otherwise than {words}: on {observations[k].tolist()} "
+                f"{ours[k].tolist()}, not {found[k].tolist()}. A module must do all that the "
+                "Learner's `policy` does; `load_policy` does it in any case"
+            )
 
     def _batch(self, observation: ArrayLike) -> tuple[NDArray[np.float32], bool]:
         """Observations as [N, size], and whether one was given alone."""
@@ -225,7 +264,8 @@ def load_policy(
 
     Needs neither the task's environment nor the replay. Raises UserError for what is not there.
     """
-    folder = folder_of(folder)
+    folder, step = folder_of(folder), as_integer(step)
+    check("step", step, int | None)
     config = TrainConfig.read(folder)
     run = chosen_run(folder, config, seed, task)
     spaces = read_spaces(folder)
@@ -379,6 +419,7 @@ def evaluate(
     Raises UserError where the task does not fit the policy, and where every run failed; TaskFailure
     for rewards and costs that are not finite, and for negative costs.
     """
+    episodes = as_integer(episodes)
     check("episodes", episodes, Annotated[int, In(1)])
     check("seed", seed, Annotated[int, In(0)])
     if isinstance(policy, (str, os.PathLike)):

@@ -10,6 +10,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from agents.algorithms import BUILT_IN, Learner
 from agents.algorithms import learner as make_learner
+from agents.checks import In, check
 from agents.errors import (
     OWN_ERRORS,
     OwnCodeError,
@@ -33,6 +35,7 @@ from agents.lockstep.rollout import Rollout, collect
 from agents.training import callbacks, derive
 from agents.training.config import (
     CHECKPOINTS,
+    CONFIG,
     COUNTERS,
     RESULTS,
     STEPS,
@@ -46,8 +49,10 @@ from agents.training.files import (
     locked,
     numbered,
     numbered_path,
+    read_json,
     remove_unfinished,
     write_arrays,
+    write_json,
 )
 from agents.training.wrappers import SideBySide
 from emcc import longest_streaks
@@ -83,6 +88,59 @@ def train(folder: Path, *own: Callback) -> Trainer:
                 why = (trainer.failures, trainer.tracebacks)
                 derive.write_results(folder, config, trainer.learner.policy(), *why)
     return trainer
+
+
+def check_longer(folder: Path, steps: int) -> None:
+    """Raise UserError where the runs of a folder cannot be trained up to so many steps."""
+    check("steps", steps, Annotated[int, In(1)])
+    if steps < (before := TrainConfig.read(folder).steps):
+        raise UserError(f"steps must be at least the {before} that {folder} has, got {steps}")
+
+
+def lengthen(folder: Path, steps: int) -> None:
+    """Make the training of a folder one of more steps, which then goes on as if it had been from
+    the start.
+
+    Runs that end earlier than others wait for them, where they would have gone on: then the
+    training goes back to a checkpoint before. Raises UserError where there is none, and as
+    `check_longer`. No setting depends on the number of steps.
+    """
+    check_longer(folder, steps)
+    with locked(folder):
+        config = TrainConfig.read(folder)
+        if steps == config.steps:
+            return
+        checkpoints = numbered(folder, CHECKPOINTS)
+        waited = [number for number in checkpoints if _has_waited(folder, config, number)]
+        if waited and len(waited) == len(checkpoints):
+            raise UserError(
+                f"{folder} cannot go on as if it had had {steps} steps from the start: runs that "
+                "were done waited for others, and no checkpoint of before is left; train anew"
+            )
+        if waited:
+            first = min(waited)
+            warnings.warn(
+                f"{folder}: runs that were done waited for others; going on from the last "
+                "checkpoint before",
+                stacklevel=2,
+            )
+            for number in (number for number in checkpoints if number >= first):
+                Path(str(checkpoints[number])).unlink()
+        # In this order a kill leaves the old training, to be resumed, or the new one.
+        (folder / RESULTS).unlink(missing_ok=True)
+        write_json(folder / CONFIG, read_json(folder / CONFIG) | {"steps": steps})
+
+
+def _has_waited(folder: Path, config: TrainConfig, number: int) -> bool:
+    """Whether a run had no steps to take in an epoch before a checkpoint, and had not failed."""
+    state, recorded = (
+        Arrays(numbered_path(folder, CHECKPOINTS, number)),
+        derive.Steps(folder, number),
+    )
+    epoch, failures = int(state["epoch"]), state["failures"]
+    updates = [recorded.get(run, "updates") for run in config.runs]
+    taken = np.array([0 if update is None else len(update) for update in updates])
+    return bool(((taken < epoch) & (failures == "")).any())
 
 
 def _is_whole(path: Path) -> bool:

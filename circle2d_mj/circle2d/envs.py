@@ -36,7 +36,7 @@ class Circle2D:
     def __init__(self, config: Circle2DConfig, num_envs: int, dynamics: Dynamics) -> None:
         self.config, self.num_envs, self.dynamics = config, num_envs, dynamics
         self.recorded_info = dynamics.info_units
-        self.info_keys = ("cost", *self.recorded_info)
+        self.info_keys = ("cost", *self.recorded_info, *self.state_info())
         bounds = np.array(dynamics.observation_bounds, dtype=np.float32)
         self.observation_space: Box = Box(-bounds, bounds)
         self.action_space: Box = Box(-1.0, 1.0, (2,), np.float32)
@@ -62,8 +62,9 @@ class Circle2D:
         return Outcome(task.reward(self.config, ended), ends, {"cost": costs, **more})
 
     def state_info(self) -> dict[str, NDArray[np.float64]]:
-        """Return nothing: the observation holds the positions."""
-        return {}
+        """Return what the dynamics tell of the state beside the observation."""
+        tell = getattr(self.dynamics, "state_info", None)
+        return tell() if tell else {}
 
     def frame(self, index: int) -> NDArray[np.uint8]:
         """Draw the agent `index` in its arena: [640, 640, 3]."""

@@ -28,6 +28,8 @@ class Circle2DMuJoCoVectorEnv(Circle2DVectorEnv):
     | `info["contact_force"]` | [num_envs] float64 | N; the region's greatest force on the ball in the step |
     | `info["penetration"]` | [num_envs] float64 | m; greatest overlap of ball and region in the step, without force the distance from the centre to free space |
 
+    Parameters that `randomize` draws are in the info, each by its name, [num_envs] float64.
+
     Parameters: those of `Circle2DConfig` and of `PhysicsConfig`, by name. num_threads: threads that
     step the environments, with the same results for any number. camera: "top", "side" or "follow",
     for frames that MuJoCo draws, with shadows and the region's forces as arrows; None for plain

@@ -95,6 +95,10 @@ class Physics:
             self.drawn[index] = low + draws * (high - low)
             self._apply(index)
 
+    def state_info(self) -> dict[str, NDArray[np.float64]]:
+        """The parameters that were drawn for each agent, [num_envs] by name."""
+        return {name: self.drawn[:, k].copy() for k, name in enumerate(self.physics.randomize)}
+
     def place(self, index: NDArray[np.intp], position: NDArray[np.float64]) -> None:
         """Put the agents `index` at rest at `position`, [len(index), 2]."""
         self._batch.state[index] = 0.0
@@ -171,6 +175,8 @@ class Physics:
         takes a tenth of a step's time, so that is done only for balls near the region.
         """
         near = self._reach.contains(self._qpos)
+        if self.physics.xml is not None:  # where anything may be
+            near = np.ones_like(near)
         self._batch.forward(near, mujoco.mjtStage.mjSTAGE_POS)
         return np.where(near, self._sensors[:, 3], 0.0)
 

@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -82,6 +84,9 @@ class PhysicsConfig:
     randomize: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Ranges, lower and upper end, from which parameters are drawn anew, uniformly, at every
     reset."""
+    xml: str | os.PathLike[str] | None = None
+    """File of a scene of one's own in the place of assets/xml/circle2d.xml, with all that this one
+    names: more geoms, other looks. What else the ball touches counts as the region."""
 
     def __post_init__(self) -> None:
         for name, allowed in (("actuation", Actuation), ("contact", Contact), ("cost", CostRule)):
@@ -100,6 +105,10 @@ class PhysicsConfig:
         if self.cost == "force" and self.contact == "none":
             raise ValueError("cost 'force' needs a region that pushes: contact 'rigid' or 'soft'")
         object.__setattr__(self, "randomize", self._ranges())
+        if self.xml is not None:
+            if not isinstance(self.xml, (str, os.PathLike)):
+                raise TypeError(f"xml must be the path of a file, got {self.xml!r}")
+            object.__setattr__(self, "xml", os.fspath(self.xml))
 
     def _checked(self, name: str, value: Any) -> float:
         number = finite(name, value)
@@ -142,6 +151,40 @@ class PhysicsConfig:
         return ranges
 
 
+def base_scene(physics: PhysicsConfig) -> mujoco.MjSpec:
+    """The scene before a task changes it. Raises ValueError for one of the user's own without the
+    things that a task changes or reads."""
+    path = asset(BASE) if physics.xml is None else Path(physics.xml)
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, OSError) as error:
+        raise ValueError(f"xml {str(path)!r} is no scene that MuJoCo reads: {error}") from error
+    ball = spec.body("agent")
+    there = {
+        'a geom "floor"': spec.geom("floor"),
+        'a camera "top"': spec.camera("top"),
+        'a body "agent" with an inertial and its mass': ball is not None and ball.mass > 0,
+        'in that body the two joints of all, slides "x" and "y"': _names(spec.joints) == ["x", "y"]
+        and _names(ball.joints if ball else ()) == ["x", "y"],
+        'the two actuators of all, velocity servos "x" and "y"': _names(spec.actuators)
+        == ["x", "y"],
+        'a sphere "agent"': spec.geom("agent"),
+        'the first sensors "force" and "distance"': _names(spec.sensors)[:2]
+        == ["force", "distance"],
+        'a default class "region"': spec.find_default("region"),
+        'no region, which a task adds ("region0")': spec.geom("region0") is None,
+    }
+    if missing := [words for words, found in there.items() if not found]:
+        raise ValueError(
+            f"xml {str(path)!r} needs {'; '.join(missing)}: begin with a copy of {asset(BASE)}"
+        )
+    return spec
+
+
+def _names(elements: Iterable[Any]) -> list[str]:
+    return [element.name for element in elements]
+
+
 def completed(config: Circle2DConfig, physics: PhysicsConfig) -> PhysicsConfig:
     """The physics with what it leaves open: numbers of the base scene, and defaults of the task.
 
@@ -160,7 +203,7 @@ def completed(config: Circle2DConfig, physics: PhysicsConfig) -> PhysicsConfig:
         raise ValueError(
             f"contact {contact!r} contradicts infeasible_region_penetratable={penetratable}"
         )
-    base = mujoco.MjSpec.from_file(str(asset(BASE)))
+    base = base_scene(physics)
     ball, [servo, _], [joint, _] = base.geom("agent"), base.actuators, base.joints
     by_force = physics.actuation == "force"
     usual = {

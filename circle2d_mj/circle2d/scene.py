@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from circle2d_mj.assets import asset
 from circle2d_mj.circle2d.config import Circle2DConfig
 from circle2d_mj.circle2d.physics_config import (
-    BASE,
     BASE_RADIUS,
     PhysicsConfig,
+    base_scene,
     completed,
     full_action,
     softness,
@@ -52,7 +51,7 @@ def scene(
     the region out. Raises ValueError as `completed` does.
     """
     physics = completed(config, physics or PhysicsConfig())
-    spec = mujoco.MjSpec.from_file(str(asset(BASE)))
+    spec = base_scene(physics)
     _scale(spec, config)
     spec.option.timestep = physics.timestep
     spec.body("agent").mass = physics.mass

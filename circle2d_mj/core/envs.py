@@ -301,7 +301,9 @@ def without_time_limit(env: type[TaskEnv]) -> Callable[..., TaskEnv]:
     def make(**kwargs: Any) -> TaskEnv:
         return env(max_episode_steps=None, **kwargs)  # pyright: ignore[reportCallIssue]
 
-    make.metadata = env.metadata  # pyright: ignore[reportFunctionMemberAccess]
+    # "human" always: gymnasium would show frames by pygame, where we say that there is no screen.
+    modes = list(dict.fromkeys([*env.metadata["render_modes"], "human"]))
+    make.metadata = env.metadata | {"render_modes": modes}  # pyright: ignore[reportFunctionMemberAccess]
     return make
 
 

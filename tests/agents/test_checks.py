@@ -46,13 +46,13 @@ REFUSED = {
     "share": ([-1e-9, 1.1, math.nan, "0.5", None, True, [0.5]], "0 and at most 1|finite number"),
     "rate": ([0, 0.0, 1.5], "above 0 and at most 1"),
     "free": ([math.inf, -math.inf, 10**400, "1", 1j], "a finite number"),
-    "count": ([0, 2.0, True, 2**41, 10**400], "at least 1|an integer|at most 10995|finite"),
+    "count": ([0, 2.5, True, 2**41, 10**400], "at least 1|an integer|at most 10995|finite"),
     "index": ([1.5, "1", None], "an integer"),
     "kind": (["Adam", None, 1], "adam or sgd"),
     "flag": ([1, "no", None], "True or False"),
     "sizes": ([(), [64], 64, (0,), (101, 5), (5.0,), (True,)], "a tuple of integers, each"),
     "scale": ([-1, 11.0, (), (1.0, -1.0), [1.0], "1"], "at least 0 and at most 10"),
-    "every": ([0, 1.0, False], "at least 1|an integer"),
+    "every": ([0, 1.5, False], "at least 1|an integer"),
 }
 
 
@@ -68,6 +68,13 @@ def test_numbers_of_numpy_become_pythons():
     of_numpy = {"share": np.float64(0.5), "count": np.int64(3), "flag": np.bool_(True)}
     of_numpy |= {"sizes": tuple(np.array([8, 4])), "other": {"level": np.int8(2)}}
     assert repr(Own(**of_numpy)) == repr(Own(**given))
+
+
+def test_whole_floats_are_integers_as_on_the_command_line():
+    """Types and all; where a float is allowed it stays one."""
+    given = {"count": 1e6, "every": np.float64(2.0), "share": 1.0, "index": -1e3}
+    own = Own(**given)
+    assert repr((own.count, own.every, own.share, own.index)) == "(1000000, 2, 1.0, -1000)"
 
 
 @pytest.mark.parametrize("name", REFUSED)

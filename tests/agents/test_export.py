@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+import toy_family
 from toys import register
 
 import agents
+from agents.algorithms import Algorithm
 from agents.cli.main import main
 from agents.export import export
 
@@ -100,3 +103,41 @@ def test_the_command(folder, tmp_path, capsys):
     written = capsys.readouterr().out.split()
     assert written
     assert all(tmp_path in Path(path).parents for path in written)
+
+
+class Normed(torch.nn.Module):
+    """A layer with a normaliser before it that is no layer."""
+
+    def __init__(self, weight, bias):
+        super().__init__()
+        self.layer = torch.nn.Linear(*weight.shape[::-1], bias=bias)
+        zeros = {"bias": torch.zeros(len(weight))} if bias else {}
+        self.layer.load_state_dict({"weight": torch.tensor(weight)} | zeros)
+        self.factor = 1.0 if not bias else 0.5
+
+    def forward(self, observation):
+        return self.layer(self.factor * observation)
+
+
+def normed(bias):
+    class Family(toy_family.Linear):
+        def policy(self):
+            act, factor = super().policy(), self.module(0).factor
+            return lambda observation, noise: act(factor * observation, noise)
+
+        def module(self, run):
+            return Normed(self.actor[run], bias)
+
+    return Family
+
+
+@pytest.mark.parametrize(("bias", "words"), [(True, "acts otherwise"), (False, "Linear with bias")])
+def test_what_a_file_would_lack_is_refused(bias, words, tmp_path):
+    """The module is the policy; the layers that a file holds are not, or lack a bias."""
+    rule = Algorithm("Toy", toy_family.Numbers, toy_family.Rule(), normed(bias))
+    with toy_family.known(algorithm=rule):
+        folder = agents.train("toy", "Walk-v0", seeds=0, steps=50, out=tmp_path / "x").folder
+        assert agents.load_policy(folder).to_torch()
+        with pytest.raises(agents.UserError, match=words):
+            export(folder, "safetensors", tmp_path / "y")
+    assert not (tmp_path / "y").exists()

@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -102,6 +103,41 @@ def test_what_the_logger_gets():
     assert {f"emcc/emcc_{part}": value for part, value in thirds.items()}.items() <= (
         writer.rows[-1][1].items()
     )
+
+
+class Second(gym.Wrapper):
+    """A second cost: 1 where the first is 0."""
+
+    def step(self, action):
+        *others, info = self.env.step(action)
+        return *others, info | {"cost_2": 1.0 - info["cost"]}
+
+
+@pytest.mark.parametrize("algorithm", [A2C, SAC])
+def test_each_cost_has_its_records(algorithm):
+    """Those of a callback on a task whose only cost is that one; limits are of the first."""
+    writer, callback = Kept(), emcc.sb3.EMCCCallback(limit=5.0, costs=("cost", "cost_2"))
+    LOG.clear()
+    training = DummyVecEnv([lambda: Second(Noisy(LOG))])
+    options = {"learning_starts": 10_000} if algorithm is SAC else {"n_steps": 40}
+    model = algorithm("MlpPolicy", training, device="cpu", **options)
+    model.set_logger(Logger(None, [writer]))
+    model.learn(400, callback=callback, log_interval=2)
+    ended, _ = trajectories(LOG)
+    first, second = callback.episodes_by_cost.values()
+    assert first.to_csv() == callback.episodes.to_csv()
+    assert second.cost.tolist() == [sum(1 - cost for cost in costs) for costs, _ in ended]
+    first, second = callback.records_by_cost.values()
+    assert second.cost_steps.sum() == sum(1 - cost for _, cost, *_ in LOG)
+    assert first.length.tolist() == second.length.tolist()
+    row = {name: value for _, row in writer.rows for name, value in row.items()}
+    for prefix, records in (("emcc/", first), ("emcc/cost_2/", second)):
+        for part, value in records.emcc_by_part().items():
+            assert row[f"{prefix}emcc_{part}"] == value
+    assert "emcc/violation_rate" in row
+    assert "emcc/cost_2/violation_rate" not in row
+    with pytest.raises(ValueError, match="costs must be different names"):
+        emcc.sb3.EMCCCallback(costs="cost")
 
 
 def test_pieces_of_episodes_are_not_held_against_the_limit():

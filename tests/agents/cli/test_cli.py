@@ -79,7 +79,7 @@ def test_evaluate_replaces_what_reports_show(folder, tmp_path, capsys):
         assert results[name].shape == (7,)
     content = (copy / "results.npz").read_bytes()
     assert main(["resume", str(copy)]) == 0
-    assert "was done already" in capsys.readouterr().err
+    assert "was done already, all " in capsys.readouterr().err
     assert (copy / "results.npz").read_bytes() == content
     (copy / "results.npz").write_bytes(content[:-40])
     assert main(["resume", str(copy)]) == 0

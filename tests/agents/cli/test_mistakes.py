@@ -1,12 +1,15 @@
 """Mistakes on the command line: one line on stderr, status 2, nothing half-made left."""
 
+import os
 import re
 import sys
 
 import pytest
 
+import agents
 from agents.cli.main import main
 from agents.training import config
+from emcc import EpisodeRecords
 
 TRAIN = ("train", "sac-lag", "--seeds", "0", "1", "--steps", "600", "--backend", "numpy")
 TO = (*TRAIN, "--out", "{tmp}/x")
@@ -56,11 +59,17 @@ def mistake(arguments, capsys):
         ([*TO, "--task", "Pendulum-v1"], "info\\['cost'\\]"),
         ([*TO, "--task", "Circle2D-1", "Circle2D-1"], "different"),
         ([*TO, "--task-parameters", "max_episode_steps", "None"], "episodes must end"),
-        ([*TRAIN, "--out", "{folder}"], "holds runs already: go on with them by 'circle2d resume"),
+        (
+            [*TRAIN, "--out", "{folder}"],
+            "holds runs already, which are done: train them on by 'circle2d resume",
+        ),
         ([*TRAIN, "--out", "{folder}/config.json"], "be a folder, but '.*config.json' is a file"),
         (["resume"], "resume needs a folder of runs"),
         (["report", "{folder}", "--width", "9"], "width must be at least 40 or None, got 9"),
-        (["report", "{folder}", "--archive", "{tmp}"], "archive must be a file"),
+        (["report", "{folder}", "--archive", "{tmp}"], "is a folder; a file is to be written"),
+        (["report", "{folder}", "--out", os.devnull], "be a folder, but '.*null' is a file"),
+        (["compare", "{folder}", "{folder}", "--out", os.devnull], "be a folder, but '.*null' is"),
+        ([*TO, "--task", "typo.mine:X-v0"], "no module 'typo.mine'.*give --import typo.mine"),
         (["heatmap", "{folder}", "--part", "1"], "part must be some of \\[0.33, 0.66, 0.99\\]"),
         (["heatmap", "{folder}", "--out", "a.jpg"], "out must end in .png, got 'a.jpg'"),
         (["render", "{folder}", "--out", "{folder}/config.json/a.gif"], "config.json' is a file"),
@@ -94,13 +103,54 @@ def test_mistakes(arguments, message, folder, tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("module", "options", "hint"),
     [
-        ("tensorboard", [*TRAIN, "--tensorboard"], "circle2d-mj[tensorboard]"),
-        ("ray", ["reproduce", "--quick", "--engine", "ray"], "circle2d-mj[ray]"),
-        ("onnx", ["export", "{folder}", "--format", "onnx"], "circle2d-mj[export]"),
+        ("tensorboard", [*TRAIN, "--tensorboard"], "[tensorboard]"),
+        ("ray", ["reproduce", "--quick", "--engine", "ray"], "[ray]"),
+        ("onnx", ["export", "{folder}", "--format", "onnx"], "[export]"),
     ],
 )
 def test_a_library_that_is_missing(module, options, hint, folder, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
     options = [word.format(folder=folder) for word in options]
-    assert hint in mistake([*options, "--out", str(tmp_path / "x")], capsys)
+    assert f"pip install -c constraints.txt '.{hint}'" in mistake(
+        [*options, "--out", str(tmp_path / "x")], capsys
+    )
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["report", "{folder}", "--archive", "{pipe}"],
+        ["heatmap", "{folder}", "--out", "{pipe}"],
+    ],
+)
+def test_a_pipe_or_a_device_is_not_replaced(command, folder, tmp_path, capsys):
+    os.mkfifo(pipe := tmp_path / "a.png")
+    err = mistake([word.format(folder=folder, pipe=pipe) for word in command], capsys)
+    assert "a.png is a device or a pipe" in err
+    assert pipe.is_fifo()
+    with pytest.raises(ValueError, match=r"a\.png is a device or a pipe"):
+        EpisodeRecords.from_costs([1.0], [1]).save(pipe)
+    assert pipe.is_fifo()
+
+
+def test_only_import_looks_into_the_current_folder(folder, tmp_path, monkeypatch, capsys):
+    """Whatever lies there, such as a file named like a library that torch asks for."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [part for part in sys.path if part])
+    own = tmp_path / "zz_own.py"
+    own.write_text("")
+    for command in ("report", "evaluate", "resume"):
+        more = ["--episodes", "1"] if command == "evaluate" else []
+        assert main([command, str(folder), *more]) == 0
+        assert str(tmp_path) not in sys.path
+    assert main(["report", str(folder), "--import", "zz_own"]) == 0
+    assert sys.path[-1] == str(tmp_path)
+    assert "zz_own" in sys.modules
+
+
+def test_nor_do_the_processes_that_train(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "numpy.py").write_text("raise RuntimeError('taken from the current folder')")
+    grid = {"seeds": 0, "steps": 100, "hidden": (8,)}
+    agents.sweep("trpo-lag", grid={"cost_limit": (1.0,)}, out=tmp_path / "x", **grid)

@@ -158,7 +158,7 @@ def test_parts_over_all_tasks(tmp_path):
     name = "B - A: without-streak, 100 steps - preset"
     assert found[1:4] == [
         [f"{name}, 2 tasks, 2 seeds against 2", *["+0.000"] * 4],
-        ["p", *["1.000"] * 4],
+        ["p, corrected for 4 (Holm)", *["1.000"] * 4],
         ["P(B better)", *["0.50"] * 4],
     ]
     assert "without-share, 100 steps - preset" not in words

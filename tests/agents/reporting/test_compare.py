@@ -1,12 +1,14 @@
 """Two sets of runs side by side, from files written by hand."""
 
 import math
+import re
 
 import numpy as np
 import pytest
 import scipy.stats
 from small_runs import cells, chain, lines_of, write_evaluated
 
+import agents
 from agents.cli.main import main
 from agents.reporting.compare import compare
 from agents.reporting.table import markdown
@@ -24,8 +26,10 @@ def write_runs(folder, name, j_r, task="Circle2D-1-v0", streak=4):
 
 
 def rows(words):
-    """Cells by the row's name, which here says of most runs that they took 100 steps."""
-    return {row[0]: row[1:] for row in cells(words.replace(" (100 steps)", ""))}
+    """Cells by the row's name, which here says of most runs that they took 100 steps, and of p
+    values for how many tests they are corrected."""
+    words = re.sub(r"p, corrected for \d+ \(Holm\)", "p", words.replace(" (100 steps)", ""))
+    return {row[0]: row[1:] for row in cells(words)}
 
 
 def test_by_hand(tmp_path):
@@ -72,6 +76,18 @@ def test_five_seeds_have_intervals_and_tests(tmp_path):
     assert float(line["J_R"]) == pytest.approx(expected)
     # All other measures are equal: p = 1, and Holm multiplies the smallest of eight by 8.
     assert float(found["p"][4]) == pytest.approx(min(1, 8 * expected), abs=0.0006)
+    words = agents.compare(a, b)
+    assert "| p, corrected for 8 (Holm) " in words
+    # Asked about alone, it is the p value itself; of two measures twice that.
+    for asked, factor in (("J_R", 1), (["J_R", "J_C"], 2)):
+        words = agents.compare(a, b, tmp_path / "asked", measures=asked)
+        assert float(rows(words)["p"][4]) == pytest.approx(factor * expected, abs=0.0006)
+        assert [cell for cell in rows(words)["p"] if cell not in ("", "\N{EN DASH}")][factor:] == []
+        assert ("Holm" in words) == (factor > 1)
+    (line,) = (x for x in lines_of(tmp_path / "asked" / "compare.csv") if x["kind"] == "p")
+    assert float(line["J_R"]) == pytest.approx(expected) and line["EMCC_0.33"] == ""
+    with pytest.raises(agents.UserError, match="no measure 'J_r': did you mean 'J_R'"):
+        agents.compare(a, b, measures="J_r")
     half = scipy.stats.t.ppf(0.975, 4) * math.sqrt(2.5 / 5)
     assert found["A: CPO, mean of 5"][4] == f"-97.00 [{-97 - half:.2f}, {-97 + half:.2f}]"
     pairs = [(y > x) + (y == x) / 2 for x in first for y in second]
@@ -115,7 +131,7 @@ def test_over_tasks_few_runs_decide(tmp_path):
     name = "B - A: CPO (100 steps) - TRPO-Lag (100 steps)"
     difference, p, better = tables[-1].rows
     assert tables[-1].head[1:] == ["EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost rate"]
-    names = [f"{name}, 2 tasks, 3 seeds against 3", "p", "P(B better)"]
+    names = [f"{name}, 2 tasks, 3 seeds against 3", "p, corrected for 4 (Holm)", "P(B better)"]
     assert [row.name for row in tables[-1].rows] == names
     assert [n.value for n in difference.numbers] == pytest.approx([-0.1, -0.1, -0.1, 0])
     assert all(n.low is None for n in difference.numbers)  # fewer than five seeds
@@ -159,6 +175,8 @@ def test_what_is_written(tmp_path, capsys):
     first = {path.name: path.read_bytes() for path in out.iterdir()}
     assert main(["compare", str(a), str(b), "--out", str(out)]) == 0
     assert {path.name: path.read_bytes() for path in out.iterdir()} == first
+    assert main(["compare", str(a), str(b), "--measure", "J_C", "J_R"]) == 0
+    assert "| p, corrected for 2 (Holm) " in capsys.readouterr().out.replace(printed, "")
 
 
 def test_over_tasks_seeds_that_all_have(tmp_path):

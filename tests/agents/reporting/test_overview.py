@@ -120,6 +120,7 @@ def test_pairs_of_equal_cost_rates_and_different_emcc(groups):
         "Of 18 comparisons the cost rate does not tell 10 apart, of which EMCC tells 4 apart; 10 "
         "have equal cost rates, of which EMCC tells 4 apart: these are listed." in table.caption
     )
+    assert table.head[-1] == "p, corrected for 18 (Holm)"
     (row, *_) = table.rows
     assert row.name == "Circle2D-1-v0, 0 to 33 %: CPO (3,000 steps) and WCSAC (3,000 steps)"
     rate, streaks = 10.5 / 50, (3 / 50, 9 / 50)
@@ -170,7 +171,7 @@ def test_over_tasks_by_hand(groups):
     assert names[:3] == [f"{name}, 6 seeds" for name in (trpo_lag, cpo, wcsac)]
     pairs = ((trpo_lag, cpo), (trpo_lag, wcsac), (cpo, wcsac))
     assert names[3::2] == [f"P({a} better than {b})" for a, b in pairs]
-    assert names[4::2] == ["p"] * 3
+    assert names[4::2] == ["p, corrected for 12 (Holm)"] * 3
     assert table.head[1:] == ["EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost rate"]
     # Streaks 2 3 4 2 3 4 on either task: of twelve values the middle six are 2 3 3 3 3 4 or so.
     streaks = sorted([2, 3, 4] * 4)

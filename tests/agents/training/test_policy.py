@@ -7,9 +7,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+import toy_family
 from small_runs import SAC, TRPO, results
 
 import agents
+from agents.algorithms import Algorithm
 from agents.errors import TaskFailure
 from agents.training import policy as policies_of
 from agents.training.config import TrainConfig
@@ -94,6 +96,44 @@ def test_the_module_of_pytorch_is_equal(folder):
     torch.testing.assert_close(copy.high, torch.tensor([2.0]))
 
 
+class Projected(toy_family.Linear):
+    """A policy whose actions are projected onto half of their range behind its network."""
+
+    in_module = False
+
+    def policy(self):
+        act = super().policy()
+        return lambda observation, noise: np.clip(act(observation, noise), -0.5, 0.5)
+
+    def module(self, run):
+        net = torch.nn.Linear(2, 1)
+        net.load_state_dict({"weight": torch.tensor(self.actor[run]), "bias": torch.zeros(1)})
+        return torch.nn.Sequential(net, torch.nn.Hardtanh(-0.5, 0.5)) if self.in_module else net
+
+
+class Both(Projected):
+    """The module does so, too."""
+
+    in_module = True
+
+
+@pytest.mark.parametrize("family", [Projected, Both])
+def test_a_module_must_act_as_the_policy_does(family, tmp_path, monkeypatch):
+    """A projection of actions is not lost: the half of [-2, 2] is [-1, 1]."""
+    algorithm = Algorithm("Toy", toy_family.Numbers, toy_family.Rule(), family)
+    with toy_family.known(algorithm=algorithm):
+        out = agents.train("toy", "Walk-v0", seeds=0, steps=50, out=tmp_path / "x").folder
+        policy = agents.load_policy(out)
+        # Steep, so that the projection is seen.
+        assert np.abs(policy(100 * OBSERVATIONS)).max() == 1
+        if family is Projected:
+            with pytest.raises(agents.UserError, match=r"Policy.*acts otherwise than the module"):
+                policy.to_torch()
+            return
+        found = policy.to_torch()(torch.tensor(OBSERVATIONS, dtype=torch.float32))
+        np.testing.assert_allclose(found.detach().numpy(), policy(OBSERVATIONS), atol=1e-6)
+
+
 def test_neither_replay_nor_environment_is_needed(folder, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "x")
     newest = sorted((copy / "checkpoints").iterdir())[-1]
@@ -154,6 +194,19 @@ def test_a_damaged_checkpoint_and_none(tmp_path):
     shutil.rmtree(copy / "checkpoints")
     with pytest.raises(agents.UserError, match="has no checkpoint yet"):
         agents.load_policy(copy, seed=0)
+
+
+def test_numbers_of_steps_and_episodes_may_be_whole_floats(tmp_path):
+    one = trained(tmp_path / "x", "cpo", seeds=0, steps=2e2, evaluate_every=1e2)
+    other = trained(tmp_path / "y", "cpo", seeds=0, steps=200, evaluate_every=100)
+    assert results(one) == results(other)
+    early = agents.load_policy(one, step=1e2)
+    assert early.step == 100
+    assert len(agents.evaluate(early, episodes=3.0).returns) == 3
+    with pytest.raises(agents.UserError, match=r"step must be an integer or None, got 1\.5"):
+        agents.load_policy(one, step=1.5)
+    with pytest.raises(agents.UserError, match=r"steps must be an integer, got 2\.5"):
+        trained(tmp_path / "z", "cpo", steps=2.5)
 
 
 @pytest.mark.parametrize("algorithm", ["sac-lag", "cpo"])

@@ -12,7 +12,8 @@ FAMILIES = {"cpo": TRPO, "sac-lag": SAC}
 
 
 def trained(out, algorithm, task="Walk-v0", **more):
-    return agents.train(algorithm, task, out=out, **OPTIONS, **FAMILIES[algorithm], **more).folder
+    more = OPTIONS | FAMILIES[algorithm] | more
+    return agents.train(algorithm, task, out=out, **more).folder
 
 
 @pytest.mark.parametrize("algorithm", FAMILIES)
@@ -46,3 +47,56 @@ def test_an_epoch_is_kept_whose_follower_raises(tmp_path):
             go(tmp_path / "x", "cpo", on_epoch=fail)
         assert agents.load_policy(tmp_path / "x", seed=3).step == epochs[-1]
     assert epochs[1] > epochs[0]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "task"), [("cpo", "Circle2D-1-v0"), ("sac-lag", "Circle2D-1-v0")]
+)
+def test_a_finished_training_goes_on(algorithm, task, tmp_path):
+    """All files are those of a training of that length: results, the newest checkpoint, policies on
+    the way, config.json. Given again the number changes nothing, another time it goes on again."""
+    expected = results(trained(tmp_path / "whole", algorithm, task, steps=600))
+    folder = trained(tmp_path / "x", algorithm, task, steps=230)
+    before = results(folder)
+    assert results(agents.resume(folder, steps=230).folder) == before
+    for steps in (400.0, 600, 600):
+        agents.resume(folder, steps=steps)
+    assert results(folder) == expected
+    for steps, words in ((599, "at least the 600 that .* has, got 599"), (0, "at least 1, got 0")):
+        with pytest.raises(agents.UserError, match=f"steps must be {words}"):
+            agents.resume(folder, steps=steps)
+    assert results(folder) == expected
+
+
+def test_whole_epochs_hold_the_new_number_already(tmp_path):
+    """230 steps are an epoch of ten episodes of 50, as 480 are: parts of training differ alone."""
+    more = {"seeds": (3, 4), "episodes": 10} | {k: v for k, v in TRPO.items() if k != "episodes"}
+    how = {"algorithm": "cpo", "task": "Circle2D-1-v0", **more}
+    expected = agents.train(**how, steps=480, out=tmp_path / "whole").folder
+    folder = agents.train(**how, steps=230, out=tmp_path / "x").folder
+    assert results(folder) != results(expected)
+    agents.resume(folder, steps=480)
+    assert results(folder) == results(expected)
+
+
+def test_runs_that_waited_for_others_go_back_to_a_checkpoint_before(tmp_path):
+    """On a task whose episodes end early: a run that was done waited, where it would have gone on.
+    Without such a checkpoint the training stays as it is."""
+    expected = results(trained(tmp_path / "whole", "sac-lag", steps=700, checkpoint_every=10_000))
+    how = {"steps": 250, "checkpoint_every": 10_000}  # checkpoints at a stop and at the end alone
+
+    def stop(epoch):
+        return min(numbers["step"] for numbers in epoch.runs.values()) < 100
+
+    folder = trained(tmp_path / "x", "sac-lag", on_epoch=stop, **how)
+    agents.resume(folder)
+    counts = agents.load_runs(folder).to_pandas("updates").groupby("seed").size()
+    assert counts.nunique() == 2
+    with pytest.warns(UserWarning, match="going on from the last checkpoint before"):
+        agents.resume(folder, steps=700)
+    assert results(folder) == expected
+    folder = trained(tmp_path / "y", "sac-lag", **how)
+    before = results(folder)
+    with pytest.raises(agents.UserError, match="no checkpoint of before is left; train anew"):
+        agents.resume(folder, steps=700)
+    assert results(folder) == before

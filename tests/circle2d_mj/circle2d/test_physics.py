@@ -1,10 +1,12 @@
 """The physics against plain MuJoCo, hand arithmetic, and itself after copies and resets."""
 
+import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
+from circle2d_mj.assets import asset
 from circle2d_mj.circle2d import task
 from circle2d_mj.circle2d.mujoco_envs import Circle2DMuJoCoEnv, Circle2DMuJoCoVectorEnv
 from circle2d_mj.circle2d.physics_config import PhysicsConfig
@@ -99,3 +101,73 @@ def test_a_reset_forgets_everything():
     assert data_equivalence(used.state_dict(), fresh.state_dict(), exact=True)
     for action in drift_left(6, num_envs=1):
         assert data_equivalence(used.step(action[0]), fresh.step(action[0]), exact=True)
+
+
+def test_a_scene_of_ones_own(tmp_path):
+    """A wall that the ball runs into at level 0: as mj_step of the file with the region, and the
+    ball stops at it; touching it costs. A copy of the base scene changes nothing."""
+    text = asset("xml/circle2d.xml").read_text()
+    own, copy = tmp_path / "own.xml", tmp_path / "copy.xml"
+    wall = '<geom name="wall" type="box" pos="12 0 0.5" size="0.1 15 2"/>'
+    own.write_text(text.replace("<body name", f"{wall}<body name", 1))
+    copy.write_text(text)
+    lines = {}
+    for name, more in (("own", {"xml": str(own)}), ("copy", {"xml": copy}), ("usual", {})):
+        envs = Circle2DMuJoCoVectorEnv(3, level=0, autoreset_mode="Disabled", **more)
+        envs.reset(seed=0)
+        envs.simulation.dynamics.place(np.arange(3), np.array([[14.0, y] for y in (-1, 0, 1)]))
+        lines[name] = [envs.step(np.tile([-1.0, 0.0], (3, 1))) for _ in range(4)]
+        lines[name] = [(envs.position, r, i["cost"]) for _, r, _, _, i in lines[name]]
+    for ours, usual in zip(lines["copy"], lines["usual"], strict=True):
+        for mine, theirs in zip(ours, usual, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+    position, _, cost = lines["own"][-1]
+    # Half the wall's width and the ball's radius beyond the wall's middle, less some penetration.
+    np.testing.assert_allclose(position[:, 0], 12 + 0.1 + 0.25, atol=0.1)
+    assert cost.tolist() == [1.0] * 3
+    assert lines["own"][0][2].tolist() == [0.0] * 3
+    assert (lines["usual"][-1][0][:, 0] < 11.5).all()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("", "<", "is no scene that MuJoCo reads"),
+        ('geom name="floor"', 'geom name="ground"', 'needs a geom "floor"'),
+        ("<inertial", '<joint name="z" type="slide"/><inertial', "two joints of all"),
+        ('<default class="region">', '<default class="other">', 'default class "region"'),
+        ('geom name="floor"', 'geom name="region0"', r'"floor".*no region.*begin with a copy of'),
+    ],
+)
+def test_a_scene_that_lacks_something_is_refused(old, new, words, tmp_path):
+    path = tmp_path / "own.xml"
+    path.write_text(asset("xml/circle2d.xml").read_text().replace(old, new, 1))
+    with pytest.raises(ValueError, match=f"xml '.*own.xml' .*{words}"):
+        Circle2DMuJoCoEnv(xml=path)
+    with pytest.raises(ValueError, match=r"none\.xml' is no scene that MuJoCo reads"):
+        Circle2DMuJoCoEnv(xml=tmp_path / "none.xml")
+    with pytest.raises(TypeError, match="xml must be the path of a file, got 3"):
+        Circle2DMuJoCoEnv(xml=3)
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_what_was_drawn_is_in_the_info(mode):
+    """The masses of the models that are stepped; in the same-step mode of the episode that is
+    observed, and its end's in final_info."""
+    ranges = {"mass": (0.5, 2.0), "damping": (0.0, 1.0)}
+    envs = Circle2DMuJoCoVectorEnv(4, randomize=ranges, autoreset_mode=mode, max_episode_steps=3)
+    before = envs.reset(seed=1)[1]
+    assert len({*before["mass"]}) == 4
+    for step in range(1, 4):
+        info = envs.step(np.zeros((4, 2)))[-1]
+        physics = envs.simulation.dynamics
+        models = [physics._batch.get_model(k) for k in range(4)]
+        assert info["mass"].tolist() == [model.body("agent").mass[0] for model in models]
+        assert info["damping"].tolist() == [model.dof_damping[0] for model in models]
+        same = mode == "NextStep" or step < 3
+        assert (info["mass"] == before["mass"]).all() == same
+    if mode == "SameStep":
+        assert info["final_info"]["mass"].tolist() == before["mass"].tolist()
+    env = gym.make("Circle2DMuJoCo-1-v0", randomize=ranges)
+    assert 0.5 <= env.reset(seed=0)[1]["mass"] <= 2
+    assert "mass" not in gym.make("Circle2DMuJoCo-1-v0").reset(seed=0)[1]

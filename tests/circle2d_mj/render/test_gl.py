@@ -215,6 +215,15 @@ def test_human_mode_needs_a_screen(python):
     assert "rgb_array" in message
 
 
+@pytest.mark.parametrize("task", ["Circle2D-1-v0", "Circle2DMuJoCo-1-v0", "SafetyPointGoal1-v0"])
+def test_nor_does_gymnasium_look_for_another_way(task, python):
+    """It would ask for pygame."""
+    make = f"gymnasium.make('{task}', render_mode='human')"
+    code = f"import gymnasium, circle2d_mj\ntry:\n    {make}\n"
+    message = python(f"{code}except ValueError as error:\n    print(error)")
+    assert "'human' where there is a screen" in message
+
+
 @pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="no xvfb-run on this machine")
 def test_human_mode(python):
     python(HUMAN, under=["xvfb-run", "-a"])
