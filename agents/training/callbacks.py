@@ -177,6 +177,8 @@ def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
     percentage, words = TextColumn("{task.percentage:.0f} %"), TextColumn("{task.fields[words]}")
     console, meter, tenth = Console(stderr=True), Meter(config.steps), -1
     columns = (TextColumn("{task.description}"), BarColumn(), percentage, words)
+    kernel = "C++" if config.backend == "c++" else "NumPy"
+    print(f"{title}: networks are computed in {kernel}", file=console.file, flush=True)
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         shown = bar.add_task(title, total=config.steps, words="")
 
