@@ -38,8 +38,8 @@ class Settings:
 
     Checked are numbers (by `In`, if it stands beside the type), bool, Literal, tuples of numbers,
     and unions of these. Numbers of numpy become Python's, and whole floats integers where these are
-    asked for, as 1e6 on the command line. A class with rules between its fields
-    adds them to `__post_init__`.
+    asked for, as 1e6 on the command line. A class with rules between its fields adds them to
+    `__post_init__`.
     """
 
     def __post_init__(self) -> None:

@@ -52,7 +52,7 @@ def to_go(values):
 class Reinforce:
     """R runs side by side. Each is computed alone, so that none depends on the others."""
 
-    metrics = ("return", "cost", "multiplier")
+    metrics = ("multiplier",)
 
     def __init__(self, config, rule, seeds, observation_size, action_size):
         self.config, self.seeds, self.episodes = config, tuple(seeds), config.episodes
@@ -83,6 +83,7 @@ class Reinforce:
         return explore
 
     def learn(self, rollout, epoch, active):
+        """Each of `metrics`, [R, 1]; NaN of a run that takes no part: it has failed or is done."""
         metrics = np.full((len(self.seeds), len(self.metrics)), np.nan)
         for run in np.flatnonzero(active):
             own = rollout.of(slice(run * self.episodes, (run + 1) * self.episodes))
@@ -105,7 +106,7 @@ class Reinforce:
         share = during / (1.0 + np.exp(-before))  # the slope of softplus
         slope = np.einsum("te,e,tes->s", share, excess, state) / during.sum()
         self.multiplier[run] += config.multiplier_lr * slope
-        return own.returns.mean(), own.cost_returns[:, 0].mean(), multiplier[during].mean()
+        return multiplier[during].mean()
 
     def finite(self):
         return np.isfinite(self.weights).all(axis=(1, 2)) & np.isfinite(self.multiplier).all(axis=1)
