@@ -124,8 +124,9 @@ def _read_run_folder(folder: Any, threshold: float) -> Iterator[Run]:
                     records = CostRecorder(1).records
                 else:
                     records = records_of(arrays, prefix, cost, threshold)
-            about = (steps, task, algorithm, seed, cost)
-            yield Run(str(folder), records, *about, failure=failure)
+            about = (task, algorithm, seed, cost)
+            total = max(steps, records.total_steps)  # whole epochs may take more than asked for
+            yield Run(str(folder), records, total, *about, failure=failure)
 
 
 def _arrays(path: Any) -> Any:

@@ -226,7 +226,8 @@ def evaluate(args: Sequence[str]) -> int:
         else:
             results = evaluation.evaluate_runs(config, act, episodes, going)
     taken = trained.steps[going] if going.any() else trained.steps
-    done = f"after {taken.min()} of {config.steps} steps"
+    asked = "" if trained.done else f" of {config.steps}"
+    done = f"after {taken.min()}{asked} steps"
     print(f"{options.folder}, {done}: means over {episodes} episodes")
     for name, result in results.items():
         for k, run in enumerate(config.runs):

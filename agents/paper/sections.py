@@ -191,7 +191,7 @@ def choices_table(choices: Choices, kind: str, words: str) -> Table | None:
         if reference:
             marked |= {(len(rows) + k, m) for k, m in _nearest(complete, reference.values)}
         for group in complete:
-            words_of = [task, title(name), _choice(group), *unusual_steps(group.config, task)]
+            words_of = [task, title(name), _choice(group), *unusual_steps(group.total_steps, task)]
             rows.append(mean_row(group, ", ".join(words_of)))
         if reference:
             rows.append(printed_row(f"{task}, {title(name)}", reference))
@@ -229,7 +229,7 @@ def parts_over_tasks(choices: Choices) -> Table | None:
     named = []
     for usual, *others in choices:
         for other in others:
-            words = [_choice(other), *unusual_steps(other.config, other.task), other.apart]
+            words = [_choice(other), *unusual_steps(other.total_steps, other.task), other.apart]
             name = f"B - A: {', '.join(filter(None, words))} - preset"
             named.append((name, (usual, other)))
     return differences_over_tasks(two_sets(named))
@@ -295,7 +295,7 @@ def ties_table(groups: Sequence[Group]) -> Table:
 
 
 def _with_ties_split(group: Group, run: Run) -> Run:
-    by_part = emcc_of_thirds(run.records, group.config.steps, ties="split")
+    by_part = emcc_of_thirds(run.records, run.total_steps, ties="split")
     return replace(
         run, measures={**run.measures, **dict(zip(EMCCS, by_part.values(), strict=True))}
     )

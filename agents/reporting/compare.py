@@ -14,7 +14,14 @@ from agents.reporting.overall import TASKS, differences_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import made
 from agents.reporting.table import Number, Table, latex, markdown
-from agents.reporting.tables import caption, difference_rows, mean_row, measures_table, run_rows
+from agents.reporting.tables import (
+    caption,
+    difference_rows,
+    mean_row,
+    measures_table,
+    run_rows,
+    unequal_lengths,
+)
 from agents.results.frame import (
     changes,
     in_order,
@@ -139,8 +146,9 @@ def _table(task: str, sides: Sides, tested: Tested, tests: int, notes: Sequence[
         rows += difference_rows(_name(*pair), told, measures(), beside=[Number(None)])
     for prefix, groups in zip(("A: ", "B: "), sides, strict=True):
         rows += [row for group in in_order(groups) for row in run_rows(group, prefix)]
+    unequal = [f"{task}: {note}" for note in unequal_lengths([*sides.a, *sides.b])]
     words = f"{caption([*sides.a, *sides.b])}; {METHOD.format(tests)}"
-    return measures_table(words, task, rows, [*notes, *_too_few(task, sides, tests)])
+    return measures_table(words, task, rows, [*notes, *unequal, *_too_few(task, sides, tests)])
 
 
 def _key(a: Group, b: Group) -> tuple[int, int]:

@@ -25,6 +25,7 @@ from agents.results.statistics import (
     places,
     within_limit,
 )
+from agents.training.derive import told_steps
 from emcc import longest_streaks, panel
 from emcc.panels import WINDOW, CostMeasures, Panel, cost_measures, emcc_of_thirds
 from emcc.panels import rows as panel_rows
@@ -72,7 +73,7 @@ def task_table(groups: Sequence[Group], printed: Reference, notes: Sequence[str]
     words = f"{marking()}; among our means" + (
         ", and among the paper's, of which J_C, a mean, is within the limit" if others else ""
     )
-    notes = [*notes, *_limited(groups), *_random(groups)]
+    notes = [*notes, *unequal_lengths(groups), *_limited(groups), *_random(groups)]
     return measures_table(caption(groups), task, rows, notes, words)
 
 
@@ -203,12 +204,22 @@ def _limited(groups: Sequence[Group]) -> list[str]:
     return [f"The cost limit holds for {kinds}. Marks and claims compare J_C with it."]
 
 
+def unequal_lengths(groups: Sequence[Group]) -> list[str]:
+    """The shortest and the longest training, where they are not of one length."""
+    taken = sorted((run.total_steps, name_of(group)) for group in groups for run in group.runs)
+    if not taken or told_steps(taken[0][0], [taken[-1][0]]) == taken[0][0]:
+        return []
+    (least, a), (most, b) = taken[0], taken[-1]
+    words = f"from {least:,} steps ({a}) to {most:,} ({b})"
+    return [f"Runs are of unequal length, {words}: what differs here may be for that alone."]
+
+
 def _random(groups: Sequence[Group]) -> list[str]:
     """The groups of which all training was of random actions."""
     return [
         f"{name_of(group)}: all its training's actions are random (random_steps)."
         for group in groups
-        if getattr(group.config.hyperparameters, "random_steps", 0) >= group.config.steps
+        if getattr(group.config.hyperparameters, "random_steps", 0) >= group.total_steps
     ]
 
 
@@ -286,7 +297,7 @@ def panel_table(groups: Sequence[Group]) -> Table:
     window = min(WINDOW, *(len(run.records) for group in groups for run in group.runs))
     panels: list[list[Panel]] = [
         [
-            panel(run.records, limit, window=window, total_steps=group.config.steps)
+            panel(run.records, limit, window=window, total_steps=run.total_steps)
             for run in group.runs
         ]
         for group, limit in zip(groups, limits, strict=True)
@@ -368,15 +379,12 @@ def _recorded_rows(
     group: Group, runs: Sequence[NDArray[np.float64]], words: str, threshold: float
 ) -> Iterator[Row]:
     """A row for each third."""
-    total = group.config.steps
     streaks = [
-        [emcc_above(run, steps, limit, total) for run, steps in zip(group.runs, runs, strict=True)]
+        [emcc_above(run, steps, limit) for run, steps in zip(group.runs, runs, strict=True)]
         for limit in (0.0, threshold)
     ]
     for part in PARTS:
-        inside = [
-            s[:total][rollouts_by_part(np.arange(min(len(s), total)), total)[part]] for s in runs
-        ]
+        inside = [s[rollouts_by_part(np.arange(len(s)), len(s))[part]] for s in runs]
         above = np.concatenate(inside)
         above = above[above > 0]
         told = [*np.percentile(above, (50, 90, 100))] if len(above) else [None] * 3
@@ -389,13 +397,11 @@ def _recorded_rows(
         yield Row(f"{name_of(group)}, {words}, {part:g}", cells, kind="mean")
 
 
-def emcc_above(
-    run: Run, steps: NDArray[np.float64], threshold: float, total: int
-) -> dict[float, float | None]:
-    """EMCC by third of training of `total` steps, of a run's steps above a threshold.
+def emcc_above(run: Run, steps: NDArray[np.float64], threshold: float) -> dict[float, float | None]:
+    """EMCC by third of training, of a run's steps above a threshold.
 
     steps: a number recorded at each step, [steps].
     """
     streaks = longest_streaks(steps, run.records.length, threshold)
     records = replace(run.records, longest_streak=streaks, cost_steps=None, streaks=None)
-    return emcc_of_thirds(records, total)
+    return emcc_of_thirds(records, run.total_steps)

@@ -145,7 +145,7 @@ def with_varied_settings(groups: Sequence[Group]) -> list[Group]:
 
 def with_distinct_titles(groups: Sequence[Group]) -> list[Group]:
     """Groups of which those of one title on one task have their folders in their names."""
-    keys = [(group.task, group.cost, title_of(group.config, group.task)) for group in groups]
+    keys = [(group.task, group.cost, title_of_group(group)) for group in groups]
     count = Counter(key for key, group in zip(keys, groups, strict=True) if group.runs)
     return [
         dataclasses.replace(
@@ -158,31 +158,39 @@ def with_distinct_titles(groups: Sequence[Group]) -> list[Group]:
 
 def name_of(group: Group) -> str:
     """The title of a group, with what tells it apart from another of that title."""
-    return title_of(group.config, group.task, group.apart)
+    return title_of_group(group, group.apart)
 
 
-def title_of(config: TrainConfig, task: str, more: str = "") -> str:
-    """The algorithm, with the settings that are not the usual ones."""
-    words = ", ".join(filter(None, [*differences(config, task), more]))
+def title_of_group(group: Group, more: str = "") -> str:
+    """The title of a group's settings and length."""
+    return title_of(group.config, group.task, more, group.total_steps)
+
+
+def title_of(config: TrainConfig, task: str, more: str = "", steps: int | None = None) -> str:
+    """The algorithm, with the settings that are not the usual ones; steps: taken, by default those
+    asked for."""
+    words = ", ".join(filter(None, [*differences(config, task, steps), more]))
     return title(config.algorithm) + (f" ({words})" if words else "")
 
 
 def settings_of(group: Group) -> str:
     """The settings of a group that are not the usual ones, in words."""
-    return ", ".join(filter(None, [*differences(group.config, group.task), group.apart]))
+    words = differences(group.config, group.task, group.total_steps)
+    return ", ".join(filter(None, [*words, group.apart]))
 
 
-def differences(config: TrainConfig, task: str) -> list[str]:
+def differences(config: TrainConfig, task: str, steps: int | None = None) -> list[str]:
     """Each setting of `changes` in words, and the number of steps where it is not the usual one; of
     an unregistered algorithm no hyper-parameter: see `with_varied_settings`."""
     known = config.algorithm in ALGORITHMS
     changed = changes(config, task) if known else config.task_parameters
-    return [f"{name} {value}" for name, value in changed.items()] + unusual_steps(config, task)
+    words = [f"{name} {value}" for name, value in changed.items()]
+    return words + unusual_steps(steps or config.steps, task)
 
 
-def unusual_steps(config: TrainConfig, task: str) -> list[str]:
-    """The training's length, where it is not the usual one: see `presets.usual_steps`."""
-    return [] if config.steps == usual_steps(task) else [f"{config.steps:,} steps"]
+def unusual_steps(steps: int, task: str) -> list[str]:
+    """A training's length, where it is not the usual one: see `presets.usual_steps`."""
+    return [] if steps == usual_steps(task) else [f"{steps:,} steps"]
 
 
 def changes(config: TrainConfig, task: str) -> dict[str, Any]:

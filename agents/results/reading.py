@@ -71,6 +71,11 @@ class Run:
     """Of the episodes that end in a place, those that came by each way; empty where none tells."""
 
     @property
+    def total_steps(self) -> int:
+        """Environment steps that it took: those asked for, and the rest of its last epoch."""
+        return self.records.total_steps
+
+    @property
     def end(self) -> str:
         """The place where most of its evaluated episodes end; empty without places."""
         return max(self.ends, key=self.ends.__getitem__, default="")
@@ -175,6 +180,11 @@ class Group:
         return [run.seed for run in self.runs]
 
     @property
+    def total_steps(self) -> int:
+        """Environment steps of its longest run: see `derive.told_steps`."""
+        return derive.told_steps(self.config.steps, (run.total_steps for run in self.runs))
+
+    @property
     def is_of_first_cost(self) -> bool:
         """Whether its cost is the training's first, of which visits, trained policies and replay
         are."""
@@ -235,12 +245,17 @@ class Group:
             return None
         costs, points = self.costs(run), arrays[f"{prefix}replay/points"]
         episodes, at, records = [], 0, run.records
-        for window, row in derive.replay_rows(records, self.config.steps):
+        for window, row in derive.replay_rows(records, self.replay_steps(run)):
             start, length = int(records.start_step[row]), int(records.length[row])
             path = points[at : at + length]
             at += length
             episodes.append(ReplayEpisode(window, start, path, costs[start : start + length]))
         return Replay(episodes, arrays[f"{prefix}replay/box"])
+
+    def replay_steps(self, run: Run) -> int:
+        """Environment steps that the windows of a run's replay divide."""
+        arrays, prefix = self._arrays(run.seed)
+        return int(arrays.get(f"{prefix}replay/steps", self.config.steps))  # asked for, before 0.4
 
     def costs(self, run: Run) -> NDArray[np.float64]:
         """Costs of all steps of a run, [steps]."""
@@ -286,7 +301,7 @@ def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> li
     for group in groups:
         notes += _left_out(group.title, group.missing)
         if empty := [f"EMCC_{part}" for part in PARTS if None in group.values(f"EMCC_{part}")]:
-            words = f"of its {group.config.steps:,} steps no rollout starts in that part"
+            words = f"of its {group.total_steps:,} steps no rollout starts in that part"
             notes.append(f"{group.title} has no {', '.join(empty)}: {words}")
     if not any(group.runs for group in groups):
         raise UserError(f"{own} holds no complete runs" + "".join(f"; {note}" for note in notes))
@@ -456,7 +471,7 @@ def _read_run(
     if not evaluation:
         raise UserError(derive.why_failed(arrays, run))
     try:
-        values = measured(RunData(records, config.steps, evaluation), f"{title}, {run}")
+        values = measured(RunData(records, records.total_steps, evaluation), f"{title}, {run}")
     except OwnCodeError:
         raise
     except ValueError as error:
