@@ -45,6 +45,7 @@ from agents.training.files import (
     write_arrays,
 )
 from emcc import CostRecorder, EpisodeRecords, cvar
+from emcc.npz import open_zip
 from emcc.parts import PARTS
 from emcc.records import records_of, unpack_costs
 
@@ -340,7 +341,7 @@ def folders_below(path: Path) -> dict[str, AnyPath]:
         return {file.parent.relative_to(path).as_posix(): file.parent for file in files}
     within = path.relative_to(archive)
     try:
-        root = zipfile.Path(archive)
+        root = zipfile.Path(open_zip(archive))
         names = [PurePosixPath(name) for name in root.root.namelist()]
     except UNREADABLE as error:
         raise UserError(f"{path} is no archive that circle2d report wrote: {error}") from None
