@@ -19,11 +19,11 @@ except ImportError:  # a Python that was built without it, whose zipfile says so
     LZMAError = zipfile.BadZipFile
 
 UNREADABLE = (
-    *(ValueError, KeyError, TypeError, EOFError, RuntimeError, Warning, SyntaxError),
+    *(ValueError, LookupError, TypeError, EOFError, RuntimeError, Warning, SyntaxError),
     *(zipfile.BadZipFile, LZMAError, zlib.error, struct.error, NotImplementedError),
     tokenize.TokenError,
 )
-"""Errors that damaged files have zipfile, json and numpy raise."""
+"""Errors that damaged files have zipfile, json and numpy raise, and arrays that do not fit."""
 MOST_BYTES, MOST_TIMES = 2**30, 100
 """An array may unpack to more bytes, or to more times its bytes in the file, but not to both."""
 _HEADERS = {

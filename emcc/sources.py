@@ -88,7 +88,7 @@ def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
         raise ValueError(f"{path}: no such file or folder")
     with named(path):
         if path.suffix in (".npy", ".npz"):
-            arrays = _arrays(path)
+            arrays = _one_name(dict(_arrays(path)), "cost", "costs")
             if others := sorted({*arrays} - {"costs", "lengths", "rewards", "rollouts"}):
                 known = "costs, and may have lengths, rewards and rollouts"
                 raise ValueError(f"has the arrays {', '.join(others)}: a file has {known}")
@@ -141,10 +141,20 @@ def _arrays(path: Any) -> Any:
     return {"costs": content} if isinstance(content, np.ndarray) else content
 
 
+def _one_name(columns: Any, other: str, name: str) -> Any:
+    """The columns or arrays of a file, with its costs below one name: `cost` and `costs` are both
+    taken."""
+    if other in columns and name in columns:
+        raise ValueError(f"has both {name} and {other}: one of them is needed")
+    if other in columns:
+        columns[name] = columns.pop(other)
+    return columns
+
+
 def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeRecords | None]:
     """A file of records, or with a row for each step, whose `cost` it has: the records, and those
     of whole episodes where rollouts cut them."""
-    columns = Columns(path)
+    columns = _one_name(Columns(path), "costs", "cost")
     if "longest_streak" in columns:
         if threshold:
             raise ValueError("holds streaks, not costs of steps: leave the threshold out")

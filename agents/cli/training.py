@@ -31,7 +31,7 @@ from agents.cli.options import (
     parse,
     values_of,
 )
-from agents.errors import UserError
+from agents.errors import OwnCodeError, UserError, traced
 from agents.lockstep import backend as lockstep_backend
 from agents.paper import grid
 from agents.paper.presets import PAPER_ALGORITHMS, preset_with
@@ -137,12 +137,21 @@ def _finish(folders: Sequence[Path], after_epoch: AfterEpoch) -> int:
     if after_epoch.number is not None:
         say(after_epoch.words())
         return 128 + after_epoch.number
+    status = 0
     for folder in folders:
         try:
             show(table(folder), more=str(folder / "report.md"))
         except UserError as error:  # the training itself is done
-            say(f"no table: {error}")
-    return name_failures(folders)
+            status = max(status, no_table(error, "table"))
+    return max(status, name_failures(folders))
+
+
+def no_table(error: UserError, what: str) -> int:
+    """Say why there is no table or report, with the traceback of the user's own code; returns the
+    exit status: 1 for such an error."""
+    print(traced(error.__cause__), end="", file=sys.stderr)
+    say(f"no {what}: {error}")
+    return int(isinstance(error, OwnCodeError))
 
 
 def name_failures(folders: Sequence[Path]) -> int:
@@ -335,7 +344,7 @@ def reproduce(args: Sequence[str]) -> int:
             written = report(options.out, *options.beside, out=options.out)
         show(written.blocks, options.width, str(written.page))
     except UserError as error:
-        say(f"no report: {error}")
+        no_table(error, "report")
         return 1
     return int(bool(failed or written.left_out))
 

@@ -133,6 +133,7 @@ BAD_FILES = {
     "a long streak": ("cost,length,longest_streak\n\n3,2,3\n", "cannot have longest_streak 3"),
     "a length below 1": ("cost,length,longest_streak\n1,2,1\n0,-9,0\n", "length must be .* got -9"),
     "a binary file": ("\0\n", "log.csv"),
+    "both names": ("cost,costs,done\n0,0,1\n", "has both cost and costs"),
 }
 
 
@@ -324,3 +325,29 @@ def test_no_run_of_a_damaged_archive_is_missing_without_a_word(tmp_path):
         path.write_bytes(damaged)
         with pytest.raises(ValueError, match=r"all\.zip: File name in directory"):
             read_runs(path)
+
+
+def test_cost_and_costs_are_one_name(tmp_path):
+    rows = [(1, 0), (0, 1), (1, 1)]
+    for name in ("cost", "costs"):
+        found = emcc.read(write(tmp_path / "log.csv", f"{name},done", rows))
+        np.savez(tmp_path / "c.npz", **{name: np.array([1, 0, 1]), "lengths": [2, 1]})
+        for records in (found, emcc.read(tmp_path / "c.npz")):
+            assert (records.cost.tolist(), records.length.tolist()) == ([1, 1], [2, 1])
+
+
+def test_a_binary_file_is_told_from_text(tmp_path):
+    (tmp_path / "log.csv").write_bytes(b"cost,done\n\xff\xfe\x00")
+    with pytest.raises(
+        ValueError, match=r"log\.csv: no text at byte 10: a file of costs is a \.csv"
+    ):
+        emcc.read(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize("name", ["unsafe", "values"])
+def test_missing_costs_are_not_filled(tmp_path, name):
+    costs = [np.array([0, 2, 3, 0, 0, 0, 0, 0, 0, 4])] * 5
+    arrays = arrays_of(costs)
+    arrays[f"costs/cost/{name}"] = arrays[f"costs/cost/{name}"][:1]
+    with pytest.raises(ValueError, match=rf"results\.npz: .*{name} has shape \(1,\)"):
+        emcc.read(write_run(tmp_path / "run", {("A-v0", 0): arrays}))
