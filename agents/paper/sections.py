@@ -19,6 +19,7 @@ from agents.reporting.table import Number, Row, Table, number
 from agents.reporting.tables import (
     Reference,
     caption,
+    lengths_differ,
     mark,
     mean_row,
     means,
@@ -197,9 +198,11 @@ def choices_table(choices: Choices, kind: str, words: str) -> Table | None:
             rows.append(printed_row(f"{task}, {title(name)}", reference))
     if not rows:
         return None
-    legend = f"{words}. {caption([group for own in choices for group in own])}"
+    groups = [group for own in choices for group in own]
+    legend = f"{words}. {caption(groups)}"
     head = f"task, algorithm and {kind}"
-    return measures_table(legend, head, mark(rows, marked), marking=MARKING)
+    rows, lengths = mark(rows, marked), lengths_differ(groups)
+    return measures_table(legend, head, rows, marking=MARKING, lengths=lengths)
 
 
 def nearest_table(choices: Choices) -> Table | None:

@@ -17,6 +17,8 @@ from agents.reporting.table import Number, Table, latex, markdown
 from agents.reporting.tables import (
     caption,
     difference_rows,
+    lengths_differ,
+    long_settings,
     mean_row,
     measures_table,
     run_rows,
@@ -143,12 +145,14 @@ def _table(task: str, sides: Sides, tested: Tested, tests: int, notes: Sequence[
     rows = [mean_row(group, name) for name, group in sides.named]
     for pair in sides.pairs:
         told = tested[_key(*pair)]
-        rows += difference_rows(_name(*pair), told, measures(), beside=[Number(None)])
+        rows += difference_rows(_name(*pair), told, measures(), beside=[Number(None)] * 2)
     for prefix, groups in zip(("A: ", "B: "), sides, strict=True):
         rows += [row for group in in_order(groups) for row in run_rows(group, prefix)]
-    unequal = [f"{task}: {note}" for note in unequal_lengths([*sides.a, *sides.b])]
-    words = f"{caption([*sides.a, *sides.b])}; {METHOD.format(tests)}"
-    return measures_table(words, task, rows, [*notes, *unequal, *_too_few(task, sides, tests)])
+    groups = [*sides.a, *sides.b]
+    told = [f"{task}: {note}" for note in (*long_settings(groups), *unequal_lengths(groups))]
+    words = f"{caption(groups)}; {METHOD.format(tests)}"
+    notes = [*notes, *told, *_too_few(task, sides, tests)]
+    return measures_table(words, task, rows, notes, lengths=lengths_differ(groups))
 
 
 def _key(a: Group, b: Group) -> tuple[int, int]:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 COLUMNS = ("group", "task", "algorithm", "settings", "cost", "folder", "seed", "ends_in")
 COLUMNS = (*COLUMNS, "measure", "part", "value")
+MOST_CHARACTERS = 40
+"""Of a setting of several values in a name."""
 
 
 def frame(groups: Sequence[Group]) -> pandas.DataFrame:
@@ -137,7 +139,7 @@ def with_varied_settings(groups: Sequence[Group]) -> list[Group]:
         if name not in ALGORITHMS:
             others = [vars(g.config.hyperparameters) for g in groups if g.config.algorithm == name]
             own = vars(group.config.hyperparameters)
-            varied = [f"{k} {v}" for k, v in own.items() if any(o.get(k) != v for o in others)]
+            varied = [setting(k, v) for k, v in own.items() if any(o.get(k) != v for o in others)]
         apart = ", ".join(filter(None, [*varied, group.apart]))
         named.append(dataclasses.replace(group, apart=apart))
     return named
@@ -184,8 +186,15 @@ def differences(config: TrainConfig, task: str, steps: int | None = None) -> lis
     an unregistered algorithm no hyper-parameter: see `with_varied_settings`."""
     known = config.algorithm in ALGORITHMS
     changed = changes(config, task) if known else config.task_parameters
-    words = [f"{name} {value}" for name, value in changed.items()]
+    words = [setting(name, value) for name, value in changed.items()]
     return words + unusual_steps(steps or config.steps, task)
+
+
+def setting(name: str, value: Any) -> str:
+    """A setting in the words of names; of one whose value would fill a table's rows its number of
+    values, which a note below the table has."""
+    many = isinstance(value, (tuple, list, dict)) and len(str(value)) > MOST_CHARACTERS
+    return f"{name} [{len(value)}]" if many else f"{name} {value}"
 
 
 def unusual_steps(steps: int, task: str) -> list[str]:

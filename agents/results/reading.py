@@ -79,6 +79,12 @@ class Run:
         return self.records.total_steps
 
     @property
+    def evaluated_length(self) -> float | None:
+        """Mean steps of its deterministic policy's evaluated episodes; None where unknown."""
+        lengths = self.evaluation.get("deterministic", {}).get("lengths", ())
+        return float(np.mean(lengths)) if len(lengths) else None
+
+    @property
     def end(self) -> str:
         """The place where most of its evaluated episodes end; empty without places."""
         return max(self.ends, key=self.ends.__getitem__, default="")
