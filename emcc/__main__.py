@@ -98,7 +98,9 @@ def _emcc_table(groups: Sequence[Sequence[Run]], options: argparse.Namespace) ->
     rows, alpha, ties = [], options.alpha, options.ties
     for group in groups:
         first, seeds = group[0], " ".join(run.seed for run in group)
-        about = first.source, first.algorithm, _task(first), seeds, str(first.total_steps)
+        totals = sorted({run.total_steps for run in group})
+        steps = " to ".join(map(str, dict.fromkeys((totals[0], totals[-1]))))
+        about = first.source, first.algorithm, _task(first), seeds, steps
         thirds = zip(*(_emcc_by_part(run, alpha, ties) for run in group), strict=True)
         cells = [mean_cell(values, 3, SHARE) for values in thirds]
         rates = [cost_rate(run.records.cost, run.records.length) for run in group]
@@ -119,10 +121,17 @@ def _panel_table(group: Sequence[Run], options: argparse.Namespace) -> Table:
     first = group[0]
     # One window for all runs, since a row names it.
     window = min(options.window or WINDOW, *(len(run.episodes or run.records) for run in group))
-    choices = {"ties": options.ties, "window": window, "total_steps": first.total_steps}
     with named(first.source):
         panels = [
-            panel(run.records, options.limit, options.alpha, episodes=run.episodes, **choices)
+            panel(
+                run.records,
+                options.limit,
+                options.alpha,
+                ties=options.ties,
+                window=window,
+                total_steps=run.total_steps,
+                episodes=run.episodes,
+            )
             for run in group
         ]
     seeds = f"seeds {' '.join(run.seed for run in group)}" if first.seed else ""

@@ -7,8 +7,6 @@ than are allowed.
 import math
 import operator
 import reprlib
-import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from numbers import Real
@@ -16,6 +14,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from emcc.npz import UNREADABLE
 
 
 @contextmanager
@@ -25,15 +25,8 @@ def named(source: Any) -> Iterator[None]:
         yield
     except KeyError as error:
         raise ValueError(f"{source}: missing: {error.args[0]}") from error
-    except (
-        TypeError,
-        ValueError,
-        RecursionError,
-        EOFError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise ValueError(f"{source}: {error}") from error
+    except UNREADABLE as error:
+        raise ValueError(f"{source}: {str(error) or type(error).__name__}") from error
 
 
 def as_array(values: ArrayLike, name: str) -> NDArray[Any]:

@@ -285,11 +285,16 @@ class EpisodeRecords:
 def unpack_costs(arrays: Mapping[str, NDArray], prefix: str) -> NDArray[np.float64]:
     """Costs of steps from arrays named below a prefix: "unsafe", a bit for each step that costs,
     and "values" where some of these are not 1."""
-    steps = int(arrays[prefix + "steps"])
-    unsafe = np.unpackbits(arrays[prefix + "unsafe"], count=steps).astype(bool)
+    steps, bits = int(arrays[prefix + "steps"]), arrays[prefix + "unsafe"]
+    if bits.shape != (-(-steps // 8),):  # missing ones would be read as safe
+        raise ValueError(f"{prefix}unsafe has shape {bits.shape}, not the bits of {steps} steps")
+    unsafe = np.unpackbits(bits, count=steps).astype(bool)
     costs = unsafe.astype(np.float64)
     if prefix + "values" in arrays:
-        costs[unsafe] = arrays[prefix + "values"]
+        values = arrays[prefix + "values"]
+        if values.shape != (unsafe.sum(),):  # one would be taken for all
+            raise ValueError(f"{prefix}values has shape {values.shape} for {unsafe.sum()} costs")
+        costs[unsafe] = values
     return costs
 
 

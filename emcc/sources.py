@@ -3,7 +3,6 @@
 Objects of Minari and TorchRL are used as they come; neither library is imported.
 """
 
-import io
 import json
 import os
 import re
@@ -18,14 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emcc.arrays import as_array, as_count, named
+from emcc.npz import open_zip, read_arrays
 from emcc.recorder import CostRecorder
 from emcc.records import EpisodeRecords, records_of
 from emcc.table import Columns
 
 ENDS = ("done", "terminated", "truncated")
 """Columns that mark the last step of an episode, in files of costs of steps."""
-ENVIRONMENTS = ("env", "env_id", "env_index", "worker", "rank")
-"""Columns that tell environments apart, whose steps may stand between each other."""
+KNOWN = ("cost", "reward", "episode", "rollout")
+"""Further columns of such files that are read."""
+ENVIRONMENT = re.compile(
+    r"(n|num|idx|index|id)?v?(env|environment|worker|rank|process|proc|pid|actor|thread|runner"
+    r"|instance|replica|copy|agent|sim|simulator)s?(n|no|nr|num|number|i|ix|idx|index|id|ids|name)?"
+)
+"""Names of columns, in small letters alone, that tell environments apart, whose steps may stand
+between each other; so do others whose values come in turns: see `_environments`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +79,7 @@ def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
     """
     if path.is_dir() or path.suffix == ".zip":
         with named(path):
-            folder = zipfile.Path(path) if path.is_file() else path
+            folder = zipfile.Path(open_zip(path)) if path.is_file() else path
         runs = [run for inner in _run_folders(folder) for run in _read_run_folder(inner, threshold)]
         if not runs:
             raise ValueError(f"{path}: no run folder (config.json, results.npz) in it or below")
@@ -82,7 +88,7 @@ def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
         raise ValueError(f"{path}: no such file or folder")
     with named(path):
         if path.suffix in (".npy", ".npz"):
-            arrays = _arrays(path)
+            arrays = _one_name(dict(_arrays(path)), "cost", "costs")
             if others := sorted({*arrays} - {"costs", "lengths", "rewards", "rollouts"}):
                 known = "costs, and may have lengths, rewards and rollouts"
                 raise ValueError(f"has the arrays {', '.join(others)}: a file has {known}")
@@ -124,20 +130,31 @@ def _read_run_folder(folder: Any, threshold: float) -> Iterator[Run]:
                     records = CostRecorder(1).records
                 else:
                     records = records_of(arrays, prefix, cost, threshold)
-            about = (steps, task, algorithm, seed, cost)
-            yield Run(str(folder), records, *about, failure=failure)
+            about = (task, algorithm, seed, cost)
+            total = max(steps, records.total_steps)  # whole epochs may take more than asked for
+            yield Run(str(folder), records, total, *about, failure=failure)
 
 
 def _arrays(path: Any) -> Any:
     """The arrays of a numpy file by their names; path: pathlib.Path or zipfile.Path."""
-    content: Any = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
+    content = read_arrays(path.read_bytes())
     return {"costs": content} if isinstance(content, np.ndarray) else content
+
+
+def _one_name(columns: Any, other: str, name: str) -> Any:
+    """The columns or arrays of a file, with its costs below one name: `cost` and `costs` are both
+    taken."""
+    if other in columns and name in columns:
+        raise ValueError(f"has both {name} and {other}: one of them is needed")
+    if other in columns:
+        columns[name] = columns.pop(other)
+    return columns
 
 
 def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeRecords | None]:
     """A file of records, or with a row for each step, whose `cost` it has: the records, and those
     of whole episodes where rollouts cut them."""
-    columns = Columns(path)
+    columns = _one_name(Columns(path), "costs", "cost")
     if "longest_streak" in columns:
         if threshold:
             raise ValueError("holds streaks, not costs of steps: leave the threshold out")
@@ -155,23 +172,19 @@ def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeReco
     rewards = columns.numbers("reward", float) if "reward" in columns else None
     # An episode ends where its number changes, and behind a marked step; a rollout may cut it.
     rollouts, episodes = (columns.get(name, [""] * costs.size) for name in ("rollout", "episode"))
-    for name in ENVIRONMENTS:
-        if len({*columns.get(name, ())}) > 1:
-            raise ValueError(
-                f"has several environments in the column {name}: write whole episodes in the order "
-                "in which they ended, each with a number of its own in the column episode, and no "
-                f"{name}"
-            )
     cuts, ends = (np.array([a != b for a, b in pairwise([*x, None])]) for x in (rollouts, episodes))
+    marked = _marked(columns, marks)
+    if name := _environments(columns, cuts | ends | marked):
+        raise ValueError(
+            f"has several environments in the column {name}: write whole episodes in the order in "
+            "which they ended, each with a number of its own in the column episode, and no "
+            f"{name}"
+        )
     if len(set(rollouts)) < cuts.sum():
         raise ValueError("the steps of a rollout must follow one another")
     if "episode" in columns and len({*zip(rollouts, episodes, strict=True)}) < (cuts | ends).sum():
         raise ValueError("the steps of an episode must follow one another")
-    for name in marks:
-        words = [text.lower().removesuffix(".0") for text in columns[name]]
-        if bad := set(words) - {"0", "1", "false", "true"}:
-            raise ValueError(f"column {name}: must be 0 or 1, got {min(bad)!r}")
-        ends |= np.isin(words, ["1", "true"])
+    ends |= marked
     last, whole = (np.flatnonzero(np.append(x[:-1], True)) for x in (cuts | ends, ends))
     if len(last) == costs.size > 1:
         raise ValueError("every episode has one row: sums of episodes have no EMCC")
@@ -181,6 +194,38 @@ def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeReco
     if len(whole) == len(last):
         return records, None
     return records, EpisodeRecords.from_costs(costs, of_episodes, rewards, None, threshold)
+
+
+def _marked(columns: Columns, marks: list[str]) -> NDArray[np.bool_]:
+    """The rows that one of the columns marks as the last of an episode."""
+    marked = np.zeros(len(columns.lines), dtype=bool)
+    for name in marks:
+        words = [text.lower().removesuffix(".0") for text in columns[name]]
+        if bad := set(words) - {"0", "1", "false", "true"}:
+            raise ValueError(f"column {name}: must be 0 or 1, got {min(bad)!r}")
+        marked |= np.isin(words, ["1", "true"])
+    return marked
+
+
+def _environments(columns: Columns, ends: NDArray[np.bool_]) -> str:
+    """The column that tells several environments apart; "" where none does.
+
+    It has such a name, or its values come in turns, as steps of environments side by side do: 0, 1,
+    2, 0, 1, 2, ... A number of the step in its episode does so too, but begins again at each end.
+    ends: of the rows, which are the last of an episode or rollout.
+    """
+    for name, values in columns.items():
+        count = len({*values})
+        if name in (*KNOWN, *ENDS) or count == 1:
+            continue
+        if ENVIRONMENT.fullmatch(re.sub(r"[^a-z]", "", name.lower())):
+            return name
+        # Three turns at least: fewer may be chance.
+        if 3 * count <= len(values) and len({*values[:count]}) == count:
+            again = all(a == b for a, b in zip(values, values[count:], strict=False))
+            if again and not ends[count - 1 :: count].all():
+                return name
+    return ""
 
 
 def from_minari(dataset: Any, threshold: float = 0.0) -> EpisodeRecords:

@@ -23,7 +23,13 @@ class Columns(dict[str, list[str]]):
     """
 
     def __init__(self, path: Path) -> None:
-        text = path.read_text(encoding="utf-8-sig")
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise ValueError(
+                f"no text at byte {error.start}: a file of costs is a .csv in UTF-8, a .npy or a "
+                ".npz, by its name"
+            ) from None
         try:
             reader = csv.reader(io.StringIO(text, newline=""))
             lines = ((reader.line_num, [cell.strip() for cell in row]) for row in reader if row)

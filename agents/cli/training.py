@@ -31,7 +31,7 @@ from agents.cli.options import (
     parse,
     values_of,
 )
-from agents.errors import UserError
+from agents.errors import OwnCodeError, UserError, traced
 from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.kernel import Backend
 from agents.paper import grid
@@ -135,12 +135,21 @@ def _finish(folders: Sequence[Path], after_epoch: AfterEpoch) -> int:
     if after_epoch.number is not None:
         say(after_epoch.words())
         return 128 + after_epoch.number
+    status = 0
     for folder in folders:
         try:
             show(table(folder), more=str(folder / "report.md"))
         except UserError as error:  # the training itself is done
-            say(f"no table: {error}")
-    return name_failures(folders)
+            status = max(status, no_table(error, "table"))
+    return max(status, name_failures(folders))
+
+
+def no_table(error: UserError, what: str) -> int:
+    """Say why there is no table or report, with the traceback of the user's own code; returns the
+    exit status: 1 for such an error."""
+    print(traced(error.__cause__), end="", file=sys.stderr)
+    say(f"no {what}: {error}")
+    return int(isinstance(error, OwnCodeError))
 
 
 def name_failures(folders: Sequence[Path]) -> int:
@@ -231,7 +240,8 @@ def evaluate(args: Sequence[str]) -> int:
         else:
             results = evaluation.evaluate_runs(config, act, episodes, going)
     taken = trained.steps[going] if going.any() else trained.steps
-    done = f"after {taken.min()} of {config.steps} steps"
+    asked = "" if trained.done else f" of {config.steps}"
+    done = f"after {taken.min()}{asked} steps"
     print(f"{options.folder}, {done}: means over {episodes} episodes")
     for name, result in results.items():
         for k, run in enumerate(config.runs):
@@ -337,7 +347,7 @@ def reproduce(args: Sequence[str]) -> int:
             written = report(options.out, *options.beside, out=options.out)
         show(written.blocks, options.width, str(written.page))
     except UserError as error:
-        say(f"no report: {error}")
+        no_table(error, "report")
         return 1
     return int(bool(failed or written.left_out))
 

@@ -236,7 +236,7 @@ def _cell(groups: Sequence[Group], task: str, name: str, choice: str) -> Cell:
         usual = not config.task_parameters and group.is_of_first_cost
         for run in group.runs if same and usual and choice_of(group) == choice else ():
             if all(run.measures[measure] is not None for measure in printed):
-                by_steps.setdefault(config.steps, {}).setdefault(run.seed, run)
+                by_steps.setdefault(group.total_steps, {}).setdefault(run.seed, run)
     if not by_steps:
         return Cell(task, name, (), "no runs", choice=choice)
     steps = needed if needed in by_steps else max(by_steps)

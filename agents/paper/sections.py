@@ -19,6 +19,7 @@ from agents.reporting.table import Number, Row, Table, number
 from agents.reporting.tables import (
     Reference,
     caption,
+    lengths_differ,
     mark,
     mean_row,
     means,
@@ -191,15 +192,17 @@ def choices_table(choices: Choices, kind: str, words: str) -> Table | None:
         if reference:
             marked |= {(len(rows) + k, m) for k, m in _nearest(complete, reference.values)}
         for group in complete:
-            words_of = [task, title(name), _choice(group), *unusual_steps(group.config, task)]
+            words_of = [task, title(name), _choice(group), *unusual_steps(group.total_steps, task)]
             rows.append(mean_row(group, ", ".join(words_of)))
         if reference:
             rows.append(printed_row(f"{task}, {title(name)}", reference))
     if not rows:
         return None
-    legend = f"{words}. {caption([group for own in choices for group in own])}"
+    groups = [group for own in choices for group in own]
+    legend = f"{words}. {caption(groups)}"
     head = f"task, algorithm and {kind}"
-    return measures_table(legend, head, mark(rows, marked), marking=MARKING)
+    rows, lengths = mark(rows, marked), lengths_differ(groups)
+    return measures_table(legend, head, rows, marking=MARKING, lengths=lengths)
 
 
 def nearest_table(choices: Choices) -> Table | None:
@@ -229,7 +232,7 @@ def parts_over_tasks(choices: Choices) -> Table | None:
     named = []
     for usual, *others in choices:
         for other in others:
-            words = [_choice(other), *unusual_steps(other.config, other.task), other.apart]
+            words = [_choice(other), *unusual_steps(other.total_steps, other.task), other.apart]
             name = f"B - A: {', '.join(filter(None, words))} - preset"
             named.append((name, (usual, other)))
     return differences_over_tasks(two_sets(named))
@@ -295,7 +298,7 @@ def ties_table(groups: Sequence[Group]) -> Table:
 
 
 def _with_ties_split(group: Group, run: Run) -> Run:
-    by_part = emcc_of_thirds(run.records, group.config.steps, ties="split")
+    by_part = emcc_of_thirds(run.records, run.total_steps, ties="split")
     return replace(
         run, measures={**run.measures, **dict(zip(EMCCS, by_part.values(), strict=True))}
     )

@@ -14,7 +14,16 @@ from agents.reporting.overall import TASKS, differences_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import made
 from agents.reporting.table import Number, Table, corrected, latex, markdown
-from agents.reporting.tables import caption, difference_rows, mean_row, measures_table, run_rows
+from agents.reporting.tables import (
+    caption,
+    difference_rows,
+    lengths_differ,
+    long_settings,
+    mean_row,
+    measures_table,
+    run_rows,
+    unequal_lengths,
+)
 from agents.results.frame import (
     changes,
     in_order,
@@ -143,11 +152,15 @@ def _table(task: str, sides: Sides, tested: Tested, tests: int, notes: Sequence[
     rows = [mean_row(group, name) for name, group in sides.named]
     for pair in sides.pairs:
         told = tested[_key(*pair)]
-        rows += difference_rows(_name(*pair), told, measures(), tests, beside=[Number(None)])
+        beside = [Number(None)] * 2
+        rows += difference_rows(_name(*pair), told, measures(), tests, beside=beside)
     for prefix, groups in zip(("A: ", "B: "), sides, strict=True):
         rows += [row for group in in_order(groups) for row in run_rows(group, prefix)]
-    words = f"{caption([*sides.a, *sides.b])}; {METHOD.format(corrected(tests, 'made here'))}"
-    return measures_table(words, task, rows, [*notes, *_too_few(task, sides, tests)])
+    groups = [*sides.a, *sides.b]
+    told = [f"{task}: {note}" for note in (*long_settings(groups), *unequal_lengths(groups))]
+    words = f"{caption(groups)}; {METHOD.format(corrected(tests, 'made here'))}"
+    notes = [*notes, *told, *_too_few(task, sides, tests)]
+    return measures_table(words, task, rows, notes, lengths=lengths_differ(groups))
 
 
 def _key(a: Group, b: Group) -> tuple[int, int]:

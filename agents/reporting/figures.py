@@ -148,7 +148,7 @@ def episode_means(group: Group, column: Literal["reward", "cost", "length"]) -> 
 
     column: "reward" (the return), "cost" or "length".
     """
-    rows, total_steps = [], group.config.steps
+    rows, total_steps = [], group.total_steps
     for records in (run.records for run in group.runs):
         part = np.minimum(records.start_step * POINTS // total_steps, POINTS - 1)
         values = getattr(records, column)
@@ -170,13 +170,13 @@ def emcc_along(records: EpisodeRecords, total_steps: int) -> list[float]:
 
 def running_emcc(group: Group) -> Curve:
     """`emcc_along` of each run."""
-    rows = [emcc_along(run.records, group.config.steps) for run in group.runs]
+    rows = [emcc_along(run.records, group.total_steps) for run in group.runs]
     return _over_runs(rows, group.one_place, SHARE)
 
 
 def thirds_emcc(group: Group) -> Curve:
     """EMCC of the thirds of training: [3]."""
-    rows = [list(emcc_of_thirds(run.records, group.config.steps).values()) for run in group.runs]
+    rows = [list(emcc_of_thirds(run.records, run.total_steps).values()) for run in group.runs]
     return _over_runs(rows, group.one_place, SHARE)
 
 
@@ -212,7 +212,7 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
         (returns, costs), (running, thirds) = axes[:2]
         figure.suptitle(task)
         for k, ((name, group), style) in enumerate(zip(named, looks, strict=True)):
-            at = midpoints(group.config.steps)
+            at = midpoints(group.total_steps)
             _draw(returns, name, style, at, episode_means(group, "reward"))
             _draw(costs, name, style, at, episode_means(group, "cost"))
             _draw(running, name, style, at, running_emcc(group))
@@ -221,7 +221,7 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
                 _draw(axes[2, 0], name, style, at, episode_means(group, "length"))
         if limit is not None:
             costs.axhline(limit, label="cost limit", color="#888888", linewidth=0.9)
-        _label(axes, max(group.config.steps for group in groups))
+        _label(axes, max(group.total_steps for group in groups))
         figure.legend(*costs.get_legend_handles_labels(), ncols=columns, **BELOW)
         svg = svg_of(figure)
     words = (

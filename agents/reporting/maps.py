@@ -337,7 +337,7 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
             if replay is None:
                 notes.append(f"no replay of {group.title}: {NO_POSITIONS}")
                 break
-            numbers = _run(run, replay, group.config.steps)
+            numbers = _run(run, replay, group.replay_steps(run))
             runs.append({**named, "scene": scene.number, **numbers})
     extents = [list(scene.extent) for scene in scenes.all]
     return {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, corrected, number, p_head, p_number
 from agents.reporting.tables import difference_rows
-from agents.results.frame import by_task, changes, in_order, name_of, title_of
+from agents.results.frame import by_task, changes, in_order, name_of, title_of_group
 from agents.results.reading import Group, Run
 from agents.results.statistics import (
     LEVEL,
@@ -92,11 +92,11 @@ def comparable(groups: Iterable[Group]) -> Cells:
     usual = of_presets(groups)
     lengths: dict[str, Counter[int]] = {}
     for group in usual:
-        lengths.setdefault(group.task, Counter())[group.config.steps] += 1
+        lengths.setdefault(group.task, Counter())[group.total_steps] += 1
     most = {
         task: max(count.items(), key=lambda pair: pair[::-1])[0] for task, count in lengths.items()
     }
-    alike = [group for group in usual if group.config.steps == most[group.task]]
+    alike = [group for group in usual if group.total_steps == most[group.task]]
     return on_every_task(alike, lambda group: title(group.config.algorithm))
 
 
@@ -152,7 +152,7 @@ def over_tasks(groups: Sequence[Group]) -> Table | None:
     algorithms are left to the table of ranks.
     """
     columns = common_measures()
-    cells = on_every_task(of_presets(groups), lambda group: title_of(group.config, group.task))
+    cells = on_every_task(of_presets(groups), title_of_group)
     runs = {name: matrices(list(own.values()), FEWEST_RUNS) for name, own in cells.items()}
     runs = {name: values for name, values in runs.items() if values}
     tasks = len(tasks_of(cells))

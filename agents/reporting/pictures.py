@@ -20,7 +20,7 @@ from agents.reporting.maps import Column, Ground, heat_figure, png
 from agents.results.frame import title_of
 from agents.results.reading import Episode, results_of, run_records
 from agents.training.config import RunId, TrainConfig
-from agents.training.derive import Steps, count_visits
+from agents.training.derive import Steps, count_visits, told_steps
 from agents.training.environments import make_envs, registered, view_of
 from agents.training.evaluation import paths_of, play, runs_envs
 from agents.training.files import check_file, whole, write_whole
@@ -89,7 +89,8 @@ def _column(
         if positions is None:
             raise UserError(f"{folder} has no positions of {run}")
         runs.append((run_records(arrays, run, config.costs[0]), positions))
-    heading = name or f"{title_of(config, task)} on {task}"
+    taken = told_steps(config.steps, (records.total_steps for records, _ in runs))
+    heading = name or f"{title_of(config, task, steps=taken)} on {task}"
     if name is None and set(seeds) != set(config.seeds):
         heading += f" (seeds: {', '.join(map(str, seeds))})"
     visits = count_visits(view, runs, config.steps, parts, alpha)

@@ -8,7 +8,7 @@ from importlib.metadata import version
 from typing import Any
 
 from agents.algorithms import title
-from agents.results.frame import hyperparameter_changes, in_order, title_of
+from agents.results.frame import hyperparameter_changes, in_order, title_of_group
 from agents.results.reading import Group
 from agents.training.callbacks import duration
 from agents.training.callbacks import sessions as sessions_of
@@ -45,7 +45,7 @@ def made(groups: Sequence[Group]) -> dict[str, str]:
         "training time": f"{duration(seconds)}, all processes together{few}" if timed else "",
         "runs": str(_runs(groups)),
         "seeds": _list(seed for group in groups for seed in group.config.seeds),
-        "steps": _list(group.config.steps for group in groups),
+        "steps": _list(group.total_steps for group in groups),
     }
     return {name: text for name, text in facts.items() if text}
 
@@ -72,14 +72,14 @@ def summary(groups: Sequence[Group]) -> str:
     """One line on the runs: how many, on how many tasks, for how long."""
     configs = [group.config for group in groups]
     names = {config.algorithm for config in configs}
-    settings = {title_of(group.config, group.task) for group in groups}
+    settings, lengths = set(map(title_of_group, groups)), {group.total_steps for group in groups}
     parts = [
         _count(_runs(groups), "run"),
         _count(len({group.task for group in groups}), "task"),
         _count(len(names), "algorithm"),
         *([f"{len(settings)} settings"] if len(settings) > len(names) else []),
         f"seeds {_seeds({seed for config in configs for seed in config.seeds})}",
-        f"{' or '.join(f'{n:,}' for n in sorted({c.steps for c in configs}))} steps each",
+        f"{' or '.join(f'{n:,}' for n in sorted(lengths))} steps each",
     ]
     return ", ".join(parts)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, count, number, p_head, p_number
-from agents.results.frame import in_order, name_of
+from agents.results.frame import changes, in_order, name_of, setting, title_of_group
 from agents.results.measures import Measure, measure, measures
 from agents.results.reading import Group, Run
 from agents.results.statistics import (
@@ -25,11 +25,12 @@ from agents.results.statistics import (
     places,
     within_limit,
 )
+from agents.training.derive import told_steps
 from emcc import longest_streaks, panel
 from emcc.panels import WINDOW, CostMeasures, Panel, cost_measures, emcc_of_thirds
 from emcc.panels import rows as panel_rows
 from emcc.parts import ALPHA, PARTS, rollouts_by_part
-from emcc.statistics import SHARE, Bounds
+from emcc.statistics import COST, SHARE, Bounds
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -72,22 +73,36 @@ def task_table(groups: Sequence[Group], printed: Reference, notes: Sequence[str]
     words = f"{marking()}; among our means" + (
         ", and among the paper's, of which J_C, a mean, is within the limit" if others else ""
     )
-    notes = [*notes, *_limited(groups), *_random(groups)]
-    return measures_table(caption(groups), task, rows, notes, words)
+    notes = [*notes, *long_settings(groups), *unequal_lengths(groups), *_limited(groups)]
+    notes += _random(groups)
+    return measures_table(caption(groups), task, rows, notes, words, lengths_differ(groups))
 
 
 def measures_table(
-    caption: str, first: str, rows: Sequence[Row], notes: Sequence[str] = (), marking: str = ""
+    caption: str,
+    first: str,
+    rows: Sequence[Row],
+    notes: Sequence[str] = (),
+    marking: str = "",
+    lengths: bool = False,
 ) -> Table:
     """A table of rows of a name (headed by `first`), each measure, the runs within the cost limit,
-    and where runs end."""
-    head = [first, *(m.head for m in measures()), "within limit", "ends in"]
+    the length of evaluated episodes, and where runs end.
+
+    lengths: whether that length is shown; where all are equal it says nothing.
+    """
+    head = [first, *(m.head for m in measures()), "within limit", "length (steps)", "ends in"]
+    if lengths:
+        caption += "; length: mean of the evaluated episodes"
+    else:
+        head.remove("length (steps)")
+        rows = [replace(row, numbers=row.numbers[:-1]) for row in rows]
     return Table(caption, head, rows, notes, marking, [m.head for m in measures() if m.detail])
 
 
 def mark(rows: Sequence[Row], marked: set[tuple[int, str]]) -> list[Row]:
     """The rows with some measures marked: pairs of a row's place and a measure's name."""
-    names = [*(m.name for m in measures()), ""]
+    names = [*(m.name for m in measures()), "", ""]
     return [
         replace(
             row,
@@ -141,13 +156,15 @@ def mean_row(group: Group, name: str) -> Row:
     cells = [number(group_mean(group, m.name), m.digits) for m in measures()]
     ends = "; ".join(f"{place} {count(share)}" for place, share in places(group).items())
     name = f"{name}, mean of {len(group.runs)}"
-    return Row(name, [*cells, count(within_limit(group))], ends, kind="mean")
+    lengths = mean_of([run.evaluated_length for run in group.runs], group.one_place, COST)
+    cells += [count(within_limit(group)), number(lengths, 1)]
+    return Row(name, cells, ends, kind="mean")
 
 
 def printed_row(name: str, printed: Printed) -> Row:
     """The row of printed numbers."""
     cells = [Number(printed.values.get(m.name), m.digits) for m in measures()]
-    return Row(f"{name}, {printed.source}", [*cells, Number(None)], kind="paper")
+    return Row(f"{name}, {printed.source}", [*cells, Number(None), Number(None)], kind="paper")
 
 
 def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:
@@ -155,7 +172,7 @@ def run_rows(group: Group, prefix: str = "") -> Iterator[Row]:
     for run in group.runs:
         cells = [Number(run.measures.get(m.name), m.digits) for m in measures()]
         share = within_limit(replace(group, runs=[run]))
-        cells.append(Number(share and share.count, total=1))
+        cells += [Number(share and share.count, total=1), Number(run.evaluated_length, 1)]
         yield Row(f"{prefix}{name_of(group)}, seed {run.seed}", cells, ends_words(run))
 
 
@@ -205,12 +222,43 @@ def _limited(groups: Sequence[Group]) -> list[str]:
     return [f"The cost limit holds for {kinds}. Marks and claims compare J_C with it."]
 
 
+def lengths_differ(groups: Iterable[Group]) -> bool:
+    """Whether not all episodes of some groups are of one length, in training and evaluation: one
+    that ends early may be within its cost limit for that alone."""
+    lengths: set[float] = set()
+    for run in (run for group in groups for run in group.runs):
+        lengths |= {*run.records.length.tolist()}
+        lengths |= {*np.unique(run.evaluation.get("deterministic", {}).get("lengths", ())).tolist()}
+    return len(lengths) > 1
+
+
+def long_settings(groups: Iterable[Group]) -> list[str]:
+    """The values that names only count: see `frame.setting`."""
+    told = {
+        (name, repr(value)): group
+        for group in groups
+        for name, value in changes(group.config, group.task).items()
+        if setting(name, value) != f"{name} {value}"
+    }
+    return [f"{name} of {title_of_group(g)}: {value}." for (name, value), g in told.items()]
+
+
+def unequal_lengths(groups: Sequence[Group]) -> list[str]:
+    """The shortest and the longest training, where they are not of one length."""
+    taken = sorted((run.total_steps, name_of(group)) for group in groups for run in group.runs)
+    if not taken or told_steps(taken[0][0], [taken[-1][0]]) == taken[0][0]:
+        return []
+    (least, a), (most, b) = taken[0], taken[-1]
+    words = f"from {least:,} steps ({a}) to {most:,} ({b})"
+    return [f"Runs are of unequal length, {words}: what differs here may be for that alone."]
+
+
 def _random(groups: Sequence[Group]) -> list[str]:
     """The groups of which all training was of random actions."""
     return [
         f"{name_of(group)}: all its training's actions are random (random_steps)."
         for group in groups
-        if getattr(group.config.hyperparameters, "random_steps", 0) >= group.config.steps
+        if getattr(group.config.hyperparameters, "random_steps", 0) >= group.total_steps
     ]
 
 
@@ -288,7 +336,7 @@ def panel_table(groups: Sequence[Group]) -> Table:
     window = min(WINDOW, *(len(run.records) for group in groups for run in group.runs))
     panels: list[list[Panel]] = [
         [
-            panel(run.records, limit, window=window, total_steps=group.config.steps)
+            panel(run.records, limit, window=window, total_steps=run.total_steps)
             for run in group.runs
         ]
         for group, limit in zip(groups, limits, strict=True)
@@ -370,15 +418,12 @@ def _recorded_rows(
     group: Group, runs: Sequence[NDArray[np.float64]], words: str, threshold: float
 ) -> Iterator[Row]:
     """A row for each third."""
-    total = group.config.steps
     streaks = [
-        [emcc_above(run, steps, limit, total) for run, steps in zip(group.runs, runs, strict=True)]
+        [emcc_above(run, steps, limit) for run, steps in zip(group.runs, runs, strict=True)]
         for limit in (0.0, threshold)
     ]
     for part in PARTS:
-        inside = [
-            s[:total][rollouts_by_part(np.arange(min(len(s), total)), total)[part]] for s in runs
-        ]
+        inside = [s[rollouts_by_part(np.arange(len(s)), len(s))[part]] for s in runs]
         above = np.concatenate(inside)
         above = above[above > 0]
         told = [*np.percentile(above, (50, 90, 100))] if len(above) else [None] * 3
@@ -391,13 +436,11 @@ def _recorded_rows(
         yield Row(f"{name_of(group)}, {words}, {part:g}", cells, kind="mean")
 
 
-def emcc_above(
-    run: Run, steps: NDArray[np.float64], threshold: float, total: int
-) -> dict[float, float | None]:
-    """EMCC by third of training of `total` steps, of a run's steps above a threshold.
+def emcc_above(run: Run, steps: NDArray[np.float64], threshold: float) -> dict[float, float | None]:
+    """EMCC by third of training, of a run's steps above a threshold.
 
     steps: a number recorded at each step, [steps].
     """
     streaks = longest_streaks(steps, run.records.length, threshold)
     records = replace(run.records, longest_streak=streaks, cost_steps=None, streaks=None)
-    return emcc_of_thirds(records, total)
+    return emcc_of_thirds(records, run.total_steps)

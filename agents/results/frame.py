@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 COLUMNS = ("group", "task", "algorithm", "settings", "cost", "folder", "seed", "ends_in")
 COLUMNS = (*COLUMNS, "measure", "part", "value")
+MOST_CHARACTERS = 40
+"""Of a setting of several values in a name."""
 
 
 def frame(groups: Sequence[Group]) -> pandas.DataFrame:
@@ -137,7 +139,7 @@ def with_varied_settings(groups: Sequence[Group]) -> list[Group]:
         if name not in ALGORITHMS:
             others = [vars(g.config.hyperparameters) for g in groups if g.config.algorithm == name]
             own = vars(group.config.hyperparameters)
-            varied = [f"{k} {v}" for k, v in own.items() if any(o.get(k) != v for o in others)]
+            varied = [setting(k, v) for k, v in own.items() if any(o.get(k) != v for o in others)]
         apart = ", ".join(filter(None, [*varied, group.apart]))
         named.append(dataclasses.replace(group, apart=apart))
     return named
@@ -145,7 +147,7 @@ def with_varied_settings(groups: Sequence[Group]) -> list[Group]:
 
 def with_distinct_titles(groups: Sequence[Group]) -> list[Group]:
     """Groups of which those of one title on one task have their folders in their names."""
-    keys = [(group.task, group.cost, title_of(group.config, group.task)) for group in groups]
+    keys = [(group.task, group.cost, title_of_group(group)) for group in groups]
     count = Counter(key for key, group in zip(keys, groups, strict=True) if group.runs)
     return [
         dataclasses.replace(
@@ -158,31 +160,46 @@ def with_distinct_titles(groups: Sequence[Group]) -> list[Group]:
 
 def name_of(group: Group) -> str:
     """The title of a group, with what tells it apart from another of that title."""
-    return title_of(group.config, group.task, group.apart)
+    return title_of_group(group, group.apart)
 
 
-def title_of(config: TrainConfig, task: str, more: str = "") -> str:
-    """The algorithm, with the settings that are not the usual ones."""
-    words = ", ".join(filter(None, [*differences(config, task), more]))
+def title_of_group(group: Group, more: str = "") -> str:
+    """The title of a group's settings and length."""
+    return title_of(group.config, group.task, more, group.total_steps)
+
+
+def title_of(config: TrainConfig, task: str, more: str = "", steps: int | None = None) -> str:
+    """The algorithm, with the settings that are not the usual ones; steps: taken, by default those
+    asked for."""
+    words = ", ".join(filter(None, [*differences(config, task, steps), more]))
     return title(config.algorithm) + (f" ({words})" if words else "")
 
 
 def settings_of(group: Group) -> str:
     """The settings of a group that are not the usual ones, in words."""
-    return ", ".join(filter(None, [*differences(group.config, group.task), group.apart]))
+    words = differences(group.config, group.task, group.total_steps)
+    return ", ".join(filter(None, [*words, group.apart]))
 
 
-def differences(config: TrainConfig, task: str) -> list[str]:
+def differences(config: TrainConfig, task: str, steps: int | None = None) -> list[str]:
     """Each setting of `changes` in words, and the number of steps where it is not the usual one; of
     an unregistered algorithm no hyper-parameter: see `with_varied_settings`."""
     known = config.algorithm in ALGORITHMS
     changed = changes(config, task) if known else config.task_parameters
-    return [f"{name} {value}" for name, value in changed.items()] + unusual_steps(config, task)
+    words = [setting(name, value) for name, value in changed.items()]
+    return words + unusual_steps(steps or config.steps, task)
 
 
-def unusual_steps(config: TrainConfig, task: str) -> list[str]:
-    """The training's length, where it is not the usual one: see `presets.usual_steps`."""
-    return [] if config.steps == usual_steps(task) else [f"{config.steps:,} steps"]
+def setting(name: str, value: Any) -> str:
+    """A setting in the words of names; of one whose value would fill a table's rows its number of
+    values, which a note below the table has."""
+    many = isinstance(value, (tuple, list, dict)) and len(str(value)) > MOST_CHARACTERS
+    return f"{name} [{len(value)}]" if many else f"{name} {value}"
+
+
+def unusual_steps(steps: int, task: str) -> list[str]:
+    """A training's length, where it is not the usual one: see `presets.usual_steps`."""
+    return [] if steps == usual_steps(task) else [f"{steps:,} steps"]
 
 
 def changes(config: TrainConfig, task: str) -> dict[str, Any]:

@@ -7,6 +7,7 @@ rendering goes through `measures()` and takes what a run lacks (None) as missing
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +16,7 @@ from typing import Any, Literal
 
 from agents.errors import OWN_ERRORS, OwnCodeError, described
 from emcc import EpisodeRecords, cost_rate
+from emcc.arrays import as_one
 from emcc.panels import emcc_of_thirds
 from emcc.parts import PARTS
 from emcc.statistics import COST, SHARE, UNBOUNDED, Bounds
@@ -116,20 +118,25 @@ def measure(name: str) -> Measure:
 def measured(data: RunData, run: str) -> dict[str, float | None]:
     """All measures of a run by name.
 
-    run: its name. Raises OwnCodeError where a measure of the user's own raises; the ValueError
-    of a built-in one, and of one that is not finite, says that the run is damaged.
+    run: its name. Raises OwnCodeError where a measure of the user's own raises or gives no number;
+    the ValueError of a built-in one, and of one that is not finite, says that the run is damaged.
     """
-    values = {}
+    values: dict[str, float | None] = {}
     for m in measures():
         try:
-            values[m.name] = m.compute(data)
+            value = m.compute(data)
         except OWN_ERRORS as error:
             if m in BUILT_IN:
                 raise
             words = f"measure {m.name!r} failed on run {run}: {described(error)}"
             raise OwnCodeError(words) from error
-        if values[m.name] is not None and not math.isfinite(values[m.name]):
-            raise ValueError(f"{m.name} is not finite: {values[m.name]}")
+        try:
+            values[m.name] = number = None if value is None else as_one(value, "it")
+        except (TypeError, ValueError):
+            words = f"must give a number or None, on run {run} it gave {reprlib.repr(value)}"
+            raise OwnCodeError(f"measure {m.name!r} {words}") from None
+        if number is not None and not math.isfinite(number):
+            raise ValueError(f"{m.name} is not finite: {number}")
     return values
 
 

@@ -38,6 +38,7 @@ from agents.training.files import (
     AnyPath,
     Arrays,
     archive_of,
+    content_of,
     numbered,
     opened,
     read_json,
@@ -45,6 +46,8 @@ from agents.training.files import (
     write_arrays,
 )
 from emcc import CostRecorder, EpisodeRecords, cvar
+from emcc.arrays import as_array
+from emcc.npz import open_zip
 from emcc.parts import PARTS
 from emcc.records import records_of, unpack_costs
 
@@ -69,6 +72,17 @@ class Run:
     "lengths" of its episodes."""
     ways: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Of the episodes that end in a place, those that came by each way; empty where none tells."""
+
+    @property
+    def total_steps(self) -> int:
+        """Environment steps that it took: those asked for, and the rest of its last epoch."""
+        return self.records.total_steps
+
+    @property
+    def evaluated_length(self) -> float | None:
+        """Mean steps of its deterministic policy's evaluated episodes; None where unknown."""
+        lengths = self.evaluation.get("deterministic", {}).get("lengths", ())
+        return float(np.mean(lengths)) if len(lengths) else None
 
     @property
     def end(self) -> str:
@@ -140,6 +154,16 @@ class Part:
     config: TrainConfig
     """The folder's config.json."""
 
+    def get(self, name: str, *shape: int) -> NDArray:
+        """An array of numbers of a shape, in which -1 is any number. Raises UserError for another,
+        naming the file: each array may be whole and not fit the others."""
+        with content_of(self.path / RESULTS):
+            array = as_array(self.arrays[name], name)
+            fits = [n in (-1, size) for n, size in zip(shape, array.shape, strict=False)]
+            if len(shape) != array.ndim or not all(fits):
+                raise ValueError(f"{name} has shape {list(array.shape)}, expected {list(shape)}")
+        return array
+
     @property
     def recorded(self) -> Mapping[str, Any]:
         """`config.json`."""
@@ -175,6 +199,11 @@ class Group:
         return [run.seed for run in self.runs]
 
     @property
+    def total_steps(self) -> int:
+        """Environment steps of its longest run: see `derive.told_steps`."""
+        return derive.told_steps(self.config.steps, (run.total_steps for run in self.runs))
+
+    @property
     def is_of_first_cost(self) -> bool:
         """Whether its cost is the training's first, of which visits, trained policies and replay
         are."""
@@ -203,8 +232,8 @@ class Group:
                 return None
             if count:
                 weights.append(count)
-                counts = part.arrays[prefix + "visits"].astype(np.int64)
-                parts.append((counts, part.arrays[prefix + "visited"]))
+                counts = part.get(prefix + "visits", len(PARTS), derive.CELLS, derive.CELLS)
+                parts.append((counts.astype(np.int64), part.get(prefix + "visited", len(PARTS), 3)))
         counts = np.sum([counts for counts, _ in parts], axis=0)
         about = np.array([about for _, about in parts])  # [parts, thirds, (EMCC, rollouts, of)]
         emcc = np.average(about[..., 0], axis=0, weights=weights)
@@ -217,12 +246,13 @@ class Group:
         have; None without positions."""
         episodes = {}
         for seed in seeds:
-            arrays, prefix = self._arrays(seed)
-            if f"{prefix}trained/length" not in arrays:
+            part, prefix = self._part(seed)
+            if f"{prefix}trained/length" not in part.arrays:
                 return None
-            names = ("length", "positions", "costs")
-            length, positions, costs = (arrays[f"{prefix}trained/{name}"] for name in names)
-            ends = np.cumsum(length)[:-1]
+            length = part.get(f"{prefix}trained/length", -1)
+            total = int(length.sum())
+            positions = part.get(f"{prefix}trained/positions", total + len(length), 2)
+            costs, ends = part.get(f"{prefix}trained/costs", total), np.cumsum(length)[:-1]
             paths = np.split(positions, ends + np.arange(1, len(length)))
             pairs = zip(paths, np.split(costs, ends), strict=True)
             episodes[seed] = [Episode(*pair) for pair in pairs]
@@ -230,22 +260,31 @@ class Group:
 
     def replay(self, run: Run) -> Replay | None:
         """The episode of highest MCC in each window of a run's training; None without positions."""
-        arrays, prefix = self._arrays(run.seed)
-        if f"{prefix}replay/points" not in arrays:
+        part, prefix = self._part(run.seed)
+        if f"{prefix}replay/points" not in part.arrays:
             return None
-        costs, points = self.costs(run), arrays[f"{prefix}replay/points"]
-        episodes, at, records = [], 0, run.records
-        for window, row in derive.replay_rows(records, self.config.steps):
+        records = run.records
+        rows = derive.replay_rows(records, self.replay_steps(run))
+        drawn = int(records.length[[row for _, row in rows]].sum())
+        costs, points = self.costs(run), part.get(f"{prefix}replay/points", drawn, 2)
+        episodes, at = [], 0
+        for window, row in rows:
             start, length = int(records.start_step[row]), int(records.length[row])
             path = points[at : at + length]
             at += length
             episodes.append(ReplayEpisode(window, start, path, costs[start : start + length]))
-        return Replay(episodes, arrays[f"{prefix}replay/box"])
+        return Replay(episodes, part.get(f"{prefix}replay/box", 2, 2))
+
+    def replay_steps(self, run: Run) -> int:
+        """Environment steps that the windows of a run's replay divide."""
+        part, prefix = self._part(run.seed)
+        if f"{prefix}replay/steps" not in part.arrays:  # before 0.4
+            return self.config.steps
+        return max(1, int(part.get(f"{prefix}replay/steps")))
 
     def costs(self, run: Run) -> NDArray[np.float64]:
         """Costs of all steps of a run, [steps]."""
-        arrays, prefix = self._arrays(run.seed)
-        return unpack_costs(arrays, f"{prefix}costs/{self.cost}/")
+        return self._of_steps(run, f"costs/{self.cost}/")
 
     @property
     def recorded(self) -> dict[str, str]:
@@ -255,12 +294,20 @@ class Group:
 
     def steps(self, run: Run, name: str) -> NDArray[np.float64]:
         """A number that was recorded at each step of a run, [steps], to five digits."""
-        arrays, prefix = self._arrays(run.seed)
-        return unpack_costs(arrays, f"{prefix}info/{name}/")
+        return self._of_steps(run, f"info/{name}/")
 
-    def _arrays(self, seed: int) -> tuple[Mapping[str, NDArray], str]:
+    def _of_steps(self, run: Run, name: str) -> NDArray[np.float64]:
+        part, prefix = self._part(run.seed)
+        with content_of(part.path / RESULTS):
+            values = unpack_costs(part.arrays, prefix + name)
+            if len(values) != run.total_steps:
+                raise ValueError(f"{prefix}{name} has {len(values)} of {run.total_steps} steps")
+        return values
+
+    def _part(self, seed: int) -> tuple[Part, str]:
+        """The part that has a seed, and the beginning of the names of its arrays there."""
         part = next(part for part in self.parts if seed in part.config.seeds)
-        return part.arrays, RunId(self.task, seed).prefix
+        return part, RunId(self.task, seed).prefix
 
 
 def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> list[Group]:
@@ -286,7 +333,7 @@ def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> li
     for group in groups:
         notes += _left_out(group.title, group.missing)
         if empty := [f"EMCC_{part}" for part in PARTS if None in group.values(f"EMCC_{part}")]:
-            words = f"of its {group.config.steps:,} steps no rollout starts in that part"
+            words = f"of its {group.total_steps:,} steps no rollout starts in that part"
             notes.append(f"{group.title} has no {', '.join(empty)}: {words}")
     if not any(group.runs for group in groups):
         raise UserError(f"{own} holds no complete runs" + "".join(f"; {note}" for note in notes))
@@ -325,7 +372,7 @@ def folders_below(path: Path) -> dict[str, AnyPath]:
         return {file.parent.relative_to(path).as_posix(): file.parent for file in files}
     within = path.relative_to(archive)
     try:
-        root = zipfile.Path(archive)
+        root = zipfile.Path(open_zip(archive))
         names = [PurePosixPath(name) for name in root.root.namelist()]
     except UNREADABLE as error:
         raise UserError(f"{path} is no archive that circle2d report wrote: {error}") from None
@@ -452,17 +499,19 @@ def _read_run(
     records = run_records(arrays, run, cost)
     if records.total_steps < config.steps:
         raise UserError(f"unfinished: {records.total_steps} of {config.steps} steps")
-    evaluation = _evaluation(arrays, run, config.costs.index(cost))
-    if not evaluation:
-        raise UserError(derive.why_failed(arrays, run))
     try:
-        values = measured(RunData(records, config.steps, evaluation), f"{title}, {run}")
-    except OwnCodeError:
+        evaluation = _evaluation(arrays, run, config.costs.index(cost))
+        if not evaluation:
+            raise UserError(derive.why_failed(arrays, run))
+        values = measured(RunData(records, records.total_steps, evaluation), f"{title}, {run}")
+        ends, ways = _places(arrays, f"{run.prefix}evaluation/deterministic/")
+        episodes = len(evaluation["deterministic"]["returns"])
+        if ends and sum(ends.values()) != episodes:
+            raise ValueError(f"{episodes} evaluated episodes end in {sum(ends.values())} places")
+    except UserError:
         raise
-    except ValueError as error:
-        raise UserError(str(error)) from None
-    ends, ways = _places(arrays, f"{run.prefix}evaluation/deterministic/")
-    episodes = len(evaluation["deterministic"]["returns"])
+    except UNREADABLE as error:
+        raise UserError(f"is damaged: {error}") from None
     return Run(run.seed, values, episodes, ends, records, evaluation, ways)
 
 
@@ -473,13 +522,17 @@ def _evaluation(arrays: Mapping[str, NDArray], run: RunId, cost: int) -> dict[st
         prefix = f"{run.prefix}evaluation/{policy}/"
         if prefix + "returns" in arrays:
             returns, costs = arrays[prefix + "returns"], arrays[prefix + "costs"][:, cost]
+            lengths = arrays[prefix + "lengths"]
+            if not returns.shape == costs.shape == lengths.shape or returns.ndim != 1:
+                shapes = f"{returns.shape}, {costs.shape} and {lengths.shape}"
+                raise ValueError(f"returns, costs and lengths of episodes have shapes {shapes}")
             evaluation[policy] = {
                 "J_R": float(np.mean(returns)),
                 "J_C": float(np.mean(costs)),
                 f"CVaR_{CVAR_ALPHA:g}": cvar(costs, CVAR_ALPHA),
                 "returns": returns,
                 "cost_returns": costs,
-                "lengths": arrays[prefix + "lengths"],
+                "lengths": lengths,
             }
     return evaluation if "deterministic" in evaluation else {}
 

@@ -197,7 +197,7 @@ def thirds(records: EpisodeRecords, steps: int) -> dict[float, Third]:
 
 def thirds_of(group: Group) -> dict[float, list[Third]]:
     """The thirds of each run of a group, those that all runs have."""
-    runs = [thirds(run.records, group.config.steps) for run in group.runs]
+    runs = [thirds(run.records, run.total_steps) for run in group.runs]
     return {part: [run[part] for run in runs] for part in PARTS if all(part in run for run in runs)}
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from agents.errors import TaskFailure, UserError, extra
 from agents.training import evaluation
 from agents.training.config import STATUS, TrainConfig, is_of_policy, made_with, policy_path
+from agents.training.environments import time_limit
 from agents.training.files import AnyPath, read_json, write_arrays, write_json
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class Epoch:
     task: str
     """The task; of several all, with spaces between them."""
     steps: int
-    """Environment steps that each run takes in all."""
+    """Environment steps that are asked of each run; whole epochs may take more."""
     runs: Mapping[Any, Mapping[str, float]]
     """Numbers by seed and name: see above."""
 
@@ -164,6 +165,22 @@ class Meter:
         return Reading(now - self._started, steps, share, speed, left)
 
 
+def rounding(trainer: Trainer) -> str:
+    """A line on the steps that whole epochs take beyond those asked for; "" where they take none
+    more, or no time limit tells."""
+    config, episodes = trainer.config, trainer.learner.episodes
+    limits = [time_limit(task, config.task_parameters) for task in config.tasks]
+    epochs = [episodes * limit for limit in limits if limit]
+    taken = max((-(-config.steps // epoch) * epoch for epoch in epochs), default=0)
+    if taken <= config.steps:
+        return ""
+    whole = f"{episodes} whole episode{'s' * (episodes > 1)}"
+    return (
+        f"{config.steps:,} steps are rounded up to {taken:,}: an epoch is {whole}, which take "
+        f"{max(epochs):,} steps where none ends early"
+    )
+
+
 @contextlib.contextmanager
 def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
     """Show steps, speed, recent returns and the time left of a training on stderr.
@@ -184,6 +201,8 @@ def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
 
         def show(trainer: Trainer) -> None:
             nonlocal tenth
+            if tenth < 0 and (words := rounding(trainer)):
+                console.print(words, markup=False, highlight=False, soft_wrap=True)
             now = meter.read(trainer)
             told = ["return {:.2f}, cost {:.2f}".format(*trainer.recorder.recent)]
             if now.steps_per_second is not None:

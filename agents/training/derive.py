@@ -12,7 +12,7 @@ Arrays of a run, below its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`
 - `evaluation/POLICY/returns`, `/costs` and `/lengths`; of the deterministic policy also `/places`
   and `/ways`, where its episodes end and how they came there, where the task names them
 - `trained/length`, `/positions` and `/costs`: the first evaluated episodes of a task with a view
-- `replay/points` and `/box`: see `results.reading.Replay`
+- `replay/points`, `/box` and `/steps`: see `results.reading.Replay`; steps that its windows divide
 
 Of a task, below "Circle2D-1-v0/": `visits` [3, CELLS, CELLS] and `visited` [3, 3], see `Visits`;
 `info` [numbers, 2], names and units of what it has recorded.
@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import contextlib
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,6 +46,8 @@ WINDOWS = 60
 """Windows of the replay, equal parts of training."""
 GRID_MAX = 65_535
 """Largest coordinate of the replay's grid."""
+ROUNDED = 0.01
+"""Share by which totals of steps may differ and count as equal."""
 DRAWN_POLICIES = 5
 """Runs of a task, the first ones, whose trained policies a report draws."""
 
@@ -158,7 +160,7 @@ def derived(
             positions = steps.get(run, "positions")
             if positions is not None and not failure:
                 located.append((records, positions))
-                own |= _replay(records, positions, config.steps)
+                own |= _replay(records, positions, whole_training(records, config.steps))
             arrays |= {run.prefix + name: array for name, array in own.items()}
         if located and (view := view_of(task, config.task_parameters)):
             with contextlib.suppress(UserError):  # a third without a rollout
@@ -214,6 +216,19 @@ def why_failed(arrays: Mapping[str, NDArray], run: RunId) -> str:
     return "" if evaluated else "its evaluation met a number that is not finite"  # before 0.4
 
 
+def whole_training(records: EpisodeRecords, steps: int) -> int:
+    """Environment steps of a whole training, of which so many were asked for: those taken, where
+    the last epoch took more."""
+    return max(steps, records.total_steps)
+
+
+def told_steps(asked: int, taken: Iterable[int]) -> int:
+    """Environment steps in names and on axes: the most that a run took; those asked for, where that
+    is the rest of a last episode. Thirds are of the exact number that each run took."""
+    most = max(taken, default=asked)
+    return most if most > (1 + ROUNDED) * asked else asked
+
+
 def count_visits(
     view: View,
     runs: Sequence[tuple[EpisodeRecords, NDArray[np.float32]]],
@@ -223,8 +238,8 @@ def count_visits(
 ) -> list[Visits]:
     """States of the rollouts that dominate EMCC in some parts of training, all runs together.
 
-    runs: records and positions [steps, 2] of each; steps: of the whole training; alpha: the share
-    of rollouts with the highest MCC, those equal to the last of them included; 1 takes all. Source:
+    runs: records and positions [steps, 2] of each; steps: asked of each; alpha: the share of
+    rollouts with the highest MCC, those equal to the last of them included; 1 takes all. Source:
     the figures of visited states. Raises UserError where no rollout starts in a part.
     """
     visits = []
@@ -232,7 +247,7 @@ def count_visits(
         counts, values, chosen, every = np.zeros((CELLS, CELLS), np.int64), [], 0, 0
         for records, positions in runs:
             mcc, starts = records.mcc_per_rollout()
-            in_part = np.flatnonzero(rollouts_by_part(starts, steps)[part])
+            in_part = np.flatnonzero(rollouts_by_part(starts, whole_training(records, steps))[part])
             if not len(in_part):
                 raise UserError(f"no rollout starts in part {part:g} of training")
             dominating = in_part[worst(mcc[in_part], alpha)]
@@ -266,7 +281,7 @@ def _replay(
     box = np.array([points.min(axis=0), points.max(axis=0)])
     size = np.where(box[1] > box[0], box[1] - box[0], 1.0)
     grid = np.round((points - box[0]) / size * GRID_MAX).astype(np.uint16)
-    return {"replay/points": grid, "replay/box": box}
+    return {"replay/points": grid, "replay/box": box, "replay/steps": np.array(steps)}
 
 
 def places_of(

@@ -7,32 +7,24 @@ import errno
 import functools
 import io
 import json
-import lzma
-import math
 import os
 import secrets
-import struct
 import warnings
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import UserError
+from emcc.npz import UNREADABLE, Npz
 
 AnyPath = Path | zipfile.Path
 """A file or folder on disk, or in an archive."""
 UNFINISHED = ".unfinished"
 """Ends the name of a file that is being written."""
-UNREADABLE = (
-    *(ValueError, KeyError, TypeError, EOFError, RuntimeError, Warning, SyntaxError),
-    *(zipfile.BadZipFile, lzma.LZMAError, zlib.error, struct.error, NotImplementedError),
-)
-"""Errors that damaged files have zipfile, json and numpy raise."""
 
 
 @contextlib.contextmanager
@@ -170,12 +162,6 @@ def _there(path: AnyPath) -> Iterator[None]:
         raise UserError(f"{path} is missing") from None
 
 
-_HEADERS = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
-
-
 class _Reopened:
     """A file that is open within `with` alone: a training may have more than a process may open."""
 
@@ -215,42 +201,22 @@ class Arrays(Mapping[str, NDArray]):
         with content_of(path), _there(path):
             self._source = _Reopened(path)
         with content_of(path), self._source:
-            self._file = zipfile.ZipFile(cast("IO[bytes]", self._source))
-            for member in self._file.infolist():
-                self._file.open(member).close()  # an array whose name is damaged would be missing
-                beyond = member.header_offset + member.compress_size > self._source.size
-                if beyond or b"PK\1\2" in member.comment + member.extra:  # as would what that holds
-                    raise zipfile.BadZipFile("its directory is damaged")
-        self._names = {name.removesuffix(".npy"): name for name in self._file.namelist()}
+            self._npz = Npz(self._source)
 
     def __getitem__(self, name: str) -> NDArray:
-        if name not in self._names:
+        if name not in self._npz:
             raise KeyError(name)
-        with content_of(self.path), self._source, warnings.catch_warnings():
-            warnings.simplefilter("error")  # of a damaged header too
-            self._check_size(self._names[name])
-            with self._file.open(self._names[name]) as file:
-                array = np.lib.format.read_array(file, allow_pickle=False)
-                file.read()  # to its end, where its checksum is compared
-        return array
-
-    def _check_size(self, member: str) -> None:
-        """Raise ValueError where an array's header asks for another size than there is: it would be
-        taken for a lack of memory."""
-        with self._file.open(member) as file:
-            shape, _, dtype = _HEADERS[np.lib.format.read_magic(file)](file)
-            held = self._file.getinfo(member).file_size - file.tell()
-        if not dtype.hasobject and math.prod(shape) * dtype.itemsize != held:
-            raise ValueError(f"{member} holds {held} bytes, its header says {list(shape)} {dtype}")
+        with content_of(self.path), self._source:
+            return self._npz[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in self._names
+        return name in self._npz
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
+        return iter(self._npz)
 
     def __len__(self) -> int:
-        return len(self._names)
+        return len(self._npz)
 
 
 def numbered(folder: AnyPath, name: str) -> dict[int, AnyPath]:

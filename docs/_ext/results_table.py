@@ -259,7 +259,7 @@ def forces() -> list[str]:
         told = (f"{value:.0f}" for value in (*np.percentile(felt, (50, 99)), felt.max()))
         thirds = []
         for limit in FORCES:
-            above = [[*emcc_above(run, force, limit, STEPS).values()] for run, force in runs]
+            above = [[*emcc_above(run, force, limit).values()] for run, force in runs]
             thirds.append("/".join(map(short, np.mean(above, axis=0))))
         name = algorithms.title(group.config.algorithm)
         rows[name] = _row(name, short(len(felt) / len(every)), *told, *thirds)
@@ -313,7 +313,7 @@ def late_costs(task: str) -> pd.DataFrame:
     rows = []
     for group in read([RESULTS / "baselines" / "safety" / name for name in SAFETY_TASKS[task]], []):
         for run in group.runs:
-            late = run.records.by_part(group.config.steps)[0.99]
+            late = run.records.by_part(run.total_steps)[0.99]
             longest = late.longest_streak.sum() / max(late.cost.sum(), 1.0)
             rate, costing = emcc.cost_rate(late.cost, late.length), (late.cost > 0).mean()
             split = emcc.emcc(late.mcc_per_rollout()[0], ALPHA, ties="split")

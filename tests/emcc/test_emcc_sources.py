@@ -3,6 +3,7 @@
 import json
 import shutil
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -74,6 +75,20 @@ def test_rollouts_end_where_they_say_and_episodes_at_done(tmp_path):
     assert (run.records.length.tolist(), run.episodes.cost.tolist()) == ([2, 1, 1], [3.0, 0.0])
 
 
+OTHER_COLUMNS = {
+    "a step's number": ("step", [0, 1, 2, 3] * 4),
+    "one environment": ("env", [5] * 16),
+    "a number": ("speed", [0, 1, 0, 1, 1, 0] + [2, 3] * 5),
+}
+
+
+@pytest.mark.parametrize(("name", "values"), OTHER_COLUMNS.values(), ids=OTHER_COLUMNS)
+def test_other_columns_are_left_alone(tmp_path, name, values):
+    rows = [(k // 4, value, int(k % 3 == 0)) for k, value in enumerate(values)]
+    records = emcc.read(write(tmp_path / "log.csv", f"episode,{name},cost", rows))
+    assert records.cost.tolist() == [2, 1, 1, 2]
+
+
 def test_arrays_are_the_arguments_of_from_costs(tmp_path):
     costs = np.array([[0, 1, 1, 0], [1, 1, 1, 0], [0, 0, 0, 0.5]])
     expected = emcc.EpisodeRecords.from_costs(costs).to_csv()
@@ -86,6 +101,8 @@ def test_arrays_are_the_arguments_of_from_costs(tmp_path):
     assert emcc.read(tmp_path / "c.npz").mcc_per_rollout()[0].tolist() == [0.75, 0.25]
 
 
+TWO_IN_TURNS = "0,0,1\n1,0,0\n0,0,1\n1,0,0\n0,1,1\n1,1,0\n"
+"""Costs 1 1 1 of one environment and 0 0 0 of another."""
 BAD_FILES = {
     "a row per episode": ("cost,done\n3,1\n2,1\n", "every episode has one row"),
     "sums": ("cost,length\n3,10\n", "Sums of episodes and means of epochs cannot give EMCC"),
@@ -97,12 +114,26 @@ BAD_FILES = {
     "interleaved": ("episode,cost\n0,1\n1,1\n0,1\n1,0\n", "an episode must follow one another"),
     "two at once": ("env,episode,cost\n0,0,1\n1,0,1\n0,0,0\n1,0,1\n", "several environments"),
     "two by marks": ("env_id,done,cost\n0,0,1\n1,0,1\n0,1,0\n1,1,1\n", "the column env_id"),
+    **{
+        f"two by {name}": (f"{name},done,cost\n" + TWO_IN_TURNS, f"the column {name}")
+        for name in (
+            "env_no",
+            "environment",
+            "env_num",
+            "env_idx",
+            "worker_id",
+            "process",
+            "Env ID",
+        )
+    },
+    "two in turns": ("k,done,cost\n" + TWO_IN_TURNS, "the column k"),
     "two logs": ("rollout,cost,done\n0,1,0\n1,1,1\n0,1,1\n", "a rollout must follow one another"),
     "monitor.csv": ('#{"t": 1, "env": 2}\nr,l,t\n1,2,3\n', "has the columns r, l, t. EMCC needs"),
     "a column twice": ("cost,done,cost\n1,0,0\n", "names a column twice"),
     "a long streak": ("cost,length,longest_streak\n\n3,2,3\n", "cannot have longest_streak 3"),
     "a length below 1": ("cost,length,longest_streak\n1,2,1\n0,-9,0\n", "length must be .* got -9"),
     "a binary file": ("\0\n", "log.csv"),
+    "both names": ("cost,costs,done\n0,0,1\n", "has both cost and costs"),
 }
 
 
@@ -131,6 +162,41 @@ def test_arrays_without_emcc_are_named(tmp_path):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=r"costs\.npz: "):
             emcc.read(path)
+
+
+def test_no_flipped_bit_gives_other_numbers(tmp_path):
+    """Each bit of a header and of the directory, and some between."""
+    costs, path = (np.arange(1000).reshape(20, 50) % 7 == 0).astype(np.uint8), tmp_path / "c.npz"
+    np.savez(path, costs=costs)
+    content, expected = path.read_bytes(), emcc.read(path).to_csv()
+    header, size = content.index(b"NUMPY") + 128, len(content)
+    for place in (*range(header), *range(header, size, 61), *range(size - 90, size)):
+        for bit in range(8):
+            damaged = bytearray(content)
+            damaged[place] ^= 1 << bit
+            path.write_bytes(damaged)
+            try:
+                found = emcc.read(path).to_csv()
+            except ValueError as error:
+                assert str(path) in str(error)
+            else:
+                assert found == expected, (place, bit)
+
+
+def test_an_array_of_another_shape_than_its_file_holds(tmp_path):
+    np.save(path := tmp_path / "c.npy", np.zeros((20, 50)))
+    path.write_bytes(path.read_bytes().replace(b"(20, 50)", b"(20, 40)"))
+    with pytest.raises(ValueError, match=r"holds 8000 bytes, its header says \[20, 40\] float64"):
+        emcc.read(path)
+
+
+def test_a_small_file_does_not_unpack_to_gigabytes(tmp_path, monkeypatch):
+    monkeypatch.setattr("emcc.npz.MOST_BYTES", 10**6)
+    np.savez_compressed(path := tmp_path / "c.npz", costs=np.zeros((2, 10**6), np.uint8))
+    with pytest.raises(ValueError, match=r"costs unpacks from .* to 2,000,128, which"):
+        emcc.read(path)
+    np.savez(path, costs=np.zeros((2, 10**6), np.uint8))
+    assert emcc.read(path).cost.tolist() == [0, 0]
 
 
 def records_of(costs, threshold=0.0):
@@ -241,3 +307,47 @@ def test_damaged_run_folders_are_named(tmp_path, config, arrays, message):
     (folder / "config.json").write_text(json.dumps(old))
     with pytest.raises(ValueError, match=r"run: no results\.npz"):
         emcc.read(folder)
+
+
+def test_no_run_of_a_damaged_archive_is_missing_without_a_word(tmp_path):
+    """Each bit of the names in an archive's directory."""
+    arrays = arrays_of(episodes(50, 0))
+    for name in ("a", "b"):
+        write_run(tmp_path / "runs" / name, {("A-v0", 0): arrays})
+    path = Path(shutil.make_archive(str(tmp_path / "all"), "zip", tmp_path / "runs"))
+    content, count = path.read_bytes(), len(read_runs(path))
+    directory = content.index(b"PK\1\2")
+    names = [k for k in range(directory, len(content)) if content[k : k + 11] == b"config.json"]
+    assert (count, len(names)) == (2, 2)
+    for place in (start + k for start in names for k in (-1, 0, 5, 10)):
+        damaged = bytearray(content)
+        damaged[place] ^= 2
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"all\.zip: File name in directory"):
+            read_runs(path)
+
+
+def test_cost_and_costs_are_one_name(tmp_path):
+    rows = [(1, 0), (0, 1), (1, 1)]
+    for name in ("cost", "costs"):
+        found = emcc.read(write(tmp_path / "log.csv", f"{name},done", rows))
+        np.savez(tmp_path / "c.npz", **{name: np.array([1, 0, 1]), "lengths": [2, 1]})
+        for records in (found, emcc.read(tmp_path / "c.npz")):
+            assert (records.cost.tolist(), records.length.tolist()) == ([1, 1], [2, 1])
+
+
+def test_a_binary_file_is_told_from_text(tmp_path):
+    (tmp_path / "log.csv").write_bytes(b"cost,done\n\xff\xfe\x00")
+    with pytest.raises(
+        ValueError, match=r"log\.csv: no text at byte 10: a file of costs is a \.csv"
+    ):
+        emcc.read(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize("name", ["unsafe", "values"])
+def test_missing_costs_are_not_filled(tmp_path, name):
+    costs = [np.array([0, 2, 3, 0, 0, 0, 0, 0, 0, 4])] * 5
+    arrays = arrays_of(costs)
+    arrays[f"costs/cost/{name}"] = arrays[f"costs/cost/{name}"][:1]
+    with pytest.raises(ValueError, match=rf"results\.npz: .*{name} has shape \(1,\)"):
+        emcc.read(write_run(tmp_path / "run", {("A-v0", 0): arrays}))

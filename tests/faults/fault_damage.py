@@ -123,6 +123,47 @@ class Readers:
                 yield f"resume: differs: {changed}"
 
 
+def try_costs(tally: Tally, whole, count, rng, root):
+    """Flip a bit of a file of costs, and of an archive of runs: the same numbers or an error."""
+    costs, archive = root / "costs.npz", root / "archive.zip"
+    np.savez(costs, costs=(np.arange(1000).reshape(20, 50) % 7 == 0).astype(np.uint8))
+    agents.report(whole, archive=archive, out=root / "report_of_whole")
+    contents = {path: (path.read_bytes(), emcc_of(path)) for path in (costs, archive)}
+    for k in range(count):
+        path, (content, expected) = list(contents.items())[k % 2]
+        at = rng.choice([rng.randrange(len(content)), rng.randrange(200)])
+        at = rng.choice([at, len(content) - 1 - rng.randrange(min(400, len(content)))])
+        changed = bytearray(content)
+        changed[at] ^= 1 << rng.randrange(8)
+        path.write_bytes(changed)
+        try:
+            found = emcc_of(path)
+            wrong = found != expected and found[0] != 2
+            problem = f"byte {at}: status {found[0]}, {found[1]}" if wrong else ""
+        except Exception as error:
+            problem = f"byte {at}: {type(error).__name__}: {error}"
+        tally.note("flipped bit of a file of costs", f"{path.name}, {problem}" * bool(problem))
+
+
+def try_misfits(tally: Tally, whole, count, rng, root):
+    """Change the size of an array of `results.npz` that stays whole, and report: what fits is
+    shown, and the file is named in a line."""
+    folder = root / "misfits"
+    with np.load(whole / "results.npz") as file:
+        arrays = dict(file)
+    names = [name for name, array in arrays.items() if array.ndim and array.size > 1]
+    for _ in range(count):
+        name = rng.choice(names)
+        array = arrays[name]
+        other = rng.choice([array[:-1], array[:1], np.concatenate([array, array[:1]]), array[None]])
+        fresh(whole, folder)
+        np.savez(folder / "results.npz", **arrays | {name: other})
+        done = here(["report", str(folder)])
+        problem = done.problem((0, 1, 2))
+        where = f"{name}, {array.shape} to {other.shape}: {problem}" if problem else ""
+        tally.note("an array of another size", where)
+
+
 def try_damage(tally: Tally, whole, count, rng, root):
     """Damage random files and read the folder."""
     readers = Readers(whole, root / "damaged")

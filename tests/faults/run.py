@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(Path(__file__).parent), str(ROOT / "tests" / "agents"), str(ROOT)]
 
 from fault_common import Tally  # noqa: E402
-from fault_damage import try_damage  # noqa: E402
+from fault_damage import try_costs, try_damage, try_misfits  # noqa: E402
 from fault_inputs import try_arrays, try_options  # noqa: E402
 from fault_kills import (  # noqa: E402
     scenes,
@@ -48,6 +48,8 @@ def main():
             try_signals(tally, found, chosen.signals, rng)
             try_reads(tally, found, chosen.reads, rng)
             try_damage(tally, root / "whole", chosen.damage, rng, root)
+            try_costs(tally, root / "whole", chosen.damage, rng, root)
+            try_misfits(tally, root / "whole", chosen.damage // 20, rng, root)
         if chosen.options:
             try_options(tally, chosen.options, rng, root)
         if chosen.arrays:

@@ -79,7 +79,7 @@ def test_the_report_of_a_small_grid(tmp_path):
     assert [name for name in shown.ids if name in order] == order
     assert set(shown.links) <= set(shown.ids)
     assert "<title>TRPO-Lag on Circle2D-1-v0 (" in text
-    assert "2 runs, 1 task, 1 algorithm, seeds 0, 1, 1,100 steps each" in text
+    assert "2 runs, 1 task, 1 algorithm, seeds 0, 1, 1,500 steps each" in text
     assert len(shown.images) == 4
     assert all(image["alt"] for image in shown.images)
     files = {p.name for p in tmp_path.iterdir() if p.is_file()}

@@ -26,7 +26,7 @@ from agents.paper import presets
 from agents.reporting.report import report
 from circle2d_mj.core.envs import TaskEnv
 
-TASK, SEEDS, STEPS, EVALUATED, LIMIT = "Circle2D-3-v0", (3, 4, 5, 6, 7), 1100, 20, 5
+TASK, SEEDS, STEPS, EVALUATED, LIMIT = "Circle2D-3-v0", (3, 4, 5, 6, 7), 1500, 20, 5
 EPISODES = {"cpo": 10, "wcsac": 1}  # an epoch
 PRINTED = ("EMCC_0.33", "EMCC_0.66", "EMCC_0.99", "cost_rate", "J_R", "J_C", "CVaR_0.5")
 MEASURES = (*PRINTED, "mean_streak")

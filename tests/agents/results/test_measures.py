@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_runs import cells, groups_of, lines_of, write_evaluated
 
+from agents.cli.main import main
 from agents.errors import OwnCodeError
 from agents.paper import presets
 from agents.paper.evidence import gather
@@ -17,6 +18,8 @@ from agents.results.frame import COLUMNS, frame
 from agents.results.measures import Measure, measure, measures, register, unregister
 from agents.results.reading import read
 from agents.results.statistics import difference_of, mean_of, within_limit
+
+SMALL = {"backend": "numpy", "random-steps": 40, "gradient-steps": 1, "batch-size": 32}
 
 
 def worst_cost(run):
@@ -128,6 +131,35 @@ def test_a_measure_that_raises_is_named_and_the_run_is_not_blamed(tmp_path, wron
         unregister("mine")
     assert isinstance(raised.value.__cause__, error)
     assert not (tmp_path / "report.csv").exists()
+
+
+@pytest.mark.parametrize("value", ["12", [1.0, 2.0], {}])
+def test_a_measure_that_gives_no_number_is_named(tmp_path, value):
+    write_evaluated(tmp_path / "cpo", "cpo", costs=(4, 4))
+    register(Measure("mine", "mine", "", 2, "lower", lambda run: value))
+    try:
+        with pytest.raises(
+            OwnCodeError, match=r"'mine' must give a number or None, on run .*seed 0"
+        ):
+            report(tmp_path)
+    finally:
+        unregister("mine")
+
+
+def test_a_training_whose_table_fails_by_a_measure_ends_with_its_traceback(tmp_path, capsys):
+    def broken(run):
+        raise RuntimeError("mine alone")
+
+    register(Measure("mine", "mine", "", 2, "lower", broken))
+    given = [str(w) for k, v in (("hidden", 8), *SMALL.items()) for w in (f"--{k}", v)]
+    try:
+        command = ["train", "sac", "--steps", "50", "--seeds", "0", "--out", str(tmp_path / "a")]
+        assert main([*command, *given]) == 1
+    finally:
+        unregister("mine")
+    err = capsys.readouterr().err
+    assert "in broken" in err and "RuntimeError: mine alone" in err
+    assert err.splitlines()[-1].startswith("circle2d: no table: measure 'mine' failed on run")
 
 
 def test_names_are_single_and_single_words():

@@ -12,6 +12,7 @@ import toys
 from small_runs import TRPO, edit_results, results, write_evaluated
 
 import agents
+from agents.cli.main import main
 from agents.errors import UserError
 from agents.paper.presets import preset
 from agents.results.reading import folders_below, name_of_source, read, write_archive
@@ -225,3 +226,47 @@ def test_a_third_without_a_rollout_is_missing_and_said(tmp_path):
     emccs = [group.runs[0].measures[f"EMCC_{part}"] for part in (0.33, 0.66, 0.99)]
     assert [value is None for value in emccs] == [False, False, True]
     assert "x has no EMCC_0.99: of its 100 steps no rollout starts in that part" in notes
+
+
+NOT_FITTING = {
+    "trained/positions": lambda a: a[:-1],
+    "trained/costs": lambda a: a[1:],
+    "replay/points": lambda a: a[:-3],
+    "replay/box": lambda a: a[:1],
+    "replay/steps": lambda a: np.array([60, 60]),
+    "evaluation/deterministic/costs": lambda a: a[:, 0],
+    "evaluation/deterministic/lengths": lambda a: a[:-1],
+    "evaluation/deterministic/returns": lambda a: a[:, None],
+    "evaluation/deterministic/places": lambda a: a[:-1],
+}
+
+
+@pytest.fixture(scope="module")
+def one_run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("one") / "cpo"
+    agents.train("cpo", TASK, out=folder, **(TRPO | {"seeds": 0, "steps": 300}))
+    return folder
+
+
+@pytest.mark.parametrize("name", NOT_FITTING)
+def test_arrays_that_do_not_fit_each_other_are_damage(one_run, tmp_path, name, capsys):
+    """Each is whole: an error of one line names the file and the array's shape, or the run."""
+    folder = shutil.copytree(one_run, tmp_path / "cpo")
+    arrays = dict(np.load(folder / "results.npz"))
+    key = f"{TASK}/0/{name}"
+    arrays[key] = NOT_FITTING[name](arrays[key])
+    np.savez(folder / "results.npz", **arrays)
+    assert main(["report", str(folder)]) == 2
+    err = capsys.readouterr().err
+    assert "Traceback" not in err
+    assert len(err.splitlines()) == 1
+    assert "damaged" in err
+
+
+def test_visits_that_do_not_fit_are_damage(one_run, tmp_path):
+    folder = shutil.copytree(one_run, tmp_path / "cpo")
+    arrays = dict(np.load(folder / "results.npz"))
+    arrays[f"{TASK}/visits"] = arrays[f"{TASK}/visits"][:2]
+    np.savez(folder / "results.npz", **arrays)
+    with pytest.raises(UserError, match=r"results\.npz is damaged: .*/visits has shape \[2, "):
+        agents.report(folder)

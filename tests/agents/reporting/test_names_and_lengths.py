@@ -1,0 +1,49 @@
+"""Settings of many values in names, and the length of episodes."""
+
+import numpy as np
+import pytest
+from small_runs import cells, edit_results, lines_of, write_evaluated
+
+from agents.paper.presets import preset_with
+from agents.reporting.compare import compare
+from agents.reporting.report import report
+from agents.reporting.table import markdown
+
+TASK = "Circle2D-1-v0"
+
+
+def test_a_setting_of_many_values_is_counted_in_names(tmp_path):
+    sizes = (8,) * 60
+    own = preset_with("cpo", TASK, {"hidden": sizes, "input_scale": (2.0, 3.0)})
+    write_evaluated(tmp_path / "a", "cpo", (2, 3), own)
+    write_evaluated(tmp_path / "b", "cpo", (2, 3))
+    report(tmp_path)
+    names = {line["algorithm"] for line in lines_of(tmp_path / "report.csv")}
+    assert any("hidden [60]" in name and "input_scale (2.0, 3.0)" in name for name in names)
+    assert not any(str(sizes) in name for name in names)
+    told = markdown(compare(tmp_path / "a", tmp_path / "b"))
+    for words in ((tmp_path / "report.md").read_text(), told):
+        (line,) = [line for line in words.splitlines() if str(sizes) in line]
+        assert not line.startswith("|")
+        assert "hidden of CPO (" in line
+
+
+@pytest.mark.parametrize("early", [True, False])
+def test_lengths_are_shown_where_they_differ(tmp_path, early):
+    """Episodes of 3 and 4 steps that all cost, within the limit of 5, beside those of 10."""
+    write_evaluated(tmp_path / "a", "cpo", (2, 3), evaluated=((3.0, 4.0),))
+    write_evaluated(tmp_path / "b", "trpo-lag", (2, 3), evaluated=((3.0, 4.0),))
+    if early:
+        prefix = f"{TASK}__{{}}__evaluation__deterministic__lengths"
+        edit_results(tmp_path / "a", **{prefix.format(k): np.array([3, 4]) for k in (0, 1)})
+    report(tmp_path)
+    told = markdown(compare(tmp_path / "a", tmp_path / "b"))
+    for words in ((tmp_path / "report.md").read_text(), told):
+        head, *rows = [row for row in cells(words) if len(row) > 8][:20]
+        assert ("length (steps)" in head) == early
+        if early:
+            at = head.index("length (steps)")
+            found = {row[0].removeprefix("A: ").removeprefix("B: "): row[at] for row in rows}
+            assert found["CPO (100 steps), seed 0"] == "3.5"
+            assert found["CPO (100 steps), mean of 2"].startswith("3.5")
+            assert found["TRPO-Lag (100 steps), seed 1"] == "10.0"
