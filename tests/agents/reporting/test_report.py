@@ -48,6 +48,9 @@ def test_runs_left_out_are_in_no_mean_and_have_a_note_for_each_reason(tmp_path):
     changes |= {f"Circle2D-1-v0__{k}__rollouts": np.ones(8, int) for k in (2, 3)}
     changes |= {f"Circle2D-1-v0__{k}__return": np.full(8, -1.0) for k in (2, 3)}
     changes |= {f"Circle2D-1-v0__{k}__costs__cost__steps": np.array(80) for k in (2, 3)}
+    for k in (2, 3):  # of each ten steps the first k + 1 cost
+        bits = np.packbits(np.arange(80) % 10 < k + 1)
+        changes |= {f"Circle2D-1-v0__{k}__costs__cost__unsafe": bits}
     changes |= {"Circle2D-1-v0__1__length": None, "Circle2D-1-v0__4__failure": np.array("it fell")}
     edit_results(tmp_path, **changes)
     words = markdown(table(tmp_path))
