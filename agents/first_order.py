@@ -21,7 +21,7 @@ from agents.lockstep import kernel, lagrange, tree
 from agents.lockstep.backend import tensor
 from agents.lockstep.kernel import Float
 from agents.lockstep.lagrange import Multiplier
-from agents.lockstep.nets import Moments, adam_in_place, no_moments
+from agents.lockstep.nets import MAY_DIVERGE, Moments, adam_in_place, no_moments
 from agents.on_policy.epoch import (
     Epoch,
     blocks_of,
@@ -185,6 +185,7 @@ CLOSED: dict[Surrogate, Callable[[Any, Gaussian, Minibatch], Slopes]] = {clipped
 """Closed forms of `slopes`."""
 
 
+@MAY_DIVERGE
 def actor_step(
     nets: Nets,
     config: Any,

@@ -34,6 +34,10 @@ def check_batch(batch_size: int) -> None:
         raise UserError(f"batch_size must be a multiple of {LANES}, got {batch_size}")
 
 
+MAY_DIVERGE = np.errstate(over="ignore", invalid="ignore", divide="ignore")
+"""For updates: a run whose numbers are not finite is found by its learner's `finite`."""
+
+
 class MLP:
     """The shape of a network: its layer sizes, and where each layer lies in the flat vector.
 

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from agents.lockstep import kernel, lagrange, tree
 from agents.lockstep.backend import array, tensor
-from agents.lockstep.nets import adam_in_place
+from agents.lockstep.nets import MAY_DIVERGE, adam_in_place
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout, learned
 from agents.on_policy.epoch import Epoch, Packing, advantages, blocks, minibatches
@@ -25,6 +25,7 @@ def values(nets: Nets, critics: Tensor, observation: Tensor) -> Tensor:
     return nets.critic.forward_each(critics, observation)
 
 
+@MAY_DIVERGE
 def critic_step(
     nets: Nets,
     config: Any,

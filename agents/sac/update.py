@@ -26,6 +26,7 @@ from agents.lockstep.kernel import Float
 from agents.lockstep.lagrange import Multiplier, MultiplierConfig, MultiplierState, State
 from agents.lockstep.nets import (
     LANES,
+    MAY_DIVERGE,
     MLP,
     Activation,
     Moments,
@@ -485,6 +486,7 @@ def actor_gradient(
     return gradient, loss, risk, new.log_prob
 
 
+@MAY_DIVERGE
 def update(
     nets: Nets,
     config: Any,

@@ -46,7 +46,7 @@ def test_it_trains_and_reports_all(whole):
     assert err.count(": done after ") == 2
     assert "100 % done, 2 of 2 trainings" in err.splitlines()[-1]
     for title in ("CPO", "TRPO-Lag"):
-        assert f"{title} (1,100 steps), mean of 1" in (out / "report.md").read_text()
+        assert f"{title} (1,500 steps), mean of 1" in (out / "report.md").read_text()
     assert "Visited states" in (out / "index.html").read_text()
 
 
@@ -64,7 +64,7 @@ def test_it_goes_on_with_the_backend_that_its_runs_began_with(tmp_path, capsys):
     configs = grid.grid(tmp_path, ["Circle2D-1-v0"], ["cpo"], (3,), 1100)
     grid.prepare({folder: replace(c, backend="numpy") for folder, c in configs.items()})
     command = [word for word in COMMAND if word != "trpo-lag"]
-    other = [*command, "--backend", "c++", str(tmp_path)]
+    other = [*command, str(tmp_path), "--backend", "c++"]
     assert main(other) == 2
     assert "holds runs with other settings: backend numpy (now c++)" in capsys.readouterr().err
     assert main([*command, str(tmp_path)]) == 0
