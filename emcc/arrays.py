@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.npz import UNREADABLE
+from emcc.npz import UNREADABLE, is_damage
 
 
 @contextmanager
@@ -27,6 +27,10 @@ def named(source: Any) -> Iterator[None]:
         raise ValueError(f"{source}: missing: {error.args[0]}") from error
     except UNREADABLE as error:
         raise ValueError(f"{source}: {str(error) or type(error).__name__}") from error
+    except OSError as error:
+        if not is_damage(error):
+            raise
+        raise ValueError(f"{source}: {error}") from error
 
 
 def as_array(values: ArrayLike, name: str) -> NDArray[Any]:

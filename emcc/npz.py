@@ -1,5 +1,6 @@
 """Files of numpy, read so that damage is an error: each array to its end, where its checksum is."""
 
+import errno
 import io
 import math
 import struct
@@ -30,6 +31,12 @@ _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
+
+
+def is_damage(error: OSError) -> bool:
+    """Whether an error is of a file's content and not of the disk: bz2 gives no number, a damaged
+    directory asks for a place before the file's start."""
+    return error.errno in (None, errno.EINVAL)
 
 
 def open_zip(source: Any) -> zipfile.ZipFile:

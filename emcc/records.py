@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.arrays import as_array, as_integers, as_steps, check_range, named
+from emcc.arrays import as_array, as_count, as_integers, as_steps, check_range, named
 from emcc.parts import ALPHA, emcc, emcc_by_part, rollouts_by_part
 from emcc.streaks import count_streaks, longest_streaks
 
@@ -133,8 +133,9 @@ class EpisodeRecords:
         """EMCC of each third of training -> {0.33: ..., 0.66: ..., 0.99: ...}: `emcc.emcc_by_part`.
 
         total_steps: environment steps of the whole training, by default those recorded.
-        ValueError: as in `emcc.emcc_by_part`; a trajectory that starts after the recorded steps,
-        where total_steps is not given and trajectories are missing.
+        ValueError: as in `emcc.emcc_by_part`; fewer total_steps than are recorded; a trajectory
+        that starts after the recorded steps, where total_steps is not given and trajectories are
+        missing.
         """
         check_records(self)
         mcc_values, start_steps = self.mcc_per_rollout()
@@ -152,7 +153,14 @@ class EpisodeRecords:
                 f"a trajectory starts at step {self.start_step.max()}, but only {self.total_steps} "
                 "steps are recorded: give total_steps, or end the last rollout first"
             )
-        return self.total_steps if total_steps is None else total_steps
+        if total_steps is None:
+            return self.total_steps
+        if as_count(total_steps, "total_steps") < self.total_steps:
+            raise ValueError(
+                f"total_steps must be at least the {self.total_steps} steps that are recorded, got "
+                f"{total_steps}: leave it out where the training is over"
+            )
+        return total_steps
 
     def select(self, rows: NDArray) -> "EpisodeRecords":
         """Records of some of the trajectories; rows: a mask [E], or indices."""

@@ -89,6 +89,7 @@ def read_runs(path: Path, threshold: float = 0.0) -> list[Run]:
     with named(path):
         if path.suffix in (".npy", ".npz"):
             arrays = _one_name(dict(_arrays(path)), "cost", "costs")
+            arrays = _one_name(arrays, "reward", "rewards")
             if others := sorted({*arrays} - {"costs", "lengths", "rewards", "rollouts"}):
                 known = "costs, and may have lengths, rewards and rollouts"
                 raise ValueError(f"has the arrays {', '.join(others)}: a file has {known}")
@@ -142,8 +143,8 @@ def _arrays(path: Any) -> Any:
 
 
 def _one_name(columns: Any, other: str, name: str) -> Any:
-    """The columns or arrays of a file, with its costs below one name: `cost` and `costs` are both
-    taken."""
+    """The columns or arrays of a file, with its costs, or rewards, below one name: `cost` and
+    `costs`, `reward` and `rewards` are both taken."""
     if other in columns and name in columns:
         raise ValueError(f"has both {name} and {other}: one of them is needed")
     if other in columns:
@@ -154,7 +155,7 @@ def _one_name(columns: Any, other: str, name: str) -> Any:
 def _read_csv(path: Path, threshold: float) -> tuple[EpisodeRecords, EpisodeRecords | None]:
     """A file of records, or with a row for each step, whose `cost` it has: the records, and those
     of whole episodes where rollouts cut them."""
-    columns = _one_name(Columns(path), "costs", "cost")
+    columns = _one_name(_one_name(Columns(path), "costs", "cost"), "rewards", "reward")
     if "longest_streak" in columns:
         if threshold:
             raise ValueError("holds streaks, not costs of steps: leave the threshold out")

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import UserError
-from emcc.npz import UNREADABLE, Npz
+from emcc.npz import UNREADABLE, Npz, is_damage
 
 AnyPath = Path | zipfile.Path
 """A file or folder on disk, or in an archive."""
@@ -43,7 +43,7 @@ def content_of(path: AnyPath) -> Iterator[None]:
     except UNREADABLE as error:
         why = error
     except OSError as error:
-        if error.errno != errno.EINVAL:  # a place before the file's start, from a damaged directory
+        if not is_damage(error):
             raise
         why = error
     raise UserError(f"{path} is damaged: {str(why) or type(why).__name__}")

@@ -152,7 +152,10 @@ def test_panels(tmp_path, capsys):
         (["a", "--alpha", "0"], "alpha must be in (0, 1], got 0.0"),
         (["a", "--ties", "some"], "invalid choice: 'some'"),
         (["a", "--window", "9"], "--window needs --limit"),
-        (["a", "--total-steps", "50"], "(total_steps 50) must be finite and in [0, 49]"),
+        (
+            ["a", "--total-steps", "50"],
+            "total_steps must be at least the 100 steps that are recorded, got 50",
+        ),
         ([], "the following arguments are required: PATH"),
     ],
 )

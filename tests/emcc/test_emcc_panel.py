@@ -173,7 +173,7 @@ BAD = {
     "limit": ({"limit": -1.0}, "limit must be >= 0, got -1.0"),
     "alpha": ({"alpha": 0.0}, r"alpha must be in \(0, 1\], got 0.0"),
     "window": ({"window": 0}, "window must be >= 1, got 0"),
-    "steps": ({"total_steps": 2}, r"\(total_steps 2\) must be finite and in \[0, 1\], got 2"),
+    "steps": ({"total_steps": 2}, "total_steps must be at least the 4 .* got 2"),
 }  # fmt: skip
 
 

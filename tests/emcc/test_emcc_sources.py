@@ -351,3 +351,25 @@ def test_missing_costs_are_not_filled(tmp_path, name):
     arrays[f"costs/cost/{name}"] = arrays[f"costs/cost/{name}"][:1]
     with pytest.raises(ValueError, match=rf"results\.npz: .*{name} has shape \(1,\)"):
         emcc.read(write_run(tmp_path / "run", {("A-v0", 0): arrays}))
+
+
+@pytest.mark.parametrize("names", ["cost reward", "costs rewards"])
+def test_rewards_by_either_name_in_tables_and_arrays(tmp_path, names):
+    """Rewards of another name are not returns of 0."""
+    cost, reward = names.split()
+    table = write(tmp_path / "log.csv", f"{cost},{reward},done", [(1, 2, 0), (0, 3, 1)])
+    np.savez(tmp_path / "log.npz", **{cost: [[1, 0]], reward: [[2, 3]]})
+    for path in (table, tmp_path / "log.npz"):
+        records = emcc.read(path)
+        assert (records.cost.tolist(), records.reward.tolist()) == ([1], [5])
+
+
+def test_another_kind_of_compression_is_damage_of_the_file(tmp_path):
+    """bz2 raises an OSError, which has no number, of bytes that are not of its form."""
+    np.savez_compressed(tmp_path / "costs.npz", costs=np.zeros((20, 50)))
+    content = bytearray((tmp_path / "costs.npz").read_bytes())
+    for mark, place in ((b"PK\3\4", 8), (b"PK\1\2", 10)):
+        content[content.index(mark) + place] = zipfile.ZIP_BZIP2
+    (tmp_path / "costs.npz").write_bytes(content)
+    with pytest.raises(ValueError, match=r"costs\.npz: Invalid data stream"):
+        emcc.read(tmp_path / "costs.npz")
