@@ -72,7 +72,8 @@ def reading(*steps, failed=(), folder=None):
     config = TrainConfig("cpo", (TASK,), tuple(range(len(steps))), STEPS, preset("cpo", TASK))
     numbers = {"steps": np.array(steps), "failures": failures, "done": min(steps) >= STEPS}
     recorder = SimpleNamespace(recent=(-4.0, 2.5))
-    return SimpleNamespace(**numbers, recorder=recorder, config=config, folder=folder)
+    more = {"recorder": recorder, "config": config, "folder": folder}
+    return SimpleNamespace(**numbers, **more, learner=SimpleNamespace(episodes=1))
 
 
 def test_the_status_of_a_training(tmp_path, clock):

@@ -102,7 +102,7 @@ def test_an_error_that_passes_is_no_damage(tmp_path, monkeypatch, capsys, number
             agents.resume(tmp_path / "x")
         capsys.readouterr()
         assert main(["resume", str(tmp_path / "x")]) == 2
-        assert capsys.readouterr().err == "circle2d: out of memory\n"
+        assert capsys.readouterr().err.splitlines()[-1] == "circle2d: out of memory"
     agents.resume(tmp_path / "x")
     assert results(tmp_path / "x") == results(tmp_path / "whole")
 
@@ -231,7 +231,7 @@ def test_a_folder_that_is_being_trained_is_said_to_be(tmp_path):
     with pytest.raises(UserError, match="another process is training or evaluating in"):
         agents.resume(tmp_path / "x")
     process.communicate("done\n")
-    with pytest.raises(UserError, match=r"holds runs already: .*resume .*x'.* agents\.resume"):
+    with pytest.raises(UserError, match=r"holds runs already.*circle2d resume .*agents\.resume"):
         agents.train("trpo-lag", TASK, **more)
     assert results(tmp_path / "x") == before
 

@@ -110,7 +110,7 @@ def test_actions_must_have_bounds(low, high):
 def test_an_id_with_its_module():
     envs = make_envs("circle2d_mj:Circle2D-2-v0", 3, {})
     assert type(envs.unwrapped).__name__ == "Circle2DVectorEnv"
-    with pytest.raises(UserError, match="cannot make task 'no_such:Circle2D-2-v0'"):
+    with pytest.raises(UserError, match="'no_such:Circle2D-2-v0': there is no module 'no_such'"):
         task_id("no_such:Circle2D-2-v0")
     with pytest.raises(UserError, match=r"'no_such:Mine-v0' is not registered: .*--import no_such"):
         make_envs("no_such:Mine-v0", 3, {})
