@@ -25,6 +25,7 @@ SHARED = {"cost_limit": LIMIT, "learning_rate": 3e-3, "batch_size": 64, "hidden"
 EPISODES = {"episodes": 64, "critic_iterations": 2}
 SGD = EPISODES | {"multiplier_lr": 0.5, "multiplier_optimizer": "sgd"}
 BOUNDED = EPISODES | {"multiplier_lr": 0.5, "max_multiplier": 10.0, "initial_log_std": 0.0}
+BOUNDED |= {"limit_of": "discounted"}  # the task has no time limit
 SETTINGS = {  # steps, settings, the reward's noise
     "trpo-lag": (6400, SGD, 1.0),
     "ppo-lag": (6400, SGD, 1.0),
