@@ -86,7 +86,9 @@ def test_the_base_alone(wheel, tmp_path):
     for command in (["train", "cpo", "--out", "x"], ["report", "x"], ["resume"]):
         done = run(tmp_path, "venv/bin/circle2d", *command, status=2)
         assert done.stdout == ""
-        assert re.fullmatch(r"circle2d: .*pip install 'circle2d-mj\[train\]'\n", done.stderr)
+        assert re.fullmatch(
+            r"circle2d: .*pip install -c constraints.txt '.\[train\]'\n", done.stderr
+        )
 
 
 def lowest():

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from agents.checks import In, Settings
+from agents.checks import Settings
 from agents.errors import UserError
 from agents.lockstep import tree
 from agents.lockstep.nets import Activation, mlp
@@ -137,18 +136,11 @@ class Normalizer(RunningMoments):
         return Inputs(scale.astype(np.float32), self.mean.astype(np.float32))
 
 
-@dataclass(frozen=True)
 class InputConfig(Settings):
-    """How the networks of an algorithm see observations."""
+    """How the networks of an algorithm see observations; a family's config declares both fields."""
 
-    input_scale: Annotated[float | tuple[float, ...], In(1e-6, 1e6)] = 1.0
-    """Factor on observations before the networks, or one for each number of an observation. Small
-    tanh networks are smooth: observations in [-1, 1] whose details matter want a larger one. Not in
-    the paper; 1 leaves them as they are."""
-    normalize_observations: bool = False
-    """Whether networks see each number of an observation less its mean and over its standard
-    deviation, both of all that the run has seen in the epochs before, clipped at ±10. Not in the
-    paper; in OmniSafe by default."""
+    input_scale: float | tuple[float, ...]
+    normalize_observations: bool
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""

@@ -170,7 +170,7 @@ class OnPolicy(ABC):
                 reward[run, :n] /= reward[run, :n].std() + 1e-8
                 for cost in costs:
                     cost[run, :n] -= cost[run, :n].mean()
-                    if self.config.standardize_cost_advantages:
+                    if getattr(self.config, "standardize_cost_advantages", False):
                         cost[run, :n] /= cost[run, :n].std() + 1e-8
         shape = (len(self.seeds), self.episodes)
         sums = (rollout.cost_returns, rollout.discounted_costs(self.config.discount))

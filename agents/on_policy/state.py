@@ -124,9 +124,14 @@ class OnPolicyConfig(InputConfig):
     """Sizes of the hidden layers of actor and critics. Paper: 64, 64."""
     activation: Activation = "tanh"
     """Function between the layers. Not printed in the paper; tanh."""
-    standardize_cost_advantages: bool = False
-    """Whether cost advantages are divided by their standard deviation in an epoch, as those of the
-    reward are; they are centred in any case. Not printed in the paper."""
+    input_scale: Annotated[float | tuple[float, ...], In(1e-6, 1e6)] = 1.0
+    """Factor on observations before the networks, or one for each number of an observation. Small
+    tanh networks are smooth: observations in [-1, 1] whose details matter want a larger one. Not in
+    the paper; 1 leaves them as they are."""
+    normalize_observations: bool = False
+    """Whether networks see each number of an observation less its mean and over its standard
+    deviation, both of all that the run has seen in the epochs before, clipped at ±10. Not in the
+    paper; in OmniSafe by default."""
     initial_log_std: Annotated[float, In(-20, 20)] = 0.0
     """Initial logarithm of the policy's standard deviation. Not printed in the paper; 0 as in
     Stable-Baselines3."""

@@ -76,6 +76,14 @@ class SACConfig(InputConfig):
     """Sizes of the hidden layers of actor and critics. Paper: 64, 64."""
     activation: Activation = "tanh"
     """Function between the layers. Not printed in the paper; tanh."""
+    input_scale: Annotated[float | tuple[float, ...], In(1e-6, 1e6)] = 1.0
+    """Factor on observations before the networks, or one for each number of an observation. Small
+    tanh networks are smooth: observations in [-1, 1] whose details matter want a larger one. Not in
+    the paper; 1 leaves them as they are."""
+    normalize_observations: bool = False
+    """Whether networks see each number of an observation less its mean and over its standard
+    deviation, both of all that the run has seen in the epochs before, clipped at ±10. Not in the
+    paper; in OmniSafe by default."""
     target_rate: Annotated[float, In(0, 1)] = 0.005
     """Share τ by which the target critics follow. Not printed in the paper; 0.005 as in Haarnoja et
     al."""

@@ -2,12 +2,12 @@
 
 from functools import partial
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
 
+import gymnasium as gym
 from scripted import Noisy, Scripted, trajectories
 from stable_baselines3 import A2C, PPO, SAC
 from stable_baselines3.common.logger import KVWriter, Logger

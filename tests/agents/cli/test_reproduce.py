@@ -80,7 +80,7 @@ def test_one_failure_does_not_stop_the_others(tmp_path, capsys):
     assert main([*COMMAND, str(tmp_path)]) == 1
     out, err = capsys.readouterr()
     assert re.search(r"circle2d: .*Circle2D-1-v0/cpo failed: .*damaged", err)
-    assert "TRPO-Lag (1,100 steps), mean of 1" in out
+    assert "TRPO-Lag (1,500 steps), mean of 1" in out
     assert "left out: " in out
 
 
