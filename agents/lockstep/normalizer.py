@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -139,8 +139,9 @@ class Normalizer(RunningMoments):
 class InputConfig(Settings):
     """How the networks of an algorithm see observations; a family's config declares both fields."""
 
-    input_scale: float | tuple[float, ...]
-    normalize_observations: bool
+    if TYPE_CHECKING:
+        input_scale: float | tuple[float, ...]
+        normalize_observations: bool
 
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
