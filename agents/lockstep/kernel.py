@@ -168,41 +168,42 @@ class InCpp:
     """The kernel in C++, for float32."""
 
     def __init__(self, library: Path) -> None:
-        self.library = ctypes.CDLL(str(library))
+        self.functions = ctypes.CDLL(str(library))
         pointer, long, float_ = ctypes.c_void_p, ctypes.c_int64, ctypes.c_float
         shape = [ctypes.c_int, pointer, ctypes.c_int, long, long, pointer, long, pointer, long]
-        self.library.forward.argtypes = [*shape, pointer, pointer]
-        self.library.backward.argtypes = [*shape, *[pointer] * 3, long, pointer]
-        self.library.tangent.argtypes = [*shape, pointer, pointer, long, pointer]
-        self.library.adam.argtypes = [long, long, *[pointer] * 6, float_]
+        self.functions.forward.argtypes = [*shape, pointer, pointer]
+        self.functions.backward.argtypes = [*shape, *[pointer] * 3, long, pointer]
+        self.functions.tangent.argtypes = [*shape, pointer, pointer, long, pointer]
+        self.functions.adam.argtypes = [long, long, *[pointer] * 6, float_]
         for name in ("forward", "backward", "tangent", "adam"):
-            getattr(self.library, name).restype = None
+            getattr(self.functions, name).restype = None
 
     def forward(self, net: Shape, params: Float, x: Float, share: int = 1) -> tuple[Float, Any]:
         """See `Kernel`."""
         nets, rows, hidden = len(params), x.shape[1], sum(net.widths[1:-1])
         y = np.empty((nets, rows, net.widths[-1]), np.float32)
         tape = np.empty((nets, 1 + (net.activation == "silu"), hidden * rows), np.float32)
-        self.library.forward(*_of(net, params, x, share), y.ctypes.data, tape.ctypes.data)
+        self.functions.forward(*_of(net, params, x, share), y.ctypes.data, tape.ctypes.data)
         return y, tape
 
     def backward(
         self, net: Shape, params: Float, x: Float, tape: Any, dy: Float, of: str, share: int = 1
     ) -> tuple[Float | None, Float | None]:
         """See `Kernel`."""
+        dy = np.ascontiguousarray(dy)  # kept here, while its address is in use
         nets, rows, _ = dy.shape
         gp = np.zeros(params.shape, np.float32) if "p" in of else None
         gx = np.empty((nets, rows, net.widths[0]), np.float32) if "x" in of else None
-        given = (tape.ctypes.data, np.ascontiguousarray(dy).ctypes.data)
+        given = (tape.ctypes.data, dy.ctypes.data)
         to = (_data(gp), params.shape[1], _data(gx))
-        self.library.backward(*_of(net, params, x, share), *given, *to)
+        self.functions.backward(*_of(net, params, x, share), *given, *to)
         return gp, gx
 
     def tangent(self, net: Shape, params: Float, x: Float, tape: Any, v: Float) -> Float:
         """See `Kernel`."""
         jy = np.empty((len(params), x.shape[1], net.widths[-1]), np.float32)
         given = (tape.ctypes.data, v.ctypes.data, v.strides[0] // 4)
-        self.library.tangent(*_of(net, params, x, 1), *given, jy.ctypes.data)
+        self.functions.tangent(*_of(net, params, x, 1), *given, jy.ctypes.data)
         return jy
 
     def adam(
@@ -216,7 +217,7 @@ class InCpp:
     ) -> None:
         """See `Kernel`."""
         arrays = [a.ctypes.data for a in (params, gradient, mean, square, *rest)]
-        self.library.adam(*params.shape, *arrays, rate)
+        self.functions.adam(*params.shape, *arrays, rate)
 
 
 def _of(net: Shape, params: Float, x: Float, share: int) -> tuple[Any, ...]:
@@ -332,7 +333,7 @@ def use(backend: Backend) -> None:
     global _kernel
     _kernel = in_cpp() if backend == "c++" else IN_NUMPY
     if isinstance(_kernel, InCpp):
-        _kernel.library.keep_freed_memory()
+        _kernel.functions.keep_freed_memory()
 
 
 def used() -> Backend:

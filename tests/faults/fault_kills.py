@@ -233,11 +233,11 @@ def chosen(found, count, rng):
     return rng.choices(found, [weights.get(scene.name, 10) for scene in found], k=count)
 
 
-def try_kills(tally: Tally, found, count, rng, words=""):
+def try_kills(tally: Tally, found, count, rng):
     """SIGKILL at random operations of random commands."""
     for scene in chosen(found, count, rng):
         problem = scene.fault(rng, kill_of(rng), (-signal.SIGKILL, 0))
-        tally.note(f"SIGKILL{words}: {scene.name}", problem)
+        tally.note(f"SIGKILL: {scene.name}", problem)
 
 
 def try_disks(tally: Tally, found, count, rng):
