@@ -98,7 +98,7 @@ def counted_kernel():
 
         def count(self, net, nets, rows, first):
             """Of a product with each layer's weights; first: whether with the first layer's."""
-            layers = list(itertools.pairwise(net.widths))[0 if first else 1 :]
+            layers = list(itertools.pairwise(net.sizes))[0 if first else 1 :]
             self.operations += 2 * nets * rows * sum(a * b for a, b in layers)
 
         def forward(self, net, params, x, share=1):

@@ -2,63 +2,134 @@
 // in the parameters and the inputs, and Adam. Sums run in an order that depends on a network's own
 // rows alone, so that a network's numbers are the same, bit for bit, whatever others are computed.
 //
-// A network's parameters are, layer by layer, weights [in][out] and biases [out], one behind the
-// other. Widths of hidden layers are multiples of 16. All numbers are float32.
+// A layer's parameters are a matrix [in + 1][out], weights and below them the biases; layers lie one
+// behind the other. Rows go through all layers ROWS at a time, turned, as matrices [in + 1][ROWS]
+// whose last row is 1: so a layer is one product, its biases included, and so is its gradient. All
+// numbers are float32.
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <utility>
 #include <vector>
 #ifdef __GLIBC__
 #include <malloc.h>
 #endif
 
 #ifdef __AVX512F__
-constexpr int LANES = 16, COLUMNS = 4; // 6 rows of as many vectors fit into the registers
+constexpr int LANES = 16, SUMS = 24; // as many vectors of sums fit into the registers
 #else
-constexpr int LANES = 8, COLUMNS = 2;
+constexpr int LANES = 8, SUMS = 12;
 #endif
+constexpr int64_t ROWS = 64; // their layers fit into the first two levels of cache
 typedef float Vector __attribute__((vector_size(4 * LANES), aligned(4)));
-constexpr int64_t ROWS = 64; // rows that go through all layers together, in the first-level cache
-constexpr int WIDTH = 16;    // multiple to which the last layer is filled
 
 static Vector all(float x) { return Vector{} + x; }
+static int64_t filled(int64_t n) { return (n + LANES - 1) / LANES * LANES; }
 
-// c[m][n] += sum_k a(m, k) b[k][n]; a(m, k) = a[m * am + k * ak].
-template <int M, int N>
-static void tile(const float *a, int64_t am, int64_t ak, const float *b, int64_t bk, float *c,
-                 int64_t cm, int64_t depth) {
+// The first numbers of a vector, `count` or all.
+static Vector load(const float *p, int64_t count) {
+  if (count >= LANES) return *(const Vector *)p;
+  Vector v{};
+  for (int i = 0; i < LANES; i++)
+    if (i < count) v[i] = p[i];
+  return v;
+}
+static void store(float *p, Vector v, int64_t count) {
+  if (count >= LANES)
+    *(Vector *)p = v;
+  else
+    for (int i = 0; i < LANES; i++)
+      if (i < count) p[i] = v[i];
+}
+
+// Memory that lasts until the next call with that number and begins a line of the cache.
+static float *aligned(float *p) { return (float *)(((uintptr_t)p + 63) & ~(uintptr_t)63); }
+static float *scratch(int which, int64_t size) {
+  static thread_local std::vector<float> kept[8];
+  if ((int64_t)kept[which].size() < size + 16) kept[which].resize(size + 16);
+  return aligned(kept[which].data());
+}
+
+// c[m][n] = (c[m][n] +) sum_k a(m, k) b[k][n]; a(m, k) = a[m * am + k * ak]; N vectors of columns,
+// of whose last one `last` numbers are c's.
+struct Operands {
+  const float *a;
+  int64_t am, ak;
+  const float *b;
+  int64_t bk;
+  float *c;
+  int64_t cm, depth;
+  bool add;
+};
+template <int M, int N> static void tile(const Operands &o, int64_t m0, int64_t n0, int64_t last) {
+  const float *a = o.a + m0 * o.am, *b = o.b + n0;
+  float *c = o.c + m0 * o.cm + n0;
   Vector sum[M][N];
   for (int m = 0; m < M; m++)
-    for (int n = 0; n < N; n++) sum[m][n] = *(const Vector *)(c + m * cm + LANES * n);
-  for (int64_t k = 0; k < depth; k++) {
+    for (int n = 0; n < N; n++)
+      sum[m][n] = o.add ? load(c + m * o.cm + LANES * n, n < N - 1 ? LANES : last) : Vector{};
+  for (int64_t k = 0; k < o.depth; k++) {
     Vector right[N];
-    for (int n = 0; n < N; n++) right[n] = *(const Vector *)(b + k * bk + LANES * n);
+    for (int n = 0; n < N; n++) right[n] = *(const Vector *)(b + k * o.bk + LANES * n);
     for (int m = 0; m < M; m++) {
-      const Vector left = all(a[m * am + k * ak]);
+      const Vector left = all(a[m * o.am + k * o.ak]);
       for (int n = 0; n < N; n++) sum[m][n] += left * right[n];
     }
   }
   for (int m = 0; m < M; m++)
-    for (int n = 0; n < N; n++) *(Vector *)(c + m * cm + LANES * n) = sum[m][n];
+    for (int n = 0; n < N; n++)
+      store(c + m * o.cm + LANES * n, sum[m][n], n < N - 1 ? LANES : last);
 }
 
-template <int N>
-static void strip(const float *a, int64_t am, int64_t ak, const float *b, int64_t bk, float *c,
-                  int64_t cm, int64_t rows, int64_t depth) {
-  constexpr int M = N == 1 ? 12 : 6; // as many sums at once hide the latency of a product
+template <int N> static void strip(const Operands &o, int64_t rows, int64_t n, int64_t last) {
+  constexpr int M = SUMS / N < 12 ? SUMS / N : 12;
   int64_t m = 0;
-  for (; m + M <= rows; m += M) tile<M, N>(a + m * am, am, ak, b, bk, c + m * cm, cm, depth);
-  for (; m + 2 <= rows; m += 2) tile<2, N>(a + m * am, am, ak, b, bk, c + m * cm, cm, depth);
-  for (; m < rows; m++) tile<1, N>(a + m * am, am, ak, b, bk, c + m * cm, cm, depth);
+  for (; m + M <= rows; m += M) tile<M, N>(o, m, n, last);
+  for (; m + 4 <= rows; m += 4) tile<4, N>(o, m, n, last);
+  for (; m < rows; m++) tile<1, N>(o, m, n, last);
 }
 
-// As `tile` for any rows, and columns that are a multiple of 16.
-static void product(const float *a, int64_t am, int64_t ak, const float *b, int64_t bk, float *c,
-                    int64_t cm, int64_t rows, int64_t columns, int64_t depth) {
-  int64_t n = 0;
-  for (; n + LANES * COLUMNS <= columns; n += LANES * COLUMNS)
-    strip<COLUMNS>(a, am, ak, b + n, bk, c + n, cm, rows, depth);
-  for (; n < columns; n += LANES) strip<1>(a, am, ak, b + n, bk, c + n, cm, rows, depth);
+// The product for all of c [rows][columns]; b's rows are filled to whole vectors.
+static void product(const Operands &o, int64_t rows, int64_t columns) {
+  constexpr int64_t MOST = SUMS / 6;
+  for (int64_t n = 0; n < columns; n += MOST * LANES) {
+    const int64_t left = columns - n, vectors = std::min(MOST, (left + LANES - 1) / LANES);
+    const int64_t last = std::min<int64_t>(LANES, left - (vectors - 1) * LANES);
+    if (vectors == 1) strip<1>(o, rows, n, last);
+    if (vectors == 2) strip<2>(o, rows, n, last);
+    if (vectors == 3) strip<3>(o, rows, n, last);
+    if (vectors == 4) strip<4>(o, rows, n, last);
+  }
+}
+
+template <size_t... I> static Vector low(Vector a, Vector b, std::index_sequence<I...>) {
+  return Vector{(I % 2 ? b : a)[I / 2]...};
+}
+template <size_t... I> static Vector high(Vector a, Vector b, std::index_sequence<I...>) {
+  return Vector{(I % 2 ? b : a)[(LANES + I) / 2]...};
+}
+
+// to[j][i] = from[index[i] or i][j] for j < columns and i < width, 0 beyond the rows.
+static void turn(const float *from, int64_t stride, const int64_t *index, int64_t rows,
+                 int64_t columns, float *to, int64_t to_stride, int64_t width) {
+  const std::make_index_sequence<LANES> each;
+  for (int64_t r = 0; r < width; r += LANES)
+    for (int64_t c = 0; c < columns; c += LANES) {
+      Vector x[LANES], y[LANES];
+      for (int64_t i = 0; i < LANES; i++)
+        x[i] = r + i < rows ? load(from + (index ? index[r + i] : r + i) * stride + c, columns - c)
+                            : Vector{};
+      for (int length = LANES; length > 1; length /= 2) { // halves are shuffled into each other
+        for (int i = 0; i < LANES / 2; i++) {
+          y[2 * i] = low(x[i], x[i + LANES / 2], each);
+          y[2 * i + 1] = high(x[i], x[i + LANES / 2], each);
+        }
+        memcpy(x, y, sizeof x);
+      }
+      for (int64_t j = 0; j < LANES && c + j < columns; j++)
+        store(to + (c + j) * to_stride + r, x[j], width - r);
+    }
 }
 
 // tanh as the quotient of polynomials that Eigen takes, within 5e-7.
@@ -81,92 +152,115 @@ static Vector hyperbolic(Vector x) {
 
 enum Activation { TANH, RELU, SILU };
 
-// The activation of `count` numbers in place, and of silu its slope there, which the values do not
-// tell; count is a multiple of 16.
-static void activate(int kind, float *x, float *slope, int64_t count) {
-  const Vector one = all(1.0f), zero = all(0.0f);
-  for (int64_t i = 0; i < count; i += LANES) {
-    const Vector z = *(Vector *)(x + i);
-    if (kind == TANH)
-      *(Vector *)(x + i) = hyperbolic(z);
-    else if (kind == RELU)
-      *(Vector *)(x + i) = z < zero ? zero : z; // NaN stays
-    else {
-      const Vector s = 0.5f * hyperbolic(0.5f * z) + 0.5f;
-      *(Vector *)(x + i) = z * s;
-      *(Vector *)(slope + i) = s * (one + z * (one - s));
+struct Net {
+  int layers;       // of weights
+  const int64_t *n; // layers + 1 widths
+  int kind;         // of activation
+  // Of each layer: where its parameters begin; where in the tape of some rows its inputs [n + 1]
+  // [ROWS] begin, and of silu the slopes [n][ROWS] there, which the values do not tell.
+  std::vector<int64_t> weights, inputs, slopes;
+  int64_t size = 0, tape = 0, widest = 0; // of the parameters, a tape, a layer
+
+  Net(int layers, const int64_t *n, int kind) : layers(layers), n(n), kind(kind) {
+    for (int l = 0; l <= layers; l++) widest = std::max(widest, filled(n[l]));
+    for (int l = 0; l < layers; l++) {
+      weights.push_back(size);
+      size += (n[l] + 1) * n[l + 1];
+      inputs.push_back(tape);
+      tape += (n[l] + 1) * ROWS;
+      slopes.push_back(tape);
+      if (l && kind == SILU) tape += n[l] * ROWS;
     }
   }
-}
+  int64_t tapes(int64_t rows) const { return (rows + ROWS - 1) / ROWS * tape; }
 
-// y times the slope of the activation, whose values are given.
-static void steepen(int kind, float *y, const float *values, const float *slope, int64_t count) {
-  for (int64_t i = 0; i < count; i++)
-    y[i] *= kind == TANH   ? 1.0f - values[i] * values[i]
-            : kind == RELU ? (values[i] > 0.0f ? 1.0f : 0.0f)
-                           : slope[i];
-}
+  // Rows x, `index` of them or the first, into their tape.
+  void begin(const float *x, const int64_t *index, int64_t rows, float *tape) const {
+    turn(x, n[0], index, rows, n[0], tape, ROWS, filled(rows));
+    for (int l = 0; l < layers; l++)
+      for (int64_t i = 0; i < ROWS; i++) tape[inputs[l] + n[l] * ROWS + i] = 1.0f;
+  }
 
-struct Shape {
-  int layers;        // of weights
-  const int64_t *n;  // layers + 1 widths, hidden ones filled to a multiple of 16
-  int activation;
-  int64_t hidden = 0, size = 0;
-  // Network k's part of a tape: values of hidden layers, of silu their slopes, too.
-  template <class T> T *kept(T *tape, int64_t k, int64_t rows) const {
-    return tape + k * hidden * rows * (activation == SILU ? 2 : 1);
+  // Outputs y [out][ROWS] of the rows of a tape; columns: rows, filled.
+  void values(const float *p, float *tape, float *y, int64_t columns) const {
+    for (int l = 0; l < layers; l++) {
+      float *to = l + 1 < layers ? tape + inputs[l + 1] : y;
+      product({p + weights[l], 1, n[l + 1], tape + inputs[l], ROWS, to, ROWS, n[l] + 1, false},
+              n[l + 1], columns);
+      if (l + 1 < layers) activate(to, tape + slopes[l + 1], n[l + 1], columns);
+    }
   }
-  Shape(int layers, const int64_t *n, int activation) : layers(layers), n(n), activation(activation) {
-    for (int l = 0; l < layers; l++) size += n[l] * n[l + 1] + n[l + 1];
-    for (int l = 1; l < layers; l++) hidden += n[l];
+
+  void activate(float *x, float *slope, int64_t features, int64_t columns) const {
+    const Vector one = all(1.0f), zero{};
+    for (int64_t i = 0; i < features * ROWS; i += ROWS)
+      for (int64_t j = i; j < i + columns; j += LANES) {
+        const Vector z = *(Vector *)(x + j);
+        if (kind == TANH)
+          *(Vector *)(x + j) = hyperbolic(z);
+        else if (kind == RELU)
+          *(Vector *)(x + j) = z < zero ? zero : z; // NaN stays
+        else {
+          const Vector s = 0.5f * hyperbolic(0.5f * z) + 0.5f;
+          *(Vector *)(x + j) = z * s;
+          *(Vector *)(slope + j) = s * (one + z * (one - s));
+        }
+      }
   }
-  int64_t filled(int l) const { return (n[l] + WIDTH - 1) / WIDTH * WIDTH; }
-  // Where layer l's values of `rows` rows begin, layers one behind the other.
-  int64_t start(int l, int64_t rows) const {
-    int64_t before = 0;
-    for (int k = 1; k < l; k++) before += n[k];
-    return before * rows;
+
+  // y [n][ROWS] of hidden layer l times the activation's slopes.
+  void steepen(int l, float *y, const float *tape, int64_t columns) const {
+    const float *value = tape + inputs[l], *slope = tape + slopes[l];
+    const Vector one = all(1.0f), zero{};
+    for (int64_t i = 0; i < n[l] * ROWS; i += ROWS)
+      for (int64_t j = i; j < i + columns; j += LANES) {
+        const Vector v = *(const Vector *)(value + j);
+        Vector &to = *(Vector *)(y + j);
+        if (kind == TANH)
+          to *= one - v * v;
+        else if (kind == RELU)
+          to = v > zero ? to : v - v; // NaN stays
+        else
+          to *= *(const Vector *)(slope + j);
+      }
+  }
+
+  // Adds the products of the first rows of delta [out][ROWS] with the Jacobian in the parameters to
+  // g, unless null; returns those in the inputs, where wanted, [in][ROWS].
+  float *pull(const float *p, const float *tape, float *delta, float *g, bool of_inputs,
+              int64_t rows) const {
+    float *turned = scratch(0, ROWS * widest), *before = scratch(1, widest * ROWS);
+    float *other = scratch(2, widest * ROWS);
+    for (int l = layers - 1; l >= 0; l--) {
+      const int64_t in = n[l], out = n[l + 1], width = filled(out);
+      if (g) {
+        turn(delta, ROWS, nullptr, out, rows, turned, width, width);
+        product({tape + inputs[l], ROWS, 1, turned, width, g + weights[l], out, rows, true}, in + 1,
+                out);
+      }
+      if (l == 0 && !of_inputs) return nullptr;
+      product({p + weights[l], out, 1, delta, ROWS, before, ROWS, out, false}, in, filled(rows));
+      if (l) steepen(l, before, tape, filled(rows));
+      delta = before;
+      std::swap(before, other);
+    }
+    return delta;
+  }
+
+  // The product of the Jacobian in the parameters with v, [out][ROWS].
+  float *push(const float *p, const float *v, const float *tape, int64_t columns) const {
+    float *dot = scratch(1, widest * ROWS), *next = scratch(2, widest * ROWS);
+    for (int l = 0; l < layers; l++) {
+      const int64_t in = n[l], out = n[l + 1];
+      product({v + weights[l], 1, out, tape + inputs[l], ROWS, next, ROWS, in + 1, false}, out,
+              columns);
+      if (l) product({p + weights[l], 1, out, dot, ROWS, next, ROWS, in, true}, out, columns);
+      if (l + 1 < layers) steepen(l + 1, next, tape, columns);
+      std::swap(dot, next);
+    }
+    return dot;
   }
 };
-
-static std::vector<float> &scratch(int which, int64_t size) {
-  static thread_local std::vector<float> kept[4];
-  if ((int64_t)kept[which].size() < size) kept[which].resize(size);
-  return kept[which];
-}
-
-// The matrix [rows][columns] with columns filled by zeros; transposed, [columns][rows] filled.
-static const float *fill(int which, const float *w, int64_t rows, int64_t columns, int64_t width) {
-  float *out = scratch(which, rows * width).data();
-  for (int64_t i = 0; i < rows; i++) {
-    memcpy(out + i * width, w + i * columns, 4 * columns);
-    memset(out + i * width + columns, 0, 4 * (width - columns));
-  }
-  return out;
-}
-static const float *turn(int which, const float *w, int64_t rows, int64_t columns, int64_t width) {
-  float *out = scratch(which, columns * width).data();
-  for (int64_t j = 0; j < columns; j++) {
-    for (int64_t i = 0; i < rows; i++) out[j * width + i] = w[i * columns + j];
-    memset(out + j * width + rows, 0, 4 * (width - rows));
-  }
-  return out;
-}
-
-// y (+)= x w + b for some rows; y is [rows][width], width = columns filled.
-static void affine(const float *x, int64_t in, const float *w, const float *b, int64_t columns,
-                   int64_t width, float *y, int64_t rows, bool add) {
-  if (!add)
-    for (int64_t i = 0; i < rows; i++) {
-      memcpy(y + i * width, b, 4 * columns);
-      memset(y + i * width + columns, 0, 4 * (width - columns));
-    }
-  else
-    for (int64_t i = 0; i < rows; i++)
-      for (int64_t j = 0; j < columns; j++) y[i * width + j] += b[j];
-  if (columns != width) w = fill(0, w, in, columns, width);
-  product(x, in, 1, w, width, y, width, rows, width, in);
-}
 
 extern "C" {
 
@@ -180,123 +274,62 @@ void keep_freed_memory() {
 #endif
 }
 
+// Numbers that a network's tape of so many rows takes; a line of the cache more stands behind all.
+int64_t tape_size(int layers, const int64_t *n, int kind, int64_t rows) {
+  return Net(layers, n, kind).tapes(rows);
+}
+
 // Outputs y [nets][rows][out] of networks params [nets], `stride` numbers apart, for inputs
-// x [nets / share][rows][in]; tape [nets][1 or, of silu, 2][hidden * rows] gets values of hidden
-// layers, and slopes.
-void forward(int layers, const int64_t *n, int activation, int64_t nets, int64_t share,
-             const float *params, int64_t stride, const float *x, int64_t rows, float *y,
-             float *tape) {
-  const Shape shape(layers, n, activation);
-  const int64_t out = n[layers], width = shape.filled(layers);
-  std::vector<float> last(ROWS * width);
-  for (int64_t k = 0; k < nets; k++) {
-    const float *p = params + k * stride, *input = x + k / share * rows * n[0];
-    float *values = shape.kept(tape, k, rows), *slopes = values + shape.hidden * rows;
-    for (int64_t r = 0; r < rows; r += ROWS) {
-      const int64_t some = rows - r < ROWS ? rows - r : ROWS;
-      const float *w = p, *from = input + r * n[0];
-      for (int l = 1; l <= layers; l++) {
-        const float *b = w + n[l - 1] * n[l];
-        const int64_t at = shape.start(l, rows) + r * n[l];
-        float *to = l < layers ? values + at : last.data();
-        affine(from, n[l - 1], w, b, n[l], shape.filled(l), to, some, false);
-        if (l < layers) activate(activation, to, slopes + at, some * n[l]);
-        from = to, w = b + n[l];
-      }
-      for (int64_t i = 0; i < some; i++)
-        memcpy(y + (k * rows + r + i) * out, last.data() + i * width, 4 * out);
+// x [nets / share][rows][in], and their tape.
+void forward(int layers, const int64_t *n, int kind, int64_t nets, const float *params,
+             int64_t stride, int64_t rows, float *tape, const float *x, int64_t share, float *y) {
+  const Net net(layers, n, kind);
+  const int64_t out = n[layers];
+  float *outputs = scratch(3, net.widest * ROWS);
+  tape = aligned(tape);
+  for (int64_t k = 0; k < nets; k++)
+    for (int64_t r = 0; r < rows; r += ROWS, tape += net.tape) {
+      const int64_t some = std::min(ROWS, rows - r);
+      net.begin(x + (k / share * rows + r) * n[0], nullptr, some, tape);
+      net.values(params + k * stride, tape, outputs, filled(some));
+      turn(outputs, ROWS, nullptr, out, some, y + (k * rows + r) * out, out, out);
     }
-  }
 }
 
 // Products of dy [nets][rows][out] with the Jacobian: in the parameters gp [nets][gstride], numbers
 // behind a network's own stay; in the inputs gx [nets][rows][in]. Either may be null.
-void backward(int layers, const int64_t *n, int activation, int64_t nets, int64_t share,
-              const float *params, int64_t stride, const float *x, int64_t rows, const float *tape,
-              const float *dy, float *gp, int64_t gstride, float *gx) {
-  const Shape shape(layers, n, activation);
-  const int64_t out = n[layers], width = shape.filled(layers), in_width = shape.filled(0);
-  int64_t widest = width > in_width ? width : in_width;
-  for (int l = 1; l < layers; l++) widest = n[l] > widest ? n[l] : widest;
-  std::vector<float> delta(ROWS * widest), before(ROWS * widest), last(n[layers - 1] * width);
+void backward(int layers, const int64_t *n, int kind, int64_t nets, const float *params,
+              int64_t stride, int64_t rows, float *tape, const float *dy, float *gp,
+              int64_t gstride, float *gx) {
+  const Net net(layers, n, kind);
+  const int64_t in = n[0], out = n[layers];
+  float *delta = scratch(3, net.widest * ROWS);
+  tape = aligned(tape);
   for (int64_t k = 0; k < nets; k++) {
-    const float *p = params + k * stride, *input = x + k / share * rows * n[0];
-    const float *values = shape.kept(tape, k, rows), *slopes = values + shape.hidden * rows;
     float *g = gp ? gp + k * gstride : nullptr;
-    if (g) memset(g, 0, 4 * shape.size);
-    for (int64_t r = 0; r < rows; r += ROWS) {
-      const int64_t some = rows - r < ROWS ? rows - r : ROWS;
-      for (int64_t i = 0; i < some; i++) {
-        memcpy(&delta[i * width], dy + (k * rows + r + i) * out, 4 * out);
-        memset(&delta[i * width + out], 0, 4 * (width - out));
-      }
-      int64_t end = shape.size;
-      for (int l = layers; l >= 1; l--) {
-        const int64_t in = n[l - 1], columns = n[l], filled = shape.filled(l);
-        const int64_t bias = end - columns, weight = bias - in * columns;
-        const int64_t at = shape.start(l - 1, rows) + r * in;
-        const float *from = l > 1 ? values + at : input + r * in;
-        if (g) {
-          if (columns == filled)
-            product(from, 1, in, delta.data(), filled, g + weight, filled, in, filled, some);
-          else {
-            std::memset(last.data(), 0, 4 * in * filled);
-            product(from, 1, in, delta.data(), filled, last.data(), filled, in, filled, some);
-            for (int64_t i = 0; i < in; i++)
-              for (int64_t j = 0; j < columns; j++) g[weight + i * columns + j] += last[i * filled + j];
-          }
-          for (int64_t i = 0; i < some; i++)
-            for (int64_t j = 0; j < columns; j++) g[bias + j] += delta[i * filled + j];
-        }
-        if (l == 1 && !gx) break;
-        const int64_t to = shape.filled(l - 1);
-        memset(before.data(), 0, 4 * some * to);
-        product(delta.data(), filled, 1, turn(1, p + weight, in, columns, to), to, before.data(), to,
-                some, to, columns);
-        if (l > 1)
-          steepen(activation, before.data(), values + at, slopes + at, some * in);
-        else
-          for (int64_t i = 0; i < some; i++)
-            memcpy(gx + (k * rows + r + i) * in, &before[i * to], 4 * in);
-        delta.swap(before);
-        end = weight;
-      }
+    if (g) memset(g, 0, 4 * net.size);
+    for (int64_t r = 0; r < rows; r += ROWS, tape += net.tape) {
+      const int64_t some = std::min(ROWS, rows - r);
+      turn(dy + (k * rows + r) * out, out, nullptr, some, out, delta, ROWS, filled(some));
+      const float *found = net.pull(params + k * stride, tape, delta, g, gx, some);
+      if (gx) turn(found, ROWS, nullptr, in, some, gx + (k * rows + r) * in, in, in);
     }
   }
 }
 
 // Products of the Jacobian in the parameters with v [nets][vstride]: jy [nets][rows][out].
-void tangent(int layers, const int64_t *n, int activation, int64_t nets, int64_t share,
-             const float *params, int64_t stride, const float *x, int64_t rows, const float *tape,
-             const float *v, int64_t vstride, float *jy) {
-  const Shape shape(layers, n, activation);
-  const int64_t out = n[layers], width = shape.filled(layers);
-  int64_t widest = width;
-  for (int l = 1; l < layers; l++) widest = n[l] > widest ? n[l] : widest;
-  std::vector<float> dot(ROWS * widest), next(ROWS * widest), none(widest);
-  for (int64_t k = 0; k < nets; k++) {
-    const float *input = x + k / share * rows * n[0];
-    const float *values = shape.kept(tape, k, rows), *slopes = values + shape.hidden * rows;
-    for (int64_t r = 0; r < rows; r += ROWS) {
-      const int64_t some = rows - r < ROWS ? rows - r : ROWS;
-      int64_t weight = 0;
-      const float *from = input + r * n[0];
-      for (int l = 1; l <= layers; l++) {
-        const int64_t in = n[l - 1], bias = weight + in * n[l], filled = shape.filled(l);
-        const float *vk = v + k * vstride, *pk = params + k * stride;
-        affine(from, in, vk + weight, vk + bias, n[l], filled, next.data(), some, false);
-        if (l > 1) affine(dot.data(), in, pk + weight, none.data(), n[l], filled, next.data(), some, true);
-        const int64_t at = shape.start(l, rows) + r * n[l];
-        if (l < layers)
-          steepen(activation, next.data(), values + at, slopes + at, some * n[l]);
-        from = values + at;
-        dot.swap(next);
-        weight = bias + n[l];
-      }
-      for (int64_t i = 0; i < some; i++)
-        memcpy(jy + (k * rows + r + i) * out, &dot[i * width], 4 * out);
+void tangent(int layers, const int64_t *n, int kind, int64_t nets, const float *params,
+             int64_t stride, int64_t rows, float *tape, const float *v, int64_t vstride,
+             float *jy) {
+  const Net net(layers, n, kind);
+  const int64_t out = n[layers];
+  tape = aligned(tape);
+  for (int64_t k = 0; k < nets; k++)
+    for (int64_t r = 0; r < rows; r += ROWS, tape += net.tape) {
+      const int64_t some = std::min(ROWS, rows - r);
+      const float *found = net.push(params + k * stride, v + k * vstride, tape, filled(some));
+      turn(found, ROWS, nullptr, out, some, jy + (k * rows + r) * out, out, out);
     }
-  }
 }
 
 // One step of Adam down the gradient, all [runs][size], in place; rest1, rest2 [runs]: 1 - beta^t.
@@ -304,12 +337,12 @@ void adam(int64_t runs, int64_t size, float *__restrict params, const float *__r
           float *__restrict mean, float *__restrict square, const float *rest1, const float *rest2,
           float rate) {
   for (int64_t k = 0; k < runs; k++) {
-    const float one = rest1[k], two = rest2[k];
+    const float by_mean = rate / rest1[k], by_square = 1.0f / rest2[k];
     for (int64_t i = k * size; i < (k + 1) * size; i++) {
       const float g = gradient[i];
       mean[i] += 0.1f * (g - mean[i]);
       square[i] = 0.999f * square[i] + 0.001f * g * g;
-      params[i] -= rate * (mean[i] / one) / (sqrtf(square[i] / two) + 1e-8f);
+      params[i] -= by_mean * mean[i] / (sqrtf(square[i] * by_square) + 1e-8f);
     }
   }
 }

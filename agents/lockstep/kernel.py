@@ -35,8 +35,8 @@ class Shape(Protocol):
     """What the functions here need to know of a network."""
 
     @property
-    def widths(self) -> tuple[int, ...]:
-        """Of inputs, hidden layers, filled to a multiple of 32, and outputs."""
+    def sizes(self) -> tuple[int, ...]:
+        """Of inputs, hidden layers and outputs."""
         ...
 
     @property
@@ -84,7 +84,7 @@ class InNumpy:
     def forward(self, net: Shape, params: Float, x: Float, share: int = 1) -> tuple[Float, Any]:
         """See `Kernel`."""
         x, tape = np.repeat(x, share, axis=0), []
-        *hidden, (weight, bias) = layers(net.widths, params)
+        *hidden, (weight, bias) = layers(net.sizes, params)
         for w, b in hidden:
             x, slope = _ACTIVATIONS[net.activation](np.matmul(x, w) + b)
             tape.append((x, slope))
@@ -96,7 +96,7 @@ class InNumpy:
         """See `Kernel`."""
         gradient = np.zeros_like(params)
         inputs = [np.repeat(x, share, axis=0), *(values for values, _ in tape)]
-        pairs = zip(layers(net.widths, params), layers(net.widths, gradient), strict=True)
+        pairs = zip(layers(net.sizes, params), layers(net.sizes, gradient), strict=True)
         for k, ((w, _), (gw, gb)) in reversed(list(enumerate(pairs))):
             if "p" in of:
                 gw[...] = np.matmul(inputs[k].swapaxes(1, 2), dy)
@@ -109,7 +109,7 @@ class InNumpy:
         """See `Kernel`."""
         dot, steps = np.zeros_like(x), [*tape, (None, 1)]
         for (w, _), (vw, vb), (values, slope) in zip(
-            layers(net.widths, params), layers(net.widths, v), steps, strict=True
+            layers(net.sizes, params), layers(net.sizes, v), steps, strict=True
         ):
             dot = (np.matmul(x, vw) + vb + np.matmul(dot, w)) * slope
             x = values
@@ -132,10 +132,10 @@ class InNumpy:
         params -= rate * (mean / rest1) / (np.sqrt(square / rest2) + EPSILON)
 
 
-def layers(widths: Sequence[int], params: Float) -> Iterator[tuple[Float, Float]]:
+def layers(sizes: Sequence[int], params: Float) -> Iterator[tuple[Float, Float]]:
     """Views of the weights [N, in, out] and biases [N, 1, out] of each layer in params."""
     at = 0
-    for rows, columns in pairwise(widths):
+    for rows, columns in pairwise(sizes):
         weight, bias = at, at + rows * columns
         at = bias + columns
         yield params[:, weight:bias].reshape(-1, rows, columns), params[:, None, bias:at]
@@ -170,20 +170,22 @@ class InCpp:
     def __init__(self, library: Path) -> None:
         self.functions = ctypes.CDLL(str(library))
         pointer, long, float_ = ctypes.c_void_p, ctypes.c_int64, ctypes.c_float
-        shape = [ctypes.c_int, pointer, ctypes.c_int, long, long, pointer, long, pointer, long]
-        self.functions.forward.argtypes = [*shape, pointer, pointer]
-        self.functions.backward.argtypes = [*shape, *[pointer] * 3, long, pointer]
-        self.functions.tangent.argtypes = [*shape, pointer, pointer, long, pointer]
+        shape = [ctypes.c_int, pointer, ctypes.c_int]
+        nets = [*shape, long, pointer, long, long, pointer]
+        self.functions.tape_size.argtypes, self.functions.tape_size.restype = [*shape, long], long
+        self.functions.forward.argtypes = [*nets, pointer, long, pointer]
+        self.functions.backward.argtypes = [*nets, pointer, pointer, long, pointer]
+        self.functions.tangent.argtypes = [*nets, pointer, long, pointer]
         self.functions.adam.argtypes = [long, long, *[pointer] * 6, float_]
         for name in ("forward", "backward", "tangent", "adam"):
             getattr(self.functions, name).restype = None
 
     def forward(self, net: Shape, params: Float, x: Float, share: int = 1) -> tuple[Float, Any]:
         """See `Kernel`."""
-        nets, rows, hidden = len(params), x.shape[1], sum(net.widths[1:-1])
-        y = np.empty((nets, rows, net.widths[-1]), np.float32)
-        tape = np.empty((nets, 1 + (net.activation == "silu"), hidden * rows), np.float32)
-        self.functions.forward(*_of(net, params, x, share), y.ctypes.data, tape.ctypes.data)
+        y = np.empty((len(params), x.shape[1], net.sizes[-1]), np.float32)
+        size = self.functions.tape_size(*_shape(net.sizes, net.activation), x.shape[1])
+        tape = np.empty(len(params) * size + LINE, np.float32)
+        self.functions.forward(*_of(net, params, x, tape), x.ctypes.data, share, y.ctypes.data)
         return y, tape
 
     def backward(
@@ -191,19 +193,17 @@ class InCpp:
     ) -> tuple[Float | None, Float | None]:
         """See `Kernel`."""
         dy = np.ascontiguousarray(dy)  # kept here, while its address is in use
-        nets, rows, _ = dy.shape
         gp = np.zeros(params.shape, np.float32) if "p" in of else None
-        gx = np.empty((nets, rows, net.widths[0]), np.float32) if "x" in of else None
-        given = (tape.ctypes.data, dy.ctypes.data)
+        gx = np.empty((*dy.shape[:2], net.sizes[0]), np.float32) if "x" in of else None
         to = (_data(gp), params.shape[1], _data(gx))
-        self.functions.backward(*_of(net, params, x, share), *given, *to)
+        self.functions.backward(*_of(net, params, x, tape), dy.ctypes.data, *to)
         return gp, gx
 
     def tangent(self, net: Shape, params: Float, x: Float, tape: Any, v: Float) -> Float:
         """See `Kernel`."""
-        jy = np.empty((len(params), x.shape[1], net.widths[-1]), np.float32)
-        given = (tape.ctypes.data, v.ctypes.data, v.strides[0] // 4)
-        self.functions.tangent(*_of(net, params, x, 1), *given, jy.ctypes.data)
+        jy = np.empty((len(params), x.shape[1], net.sizes[-1]), np.float32)
+        direction = (v.ctypes.data, v.strides[0] // 4)
+        self.functions.tangent(*_of(net, params, x, tape), *direction, jy.ctypes.data)
         return jy
 
     def adam(
@@ -220,17 +220,20 @@ class InCpp:
         self.functions.adam(*params.shape, *arrays, rate)
 
 
-def _of(net: Shape, params: Float, x: Float, share: int) -> tuple[Any, ...]:
-    """The arguments that all functions of the library begin with."""
-    count, widths, activation = _shape(net.widths, net.activation)
-    given = (len(params), share, params.ctypes.data, params.strides[0] // 4)
-    return count, widths, activation, *given, x.ctypes.data, x.shape[1]
+LINE = 16
+"""Numbers in a line of the cache, at whose beginning C++ has a tape begin."""
+
+
+def _of(net: Shape, params: Float, x: Float, tape: Float) -> tuple[Any, ...]:
+    """The arguments that the functions of networks begin with."""
+    given = (len(params), params.ctypes.data, params.strides[0] // 4, x.shape[1])
+    return *_shape(net.sizes, net.activation), *given, tape.ctypes.data
 
 
 @functools.cache
-def _shape(widths: tuple[int, ...], activation: Activation) -> tuple[int, Any, int]:
-    array = (ctypes.c_int64 * len(widths))(*widths)
-    return len(widths) - 1, array, list(_ACTIVATIONS).index(activation)
+def _shape(sizes: tuple[int, ...], activation: Activation) -> tuple[int, Any, int]:
+    array = (ctypes.c_int64 * len(sizes))(*sizes)
+    return len(sizes) - 1, array, list(_ACTIVATIONS).index(activation)
 
 
 def _data(array: Float | None) -> int | None:
@@ -292,7 +295,7 @@ def _cache() -> Path:
 
 
 class _Probe(NamedTuple):
-    widths: tuple[int, ...]
+    sizes: tuple[int, ...]
     activation: Activation
 
 
@@ -300,8 +303,8 @@ def error_of(kernel: Kernel) -> float:
     """The largest difference of a kernel's float32 from the NumPy kernel in float64."""
     rng, worst = np.random.default_rng(0), 0.0
     for activation in _ACTIVATIONS:
-        net = _Probe((5, 32, 64, 3), activation)
-        size = sum((a + 1) * b for a, b in pairwise(net.widths))
+        net = _Probe((5, 30, 64, 3), activation)
+        size = sum((a + 1) * b for a, b in pairwise(net.sizes))
         shapes = ((4, size), (2, 70, 5), (4, 70, 3), (4, size))
         given = [rng.normal(0, 0.3, shape) for shape in shapes]
         found = [_results(kernel, net, [a.astype(np.float32) for a in given])]

@@ -1,9 +1,8 @@
 """Multi-layer perceptrons with a run axis: many networks of one shape, computed together.
 
-All parameters of a network lie in one flat vector, padded to a multiple of 32 numbers. So one
-optimiser step, one moving average and one checkpoint entry serve all of them, and a run's numbers
-fall on the same lanes of the vector units whatever the runs beside it: it trains bit for bit the
-same alone as among others.
+All parameters of a network lie in one flat vector: one optimiser step, one moving average and one
+checkpoint entry serve all of them. It is padded to a multiple of 32 numbers, so that in PyTorch's
+sums a run's numbers fall on the same lanes of the vector units whatever the runs beside it.
 """
 
 from __future__ import annotations
@@ -41,21 +40,15 @@ MAY_DIVERGE = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 class MLP:
     """The shape of a network: its layer sizes, and where each layer lies in the flat vector.
 
-    `MLP((2, 64, 64, 4))` has two inputs, two hidden layers of 64 and four outputs. Hidden layers
-    are filled up to multiples of 32 by units without weights, which stay so: their gradients are 0.
+    `MLP((2, 64, 64, 4))` has two inputs, two hidden layers of 64 and four outputs.
     """
 
     def __init__(self, sizes: Sequence[int], activation: Activation = "tanh") -> None:
         self.sizes = tuple(sizes)
         self.activation: Activation = activation
-        n_in, *hidden, n_out = self.sizes
-        self.widths = (n_in, *(-(-n // LANES) * LANES for n in hidden), n_out)
-        """Sizes, hidden ones filled."""
-        self._own, self._shapes = _shapes(self.sizes), _shapes(self.widths)
-        counts = [rows * columns for rows, columns in self._shapes]
-        self.size = -(-sum(counts) // LANES) * LANES
+        used = sum((n_in + 1) * n_out for n_in, n_out in pairwise(self.sizes))
+        self.size = -(-used // LANES) * LANES
         """Length of the flat vector, padding included."""
-        self._splits = [*counts, self.size - sum(counts)]
 
     def initial(self, rng: np.random.Generator) -> NDArray[np.float32]:
         """Fresh parameters [size]: uniform in ±1/√(inputs of the layer), as PyTorch draws them."""
@@ -98,9 +91,7 @@ class MLP:
 
     def layers(self, params: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Views of the weights [N, in, out] and biases [N, 1, out] in params [N, size], in turn."""
-        parts = np.split(params, np.cumsum(self._splits[:-1]), axis=-1)
-        filled = (p.reshape(-1, *shape) for p, shape in zip(parts, self._shapes, strict=False))
-        return [p[:, :rows, :columns] for p, (rows, columns) in zip(filled, self._own, strict=True)]
+        return [part for layer in kernel.layers(self.sizes, params) for part in layer]
 
 
 class _Network(torch.autograd.Function):
@@ -132,11 +123,6 @@ def _rows(params: Tensor) -> NDArray:
     """Parameters [N, at least size] whose rows are contiguous, wherever they begin."""
     array = params.detach().numpy()
     return array if array.strides[-1] == array.itemsize else np.ascontiguousarray(array)
-
-
-def _shapes(sizes: Sequence[int]) -> list[tuple[int, int]]:
-    """Shapes of the weight and the bias of each layer, in turn."""
-    return [shape for n_in, n_out in pairwise(sizes) for shape in ((n_in, n_out), (1, n_out))]
 
 
 def forward_numpy(

@@ -51,10 +51,10 @@ def test_both_are_float64s_autograd_but_for_rounding(shape):
     def values(p, x):
         at = 0
         x = x.repeat_interleave(share, dim=0)
-        for k, (a, b) in enumerate(pairwise(net.widths)):
+        for k, (a, b) in enumerate(pairwise(net.sizes)):
             w, bias = p[:, at : at + a * b].view(-1, a, b), p[:, None, at + a * b : at + a * b + b]
             x, at = x @ w + bias, at + a * b + b
-            if k < len(net.widths) - 2:
+            if k < len(net.sizes) - 2:
                 x = getattr(torch.nn.functional, activation)(x)
         return x
 
