@@ -35,16 +35,17 @@ if TYPE_CHECKING:
         profile,
         share,
     )
-    from emcc.streak_cost import StreakCost
+    from emcc.streak_cost import LongestStreak, StreakCost
     from emcc.wrappers import RecordCosts
 
 # fmt: off
 __all__ = [
-    "CostRecorder", "EpisodeRecords", "Interval", "Panel", "RecordCosts", "Share", "StreakCost",
-    "bootstrap", "cost_rate", "count_streaks", "cvar", "emcc", "emcc_by_part",
-    "equivalence_test", "from_minari", "from_tensordict", "holm", "iqm", "longest_streak",
-    "longest_streaks", "mcc", "mean_difference", "mean_interval", "panel", "permutation_test",
-    "probability_of_improvement", "profile", "read", "sb3", "share", "streak_bounds", "worst",
+    "CostRecorder", "EpisodeRecords", "Interval", "LongestStreak", "Panel", "RecordCosts",
+    "Share", "StreakCost", "bootstrap", "cost_rate", "count_streaks", "cvar", "emcc",
+    "emcc_by_part", "equivalence_test", "from_minari", "from_tensordict", "holm", "iqm",
+    "longest_streak", "longest_streaks", "mcc", "mean_difference", "mean_interval", "panel",
+    "permutation_test", "probability_of_improvement", "profile", "read", "sb3", "share",
+    "streak_bounds", "worst",
 ]
 # fmt: on
 
@@ -57,7 +58,7 @@ _LATE = {
         *("Interval", "Share", "bootstrap", "equivalence_test", "holm", "iqm", "mean_difference"),
         *("mean_interval", "permutation_test", "probability_of_improvement", "profile", "share"),
     ),
-    "streak_cost": ("StreakCost",),
+    "streak_cost": ("LongestStreak", "StreakCost"),
     "wrappers": ("RecordCosts",),
 }
 """Names by the module that has them, which is imported when one is first asked for."""

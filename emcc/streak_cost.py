@@ -1,19 +1,18 @@
-"""StreakCost for gymnasium: a cost that grows along streaks, for any environment and algorithm."""
+"""StreakCost and LongestStreak for gymnasium: streaks as costs, for any environment and algorithm
+that limits cost."""
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, overload
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.spaces import Box
 from gymnasium.utils import RecordConstructorArgs
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
+from gymnasium.vector import VectorEnv
 
-from emcc.arrays import as_flag, as_number, check_range
-from emcc.recorder import cost_of, costs_of
+from emcc.arrays import as_integers, as_number, exceed
+from emcc.augmented import Augmentation, AugmentedEnv, AugmentedVectorEnv, Bounds, Numbers
 from emcc.streaks import weighted
-from emcc.wrappers import VectorSteps, five, of_kind, resets_itself
+from emcc.wrappers import of_kind
 
 
 def StreakCost(
@@ -42,101 +41,142 @@ def StreakCost(
     an episode's end without a reset.
     """
     weight, threshold = as_number(weight, "weight", 0), as_number(threshold, "threshold", 0)
+    kind = of_kind(env, StreakCostEnv, StreakCostVectorEnv)
+    return kind(env, weight, _scale(scale) if observe else None, threshold)
+
+
+@overload
+def LongestStreak(env: VectorEnv, *args: Any, **options: Any) -> "LongestStreakVectorEnv": ...
+@overload
+def LongestStreak(env: gym.Env, *args: Any, **options: Any) -> "LongestStreakEnv": ...
+def LongestStreak(
+    env: gym.Env | VectorEnv,
+    above: int = 0,
+    observe: bool = True,
+    *,
+    cost: str = "cost",
+    scale: float = 20.0,
+    threshold: float = 0.0,
+) -> "LongestStreakEnv | LongestStreakVectorEnv":
+    """Wrap an Env or VectorEnv so that the longest streak of an episode is an additive cost.
+
+    info["longest_streak"] is m, the steps of the episode's longest streak so far, and
+    info["record_cost"] is 1 in a step that makes it longer than before and than `above`, 0 in any
+    other. With L the episode's longest streak, the record costs add up to `max(L - above, 0)`, and
+    so to L with `above` 0: an algorithm that limits the cost of an episode limits L, in steps. The
+    mean of the worst share α of episodes, CVaR_α(L), is the least `above + E[sum] / α` of all
+    `above`; the (1 - α) quantile of L attains it (Rockafellar & Uryasev 2000, theorem 1).
+    observe: append k / scale and m / scale to the observation, k being the steps of the streak so
+    far, 0 after a safe step: record costs depend on both. The observation space must then be a flat
+    Box. scale: cost steps that make either number 1.
+    cost: key of info. That of any other than "cost" has info["longest_streak_NAME"] and
+    info["record_NAME"]: for several costs there is a wrapper around a wrapper.
+    threshold: a step whose cost exceeds it is a cost step.
+    In a vector environment both are [num_envs] arrays of the step just taken, in every autoreset
+    mode, as rewards are; so are those in info["final_info"].
+    TypeError: no gymnasium environment, or no flat Box of floats to append to. ValueError: above no
+    whole number or below 0; otherwise as `StreakCost`, as are KeyError and RuntimeError.
+    """
+    steps, threshold = int(as_integers(above, "above")), as_number(threshold, "threshold", 0)
+    if not isinstance(cost, str):
+        raise TypeError(f"cost must be a key of info, got {cost!r}")
+    kind = of_kind(env, LongestStreakEnv, LongestStreakVectorEnv)
+    return kind(env, steps, cost, _scale(scale) if observe else None, threshold)
+
+
+def _scale(scale: float) -> float:
     if as_number(scale, "scale") <= 0:
         raise ValueError(f"scale must be above 0, got {scale}")
-    kind = of_kind(env, StreakCostEnv, StreakCostVectorEnv)
-    return kind(env, weight, float(scale) if observe else None, threshold)
+    return float(scale)
 
 
-class StreakCostEnv(gym.Wrapper, RecordConstructorArgs):
+@dataclass(frozen=True)
+class Weights(Augmentation):
+    """The state is k, the steps of the streak so far."""
+
+    weight: float
+    scale: float | None
+    threshold: float
+    start = (0,)
+
+    @property
+    def bounds(self) -> Bounds:
+        """k / scale, unless there is none."""
+        return () if self.scale is None else ((0.0, np.inf),)
+
+    def after(self, state: Numbers, cost: Numbers) -> tuple[Numbers, dict[str, Numbers]]:
+        """The weighted cost beside the plain one."""
+        streak = np.where(exceed(cost, self.threshold), state[:, 0] + 1, 0)
+        return streak[:, None], {"cost": weighted(cost, streak, self.weight), "plain_cost": cost}
+
+    def shown(self, state: Numbers) -> Numbers:
+        """In the unit of an observation."""
+        return state / self.scale
+
+
+@dataclass(frozen=True)
+class Longest(Augmentation):
+    """The state is k and m, the steps of the streak and of the longest streak so far."""
+
+    above: int = 0
+    cost: str = "cost"
+    scale: float | None = 20.0
+    threshold: float = 0.0
+    start = (0, 0)
+
+    @property
+    def bounds(self) -> Bounds:
+        """k / scale and m / scale, unless there is no scale."""
+        return () if self.scale is None else ((0.0, np.inf), (0.0, np.inf))
+
+    def after(self, state: Numbers, cost: Numbers) -> tuple[Numbers, dict[str, Numbers]]:
+        """The longest streak and the record cost."""
+        before = state[:, 1]
+        streak = np.where(exceed(cost, self.threshold), state[:, 0] + 1, 0)
+        longest = np.maximum(before, streak)
+        record = (streak > np.maximum(before, self.above)).astype(np.float64)
+        name = "longest_streak" + f"_{self.cost}" * (self.cost != "cost")
+        told = {name: longest, record_name(self.cost): record}
+        return np.stack((streak, longest), axis=-1), told
+
+    def shown(self, state: Numbers) -> Numbers:
+        """In the unit of an observation."""
+        return state / self.scale
+
+
+def record_name(cost: str) -> str:
+    """Key of a cost's record cost in the info."""
+    return f"record_{cost}"
+
+
+class StreakCostEnv(AugmentedEnv, RecordConstructorArgs):
     """`StreakCost` of an Env."""
 
     def __init__(self, env: gym.Env, weight: float, scale: float | None, threshold: float) -> None:
         RecordConstructorArgs.__init__(self, weight=weight, scale=scale, threshold=threshold)
-        gym.Wrapper.__init__(self, env)
-        self.weight, self.scale, self.threshold = weight, scale, threshold
-        self._streak, self._finished = 0, False
-        if scale is not None:
-            self.observation_space = _with_streak(env.observation_space)
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment; no streak is running."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        self._streak, self._finished = 0, False
-        return _observed(observation, 0, self.scale), info
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the environment; info["cost"] is weighted, info["plain_cost"] is not."""
-        resets = self._finished and resets_itself(self.env)
-        values = five(self.env, self.env.step(action))
-        observation, reward, terminated, truncated, info = values
-        plain = 0.0 if resets else cost_of(info)
-        check_range(np.asarray(plain), "cost", low=0)
-        terminated, truncated = as_flag(terminated, "terminated"), as_flag(truncated, "truncated")
-        self._finished = terminated or truncated
-        self._streak = self._streak + 1 if plain > self.threshold else 0
-        cost = np.float64(weighted(plain, self._streak, self.weight))
-        info = {**info, "cost": cost, "plain_cost": np.float64(plain)}
-        observation = _observed(observation, self._streak, self.scale)
-        return observation, reward, terminated, truncated, info
+        AugmentedEnv.__init__(self, env, Weights(weight, scale, threshold))
 
 
-class StreakCostVectorEnv(VectorSteps):
+class StreakCostVectorEnv(AugmentedVectorEnv):
     """`StreakCost` of a VectorEnv."""
 
+    def __init__(self, env: VectorEnv, *how: Any) -> None:
+        super().__init__(env, Weights(*how))
+
+
+class LongestStreakEnv(AugmentedEnv, RecordConstructorArgs):
+    """`LongestStreak` of an Env."""
+
     def __init__(
-        self, env: VectorEnv, weight: float, scale: float | None, threshold: float
+        self, env: gym.Env, above: int, cost: str, scale: float | None, threshold: float
     ) -> None:
-        super().__init__(env)
-        self.weight, self.scale, self.threshold = weight, scale, threshold
-        self._streak = np.zeros(env.num_envs, dtype=np.int64)
-        if scale is not None:
-            self.single_observation_space = _with_streak(env.single_observation_space)
-            self.observation_space = batch_space(self.single_observation_space, env.num_envs)
-
-    def _after_reset(self, where: NDArray[np.bool_], *result: Any) -> Any:
-        observations, infos = result
-        self._streak[where] = 0
-        return _observed(observations, self._streak, self.scale), infos
-
-    def _after_step(self, active: NDArray[np.bool_], done: NDArray[np.bool_], *result: Any) -> Any:
-        observations, rewards, terminated, truncated, infos = result
-        plain = costs_of(infos, active, done) if active.any() else np.zeros(self.num_envs)
-        check_range(plain, "cost of the environments", low=0)
-        self._streak = np.where(active & (plain > self.threshold), self._streak + 1, 0)
-        costs = {"cost": weighted(plain, self._streak, self.weight), "plain_cost": plain}
-        infos = {**infos, **_with_masks(costs, active)}
-        if self._mode == AutoresetMode.SAME_STEP.value:
-            if done.any():  # the costs of the last steps, the streak in the last observations
-                last = infos["final_obs"].copy()
-                for index in np.flatnonzero(done):
-                    last[index] = _observed(last[index], self._streak[index], self.scale)
-                final = {**infos.get("final_info", {}), **_with_masks(costs, done)}
-                infos |= {"final_info": final, "final_obs": last}
-            self._streak = np.where(done, 0, self._streak)  # of the next episodes already
-        observations = _observed(observations, self._streak, self.scale)
-        return observations, rewards, terminated, truncated, infos
+        how = {"above": above, "cost": cost, "scale": scale, "threshold": threshold}
+        RecordConstructorArgs.__init__(self, **how)
+        AugmentedEnv.__init__(self, env, Longest(**how))
 
 
-def _observed(observation: Any, streak: Any, scale: float | None) -> Any:
-    """An observation, or one of each environment, with its streak behind it."""
-    if scale is None:
-        return observation
-    shown = np.asarray(streak / scale, observation.dtype)
-    return np.concatenate((observation, shown[..., None]), axis=-1)
+class LongestStreakVectorEnv(AugmentedVectorEnv):
+    """`LongestStreak` of a VectorEnv."""
 
-
-def _with_masks(costs: dict[str, NDArray], where: NDArray[np.bool_]) -> dict[str, Any]:
-    masked = {name: np.where(where, values, 0.0) for name, values in costs.items()}
-    return masked | {f"_{name}": where.copy() for name in costs}
-
-
-def _with_streak(space: gym.Space) -> Box:
-    """The space of observations with a streak of 0 or more behind them."""
-    floats = np.issubdtype(space.dtype, np.floating)  # since k / scale is a fraction
-    if not isinstance(space, Box) or len(space.shape) != 1 or not floats:
-        raise TypeError(f"observe needs a flat Box of floats as observation space, got {space}")
-    low, high = np.append(space.low, 0.0), np.append(space.high, np.inf)
-    return Box(low.astype(space.dtype), high.astype(space.dtype), dtype=space.dtype)  # pyright: ignore[reportArgumentType]
+    def __init__(self, env: VectorEnv, *how: Any) -> None:
+        super().__init__(env, Longest(*how))

@@ -57,6 +57,35 @@ def count_streaks(
     return cost_steps, streaks
 
 
+def record(
+    costs: ArrayLike,
+    lengths: ArrayLike | None = None,
+    above: int = 0,
+    threshold: float = 0.0,
+) -> NDArray[np.float64]:
+    """The record costs of steps: 1 where a streak becomes longer than any before it in its
+    trajectory, and than `above`; 0 elsewhere.
+
+    costs: [T] of one trajectory, or with lengths [E] of many, one after another -> [T]. Those of a
+    trajectory with the longest streak L add up to `max(L - above, 0)`: L is an additive cost.
+    `LongestStreak` gives them step by step.
+    ValueError: as in `longest_streaks`, or above no whole number or below 0.
+    """
+    above = int(as_integers(above, "above"))
+    if lengths is None:
+        lengths = [as_vector(costs, "costs", low=0).size]
+    found = []
+    for streak, begins in _blocks(costs, lengths, threshold):
+        # Each trajectory's streaks above all of those before it: the highest so far is its own.
+        lifted = np.zeros_like(streak)
+        lifted[begins] = streak.size + 1
+        lifted = np.cumsum(lifted)
+        before = np.roll(np.maximum.accumulate(lifted + streak), 1) - lifted
+        before[begins] = 0
+        found.append((streak > np.maximum(before, above)).astype(np.float64))
+    return np.concatenate(found)
+
+
 def _blocks(
     costs: ArrayLike, lengths: ArrayLike, threshold: float
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:

@@ -20,6 +20,7 @@ NEEDED = {
     "with_optuna.py": ("optuna",),
     "with_ray_tune.py": ("ray", "pyarrow"),
     "with_sb3.py": ("stable_baselines3",),
+    "with_sb3_streaks.py": ("stable_baselines3",),
     "with_tianshou.py": ("tianshou",),
     "with_torchrl.py": ("torchrl",),
     "with_wandb.py": ("wandb",),
