@@ -12,6 +12,7 @@ The whole entrance from Python:
 | `evaluate(policy_or_folder, task)` | play episodes -> `Evaluation` |
 | `sweep(algorithm, task, grid={...}, out=...)` | every combination of hyper-parameters -> `Runs` |
 | `report(*folders)` | tables, figures and a page of all runs below some folders |
+| `plot(*folders, out=...)` | learning curves for a paper: PDF, SVG, PNG, PGF |
 | `compare(a, b)` | two sets of runs side by side, with their differences |
 | `register(name, Algorithm(...))` | make an algorithm of your own known |
 
@@ -40,7 +41,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from agents.algorithms import Algorithm, register
-    from agents.api import compare, report, resume, sweep, train
+    from agents.api import compare, plot, report, resume, sweep, train
     from agents.errors import UserError
     from agents.runs import Runs, load_runs
     from agents.training.callbacks import Epoch
@@ -57,6 +58,7 @@ __all__ = (
     "evaluate",
     "load_policy",
     "load_runs",
+    "plot",
     "pretrained",
     "register",
     "report",
@@ -66,7 +68,7 @@ __all__ = (
 )
 _HOMES = {
     "agents.algorithms": ("Algorithm", "register"),
-    "agents.api": ("compare", "report", "resume", "sweep", "train"),
+    "agents.api": ("compare", "plot", "report", "resume", "sweep", "train"),
     "agents.errors": ("UserError",),
     "agents.runs": ("Runs", "load_runs"),
     "agents.training.callbacks": ("Epoch",),

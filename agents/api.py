@@ -40,7 +40,7 @@ from agents.training import callbacks, trainer
 from agents.training.callbacks import Epoch
 from agents.training.config import CONFIG, TrainConfig, finished
 from agents.training.environments import Vectorization, check_task, module_of_task, task_id
-from agents.training.files import check_folder
+from agents.training.files import check_file, check_folder
 
 EngineName = Literal["local", "ray"]
 OnEpoch = Callable[[Epoch], object]
@@ -204,22 +204,29 @@ def resume(
     return Runs(paths)
 
 
-def report(*paths: Folder, archive: Folder | None = None, out: Folder | None = None) -> str:
+def report(
+    *paths: Folder,
+    archive: Folder | None = None,
+    out: Folder | None = None,
+    columns: Sequence[str] | None = None,
+) -> str:
     """Write the report of all runs at or below some folders, or in archives: `circle2d report`.
 
     paths: folders, archives, folders of archives (`runs.zip/Circle2D-1-v0`), or runs, such as
     `train` returns. Folders that differ in their seeds alone count as one. Returns the main
     tables and the paper's claims as Markdown. archive: a file to write, from which the report
     can be made again. out: folder to write to, required with several paths; by default the runs'
-    own, for `runs.zip` the folder `runs` beside it. Raises UserError where there are no complete
-    runs, or an archive is damaged.
+    own, for `runs.zip` the folder `runs` beside it. columns: of `report.tex`, as `report.md` names
+    them; by default those that fit the width of a text. Raises UserError where there are no
+    complete runs, or an archive is damaged.
     """
     from agents.reporting.report import report as write_report
-    from agents.reporting.table import markdown
+    from agents.reporting.table import PAPER, markdown
 
     file = None if archive is None else Path(archive)
     folder = None if out is None else _to_write(out)
-    return markdown(write_report(*folders_of(*paths), archive=file, out=folder).blocks)
+    how = {"archive": file, "out": folder, "columns": PAPER if columns is None else columns}
+    return markdown(write_report(*folders_of(*paths), **how).blocks)
 
 
 def compare(
@@ -242,6 +249,35 @@ def compare(
     folder = None if out is None else _to_write(out)
     asked = (measures,) if isinstance(measures, str) else measures
     return markdown(compare_runs(Path(a), Path(b), folder, asked))
+
+
+def plot(
+    *paths: Folder,
+    out: Folder,
+    measures: Sequence[str] = ("return", "cost", "emcc"),
+    names: Mapping[str, str] | None = None,
+    colours: Mapping[str, str] | None = None,
+    width: float = 5.5,
+) -> str:
+    """Draw learning curves of runs for a paper: `circle2d plot`. Returns words for the caption.
+
+    paths: folders of runs, folders above such folders, or archives. out: file to write, .pdf, .svg,
+        .png, or .pgf, for which xelatex must be installed.
+    measures: "return", "cost", "emcc" and "length", a column of panels each; each task has a row.
+    names, colours: of the legend's entries to change, by the name that they have otherwise, such as
+        {"TRPO-Lag": "baseline"}; colours are matplotlib's.
+    width: inches. The type is 8 points high at any width, so give that at which it is printed.
+
+    Raises UserError where no run is complete, and for a name that no curve has.
+    """
+    from agents.reporting.plot import SUFFIXES
+    from agents.reporting.plot import plot as draw
+
+    file = Path(out)
+    if file.suffix.lower() not in SUFFIXES:
+        raise UserError(f"out must end in {', '.join(SUFFIXES)}, got {str(out)!r}")
+    check_file(file)
+    return draw(folders_of(*paths), file, measures, names, colours, width)
 
 
 SETTINGS = (

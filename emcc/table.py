@@ -97,7 +97,12 @@ class Table:
 def tabular(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Cells of LaTeX as a tabular with the rules of booktabs, below the caption as a comment."""
     first, *lines = (" & ".join(row) + r" \\" for row in (head, *rows))
-    top = (rf"\begin{{tabular}}{{l{'r' * (len(head) - 1)}}}", r"\toprule", first, r"\midrule")
+    top = (
+        rf"\begin{{tabular}}{{@{{}}l{'r' * (len(head) - 1)}@{{}}}}",
+        r"\toprule",
+        first,
+        r"\midrule",
+    )
     return "\n".join([f"% {caption}", *top, *lines, r"\bottomrule", r"\end{tabular}", ""])
 
 

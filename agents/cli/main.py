@@ -39,6 +39,7 @@ COMMANDS = {
     "evaluate": ("training", "play episodes with trained policies"),
     "reproduce": ("training", "run the paper's experiments, or a part of them, and report"),
     "report": ("showing", "write tables, training curves and heat maps of trained runs"),
+    "plot": ("showing", "draw learning curves for a paper: PDF, SVG, PNG, PGF"),
     "compare": ("showing", "put two sets of runs side by side, with their differences"),
     "heatmap": ("showing", "draw which states were visited in training"),
     "export": ("showing", "write trained policies as safetensors or ONNX files, with a card"),

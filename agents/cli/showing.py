@@ -27,7 +27,7 @@ from agents.cli.options import (
 )
 from agents.errors import UserError
 from agents.export import Format
-from agents.reporting.table import show, working
+from agents.reporting.table import PAPER, show, working
 from agents.training.config import TrainConfig
 from agents.training.environments import task_id, time_limit, unscaled
 from agents.training.policy import chosen_run, folder_of
@@ -50,6 +50,8 @@ class ReportOptions(Settings):
     out: Path | None = None
     """Folder for the report; by default the folder of the runs, or a folder beside the archive with
     its name. Required with several FOLDERs."""
+    columns: tuple[str, ...] = PAPER
+    """Columns of report.tex, as report.md names them."""
     width: Width = None
     imports: Imports = ()
 
@@ -60,9 +62,42 @@ def report(args: Sequence[str]) -> int:
 
     options = parse(ReportOptions, "report", args)
     with working("reading runs and drawing figures"):
-        written = write_report(*options.folders, archive=options.archive, out=options.out)
+        how = {"archive": options.archive, "out": options.out, "columns": options.columns}
+        written = write_report(*options.folders, **how)
     show(written.blocks, options.width, str(written.page))
     return int(bool(written.left_out))
+
+
+@dataclass(frozen=True)
+class PlotOptions(Settings):
+    """Draw learning curves of trained runs for a paper, with intervals over seeds: one file, a row
+    of panels for each task and a column for each measure. Prints the words for its caption."""
+
+    folders: Folders
+    """Folders of runs, folders above such folders, archives, or folders in archives."""
+    measure: tuple[Literal["return", "cost", "emcc", "length"], ...] = ("return", "cost", "emcc")
+    """What is drawn, of the episodes of training."""
+    out: Path = Path("figure.pdf")
+    """File to write, its suffix the format: .pdf, .svg, .png, or .pgf for LaTeX."""
+    names: dict[str, str] = field(default_factory=dict)
+    """Other names for the legend, as CURVE NAME ..., such as TRPO-Lag "the baseline"."""
+    colours: dict[str, str] = field(default_factory=dict)
+    """Colours, as CURVE COLOUR ..., such as TRPO-Lag black CPO #0072B2."""
+    width: Annotated[float, In(1, 20)] = 5.5
+    """Inches of the figure; the type is 8 points high at any."""
+    imports: Imports = ()
+
+
+def plot(args: Sequence[str]) -> int:
+    """Run `circle2d plot`; returns the exit status."""
+    from agents.api import plot as draw
+
+    options = parse(PlotOptions, "plot", args)
+    look = {"names": options.names, "colours": options.colours, "width": options.width}
+    with working("reading runs"):
+        words = draw(*options.folders, out=options.out, measures=options.measure, **look)
+    print(f"{options.out}\nCaption: {words}")
+    return 0
 
 
 @dataclass(frozen=True)

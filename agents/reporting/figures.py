@@ -213,12 +213,12 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
         figure.suptitle(task)
         for k, ((name, group), style) in enumerate(zip(named, looks, strict=True)):
             at = midpoints(group.total_steps)
-            _draw(returns, name, style, at, episode_means(group, "reward"))
-            _draw(costs, name, style, at, episode_means(group, "cost"))
-            _draw(running, name, style, at, running_emcc(group))
+            draw_curve(returns, name, style, at, episode_means(group, "reward"))
+            draw_curve(costs, name, style, at, episode_means(group, "cost"))
+            draw_curve(running, name, style, at, running_emcc(group))
             _draw_thirds(thirds, style, (k - (len(named) - 1) / 2) / len(named), thirds_emcc(group))
             if rows == 3:
-                _draw(axes[2, 0], name, style, at, episode_means(group, "length"))
+                draw_curve(axes[2, 0], name, style, at, episode_means(group, "length"))
         if limit is not None:
             costs.axhline(limit, label="cost limit", color="#888888", linewidth=0.9)
         _label(axes, max(group.total_steps for group in groups))
@@ -233,7 +233,8 @@ def curves(named: Sequence[tuple[str, Group]]) -> Figure:
     return Figure(svg, "Training curves", words)
 
 
-def _draw(axis: Any, name: str, style: Style, at: NDArray, curve: Curve) -> None:
+def draw_curve(axis: Any, name: str, style: Style, at: NDArray, curve: Curve) -> None:
+    """A line where the curve is known, and an area between its ends."""
     there = np.isfinite(curve.mean)  # few episodes start in few of the parts
     at, (mean, low, high) = at[there], (ends[there] for ends in curve)
     look = {"color": style.colour, "linestyle": style.dash}

@@ -20,7 +20,7 @@ from agents.reporting.numbers import numbers_csv, report_lines
 from agents.reporting.overall import RATES, tables_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import heading, made, summary
-from agents.reporting.table import Block, Table, latex, markdown, plain
+from agents.reporting.table import PAPER, Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.frame import with_distinct_titles, with_varied_settings
 from agents.results.reading import Group, name_of_all, read, write_archive
@@ -40,7 +40,12 @@ class Report(NamedTuple):
     """`index.html`."""
 
 
-def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -> Report:
+def report(
+    *paths: Path,
+    archive: Path | None = None,
+    out: Path | None = None,
+    columns: Sequence[str] = PAPER,
+) -> Report:
     """Write the report of every folder of runs at or below some folders: see `agents.report`.
 
     `report.tex` has the means of the main tables; `report.md` and `index.html` have the details
@@ -92,7 +97,7 @@ def report(*paths: Path, archive: Path | None = None, out: Path | None = None) -
     ending = "Figures, heat maps and replay: index.html\n"
     write_whole(out / "report.md", markdown([*verdicts, *titled, ending]))
     write_whole(out / "report.csv", numbers_csv(report_lines(everything, paper.printed)))
-    write_whole(out / "report.tex", latex(main))
+    write_whole(out / "report.tex", latex(main, columns))
     return Report([*main.values(), *verdicts], left_out, out / "index.html")
 
 

@@ -9,13 +9,19 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
-from agents.errors import one_line
+from agents.errors import UserError, nearest, one_line
 from emcc import Interval, Share
 from emcc.table import LATEX, tabular
 
 MISSING = "\N{EN DASH}"
 LEAST_WIDTH = 40
 """Characters of the narrowest terminal that tables are laid out for."""
+FITTED = r"""\noindent\resizebox{{\ifdim\width>\linewidth\linewidth\else\width\fi}}{{!}}{{%
+{}}}
+"""
+"""A box of LaTeX that is as wide as a line at most; needs graphicx, as the rules need booktabs."""
+PAPER = ("EMCC_0.33", "EMCC_0.99", "cost rate", "J_R", "J_C")
+"""Columns of tables for LaTeX, which fit the width of a text."""
 NARROW, WIDE = 12, 20
 """Characters to which a terminal's columns of numbers, and those of words, are broken."""
 
@@ -170,14 +176,32 @@ class Table:
         legend = [plain(self.legend), ""] if self.legend else []
         return "\n".join([*legend, *(f"| {line} |" for line in padded), *notes, ""])
 
-    def latex(self) -> str:
-        """The means with their intervals, and the paper's numbers, as a tabular with the rules of
-        booktabs; all rows of a table without means. Legend and notes are comments."""
+    def latex(self, columns: Collection[str] = PAPER) -> str:
+        """The means above their intervals, and the paper's numbers, as a tabular with the rules of
+        booktabs; all rows of a table without means. Legend and notes are comments.
+
+        columns: heads of those shown beside the name; of a table that has none of them all but the
+        details.
+        """
         rows = [row for row in self.rows if row.kind in ("mean", "paper")] or self.rows
-        lines = [[_latex(cell) for cell in row.cells[: self.columns]] for row in rows]
-        head = [_latex(cell) for cell in self.head[: self.columns]]
+        shown = [k for k, head in enumerate(self.head[: self.columns]) if k and head in columns]
+        if not shown:
+            shown = [k for k in range(1, self.columns) if self.head[k] not in self.details]
+        lines = []
+        for row in rows:
+            name, *more = re.split(r" (?=\()|, ", row.name, maxsplit=1)
+            cells = [row.cells[k] for k in shown]
+            below = [_small("".join(more)), *map(_latex_interval, cells)]
+            lines += [[_latex(name), *map(_latex, cells)], *[below] * any(below)]
+        head = [_latex(self.head[k]) for k in (0, *shown)]
+        legend = "brackets: intervals, parentheses: ranges"
+        legend = "; ".join(filter(None, [one_line(self.legend), legend * any(self._intervals)]))
         notes = [f"% Note: {one_line(note)}\n" for note in self.notes]
-        return tabular(one_line(self.legend), head, lines) + "".join(notes)
+        return FITTED.format(tabular(legend, head, lines)) + "".join(notes)
+
+    @property
+    def _intervals(self) -> Iterator[str]:
+        return (cell.interval for row in self.rows for cell in row.numbers)
 
 
 _INTERVAL = re.compile(r" \[[^\]]*\]")
@@ -194,9 +218,15 @@ def markdown(blocks: Iterable[Block]) -> str:
     return "\n".join(block if isinstance(block, str) else block.markdown() for block in shown)
 
 
-def latex(tables: Mapping[str, Table]) -> str:
-    """Tables for LaTeX, each below its name as a comment."""
-    return "\n".join(f"% {one_line(name)}\n{table.latex()}" for name, table in tables.items())
+def latex(tables: Mapping[str, Table], columns: Collection[str] = PAPER) -> str:
+    """Tables for LaTeX, each below its name as a comment; columns: see `Table.latex`. Raises
+    UserError for a column that none of them has."""
+    heads = dict.fromkeys(head for table in tables.values() for head in table.head[1:])
+    for column in columns:
+        if columns != PAPER and column not in heads:
+            raise UserError(f"no table has a column {column!r}: {nearest(column, heads)}")
+    named = (f"% {one_line(n)}\n{table.latex(columns)}" for n, table in tables.items())
+    return "\n".join(["% \\usepackage{booktabs,graphicx}", *named])
 
 
 def without_repeats(blocks: Iterable[Block]) -> Iterator[Block]:
@@ -226,12 +256,29 @@ def _markdown(cell: Cell) -> str:
 
 
 def _latex(cell: Cell) -> str:
+    """A cell of LaTeX, a number without its interval."""
     if isinstance(cell, str):
         return one_line(cell).translate(LATEX)
-    written = (words.translate(LATEX) for words in (cell.text, cell.interval))
-    text, interval = (re.sub(r"-(?=\d)", "$-$", words) for words in written)
-    text = rf"\textbf{{{text}}}" if cell.marked else text
-    return f"{text} {{\\scriptsize {interval}}}" if interval else text
+    text = _minus(cell.text)
+    return rf"\textbf{{{text}}}" if cell.marked else text
+
+
+def _latex_interval(cell: Cell) -> str:
+    """The interval below a number in brackets, or its range in parentheses; empty without."""
+    if isinstance(cell, str) or not cell.interval:
+        return ""
+    words = cell.interval
+    if cell.is_range:
+        words = f"({words.removeprefix('range ').replace(' to ', ', ')})"
+    return _small(words)
+
+
+def _small(words: str) -> str:
+    return rf"{{\scriptsize {_minus(words)}}}" if words else ""
+
+
+def _minus(words: str) -> str:
+    return re.sub(r"-(?=\d)", "$-$", words.translate(LATEX))
 
 
 def show(blocks: Sequence[Block], width: int | None = None, more: str = "") -> None:

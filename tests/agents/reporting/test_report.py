@@ -9,9 +9,11 @@ from importlib.resources import files
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from small_runs import cells, edit_results, lines_of, write_evaluated, write_status
 
 from agents.cli.main import main
+from agents.errors import UserError
 from agents.paper.evidence import paper_results
 from agents.paper.presets import preset
 from agents.paper.sections import ties_table
@@ -222,23 +224,41 @@ def test_the_commit_is_told_where_it_is_known(tmp_path, monkeypatch):
 def test_latex_has_the_means_and_what_letters_mean_there():
     mean = Number(-4.25, 2, -5.0, -3.5, marked=True)
     rows = [
-        Row("A & B, mean of 2", [mean, Number(None)], kind="mean"),
+        Row(
+            "A & B (x_y 2), mean of 2",
+            [mean, Number(5.0, 1, -1.0, 3.0, is_range=True)],
+            kind="mean",
+        ),
         Row("A, seed 0", [Number(1.0), Number(2.0)]),
-        Row("paper", [Number(0.0004, 3, is_p=True), Number(1, total=2)], kind="paper"),
+        Row("paper", [Number(0.0004, 3, is_p=True), Number(None)], kind="paper"),
     ]
     table = Table("50 % of\nall", ["Task_1", "J_R", "solved"], rows, ["a note"])
-    assert table.latex().splitlines() == [
-        "% 50 % of all",
-        r"\begin{tabular}{lrr}",
+    assert table.latex(("J_R", "solved")).splitlines() == [
+        r"\noindent\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
+        "% 50 % of all; brackets: intervals, parentheses: ranges",
+        r"\begin{tabular}{@{}lrr@{}}",
         r"\toprule",
         r"Task\_1 & J\_R & solved \\",
         r"\midrule",
-        r"A \& B, mean of 2 & \textbf{$-$4.25} {\scriptsize [$-$5.00, $-$3.50]} & -- \\",
-        r"paper & $<$0.001 & 1 of 2 \\",
+        r"A \& B & \textbf{$-$4.25} & 5.0 \\",
+        r"{\scriptsize (x\_y 2), mean of 2} & {\scriptsize [$-$5.00, $-$3.50]} & "
+        r"{\scriptsize ($-$1.0, 3.0)} \\",
+        r"paper & $<$0.001 & -- \\",
         r"\bottomrule",
         r"\end{tabular}",
+        "}",
         "% Note: a note",
     ]
+    assert r"Task\_1 & J\_R \\" in table.latex().splitlines()  # of the paper's columns it has one
+
+
+def test_columns_of_latex_are_chosen_by_their_heads(tmp_path):
+    write_evaluated(tmp_path, "cpo", costs=(1, 2))
+    report(tmp_path, columns=("J_C", "mean streak (steps)"))
+    head = [line for line in (tmp_path / "report.tex").read_text().splitlines() if "J\\_C" in line]
+    assert head == [r"Circle2D-1-v0 & J\_C & mean streak (steps) \\"]
+    with pytest.raises(UserError, match=r"no table has a column 'J_c': did you mean 'J_C'"):
+        report(tmp_path, columns=("J_c",))
 
 
 def test_no_printed_numbers_beside_a_task_with_other_parameters(tmp_path):

@@ -1,0 +1,81 @@
+"""Learning curves for papers: what is drawn, whose names and colours, and that files are equal."""
+
+import re
+
+import numpy as np
+import pytest
+from small_runs import write_evaluated
+
+import agents
+from agents.cli.main import main
+from agents.reporting import plot as plotting
+
+
+@pytest.fixture
+def runs(tmp_path):
+    for name, costs in (("cpo", (1, 2, 3)), ("trpo-lag", (4, 6))):
+        write_evaluated(tmp_path / "runs" / name, name, costs=costs)
+    return tmp_path / "runs"
+
+
+def lines_drawn(monkeypatch, *args, **options):
+    """Of each line that a plot draws its name, colour and values."""
+    drawn = []
+
+    def draw(axis, name, style, at, curve):
+        axis.plot(at, curve.mean, label=name, color=style.colour)
+        drawn.append((name, style.colour, at, curve.mean))
+
+    monkeypatch.setattr(plotting, "draw_curve", draw)
+    agents.plot(*args, **options)
+    return drawn
+
+
+def test_curves_are_means_over_seeds_with_names_and_colours_of_ones_own(
+    runs, tmp_path, monkeypatch
+):
+    """Every episode of ten steps costs as much as its run's number says."""
+    how = {"names": {"CPO (100 steps)": "ours"}, "colours": {"TRPO-Lag (100 steps)": "C3"}}
+    out = tmp_path / "new" / "figure.svg"
+    found = lines_drawn(monkeypatch, runs, out=out, measures=["cost", "return"], **how)
+    assert [name for name, *_ in found] == ["TRPO-Lag (100 steps)", "ours"] * 2
+    assert found[0][1] == "C3" != found[1][1]
+    means = {name: np.unique(mean[np.isfinite(mean)]) for name, _, _, mean in found[:2]}
+    assert {name: mean.tolist() for name, mean in means.items()} == {
+        "TRPO-Lag (100 steps)": [5.0],
+        "ours": [2.0],
+    }
+    assert all(at[0] == 1.0 and at[-1] == 99.0 for *_, at, _ in found)  # middles of fifty parts
+    words = re.findall(r"<text[^>]*>([^<]*)</text>", out.read_text())
+    assert {"ours", "TRPO-Lag (100 steps)", "cost limit", "Circle2D-1-v0", "return"} <= set(words)
+
+
+@pytest.mark.parametrize("suffix", [".pdf", ".svg", ".png"])
+def test_equal_runs_give_equal_files(runs, tmp_path, suffix):
+    first, second = (tmp_path / f"{name}{suffix}" for name in "ab")
+    for file in (first, second):
+        agents.plot(runs, out=file)
+    assert first.read_bytes() == second.read_bytes()
+    assert b"/Type3" not in first.read_bytes()  # fonts that journals refuse
+
+
+def test_mistakes_are_named_and_nothing_is_written(runs, tmp_path, capsys):
+    for args, words in (
+        (["--out", "a.jpg"], "out must end in .pdf, .svg, .png, .pgf, got 'a.jpg'"),
+        (["--names", "CP", "x"], "names: no curve is called 'CP'"),
+        (["--colours", "CPO (100 steps)", "rde"], "'rde' is no colour of matplotlib"),
+        (["--measure", "reward"], "measure"),
+    ):
+        assert main(["plot", str(runs), "--out", str(tmp_path / "a.pdf"), *args]) == 2
+        assert words in capsys.readouterr().err
+    assert main(["plot", str(tmp_path), "--out", str(runs)]) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
+
+
+def test_the_command_prints_the_caption(runs, tmp_path, capsys):
+    out = tmp_path / "figure.pdf"
+    assert main(["plot", str(runs), "--out", str(out), "--measure", "emcc"]) == 0
+    path, caption = capsys.readouterr().out.splitlines()
+    assert path == str(out)
+    assert "mean over 2 to 3 seeds" in caption
+    assert "α = 0.1" in caption
