@@ -101,46 +101,16 @@ def lengthen(folder: Path, steps: int) -> None:
     """Make the training of a folder one of more steps, which then goes on as if it had been from
     the start.
 
-    Runs that end earlier than others wait for them, where they would have gone on: then the
-    training goes back to a checkpoint before. Raises UserError where there is none, and as
-    `check_longer`. No setting depends on the number of steps.
+    Runs that were done and waited for others catch up first. Raises as `check_longer`. No setting
+    depends on the number of steps.
     """
     check_longer(folder, steps)
     with locked(folder):
-        config = TrainConfig.read(folder)
-        if steps == config.steps:
+        if steps == TrainConfig.read(folder).steps:
             return
-        checkpoints = numbered(folder, CHECKPOINTS)
-        waited = [number for number in checkpoints if _has_waited(folder, config, number)]
-        if waited and len(waited) == len(checkpoints):
-            raise UserError(
-                f"{folder} cannot go on as if it had had {steps} steps from the start: runs that "
-                "were done waited for others, and no checkpoint of before is left; train anew"
-            )
-        if waited:
-            first = min(waited)
-            warnings.warn(
-                f"{folder}: runs that were done waited for others; going on from the last "
-                "checkpoint before",
-                stacklevel=2,
-            )
-            for number in (number for number in checkpoints if number >= first):
-                Path(str(checkpoints[number])).unlink()
         # In this order a kill leaves the old training, to be resumed, or the new one.
         (folder / RESULTS).unlink(missing_ok=True)
         write_json(folder / CONFIG, read_json(folder / CONFIG) | {"steps": steps})
-
-
-def _has_waited(folder: Path, config: TrainConfig, number: int) -> bool:
-    """Whether a run had no steps to take in an epoch before a checkpoint, and had not failed."""
-    state, recorded = (
-        Arrays(numbered_path(folder, CHECKPOINTS, number)),
-        derive.Steps(folder, number),
-    )
-    epoch, failures = int(state["epoch"]), state["failures"]
-    updates = [recorded.get(run, "updates") for run in config.runs]
-    taken = np.array([0 if update is None else len(update) for update in updates])
-    return bool(((taken < epoch) & (failures == "")).any())
 
 
 def _is_whole(path: Path) -> bool:
@@ -166,7 +136,9 @@ class Trainer:
     def __init__(self, folder: Path, config: TrainConfig) -> None:
         self.folder, self.config = folder, config
         count = len(config.runs)
-        self.epoch = 0
+        self.epochs = np.zeros(count, dtype=np.int64)
+        """Epochs each run has begun, [R]: one that is done waits for the others, and in a longer
+        training catches up."""
         self.steps = np.zeros(count, dtype=np.int64)
         """Environment steps each run has taken, [R]."""
         self.learner: Learner = self._learner(config.stream_seeds)
@@ -233,12 +205,15 @@ class Trainer:
         return bool(passed and since * WRITING_SHARE >= self._writing)
 
     def run_epoch(self) -> None:
-        """Collect the episodes of an epoch of every active run, and learn from them."""
+        """Collect the episodes of an epoch of every active run, and learn from them: of the runs
+        that are the most epochs behind, which are all unless they catch up."""
         config, learner, episodes = self.config, self.learner, self.learner.episodes
         active = self.active
-        resets = environment_seeds(config.stream_seeds, Purpose.ENVIRONMENT, self.epoch, episodes)
+        epoch = int(self.epochs[active].min())
+        active &= self.epochs == epoch
+        resets = environment_seeds(config.stream_seeds, Purpose.ENVIRONMENT, epoch, episodes)
         with self._own_code("acts"):
-            act = learner.explorer(self.epoch, self.steps)
+            act = learner.explorer(epoch, self.steps)
             how = (np.repeat(active, episodes), config.costs, config.most_steps)
             rollout = collect(self._envs, resets, act, *how)
         void = rollout.diverged.reshape(-1, episodes)
@@ -246,11 +221,11 @@ class Trainer:
         metrics = np.full((len(active), len(learner.metrics)), np.nan)
         if learning.any():
             with self._own_code("learns"):
-                metrics = self._learn(rollout, learning)
+                metrics = self._learn(rollout, epoch, learning)
         self.recorder.add(rollout, self._recorded(), learning, metrics)
         self.steps += np.where(active, rollout.length.reshape(len(active), -1).sum(axis=1), 0)
         self._note_failures(rollout, active, learner.finite())
-        self.epoch += 1
+        self.epochs += active
 
     def _recorded(self) -> list[dict[str, NDArray[np.float32]]]:
         """Arrays [T, E, ...] that each run's environments recorded of their steps, by name."""
@@ -287,13 +262,13 @@ class Trainer:
             words = f"algorithm {name!r} failed at step {step} where it {does}: {described(error)}"
             raise OwnCodeError(words) from error
 
-    def _learn(self, rollout: Rollout, learning: NDArray[np.bool_]) -> NDArray:
+    def _learn(self, rollout: Rollout, epoch: int, learning: NDArray[np.bool_]) -> NDArray:
         """Learn from an epoch. Raises UserError where one of the first two updates of the user's
         own algorithm depends on the other runs. In the first all multipliers are equal."""
-        metrics = self.learner.learn(rollout, self.epoch, learning)
+        metrics = self.learner.learn(rollout, epoch, learning)
         if self._alone is None:
             return metrics
-        own = self._alone.learn(rollout.of(slice(self._alone.episodes)), self.epoch, learning[:1])
+        own = self._alone.learn(rollout.of(slice(self._alone.episodes)), epoch, learning[:1])
         if not np.isnan(own).all():  # it has learned
             together = self.learner.state_dict()
             for name, array in self._alone.state_dict().items():
@@ -319,7 +294,7 @@ class Trainer:
         steps = self.steps.max() if self.done else self.steps[self.active].min()
         number = max(int(steps), 1 + max(numbered(self.folder, CHECKPOINTS), default=-1))
         texts = (self.failures.astype(np.str_), self.tracebacks.astype(np.str_))
-        counters = (np.array(self.epoch), self.steps, *texts)
+        counters = (self.epochs, self.steps, *texts)
         state = dict(zip(COUNTERS, counters, strict=True)) | self.learner.state_dict()
         for name, arrays in ((STEPS, self.recorder.take()), (CHECKPOINTS, state)):
             (self.folder / name).mkdir(exist_ok=True)
@@ -380,7 +355,9 @@ class Trainer:
             self.failures = _texts(content, "failures", self.steps.shape)
             content.setdefault("tracebacks", np.full(self.steps.shape, ""))  # before 0.4
             self.tracebacks = _texts(content, "tracebacks", self.steps.shape)
-            self.epoch = int(tree.expect("epoch", content, (), np.int64))
+            if content["epoch"].ndim == 0:  # before 0.4 one number for all
+                content["epoch"] = np.full(self.steps.shape, content["epoch"])
+            self.epochs = tree.expect("epoch", content, self.steps.shape, np.int64)
             self._alone = None
         except (KeyError, ValueError) as error:
             if isinstance(error, UserError):

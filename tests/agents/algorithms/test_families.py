@@ -12,7 +12,7 @@ from agents.algorithms import BUILT_IN, algorithm
 from agents.training import derive
 from agents.training.config import TrainConfig
 from agents.training.evaluation import evaluate_runs
-from agents.training.trainer import train
+from agents.training.trainer import lengthen, train
 
 register()
 
@@ -39,15 +39,16 @@ def config(name, seeds=(0, 1, 2), steps=160, **parameters):
 
 def arrays_of(it):
     """The state of all runs, and steps taken."""
-    return it.learner.state_dict() | {"steps": it.steps, "epoch": np.array(it.epoch)}
+    return it.learner.state_dict() | {"steps": it.steps, "epoch": it.epochs}
 
 
 @pytest.mark.parametrize("name", EVERYTHING)
 def test_a_run_is_what_it_is_alone_and_without_a_stop(name, tmp_path):
-    """Episodes of the others have other lengths, and they finish at other times."""
+    """Episodes of the others have other lengths, and they finish at other times: in a training that
+    goes on after its end, runs that waited for others catch up."""
     whole = finished(trainer(config(name), tmp_path / "whole"))
     alone = finished(trainer(config(name, (1,))))
-    lengths = of_run(whole, 0)["length"]
+    lengths, fewest = of_run(whole, 0)["length"], waiting(whole)
     assert len(np.unique(lengths)) > 2
     assert_same(of_run(alone, 0), of_run(whole, 1))
     whole.save()
@@ -58,9 +59,31 @@ def test_a_run_is_what_it_is_alone_and_without_a_stop(name, tmp_path):
     resumed = trainer(config(name), tmp_path / "stopped")
     resumed.load()
     finished(resumed).save()
-    assert_same(arrays_of(resumed), arrays_of(whole))
-    found, expected = (derive.derived(it.folder, it.config) for it in (resumed, whole))
-    assert_same(found, expected)
+    shorter = finished(trainer(config(name, steps=fewest), tmp_path / "shorter"))
+    shorter.save()
+    assert np.ptp(shorter.epochs) > 0
+    lengthen(shorter.folder, 160)
+    longer = trainer(TrainConfig.read(shorter.folder), shorter.folder)
+    longer.load()
+    finished(longer).save()
+    for it in (resumed, longer):
+        assert_same(arrays_of(it), arrays_of(whole))
+        found, expected = (derive.derived(i.folder, i.config) for i in (it, whole))
+        assert_same(found, expected)
+        assert newest_checkpoint(it) == newest_checkpoint(whole)
+
+
+def waiting(whole):
+    """The fewest steps after which some runs of a training have begun more epochs than others."""
+    each = (of_run(whole, run)["length"] for run in range(3))
+    ends = [np.cumsum(own.reshape(-1, whole.learner.episodes).sum(axis=1)) for own in each]
+    return next(n for n in range(1, 160) if len({np.searchsorted(own, n) for own in ends}) > 1)
+
+
+def newest_checkpoint(it):
+    """Its name and its bytes."""
+    path = max((it.folder / "checkpoints").iterdir())
+    return path.name, path.read_bytes()
 
 
 @pytest.mark.parametrize("name", FAMILIES)

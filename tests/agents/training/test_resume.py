@@ -79,24 +79,23 @@ def test_whole_epochs_hold_the_new_number_already(tmp_path):
     assert results(folder) == results(expected)
 
 
-def test_runs_that_waited_for_others_go_back_to_a_checkpoint_before(tmp_path):
-    """On a task whose episodes end early: a run that was done waited, where it would have gone on.
-    Without such a checkpoint the training stays as it is."""
-    expected = results(trained(tmp_path / "whole", "sac-lag", steps=700, checkpoint_every=10_000))
-    how = {"steps": 250, "checkpoint_every": 10_000}  # checkpoints at a stop and at the end alone
+@pytest.mark.parametrize("algorithm", FAMILIES)
+def test_runs_that_waited_for_others_catch_up(algorithm, tmp_path):
+    """On tasks whose episodes end early, so that runs are done after different numbers of epochs;
+    stopped while they catch up, too. test_families.py has every algorithm."""
+    how = {"seeds": (3, 4, 5)}
+    expected = results(trained(tmp_path / "whole", algorithm, steps=600, **how))
+    folder = trained(tmp_path / "x", algorithm, steps=250, **how)
+    counts = agents.load_runs(folder).to_pandas("updates").groupby("seed").size()
+    assert counts.nunique() > 1
+    caught = []
 
     def stop(epoch):
-        return min(numbers["step"] for numbers in epoch.runs.values()) < 100
+        caught.append(sorted(epoch.runs))
+        return False
 
-    folder = trained(tmp_path / "x", "sac-lag", on_epoch=stop, **how)
+    agents.resume(folder, steps=400, on_epoch=stop)
+    agents.resume(folder, steps=600, on_epoch=stop)
     agents.resume(folder)
-    counts = agents.load_runs(folder).to_pandas("updates").groupby("seed").size()
-    assert counts.nunique() == 2
-    with pytest.warns(UserWarning, match="going on from the last checkpoint before"):
-        agents.resume(folder, steps=700)
+    assert [len(runs) < 3 for runs in caught] == [True, True]
     assert results(folder) == expected
-    folder = trained(tmp_path / "y", "sac-lag", **how)
-    before = results(folder)
-    with pytest.raises(agents.UserError, match="no checkpoint of before is left; train anew"):
-        agents.resume(folder, steps=700)
-    assert results(folder) == before
