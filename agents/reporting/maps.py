@@ -23,7 +23,7 @@ from agents.errors import UserError
 from agents.reporting.figures import emcc_along
 from agents.results.frame import in_order, name_of
 from agents.results.measures import measure
-from agents.results.reading import Episode, Group, Replay, Run
+from agents.results.reading import Episode, Group, Replay, Run, left_out
 from agents.training.derive import DRAWN_POLICIES, GRID_MAX, WINDOWS, Visits
 from agents.training.environments import view_of
 from agents.training.evaluation import DRAWN
@@ -221,7 +221,11 @@ def _visited(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     names: list[str] = []
     columns: list[list[tuple[Scene, str, NDArray[np.int64]]]] = []
     for group, scene in seen:
-        parts = group.visits()
+        try:
+            parts = group.visits()
+        except UserError as error:
+            notes.append(left_out("heat map", [group], error))
+            continue
         if parts is None:
             why = f"{NO_POSITIONS}, or a third of its training no rollout"
             notes.append(f"no heat map of {group.title}: {why}")
@@ -255,13 +259,20 @@ def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     names: list[str] = []
     columns: list[list[Map | str]] = []
     for group, scene in seen:
-        runs = group.runs[:DRAWN_POLICIES]
-        played = group.trained([run.seed for run in runs])
-        if played is None:
-            notes.append(f"no trajectories of {group.title}: {NO_POSITIONS}")
-            continue
-        names.append(name_of(group))
-        columns.append([_map(run, played[run.seed], scene) for run in runs])
+        column: list[Map | str] = []
+        for run in group.runs[:DRAWN_POLICIES]:
+            try:
+                played = group.trained(run.seed)
+            except UserError as error:
+                notes.append(left_out(f"trajectories of seed {run.seed}", [group], error))
+                continue
+            if played is None:
+                notes.append(f"no trajectories of {group.title}: {NO_POSITIONS}")
+                break
+            column.append(_map(run, played, scene))
+        if column:
+            names.append(name_of(group))
+            columns.append(column)
     if not columns:
         return None
     most = max(map(len, columns))
@@ -333,7 +344,11 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
             continue
         named = {"task": group.task, "algorithm": name_of(group)}
         for run in group.runs[:most]:
-            replay = group.replay(run)
+            try:
+                replay = group.replay(run)
+            except UserError as error:
+                notes.append(left_out(f"replay of seed {run.seed}", [group], error))
+                continue
             if replay is None:
                 notes.append(f"no replay of {group.title}: {NO_POSITIONS}")
                 break

@@ -23,7 +23,7 @@ from agents.reporting.provenance import heading, made, summary
 from agents.reporting.table import PAPER, Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.frame import with_distinct_titles, with_varied_settings
-from agents.results.reading import Group, name_of_all, read, write_archive
+from agents.results.reading import Group, left_out, name_of_all, read, write_archive
 from agents.training.files import archive_of, check_file, check_folder, write_whole
 
 RUNS = "Every run"
@@ -35,7 +35,7 @@ class Report(NamedTuple):
     blocks: list[Block]
     """Its main tables, and the verdicts on the paper's claims."""
     left_out: list[str]
-    """Folders and runs that it had to leave out, and why."""
+    """Folders, runs and pictures that it had to leave out, and why."""
     page: Path
     """`index.html`."""
 
@@ -58,7 +58,6 @@ def report(
     notes: list[str] = []
     name = out.resolve().name if len(paths) > 1 else None
     everything = with_distinct_titles(with_varied_settings(read(paths, notes, name)))
-    left_out = [note for note in notes if note.startswith("left out")]
     # Early, since later its pictures would add to the memory that all else holds.
     paper = sections(everything)
     by_task = _by_task(paper.usual)
@@ -74,8 +73,9 @@ def report(
     }
     together = _figures_together(paper)
     over_tasks = tables_over_tasks(paper.usual)
+    details = paper.details | _details(by_task, notes)
     main = _task_tables(by_task, paper, notes) | paper.tables | over_tasks
-    tables = main | paper.details | _details(by_task)
+    tables = main | details
     if archive is not None:
         write_archive(archive, everything)
     shown = [
@@ -98,7 +98,8 @@ def report(
     write_whole(out / "report.md", markdown([*verdicts, *titled, ending]))
     write_whole(out / "report.csv", numbers_csv(report_lines(everything, paper.printed)))
     write_whole(out / "report.tex", latex(main, columns))
-    return Report([*main.values(), *verdicts], left_out, out / "index.html")
+    missing = [note for note in notes if note.startswith("left out")]
+    return Report([*main.values(), *verdicts], missing, out / "index.html")
 
 
 def table(folder: Path) -> list[Table]:
@@ -172,9 +173,15 @@ def _task_tables(
     }
 
 
-def _details(by_task: dict[str, list[Group]]) -> dict[str, Table]:
-    """The numbers recorded at each step, and the panel of cost measures, of each task by title."""
-    recorded = {f"{task}: recorded at each step": recorded_table(g) for task, g in by_task.items()}
+def _details(by_task: dict[str, list[Group]], notes: list[str]) -> dict[str, Table]:
+    """The numbers recorded at each step, and the panel of cost measures, of each task by title.
+    Numbers that are damaged go into the notes."""
+    recorded = {}
+    for task, groups in by_task.items():
+        try:
+            recorded[f"{task}: recorded at each step"] = recorded_table(groups)
+        except UserError as error:
+            notes.append(left_out(f"numbers recorded on {task}", groups, error))
     panels = {
         f"{task}: panel of cost measures": panel_table(groups)
         for task, groups in by_task.items()

@@ -241,22 +241,18 @@ class Group:
         thirds = zip(counts, emcc.tolist(), rollouts, strict=True)
         return [Visits(visited, value, *number) for visited, value, number in thirds]
 
-    def trained(self, seeds: Sequence[int]) -> dict[int, list[Episode]] | None:
-        """Episodes of the trained policies, by seed, which the first `derive.DRAWN_POLICIES` runs
-        have; None without positions."""
-        episodes = {}
-        for seed in seeds:
-            part, prefix = self._part(seed)
-            if f"{prefix}trained/length" not in part.arrays:
-                return None
-            length = part.get(f"{prefix}trained/length", -1)
-            total = int(length.sum())
-            positions = part.get(f"{prefix}trained/positions", total + len(length), 2)
-            costs, ends = part.get(f"{prefix}trained/costs", total), np.cumsum(length)[:-1]
-            paths = np.split(positions, ends + np.arange(1, len(length)))
-            pairs = zip(paths, np.split(costs, ends), strict=True)
-            episodes[seed] = [Episode(*pair) for pair in pairs]
-        return episodes
+    def trained(self, seed: int) -> list[Episode] | None:
+        """Episodes of a trained policy, which the first `derive.DRAWN_POLICIES` runs have; None
+        without positions."""
+        part, prefix = self._part(seed)
+        if f"{prefix}trained/length" not in part.arrays:
+            return None
+        length = part.get(f"{prefix}trained/length", -1)
+        total = int(length.sum())
+        positions = part.get(f"{prefix}trained/positions", total + len(length), 2)
+        costs, ends = part.get(f"{prefix}trained/costs", total), np.cumsum(length)[:-1]
+        paths = np.split(positions, ends + np.arange(1, len(length)))
+        return [Episode(*pair) for pair in zip(paths, np.split(costs, ends), strict=True)]
 
     def replay(self, run: Run) -> Replay | None:
         """The episode of highest MCC in each window of a run's training; None without positions."""
@@ -289,8 +285,9 @@ class Group:
     @property
     def recorded(self) -> dict[str, str]:
         """Units of what its task has recorded at each step, by name."""
-        names = self.parts[0].arrays.get(file_name(self.task) + "/info", np.empty((0, 2), str))
-        return dict(names.tolist())
+        with content_of(self.parts[0].path / RESULTS):
+            names = self.parts[0].arrays.get(file_name(self.task) + "/info", np.empty((0, 2), str))
+            return dict(names.tolist())
 
     def steps(self, run: Run, name: str) -> NDArray[np.float64]:
         """A number that was recorded at each step of a run, [steps], to five digits."""
@@ -308,6 +305,15 @@ class Group:
         """The part that has a seed, and the beginning of the names of its arrays there."""
         part = next(part for part in self.parts if seed in part.config.seeds)
         return part, RunId(self.task, seed).prefix
+
+
+def left_out(what: str, groups: Sequence[Group], error: UserError) -> str:
+    """A note on what of some groups a report cannot show, since its arrays are damaged."""
+    words = str(error)
+    for part in (part for group in groups for part in group.parts):
+        words = _relative(words, part.path, part.title)
+    titles = ", ".join(dict.fromkeys(group.title for group in groups))
+    return f"left out: {what} of {titles}: {words}"
 
 
 def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> list[Group]:
@@ -358,7 +364,7 @@ def name_of_source(path: Path) -> str:
     if within != ".":
         return PurePosixPath(within).name
     with zipfile.ZipFile(archive) as file:
-        return file.comment.decode() or archive.stem
+        return file.comment.decode(errors="replace") or archive.stem
 
 
 def folders_below(path: Path) -> dict[str, AnyPath]:
@@ -459,7 +465,7 @@ def _groups(path: AnyPath, folder: str, title: str) -> list[Group]:
     return groups
 
 
-def _relative(error: UserError, path: AnyPath, title: str) -> str:
+def _relative(error: object, path: AnyPath, title: str) -> str:
     """An error's words with paths as seen from beside the report's folder: they name no machine."""
     return str(error).replace(str(path), title)
 

@@ -83,14 +83,15 @@ def test_positions_come_from_observation_and_info(runs):
 
 def test_drawn_episodes_begin_where_they_started(runs):
     group = next(group for group in read([runs.folder], []) if group.task == "Drift-v0")
-    for episodes in group.trained(group.seeds).values():
+    for seed in group.seeds:
+        episodes = group.trained(seed)
         assert len(episodes) == 3
         for positions, costs in episodes:
             assert len(positions) == len(costs) + 1
             assert np.abs(np.diff(positions, axis=0)).max() < 0.1001 * 1.01
             np.testing.assert_array_equal(costs, positions[1:, 0] > 0)
     other = next(group for group in read([runs.folder], []) if group.task == "Blind-v0")
-    assert other.trained([3]) is None
+    assert other.trained(3) is None
     for run in group.runs:
         assert sum(run.ends.values()) == 3
         for place, ways in run.ways.items():

@@ -2,15 +2,17 @@
 of its own."""
 
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_runs import SAC, TRPO, steps_of
+from small_runs import SAC, TRPO, edit_results, steps_of
 from toys import Pressed, Walk
 
 import agents
 import emcc
+from agents.cli.main import main
 from agents.errors import UserError
 from agents.reporting.tables import recorded_table
 from agents.results.reading import read, write_archive
@@ -55,6 +57,18 @@ def test_another_vectorization_and_a_resumed_training_record_the_same(pressed, t
     agents.resume(tmp_path / "x")
     other = (tmp_path / "x" / "results.npz").read_bytes()
     assert other == (pressed.folder / "results.npz").read_bytes()
+
+
+def test_numbers_that_are_damaged_are_left_out(pressed, tmp_path):
+    """The rest of the report is there."""
+    folder = shutil.copytree(pressed.folder, tmp_path / "x")
+    edit_results(folder, **{"Pressed-v0__3__info__x__unsafe": np.zeros(1, np.uint8)})
+    assert main(["report", str(folder)]) == 1
+    words = (folder / "report.md").read_text()
+    note = "left out: numbers recorded on Pressed-v0 of x: x/results.npz is damaged: "
+    assert note in words
+    assert "## Pressed-v0: recorded at each step" not in words
+    assert "## Pressed-v0: panel of cost measures" in words
 
 
 def test_recording_changes_no_number_and_an_archive_keeps_it(tmp_path, monkeypatch):
