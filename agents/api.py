@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import hashlib
 import itertools
 import os
 import re
@@ -336,7 +337,8 @@ def configs_of(
 
 
 def combinations_of(values: Mapping[str, Values]) -> dict[str, dict[str, Any]]:
-    """Every combination, by a name for its folder, such as "cost_limit=5.0,hidden=64x64".
+    """Every combination, by a name for its folder, such as "cost_limit=5.0,hidden=64x64"; of a name
+    too long for a folder its beginning and a digest.
 
     Raises UserError for an empty grid, values that are none, and equal names.
     """
@@ -350,11 +352,23 @@ def combinations_of(values: Mapping[str, Values]) -> dict[str, dict[str, Any]]:
     combinations: dict[str, dict[str, Any]] = {}
     for chosen in itertools.product(*values.values()):
         combination = dict(zip(values, chosen, strict=True))
-        name = ",".join(f"{key}={_word(value)}" for key, value in combination.items())
+        name = _short(",".join(f"{key}={_word(value)}" for key, value in combination.items()))
         if name in combinations:
             raise UserError(f"grid has {name} twice")
         combinations[name] = combination
     return combinations
+
+
+LONGEST_NAME = 200
+"""Bytes of a folder's name; file systems take 255, and a file that is being written has more."""
+
+
+def _short(name: str) -> str:
+    """A name of at most `LONGEST_NAME` bytes; different ones stay different."""
+    if len(name.encode()) <= LONGEST_NAME:
+        return name
+    digest = hashlib.blake2b(name.encode(), digest_size=8).hexdigest()
+    return name.encode()[: LONGEST_NAME - 17].decode(errors="ignore") + "-" + digest
 
 
 def _word(value: Any) -> str:

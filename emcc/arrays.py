@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from emcc.npz import UNREADABLE, is_damage
+from emcc.npz import UNREADABLE, is_damage, words_of
 
 
 @contextmanager
@@ -26,7 +26,7 @@ def named(source: Any) -> Iterator[None]:
     except KeyError as error:
         raise ValueError(f"{source}: missing: {error.args[0]}") from error
     except UNREADABLE as error:
-        raise ValueError(f"{source}: {str(error) or type(error).__name__}") from error
+        raise ValueError(f"{source}: {words_of(error)}") from error
     except OSError as error:
         if not is_damage(error):
             raise

@@ -33,6 +33,13 @@ _HEADERS = {
 }
 
 
+def words_of(error: BaseException) -> str:
+    """What is wrong with a file's content, by one of these errors."""
+    if isinstance(error, UnicodeDecodeError):
+        return f"no text at byte {error.start}"
+    return str(error) or type(error).__name__
+
+
 def is_damage(error: OSError) -> bool:
     """Whether an error is of a file's content and not of the disk: bz2 gives no number, a damaged
     directory asks for a place before the file's start."""

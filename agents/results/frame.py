@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 COLUMNS = ("group", "task", "algorithm", "settings", "cost", "folder", "seed", "ends_in")
 COLUMNS = (*COLUMNS, "measure", "part", "value")
 MOST_CHARACTERS = 40
-"""Of a setting of several values in a name."""
+"""Of a setting in a name."""
 
 
 def frame(groups: Sequence[Group]) -> pandas.DataFrame:
@@ -192,9 +192,10 @@ def differences(config: TrainConfig, task: str, steps: int | None = None) -> lis
 
 def setting(name: str, value: Any) -> str:
     """A setting in the words of names; of one whose value would fill a table's rows its number of
-    values, which a note below the table has."""
-    many = isinstance(value, (tuple, list, dict)) and len(str(value)) > MOST_CHARACTERS
-    return f"{name} [{len(value)}]" if many else f"{name} {value}"
+    values, or of characters, and a note below the table has the value."""
+    if len(str(value)) <= MOST_CHARACTERS or not isinstance(value, (tuple, list, dict, str)):
+        return f"{name} {value}"
+    return f"{name} [{len(value)}{' characters' * isinstance(value, str)}]"
 
 
 def unusual_steps(steps: int, task: str) -> list[str]:

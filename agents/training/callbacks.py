@@ -185,14 +185,15 @@ def rounding(trainer: Trainer) -> str:
 def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
     """Show steps, speed, recent returns and the time left of a training on stderr.
 
-    Yields the callback. A bar on a terminal; elsewhere a line for every tenth of the training.
+    Yields the callback. A bar on a terminal; elsewhere a line for every tenth of the training. At
+    the end the time of the evaluation, which is in no speed.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
 
     title = f"{config.algorithm} {' '.join(config.tasks)} x {len(config.runs)}"
     percentage, words = TextColumn("{task.percentage:.0f} %"), TextColumn("{task.fields[words]}")
-    console, meter, tenth = Console(stderr=True), Meter(config.steps), -1
+    console, meter, tenth, trained = Console(stderr=True), Meter(config.steps), -1, 0.0
     columns = (TextColumn("{task.description}"), BarColumn(), percentage, words)
     kernel = "C++" if config.backend == "c++" else "NumPy"
     print(f"{title}: networks are computed in {kernel}", file=console.file, flush=True)
@@ -200,7 +201,7 @@ def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
         shown = bar.add_task(title, total=config.steps, words="")
 
         def show(trainer: Trainer) -> None:
-            nonlocal tenth
+            nonlocal tenth, trained
             if tenth < 0 and (words := rounding(trainer)):
                 console.print(words, markup=False, highlight=False, soft_wrap=True)
             now = meter.read(trainer)
@@ -209,6 +210,7 @@ def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
                 told.insert(0, f"{now.steps_per_second:,.0f} steps/s")
             if trainer.done:
                 told.append("evaluating")
+                trained = time.monotonic()
             elif now.seconds_left is not None:
                 told.append(f"{duration(now.seconds_left)} left")
             bar.update(shown, completed=now.steps, words=", ".join(told))
@@ -219,6 +221,11 @@ def show_progress(config: TrainConfig) -> Iterator[Callable[[Trainer], None]]:
                     print(f"{title}: {', '.join([after, *told])}", file=console.file, flush=True)
 
         yield show
+    if trained:
+        took = duration(time.monotonic() - trained)
+        print(
+            f"{title}: the evaluation took {took}, in no speed above", file=console.file, flush=True
+        )
 
 
 class StatusFile:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import UserError
-from emcc.npz import UNREADABLE, Npz, is_damage
+from emcc.npz import UNREADABLE, Npz, is_damage, words_of
 
 AnyPath = Path | zipfile.Path
 """A file or folder on disk, or in an archive."""
@@ -46,7 +46,7 @@ def content_of(path: AnyPath) -> Iterator[None]:
         if not is_damage(error):
             raise
         why = error
-    raise UserError(f"{path} is damaged: {str(why) or type(why).__name__}")
+    raise UserError(f"{path} is damaged: {words_of(why)}")
 
 
 class NoLocks(UserError):

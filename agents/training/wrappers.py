@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -62,6 +63,11 @@ class CheckedEnv(gym.Wrapper):
             truncated = self._number("truncated", truncated, as_flag)
         return observation, reward, terminated, truncated, info | numbers
 
+    def close(self) -> None:
+        """Close the environment. Warns of an error of it, since all that it is for is done."""
+        with told_in_close(self.env):
+            self.env.close()
+
     def _check(self, observation: Any) -> None:
         shape = self.env.observation_space.shape
         if np.shape(observation) != shape:
@@ -88,6 +94,15 @@ def failing(when: str) -> Iterator[None]:
     except OWN_ERRORS as error:
         why = error if isinstance(error, UserError) else described(error)
         raise TaskFailure(f"failed {when}: {why}") from error
+
+
+@contextlib.contextmanager
+def told_in_close(source: object) -> Iterator[None]:
+    """Warn of an error of a task's own code while it is closed."""
+    try:
+        yield
+    except OWN_ERRORS as error:
+        warnings.warn(f"{source} failed while it was closed: {described(error)}", stacklevel=3)
 
 
 class FailsAlone(gym.Wrapper):
@@ -186,13 +201,16 @@ class Guard(VectorWrapper):
 
     def close(self, **kwargs: Any) -> None:
         """Close the environments; end their processes where they do not answer in time."""
+        if not isinstance(self.env, AsyncVectorEnv):
+            with told_in_close(self):
+                self.env.close(**kwargs)
+            return
         try:
-            if isinstance(self.env, AsyncVectorEnv) and self._timeout is not None:
+            if self._timeout is not None:
                 close_processes(self.env, self._timeout)
             self.env.close(**kwargs)
-        except OWN_ERRORS:  # of processes that are gone, or of the task's own code
-            if isinstance(self.env, AsyncVectorEnv):
-                end_processes(self.env)
+        except OWN_ERRORS:  # of processes that are gone
+            end_processes(self.env)
 
     @contextlib.contextmanager
     def _failing(self, when: str) -> Iterator[None]:

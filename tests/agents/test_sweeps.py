@@ -28,6 +28,18 @@ def test_every_combination_has_a_name():
     ]
 
 
+@pytest.mark.parametrize("letter", ["h", "\N{GREEK SMALL LETTER PI}"])
+def test_names_of_many_values_fit_a_folder(tmp_path, letter):
+    """Each has one of its own, and the same in every call."""
+    many = {"hidden": ([300] * 90, [300] * 89 + [301]), letter * 60: (1, 2)}
+    names = list(combinations_of(many))
+    assert names == list(combinations_of(many))
+    assert len(set(names)) == 4
+    for name in names:
+        (tmp_path / name).mkdir()
+        assert name.startswith("hidden=300x300x")
+
+
 BAD = {
     "no values": ({"cost_limit": ()}, r"grid needs several values of cost_limit, got \(\)"),
     "beside": ({"episodes": (1, 2)}, "episodes is given twice: in the grid, and as 3"),

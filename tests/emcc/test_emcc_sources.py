@@ -342,6 +342,9 @@ def test_a_binary_file_is_told_from_text(tmp_path):
         ValueError, match=r"log\.csv: no text at byte 10: a file of costs is a \.csv"
     ):
         emcc.read(tmp_path / "log.csv")
+    (tmp_path / "config.json").write_bytes(b"{\xff")
+    with pytest.raises(ValueError, match=r"config\.json: no text at byte 1$"):
+        emcc.read(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["unsafe", "values"])

@@ -8,6 +8,7 @@ from agents.paper.presets import preset_with
 from agents.reporting.compare import compare
 from agents.reporting.report import report
 from agents.reporting.table import markdown
+from agents.results.frame import setting
 
 TASK = "Circle2D-1-v0"
 
@@ -26,6 +27,11 @@ def test_a_setting_of_many_values_is_counted_in_names(tmp_path):
         (line,) = [line for line in words.splitlines() if str(sizes) in line]
         assert not line.startswith("|")
         assert "hidden of CPO (" in line
+
+
+def test_a_long_text_is_counted_too():
+    assert setting("xml", "<mujoco>" * 6) == "xml [48 characters]"
+    assert setting("xml", "<mujoco>" * 5) == "xml " + "<mujoco>" * 5
 
 
 @pytest.mark.parametrize("early", [True, False])

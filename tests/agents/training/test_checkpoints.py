@@ -126,6 +126,7 @@ def test_progress_by_a_clock(capsys, clock):
         on_epoch(reading(900, 1000))  # 1300 more of both together, the slower one 600
         clock.now = 140.0
         on_epoch(reading(1000, 1000))
+        clock.now = 152.0  # the evaluation
     told, recent = "cpo Circle2D-1-v0 x 2:", "return -4.00, cost 2.50"
     assert capsys.readouterr().err.splitlines() == [
         f"{told} networks are computed in C++",
@@ -133,6 +134,7 @@ def test_progress_by_a_clock(capsys, clock):
         f"{told} 30 % after 15 s, 80 steps/s, {recent}, 18 s left",  # 5 s for 20 %, so for 70 %
         f"{told} 90 % after 35 s, 68 steps/s, {recent}, 3 s left",  # 25 s for 80 %, so for 10 %
         f"{told} 100 % after 40 s, 60 steps/s, {recent}, evaluating",
+        f"{told} the evaluation took 12 s, in no speed above",
     ]
 
 

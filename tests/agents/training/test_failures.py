@@ -240,6 +240,23 @@ def test_a_close_that_hangs_ends_in_time():
             assert not multiprocessing.active_children()
 
 
+@pytest.mark.parametrize("error", [RuntimeError("stuck"), SystemExit(0)])
+def test_a_close_that_raises_is_told(error, tmp_path):
+    """Nothing is lost by it: neither the training nor an evaluation."""
+
+    class Stuck(toys.Walk):
+        def close(self):
+            raise error
+
+    told = re.escape(f"failed while it was closed: {type(error).__name__}: {error} (")
+    with toys.registered(Stuck=Stuck):
+        with pytest.warns(UserWarning, match=told):
+            runs = agents.train("cpo", "Stuck-v0", out=tmp_path / "x", **OPTIONS | TRPO)
+        assert len(runs.to_pandas()["seed"].unique()) == len(OPTIONS["seeds"])
+        with pytest.warns(UserWarning, match=told):
+            assert len(agents.evaluate(agents.load_policy(runs, seed=0), episodes=2).returns) == 2
+
+
 def test_a_task_that_cannot_be_made_in_its_process():
     """In this one it can. The user's own line is told."""
     here = os.getpid()
