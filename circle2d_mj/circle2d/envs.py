@@ -74,7 +74,7 @@ class Circle2D:
             if with_physics:
                 from circle2d_mj.render.gl import Offscreen
 
-                self._drawer = Offscreen(dynamics.model, FRAME_SIZE, forces=True)
+                self._drawer = Offscreen(dynamics.model, FRAME_SIZE, FRAME_SIZE, True)
             else:
                 from circle2d_mj.render.renderer import Renderer
 

@@ -145,12 +145,36 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         }
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Draw each environment, [height, width, 3] uint8, with "rgb_array", else return None."""
+        """Draw each environment, [height, width, 3] uint8 with "rgb_array"; None without a mode."""
         if self.render_mode == "human":
             self.simulation.show(0)
-        if self.render_mode != "rgb_array":
+        if self.render_mode in (None, "human"):
             return None
-        return tuple(self.simulation.frame(i) for i in range(self.num_envs))
+        return tuple(self.picture(i) for i in range(self.num_envs))
+
+    def picture(self, index: int) -> Any:
+        """Draw environment `index` in the render mode; None without one, and in a window."""
+        return self.simulation.frame(index) if self.render_mode == "rgb_array" else None
+
+    def copy_of(self, index: int) -> Copy:
+        """Return sub-environment `index`, to read from."""
+        return Copy(self, index)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return an attribute of every sub-environment, see `Copy`."""
+        return tuple(getattr(self.copy_of(i), name) for i in range(self.num_envs))
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method of every sub-environment; what is no method is returned itself."""
+        found = self.get_attr(name)
+        return tuple(one(*args, **kwargs) if callable(one) else one for one in found)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Refuse: raises AttributeError."""
+        raise AttributeError(
+            f"{name} cannot be set: the copies are stepped together, and alike; pass what shall "
+            f"differ from the task's own where they are made: make_vec(id, ..., {name}=...)"
+        )
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the renderer and the viewer."""
@@ -219,6 +243,36 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         return info
 
 
+class Copy:
+    """One copy in a vector environment, to read from: `call`, `get_attr` and callers ask it.
+
+    It has what a single environment has but `reset`, `step` and `close`.
+    """
+
+    def __init__(self, envs: TaskVectorEnv, index: int) -> None:
+        self._envs, self._index = envs, index
+        self.observation_space = envs.single_observation_space
+        self.action_space = envs.single_action_space
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the copy; None without a render mode."""
+        return self._envs.picture(self._index)
+
+    @property
+    def unwrapped(self) -> Copy:
+        """Itself."""
+        return self
+
+    def get_wrapper_attr(self, name: str) -> Any:
+        """Return an attribute."""
+        return getattr(self, name)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("metadata", "render_mode", "spec", "view", "recorded_info"):
+            return getattr(self._envs, name)
+        raise AttributeError(f"a copy in a vector environment has no {name!r}")
+
+
 class TaskEnv(gym.Env[NDArray[np.floating], ArrayLike]):
     """One environment of a task.
 
@@ -242,6 +296,7 @@ class TaskEnv(gym.Env[NDArray[np.floating], ArrayLike]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.floating], dict[str, Any]]:
         """Start a new episode."""
+        seed = int(seed) if isinstance(seed, np.integer) else seed
         super().reset(seed=seed)
         observation, info = self._envs.reset(seed=seed, options=options)
         self._show()

@@ -59,33 +59,35 @@ def check_backend() -> None:
         raise NoOpenGL(f"{VARIABLE}={named!r} is none that MuJoCo knows; {HOW}")
 
 
+FREE_CAMERA = -1
+"""The id of MuJoCo's free camera, which looks at the middle of the model"""
+
+
 class Offscreen:
     """A buffer that a model is drawn into.
 
-    size: width and height of pictures in pixels; forces: draw those of contacts as arrows. Raises
+    width and height of pictures in pixels; forces: draw those of contacts as arrows. Raises
     NoOpenGL, and RuntimeError once closed.
     """
 
-    def __init__(self, model: Any, size: int, forces: bool = False) -> None:
+    def __init__(self, model: Any, width: int, height: int, forces: bool = False) -> None:
         check_backend()
         from circle2d_mj.core.engine import mujoco
 
-        context = _gl_context(size)
+        context = _gl_context(width, height)
         self._mujoco, self._model, self._context = mujoco, model, context
-        buffer = model.vis.global_
-        buffer.offwidth, buffer.offheight = max(buffer.offwidth, size), max(buffer.offheight, size)
         try:
-            with _current(context):
+            with _current(context), _of_size(model, width, height):
                 self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
                 mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         except mujoco.FatalError as error:  # glfw without a screen gets as far as this
             raise NoOpenGL(f"{HOW}. MuJoCo says: {error}") from None
+        self._mjr.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # the finer one
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)  # arrows of forces
         self._camera, self._option = mujoco.MjvCamera(), mujoco.MjvOption()
         self._option.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = forces
-        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        self._rectangle = mujoco.MjrRect(0, 0, size, size)
-        self._picture = np.empty((size, size, 3), dtype=np.uint8)
+        self._rectangle = mujoco.MjrRect(0, 0, width, height)
+        self._picture = np.empty((height, width, 3), dtype=np.uint8)
         self._free = weakref.finalize(self, _free, context, self._mjr)
         # At exit too, but before MuJoCo releases EGL, as it registered just now: finalizers
         # all run when the first of them was made, perhaps by another package long before.
@@ -101,17 +103,47 @@ class Offscreen:
             self._mujoco.mjr_uploadTexture(self._model, self._mjr, texture)
 
     def draw(self, data: Any, camera: int) -> NDArray[np.uint8]:
-        """Draw the view of a camera of the model: [size, size, 3], its first row on top."""
+        """Draw the view of a camera, `FREE_CAMERA` or one of the model: [height, width, 3], its
+        first row on top."""
+        self._render(data, camera)
+        with _current(self._context):
+            self._mujoco.mjr_readPixels(self._picture, None, self._rectangle, self._mjr)
+        return self._picture[::-1].copy()
+
+    def depth(self, data: Any, camera: int) -> NDArray[np.float32]:
+        """Return how far along the camera's axis what it sees is, m: [height, width]; what is
+        beyond its reach, or where nothing is, is at the end of its reach."""
+        flags = self._scene.flags
+        # As mujoco.Renderer does: without blending of what lies behind, depths are far finer.
+        plain = self._mujoco.mjtRndFlag.mjRND_SEGMENT, self._mujoco.mjtRndFlag.mjRND_IDCOLOR
+        for flag in plain:
+            flags[flag] = True
+        self._render(data, camera)
+        for flag in plain:
+            flags[flag] = False
+        buffer = np.empty(self._picture.shape[:2], dtype=np.float32)
+        with _current(self._context):
+            self._mujoco.mjr_readPixels(None, buffer, self._rectangle, self._mjr)
+        # 1 at the near end, 0 at the far one; in between the inverse of the distance is linear,
+        # without perspective the distance itself.
+        seen, share = self._scene.camera[0], buffer[::-1].astype(np.float64)
+        near, far = float(seen.frustum_near), float(seen.frustum_far)
+        if seen.orthographic:
+            return (far - share * (far - near)).astype(np.float32)
+        return (1.0 / (1.0 / far + share * (1.0 / near - 1.0 / far))).astype(np.float32)
+
+    def _render(self, data: Any, camera: int) -> None:
         self._check_open()
         mujoco, everything = self._mujoco, self._mujoco.mjtCatBit.mjCAT_ALL
-        self._camera.fixedcamid = camera
+        if camera == FREE_CAMERA:
+            mujoco.mjv_defaultFreeCamera(self._model, self._camera)
+        else:
+            self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
         mujoco.mjv_updateScene(
             self._model, data, self._option, None, self._camera, everything, self._scene
         )
         with _current(self._context):
             mujoco.mjr_render(self._rectangle, self._scene, self._mjr)
-            mujoco.mjr_readPixels(self._picture, None, self._rectangle, self._mjr)
-        return self._picture[::-1].copy()
 
     def close(self) -> None:
         """Free what is held on the graphics side."""
@@ -121,6 +153,22 @@ class Offscreen:
     def _check_open(self) -> None:
         if not self._free.alive:
             raise RuntimeError("the renderer is closed")
+
+
+@contextlib.contextmanager
+def _of_size(model: Any, width: int, height: int) -> Iterator[None]:
+    """Let a context made of the model have a buffer of the size, and round bodies no finer than it
+    shows: in small pictures their corners would take most of the time."""
+    buffer, quality = model.vis.global_, model.vis.quality
+    before = buffer.offwidth, buffer.offheight, quality.numslices, quality.numstacks
+    slices = max(max(width, height) // 10, 16)
+    buffer.offwidth, buffer.offheight = width, height
+    quality.numslices = min(quality.numslices, slices)
+    quality.numstacks = min(quality.numstacks, max(slices // 2, 8))
+    try:
+        yield
+    finally:
+        buffer.offwidth, buffer.offheight, quality.numslices, quality.numstacks = before
 
 
 @contextlib.contextmanager
@@ -147,19 +195,19 @@ def _load(backend: str) -> None:
         raise NoOpenGL(f"{LIBRARIES[backend]} is missing: {HOW}") from None
 
 
-def _gl_context(size: int) -> Any:
+def _gl_context(width: int, height: int) -> Any:
     """Return a context of the backend that MUJOCO_GL names, else of the first that works."""
     named = os.environ.get(VARIABLE, "").lower().strip()
     if platform.system() != "Linux" or named == "glfw":
         import mujoco
 
-        return mujoco.GLContext(size, size)  # MuJoCo's own choice
+        return mujoco.GLContext(width, height)  # MuJoCo's own choice
     failures = []
     for backend in [named] if named in LIBRARIES else LIBRARIES:
         modules, bound = set(sys.modules), os.environ.get(_BOUND)
         try:
             _load(backend)
-            context = importlib.import_module(f"mujoco.{backend}").GLContext(size, size)
+            context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
         except NoOpenGL:
             failures.append(f"{backend}: {LIBRARIES[backend]} is missing")
         except Exception as error:  # whatever a driver may meet

@@ -44,7 +44,7 @@ class Renderer:
         self._model = _model(config, size)
         self._data = mujoco.MjData(self._model)
         self._agent = self._model.geom("agent").id
-        self._offscreen = Offscreen(self._model, size)
+        self._offscreen = Offscreen(self._model, size, size)
         self._offscreen.upload(0, self.background)
         self._painted = False  # whether the floor shows anything but the background
 

@@ -10,6 +10,8 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Eye = tuple[tuple[float, float, float], tuple[float, ...], float]
+"""A camera's place on the agent's body, m, its x and y axes there, its height of view, degrees"""
 
 
 class Point:
@@ -37,6 +39,8 @@ class Point:
     """Radius of a ball round its origin that holds it, m"""
     stride = 0.1
     """How far it, or what stood and is pushed, may move within a step, m: see the tests"""
+    eye: Eye = ((0, 0, 0.15), (0, -1, 0, 0.4, 0, 1), 90)
+    """The original's camera "vision" """
 
     def qpos(self, place: Floats, heading: Floats) -> Floats:
         """Return the state at rest at places [n, 2] with headings [n]: [n, 3]."""
@@ -95,6 +99,7 @@ class Car(_Free):
     height = 0.1
     radius = 0.22
     stride = 0.1
+    eye: Eye = ((0, 0.1, 0.2), (-1, 0, 0, 0, -0.4, 1), 45)
 
     def qpos(self, place: Floats, heading: Floats) -> Floats:
         """Return the state at rest at places [n, 2] with headings [n]: [n, 13]."""
@@ -137,6 +142,7 @@ class Doggo(_Free):
     height = 0.22
     radius = 0.28
     stride = 0.5
+    eye: Eye = ((0.0625, 0, 0.1), (0, -0.5, 0, 0.2, 0, 0.5), 100)
 
     def observe(self, sensed: Floats, rotations: Floats) -> tuple[Floats, ...]:
         """Return the observation's first 56 numbers, [n, any] side by side, of MuJoCo's sensors

@@ -16,6 +16,10 @@ _AT_ONCE = 32  # attempts, where the first has failed
 _BLOCK = 10  # points that are tried at first; more are seldom needed
 
 
+class ResamplingError(RuntimeError):
+    """No layout was found; the name is safety-gymnasium's."""
+
+
 class Areas(NamedTuple):
     """Where each of k objects may be placed, in the order in which they are."""
 
@@ -37,13 +41,13 @@ def sample_layout(
 
     One object after the other is drawn uniformly from its rectangle until it is far enough from
     those before it. Where 100 draws of one have failed, that environment starts over. Raises
-    RuntimeError where 10 000 attempts or a few more have failed.
+    ResamplingError where 10 000 attempts or a few more have failed.
     """
     layout, complete = _attempt(streams, index, areas)
     waiting, attempts = np.flatnonzero(~complete), 1
     while len(waiting):
         if attempts >= layout_tries:
-            raise RuntimeError(
+            raise ResamplingError(
                 f"no layout found in {layout_tries} attempts: {len(areas.keepout) - 1} objects are "
                 "too many for the space"
             )

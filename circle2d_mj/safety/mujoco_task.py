@@ -5,21 +5,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj.core.engine import Batch, mujoco
 from circle2d_mj.core.simulation import State, positive_integer
-from circle2d_mj.render.gl import Offscreen
+from circle2d_mj.render.gl import FREE_CAMERA, Offscreen
 
 if TYPE_CHECKING:
     from circle2d_mj.render.gl import Window
 
 Floats = NDArray[np.float64]
 FRAME_SIZE = 640
-"""Pixels along each side of a picture"""
+"""Pixels along each side of a picture, where no others are asked for"""
+FREE_NAMES = ("free", "human")
+"""Names of MuJoCo's free camera; the second is safety-gymnasium's."""
 
 
 class MuJoCoTask:
@@ -30,6 +32,9 @@ class MuJoCoTask:
     all give bit-identical results. persistent: whether MuJoCo keeps all that it computes, for
     `batch.get_data`. `arguments` are those of the subclass, for copying and pickling.
     """
+
+    camera: ClassVar[str] = "track"
+    """The camera of pictures, where no other is asked for"""
 
     def __init__(
         self,
@@ -54,6 +59,9 @@ class MuJoCoTask:
         self._initial = self.batch.state[0].copy()
         self._substeps = substeps
         self._offscreen: Offscreen | None = None
+        self._camera_id = FREE_CAMERA
+        self._to_draw: mujoco.MjData | None = None
+        self.choose_picture(None, None, FRAME_SIZE, FRAME_SIZE)
         self._window: Window | None = None
         # Sensors show the state after the last substep only if mj_forward follows it.
         stage = mujoco.mjtStage
@@ -105,11 +113,65 @@ class MuJoCoTask:
         mujoco.mj_forward(self.model, data)
         return data
 
+    def choose_picture(
+        self, camera_name: str | None, camera_id: int | None, width: int, height: int
+    ) -> None:
+        """Set what `frame` and `depth` draw: the camera, by name or id, and the size in pixels.
+
+        Names: those of `picture_model`, and "free" or "human" for MuJoCo's free camera, whose id is
+        -1. Raises ValueError for another camera and for both, TypeError or ValueError for a size.
+        """
+        self._size = positive_integer("width", width), positive_integer("height", height)
+        self._camera = self._camera_of(camera_name, camera_id)
+        self._picture = camera_name, camera_id, width, height
+
+    def _camera_of(self, name: str | None, number: int | None) -> int | str:
+        if name is not None and number is not None:
+            raise ValueError(f"camera_name={name!r} and camera_id={number}: give one of the two")
+        if name is None and number is None:
+            return self.camera
+        if name in FREE_NAMES:
+            return FREE_CAMERA
+        model = self.picture_model
+        names = [model.camera(i).name for i in range(model.ncam)]
+        if name is not None:
+            if name not in filter(None, names):
+                there = ", ".join([*filter(None, names), *FREE_NAMES])
+                raise ValueError(f"camera_name must be one of {there}, got {name!r}")
+            return name
+        if number is None or number not in range(FREE_CAMERA, model.ncam):
+            there = f"from {FREE_CAMERA} (free) to {model.ncam - 1}: {', '.join(names)}"
+            raise ValueError(f"camera_id must be {there}, got {number!r}")
+        return number
+
     def frame(self, index: int) -> NDArray[np.uint8]:
-        """Draw environment `index` as a camera of its model sees it: [640, 640, 3]."""
+        """Draw environment `index` as the chosen camera sees it: [height, width, 3]."""
+        return self._drawer().draw(self._drawn(index), self._camera_id)
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        """Return how far what the chosen camera sees is along its axis, m: [height, width]."""
+        return self._drawer().depth(self._drawn(index), self._camera_id)
+
+    def _drawer(self) -> Offscreen:
         if self._offscreen is None:
-            self._offscreen = Offscreen(self.picture_model, FRAME_SIZE)
-        return self._offscreen.draw(self.data(index), camera=0)
+            self._offscreen = Offscreen(self.picture_model, *self._size)
+            camera, model = self._camera, self.picture_model
+            self._camera_id = model.camera(camera).id if isinstance(camera, str) else camera
+        return self._offscreen
+
+    def _drawn(self, index: int) -> mujoco.MjData:
+        """Environment `index` with what a picture shows: places, and no contacts or forces."""
+        model = self.picture_model
+        if self._to_draw is None:
+            self._to_draw = mujoco.MjData(model)
+        self._fill(self._to_draw, index)
+        for derive in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
+            derive(model, self._to_draw)
+        return self._to_draw
+
+    def _fill(self, data: mujoco.MjData, index: int) -> None:
+        """Write the state of environment `index` into an MjData of `picture_model`."""
+        data.qpos[:], data.qvel[:] = self.qpos[index], self.qvel[index]
 
     def show(self, index: int) -> None:
         """Show environment `index` in MuJoCo's viewer."""
@@ -128,8 +190,10 @@ class MuJoCoTask:
 
     def __getstate__(self) -> dict[str, Any]:
         of_batch = {"num_envs": self.num_envs, "num_threads": self.num_threads}
-        return {"arguments": {**self._arguments, **of_batch}, "state": self.state_dict()}
+        arguments, state = {**self._arguments, **of_batch}, self.state_dict()
+        return {"arguments": arguments, "state": state, "picture": self._picture}
 
     def __setstate__(self, pickled: dict[str, Any]) -> None:
         type(self).__init__(self, **pickled["arguments"])
         self.load_state_dict(pickled["state"])
+        self.choose_picture(*pickled["picture"])

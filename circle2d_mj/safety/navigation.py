@@ -45,6 +45,7 @@ class NavigationTask(MuJoCoTask):
 
     family: ClassVar[str]
     has_goals: ClassVar[bool] = False
+    camera: ClassVar[str] = "top"
 
     def __init__(
         self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1, **changes: float
@@ -225,19 +226,22 @@ class NavigationTask(MuJoCoTask):
 
     def data(self, index: int) -> Any:
         """Return environment `index` as an MjData of `picture_model`."""
-        world, data = self.world, mujoco.MjData(self.picture_model)
-        data.qpos[:], data.qvel[:] = self.qpos[index], self.qvel[index]
-        data.ctrl[:], data.time = self._control[index], self._time[index]
-        count = len(world.mocap)
-        data.mocap_pos[:count] = self._mocap_pos[index]
-        data.mocap_quat[:count] = self._mocap_quat[index]
-        for kind, rows in world.rows.items():
-            if kind != "agent" and world.kinds[kind].physics == "none":
-                for place in self._places[index, rows]:
-                    data.mocap_pos[count, :2] = place
-                    count += 1
+        data = mujoco.MjData(self.picture_model)
+        self._fill(data, index)
         mujoco.mj_forward(self.picture_model, data)
         return data
+
+    def _fill(self, data: Any, index: int) -> None:
+        super()._fill(data, index)
+        data.ctrl[:], data.time = self._control[index], self._time[index]
+        count = len(self.world.mocap)
+        data.mocap_pos[:count] = self._mocap_pos[index]
+        data.mocap_quat[:count] = self._mocap_quat[index]
+        for kind, rows in self.world.rows.items():
+            if kind != "agent" and self.world.kinds[kind].physics == "none":
+                after = count + rows.stop - rows.start
+                data.mocap_pos[count:after, :2] = self._places[index, rows]
+                count = after
 
     # What a family may have of its own.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from circle2d_mj.assets import asset
 from circle2d_mj.core.engine import mujoco
 from circle2d_mj.safety import scenes
-from circle2d_mj.safety.agents import AGENTS, Agent
+from circle2d_mj.safety.agents import AGENTS, Agent, Eye
 from circle2d_mj.safety.layout import Areas
 from circle2d_mj.safety.scenes import Kind, Scene
 
@@ -121,7 +121,7 @@ def picture_model(agent_name: str, family: str, scene: Scene) -> mujoco.MjModel:
             if (kinds[placed.kind].physics == "none") is drawn:
                 for name in names(kinds[placed.kind], placed.number):
                     _add_object(spec, name, kinds[placed.kind])
-    _add_scenery(spec, scene)
+    _add_scenery(spec, scene, AGENTS[agent_name].eye)
     return spec.compile()
 
 
@@ -238,10 +238,8 @@ def _add_touch_sensors(
     return touch
 
 
-def _add_scenery(spec: mujoco.MjSpec, scene: Scene) -> None:
-    size = spec.visual.global_
-    size.offwidth = size.offheight = 640
-    spec.visual.quality.numslices = 64
+def _add_scenery(spec: mujoco.MjSpec, scene: Scene, eye: Eye) -> None:
+    spec.visual.quality.numslices, spec.visual.quality.shadowsize = 64, 0
     spec.geom("floor").size[:2] = 0.0  # without an edge
     spec.visual.headlight.ambient = [0.35] * 3
     spec.visual.headlight.diffuse = [0.3] * 3
@@ -267,14 +265,29 @@ def _add_scenery(spec: mujoco.MjSpec, scene: Scene) -> None:
                 conaffinity=0,
                 rgba=list(scenes.WALL_COLOUR),
             )
+    world, agent = spec.worldbody, spec.body("agent")
     follows = long > 3.5
-    parent = spec.body("agent") if follows else spec.worldbody
-    parent.add_camera(
-        name="top",
-        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK
-        if follows
-        else mujoco.mjtCamLight.mjCAMLIGHT_FIXED,
-        pos=[0, 0, 5],
-        proj=mujoco.mjtProjection.mjPROJ_ORTHOGRAPHIC,
-        fovy=2 * (scene.half_width + 1),
-    )
+    top = _add_camera(agent if follows else world, "top", (0, 0, 5), (1, 0, 0, 0, 1, 0), follows)
+    top.proj, top.fovy = mujoco.mjtProjection.mjPROJ_ORTHOGRAPHIC, 2 * (scene.half_width + 1)
+    # The original's.
+    _add_camera(world, "fixednear", (0, -2, 2), (1, 0, 0, 0, 1, 1))
+    _add_camera(world, "fixedfar", (0, -5, 5), (1, 0, 0, 0, 1, 1))
+    _add_camera(agent, "track", (0, 2, 2), (-1, 0, 0, 0, -1, 1), follows=True)
+    place, axes, fovy = eye
+    _add_camera(agent, "vision", place, axes).fovy = fovy
+
+
+def _add_camera(
+    body: mujoco.MjsBody,
+    name: str,
+    place: tuple[float, ...],
+    axes: tuple[float, ...],
+    follows: bool = False,
+) -> mujoco.MjsCamera:
+    """Add a camera to a body: its place and its x and y axes there. One that `follows` keeps both
+    in the world's axes, whatever way the body turns."""
+    modes = mujoco.mjtCamLight
+    mode = modes.mjCAMLIGHT_TRACK if follows else modes.mjCAMLIGHT_FIXED
+    camera = body.add_camera(name=name, pos=list(place), mode=mode)
+    camera.alt.type, camera.alt.xyaxes = mujoco.mjtOrientation.mjORIENTATION_XYAXES, list(axes)
+    return camera

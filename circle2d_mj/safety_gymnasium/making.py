@@ -1,4 +1,4 @@
-"""Single environments with safety-gymnasium's six values."""
+"""Single environments with safety-gymnasium's six values, and the ids that they are made by."""
 
 from __future__ import annotations
 
@@ -7,77 +7,152 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
+from gymnasium.envs.registration import EnvSpec, load_env_creator, spec
 
+from circle2d_mj import registration
 from circle2d_mj.safety.six_values import SixValueEnv
-from circle2d_mj.safety.tasks import NAMES
-from circle2d_mj.safety_gymnasium.wrappers import SafeAutoResetWrapper
+from circle2d_mj.safety.tasks import NAMES, TASKS
+from circle2d_mj.safety_gymnasium.wrappers import (
+    Gymnasium2SafetyGymnasium,
+    SafeAutoResetWrapper,
+    SafeTimeLimit,
+    SafetyGymnasium2Gymnasium,
+)
+
+__all__ = [
+    "Gymnasium2SafetyGymnasium",
+    "SafeMAEnv",
+    "SafetyGymnasium2Gymnasium",
+    "make",
+    "make_gymnasium_environment",
+    "make_ma",
+    "register",
+    "registry",
+    "safe_registry",
+    "spec",
+]
+
+registry: dict[str, EnvSpec] = {NAMES[name]: spec(f"circle2d_mj/{NAMES[name]}") for name in TASKS}
+"""The ids that `make` takes, with gymnasium's specifications of them."""
+safe_registry = set(registry)
+"""The same ids alone."""
+_OURS = frozenset(registry)
+NAVIGATION_SIZE, VELOCITY_SIZE = 256, 480
+"""Pixels along each side of the original's pictures"""
+
+
+def register(**arguments: Any) -> None:
+    """Register an environment with six values, by the arguments of `gymnasium.register`."""
+    gym.register(**arguments)
+    registry[arguments["id"]] = spec(arguments["id"])
+    safe_registry.add(arguments["id"])
 
 
 def make(
-    id: str,
+    id: str | EnvSpec,
     max_episode_steps: int | None = None,
     autoreset: bool | None = None,
+    apply_api_compatibility: bool | None = None,
     disable_env_checker: bool | None = None,
-    *,
-    render_mode: str | None = None,
-    camera_name: str | None = None,
-    camera_id: int | None = None,
-    width: int = 640,
-    height: int = 640,
     **parameters: Any,
-) -> SafetyGymnasiumEnv | SafeAutoResetWrapper:
+) -> Any:
     """Make a task of the suite, as in `make("SafetyPointGoal1-v0")`; `step` returns six values.
 
-    autoreset: reset at once where an episode ends, see `wrappers.SafeAutoResetWrapper`. width and
-    height: of pictures, pixels; a task has one view, whatever a camera's name or id. parameters: of
-    the task, as in `hazards=4`, see `circle2d_mj.safety.navigation.NavigationTask`.
-    Raises ValueError for an id that is not in `registry`.
+    autoreset: reset at once where an episode ends, see `wrappers.SafeAutoResetWrapper`. parameters:
+    `render_mode` ("rgb_array", "depth_array", either with "_list", "human"), `camera_name` or
+    `camera_id`, `width` and `height`, by default the original's: "vision", 256 x 256; "track",
+    480 x 480 of a body with a speed limit; and those of the task, as in `hazards=4`, see
+    `circle2d_mj.safety.navigation.NavigationTask`.
+    Raises ValueError for an id that is not in `registry`, and for apply_api_compatibility=True.
     """
-    _check_id(id)
-    env: gym.Env = gym.make(
-        f"circle2d_mj/{id}",
-        max_episode_steps=max_episode_steps,
-        disable_env_checker=disable_env_checker,
-        render_mode=render_mode,
-        **parameters,
-    )
-    made = SafetyGymnasiumEnv(env, width, height)
+    if apply_api_compatibility:
+        raise ValueError("apply_api_compatibility is for gym before 0.26, which is not taken here")
+    own = known_id(id)
+    if own not in _OURS:
+        made = _registered(own, max_episode_steps, parameters)
+    else:
+        made = SafetyGymnasiumEnv(
+            gym.make(
+                f"circle2d_mj/{own}",
+                max_episode_steps=max_episode_steps,
+                disable_env_checker=disable_env_checker,
+                **with_pictures(own, parameters),
+            )
+        )
     return SafeAutoResetWrapper(made) if autoreset else made
 
 
-def _check_id(id: str) -> None:
-    if id not in NAMES.values():
-        near = difflib.get_close_matches(str(id), NAMES.values(), cutoff=0.0)
-        raise ValueError(f"id must be one of `registry`, such as {', '.join(near)}, got {id!r}")
+def _registered(id: str, max_episode_steps: int | None, parameters: dict[str, Any]) -> Any:
+    """Make an environment that `register` knows: gymnasium's `make` would expect five values."""
+    found = registry[id]
+    entry = found.entry_point
+    creator: Any = entry if callable(entry) else load_env_creator(str(entry))
+    env = creator(**{**found.kwargs, **parameters})
+    env.unwrapped.spec = found
+    limit = max_episode_steps or found.max_episode_steps
+    return SafeTimeLimit(env, limit) if limit else env
+
+
+def make_gymnasium_environment(env_id: str, *args: Any, **arguments: Any) -> Any:
+    """Make a task with gymnasium's five values, by an id as `SafetyPointGoal1Gymnasium-v0`."""
+    name, _, version = env_id.partition("-")
+    if not name.endswith("Gymnasium"):
+        raise ValueError(f"env_id must be like SafetyPointGoal1Gymnasium-v0, got {env_id!r}")
+    six = make(f"{name.removesuffix('Gymnasium')}-{version}", *args, **arguments)
+    return SafetyGymnasium2Gymnasium(six)
+
+
+def make_ma(*args: Any, **arguments: Any) -> Any:
+    """Refuse: raises NotImplementedError."""
+    raise NotImplementedError("multi-agent tasks are not here: safety-gymnasium itself has them")
+
+
+class SafeMAEnv:
+    """Refuses to be made: see `make_ma`."""
+
+    def __init__(self, *args: Any, **arguments: Any) -> None:
+        make_ma()
+
+
+def known_id(id: str | EnvSpec) -> str:
+    """Return the id without a prefix. Raises ValueError for one that is not in `registry`."""
+    own = str(getattr(id, "id", id)).removeprefix("circle2d_mj/")
+    if own not in registry:
+        near = difflib.get_close_matches(own, registry, cutoff=0.0)
+        raise ValueError(f"id must be one of `registry`, such as {', '.join(near)}, got {own!r}")
+    return own
+
+
+def with_pictures(id: str, parameters: dict[str, Any]) -> dict[str, Any]:
+    """Return a task's parameters with the original's camera and size where none are given."""
+    velocity = "Velocity" in id
+    size = VELOCITY_SIZE if velocity else NAVIGATION_SIZE
+    made = {"width": size, "height": size, **parameters}
+    if made.get("camera_name") is None and made.get("camera_id") is None:
+        made["camera_name"] = "track" if velocity else "vision"
+    return made
+
+
+def known_options(options: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return the options of a reset that mean something here; the original ignores all."""
+    return {key: options[key] for key in ("reset_mask",) if key in options} if options else None
 
 
 class SafetyGymnasiumEnv(SixValueEnv[Any, Any]):
     """An environment with safety-gymnasium's six values and infos; other attributes are those of
     the task inside, as in `env.task`."""
 
-    def __init__(self, env: gym.Env, width: int = 640, height: int = 640) -> None:
-        super().__init__(env)
-        self._size = width, height
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start a new episode; the info is empty."""
-        return self.env.reset(seed=seed, options=options)[0], {}
+        """Start a new episode; the info is empty. Options, all unknown, are ignored."""
+        seed = int(seed) if isinstance(seed, np.integer) else seed
+        return self.env.reset(seed=seed, options=known_options(options))[0], {}
 
     def step(self, action: Any) -> tuple[Any, float, float, bool, bool, dict[str, Any]]:
         """Return observation, reward, cost, terminated, truncated, info."""
         *values, info = super().step(action)
         return *values, as_the_originals(info)  # pyright: ignore[reportReturnType]
-
-    def render(self) -> Any:
-        """Draw the environment: [height, width, 3] uint8."""
-        picture: NDArray[np.uint8] | None = self.env.render()  # pyright: ignore
-        if picture is None or picture.shape[1::-1] == self._size:
-            return picture
-        return np.asarray(Image.fromarray(picture).resize(self._size, Image.Resampling.LANCZOS))
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -93,3 +168,15 @@ def as_the_originals(info: dict[str, Any]) -> dict[str, Any]:
     elif "goal_met" in found:
         found["goal_met"] = True
     return found
+
+
+def _register_five_values() -> None:
+    for name, task in TASKS.items():
+        plain, version = NAMES[name].rsplit("-", 1)
+        arguments: dict[str, Any] = {"task": name}
+        registration.add(
+            f"{plain}Gymnasium-{version}", "safety.envs:Safety", task.max_episode_steps, **arguments
+        )
+
+
+_register_five_values()

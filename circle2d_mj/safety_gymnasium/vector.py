@@ -7,12 +7,18 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from circle2d_mj.safety.six_values import SixValueVectorEnv
-from circle2d_mj.safety_gymnasium.making import _check_id, as_the_originals
+from circle2d_mj.safety.tasks import NAMES
+from circle2d_mj.safety_gymnasium.making import (
+    as_the_originals,
+    known_id,
+    known_options,
+    with_pictures,
+)
 from circle2d_mj.safety_gymnasium.making import make as make_one
 from circle2d_mj.safety_gymnasium.wrappers import SafeAutoResetWrapper, Six
 
@@ -32,27 +38,27 @@ def make(
     """Make copies of a task of the suite; `step` returns six values, arrays [num_envs, ...].
 
     The native vector environment steps all copies together, and `asynchronous` changes nothing;
-    with `wrappers`, each applied to every copy, single environments are stepped one by one.
-    max_episode_steps: None for the task's own. arguments: those of `make`; without wrappers
-    `render_mode` and the task's parameters alone.
+    with `wrappers`, each applied to every copy, and of ids that `register` got, single environments
+    are stepped one by one.
+    max_episode_steps: None for the task's own. arguments: those of `make` after that.
     """
-    _check_id(env_id)
+    own = known_id(env_id)
     if max_episode_steps is not None:  # the native environment takes None for no limit at all
         arguments["max_episode_steps"] = max_episode_steps
-    if wrappers is None:
+    if wrappers is None and own in NAMES.values():
         return SafetyVectorEnv(
             gym.make_vec(
-                f"circle2d_mj/{env_id}",
+                f"circle2d_mj/{own}",
                 num_envs=num_envs,
                 vectorization_mode="vector_entry_point",
                 autoreset_mode=AutoresetMode.SAME_STEP,
-                **arguments,
+                **with_pictures(own, arguments),
             )
         )
-    around = wrappers if isinstance(wrappers, list) else [wrappers]
+    around = [wrappers] if callable(wrappers) else wrappers or []
 
     def one() -> Any:
-        env: Any = make_one(env_id, disable_env_checker=disable_env_checker, **arguments)
+        env: Any = make_one(own, disable_env_checker=disable_env_checker, **arguments)
         for wrap in around:
             env = wrap(env)
         return env
@@ -60,15 +66,42 @@ def make(
     return SafetySyncVectorEnv([one] * num_envs)
 
 
-class SafetyVectorEnv(SixValueVectorEnv):
+class _Asynchronous:
+    """`step` in two halves, as code for processes calls it."""
+
+    def step_async(self, actions: Any) -> None:
+        """Keep actions for `step_wait`."""
+        self._waiting = actions
+
+    def step_wait(self, timeout: float | None = None) -> Six:
+        """Return what `step` does."""
+        return self.step(self._waiting)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+class SafetyVectorEnv(_Asynchronous, SixValueVectorEnv):
     """The native vector environment with safety-gymnasium's six values and infos: an ended
     episode's last observation is in `final_observation`, its info in `final_info`."""
 
     is_vector_env = True
 
-    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
-        """Start new episodes; the info is empty, as the original's."""
-        return super().reset(**options)[0], {}
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start new episodes; the info is empty, as the original's. Of options it knows
+        gymnasium's `reset_mask`."""
+        return super().reset(seed=seed, options=known_options(options))[0], {}
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return an attribute of every sub-environment, as in `get_attr("task")`."""
+        return self.env.get_attr(name)  # pyright: ignore[reportAttributeAccessIssue]
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method of every sub-environment, or return what is no method."""
+        return self.env.call(name, *args, **kwargs)  # pyright: ignore[reportAttributeAccessIssue]
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Refuse: raises AttributeError, which says what to do."""
+        self.env.set_attr(name, values)  # pyright: ignore[reportAttributeAccessIssue]
 
     def step(self, actions: Any) -> Six:
         """Return observations, rewards, costs, terminated, truncated, info."""
@@ -89,7 +122,7 @@ class SafetyVectorEnv(SixValueVectorEnv):
         return *values, info  # pyright: ignore[reportReturnType]
 
 
-class SafetySyncVectorEnv:
+class SafetySyncVectorEnv(_Asynchronous, VectorEnv):
     """Single environments with six values, made by functions, stepped one after the other."""
 
     is_vector_env = True
@@ -97,17 +130,31 @@ class SafetySyncVectorEnv:
     def __init__(self, env_fns: Sequence[Callable[[], Any]], **_: Any) -> None:
         self.envs = [SafeAutoResetWrapper(make_env()) for make_env in env_fns]
         first = self.envs[0]
-        self.num_envs, self.metadata, self.spec = len(self.envs), first.metadata, first.spec
-        self.render_mode = first.render_mode
+        self.num_envs, self.spec, self.render_mode = len(self.envs), first.spec, first.render_mode
+        self.metadata = {**first.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
         self.single_observation_space = first.observation_space
         self.single_action_space = first.action_space
         self.observation_space = batch_space(first.observation_space, self.num_envs)
         self.action_space = batch_space(first.action_space, self.num_envs)
 
-    @property
-    def unwrapped(self) -> SafetySyncVectorEnv:
-        """Itself."""
-        return self
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method of every sub-environment, or return what is no method."""
+        found = self.get_attr(name)
+        return tuple(one(*args, **kwargs) if callable(one) else one for one in found)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return an attribute of every sub-environment."""
+        return tuple(env.get_wrapper_attr(name) for env in self.envs)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute of every sub-environment: one value, or a list of one for each."""
+        each = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
+        for env, value in zip(self.envs, each, strict=True):
+            env.set_wrapper_attr(name, value)
+
+    def render(self) -> tuple[Any, ...]:
+        """Draw every sub-environment."""
+        return self.call("render")
 
     def reset(
         self,
@@ -125,7 +172,7 @@ class SafetySyncVectorEnv:
         observations = [env.reset(seed=one, options=options)[0] for env, one in pairs]
         return np.stack(observations), {}
 
-    def step(self, actions: Any) -> Six:
+    def step(self, actions: Any) -> Six:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return observations, rewards, costs, terminated, truncated, info."""
         results = [env.step(action) for env, action in zip(self.envs, actions, strict=True)]
         values = [np.stack([np.asarray(result[k]) for result in results]) for k in range(5)]
@@ -142,7 +189,7 @@ class SafetySyncVectorEnv:
                 info[key][i], info[f"_{key}"][i] = value, True
         return *values, info  # pyright: ignore[reportReturnType]
 
-    def close(self) -> None:
+    def close_extras(self, **_: Any) -> None:
         """Close all environments."""
         for env in self.envs:
             env.close()

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.wrappers.utils import RunningMeanStd
 from numpy.typing import NDArray
 
-from circle2d_mj.safety.six_values import FromSafetyGymnasium, SafetyGymnasiumAPI
+from circle2d_mj.safety.six_values import SafetyGymnasiumAPI
 
 __all__ = [
     "Gymnasium2SafetyGymnasium",
@@ -17,46 +19,31 @@ __all__ = [
     "SafeNormalizeCost",
     "SafeNormalizeObservation",
     "SafeNormalizeReward",
+    "SafePassiveEnvChecker",
     "SafeRescaleAction",
     "SafeTimeLimit",
     "SafeUnsqueeze",
     "SafetyGymnasium2Gymnasium",
+    "with_gymnasium_wrappers",
 ]
 Six = tuple[Any, Any, Any, Any, Any, dict[str, Any]]
 
 Gymnasium2SafetyGymnasium = SafetyGymnasiumAPI
-SafetyGymnasium2Gymnasium = FromSafetyGymnasium
 
 
-class _Wrapper(gym.Env):
+class _Wrapper(gym.Wrapper):
     """A wrapper of single and vector environments; what it lacks, the environment inside has."""
 
+    env: Any
+
     def __init__(self, env: Any) -> None:
-        self.env = env
-        self.metadata, self.spec, self.render_mode = env.metadata, env.spec, env.render_mode
-        self.num_envs: int = getattr(env, "num_envs", 1)
         self.is_vector_env = hasattr(env, "single_action_space")
-
-    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
-        """Start a new episode."""
-        return self.env.reset(**arguments)
-
-    def step(self, action: Any) -> Six:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Return observation, reward, cost, terminated, truncated, info."""
-        return self.env.step(action)
-
-    def render(self) -> Any:
-        """Draw the environment."""
-        return self.env.render()
-
-    def close(self) -> None:
-        """Close the environment."""
-        self.env.close()
-
-    @property
-    def unwrapped(self) -> Any:
-        """The environment inside all wrappers."""
-        return self.env.unwrapped
+        if self.is_vector_env:  # gymnasium's own wrappers have taken single ones alone since 1.0
+            self.env, self._cached_spec = env, None
+            self._action_space = self._observation_space = self._metadata = None
+        else:
+            super().__init__(env)
+        self.num_envs: int = getattr(env, "num_envs", 1)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name == "env":
@@ -64,11 +51,70 @@ class _Wrapper(gym.Env):
         return getattr(self.env, name)
 
 
+class SafetyGymnasium2Gymnasium(_Wrapper):
+    """gymnasium's five values of an environment with six; the cost is `info["cost"]`.
+
+    Around a `gymnasium.vector.VectorEnv` it is a `gymnasium.vector.VectorWrapper`.
+    """
+
+    def __new__(cls, env: Any = None) -> Any:
+        """Make the wrapper of a vector environment, or of any other."""
+        return _FiveValueVectorEnv(env) if isinstance(env, VectorEnv) else super().__new__(cls)
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode; its info holds the cost 0."""
+        observation, info = self.env.reset(**arguments)
+        return observation, {**info, "cost": np.float64(0.0)}
+
+    def step(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Return observation, reward, terminated, truncated, info."""
+        return _five(self.env.step(action))
+
+
+class _FiveValueVectorEnv(VectorWrapper):
+    """The same of a vector environment."""
+
+    def step(self, actions: Any) -> Any:
+        """Return observations, rewards, terminated, truncated, infos."""
+        return _five(self.env.step(actions))
+
+
+def _five(values: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+    observation, reward, cost, terminated, truncated, info = values
+    return observation, reward, terminated, truncated, {**info, "cost": cost}
+
+
+def with_gymnasium_wrappers(env: Any, *wrappers: Callable[[Any], Any]) -> Any:
+    """Wrap an environment with six values in gymnasium's wrappers, the first one innermost."""
+    for wrapper in (SafetyGymnasium2Gymnasium, *wrappers, Gymnasium2SafetyGymnasium):
+        env = wrapper(env)
+    return env
+
+
+class SafePassiveEnvChecker(_Wrapper):
+    """Checks that observations lie in their space and costs are numbers; AssertionError else."""
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode."""
+        return self._checked(self.env.reset(**arguments))
+
+    def step(self, action: Any) -> Any:
+        """Return observation, reward, cost, terminated, truncated, info."""
+        values = self._checked(self.env.step(action))
+        assert np.isfinite(values[2]).all(), f"the cost must be finite, got {values[2]!r}"
+        return values
+
+    def _checked(self, values: Any) -> Any:
+        space = self.env.observation_space
+        assert space.contains(values[0]), f"the observation {values[0]!r} is not in {space}"
+        return values
+
+
 class SafeAutoResetWrapper(_Wrapper):
     """Resets at once where an episode ends: the observation is the next episode's first, the
     info holds `final_observation` and `final_info`."""
 
-    def step(self, action: Any) -> Six:
+    def step(self, action: Any) -> Six:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return observation, reward, cost, terminated, truncated, info."""
         observation, reward, cost, terminated, truncated, info = self.env.step(action)
         if terminated or truncated:
@@ -87,8 +133,11 @@ class SafeRescaleAction(_Wrapper):
         self.min_action = np.full(shape, min_action, dtype=np.float64)
         self.max_action = np.full(shape, max_action, dtype=np.float64)
         self.action_space = gym.spaces.Box(self.min_action, self.max_action, dtype=np.float64)
+        if self.is_vector_env:
+            one = self.min_action[0], self.max_action[0]
+            self.single_action_space = gym.spaces.Box(*one, dtype=np.float64)
 
-    def step(self, action: Any) -> Six:
+    def step(self, action: Any) -> Six:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return observation, reward, cost, terminated, truncated, info."""
         low, high = self.env.action_space.low, self.env.action_space.high
         share = (np.asarray(action) - self.min_action) / (self.max_action - self.min_action)
@@ -107,7 +156,7 @@ class SafeTimeLimit(_Wrapper):
         self._steps = 0
         return self.env.reset(**arguments)
 
-    def step(self, action: Any) -> Six:
+    def step(self, action: Any) -> Six:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return observation, reward, cost, terminated, truncated, info."""
         *values, truncated, info = self.env.step(action)
         self._steps += 1
@@ -127,7 +176,7 @@ class SafeNormalizeObservation(_Wrapper):
         observation, info = self.env.reset(**arguments)
         return self._normalized(observation), info
 
-    def step(self, action: Any) -> Six:
+    def step(self, action: Any) -> Six:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return observation, reward, cost, terminated, truncated, info."""
         observation, *values, info = self.env.step(action)
         if "final_observation" in info:
@@ -159,7 +208,7 @@ class _NormalizeReturn(_Wrapper):
         self.return_rms, self._sum = RunningMeanStd(shape=()), np.zeros(self.num_envs)
         self._gamma, self._epsilon = gamma, epsilon
 
-    def step(self, action: Any) -> Six:
+    def step(self, action: Any) -> Six:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return observation, reward, cost, terminated, truncated, info."""
         values = list(self.env.step(action))
         went_on = np.logical_not(values[3])
@@ -190,7 +239,7 @@ class SafeUnsqueeze(_Wrapper):
         observation, info = self.env.reset(**arguments)
         return np.expand_dims(observation, 0), self._unsqueezed(info)
 
-    def step(self, action: Any) -> Six:
+    def step(self, action: Any) -> Six:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return observation, reward, cost, terminated, truncated, info."""
         *values, info = self.env.step(np.asarray(action)[0])
         shown = (np.expand_dims(np.asarray(value), 0) for value in values)

@@ -194,6 +194,57 @@ def test_rewards_and_costs_over_the_deviation_of_their_discounted_sum(wrapper, p
         assert found == pytest.approx(number / np.sqrt(expected.var + 1e-8))
 
 
+def test_wrappers_are_gymnasiums():
+    """They keep spec, task and the environment inside; gymnasium's go around them."""
+    env = safety_gymnasium.make("SafetyPointGoal1-v0")
+    for wrapper in (wrappers.SafetyGymnasium2Gymnasium, SafeNormalizeObservation):
+        wrapped = wrapper(env)
+        assert isinstance(wrapped, gym.Wrapper)
+        assert wrapped.unwrapped is env.unwrapped and wrapped.spec.id == env.spec.id
+        assert wrapped.task.agent_name == "Point"
+    five = gym.wrappers.RecordEpisodeStatistics(wrappers.SafetyGymnasium2Gymnasium(env))
+    five.reset(seed=np.int64(7), options={"unknown": 1})
+    assert five.step(np.zeros(2))[4]["cost"] == 0.0
+    six = wrappers.with_gymnasium_wrappers(env, gym.wrappers.ClipAction)
+    observation, _ = six.reset(seed=7)
+    equal(observation, safety_gymnasium.make("SafetyPointGoal1-v0").reset(seed=7)[0])
+    assert len(six.step(np.full(2, 3.0))) == 6 and six.unwrapped is env.unwrapped
+
+
+def test_conversion_of_vector_environments():
+    """Values are those of six, and gymnasium's vector wrappers go around."""
+    six = safety_gymnasium.vector.make("SafetyCarGoal1-v0", 3, max_episode_steps=2)
+    made = safety_gymnasium.vector.make("SafetyCarGoal1-v0", 3, max_episode_steps=2)
+    five = gym.wrappers.vector.RecordEpisodeStatistics(wrappers.SafetyGymnasium2Gymnasium(made))
+    equal(six.reset(seed=0, options={"unknown": 1})[0], five.reset(seed=0)[0])
+    for _ in range(3):
+        expected, got = six.step(np.ones((3, 2))), five.step(np.ones((3, 2)))
+        equal(got[0], expected[0])
+        equal(got[4]["cost"], expected[2])
+
+
+@pytest.mark.parametrize("wrap", [None, []], ids=["native", "one by one"])
+def test_reading_from_the_copies_of_a_vector_environment(wrap):
+    envs = safety_gymnasium.vector.make("SafetyCarGoal1-v0", 3, wrappers=wrap)
+    observation, _ = envs.reset(seed=5)
+    assert isinstance(envs, gym.vector.VectorEnv)
+    tasks = envs.get_attr("task")
+    for i, task in enumerate(tasks):
+        single = safety_gymnasium.make("SafetyCarGoal1-v0")
+        equal(single.reset(seed=5 + i)[0], observation[i])
+        equal(task.agent.pos, single.task.agent.pos)
+        equal(task.hazards.pos, single.task.hazards.pos)
+    assert envs.call("render_mode") == (None, None, None)
+    envs.step_async(np.ones((3, 2)))
+    assert envs.step_wait()[2].shape == (3,)
+
+
+def test_copies_that_are_stepped_together_cannot_be_written():
+    envs = safety_gymnasium.vector.make("SafetyCarGoal1-v0", 3)
+    with pytest.raises(AttributeError, match=r"hazards cannot be set: .*hazards=\.\.\."):
+        envs.set_attr("hazards", 3)
+
+
 def test_conversions_and_five_values():
     env = wrappers.SafetyGymnasium2Gymnasium(safety_gymnasium.make("SafetyPointGoal1-v0"))
     five = gym.make("SafetyPointGoal1Gymnasium-v0")
@@ -204,15 +255,6 @@ def test_conversions_and_five_values():
         results.append(made.step(np.zeros(2)))
     assert [len(result) for result in results] == [5, 5, 6]
     assert results[1][4]["cost"] == 0.0
-
-
-def test_pictures_have_the_size_asked_for(opengl):
-    env = safety_gymnasium.make(
-        "SafetyPointGoal1-v0", render_mode="rgb_array", camera_name="track", width=256, height=128
-    )
-    env.reset(seed=0)
-    assert env.render().shape == (128, 256, 3)
-    env.close()
 
 
 def test_install():
@@ -235,6 +277,110 @@ except RuntimeError as error:
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.startswith("safety_gymnasium has been imported already, from ")
+
+
+IMPORTS = """
+import safety_gymnasium
+import safety_gymnasium as sg; sg.make, sg.vector.make, sg.wrappers.SafeTimeLimit
+from safety_gymnasium import *
+from safety_gymnasium import __version__
+from safety_gymnasium import gymnasium_make, gymnasium_register
+from safety_gymnasium import make, register
+from safety_gymnasium import make_ma
+from safety_gymnasium import vector, wrappers
+from safety_gymnasium.version import __version__
+from safety_gymnasium.utils.registration import make, register, safe_registry, spec
+from safety_gymnasium.utils.common_utils import ResamplingError
+from safety_gymnasium.vector import SafetyAsyncVectorEnv, SafetySyncVectorEnv, VectorEnv, make
+from safety_gymnasium.vector.async_vector_env import SafetyAsyncVectorEnv
+from safety_gymnasium.vector.sync_vector_env import SafetySyncVectorEnv
+from safety_gymnasium.vector.utils.tile_images import tile_images
+import safety_gymnasium.vector.async_vector_env as module; module.SafetyAsyncVectorEnv
+from safety_gymnasium.wrappers import SafeAutoResetWrapper, SafeNormalizeObservation
+from safety_gymnasium.wrappers import SafePassiveEnvChecker, SafeRescaleAction, SafeUnsqueeze
+from safety_gymnasium.wrappers import with_gymnasium_wrappers
+from safety_gymnasium.wrappers.autoreset import SafeAutoResetWrapper
+from safety_gymnasium.wrappers.env_checker import SafePassiveEnvChecker
+from safety_gymnasium.wrappers.gymnasium_conversion import Gymnasium2SafetyGymnasium
+from safety_gymnasium.wrappers.gymnasium_conversion import make_gymnasium_environment
+from safety_gymnasium.wrappers.normalize import SafeNormalizeCost, SafeNormalizeReward
+from safety_gymnasium.wrappers.rescale_action import SafeRescaleAction
+from safety_gymnasium.wrappers.time_limit import SafeTimeLimit
+from safety_gymnasium.wrappers.unsqueeze import SafeUnsqueeze
+from safety_gymnasium.tasks.safe_multi_agent.safe_mujoco_multi import SafeMAEnv
+from safety_gymnasium.tasks.safe_multi_agent.tasks.velocity.safe_mujoco_multi import SafeMAEnv
+import importlib.metadata; assert importlib.metadata.version("safety-gymnasium") == "1.0.0"
+"""
+SPAWNS = """
+import multiprocessing, subprocess, sys
+import circle2d_mj.safety_gymnasium
+ASKS = "import safety_gymnasium; print(len(safety_gymnasium.registry))"
+if __name__ == "__main__":
+    circle2d_mj.safety_gymnasium.install()
+    subprocess.run([sys.executable, "-c", ASKS], check=True)
+    child = multiprocessing.get_context("spawn").Process(target=exec, args=(ASKS,))
+    child.start(); child.join()
+"""
+
+
+def outside(*command, **options):
+    """Run a command from this Python's folder of programs, outside of the checkout."""
+    return subprocess.run(command, capture_output=True, text=True, check=True, **options).stdout
+
+
+def test_imports_of_published_code_in_a_program_that_is_run(tmp_path):
+    (tmp_path / "program.py").write_text(f"{IMPORTS}print(safety_gymnasium.__file__)")
+    run = (sys.executable, "-m", "circle2d_mj.safety_gymnasium")
+    for program in (["program.py"], ["python", "program.py"]):
+        assert outside(*run, *program, cwd=tmp_path).strip() == safety_gymnasium.__file__
+    none = subprocess.run([*run, "no-such-program"], capture_output=True, text=True)
+    assert (none.returncode, none.stderr) == (2, "no-such-program: no such program\n")
+
+
+def test_install_reaches_processes_that_are_started(tmp_path):
+    (tmp_path / "spawns.py").write_text(SPAWNS)
+    there = outside(sys.executable, "spawns.py", cwd=tmp_path).split()
+    assert there == [str(len(safety_gymnasium.registry))] * 2
+
+
+def test_modules_that_are_not_here_say_what_takes_their_place(tmp_path):
+    code = "from safety_gymnasium.bases.base_task import BaseTask"
+    run = (sys.executable, "-m", "circle2d_mj.safety_gymnasium", "python", "-c", code)
+    done = subprocess.run(run, capture_output=True, text=True, cwd=tmp_path)
+    assert "ModuleNotFoundError: safety_gymnasium.bases is not here: " in done.stderr
+    with pytest.raises(NotImplementedError, match="multi-agent"):
+        safety_gymnasium.make_ma("Ant", "2x4")
+
+
+class Six(gym.Env):
+    """An environment of one's own with six values."""
+
+    observation_space = action_space = gym.spaces.Box(-1.0, 1.0, (1,))
+
+    def __init__(self, cost=1.0, render_mode=None):
+        self.cost = cost
+
+    def reset(self, *, seed=None, options=None):
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        return np.zeros(1, np.float32), 0.5, self.cost, False, False, {}
+
+
+def test_an_environment_that_is_registered():
+    safety_gymnasium.register(id="Six-v0", entry_point=Six, max_episode_steps=3)
+    assert "Six-v0" in safety_gymnasium.making.safe_registry
+    env = safety_gymnasium.make("Six-v0", cost=2.0)
+    env.reset()
+    assert [env.step(np.zeros(1))[2:5] for _ in range(3)] == [
+        (2.0, False, False),
+        (2.0, False, False),
+        (2.0, False, True),
+    ]
+    assert env.spec.id == "Six-v0"
+    envs = safety_gymnasium.vector.make("Six-v0", 2)
+    envs.reset()
+    equal(envs.step(np.zeros((2, 1)))[2], [1.0, 1.0])
 
 
 def test_pictures_in_rows():

@@ -1,0 +1,5 @@
+"""`import safety_gymnasium` gives `circle2d_mj.safety_gymnasium`."""
+
+from circle2d_mj.safety_gymnasium.naming import take_the_name
+
+take_the_name()
