@@ -49,8 +49,9 @@ def _parser() -> argparse.ArgumentParser:
     add("--window", type=int, metavar="N", help=text)
     text = "share of the rollouts with the highest MCC, in (0, 1] (default %(default)s)"
     add("--alpha", type=float, default=ALPHA, help=text)
-    text = "all: the mean of all MCC values at or above the (1 - alpha) quantile; split: of exactly"
-    add("--ties", choices=TIES, default="all", help=f"{text} the share alpha (default all)")
+    text = "split: the mean of exactly the share alpha of highest MCC values; all: of all values at"
+    text = f"{text} or above the (1 - alpha) quantile (default %(default)s)"
+    add("--ties", choices=TIES, default=TIES[0], help=text)
     text = "a step that costs more is a cost step (default 0); for costs of steps"
     add("--threshold", type=float, default=0.0, help=text)
     text = "environment steps of the whole training (default: those of the run folder, or recorded)"

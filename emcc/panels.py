@@ -108,7 +108,7 @@ def panel(
     limit: float | None = None,
     alpha: float = ALPHA,
     *,
-    ties: str = "all",
+    ties: str = "split",
     window: int = WINDOW,
     total_steps: int | None = None,
     episodes: EpisodeRecords | None = None,
@@ -220,7 +220,7 @@ def _feasible(
 
 
 def emcc_of_thirds(
-    records: EpisodeRecords, total_steps: int, alpha: float = ALPHA, ties: str = "all"
+    records: EpisodeRecords, total_steps: int, alpha: float = ALPHA, ties: str = "split"
 ) -> dict[float, float | None]:
     """EMCC of each third, as `emcc.emcc_by_part`; None for one in which no rollout starts."""
     return {
@@ -251,7 +251,7 @@ class Row(NamedTuple):
 def rows(panel: Panel) -> list[Row]:
     """The rows of a panel's table; those that need a limit only where there is one."""
     windows = f"{panel.window} episodes"
-    tail = f"α = {panel.alpha:g}" + (f", ties {panel.ties}" if panel.ties != "all" else "")
+    tail = f"α = {panel.alpha:g}" + (f", ties {panel.ties}" if panel.ties != "split" else "")
     listed = [
         Row(f"EMCC ({tail})", "emcc", 3, SHARE),
         Row("mean MCC", "mcc", 3, SHARE),

@@ -16,63 +16,66 @@ PARTS = {0.33: "0 to 33 %", 0.66: "33 to 66 %", 0.99: "66 to 99 %"}
 """The thirds of training: beta of EMCC_beta, and the stretch of training in words. Each ends at the
 share beta of all environment steps and begins where the one before ends; the last 1 % is in none.
 Source: the paper's definition of EMCC_beta."""
-TIES = ("all", "split")
+TIES = ("split", "all")
+"""Readings of the share alpha where values are equal, the default first: see `emcc`."""
 
 
-def emcc(mcc_values: ArrayLike, alpha: float = 1.0, ties: str = "all") -> float:
+def emcc(mcc_values: ArrayLike, alpha: float = 1.0, ties: str = "split") -> float:
     """Expected maximum consecutive cost steps, over the share alpha of the worst rollouts.
 
     mcc_values: [D] MCC of each rollout, in [0, 1] -> float in [0, 1]. alpha 1 is the plain mean.
     ties: how the share of the highest values is read when several rollouts are equal, or when
-    alpha * D is not a whole number. "all" is the equation: the mean of all values at or above
-    F^-1(1 - alpha), the smallest value v with at least a share 1 - alpha of values <= v. "split"
-    is the recipe: the mean of exactly the top share alpha, its last value weighted fractionally.
-    Source: equations (emcc) and (emcc_beta_cvar); recipe, steps 4 and 5.
+    alpha * D is not a whole number. "split", by which the paper's tables are made: the mean of the
+    alpha * D highest values, the last of them weighted by the fraction that is left. "all" is the
+    paper's equation to the letter: the mean of all values at or above F^-1(1 - alpha), the smallest
+    value v with at least a share 1 - alpha of values <= v.
+    Source: equations (emcc) and (emcc_beta_cvar); recipe, steps 4 and 5; ties split as in
+    Rockafellar and Uryasev 2002, whom the paper cites.
     ValueError: no values, a value outside [0, 1], alpha outside (0, 1], unknown ties.
     """
     return _tail_mean(as_vector(mcc_values, "mcc_values", low=0, high=1), alpha, ties)
 
 
-def cvar(values: ArrayLike, alpha: float = 0.5, ties: str = "all") -> float:
+def cvar(values: ArrayLike, alpha: float = 0.5, ties: str = "split") -> float:
     """Conditional value at risk: the mean of the share alpha of highest values.
 
     values: [N] finite numbers, such as the cost returns of evaluation episodes, in their own unit.
     ties: as in `emcc`.
-    Source: equations (VaR) and (CVaR): E[z | z >= F^-1(1 - alpha)].
+    Source: equations (VaR) and (CVaR), E[z | z >= F^-1(1 - alpha)], which is ties="all".
     ValueError: no values, NaN or infinite ones, alpha outside (0, 1], unknown ties.
     """
     return _tail_mean(as_vector(values, "values"), alpha, ties)
 
 
-def worst(values: ArrayLike, alpha: float = ALPHA) -> NDArray[np.bool_]:
-    """Mask of the values that `emcc` and `cvar` with ties="all" average: those at or above the
-    quantile F^-1(1 - alpha).
+def worst(values: ArrayLike, alpha: float = ALPHA, ties: str = "split") -> NDArray[np.bool_]:
+    """Mask of the values that count in `emcc` and `cvar`: of equal ones at the border all.
 
     values: [D] finite numbers, such as the MCC of each rollout -> [D] bool. It tells which rollouts
-    dominate EMCC. ValueError: no values, NaN or infinite ones, alpha outside (0, 1].
+    dominate EMCC. ties: as in `emcc`.
+    ValueError: no values, NaN or infinite ones, alpha outside (0, 1], unknown ties.
     """
     values = as_vector(values, "values")
-    return values >= _quantile(np.sort(values), _as_fraction(alpha) * values.size)
+    return values >= _tail(values, alpha, ties)[1]
 
 
 def _tail_mean(values: NDArray[np.float64], alpha: float, ties: str) -> float:
-    size = _as_fraction(alpha) * values.size  # how many values the tail has, exactly
+    size, border = _tail(values, alpha, ties)
+    if ties == "all":
+        return float(values[values >= border].mean(dtype=np.float64))
+    # Rockafellar and Uryasev: the border, and the mean excess above it. So equal values have their
+    # own mean, and rounding takes no mean above the highest value.
+    excess = np.maximum(values.astype(np.float64) - border, 0).sum() / float(size)
+    return float(min(border + excess, values.max()))
+
+
+def _tail(values: NDArray, alpha: float, ties: str) -> tuple[Fraction, Any]:
+    """How many values the tail has, a whole number or not, and its least value."""
     if ties not in TIES:
         raise ValueError(f"ties must be one of {TIES}, got {ties!r}")
-    ordered = np.sort(values.astype(np.float64))
-    if ties == "all":
-        return float(ordered[np.searchsorted(ordered, _quantile(ordered, size)) :].mean())
-    whole, rest = divmod(size, 1)
-    total = ordered[values.size - whole :].sum()
-    if rest:
-        total += float(rest) * ordered[values.size - whole - 1]
-    return float(total / float(size))
-
-
-def _quantile(ordered: NDArray, size: Fraction) -> Any:
-    """F^-1(1 - alpha): the value of rank ceil((1 - alpha) n), counted from 1."""
-    rank = max(ordered.size - math.floor(size), 1)
-    return ordered[rank - 1]
+    size = _as_fraction(alpha) * values.size
+    # Of "all" it is F^-1(1 - alpha): the value of rank ceil((1 - alpha) n), counted from 1.
+    rank = values.size - math.floor(size) if ties == "all" else values.size - math.ceil(size) + 1
+    return size, np.sort(values)[max(rank, 1) - 1]
 
 
 def _as_fraction(alpha: float) -> Fraction:
@@ -91,7 +94,7 @@ def emcc_by_part(
     start_steps: ArrayLike,
     total_steps: int,
     alpha: float = ALPHA,
-    ties: str = "all",
+    ties: str = "split",
 ) -> dict[float, float]:
     """EMCC of each third of training -> {0.33: ..., 0.66: ..., 0.99: ...}.
 

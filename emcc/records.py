@@ -119,7 +119,7 @@ class EpisodeRecords:
         np.minimum.at(start_steps, row_of, self.start_step)
         return mcc_values, start_steps
 
-    def emcc(self, alpha: float = ALPHA, ties: str = "all") -> float:
+    def emcc(self, alpha: float = ALPHA, ties: str = "split") -> float:
         """EMCC of all rollouts: `emcc.emcc`, but alpha is 0.1 by default here and 1 there.
 
         ValueError: no trajectory, or alpha or ties as in `emcc.emcc`.
@@ -128,7 +128,7 @@ class EpisodeRecords:
         return emcc(self.mcc_per_rollout()[0], alpha, ties)
 
     def emcc_by_part(
-        self, alpha: float = ALPHA, ties: str = "all", total_steps: int | None = None
+        self, alpha: float = ALPHA, ties: str = "split", total_steps: int | None = None
     ) -> dict[float, float]:
         """EMCC of each third of training -> {0.33: ..., 0.66: ..., 0.99: ...}: `emcc.emcc_by_part`.
 

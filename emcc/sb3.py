@@ -153,7 +153,7 @@ class EMCCCallback(BaseCallback):
             recent, episodes = (recorder.recent(self.window) for recorder in recorders)
             if not len(recent):
                 return
-            how = (self._limit_of(cost), self.alpha, self.window, "all")
+            how = (self._limit_of(cost), self.alpha, self.window, "split")
             for name, value in vars(measures_of(recent, episodes, *how)).items():
                 if isinstance(value, (int, float)):
                     self.logger.record(f"{self._prefix(cost)}{name}", value)

@@ -49,7 +49,7 @@ def report(
     """Write the report of every folder of runs at or below some folders: see `agents.report`.
 
     `report.tex` has the means of the main tables; `report.md` and `index.html` have the details
-    too: EMCC with ties split, and each task's panel. Runs that are left out, figures that cannot be
+    too: EMCC with all ties, and each task's panel. Runs that are left out, figures that cannot be
     drawn and folders that count as one are named below the last task's table.
     """
     out = _output_folder(paths, out)

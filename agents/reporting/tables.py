@@ -125,7 +125,7 @@ def caption(groups: Sequence[Group]) -> str:
             '"round": fewer; '
         )
     return (
-        f"EMCC: alpha = {ALPHA:g}, ties kept; J_R, J_C, CVaR: undiscounted, deterministic policy, "
+        f"EMCC: alpha = {ALPHA:g}, ties split; J_R, J_C, CVaR: undiscounted, deterministic policy, "
         f"{' or '.join(map(str, episodes)) or 'no'} episodes; {notes}mean {INTERVALS}; within "
         "limit: seeds whose J_C is at most the cost limit; counts of seeds [95 % Clopper-Pearson "
         "interval of the share]"

@@ -225,19 +225,19 @@ class Group:
 
     def visits(self) -> list[Visits] | None:
         """Visited states by third of training, of all complete runs; None without positions."""
-        prefix, weights, parts = file_name(self.task) + "/", [], []
+        prefix, parts = file_name(self.task) + "/", []
         for part in self.parts:
-            count = sum(seed in part.config.seeds for seed in self.seeds)
-            if count and prefix + "visits" not in part.arrays:
+            has_runs = not set(self.seeds).isdisjoint(part.config.seeds)
+            if has_runs and prefix + "visits" not in part.arrays:
                 return None
-            if count:
-                weights.append(count)
+            if has_runs:
                 counts = part.get(prefix + "visits", len(PARTS), derive.CELLS, derive.CELLS)
                 parts.append((counts.astype(np.int64), part.get(prefix + "visited", len(PARTS), 3)))
         counts = np.sum([counts for counts, _ in parts], axis=0)
         about = np.array([about for _, about in parts])  # [parts, thirds, (EMCC, rollouts, of)]
-        emcc = np.average(about[..., 0], axis=0, weights=weights)
         rollouts = about[..., 1:].sum(axis=0).astype(int).tolist()
+        # From the costs: before 0.4 archives have EMCC with all ties.
+        emcc = np.mean([[*r.records.emcc_by_part().values()] for r in self.runs], axis=0)
         thirds = zip(counts, emcc.tolist(), rollouts, strict=True)
         return [Visits(visited, value, *number) for visited, value, number in thirds]
 

@@ -316,7 +316,7 @@ def late_costs(task: str) -> pd.DataFrame:
             late = run.records.by_part(run.total_steps)[0.99]
             longest = late.longest_streak.sum() / max(late.cost.sum(), 1.0)
             rate, costing = emcc.cost_rate(late.cost, late.length), (late.cost > 0).mean()
-            split = emcc.emcc(late.mcc_per_rollout()[0], ALPHA, ties="split")
+            split = emcc.emcc(late.mcc_per_rollout()[0], ALPHA)
             shares = {"rate": rate, "costing": costing, "longest": longest, "split": split}
             rows.append({"algorithm": algorithms.title(group.config.algorithm), **shares})
     return pd.DataFrame(rows).groupby("algorithm").mean()

@@ -50,17 +50,17 @@ def of_training(epochs, in_all):
             steps += len(episode.costs)
             chains += streaks(episode.costs)
     assert steps >= in_all
-    found = {f"EMCC_{name}": highest(values, 0.1) for name, values in parts.items()}
-    found |= {f"split_{name}": top(values) for name, values in parts.items()}
+    found = {f"EMCC_{name}": top(values, 10) for name, values in parts.items()}
+    found |= {f"all_{name}": highest(values, 0.1) for name, values in parts.items()}
     found |= {f"rate_{name}": cost / number for name, (cost, number) in rates.items()}
     mean = fmean(chains) if chains else 0.0
     return found | {"cost_rate": costs / steps, "later": fmean(later), "mean_streak": mean}
 
 
-def top(values):
-    """The mean of exactly the highest tenth: of every value ten copies, of which as many count as
-    there are values."""
-    copies = sorted(value for value in values for _ in range(10))
+def top(values, parts):
+    """The mean of exactly the highest of so many equal parts of the values: of every value as many
+    copies, of which as many count as there are values."""
+    copies = sorted(value for value in values for _ in range(parts))
     return fmean(copies[-len(values) :])
 
 
@@ -83,7 +83,7 @@ def of_evaluation(episodes):
     return {
         "J_R": fmean(sum(episode.rewards) for episode in episodes),
         "J_C": fmean(costs),
-        "CVaR_0.5": highest(costs, 0.5),
+        "CVaR_0.5": top(costs, 2),
         "ends": f"{most} ({100 * count / len(places):.0f} %)" if others else most,
     }
 
@@ -107,7 +107,7 @@ def bounds(measure):
     """Between which a mean can be: EMCC is a share, costs and streaks are not below 0."""
     if measure == "J_R":
         return -math.inf, math.inf
-    return 0.0, 1.0 if measure.startswith(("EMCC", "split")) else math.inf
+    return 0.0, 1.0 if measure.startswith(("EMCC", "all")) else math.inf
 
 
 def interval(measure, values, runs):

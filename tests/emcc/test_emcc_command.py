@@ -42,16 +42,19 @@ def test_a_run(tmp_path, capsys):
         "source": str(folder), "algorithm": "cpo", "task": "A-v0", "seeds": "0", "steps": "100",
         "EMCC_0.33": "0.275", "EMCC_0.66": "0.200", "EMCC_0.99": "0.333", "cost rate": "0.270",
     }  # fmt: skip
-    assert "alpha = 1, ties = all" in caption
+    assert "alpha = 1, ties = split" in caption
 
 
 def test_alpha_and_ties_are_used_and_named(tmp_path, capsys):
     emcc.EpisodeRecords.from_costs(costs_of(TEN)).save(tmp_path / "a.csv")
     (row,), _ = table(capsys, tmp_path / "a.csv")  # alpha 0.1: of so few values the largest
     assert [row[part] for part in PARTS] == ["0.600", "0.300", "0.900"]
-    (row,), (caption,) = table(capsys, tmp_path / "a.csv", "--alpha", 0.5, "--ties", "split")
+    (row,), (caption,) = table(capsys, tmp_path / "a.csv", "--alpha", 0.5)
     assert [row[part] for part in PARTS] == ["0.400", "0.300", "0.633"]
     assert "alpha = 0.5, ties = split" in caption
+    (row,), (caption,) = table(capsys, tmp_path / "a.csv", "--alpha", 0.5, "--ties", "all")
+    assert [row[part] for part in PARTS] == ["0.333", "0.300", "0.500"]
+    assert "alpha = 0.5, ties = all" in caption
 
 
 def test_seeds_of_a_folder_make_one_row(tmp_path, capsys):

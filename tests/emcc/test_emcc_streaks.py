@@ -2,7 +2,9 @@
 against the definitions in exact fractions, and by parts of training."""
 
 import itertools
+import json
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -110,13 +112,61 @@ def test_equals_the_definition(values, alpha, ties):
     floats = [float(value) for value in values]
     assert emcc(floats, float(alpha), ties) == pytest.approx(expected, rel=1e-12)
     assert emcc(floats, 1e-15, ties) == max(floats)
+    is_worst = worst(floats, float(alpha), ties)
+    kept = [value for value, chosen in zip(values, is_worst, strict=True) if chosen]
+    assert len(kept) == sum(value >= min(kept) for value in values)
     if ties == "all":
-        is_worst = worst(floats, float(alpha))
-        kept = [value for value, chosen in zip(values, is_worst, strict=True) if chosen]
         assert float(sum(kept) / len(kept)) == pytest.approx(expected, rel=1e-12)
-        assert len(kept) == sum(value >= min(kept) for value in values)
+    else:  # those above the border do not fill the tail, with those at it they do
+        assert sum(value > min(kept) for value in kept) < alpha * len(values) <= len(kept)
     scaled = [10 * value - 5 for value in floats]
     assert cvar(scaled, float(alpha), ties) == pytest.approx(10 * expected - 5, abs=1e-12)
+
+
+def test_ties_are_split_by_hand():
+    """Of 25 values the worst tenth is 2 and a half; one value of 1, four of .4, twenty of 0."""
+    values = [0.0] * 10 + [0.4] * 4 + [1.0] + [0.0] * 10
+    assert emcc(values, 0.1) == pytest.approx((1 + 1.5 * 0.4) / 2.5)
+    assert emcc(values, 0.1, "all") == pytest.approx((1 + 4 * 0.4) / 5)
+    assert worst(values).tolist() == [value > 0 for value in values]
+    assert emcc([0.1], 0.1) == emcc([0.1] * 7, 0.3) == 0.1  # not a hair above
+    # Of a hundred, ten or eleven with an MCC of .5: "all" jumps.
+    few = [[0.5] * count + [0.0] * (100 - count) for count in (11, 10)]
+    assert [emcc(values, 0.1) for values in few] == [0.5, 0.5]
+    assert [emcc(values, 0.1, "all") for values in few] == pytest.approx([0.5, 0.05])
+
+
+@given(st.lists(shares, min_size=1, max_size=30), alphas)
+def test_split_is_the_least_bound_of_rockafellar_and_uryasev(values, alpha):
+    """CVaR is the minimum over c of c + E[max(z - c, 0)] / alpha, which one of the values takes."""
+    bounds = [
+        c + sum((v - c for v in values if v > c), Fraction()) / (alpha * len(values))
+        for c in values
+    ]
+    floats = [float(value) for value in values]
+    assert emcc(floats, float(alpha)) == pytest.approx(float(min(bounds)), rel=1e-12, abs=1e-15)
+
+
+PRINTED = Path(__file__).parents[2] / "agents" / "paper" / "printed.json"
+
+
+def test_the_paper_splits_ties():
+    """Its CVaR_0.5 is twice its J_C in four cells: half of the episodes cost nothing, and the tail
+    is the other half. With all ties the tail would be all episodes, and CVaR would be J_C."""
+    cells = [
+        (j_c, measures["CVaR_0.5"][name])
+        for measures in json.loads(PRINTED.read_text())["results"].values()
+        for name, j_c in measures["J_C"].items()
+    ]
+    rounding = 0.016  # of two digits, and of twice as much
+    doubled = [(low, high) for low, high in cells if low > 0.1 and abs(high - 2 * low) < rounding]
+    assert doubled == [(11.61, 23.23), (1.65, 3.29), (0.33, 0.66), (42.6, 85.2)]
+    for low, high in doubled:
+        costs = [0.0] * 50 + [high] * 50
+        assert cvar(costs) == high
+        assert (np.mean(costs), cvar(costs, ties="all")) == pytest.approx((low, low), abs=0.01)
+    # Where ties are split, none can be more than twice the mean of costs.
+    assert all(high < 2 * low + rounding for low, high in cells)
 
 
 @pytest.mark.parametrize("count", [10, 20, 30, 70, 1000, 10_000])
@@ -182,7 +232,7 @@ BAD = {
     "NaN MCC": (lambda: emcc([np.nan]), "mcc_values .* got nan"),
     "alpha 0": (lambda: emcc([0.1], 0.0), r"alpha must be in \(0, 1\], got 0.0"),
     "alpha > 1": (lambda: emcc([0.1], 1.1), r"alpha must be in \(0, 1\], got 1.1"),
-    "ties": (lambda: emcc([0.1], 0.5, "some"), "ties must be one of .*all.*split.*, got 'some'"),
+    "ties": (lambda: emcc([0.1], 0.5, "some"), "ties must be one of .*split.*all.*, got 'some'"),
     "empty part": (lambda: emcc_by_part([0, 0], [0, 70], 99), "no rollout .* in part 0.66 of 99"),
     "start": (lambda: emcc_by_part(VALUES, [0, 40, 100], 100), "start_steps .* got 100 at index 2"),
     "fraction": (lambda: emcc_by_part(VALUES, [0.5, 40, 70], 100), "start_steps must be whole"),

@@ -74,7 +74,7 @@ def test_the_report_of_a_small_grid(tmp_path):
     shown = Page(text)
     assert shown.fetched == []  # no network, no files beside it
     order = ["every-run", "cost-rate-against-emcc", "replay-of-training", "circle2d-1-v0"]
-    order += ["ties-split-instead-of-kept", "how-it-was-made"]
+    order += ["all-ties-instead-of-split-ones", "how-it-was-made"]
     assert [link for link in shown.links if link in order] == order
     assert [name for name in shown.ids if name in order] == order
     assert set(shown.links) <= set(shown.ids)

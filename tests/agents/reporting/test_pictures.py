@@ -28,10 +28,10 @@ from circle2d_mj.render.gl import NoOpenGL
         # Starts below 39.6: rollouts 0 to 3, with MCC .8, 1, .4, .6; from 39.6 to 79.2: 4 to 7,
         # with 1, .2, .8, 0; to 118.8: 8 to 11, with .2, .6, .4, .2.
         (0.33, 0.1, [1], 1.0),
-        (0.33, 0.5, [0, 1, 3], 0.8),  # half of the values are .6 or less: it is the quantile
-        (0.66, 0.5, [4, 5, 6], 2 / 3),
+        (0.33, 0.5, [0, 1], 0.9),
+        (0.66, 0.5, [4, 6], 0.9),
         (0.66, 1.0, [4, 5, 6, 7], 0.5),
-        (0.99, 0.5, [8, 9, 10, 11], 0.35),  # the quantile, .2, is there twice
+        (0.99, 0.75, [8, 9, 10, 11], 0.4),  # of the two with .2 half of each
     ],
 )
 def test_the_dominating_rollouts_by_hand(tmp_path, part, alpha, rollouts, mcc):
