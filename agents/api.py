@@ -210,6 +210,7 @@ def report(
     archive: Folder | None = None,
     out: Folder | None = None,
     columns: Sequence[str] | None = None,
+    window: int | None = None,
 ) -> str:
     """Write the report of all runs at or below some folders, or in archives: `circle2d report`.
 
@@ -218,8 +219,9 @@ def report(
     tables and the paper's claims as Markdown. archive: a file to write, from which the report
     can be made again. out: folder to write to, required with several paths; by default the runs'
     own, for `runs.zip` the folder `runs` beside it. columns: of `report.tex`, as `report.md` names
-    them; by default those that fit the width of a text. Raises UserError where there are no
-    complete runs, or an archive is damaged.
+    them; by default those that fit the width of a text. window: EMCC over windows of so many
+    episodes in place of rollouts, see `emcc.EpisodeRecords.windows`. Raises UserError where there
+    are no complete runs, or an archive is damaged.
     """
     from agents.reporting.report import report as write_report
     from agents.reporting.table import PAPER, markdown
@@ -227,6 +229,7 @@ def report(
     file = None if archive is None else Path(archive)
     folder = None if out is None else _to_write(out)
     how = {"archive": file, "out": folder, "columns": PAPER if columns is None else columns}
+    how["window"] = window
     return markdown(write_report(*folders_of(*paths), **how).blocks)
 
 

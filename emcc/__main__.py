@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import NoReturn
 
 from emcc.arrays import named
-from emcc.panels import INTERVALS, WINDOW, emcc_of_thirds, mean_cell, panel, panel_table
+from emcc.panels import (
+    INTERVALS,
+    MOVING_WINDOW,
+    emcc_of_thirds,
+    mean_cell,
+    panel,
+    panel_table,
+    window_words,
+)
 from emcc.parts import ALPHA, PARTS, TIES, cost_rate
 from emcc.sources import Run, read_runs
 from emcc.statistics import COST, SHARE
@@ -45,8 +53,13 @@ def _parser() -> argparse.ArgumentParser:
     add("paths", nargs="+", type=Path, metavar="PATH", help="run folder or file, see below")
     text = "cost limit of an episode, undiscounted: print the panel of all measures"
     add("--limit", type=float, metavar="D", help=f"{text} (default: EMCC and the cost rate)")
-    text = f"episodes of the panel's moving window, with --limit (default {WINDOW})"
-    add("--window", type=int, metavar="N", help=text)
+    text = f"episodes of the panel's moving window, with --limit (default {MOVING_WINDOW})"
+    add("--moving-window", type=int, metavar="N", help=text)
+    windows, text = parser.add_mutually_exclusive_group(), "EMCC over windows of N consecutive"
+    text = f"{text} episodes of a run in place of its rollouts: compares runs of any algorithm"
+    windows.add_argument("--window", type=int, metavar="N", help=text)
+    text = "the same, of all episodes that start within N steps: where lengths differ"
+    windows.add_argument("--window-steps", type=int, metavar="N", help=text)
     text = "share of the rollouts with the highest MCC, in (0, 1] (default %(default)s)"
     add("--alpha", type=float, default=ALPHA, help=text)
     text = "split: the mean of exactly the share alpha of highest MCC values; all: of all values at"
@@ -66,8 +79,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(argv)
     try:
-        if options.window is not None and (options.limit is None or options.window < 1):
-            raise ValueError(f"--window needs --limit and at least 1, got {options.window}")
+        moving = options.moving_window
+        if moving is not None and (options.limit is None or moving < 1):
+            raise ValueError(f"--moving-window needs --limit and at least 1, got {moving}")
+        if options.window is not None and options.limit is not None and moving is None:
+            words = "--window is that of EMCC since 0.4; the panel's moving one is --moving-window"
+            print(f"note: {words}", file=sys.stderr)
         runs = [run for path in options.paths for run in read_runs(path, options.threshold)]
         # Paths may overlap.
         runs = list({(run.source, run.task, run.seed, run.cost): run for run in runs}.values())
@@ -90,38 +107,45 @@ def main(argv: Sequence[str] | None = None) -> int:
     left_out = [f"{_name(run)}: {run.incomplete}" for run in runs if run.incomplete]
     for words in dict.fromkeys(left_out):  # of several costs once
         print(f"left out: {words}", file=sys.stderr)
-    lacking = any(None in _emcc_by_part(run, options.alpha, options.ties) for run in complete)
+    lacking = any(None in _emcc_by_part(run, options) for run in complete)
     return int(lacking or bool(left_out))
 
 
 def _emcc_table(groups: Sequence[Sequence[Run]], options: argparse.Namespace) -> Table:
     """A row for each group of runs of one training that differ in their seeds alone."""
-    rows, alpha, ties = [], options.alpha, options.ties
+    rows = []
     for group in groups:
         first, seeds = group[0], " ".join(run.seed for run in group)
         totals = sorted({run.total_steps for run in group})
         steps = " to ".join(map(str, dict.fromkeys((totals[0], totals[-1]))))
         about = first.source, first.algorithm, _task(first), seeds, steps
-        thirds = zip(*(_emcc_by_part(run, alpha, ties) for run in group), strict=True)
+        thirds = zip(*(_emcc_by_part(run, options) for run in group), strict=True)
         cells = [mean_cell(values, 3, SHARE) for values in thirds]
         rates = [cost_rate(run.records.cost, run.records.length) for run in group]
         rows.append([word or MISSING for word in about] + [*cells, mean_cell(rates, 3, COST)])
-    choices = f"alpha = {alpha:g}, ties = {ties}{_threshold(options)}"
+    choices = [f"alpha = {options.alpha:g}", f"ties = {options.ties}"]
+    choices += filter(None, [window_words(options.window, options.window_steps)])
+    choices = ", ".join(choices) + _threshold(options)
     caption = f"EMCC with {choices}; means over runs {INTERVALS}"
     head = ["source", "algorithm", "task", "seeds", "steps", *(f"EMCC_{part}" for part in PARTS)]
     return Table(caption, [*head, "cost rate"], rows)
 
 
-def _emcc_by_part(run: Run, alpha: float, ties: str) -> list[float | None]:
-    """EMCC of each third; None where no rollout starts in it."""
+def _emcc_by_part(run: Run, options: argparse.Namespace) -> list[float | None]:
+    """EMCC of each third; None where no rollout, or window, starts in it."""
+    windows = options.window, options.window_steps
+    whole = run.episodes if windows != (None, None) and run.episodes is not None else run.records
     with named(run.source):
-        return [*emcc_of_thirds(run.records, run.total_steps, alpha, ties).values()]
+        choices = options.alpha, options.ties, *windows
+        return [*emcc_of_thirds(whole, run.total_steps, *choices).values()]
 
 
 def _panel_table(group: Sequence[Run], options: argparse.Namespace) -> Table:
     first = group[0]
     # One window for all runs, since a row names it.
-    window = min(options.window or WINDOW, *(len(run.episodes or run.records) for run in group))
+    moving = min(
+        options.moving_window or MOVING_WINDOW, *(len(run.episodes or run.records) for run in group)
+    )
     with named(first.source):
         panels = [
             panel(
@@ -129,7 +153,9 @@ def _panel_table(group: Sequence[Run], options: argparse.Namespace) -> Table:
                 options.limit,
                 options.alpha,
                 ties=options.ties,
-                window=window,
+                window=options.window,
+                window_steps=options.window_steps,
+                moving_window=moving,
                 total_steps=run.total_steps,
                 episodes=run.episodes,
             )

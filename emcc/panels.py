@@ -2,6 +2,7 @@
 
 import json
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ from emcc.records import EpisodeRecords, check_records
 from emcc.statistics import COST, FEWEST_RUNS, SHARE, UNBOUNDED, Bounds, mean_interval
 from emcc.table import MISSING, Table
 
-WINDOW = 100
+MOVING_WINDOW = 100
 """Episodes of a moving window."""
 LEVELS = (0.25, 0.5, 0.75)
 """Values tau of the MCC for which a panel has P(MCC > tau)."""
@@ -87,8 +88,12 @@ class Panel(Measures):
     alpha: float
     ties: str
     """Reading of alpha: see `emcc.emcc`."""
-    window: int
+    moving_window: int
     """Episodes of a moving window: at most those there are."""
+    window: int | None
+    """Episodes of EMCC's windows; None where they are rollouts, or of so many steps."""
+    window_steps: int | None
+    """Environment steps of EMCC's windows."""
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers by name, the thirds in "parts"; json can write it."""
@@ -109,15 +114,20 @@ def panel(
     alpha: float = ALPHA,
     *,
     ties: str = "split",
-    window: int = WINDOW,
+    window: int | None = None,
+    window_steps: int | None = None,
+    moving_window: int | None = None,
     total_steps: int | None = None,
     episodes: EpisodeRecords | None = None,
 ) -> Panel:
     """EMCC and the measures it is compared with.
 
     limit: d of an episode's undiscounted cost, >= 0; None leaves out the measures that need one.
-    alpha, ties: of EMCC and of CVaR, as in `emcc.emcc`. window: episodes of a moving window; all,
-    where there are fewer. total_steps: environment steps of the whole training, by default those
+    alpha, ties: of EMCC and of CVaR, as in `emcc.emcc`. window, window_steps: windows in place of
+    the rollouts, for EMCC and the other measures of MCC, as in `EpisodeRecords.windows`.
+    moving_window: episodes of the moving window of the peak cost rate and of feasibility, 100 by
+    default; all, where there are fewer. Before 0.4 that was `window`: where window is given alone,
+    a FutureWarning says so. total_steps: environment steps of the whole training, by default those
     recorded. episodes: records whose rows are whole episodes, for the measures of episode costs,
     where rollouts cut those of `records`; without rows, those measures are None. Episodes are taken
     by rising start step.
@@ -129,36 +139,55 @@ def panel(
     check_records(records)
     episodes = records if episodes is None else episodes
     check_records(episodes, "episodes", fewest=0)
-    window = min(as_count(window, "window"), len(episodes) or window)
+    if window is not None and moving_window is None:
+        words = "window is that of EMCC since 0.4; of peak_rate and steps_to_feasible it is"
+        warnings.warn(f"{words} moving_window: give both", FutureWarning, stacklevel=2)
+    moving = as_count(MOVING_WINDOW if moving_window is None else moving_window, "moving_window")
+    moving = min(moving, len(episodes) or moving)
     if total_steps is None:
         total_steps = max(records.total_steps, episodes.total_steps)
-    thirds, whole_thirds = records.by_part(total_steps), episodes.by_part(total_steps)
-    choices = limit, alpha, window, ties
+    sources = records, episodes, _grouped(records, episodes, window, window_steps)
+    thirds = zip(PARTS, *(source.by_part(total_steps).values() for source in sources), strict=True)
+    choices = limit, alpha, moving, ties
     parts = {
-        part: measures_of(third, whole_thirds[part], *choices) if len(third) else None
-        for part, third in thirds.items()
+        part: measures_of(*third, *choices) if len(third[0]) and len(third[2]) else None
+        for part, *third in thirds
     }
-    first, share = _feasible(episodes, limit, window)
-    whole = vars(measures_of(records, episodes, *choices))
-    return Panel(**whole, steps_to_feasible=first, feasible_share=share, parts=parts, limit=limit,
-        alpha=alpha, ties=ties, window=window)  # fmt: skip
+    first, share = _feasible(episodes, limit, moving)
+    return Panel(**vars(measures_of(*sources, *choices)), steps_to_feasible=first,
+        feasible_share=share, parts=parts, limit=limit, alpha=alpha, ties=ties,
+        moving_window=moving, window=window, window_steps=window_steps)  # fmt: skip
+
+
+def _grouped(
+    records: EpisodeRecords, episodes: EpisodeRecords, window: int | None, window_steps: int | None
+) -> EpisodeRecords:
+    """What MCC is a maximum over: the rollouts, or windows of whole episodes."""
+    if window is None and window_steps is None:
+        return records
+    episodes._mcc(window, window_steps)  # the error where there is no window
+    return episodes.windows(window, window_steps)
 
 
 def measures_of(
     records: EpisodeRecords,
     episodes: EpisodeRecords,
+    rollouts: EpisodeRecords,
     limit: float | None,
     alpha: float,
-    window: int,
+    moving_window: int,
     ties: str,
 ) -> Measures:
-    """All measures of a stretch of training; the arguments are those of `panel`, checked."""
-    mcc, _ = records.mcc_per_rollout()
+    """All measures of a stretch of training; the arguments are those of `panel`, checked.
+
+    rollouts: records by whose rollouts MCC is taken.
+    """
+    mcc, _ = rollouts.mcc_per_rollout()
     costs = {"episodes": 0}
     if len(episodes):
         order = np.argsort(episodes.start_step, kind="stable")
         cost, length = episodes.cost[order], episodes.length[order]
-        costs = vars(cost_measures(cost, length, limit, alpha, window, ties))
+        costs = vars(cost_measures(cost, length, limit, alpha, moving_window, ties))
     # Rollouts may also hold pieces of episodes that have not ended.
     rate = cost_rate(records.cost, records.length)
     return Measures(
@@ -172,10 +201,10 @@ def measures_of(
 
 
 def cost_measures(
-    cost: NDArray, length: NDArray, limit: float | None, alpha: float, window: int, ties: str
+    cost: NDArray, length: NDArray, limit: float | None, alpha: float, moving_window: int, ties: str
 ) -> CostMeasures:
     """Measures of episode costs [N] and lengths [N] in steps, in the order of training."""
-    window = min(window, len(cost))
+    window = min(moving_window, len(cost))
     rates = _windows(cost, window).sum(-1) / _windows(length, window).sum(-1)
     limited: dict[str, float | None] = {}
     if limit is not None:
@@ -220,13 +249,26 @@ def _feasible(
 
 
 def emcc_of_thirds(
-    records: EpisodeRecords, total_steps: int, alpha: float = ALPHA, ties: str = "split"
+    records: EpisodeRecords,
+    total_steps: int,
+    alpha: float = ALPHA,
+    ties: str = "split",
+    window: int | None = None,
+    window_steps: int | None = None,
 ) -> dict[float, float | None]:
-    """EMCC of each third, as `emcc.emcc_by_part`; None for one in which no rollout starts."""
+    """EMCC of each third, as `EpisodeRecords.emcc_by_part`; None for one in which no rollout, or
+    window, starts."""
     return {
         part: emcc(third.mcc_per_rollout()[0], alpha, ties) if len(third) else None
-        for part, third in records.by_part(total_steps).items()
+        for part, third in records.windows(window, window_steps).by_part(total_steps).items()
     }
+
+
+def window_words(window: int | None, window_steps: int | None) -> str:
+    """The windows of EMCC in words; empty for rollouts."""
+    if window is None and window_steps is None:
+        return ""
+    return f"windows of {window} episodes" if window else f"windows of {window_steps} steps"
 
 
 class Row(NamedTuple):
@@ -250,10 +292,11 @@ class Row(NamedTuple):
 
 def rows(panel: Panel) -> list[Row]:
     """The rows of a panel's table; those that need a limit only where there is one."""
-    windows = f"{panel.window} episodes"
+    windows = f"{panel.moving_window} episodes"
     tail = f"α = {panel.alpha:g}" + (f", ties {panel.ties}" if panel.ties != "split" else "")
+    grouped = window_words(panel.window, panel.window_steps)
     listed = [
-        Row(f"EMCC ({tail})", "emcc", 3, SHARE),
+        Row(f"EMCC ({', '.join(filter(None, (tail, grouped)))})", "emcc", 3, SHARE),
         Row("mean MCC", "mcc", 3, SHARE),
         *(Row(f"P(MCC > {tau:g})", "mcc_above", 3, SHARE, tau) for tau in LEVELS),
         Row("longest streak (steps)", "longest_streak", 0),

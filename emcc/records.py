@@ -119,27 +119,78 @@ class EpisodeRecords:
         np.minimum.at(start_steps, row_of, self.start_step)
         return mcc_values, start_steps
 
-    def emcc(self, alpha: float = ALPHA, ties: str = "split") -> float:
+    def windows(
+        self, window: int | None = None, window_steps: int | None = None
+    ) -> "EpisodeRecords":
+        """The same trajectories, with windows of one size in place of the rollouts.
+
+        MCC is a maximum over a rollout, and rises with its size: trainings whose rollouts are of
+        different size, an episode or ten, can only be compared over windows of one size.
+        window: so many trajectories one after another, by start step. window_steps: for
+        trajectories of different length all that start within so many environment steps, counted
+        from the first step of training. What is left over for the last window is dropped, which
+        may be all; with neither, the rollouts stay.
+        ValueError: both, or a number below 1.
+        """
+        if window is None and window_steps is None:
+            return self
+        if window is not None and window_steps is not None:
+            raise ValueError("give window, in episodes, or window_steps, but not both")
+        rows = np.argsort(self.start_step, kind="stable")
+        if window is not None:
+            ids = np.arange(len(self)) // as_count(window, "window")
+            whole = ids < len(self) // window
+        else:
+            size = as_count(window_steps, "window_steps")
+            ids = self.start_step[rows] // size
+            whole = ids < self.total_steps // size
+        return replace(self.select(rows[whole]), rollout=ids[whole])
+
+    def emcc(
+        self,
+        alpha: float = ALPHA,
+        ties: str = "split",
+        window: int | None = None,
+        window_steps: int | None = None,
+    ) -> float:
         """EMCC of all rollouts: `emcc.emcc`, but alpha is 0.1 by default here and 1 there.
 
-        ValueError: no trajectory, or alpha or ties as in `emcc.emcc`.
+        window, window_steps: over windows in place of the rollouts, as in `windows`.
+        ValueError: no trajectory, no window, or alpha or ties as in `emcc.emcc`.
         """
-        check_records(self)
-        return emcc(self.mcc_per_rollout()[0], alpha, ties)
+        return emcc(self._mcc(window, window_steps)[0], alpha, ties)
 
     def emcc_by_part(
-        self, alpha: float = ALPHA, ties: str = "split", total_steps: int | None = None
+        self,
+        alpha: float = ALPHA,
+        ties: str = "split",
+        total_steps: int | None = None,
+        window: int | None = None,
+        window_steps: int | None = None,
     ) -> dict[float, float]:
         """EMCC of each third of training -> {0.33: ..., 0.66: ..., 0.99: ...}: `emcc.emcc_by_part`.
 
-        total_steps: environment steps of the whole training, by default those recorded.
-        ValueError: as in `emcc.emcc_by_part`; fewer total_steps than are recorded; a trajectory
-        that starts after the recorded steps, where total_steps is not given and trajectories are
-        missing.
+        total_steps: environment steps of the whole training, by default those recorded. window,
+        window_steps: over windows in place of the rollouts, as in `windows`; a window belongs to
+        the part in which its first trajectory starts.
+        ValueError: as in `emcc.emcc_by_part`; no window; fewer total_steps than are recorded; a
+        trajectory that starts after the recorded steps, where total_steps is not given and
+        trajectories are missing.
         """
-        check_records(self)
-        mcc_values, start_steps = self.mcc_per_rollout()
+        mcc_values, start_steps = self._mcc(window, window_steps)
         return emcc_by_part(mcc_values, start_steps, self._total(total_steps), alpha, ties)
+
+    def _mcc(
+        self, window: int | None, window_steps: int | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """`mcc_per_rollout`, or of windows, of which there must be one."""
+        check_records(self)
+        found = self.windows(window, window_steps)
+        if not len(found):
+            size = f"{window} episodes" if window is not None else f"{window_steps} steps"
+            there = f"{len(self)} trajectories of {self.total_steps} steps"
+            raise ValueError(f"no window of {size} in {there}: take a smaller one")
+        return found.mcc_per_rollout()
 
     def by_part(self, total_steps: int | None = None) -> dict[float, "EpisodeRecords"]:
         """The trajectories of the rollouts that start in each third; total_steps as above."""

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from emcc.arrays import as_count, as_names, as_number
-from emcc.panels import WINDOW, Panel, measures_of, panel
+from emcc.panels import MOVING_WINDOW, Panel, measures_of, panel
 from emcc.parts import ALPHA, worst
 from emcc.recorder import CostRecorder, cost_of
 from emcc.records import EpisodeRecords
@@ -43,7 +43,7 @@ class EMCCCallback(BaseCallback):
         self,
         rollout: int | str = "auto",
         alpha: float = ALPHA,
-        window: int = WINDOW,
+        window: int = MOVING_WINDOW,
         limit: float | None = None,
         threshold: float = 0.0,
         verbose: int = 0,
@@ -154,7 +154,7 @@ class EMCCCallback(BaseCallback):
             if not len(recent):
                 return
             how = (self._limit_of(cost), self.alpha, self.window, "split")
-            for name, value in vars(measures_of(recent, episodes, *how)).items():
+            for name, value in vars(measures_of(recent, episodes, recent, *how)).items():
                 if isinstance(value, (int, float)):
                     self.logger.record(f"{self._prefix(cost)}{name}", value)
 

@@ -52,6 +52,10 @@ class ReportOptions(Settings):
     its name. Required with several FOLDERs."""
     columns: tuple[str, ...] = PAPER
     """Columns of report.tex, as report.md names them."""
+    window: Annotated[int, In(1)] | None = None
+    """EMCC over windows of so many consecutive episodes of a run, in place of its rollouts, which
+    on-policy are ten episodes and off-policy one. Default: rollouts, as in the paper; tables that
+    compare both families take windows of 10 in any case."""
     width: Width = None
     imports: Imports = ()
 
@@ -63,6 +67,7 @@ def report(args: Sequence[str]) -> int:
     options = parse(ReportOptions, "report", args)
     with working("reading runs and drawing figures"):
         how = {"archive": options.archive, "out": options.out, "columns": options.columns}
+        how["window"] = options.window
         written = write_report(*options.folders, **how)
     show(written.blocks, options.width, str(written.page))
     return int(bool(written.left_out))

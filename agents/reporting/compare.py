@@ -33,7 +33,18 @@ from agents.results.frame import (
 )
 from agents.results.measures import measures
 from agents.results.reading import Group, name_of_all, read
-from agents.results.statistics import LEVEL, Difference, Pair, differences, holm, only, two_sets
+from agents.results.statistics import (
+    ACROSS_WORDS,
+    LEVEL,
+    Difference,
+    Pair,
+    alike,
+    differences,
+    holm,
+    mixed,
+    only,
+    two_sets,
+)
 from agents.training.files import check_folder, write_whole
 
 METHOD = (
@@ -86,7 +97,9 @@ def compare(
         check_folder(out)
     notes = [f"A is {a}, B is {b}."]
     of_a, of_b = (read([side], notes) for side in (a, b))
-    both = with_varied_settings([*of_a, *of_b])
+    if mixed([*of_a, *of_b]):
+        notes.append(ACROSS_WORDS)
+    both = alike(with_varied_settings([*of_a, *of_b]))
     sides = [with_distinct_titles(both[: len(of_a)]), with_distinct_titles(both[len(of_a) :])]
     by_task = _by_task(a, b, sides, notes)
     pairs = [pair for both in by_task.values() for pair in both.pairs]

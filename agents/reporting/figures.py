@@ -170,13 +170,13 @@ def emcc_along(records: EpisodeRecords, total_steps: int) -> list[float]:
 
 def running_emcc(group: Group) -> Curve:
     """`emcc_along` of each run."""
-    rows = [emcc_along(run.records, group.total_steps) for run in group.runs]
+    rows = [emcc_along(run.rollouts, group.total_steps) for run in group.runs]
     return _over_runs(rows, group.one_place, SHARE)
 
 
 def thirds_emcc(group: Group) -> Curve:
     """EMCC of the thirds of training: [3]."""
-    rows = [list(emcc_of_thirds(run.records, run.total_steps).values()) for run in group.runs]
+    rows = [list(emcc_of_thirds(run.rollouts, run.total_steps).values()) for run in group.runs]
     return _over_runs(rows, group.one_place, SHARE)
 
 

@@ -385,7 +385,7 @@ def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
         "unsafe": _text(np.packbits(costs > 0)),
         "emcc": [
             None if np.isnan(value) else round(value * DIGITS)
-            for value in emcc_along(run.records, steps)
+            for value in emcc_along(run.rollouts, steps)
         ],
     }
 

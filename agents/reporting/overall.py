@@ -16,10 +16,12 @@ from agents.reporting.tables import difference_rows
 from agents.results.frame import by_task, changes, in_order, name_of, title_of_group
 from agents.results.reading import Group, Run
 from agents.results.statistics import (
+    ACROSS_WORDS,
     LEVEL,
     MARGIN,
     Comparison,
     TwoSets,
+    alike,
     bootstrapped,
     common_limit,
     common_measures,
@@ -28,6 +30,7 @@ from agents.results.statistics import (
     holm,
     known,
     matrices,
+    mixed,
     only,
     thirds_of,
 )
@@ -52,17 +55,20 @@ Draws = NDArray[np.float64]
 def tables_over_tasks(groups: Sequence[Group]) -> dict[str, Table]:
     """All of them by title, but those for which there is too little. What goes over tasks is of one
     cost, the first group's."""
-    alike = [group for group in groups if group.cost == groups[0].cost]
-    cells = comparable(alike)
-    made = {TASKS: over_tasks(alike)}
+    across = [ACROSS_WORDS] if mixed(groups) else []
+    groups = alike(groups)
+    of_one_cost = [group for group in groups if group.cost == groups[0].cost]
+    cells = comparable(of_one_cost)
+    made = {TASKS: over_tasks(of_one_cost)}
     if len(cells) >= FEWEST_ALGORITHMS and len(tasks_of(cells)) >= FEWEST_TASKS:
-        names = dict.fromkeys(title(g.config.algorithm) for g in alike if g.runs)
+        names = dict.fromkeys(title(g.config.algorithm) for g in of_one_cost if g.runs)
         left_out = [name for name in names if name not in cells]
         made |= {RANKS: ranks_table(cells, left_out), ORDERS: orders_table(cells)}
-    notes = [f"Of {groups[0].cost} alone."] if len(alike) < len(groups) else []
-    over = {k: replace(t, notes=[*t.notes, *notes]) for k, t in made.items() if t is not None}
+    alone = [f"Of {groups[0].cost} alone."] if len(of_one_cost) < len(groups) else []
+    over = {k: replace(t, notes=[*t.notes, *alone]) for k, t in made.items() if t is not None}
     rates = separated_table(groups)
-    return ({} if rates is None else {RATES: rates}) | over
+    made = ({} if rates is None else {RATES: rates}) | over
+    return {name: replace(table, notes=[*table.notes, *across]) for name, table in made.items()}
 
 
 def tasks_of(cells: Cells) -> list[str]:
@@ -96,8 +102,8 @@ def comparable(groups: Iterable[Group]) -> Cells:
     most = {
         task: max(count.items(), key=lambda pair: pair[::-1])[0] for task, count in lengths.items()
     }
-    alike = [group for group in usual if group.total_steps == most[group.task]]
-    return on_every_task(alike, lambda group: title(group.config.algorithm))
+    equal = [group for group in usual if group.total_steps == most[group.task]]
+    return on_every_task(equal, lambda group: title(group.config.algorithm))
 
 
 SEPARATED = ("cost rate A", "cost rate B", "B - A", "p equal", "EMCC A", "EMCC B", "B - A")

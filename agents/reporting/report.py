@@ -24,6 +24,7 @@ from agents.reporting.table import PAPER, Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.frame import with_distinct_titles, with_varied_settings
 from agents.results.reading import Group, left_out, name_of_all, read, write_archive
+from agents.results.statistics import alike
 from agents.training.files import archive_of, check_file, check_folder, write_whole
 
 RUNS = "Every run"
@@ -45,6 +46,7 @@ def report(
     archive: Path | None = None,
     out: Path | None = None,
     columns: Sequence[str] = PAPER,
+    window: int | None = None,
 ) -> Report:
     """Write the report of every folder of runs at or below some folders: see `agents.report`.
 
@@ -57,7 +59,7 @@ def report(
         _check_archive(archive)
     notes: list[str] = []
     name = out.resolve().name if len(paths) > 1 else None
-    everything = with_distinct_titles(with_varied_settings(read(paths, notes, name)))
+    everything = with_distinct_titles(with_varied_settings(read(paths, notes, name, window)))
     # Early, since later its pictures would add to the memory that all else holds.
     paper = sections(everything)
     by_task = _by_task(paper.usual)
@@ -154,7 +156,7 @@ def _figures_together(paper: Paper) -> dict[str, list[Figure]]:
         return {}
     return {
         RUNS: [intervals_figure(groups, paper.printed)],
-        RATES: [rates_figure(groups), profiles_figure(groups)],
+        RATES: [rates_figure(alike(groups)), profiles_figure(alike(groups))],
     }
 
 

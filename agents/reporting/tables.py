@@ -27,9 +27,16 @@ from agents.results.statistics import (
 )
 from agents.training.derive import told_steps
 from emcc import longest_streaks, panel
-from emcc.panels import WINDOW, CostMeasures, Panel, cost_measures, emcc_of_thirds
+from emcc.panels import (
+    MOVING_WINDOW,
+    CostMeasures,
+    Panel,
+    cost_measures,
+    emcc_of_thirds,
+    window_words,
+)
 from emcc.panels import rows as panel_rows
-from emcc.parts import ALPHA, PARTS, rollouts_by_part
+from emcc.parts import ALPHA, PARTS, TIES, rollouts_by_part
 from emcc.statistics import COST, SHARE, Bounds
 
 Key = TypeVar("Key", bound=Hashable)
@@ -119,13 +126,15 @@ def caption(groups: Sequence[Group]) -> str:
     """Definitions of the numbers of a table."""
     episodes = sorted({run.episodes for group in groups for run in group.runs})
     notes = "".join(f"{m.note}; " for m in measures() if m.note)
+    windows = {window_words(run.window, None) for group in groups for run in group.runs}
+    ties = ", ".join(filter(None, (f"ties {TIES[0]}", *windows)))
     if any(run.ways for group in groups for run in group.runs):
         notes += (
             '"through": as many cost steps as the shortest way through the region takes, or more, '
             '"round": fewer; '
         )
     return (
-        f"EMCC: alpha = {ALPHA:g}, ties split; J_R, J_C, CVaR: undiscounted, deterministic policy, "
+        f"EMCC: alpha = {ALPHA:g}, {ties}; J_R, J_C, CVaR: undiscounted, deterministic policy, "
         f"{' or '.join(map(str, episodes)) or 'no'} episodes; {notes}mean {INTERVALS}; within "
         "limit: seeds whose J_C is at most the cost limit; counts of seeds [95 % Clopper-Pearson "
         "interval of the share]"
@@ -333,10 +342,16 @@ def panel_table(groups: Sequence[Group]) -> Table:
     usual = {a.cost: common_limit([b for b in groups if b.cost == a.cost]) for a in groups}
     limits = [usual[group.cost] if group.limit is None else group.limit for group in groups]
     # One window for all columns, since a row names it.
-    window = min(WINDOW, *(len(run.records) for group in groups for run in group.runs))
+    moving = min(MOVING_WINDOW, *(len(run.records) for group in groups for run in group.runs))
     panels: list[list[Panel]] = [
         [
-            panel(run.records, limit, window=window, total_steps=run.total_steps)
+            panel(
+                run.records,
+                limit,
+                window=run.window,
+                moving_window=moving,
+                total_steps=run.total_steps,
+            )
             for run in group.runs
         ]
         for group, limit in zip(groups, limits, strict=True)
@@ -373,7 +388,7 @@ def _evaluated(run: Run, policy: str, limit: float | None) -> CostMeasures | Non
     cost, length = (np.array(evaluated.get(name, [])) for name in ("cost_returns", "lengths"))
     if not cost.size or cost.shape != length.shape:
         return None
-    return cost_measures(cost, length, limit, ALPHA, WINDOW, "all")
+    return cost_measures(cost, length, limit, ALPHA, MOVING_WINDOW, TIES[0])
 
 
 def _panel_caption(groups: Sequence[Group], limits: Sequence[float | None]) -> str:
@@ -443,4 +458,4 @@ def emcc_above(run: Run, steps: NDArray[np.float64], threshold: float) -> dict[f
     """
     streaks = longest_streaks(steps, run.records.length, threshold)
     records = replace(run.records, longest_streak=streaks, cost_steps=None, streaks=None)
-    return emcc_of_thirds(records, run.total_steps)
+    return emcc_of_thirds(records, run.total_steps, window=run.window)

@@ -33,11 +33,13 @@ class RunData:
     evaluation: dict[str, Any]
     """The trained policy's, "deterministic" and "stochastic", each with means
     (J_R, J_C, ...) and values per episode, undiscounted."""
+    window: int | None = None
+    """Episodes of the windows over which EMCC is taken; None for rollouts."""
 
     @cached_property
     def emcc_by_part(self) -> dict[float, float | None]:
-        """EMCC of each third with alpha 0.1; None where no rollout starts in it."""
-        return emcc_of_thirds(self.records, self.steps)
+        """EMCC of each third with alpha 0.1; None where no rollout, or window, starts in it."""
+        return emcc_of_thirds(self.records, self.steps, window=self.window)
 
     def evaluated(self, name: str) -> float | None:
         """A mean over the episodes of the deterministic policy; None where it was not measured."""

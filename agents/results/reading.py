@@ -72,6 +72,13 @@ class Run:
     "lengths" of its episodes."""
     ways: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Of the episodes that end in a place, those that came by each way; empty where none tells."""
+    window: int | None = None
+    """Episodes of the windows over which EMCC is taken; None for rollouts."""
+
+    @property
+    def rollouts(self) -> EpisodeRecords:
+        """The records by whose rollouts, or windows, EMCC is taken."""
+        return self.records.windows(self.window)
 
     @property
     def total_steps(self) -> int:
@@ -204,6 +211,11 @@ class Group:
         return derive.told_steps(self.config.steps, (run.total_steps for run in self.runs))
 
     @property
+    def off_policy(self) -> bool:
+        """Whether its algorithm learns from a replay, an episode at a time."""
+        return hasattr(self.config.hyperparameters, "replay_size")
+
+    @property
     def is_of_first_cost(self) -> bool:
         """Whether its cost is the training's first, of which visits, trained policies and replay
         are."""
@@ -316,20 +328,28 @@ def left_out(what: str, groups: Sequence[Group], error: UserError) -> str:
     return f"left out: {what} of {titles}: {words}"
 
 
-def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> list[Group]:
+def read(
+    paths: Sequence[Path],
+    notes: list[str],
+    name: str | None = None,
+    window: int | None = None,
+) -> list[Group]:
     """The runs at or below some folders and in archives, by task; a path may lead into an archive.
 
     Folders that differ in their seeds alone count as one. What is missing, damaged or unfinished
-    goes into the notes. name: of what holds all, by default that of the only path. Raises UserError
-    where no run is left, for a path that is no folder or archive, and where one lies in another.
+    goes into the notes. name: of what holds all, by default that of the only path. window: episodes
+    of EMCC's windows, by default rollouts. Raises UserError where no run is left, for a window
+    below 1, for a path that is no folder or archive, and where one lies in another.
     """
+    if window is not None and window < 1:
+        raise UserError(f"window must be at least 1 episode, got {window}")
     sources = _folders(paths, name)
     own = name if name is not None else name_of_source(paths[0])
     groups = []
     for folder, path in sources.items():
         title = own if folder == "." else f"{own}/{folder}"
         try:
-            groups += _groups(path, folder, title)
+            groups += _groups(path, folder, title, window)
         except OwnCodeError:
             raise
         except UserError as error:
@@ -339,7 +359,8 @@ def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> li
     for group in groups:
         notes += _left_out(group.title, group.missing)
         if empty := [f"EMCC_{part}" for part in PARTS if None in group.values(f"EMCC_{part}")]:
-            words = f"of its {group.total_steps:,} steps no rollout starts in that part"
+            unit = "window" if window else "rollout"
+            words = f"of its {group.total_steps:,} steps no {unit} starts in that part"
             notes.append(f"{group.title} has no {', '.join(empty)}: {words}")
     if not any(group.runs for group in groups):
         raise UserError(f"{own} holds no complete runs" + "".join(f"; {note}" for note in notes))
@@ -348,7 +369,7 @@ def read(paths: Sequence[Path], notes: list[str], name: str | None = None) -> li
 
 def read_folder(path: Path, name: str) -> list[Group]:
     """The runs of one training. Raises UserError where none is complete."""
-    groups = _groups(opened(path), name, name)
+    groups = _groups(opened(path), name, name, None)
     if not any(group.runs for group in groups):
         reasons = "; ".join(note for group in groups for note in _left_out(name, group.missing))
         raise UserError(f"{name} holds no complete runs; {reasons}")
@@ -446,7 +467,7 @@ def results_of(path: AnyPath, config: TrainConfig) -> Mapping[str, NDArray]:
     return derive.derived(path, config, failures)
 
 
-def _groups(path: AnyPath, folder: str, title: str) -> list[Group]:
+def _groups(path: AnyPath, folder: str, title: str, window: int | None) -> list[Group]:
     """The runs of a folder: a group for each task and cost."""
     config = TrainConfig.parse(read_json(path / CONFIG), title, strict=False)
     part = Part(path, folder, title, results_of(path, config), config)
@@ -455,7 +476,7 @@ def _groups(path: AnyPath, folder: str, title: str) -> list[Group]:
         runs, missing = [], {}
         for seed in config.seeds:
             try:
-                runs.append(_read_run(part.arrays, config, RunId(task, seed), cost, title))
+                runs.append(_read_run(part.arrays, config, RunId(task, seed), cost, title, window))
             except OwnCodeError:
                 raise
             except UserError as error:
@@ -497,7 +518,12 @@ def run_records(arrays: Mapping[str, NDArray], run: RunId, cost: str) -> Episode
 
 
 def _read_run(
-    arrays: Mapping[str, NDArray], config: TrainConfig, run: RunId, cost: str, title: str
+    arrays: Mapping[str, NDArray],
+    config: TrainConfig,
+    run: RunId,
+    cost: str,
+    title: str,
+    window: int | None,
 ) -> Run:
     """A complete run. Raises UserError for another."""
     if f"{run.prefix}failure" in arrays:
@@ -509,7 +535,8 @@ def _read_run(
         evaluation = _evaluation(arrays, run, config.costs.index(cost))
         if not evaluation:
             raise UserError(derive.why_failed(arrays, run))
-        values = measured(RunData(records, records.total_steps, evaluation), f"{title}, {run}")
+        data = RunData(records, records.total_steps, evaluation, window)
+        values = measured(data, f"{title}, {run}")
         ends, ways = _places(arrays, f"{run.prefix}evaluation/deterministic/")
         episodes = len(evaluation["deterministic"]["returns"])
         if ends and sum(ends.values()) != episodes:
@@ -518,7 +545,7 @@ def _read_run(
         raise
     except UNREADABLE as error:
         raise UserError(f"is damaged: {error}") from None
-    return Run(run.seed, values, episodes, ends, records, evaluation, ways)
+    return Run(run.seed, values, episodes, ends, records, evaluation, ways, window)
 
 
 def _evaluation(arrays: Mapping[str, NDArray], run: RunId, cost: int) -> dict[str, dict[str, Any]]:

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 import emcc
 from agents.results.measures import Measure, measure, measures
-from agents.results.reading import Group
+from agents.results.reading import Group, Run
 from emcc import EpisodeRecords, Interval, Share
+from emcc.panels import emcc_of_thirds
 from emcc.parts import ALPHA, PARTS
 from emcc.statistics import FEWEST_RUNS, UNBOUNDED, Bounds
 
@@ -197,8 +198,42 @@ def thirds(records: EpisodeRecords, steps: int) -> dict[float, Third]:
 
 def thirds_of(group: Group) -> dict[float, list[Third]]:
     """The thirds of each run of a group, those that all runs have."""
-    runs = [thirds(run.records, run.total_steps) for run in group.runs]
+    runs = [thirds(run.rollouts, run.total_steps) for run in group.runs]
     return {part: [run[part] for run in runs] for part in PARTS if all(part in run for run in runs)}
+
+
+ACROSS = 10
+"""Episodes of the windows over which EMCC is taken where on- and off-policy algorithms are
+compared. A rollout is ten episodes of the paper's on-policy methods, one of the others, and MCC, a
+maximum over it, rises with its size."""
+ACROSS_WORDS = (
+    f"EMCC is taken over windows of {ACROSS} episodes here, since the rollouts of on- and "
+    "off-policy algorithms differ in size."
+)
+
+
+def over_windows(group: Group, window: int = ACROSS) -> Group:
+    """The group with EMCC over windows, which runs that have windows already keep."""
+    return replace(group, runs=[_over_windows(run, window) for run in group.runs])
+
+
+def _over_windows(run: Run, window: int) -> Run:
+    if run.window is not None:
+        return run
+    thirds = emcc_of_thirds(run.records, run.total_steps, window=window)
+    emccs = {f"EMCC_{part}": value for part, value in thirds.items()}
+    return replace(run, window=window, measures={**run.measures, **emccs})
+
+
+def mixed(groups: Iterable[Group]) -> bool:
+    """Whether on- and off-policy algorithms are among the groups, and EMCC is by rollouts."""
+    there = [group for group in groups if any(run.window is None for run in group.runs)]
+    return len({group.off_policy for group in there}) > 1
+
+
+def alike(groups: Sequence[Group]) -> list[Group]:
+    """The groups with EMCC that can be compared: over windows where families are mixed."""
+    return [over_windows(group) for group in groups] if mixed(groups) else list(groups)
 
 
 class Comparison(NamedTuple):
@@ -237,8 +272,8 @@ def comparisons(groups: Sequence[Group]) -> list[Comparison]:
     compared = []
     for a, b in combinations(enough, 2):
         first, second = by_third[id(a)], by_third[id(b)]
-        alike = (a.task, a.cost) == (b.task, b.cost)
-        for part in [p for p in first if p in second] if alike else ():
+        same = (a.task, a.cost) == (b.task, b.cost)
+        for part in [p for p in first if p in second] if same else ():
             sides = first[part], second[part]
             rates = [run.cost_rate for run in sides[0]], [run.cost_rate for run in sides[1]]
             emccs = [run.emcc for run in sides[0]], [run.emcc for run in sides[1]]

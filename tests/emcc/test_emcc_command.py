@@ -57,6 +57,22 @@ def test_alpha_and_ties_are_used_and_named(tmp_path, capsys):
     assert "alpha = 0.5, ties = all" in caption
 
 
+def test_windows_are_used_and_named(tmp_path, capsys):
+    """Windows of three rollouts: maxima .6, .3 and .9; the tenth is left over. Of 20 steps: two."""
+    emcc.EpisodeRecords.from_costs(costs_of(TEN)).save(tmp_path / "a.csv")
+    (row,), (caption,) = table(capsys, tmp_path / "a.csv", "--alpha", 1, "--window", 3)
+    assert [row[part] for part in PARTS] == ["0.600", "0.300", "0.100"]
+    assert "windows of 3 episodes" in caption
+    (row,), (caption,) = table(capsys, tmp_path / "a.csv", "--alpha", 1, "--window-steps", 20)
+    assert [row[part] for part in PARTS] == ["0.400", "0.300", "0.500"]
+    assert "windows of 20 steps" in caption
+    (row,), _ = table(capsys, tmp_path / "a.csv", "--window", 8, status=1)
+    assert [row[part] for part in PARTS] == ["0.600", DASH, DASH]
+    assert main([str(tmp_path / "a.csv"), "--limit", "3", "--window", "3"]) == 0
+    told = capsys.readouterr()
+    assert "--moving-window" in told.err and "windows of 3 episodes" in told.out
+
+
 def test_seeds_of_a_folder_make_one_row(tmp_path, capsys):
     write_run(tmp_path / "a", {seed: [value] * 10 for seed, value in enumerate((0.2, 0.4, 0.6))})
     (row,), (caption,) = table(capsys, tmp_path)
@@ -154,7 +170,9 @@ def test_panels(tmp_path, capsys):
         (["nowhere\x1b"], "no such file or folder"),
         (["a", "--alpha", "0"], "alpha must be in (0, 1], got 0.0"),
         (["a", "--ties", "some"], "invalid choice: 'some'"),
-        (["a", "--window", "9"], "--window needs --limit"),
+        (["a", "--moving-window", "9"], "--moving-window needs --limit"),
+        (["a", "--window", "0"], "window must be >= 1, got 0"),
+        (["a", "--window", "2", "--window-steps", "9"], "not allowed with argument --window"),
         (
             ["a", "--total-steps", "50"],
             "total_steps must be at least the 100 steps that are recorded, got 50",

@@ -100,7 +100,7 @@ def assert_equal(measures, expected):
 def test_every_measure_of_training_and_of_its_thirds(kind, limit, seed):
     episodes = KINDS[kind](np.random.default_rng(seed))
     rows = np.random.default_rng(seed).permutation(len(episodes))  # the order is that of training
-    found = panel(records_of(episodes).select(rows), limit, window=7)
+    found = panel(records_of(episodes).select(rows), limit, moving_window=7)
     assert_equal(found, oracle(episodes, limit, 7))
     assert list(found.parts) == [0.33, 0.66, 0.99]
     for part, (low, high) in zip(found.parts.values(), ((0, 33), (33, 66), (66, 99)), strict=True):
@@ -114,14 +114,14 @@ def test_time_to_feasible(seed):
     rng = np.random.default_rng(seed)
     sums = rng.integers(0, 9, 40)
     episodes = [np.ones(n) if n else np.zeros(2) for n in sums]
-    found = panel(records_of(episodes), 4.0, window=5)
+    found = panel(records_of(episodes), 4.0, moving_window=5)
     within = [sum(sums[i : i + 5]) <= 20 for i in range(36)]
     first = within.index(True)
     assert found.steps_to_feasible == sum(map(len, episodes[:first]))
     assert found.feasible_share == sum(within[first:]) / (36 - first)
-    never = panel(records_of([np.ones(3)] * 9), 2.0, window=4)
+    never = panel(records_of([np.ones(3)] * 9), 2.0, moving_window=4)
     assert (never.steps_to_feasible, never.feasible_share) == (None, 0.0)
-    always = panel(records_of([np.ones(3)] * 9), 3.0, window=4)
+    always = panel(records_of([np.ones(3)] * 9), 3.0, moving_window=4)
     assert (always.steps_to_feasible, always.feasible_share) == (0, 1.0)
 
 
@@ -168,10 +168,39 @@ def test_ties_are_passed_on():
     assert "α = 0.7, ties all" in every.to_markdown()
 
 
+def test_windows_in_place_of_rollouts():
+    """Three windows of two episodes; a remainder of one is dropped from MCC alone."""
+    episodes = [[1, 0], [1, 1], [0, 0, 0, 1], [0, 0], [0, 0], [1, 1, 1, 0], [1, 1]]
+    found = panel(records_of(episodes), 2.0, alpha=0.5, window=2, moving_window=100)
+    assert found.emcc == pytest.approx((1 + 0.5 * 0.75) / 1.5)
+    assert (found.mcc, found.mcc_above[0.5]) == pytest.approx(((1 + 0.25 + 0.75) / 3, 2 / 3))
+    usual = panel(records_of(episodes), 2.0, alpha=0.5)
+    assert (found.episodes, found.cost_rate, found.cvar) == (7, usual.cost_rate, usual.cvar)
+    # Windows start at steps 0, 4 and 10 of 18: the middle third begins at 5.94, the last at 11.88.
+    assert found.parts[0.33].emcc == pytest.approx(1.0)
+    assert (found.parts[0.66].emcc, found.parts[0.99]) == (0.75, None)
+    assert "windows of 2 episodes" in found.to_markdown()
+    assert json.loads(json.dumps(found.to_dict()))["window"] == 2
+
+
+def test_windows_group_whole_episodes_where_rollouts_cut_them():
+    pieces = records_of([[1, 0], [0, 1], [1, 1], [0, 0]], rollouts=[0, 1, 2, 3])
+    whole = records_of([[1, 0, 0, 1], [1, 1, 0, 0]])
+    found = panel(pieces, alpha=1.0, window=1, moving_window=1, episodes=whole)
+    assert (found.emcc, panel(pieces, alpha=1.0).emcc) == (0.375, 0.5)
+
+
+def test_a_window_alone_is_told_to_be_of_emcc():
+    with pytest.warns(FutureWarning, match="moving_window"):
+        panel(records_of([[1, 0], [1, 1]]), window=1)
+
+
 BAD = {
     "limit": ({"limit": -1.0}, "limit must be >= 0, got -1.0"),
     "alpha": ({"alpha": 0.0}, r"alpha must be in \(0, 1\], got 0.0"),
-    "window": ({"window": 0}, "window must be >= 1, got 0"),
+    "moving window": ({"moving_window": 0}, "moving_window must be >= 1, got 0"),
+    "window": ({"window": 0, "moving_window": 9}, "window must be >= 1, got 0"),
+    "no window": ({"window": 9, "moving_window": 9}, "no window of 9 episodes in . trajectories"),
     "steps": ({"total_steps": 2}, "total_steps must be at least the 4 .* got 2"),
 }  # fmt: skip
 

@@ -1,6 +1,7 @@
 """Records of a run: their checks, their MCC, their file, bit for bit, and records put together."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -222,3 +223,61 @@ def test_merging_with_nothing_finished_and_with_columns_that_some_lack():
     assert len(EpisodeRecords.merge([empty, empty])) == 0
     merged = EpisodeRecords.merge([one, old])
     assert (len(merged), merged.cost_steps, merged.streaks) == (2, None, None)
+
+
+def grouped(streaks, lengths, of):
+    """MCC of groups of trajectories; of: the group of each, None where it is dropped."""
+    groups = {}
+    for streak, length, group in zip(streaks, lengths, of, strict=True):
+        if group is not None:
+            groups[group] = max(groups.get(group, 0), streak / length)
+    return list(groups.values())
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 9), st.integers(1, 9)), min_size=1, max_size=40),
+    st.integers(1, 12),
+    st.randoms(use_true_random=False),
+)
+def test_windows_by_hand(trajectories, size, random):
+    """Of a number of trajectories and of steps, whatever the order of the rows; parts by the first
+    start."""
+    streaks, lengths = zip(*((min(s, n), n) for s, n in trajectories), strict=True)
+    starts = np.cumsum(lengths) - lengths
+    rows = random.sample(range(len(lengths)), len(lengths))
+    ids = [random.randrange(5) for _ in rows]
+    records = EpisodeRecords(
+        ids,
+        starts[rows],
+        np.array(lengths)[rows],
+        *np.zeros((2, len(rows))),
+        np.array(streaks)[rows],
+    )
+    count, total = len(lengths) // size, sum(lengths)
+    of_episodes = [k // size if k // size < count else None for k in range(len(lengths))]
+    of_steps = [int(s) // size if (s // size + 1) * size <= total else None for s in starts]
+    for of, how in ((of_episodes, {"window": size}), (of_steps, {"window_steps": size})):
+        expected = grouped(streaks, lengths, of)
+        found, begin = records.windows(**how).mcc_per_rollout()
+        assert found.tolist() == expected
+        firsts = dict(zip(of[::-1], starts[::-1].tolist(), strict=True))
+        assert begin.tolist() == [firsts[k] for k in dict.fromkeys(of) if k is not None]
+        if expected:
+            assert records.emcc(1.0, **how) == pytest.approx(np.mean(expected))
+        else:
+            with pytest.raises(ValueError, match=f"no window of {size} "):
+                records.emcc(**how)
+
+
+def test_windows_make_rollouts_of_different_size_comparable():
+    """The same 90 episodes, each a rollout and ten a rollout."""
+    alone = EpisodeRecords.from_costs([np.arange(10) < k % 7 for k in range(90)])
+    tens = replace(alone, rollout=np.arange(90) // 10)
+    assert alone.emcc_by_part(1.0) != tens.emcc_by_part(1.0)
+    assert alone.emcc_by_part(1.0, window=10) == tens.emcc_by_part(1.0)
+    assert alone.emcc_by_part(window_steps=100) == tens.emcc_by_part(window=10)
+    assert tens.emcc_by_part(1.0, window=1) == alone.emcc_by_part(1.0)
+    assert alone.windows() is alone
+    for how in ({"window": 0}, {"window_steps": 0}, {"window": 2, "window_steps": 2}):
+        with pytest.raises(ValueError, match="window"):
+            alone.emcc(**how)
