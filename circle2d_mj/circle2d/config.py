@@ -20,6 +20,7 @@ _BOUNDS = {  # lowest value, whether it is allowed, and highest value
     "constraint_radius": (1e-100, True, 1e100),  # squares must stay finite
     "init_radius_multiplier": (0.0, False, 1e6),
     "corridor_height_factor": (0.0, False, 2.0),
+    "cutout_depth": (0.0, False, 0.8),
     "init_region_size": (0.0, True, math.inf),
 }
 _SWITCHES = (
@@ -32,7 +33,7 @@ _SWITCHES = (
 
 @dataclass(frozen=True)
 class Circle2DConfig:
-    """One Circle2D task: its level and the paper's nine customization parameters.
+    """One Circle2D task: its level, the paper's nine customization parameters, and `cutout_depth`.
 
     Lengths are in world units; a factor multiplies `constraint_radius`, so the task is the same at
     any radius. Source: safe_exploration.tex, table "Circle2D environment customization parameters".
@@ -62,6 +63,9 @@ class Circle2DConfig:
     """Whether an episode may start inside the cost region."""
     sparse_reward: bool = False
     """Whether reward is given only inside the corridor and the cut-outs."""
+    cutout_depth: float = 0.5
+    """Depth of the top and bottom cut-outs (levels 2 and 3) as a multiple of R, in (0, 0.8]; the
+    diagonal ones (level 3) are 0.6 times as deep. The paper prints neither."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.level, Integral) or isinstance(self.level, bool):

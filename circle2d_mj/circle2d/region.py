@@ -30,17 +30,21 @@ class CutOut(NamedTuple):
     half_width: float
 
 
-def cutouts(level: int, radius: float, height_factor: float) -> tuple[CutOut, ...]:
+def cutouts(
+    level: int, radius: float, height_factor: float, depth: float = 0.5
+) -> tuple[CutOut, ...]:
     """Return the strips of a level with y >= 0: corridor, top (level 2), +45° (level 3).
 
-    The corridor ends 0.05 R short of the centre, the top one 0.5 R deep, the +45° one 0.3 R deep
-    and half as wide. No strip but the corridor reaches the x axis, for any height factor up to 2.
+    The corridor ends 0.05 R short of the centre; the top one is `depth` R deep, the +45° one 0.6
+    times as deep and half as wide. No strip but the corridor reaches the x axis, for any height
+    factor up to 2 and depth up to 0.8.
     """
     half_width = height_factor * radius / 2
     corridor = CutOut("corridor", -1.0, 0.0, 0.05 * radius, half_width)
-    top = CutOut("cut-out", 0.0, 1.0, 0.5 * radius, half_width)
+    top = CutOut("cut-out", 0.0, 1.0, (1 - depth) * radius, half_width)
     half = math.sqrt(0.5)
-    diagonal = CutOut("diagonal cut-out", half, half, 0.7 * radius, half_width / 2)
+    inner = (1 - 0.6 * depth) * radius
+    diagonal = CutOut("diagonal cut-out", half, half, inner, half_width / 2)
     return (corridor, top, diagonal)[: max(1, level)]
 
 
@@ -53,7 +57,8 @@ class CostRegion:
 
     def __init__(self, config: Circle2DConfig) -> None:
         radius = config.constraint_radius
-        self._shape(radius, cutouts(config.level, radius, config.corridor_height_factor))
+        height, depth = config.corridor_height_factor, config.cutout_depth
+        self._shape(radius, cutouts(config.level, radius, height, depth))
 
     def _shape(self, radius: float, cutouts: tuple[CutOut, ...]) -> None:
         self.radius, self.cutouts = radius, cutouts

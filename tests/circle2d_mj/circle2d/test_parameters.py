@@ -284,6 +284,7 @@ def test_what_just_fits_is_not_refused():
         ("level", (4, "1", True)),
         ("constraint_radius", (-1.0, "3", float("nan"))),
         ("corridor_height_factor", (0, 2.1)),
+        ("cutout_depth", (0, 0.81, "0.5", float("nan"))),
         ("init_region_size", (-0.1, 4)),
         ("init_radius_multiplier", (0, 0.5, 0.9)),  # 0.9 leaves no feasible start
         ("optima_perturbation", ((10, 0), 3, (1, 2, 3), (1, "a"))),

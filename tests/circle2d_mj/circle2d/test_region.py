@@ -20,11 +20,15 @@ from circle2d_mj.circle2d.scene import OVERHANG, convex_pieces
 from circle2d_mj.core.streams import Streams
 
 
-def by_definition(level, radius, height, points):
-    """Turn the points by minus each strip's angle and compare with the strip lying along +x."""
+def by_definition(level, radius, height, points, deeper=1.0):
+    """Turn the points by minus each strip's angle and compare with the strip lying along +x.
+
+    deeper: by what all but the corridor are deeper than as published.
+    """
     complex_points = points[:, 0] + 1j * points[:, 1]
     in_cutout = np.zeros(len(points), dtype=bool)
-    for degrees, depth, width in STRIPS[level]:
+    for degrees, published, width in STRIPS[level]:
+        depth = published * (1.0 if degrees == 180 else deeper)
         turned = complex_points * np.exp(-1j * np.deg2rad(degrees))
         along, across = turned.real, turned.imag
         in_cutout |= (along >= radius * (1 - depth)) & (
@@ -43,6 +47,25 @@ def test_points_all_over_the_arena(level, radius, height):
     np.testing.assert_array_equal(region.contains(points), contains)
     np.testing.assert_array_equal(region.in_cutout(points), in_cutout)
     assert 0.1 < contains.mean() < 0.4
+
+
+@pytest.mark.parametrize("level", [0, 1, 2, 3])
+@pytest.mark.parametrize(("depth", "height"), [(0.55, 0.5), (0.6, 0.5), (0.8, 2.0), (0.01, 0.3)])
+def test_deeper_cutouts(level, depth, height):
+    config = Circle2DConfig(level=level, cutout_depth=depth, corridor_height_factor=height)
+    points = np.random.default_rng(level).uniform(-15, 15, (50_000, 2))
+    contains, in_cutout = by_definition(level, 10.0, height, points, depth / 0.5)
+    np.testing.assert_array_equal(config.region.contains(points), contains)
+    np.testing.assert_array_equal(config.region.in_cutout(points), in_cutout)
+    published = Circle2DConfig(level=level, corridor_height_factor=height).region
+    assert (config.region.cutouts == published.cutouts) is (level < 2)
+
+
+def test_the_published_depth_is_the_default_to_the_bit():
+    for radius in (10.0, 0.7, 1e6 / 3):
+        region = Circle2DConfig(level=3, constraint_radius=radius, cutout_depth=0.5).region
+        assert [cut.inner for cut in region.cutouts] == [0.05 * radius, 0.5 * radius, 0.7 * radius]
+        assert Circle2DConfig(level=3, constraint_radius=radius).region.cutouts == region.cutouts
 
 
 @pytest.mark.parametrize(

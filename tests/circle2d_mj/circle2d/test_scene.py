@@ -38,6 +38,7 @@ OTHERS = [
     {"level": 2, "constraint_radius": 1e-3, "corridor_height_factor": 1.0},
     {"level": 3, "constraint_radius": 1e6, "corridor_height_factor": 0.1},
     {"level": 3, "corridor_height_factor": 2.0, "init_radius_multiplier": 1.2},
+    {"level": 3, "cutout_depth": 0.6},
 ]
 
 
