@@ -38,7 +38,7 @@ from agents.paper.evidence import (
 from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, preset
 from agents.reporting.page import Otherwise, Statement
 from agents.results.reading import Group, Run
-from agents.results.statistics import MARGIN, equivalence_of, p_of
+from agents.results.statistics import MARGIN, equivalence_of, over_windows, p_of
 from emcc.statistics import COST
 
 LIMIT = preset("cpo", LEVEL_TASKS[0]).cost_limit
@@ -86,7 +86,8 @@ STRAIGHT_THROUGH = Claim(
     "about 9 and a late EMCC of about 0.2.",
     "On each level more than half of the runs end in the corridor with J_C above the limit, and "
     "the means of J_C and EMCC_0.99 over those that do are within a fifth of 9 and of 0.2, with "
-    "their whole interval.",
+    "their whole interval. No test of the paper: the step length and the multiplier's optimiser "
+    "were chosen so that it comes out.",
     _straight_through,
     LEVEL_TASKS[1:],
 )
@@ -124,7 +125,7 @@ def _nobody(evidence: Evidence) -> list[Finding]:
 NOBODY = Claim(
     "Nobody ends inside the corridor within the limit on levels 2 and 3.",
     "Of each of the five methods no run ends in the corridor with J_C within the limit, and fewer "
-    "than half would; refuted where more than one in twenty do so.",
+    "than half would; not reproduced where more than one in twenty do so.",
     _nobody,
     LEVEL_TASKS[2:],
 )
@@ -217,8 +218,8 @@ TREND = Claim(
     "show no such trend.",
     "A run's EMCC falls where EMCC_0.99 is below its EMCC_0.33. For an on-policy method more than "
     "half of the runs fall on every task; for an off-policy method fewer than half do on one task "
-    "at least, and it is refuted where more than half do on all, by 95 % intervals, since all are "
-    "needed.",
+    "at least, and it is not reproduced where more than half do on all, by 95 % intervals, since "
+    "all are needed.",
     _trend,
     tuple(PAPER_STEPS),
 )
@@ -247,11 +248,12 @@ def _equal_rates(evidence: Evidence) -> list[Finding]:
 
 EQUAL_RATES = Claim(
     "CPO and WCSAC have equal cost rates on level 3, and different EMCC in the later two thirds.",
-    f"The mean cost rates are equivalent within {RATE_MARGIN:g} (refuted where they are not and a "
-    "permutation test tells them apart); permutation tests tell the means of EMCC_0.66 and "
-    f"EMCC_0.99 apart (refuted where they are equivalent within {EMCC_MARGIN:g}).",
+    f"The mean cost rates are equivalent within {RATE_MARGIN:g} (not reproduced where they are not "
+    "and a permutation test tells them apart); permutation tests tell the means of EMCC_0.66 and "
+    f"EMCC_0.99 apart (not reproduced where they are equivalent within {EMCC_MARGIN:g}).",
     _equal_rates,
     LEVEL_TASKS[3:],
+    across=True,
 )
 
 
@@ -288,9 +290,10 @@ def _all_below(name: str, pairs: Sequence[tuple[Cell, Cell]], of: Value, parts: 
 LOWEST_LATE = Claim(
     "TRPO-Lag has the lowest EMCC in the later stages of training on levels 1 to 3.",
     "On each level its mean EMCC_0.66 and EMCC_0.99 are below those of each other method, which a "
-    "permutation test tells apart; refuted where it tells one apart that is lower.",
+    "permutation test tells apart; not reproduced where it tells one apart that is lower.",
     _lowest_late,
     LEVEL_TASKS[1:],
+    across=True,
 )
 
 
@@ -310,10 +313,11 @@ CHEAP_BUT_LONG = Claim(
     "On level 1 SAC-Lag and WCSAC have a lower final cost than the on-policy methods, but a "
     "higher EMCC: the cost of the trained policy does not tell how safe its training was.",
     "Each of the two has a lower mean of J_C and higher means of EMCC in each third than each of "
-    "TRPO-Lag and CPO, which permutation tests tell apart; refuted where one tells them apart the "
-    "other way round.",
+    "TRPO-Lag and CPO, which permutation tests tell apart; not reproduced where one tells them "
+    "apart the other way round.",
     _cheap_but_long,
     LEVEL_TASKS[1:2],
+    across=True,
 )
 
 
@@ -333,8 +337,8 @@ BOTH_WAYS = Claim(
     "On level 2 the results of SAC-Lag and WCSAC vary strongly between seeds: some runs ignore the "
     "region, the others wait at a local optimum at a cost of 0.",
     "Of each of the two more than one run in twenty ends in the corridor with J_C above the limit, "
-    "and more than one in twenty outside it with J_C within the limit; refuted where no run does "
-    "one of them and fewer than half would.",
+    "and more than one in twenty outside it with J_C within the limit; not reproduced where no run "
+    "does one of them and fewer than half would.",
     _both_ways,
     LEVEL_TASKS[2:3],
 )
@@ -353,9 +357,11 @@ COSTLY_BUT_SHORT = Claim(
     "On SafetyPointCircle1 SAC-Lag has a higher cost rate and a higher final cost than TRPO-Lag, "
     "but a lower EMCC.",
     "The means of the cost rate and of J_C are higher, and those of EMCC in each third lower, "
-    "which permutation tests tell apart; refuted where one tells them apart the other way round.",
+    "which permutation tests tell apart; not reproduced where one tells them apart the other way "
+    "round.",
     _costly_but_short,
     (POINT_CIRCLE,),
+    across=True,
 )
 
 
@@ -380,10 +386,11 @@ SHORT_EPISODES = Claim(
     "On SafetyHopperVelocity, in the first third of training, TRPO-Lag's episodes are shorter and "
     "cost less than SAC-LB's, yet its EMCC is higher.",
     "The means of length and cost over the episodes that start in the first third are lower, that "
-    "of EMCC_0.33 is higher, which permutation tests tell apart; refuted where one tells them "
-    "apart the other way round.",
+    "of EMCC_0.33 is higher, which permutation tests tell apart; not reproduced where one tells "
+    "them apart the other way round.",
     _short_episodes,
     (HOPPER,),
+    across=True,
 )
 
 
@@ -403,10 +410,13 @@ def check_claims(groups: Sequence[Group]) -> list[Statement]:
     evidence = gather(groups)
     if not any(cell.full for cell in evidence.values()):
         return []
-    others = _other_choices(groups, evidence)
+    sides = {False: (evidence, _other_choices(groups, evidence))}
+    windows = [over_windows(group) for group in groups]
+    of_windows = gather(windows)
+    sides[True] = of_windows, _other_choices(windows, of_windows)
     known = {task for task, name in evidence if evidence[task, name].runs}
     told = [claim for claim in CLAIMS if known.intersection(claim.tasks)]
-    return [_checked(claim, evidence, others) for claim in told]
+    return [_checked(claim, *sides[claim.across]) for claim in told]
 
 
 def _other_choices(groups: Sequence[Group], evidence: Evidence) -> dict[str, Evidence]:
@@ -422,7 +432,7 @@ def _other_choices(groups: Sequence[Group], evidence: Evidence) -> dict[str, Evi
 
 
 def _checked(claim: Claim, evidence: Evidence, others: Mapping[str, Evidence]) -> Statement:
-    """A claim, confirmed where all parts are, refuted where one is, with the other choices that
+    """A claim, reproduced where all parts are, not where one is not, with the other choices that
     change the verdict and the parts that they change."""
     findings = claim.check(evidence)
     verdict = all_of(part.verdict for part in findings)

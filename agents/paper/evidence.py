@@ -36,7 +36,7 @@ from circle2d_mj.registration import KINEMATIC
 from emcc import Interval, mean_interval, share
 from emcc.statistics import UNBOUNDED, Bounds
 
-Verdict = Literal["confirmed", "refuted", "undecided"]
+Verdict = Literal["reproduced", "not reproduced", "undecided"]
 Count = Callable[[int, int, int], Verdict]
 """A rule: number of runs that do something, of all, and parts of the claim."""
 Value = str | Callable[[Run], float | None]
@@ -216,6 +216,9 @@ class Claim(NamedTuple):
     check: Callable[[Evidence], list[Finding]]
     tasks: Sequence[str]
     """The claim is on these: without any runs on them it is left out."""
+    across: bool = False
+    """Whether it compares EMCC of on- and off-policy methods, which takes windows: see
+    `agents.results.statistics.ACROSS`."""
 
 
 def gather(groups: Sequence[Group], choice: str = "") -> Evidence:
@@ -248,61 +251,63 @@ def _cell(groups: Sequence[Group], task: str, name: str, choice: str) -> Cell:
 
 
 def all_of(verdicts: Iterable[Verdict]) -> Verdict:
-    """The verdict on a claim that holds where all its parts hold: one that does not refutes it."""
+    """The verdict on a claim that holds where all its parts hold: one that does not decides it."""
     parts = set(verdicts)
-    return "refuted" if "refuted" in parts else "undecided" if "undecided" in parts else "confirmed"
+    if "not reproduced" in parts:
+        return "not reproduced"
+    return "undecided" if "undecided" in parts else "reproduced"
 
 
 def any_of(verdicts: Iterable[Verdict]) -> Verdict:
-    """The verdict on a claim that holds where one of its parts holds: one that does confirms it."""
+    """The verdict on a claim that holds where one of its parts holds: one that does decides it."""
     parts = set(verdicts)
-    if "confirmed" in parts:
-        return "confirmed"
-    return "undecided" if "undecided" in parts else "refuted"
+    if "reproduced" in parts:
+        return "reproduced"
+    return "undecided" if "undecided" in parts else "not reproduced"
 
 
 def opposite(verdict: Verdict) -> Verdict:
     """The verdict on the claim that it is not so."""
-    return _verdict(verdict == "refuted", verdict == "confirmed")
+    return _verdict(verdict == "not reproduced", verdict == "reproduced")
 
 
-def _verdict(confirmed: bool, refuted: bool) -> Verdict:
-    return "confirmed" if confirmed else "refuted" if refuted else "undecided"
+def _verdict(holds: bool, fails: bool) -> Verdict:
+    return "reproduced" if holds else "not reproduced" if fails else "undecided"
 
 
-def refuting(parts: int) -> float:
+def against(parts: int) -> float:
     """Level of the interval whose either end is a one-sided bound at `LEVEL` over the parts of a
-    claim: a claim is refuted by any of them, so that their errors add up."""
+    claim: any of them decides against it, so that their errors add up."""
     return 1 - 2 * LEVEL / parts
 
 
 def mostly(count: int, runs: int, parts: int) -> Verdict:
-    """The verdict on "the runs do": the share's interval is above a half; refuted where below."""
-    wide = share(count, runs, refuting(parts))
+    """The verdict on "the runs do": the share's interval is above a half; not where below."""
+    wide = share(count, runs, against(parts))
     return _verdict(share(count, runs).low > HALF, wide.high < HALF)
 
 
 def some(count: int, runs: int, parts: int) -> Verdict:
-    """The verdict on "there are runs that do": the share's interval is above `RARE`; refuted where
-    no run does and the interval is below a half."""
-    wide = share(count, runs, refuting(parts))
+    """The verdict on "there are runs that do": the share's interval is above `RARE`; not where no
+    run does and the interval is below a half."""
+    wide = share(count, runs, against(parts))
     return _verdict(share(count, runs).low > RARE, count == 0 and wide.high < HALF)
 
 
 def none(count: int, runs: int, parts: int) -> Verdict:
-    """The verdict on "no run does": none does and the share's interval is below a half; refuted
-    where the interval is above `RARE`."""
-    wide = share(count, runs, refuting(parts))
+    """The verdict on "no run does": none does and the share's interval is below a half; not
+    reproduced where the interval is above `RARE`."""
+    wide = share(count, runs, against(parts))
     return _verdict(count == 0 and share(count, runs).high < HALF, wide.low > RARE)
 
 
 def about(values: Values, printed: float, parts: int) -> Verdict:
     """The verdict on "the mean is about": its whole interval is within a fifth of the number;
-    refuted where it lies wholly farther away."""
+    not where it lies wholly farther away."""
     numbers, near = known(values), (0.8 * printed, 1.2 * printed)
     if numbers is None:
         return "undecided"
-    mean, wide = mean_interval(numbers), mean_interval(numbers, refuting(parts))
+    mean, wide = mean_interval(numbers), mean_interval(numbers, against(parts))
     if mean.kind != "t" or mean.low is None or mean.high is None:
         return "undecided"
     farther = wide.low > near[1] or wide.high < near[0]  # pyright: ignore
@@ -310,8 +315,8 @@ def about(values: Values, printed: float, parts: int) -> Verdict:
 
 
 def equal(a: Values, b: Values, margin: float, parts: int) -> Verdict:
-    """The verdict on "the means are equal": equivalent within the margin; refuted where they are
-    not and the permutation test tells them apart."""
+    """The verdict on "the means are equal": equivalent within the margin; not where they are not
+    and the permutation test tells them apart."""
     equivalence, p = equivalence_of(a, b, margin), p_of(a, b)
     if equivalence is None or p is None:
         return "undecided"
@@ -319,18 +324,18 @@ def equal(a: Values, b: Values, margin: float, parts: int) -> Verdict:
 
 
 def apart(a: Values, b: Values, margin: float, parts: int) -> Verdict:
-    """The verdict on "the means differ": the permutation test tells them apart; refuted where they
-    are equivalent within the margin."""
+    """The verdict on "the means differ": the permutation test tells them apart; not where they are
+    equivalent within the margin."""
     equivalence, p = equivalence_of(a, b, margin), p_of(a, b)
     if equivalence is None or p is None:
         return "undecided"
-    refuted = equivalence <= LEVEL / parts
-    return _verdict(p <= LEVEL and not refuted, refuted)
+    fails = equivalence <= LEVEL / parts
+    return _verdict(p <= LEVEL and not fails, fails)
 
 
 def lower(a: Values, b: Values, parts: int) -> Verdict:
     """The verdict on "the mean of a is below that of b": it is, and the permutation test tells them
-    apart; refuted where it tells them apart the other way round."""
+    apart; not where it tells them apart the other way round."""
     first, second, p = known(a), known(b), p_of(a, b)
     if first is None or second is None or p is None:
         return "undecided"

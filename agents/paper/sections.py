@@ -14,7 +14,7 @@ from agents.paper.evidence import SAFETY_SEEDS, SEEDS, choice_of, printed
 from agents.paper.grid import MARGIN, SAFETY, ablations, unprinted
 from agents.paper.presets import PAPER_ALGORITHMS, is_circle2d, registered_id
 from agents.reporting.overall import differences_over_tasks
-from agents.reporting.page import Section
+from agents.reporting.page import HANGS, Section
 from agents.reporting.table import Number, Row, Table, number
 from agents.reporting.tables import (
     Reference,
@@ -29,7 +29,7 @@ from agents.reporting.tables import (
 from agents.results.frame import by_task, hyperparameter_changes, name_of, unusual_steps
 from agents.results.measures import measure, measures
 from agents.results.reading import Group, Run
-from agents.results.statistics import INTERVALS, LEVEL, Pair, group_mean, two_sets
+from agents.results.statistics import ACROSS, INTERVALS, LEVEL, Pair, group_mean, two_sets
 from circle2d_mj.registration import KINEMATIC, PHYSICS
 from emcc.panels import emcc_of_thirds
 from emcc.parts import PARTS, TIES
@@ -38,17 +38,21 @@ CLAIMS = "The paper's claims"
 CLAIMS_WITH_PHYSICS = f"{CLAIMS}, on Circle2D with physics, of which it has no runs"
 LEAST_P = 2 / comb(2 * SAFETY_SEEDS, SAFETY_SEEDS)
 METHOD = (
-    "A claim is confirmed where all its parts are, refuted where one is, undecided otherwise. Runs "
+    "A claim is reproduced where all its parts are, not reproduced where one is not, undecided "
+    "otherwise: the verdict is on the reconstruction, not on the paper. Runs "
     f"with the presets' settings and of the paper's length count, {SEEDS} or more of an algorithm "
     f"on a task, on a Safety task {SAFETY_SEEDS} (as few on both sides decide no difference: p is "
     f"{LEAST_P:g} at least). A run ends where its evaluated episodes end most often; Circle2D's "
     f"limit is {LIMIT:g}. A rule on a share of runs holds where it holds for the whole 95 % "
     "Clopper-Pearson interval. Means have 95 % t intervals; where runs end in different places, or "
     "are fewer than five, their range. Differences are decided by permutation tests of Welch's t, "
-    f"equivalence by two one-sided ones, at {LEVEL:g}; to refute, at {LEVEL:g} divided by the "
-    "number of parts. "
-    '"With bootstrap: refuted": the verdict with runs of another choice of what the paper does not '
-    "print in the place of the preset's."
+    f"equivalence by two one-sided ones, at {LEVEL:g}; against a claim, at {LEVEL:g} divided "
+    "by the number of its parts. EMCC is as the paper defines it, over rollouts, of an epoch or an "
+    f"episode; where a claim compares on- and off-policy methods, over windows of {ACROSS} "
+    "episodes. "
+    f"{HANGS}: the verdict hangs on what the paper does not print. "
+    '"With bootstrap: undecided": the verdict with runs of another choice of that in the place of '
+    "the preset's."
 )
 CHOICES = "Other choices of what the paper does not print"
 CHOICES_MEANING = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
@@ -32,6 +33,10 @@ class Otherwise(NamedTuple):
     """Words and verdicts of the parts that it changes."""
 
 
+HANGS = "†"
+"""Mark of a verdict that other runs change."""
+
+
 class Statement(NamedTuple):
     """A statement and the verdict that runs give."""
 
@@ -41,6 +46,14 @@ class Statement(NamedTuple):
     findings: Sequence[tuple[str, str]]
     """Words and verdict of each part."""
     otherwise: Sequence[Otherwise] = ()
+
+    @property
+    def told(self) -> str:
+        """The verdict, with the mark; of several parts with the number of each verdict."""
+        counts = Counter(verdict for _, verdict in self.findings)
+        parts = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
+        words = f"{self.verdict.capitalize()}{f' {HANGS}' if self.otherwise else ''}"
+        return f"{words} (parts: {parts})" if len(self.findings) > 1 else words
 
 
 class Section(NamedTuple):
@@ -64,10 +77,10 @@ class Section(NamedTuple):
     def statements_markdown(self) -> str:
         """The statements, each below a heading."""
         lines = [f"## {self.title}", "", self.method, ""]
-        for number, (text, verdict, rule, findings, otherwise) in enumerate(self.statements, 1):
-            lines += [f"### {number}. {text} **{verdict.capitalize()}**", "", f"Rule: {rule}", ""]
-            lines += _listed(findings)
-            for other in otherwise:
+        for number, stated in enumerate(self.statements, 1):
+            lines += [f"### {number}. {stated.text} **{stated.told}**", "", f"Rule: {stated.rule}"]
+            lines += ["", *_listed(stated.findings)]
+            for other in stated.otherwise:
                 lines += [f"With {other.choice}: {other.verdict}", "", *_listed(other.findings)]
         return "\n".join(lines)
 

@@ -82,8 +82,8 @@ def compared(theirs: NDArray, ours: NDArray, margin: float) -> str:
     """The verdict with the p value that decides: of equivalence, or of equal means."""
     sides = theirs.tolist(), ours.tolist()
     verdict = equal(*sides, margin, 1)
-    p = p_of(*sides) if verdict == "refuted" else equivalence_of(*sides, margin)
-    words = {"confirmed": "equal", "refuted": "different"}.get(verdict, verdict)
+    p = p_of(*sides) if verdict == "not reproduced" else equivalence_of(*sides, margin)
+    words = {"reproduced": "equal", "not reproduced": "different"}.get(verdict, verdict)
     return f"{words} ({p_value(p)})"
 
 

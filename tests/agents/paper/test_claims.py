@@ -1,4 +1,4 @@
-"""The paper's claims against runs made up to confirm, to refute, or to decide nothing."""
+"""The paper's claims against runs made up to reproduce them, not to, or to decide nothing."""
 
 from dataclasses import replace
 from html import unescape
@@ -13,6 +13,7 @@ from agents.paper.presets import PAPER_STEPS, preset
 from agents.paper.sections import CLAIMS_WITH_PHYSICS, claims_sections
 from agents.reporting.page import page
 from agents.results.reading import Group, Run
+from agents.results.statistics import mixed, over_windows
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
 
@@ -77,8 +78,9 @@ def group(task, name, runs, steps=None, **changes):
 
 
 @pytest.fixture
-def world():
-    """Every run of the paper, by task and algorithm."""
+def world(monkeypatch):
+    """Every run of the paper, by task and algorithm, with an EMCC that is not of its records."""
+    monkeypatch.setattr(claims, "over_windows", lambda group: group)
     return {
         (task, name): as_the_paper_says(task, name) for task in PAPER_STEPS for name in ALGORITHMS
     }
@@ -117,7 +119,7 @@ def test_differences_are_of_the_second_less_the_first(world):
     assert words.startswith("cost_rate: SAC-Lag - TRPO-Lag +0.10 [")
     printed = [paper_results(SAFETY[0], name)["cost_rate"] for name in ("SAC-Lag", "TRPO-Lag")]
     assert f"; paper {printed[0] - printed[1]:+.2f}; " in words
-    assert verdict == "confirmed"
+    assert verdict == "reproduced"
     fewer = world | {(SAFETY[0], "sac-lag"): world[SAFETY[0], "sac-lag"][:6]}
     (words, _), *_ = check_claims(groups_of(fewer))[9].findings
     assert "(n = 6 and 10; paper" in words
@@ -145,63 +147,84 @@ SCENARIOS = {
     # which runs, what of which seeds, the claim (from 1), its verdict. Of 9 of 10 runs the lower
     # end of the 95 % interval is .555, of 8 of 10 .444; one-sided at .05 / 9 the upper end of 0 of
     # 10 is .405, of 1 of 10 .53; at .05 / 10 the lower end of 4 of 10 is .08, of 3 of 10 .04.
-    "one run stays within": (LEVEL[2], "trpo-lag", (0,), {"J_C": 5.0}, 1, "confirmed"),
+    "one run stays within": (LEVEL[2], "trpo-lag", (0,), {"J_C": 5.0}, 1, "reproduced"),
     "two runs stay within": (LEVEL[2], "trpo-lag", (0, 1), {"J_C": 5.0}, 1, "undecided"),
     "nine runs stay within": (LEVEL[2], "trpo-lag", ALL[:9], {"J_C": 5.0}, 1, "undecided"),
-    "all stay within": (LEVEL[2], "trpo-lag", ALL, {"J_C": 5.0}, 1, "refuted"),
+    "all stay within": (LEVEL[2], "trpo-lag", ALL, {"J_C": 5.0}, 1, "not reproduced"),
     "two runs wait": (LEVEL[3], "trpo-lag", (1, 2), {"ends": "right rim"}, 1, "undecided"),
-    "cost of 10.7": (LEVEL[1], "trpo-lag", ALL, {"J_C": 10.7}, 1, "confirmed"),
-    "cost of 11": (LEVEL[1], "trpo-lag", ALL, {"J_C": 11.0}, 1, "refuted"),
+    "cost of 10.7": (LEVEL[1], "trpo-lag", ALL, {"J_C": 10.7}, 1, "reproduced"),
+    "cost of 11": (LEVEL[1], "trpo-lag", ALL, {"J_C": 11.0}, 1, "not reproduced"),
     "cost of 9 to 15": (LEVEL[1], "trpo-lag", (0, 1, 2), {"J_C": 15.0}, 1, "undecided"),
-    "one cost of 100 within": (LEVEL[1], "trpo-lag", (0,), {"J_C": 0.1}, 1, "confirmed"),
-    "late EMCC": (LEVEL[1], "trpo-lag", ALL, {"EMCC_0__99": 0.25}, 1, "refuted"),
-    "level 0 is not claimed": (LEVEL[0], "trpo-lag", ALL, {"J_C": 20.0}, 1, "confirmed"),
-    "on-policy rises": (SAFETY[1], "cpo", ALL, {"EMCC_0__99": 0.6}, 2, "refuted"),
-    "one seed rises": (SAFETY[1], "cpo", (0,), {"EMCC_0__99": 0.6}, 2, "confirmed"),
+    "one cost of 100 within": (LEVEL[1], "trpo-lag", (0,), {"J_C": 0.1}, 1, "reproduced"),
+    "late EMCC": (LEVEL[1], "trpo-lag", ALL, {"EMCC_0__99": 0.25}, 1, "not reproduced"),
+    "level 0 is not claimed": (LEVEL[0], "trpo-lag", ALL, {"J_C": 20.0}, 1, "reproduced"),
+    "on-policy rises": (SAFETY[1], "cpo", ALL, {"EMCC_0__99": 0.6}, 2, "not reproduced"),
+    "one seed rises": (SAFETY[1], "cpo", (0,), {"EMCC_0__99": 0.6}, 2, "reproduced"),
     "two seeds rise": (SAFETY[1], "cpo", (0, 1), {"EMCC_0__99": 0.6}, 2, "undecided"),
-    "off-policy falls once": (SAFETY[1], "wcsac", ALL, {"EMCC_0__99": 0.1}, 2, "confirmed"),
-    "SAC-Lag nowhere": (LEVEL[0], "sac-lag", ALL, {"ends": "right rim"}, 3, "refuted"),
+    "off-policy falls once": (SAFETY[1], "wcsac", ALL, {"EMCC_0__99": 0.1}, 2, "reproduced"),
+    "SAC-Lag nowhere": (LEVEL[0], "sac-lag", ALL, {"ends": "right rim"}, 3, "not reproduced"),
     "SAC-Lag once": (LEVEL[0], "sac-lag", ALL[1:], {"ends": "right rim"}, 3, "undecided"),
-    "SAC-Lag thrice": (LEVEL[0], "sac-lag", ALL[3:], {"ends": "right rim"}, 3, "confirmed"),
+    "SAC-Lag thrice": (LEVEL[0], "sac-lag", ALL[3:], {"ends": "right rim"}, 3, "reproduced"),
     "CPO once": (LEVEL[0], "cpo", (1,), {"ends": "corridor"}, 3, "undecided"),
     "CPO thrice": (LEVEL[0], "cpo", (1, 2, 3), {"ends": "corridor"}, 3, "undecided"),
-    "CPO four times": (LEVEL[0], "cpo", ALL[:4], {"ends": "corridor"}, 3, "refuted"),
-    "SAC-LB above": (LEVEL[1], "sac-lb", ALL, {"J_C": 5.01}, 3, "refuted"),
-    "WCSAC too": (LEVEL[1], "wcsac", ALL, {"ends": "corridor", "J_C": 5.0}, 3, "refuted"),
-    "in a cut-out": (LEVEL[3], "wcsac", ALL, {"ends": "top cut-out"}, 4, "confirmed"),
-    "one in the corridor": (LEVEL[3], "wcsac", (1,), {"ends": "corridor"}, 4, "confirmed"),
+    "CPO four times": (LEVEL[0], "cpo", ALL[:4], {"ends": "corridor"}, 3, "not reproduced"),
+    "SAC-LB above": (LEVEL[1], "sac-lb", ALL, {"J_C": 5.01}, 3, "not reproduced"),
+    "WCSAC too": (LEVEL[1], "wcsac", ALL, {"ends": "corridor", "J_C": 5.0}, 3, "not reproduced"),
+    "in a cut-out": (LEVEL[3], "wcsac", ALL, {"ends": "top cut-out"}, 4, "reproduced"),
+    "one in the corridor": (LEVEL[3], "wcsac", (1,), {"ends": "corridor"}, 4, "reproduced"),
     "two in the corridor": (LEVEL[3], "wcsac", (1, 2), {"ends": "corridor"}, 4, "undecided"),
-    "nine above the limit": (LEVEL[0], "wcsac", ALL[1:], {"J_C": 6.0}, 4, "refuted"),
-    "but for level 2": (LEVEL[2], "wcsac", ALL, {"J_C": 20.0}, 4, "confirmed"),
+    "nine above the limit": (LEVEL[0], "wcsac", ALL[1:], {"J_C": 6.0}, 4, "not reproduced"),
+    "but for level 2": (LEVEL[2], "wcsac", ALL, {"J_C": 20.0}, 4, "reproduced"),
     "somebody once": (LEVEL[3], "sac-lb", (0,), {"ends": "corridor"}, 5, "undecided"),
-    "somebody often": (LEVEL[3], "sac-lb", ALL[:5], {"ends": "corridor"}, 5, "refuted"),
-    "not safely": (LEVEL[3], "sac-lb", ALL, {"ends": "corridor", "J_C": 6.0}, 5, "confirmed"),
-    "other cost rates": (LEVEL[3], "cpo", ALL, {"cost_rate": 0.2}, 6, "refuted"),
+    "somebody often": (LEVEL[3], "sac-lb", ALL[:5], {"ends": "corridor"}, 5, "not reproduced"),
+    "not safely": (LEVEL[3], "sac-lb", ALL, {"ends": "corridor", "J_C": 6.0}, 5, "reproduced"),
+    "other cost rates": (LEVEL[3], "cpo", ALL, {"cost_rate": 0.2}, 6, "not reproduced"),
     "cost rates of .1 to .2": (LEVEL[3], "cpo", (0, 1), {"cost_rate": 0.2}, 6, "undecided"),
-    "equal EMCC": (LEVEL[3], "wcsac", ALL, {"EMCC_0__66": 0.36}, 6, "refuted"),
+    "equal EMCC": (LEVEL[3], "wcsac", ALL, {"EMCC_0__66": 0.36}, 6, "not reproduced"),
     "EMCC of .3 to .9": (LEVEL[3], "wcsac", ALL[1:], {"EMCC_0__66": 0.36}, 6, "undecided"),
     # TRPO-Lag's late EMCC is .2 to .227, of which one seed with 1 makes the mean .29.
-    "CPO lower": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.19}, 7, "refuted"),
+    "CPO lower": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.19}, 7, "not reproduced"),
     "CPO equal": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.2135}, 7, "undecided"),
-    "CPO higher but for a seed": (LEVEL[1], "cpo", (0,), {"EMCC_0__99": 0.2}, 7, "confirmed"),
+    "CPO higher but for a seed": (LEVEL[1], "cpo", (0,), {"EMCC_0__99": 0.2}, 7, "reproduced"),
     "TRPO-Lag of .2 to 1": (LEVEL[3], "trpo-lag", (0,), {"EMCC_0__99": 1.0}, 7, "undecided"),
     # p = .03: below .05, but not below .05 / 24.
     "CPO hardly lower": (LEVEL[1], "cpo", ALL, {"EMCC_0__99": 0.206}, 7, "undecided"),
-    "SAC-LB lower in the middle": (LEVEL[2], "sac-lb", ALL, {"EMCC_0__66": 0.29}, 7, "refuted"),
-    "early EMCC is not claimed": (LEVEL[2], "trpo-lag", ALL, {"EMCC_0__33": 0.9}, 7, "confirmed"),
-    "SAC-Lag cheaper": (SAFETY[0], "sac-lag", ALL, {"J_C": 0.5}, 10, "refuted"),
+    "SAC-LB lower in the middle": (
+        LEVEL[2],
+        "sac-lb",
+        ALL,
+        {"EMCC_0__66": 0.29},
+        7,
+        "not reproduced",
+    ),
+    "early EMCC is not claimed": (LEVEL[2], "trpo-lag", ALL, {"EMCC_0__33": 0.9}, 7, "reproduced"),
+    "SAC-Lag cheaper": (SAFETY[0], "sac-lag", ALL, {"J_C": 0.5}, 10, "not reproduced"),
     "SAC-Lag once longer": (SAFETY[0], "sac-lag", ALL[:5], {"EMCC_0__66": 0.5}, 10, "undecided"),
-    "TRPO-Lag shorter": (SAFETY[2], "trpo-lag", ALL, {"EMCC_0__33": 0.1}, 11, "refuted"),
-    "CPO cheaper": (LEVEL[1], "cpo", ALL, {"J_C": 0.5}, 8, "refuted"),
+    "TRPO-Lag shorter": (SAFETY[2], "trpo-lag", ALL, {"EMCC_0__33": 0.1}, 11, "not reproduced"),
+    "CPO cheaper": (LEVEL[1], "cpo", ALL, {"J_C": 0.5}, 8, "not reproduced"),
     "CPO as cheap": (LEVEL[1], "cpo", ALL, {"J_C": 1.04}, 8, "undecided"),
-    "WCSAC shorter early": (LEVEL[1], "wcsac", ALL, {"EMCC_0__33": 0.4}, 8, "refuted"),
-    "on levels 2 and 3 not claimed": (LEVEL[2], "cpo", ALL, {"J_C": 0.5}, 8, "confirmed"),
+    "WCSAC shorter early": (LEVEL[1], "wcsac", ALL, {"EMCC_0__33": 0.4}, 8, "not reproduced"),
+    "on levels 2 and 3 not claimed": (LEVEL[2], "cpo", ALL, {"J_C": 0.5}, 8, "reproduced"),
     # With bounds at .05 / 4 the upper end of 0 of 10 is .355; the lower end of 2 of 10 is .03.
-    "all through": (LEVEL[2], "sac-lag", ALL, {"ends": "corridor", "J_C": 9.0}, 9, "refuted"),
-    "all wait": (LEVEL[2], "wcsac", ALL, {"ends": "top cut-out", "J_C": 0.0}, 9, "refuted"),
+    "all through": (
+        LEVEL[2],
+        "sac-lag",
+        ALL,
+        {"ends": "corridor", "J_C": 9.0},
+        9,
+        "not reproduced",
+    ),
+    "all wait": (LEVEL[2], "wcsac", ALL, {"ends": "top cut-out", "J_C": 0.0}, 9, "not reproduced"),
     "eight through": (LEVEL[2], "wcsac", ALL[:8], {"ends": "corridor", "J_C": 9.0}, 9, "undecided"),
-    "seven through": (LEVEL[2], "wcsac", ALL[:7], {"ends": "corridor", "J_C": 9.0}, 9, "confirmed"),
-    "waits at a cost": (LEVEL[2], "wcsac", ALL[5:], {"J_C": 5.01}, 9, "refuted"),
+    "seven through": (
+        LEVEL[2],
+        "wcsac",
+        ALL[:7],
+        {"ends": "corridor", "J_C": 9.0},
+        9,
+        "reproduced",
+    ),
+    "waits at a cost": (LEVEL[2], "wcsac", ALL[5:], {"J_C": 5.01}, 9, "not reproduced"),
 }
 
 
@@ -215,7 +238,7 @@ def test_scenarios(world, scenario):
 def test_off_policy_that_falls_everywhere(world):
     for task in PAPER_STEPS:
         world[task, "sac-lb"] = changed(world[task, "sac-lb"], ALL, EMCC_0__99=0.1)
-    assert verdict_of(world, 2) == "refuted"
+    assert verdict_of(world, 2) == "not reproduced"
     world[LEVEL[1], "sac-lb"] = changed(world[LEVEL[1], "sac-lb"], (0, 1), EMCC_0__99=0.9)
     assert verdict_of(world, 2) == "undecided"
 
@@ -224,7 +247,7 @@ def test_cost_late_in_training(world):
     world[LEVEL[0], "wcsac"] = [
         run(k, (0.5, 0.6, 0.7), 0.1, 1.0, "right rim", 5.5 if k else 1.0) for k in ALL
     ]
-    assert verdict_of(world, 4) == "refuted"
+    assert verdict_of(world, 4) == "not reproduced"
 
 
 def test_what_decides_nothing(world):
@@ -239,11 +262,11 @@ def test_what_decides_nothing(world):
     # Beside the runs of the preset they change nothing.
     ablated = [group(of.task, "trpo-lag", changed(of.runs, ALL, J_C=0.0)) for of in others]
     ablated = [replace(of, config=other.config) for of, other in zip(ablated, others, strict=True)]
-    assert verdicts([*ablated, *groups_of(world)]) == ["confirmed"] * 11
+    assert verdicts([*ablated, *groups_of(world)]) == ["reproduced"] * 11
 
 
 def test_another_choice_that_changes_a_verdict(world):
-    """SAC-Lag that waits with bootstrap on level 0 refutes the third claim, and no other."""
+    """SAC-Lag that waits with bootstrap on level 0 turns the third claim, and no other."""
     groups = [group(LEVEL[0], name, world[LEVEL[0], name]) for name in ALGORITHMS]
     waiting = changed(world[LEVEL[0], "sac-lag"], ALL, ends="right rim")
     nine, ten = (
@@ -251,16 +274,16 @@ def test_another_choice_that_changes_a_verdict(world):
     )
     assert not any(checked.otherwise for checked in check_claims([*groups, nine]))
     [[other]] = [of.otherwise for of in check_claims([ten, *groups]) if of.otherwise]
-    assert (other.choice, other.verdict, len(other.findings)) == ("bootstrap", "refuted", 1)
+    assert (other.choice, other.verdict, len(other.findings)) == ("bootstrap", "not reproduced", 1)
     words = (
         "in the corridor: SAC-Lag with bootstrap 0 of 10 runs [0.00, 0.31], SAC-LB 10 of 10 runs "
         "[0.69, 1.00] (claimed: each has some)"
     )
     [section] = claims_sections([ten, *groups])
     text = section.statements_markdown()
-    assert f"With bootstrap: refuted\n\n- Circle2D-0: {words}: refuted\n" in text
+    assert f"With bootstrap: not reproduced\n\n- Circle2D-0: {words}: not reproduced\n" in text
     html = unescape(page("x", [section], {}))
-    assert 'With bootstrap: <span class="refuted">refuted</span>' in html
+    assert 'With bootstrap: <span class="not-reproduced">not reproduced</span>' in html
     assert html.count(words) == 1
 
 
@@ -286,7 +309,7 @@ def test_two_folders_of_other_seeds_count_together(world):
         for (task, name), runs in world.items()
         for of in (runs[:1], runs[1:], runs[:1])
     ]
-    assert verdicts(parts) == ["confirmed"] * 11
+    assert verdicts(parts) == ["reproduced"] * 11
 
 
 def test_what_is_missing_is_named(world):
@@ -300,16 +323,39 @@ def test_what_is_missing_is_named(world):
 
 
 def test_runs_of_other_length_decide_nothing_beside_full_ones(world):
-    """A demo of the same seeds, whose costs would refute the first claim, in a folder before the
+    """A demo of the same seeds, whose costs would turn the first claim, in a folder before the
     others; longer ones behind them."""
     demo = changed(world[LEVEL[1], "trpo-lag"], ALL, J_C=1.0, ends="right rim")
     others = [group(LEVEL[1], "trpo-lag", demo, steps=steps) for steps in (250_000, 2_000_000)]
     groups = groups_of(world)
-    assert verdicts([others[0], *groups, others[1]]) == ["confirmed"] * 11
+    assert verdicts([others[0], *groups, others[1]]) == ["reproduced"] * 11
     del world[LEVEL[1], "trpo-lag"]
     checked = check_claims([*others, *groups_of(world)])[0]
     assert checked.verdict == "undecided"
     assert any("2,000,000 of 1,000,000 steps" in words for words, _ in checked.findings)
+
+
+def test_emcc_across_families_is_of_windows_of_ten_episodes():
+    """Every fortieth episode has a streak of half of it. Of the 20 windows that start in the second
+    third five have one, and the worst two count; of the 198 episodes five of the worst 19.8."""
+    records = EpisodeRecords(
+        np.arange(600), np.arange(600) * 10, np.full(600, 10), np.zeros(600), np.zeros(600),
+        np.where(np.arange(600) % 10 == 3, 5, 0),
+    )  # fmt: skip
+    rare = replace(records, longest_streak=np.where(np.arange(600) % 40 == 3, 5, 0))
+    runs = [replace(run(seed, (0, 0, 0), 0.1, 1.0, "right rim", 1.0), records=rare) for seed in ALL]
+    own = group(LEVEL[3], "wcsac", runs)
+    assert over_windows(own).values("EMCC_0.66") == [0.5] * 10
+    alone = over_windows(own, 1)
+    assert alone.values("EMCC_0.66") == pytest.approx([2.5 / 19.8] * 10)
+    assert over_windows(alone).values("EMCC_0.66") == alone.values("EMCC_0.66")
+    of_cpo = group(LEVEL[3], "cpo", runs)
+    assert not mixed([own, own]) and mixed([own, of_cpo])
+    assert not mixed([over_windows(own), over_windows(of_cpo)])
+    across = [k for k, claim in enumerate(CLAIMS, 1) if claim.across]
+    assert across == [6, 7, 8, 10, 11]  # which compare EMCC of both families
+    told = [of.findings for of in check_claims([own, of_cpo])]
+    assert any("EMCC_0.66: WCSAC - CPO +0.00" in words for of in told for words, _ in of)
 
 
 def test_the_first_third_by_hand():

@@ -21,7 +21,7 @@ from agents.reporting.overall import TASKS as TOGETHER
 from agents.reporting.overall import over_tasks, separated_table, tables_over_tasks
 from agents.results.measures import RunData, measured
 from agents.results.reading import Group, Run, read, write_archive
-from agents.results.statistics import comparisons, thirds
+from agents.results.statistics import ACROSS_WORDS, comparisons, thirds
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
 
@@ -160,7 +160,7 @@ def test_tables_over_tasks_are_of_one_cost(groups):
     rest = [of for of in groups if of.config.algorithm != "wcsac"]
     mixed, alone = (tables_over_tasks(own) for own in (of_other, rest))
     assert mixed[TOGETHER].rows == alone[TOGETHER].rows
-    assert (*mixed[TOGETHER].notes,) == ("Of cost alone.",)
+    assert (*mixed[TOGETHER].notes,) == ("Of cost alone.", ACROSS_WORDS)
     assert (*alone[TOGETHER].notes,) == ()
 
 
