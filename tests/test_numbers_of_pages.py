@@ -967,7 +967,7 @@ def test_with_ties_split():
         [statement.verdict for section in claims_sections(way) for statement in section.statements]
         for way in (own, other)
     ]
-    assert verdicts[0] == verdicts[1] and verdicts[0].count("refuted") == 6
+    assert verdicts[0] == verdicts[1] and verdicts[0].count("not reproduced") == 6
     usual = [group for group in own if not changes(group.config, group.task)]
     assert len(usual) == 20
     p = []
