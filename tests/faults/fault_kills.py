@@ -189,6 +189,7 @@ def scenes(root, names=()):
         return lambda folder: [command, str(folder), *(m.format(folder) for m in more)]
 
     resume, evaluate = of("resume"), of("evaluate", "--episodes", "5")
+    longer = of("resume", "--steps", "220")
     heatmap, packed = of("heatmap", "--size", "64"), of("report", "--archive", "{}/archive.zip")
     film = of("render", "--size", "64", "--episodes", "1", "--out", "{}/film.gif")
     found = {
@@ -196,6 +197,7 @@ def scenes(root, names=()):
         "train cpo": (None, lambda f: [*cpo, "--out", str(f)], resume),
         "resume": (stopped, resume, resume),
         "resume of a finished run": (whole, resume, resume),
+        "resume --steps": (whole, longer, longer),
         "evaluate": (whole, evaluate, evaluate),
         "heatmap": (whole, heatmap, heatmap),
         "film": (whole, film, film),

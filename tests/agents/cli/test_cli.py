@@ -127,7 +127,7 @@ def test_a_failed_run_is_named_and_the_status_is_1(tmp_path, capsys, monkeypatch
     run_epoch = Trainer.run_epoch
 
     def poisoned(self):
-        if self.epoch == 5:
+        if self.epochs.max() == 5:
             self.learner._state.actor[1, 0] = np.nan
         run_epoch(self)
 
@@ -217,7 +217,7 @@ def kill_in_epoch(monkeypatch, numbers, epoch=3):
 
     def interrupted(self):
         run_epoch(self)
-        if self.epoch == epoch:
+        if self.epochs.max() == epoch:
             for number in numbers:
                 os.kill(os.getpid(), number)
 

@@ -80,7 +80,7 @@ def test_the_risk_at_start_states(name, normalize):
         moments = None if moments is None else moments.copy()
         if np.isnan(metrics["risk"]).any():
             continue
-        [(_, noise)] = it.learner._draws(it.epoch - 1)
+        [(_, noise)] = it.learner._draws(int(it.epochs.max()) - 1)
         for run in range(2):
             own = np.stack(starts[run])
             if normalize:  # by the moments that the epoch before left

@@ -183,7 +183,7 @@ def left(request, tmp_path_factory):
     if request.param == "finished":
         return root / "whole", results(root / "whole")
     config().write(root / "part")
-    train(root / "part", lambda trainer: trainer.epoch < 3)
+    train(root / "part", lambda trainer: trainer.epochs.max() < 3)
     return root / "part", results(root / "whole")
 
 

@@ -127,7 +127,7 @@ def test_files_are_taken_over_so_that_any_moment_can_be_gone_on_from(tmp_path, m
     """Every prefix of what is written here leads to the end of there."""
     there = made(tmp_path / "there", 400)
     expected = results(train(made(tmp_path / "whole", 400)).folder)
-    train(there, lambda trainer: trainer.epoch < 1)
+    train(there, lambda trainer: trainer.epochs.max() < 1)
     known, files = {"status.json"}, {}
     first, names = new_files(there, known, last=False)
     assert {name for name in first if "/" in name} == {
@@ -138,7 +138,7 @@ def test_files_are_taken_over_so_that_any_moment_can_be_gone_on_from(tmp_path, m
     here = tmp_path / "here"
     take_in(here, first, names)
     assert {name: (here / name).read_bytes() for name in first} == dict(first)
-    train(there, lambda trainer: trainer.epoch < 3)
+    train(there, lambda trainer: trainer.epochs.max() < 3)
     (there / ".steps.npz.01.unfinished").write_text("half")
     second, names = new_files(there, known, last=False)
     assert "status.json" in second
