@@ -19,16 +19,17 @@ The whole entrance from Python:
 `on_epoch` of `train` receives an `Epoch`; a mistake of the caller raises `UserError`. `import
 agents` imports none of this: names are looked up when they are first used, and torch with them.
 
-The subpackages and modules, lowest layer first; but for `paper` each imports only those before it:
+The subpackages and modules, lowest layer first; each imports only those before it:
 
 - `errors`, `checks`: mistakes of a caller, errors of their code, values that settings allow
 - `lockstep`: many runs of one algorithm as one batch: networks, Adam, noise, rollouts
 - `on_policy`, `trust_region`, `first_order`, `sac`: the families of algorithms
 - `algorithms`: the part that each algorithm's paper adds, a file each, and the registry
+- `presets`: the hyper-parameters that an algorithm starts from on a task
 - `training`: configuration, the trainer and its files, what is derived from them, policies
 - `results`: reading of trained runs, their measures, and one tidy frame of them
 - `reporting`: tables, figures, page
-- `paper`: presets, grid, printed numbers and claims, which `results` and `reporting` ask for
+- `paper`: the study of the paper: grid, printed numbers and claims, which reports are given
 - `export`: policies as files for other programs
 - `runs`: runs on disk as Python objects
 - `api`: the functions that train and report

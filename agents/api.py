@@ -28,20 +28,23 @@ import tempfile
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from agents.algorithms import BUILT_IN, module_of
 from agents.checks import as_integer
 from agents.errors import RemoteTraceback, RunsFailed, UserError, extra
 from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.kernel import Backend
-from agents.paper.presets import preset_with
+from agents.presets import PresetName, preset_with
 from agents.runs import Runs, folders_of
 from agents.training import callbacks, trainer
 from agents.training.callbacks import Epoch
 from agents.training.config import CONFIG, TrainConfig, finished
 from agents.training.environments import Vectorization, check_task, module_of_task, task_id
 from agents.training.files import check_file, check_folder
+
+if TYPE_CHECKING:
+    from agents.reporting.study import Study
 
 EngineName = Literal["local", "ray"]
 OnEpoch = Callable[[Epoch], object]
@@ -69,6 +72,7 @@ def train(
     step_timeout: float | None = None,
     backend: Backend = "c++",
     tensorboard: bool = False,
+    preset: PresetName = "paper",
     on_epoch: OnEpoch | None = None,
     progress: bool = False,
     engine: EngineName = "local",
@@ -83,7 +87,8 @@ def train(
     [50, 50, 50, 50, 50, 50, 50, 50]
 
     algorithm: name of a built-in (`circle2d --help` lists them) or registered one. hyperparameters:
-        values that replace those of the task's preset (on the paper's tasks, the paper's values).
+        values that replace those of the task's preset. preset: "paper", the paper's values on its
+        tasks and their families, or "none", the algorithm's defaults: see `agents.presets`.
     task: id of a gymnasium task with `info["cost"]`, or several, whose observations, actions and
         presets are equal; "module:Id" imports the module first. task_parameters: keyword arguments
         for each.
@@ -113,7 +118,7 @@ def train(
     """
     given = {name: value for name, value in locals().items() if name in SETTINGS}
     place = None if out is None else _to_write(out)  # before anything that takes long
-    (config,) = configs_of(algorithm, task, [hyperparameters], backend, given)
+    (config,) = configs_of(algorithm, task, [hyperparameters], preset, backend, given)
     callbacks.check_callback(on_epoch)
     if engine != "local" and (on_epoch or progress):
         raise UserError("on_epoch and progress are of the engine local")
@@ -139,6 +144,7 @@ def sweep(
     *,
     grid: Mapping[str, Values],
     out: Folder,
+    preset: PresetName = "paper",
     backend: Backend = "c++",
     engine: EngineName = "local",
     workers: int | None = None,
@@ -166,7 +172,7 @@ def sweep(
     for name in grid.keys() & settings.keys():
         raise UserError(f"{name} is given twice: in the grid, and as {settings[name]!r}")
     chosen = [settings | values for values in combinations.values()]
-    configs = configs_of(algorithm, task, chosen, backend, given)
+    configs = configs_of(algorithm, task, chosen, preset, backend, given)
     by_folder = {folder / name: c for name, c in zip(combinations, configs, strict=True)}
     _launch(by_folder, engine, workers, address)
     return Runs(list(by_folder))
@@ -207,6 +213,7 @@ def resume(
 
 def report(
     *paths: Folder,
+    study: Study | None = None,
     archive: Folder | None = None,
     out: Folder | None = None,
     columns: Sequence[str] | None = None,
@@ -216,20 +223,22 @@ def report(
 
     paths: folders, archives, folders of archives (`runs.zip/Circle2D-1-v0`), or runs, such as
     `train` returns. Folders that differ in their seeds alone count as one. Returns the main
-    tables and the paper's claims as Markdown. archive: a file to write, from which the report
-    can be made again. out: folder to write to, required with several paths; by default the runs'
-    own, for `runs.zip` the folder `runs` beside it. columns: of `report.tex`, as `report.md` names
-    them; by default those that fit the width of a text. window: EMCC over windows of so many
-    episodes in place of rollouts, see `emcc.EpisodeRecords.windows`. Raises UserError where there
-    are no complete runs, or an archive is damaged.
+    tables and the study's claims as Markdown. study: adds claims, printed numbers and tables of
+    its own, by default the paper's. archive: a file to write, from which the report can be made
+    again. out: folder to write to, required with several paths; by default the runs' own, for
+    `runs.zip` the folder `runs` beside it. columns: of `report.tex`, as `report.md` names them; by
+    default those that fit the width of a text. window: EMCC over windows of so many episodes in
+    place of rollouts, see `emcc.EpisodeRecords.windows`. Raises UserError where there are no
+    complete runs, or an archive is damaged.
     """
+    from agents.paper.sections import STUDY
     from agents.reporting.report import report as write_report
     from agents.reporting.table import PAPER, markdown
 
     file = None if archive is None else Path(archive)
     folder = None if out is None else _to_write(out)
     how = {"archive": file, "out": folder, "columns": PAPER if columns is None else columns}
-    how["window"] = window
+    how |= {"study": study or STUDY, "window": window}
     return markdown(write_report(*folders_of(*paths), **how).blocks)
 
 
@@ -295,6 +304,7 @@ def configs_of(
     algorithm: str,
     task: str | Iterable[str],
     hyperparameters: Sequence[Mapping[str, Any]],
+    preset: PresetName,
     backend: Backend,
     given: Mapping[str, Any],
 ) -> list[TrainConfig]:
@@ -316,7 +326,7 @@ def configs_of(
     settings["costs"] = (costs,) if isinstance(costs, str) else tuple(costs)
     configs = []
     for own in hyperparameters:
-        presets = {name: preset_with(algorithm, name, own) for name in tasks}
+        presets = {name: preset_with(algorithm, name, own, preset) for name in tasks}
         for name, other in presets.items():
             if other != presets[tasks[0]]:
                 raise UserError(
@@ -390,7 +400,7 @@ def _launch(
     Raises UserError where one holds other runs, and where the training of a folder fails; the
     others are done by then.
     """
-    from agents.paper import grid as grids
+    from agents.training import grid as grids
     from agents.training.launcher import launcher
 
     modules = modules_of(configs.values())

@@ -59,7 +59,7 @@ def prepared(algorithm, runs):
     """Trainer of runs as `circle2d train` trains them, but that none acts at random."""
     from dataclasses import replace
 
-    from agents.paper.presets import preset
+    from agents.presets import preset
     from agents.training.config import TrainConfig
     from agents.training.trainer import Trainer
 

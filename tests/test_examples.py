@@ -10,7 +10,7 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 
-from agents.paper.presets import preset, preset_with
+from agents.presets import preset, preset_with
 
 FOLDER = Path(__file__).parents[1] / "examples"
 NEEDED = {

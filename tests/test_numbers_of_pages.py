@@ -19,7 +19,7 @@ from results_table import EMCC, LEVELS, SAFETY_LIMIT, UNITS, count, runs, short,
 import emcc
 from agents.algorithms import title
 from agents.paper import evidence
-from agents.paper.presets import PAPER_ALGORITHMS
+from agents.paper.grid import PAPER_ALGORITHMS
 from agents.paper.sections import _with_all_ties, claims_sections
 from agents.reporting.numbers import numbers_csv, report_lines
 from agents.results.frame import changes, with_distinct_titles

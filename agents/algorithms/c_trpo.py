@@ -71,4 +71,4 @@ def step(config: CTRPOConfig, problem: Problem) -> Step:
 
 SWITCH = Multiplier(PROJECTED._replace(law=recovers), ahead=True)
 RULE = StepRule(advantage, step, (SWITCH,))
-ALGORITHM = Algorithm("C-TRPO", CTRPOConfig, RULE, TrustRegion)
+ALGORITHM = Algorithm("C-TRPO", CTRPOConfig, RULE, TrustRegion, work=1.3)

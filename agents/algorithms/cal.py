@@ -64,4 +64,4 @@ def augmented(config: CALConfig, multipliers: Tensor, risk: Tensor) -> Tensor:
 
 
 RULE = CostRule(risk, critic_loss, penalty, (Multiplier(EXP),), augmented=augmented)
-ALGORITHM = Algorithm("CAL", CALConfig, RULE, OffPolicy)
+ALGORITHM = Algorithm("CAL", CALConfig, RULE, OffPolicy, work=7.0)

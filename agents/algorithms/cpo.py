@@ -72,4 +72,4 @@ def on_limit(problem: Problem, natural: Tensor, natural_b: Tensor, b: Tensor, s:
 
 
 RULE = StepRule(advantage, step, has_cases=True)
-ALGORITHM = Algorithm("CPO", CPOConfig, RULE, TrustRegion)
+ALGORITHM = Algorithm("CPO", CPOConfig, RULE, TrustRegion, work=1.3)

@@ -25,4 +25,4 @@ class CPPOPIDConfig(PPOLagConfig):
 
 
 RULE = Objective(advantage, (Multiplier(PROJECTED, ahead=True),))
-ALGORITHM = Algorithm("CPPO-PID", CPPOPIDConfig, RULE, FirstOrder)
+ALGORITHM = Algorithm("CPPO-PID", CPPOPIDConfig, RULE, FirstOrder, work=2.4)

@@ -42,4 +42,4 @@ def advantage(
 
 SWITCH = Multiplier(PROJECTED._replace(law=rectifies), ahead=True)
 RULE = StepRule(advantage, step, (SWITCH,))
-ALGORITHM = Algorithm("CRPO", CRPOConfig, RULE, TrustRegion)
+ALGORITHM = Algorithm("CRPO", CRPOConfig, RULE, TrustRegion, work=1.0)

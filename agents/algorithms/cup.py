@@ -41,4 +41,4 @@ def projection(
 
 
 RULE = Objective(advantage, (MULTIPLIER,), surrogates=(clipped, projection), reverse_kl=True)
-ALGORITHM = Algorithm("CUP", CUPConfig, RULE, FirstOrder)
+ALGORITHM = Algorithm("CUP", CUPConfig, RULE, FirstOrder, work=3.5)

@@ -84,4 +84,4 @@ def surrogate(
 
 MULTIPLIER = Multiplier(PROJECTED, highest="max_multiplier", ahead=True, discounted=True)
 RULE = Objective(advantage, (MULTIPLIER,), surrogates=(surrogate,), reverse_kl=True)
-ALGORITHM = Algorithm("FOCOPS", FOCOPSConfig, RULE, FirstOrder)
+ALGORITHM = Algorithm("FOCOPS", FOCOPSConfig, RULE, FirstOrder, work=2.4)

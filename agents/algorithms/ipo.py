@@ -48,4 +48,4 @@ def slope(config: IPOConfig, before: Tensor, cost: Tensor) -> Tensor:
 
 BARRIER = Multiplier(PROJECTED._replace(law=slope), ahead=True, discounted=True)
 RULE = Objective(advantage, (BARRIER,))
-ALGORITHM = Algorithm("IPO", IPOConfig, RULE, FirstOrder)
+ALGORITHM = Algorithm("IPO", IPOConfig, RULE, FirstOrder, work=2.4)

@@ -45,4 +45,4 @@ def surrogate(
 
 
 RULE = Objective(advantage, surrogates=(surrogate,))
-ALGORITHM = Algorithm("P3O", P3OConfig, RULE, FirstOrder)
+ALGORITHM = Algorithm("P3O", P3OConfig, RULE, FirstOrder, work=2.4)

@@ -49,4 +49,4 @@ def step(config: PCPOConfig, problem: Problem) -> Step:
 
 
 RULE = StepRule(advantage, step, has_cases=True)
-ALGORITHM = Algorithm("PCPO", PCPOConfig, RULE, TrustRegion)
+ALGORITHM = Algorithm("PCPO", PCPOConfig, RULE, TrustRegion, work=1.3)

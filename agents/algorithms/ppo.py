@@ -19,4 +19,4 @@ def advantage(
 
 
 RULE = Objective(advantage)
-ALGORITHM = Algorithm("PPO", PPOConfig, RULE, FirstOrder)
+ALGORITHM = Algorithm("PPO", PPOConfig, RULE, FirstOrder, work=2.4)

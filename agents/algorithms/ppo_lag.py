@@ -30,4 +30,4 @@ class PPOLagConfig(MultiplierConfig, EpisodeCostLimit, PPOConfig):
 
 
 RULE = Objective(advantage, (Multiplier(PROJECTED),))
-ALGORITHM = Algorithm("PPO-Lag", PPOLagConfig, RULE, FirstOrder)
+ALGORITHM = Algorithm("PPO-Lag", PPOLagConfig, RULE, FirstOrder, work=2.4)

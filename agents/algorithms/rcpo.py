@@ -33,4 +33,4 @@ def step(config: RCPOConfig, problem: Problem) -> Step:
 
 # Of the penalised reward r - λc the advantage is A_r - λ A_c, here over 1 + λ.
 RULE = StepRule(trpo_lag.advantage, step, (Multiplier(PROJECTED, ahead=True),))
-ALGORITHM = Algorithm("RCPO", RCPOConfig, RULE, TrustRegion)
+ALGORITHM = Algorithm("RCPO", RCPOConfig, RULE, TrustRegion, work=1.0)

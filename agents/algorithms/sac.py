@@ -19,4 +19,4 @@ def penalty(config: SACConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
 
 
 RULE = CostRule(risk, critic_loss, penalty)
-ALGORITHM = Algorithm("SAC", SACConfig, RULE, OffPolicy)
+ALGORITHM = Algorithm("SAC", SACConfig, RULE, OffPolicy, work=4.8)

@@ -46,4 +46,4 @@ def penalty(config: SACLagConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
 
 
 RULE = CostRule(risk, critic_loss, penalty, (Multiplier(SOFTPLUS),))
-ALGORITHM = Algorithm("SAC-Lag", SACLagConfig, RULE, OffPolicy)
+ALGORITHM = Algorithm("SAC-Lag", SACLagConfig, RULE, OffPolicy, work=5.0)

@@ -47,4 +47,4 @@ def penalty(config: SACLBConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
 
 
 RULE = CostRule(risk, critic_loss, penalty)
-ALGORITHM = Algorithm("SAC-LB", SACLBConfig, RULE, OffPolicy)
+ALGORITHM = Algorithm("SAC-LB", SACLBConfig, RULE, OffPolicy, work=5.0)

@@ -31,8 +31,6 @@ from agents.sac.update import TimeLimit
 class SACLBStreakConfig(SACLBConfig):
     """Hyper-parameters of SAC-LB-Streak: SAC-LB's, nine of them with other defaults."""
 
-    in_lengths = True  # the preset of Circle2D gives observations in units of length
-
     learning_rate: Annotated[float, In(above=0, high=1)] = 1e-3
     """Adam's step size for actor and critics. The paper's SAC-LB: 3e-4."""
     temperature_lr: Annotated[float, In(above=0, high=1)] = 1.5e-4

@@ -23,4 +23,4 @@ class SACPIDConfig(SACLagConfig):
     paper's point is. adam and sgd are SAC-Lag."""
 
 
-ALGORITHM = Algorithm("SAC-PID", SACPIDConfig, RULE, OffPolicy)
+ALGORITHM = Algorithm("SAC-PID", SACPIDConfig, RULE, OffPolicy, work=5.0)

@@ -51,4 +51,4 @@ def step(config: TRPOConfig, problem: Problem) -> Step:
 
 
 RULE = StepRule(advantage, step, (Multiplier(PROJECTED),))
-ALGORITHM = Algorithm("TRPO-Lag", TRPOLagConfig, RULE, TrustRegion)
+ALGORITHM = Algorithm("TRPO-Lag", TRPOLagConfig, RULE, TrustRegion, work=1.0)

@@ -25,4 +25,4 @@ class TRPOPIDConfig(TRPOLagConfig):
 
 
 RULE = StepRule(advantage, step, (Multiplier(PROJECTED, ahead=True),))
-ALGORITHM = Algorithm("TRPO-PID", TRPOPIDConfig, RULE, TrustRegion)
+ALGORITHM = Algorithm("TRPO-PID", TRPOPIDConfig, RULE, TrustRegion, work=1.0)

@@ -143,4 +143,4 @@ RULE = CostRule(
     augments_replay=False,
     of_episodes=worst,
 )
-ALGORITHM = Algorithm("WCSAC", WCSACConfig, RULE, OffPolicy)
+ALGORITHM = Algorithm("WCSAC", WCSACConfig, RULE, OffPolicy, work=5.2)

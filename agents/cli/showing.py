@@ -62,12 +62,13 @@ class ReportOptions(Settings):
 
 def report(args: Sequence[str]) -> int:
     """Run `circle2d report`; returns the exit status: 1 where runs had to be left out."""
+    from agents.paper.sections import STUDY
     from agents.reporting.report import report as write_report
 
     options = parse(ReportOptions, "report", args)
     with working("reading runs and drawing figures"):
         how = {"archive": options.archive, "out": options.out, "columns": options.columns}
-        how["window"] = options.window
+        how |= {"study": STUDY, "window": options.window}
         written = write_report(*options.folders, **how)
     show(written.blocks, options.width, str(written.page))
     return int(bool(written.left_out))

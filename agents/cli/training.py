@@ -34,11 +34,12 @@ from agents.cli.options import (
 from agents.errors import OwnCodeError, UserError, traced
 from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.kernel import Backend
-from agents.paper import grid
-from agents.paper.presets import PAPER_ALGORITHMS, preset_with
+from agents.paper import grid as papers
+from agents.paper.sections import STUDY
+from agents.presets import PresetName, preset
 from agents.reporting.report import report, table
 from agents.reporting.table import show, working
-from agents.training import callbacks, derive, evaluation, policy, trainer
+from agents.training import callbacks, derive, evaluation, grid, policy, trainer
 from agents.training.callbacks import duration, share_done
 from agents.training.config import RESULTS, TrainConfig, finished
 from agents.training.environments import Vectorization, check_task, task_id
@@ -82,6 +83,9 @@ class TrainOptions:
     fails. By default there is no limit."""
     tensorboard: bool = False
     """Write TensorBoard event files too."""
+    preset: PresetName = "paper"
+    """Where hyper-parameters start from. paper: the paper's values on its tasks and their families,
+    the algorithm's defaults elsewhere; none: the defaults everywhere."""
     backend: Backend = "c++"
     """How networks are computed: in C++, compiled in two seconds the first time, or in NumPy, half
     as fast, which also stands in with a warning where there is no C++ compiler."""
@@ -100,9 +104,10 @@ def train(args: Sequence[str]) -> int:
             return 0
         raise UserError(f"train needs the algorithm first: one of {names}")
     tasks = [task_id(task) for task in values_of("--task", args)] or [*TrainOptions.task]
-    hyperparameters = preset_with(name, tasks[0], {})
+    named: Any = [TrainOptions.preset, *values_of("--preset", args, most=1)][-1]
+    hyperparameters = preset(name, tasks[0], named)
     for task in tasks[1:]:
-        if preset_with(name, task, {}) != hyperparameters:
+        if preset(name, task, named) != hyperparameters:
             raise UserError(f"{tasks[0]} and {task} have other presets: train them apart")
     options = parse(_train_options(hyperparameters), f"train {name}", args[1:])
     values = {f.name: getattr(options, f.name) for f in dataclasses.fields(TrainOptions)}
@@ -138,7 +143,7 @@ def _finish(folders: Sequence[Path], after_epoch: AfterEpoch) -> int:
     status = 0
     for folder in folders:
         try:
-            show(table(folder), more=str(folder / "report.md"))
+            show(table(folder, STUDY), more=str(folder / "report.md"))
         except UserError as error:  # the training itself is done
             status = max(status, no_table(error, "table"))
     return max(status, name_failures(folders))
@@ -344,7 +349,7 @@ def reproduce(args: Sequence[str]) -> int:
         return int(bool(failed))
     try:
         with working("drawing the report"):
-            written = report(options.out, *options.beside, out=options.out)
+            written = report(options.out, *options.beside, study=STUDY, out=options.out)
         show(written.blocks, options.width, str(written.page))
     except UserError as error:
         no_table(error, "report")
@@ -356,7 +361,7 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     """The grid's trainings by folder."""
     names = options.algorithms
     if names is None:
-        names = tuple(ALGORITHMS) if options.benchmark else PAPER_ALGORITHMS
+        names = tuple(ALGORITHMS) if options.benchmark else papers.PAPER_ALGORITHMS
     if not names:
         raise UserError(f"algorithms must be some of {', '.join(ALGORITHMS)}, got none")
     tasks = [task_id(task) for task in _tasks(options)]
@@ -366,14 +371,14 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
     seeds, steps = options.seeds, options.steps
     if options.benchmark:
         what = (tasks, names, seeds, steps, options.quick, parameters)
-        configs = grid.benchmark(options.out, *what)
+        configs = papers.benchmark(options.out, *what)
     else:
         if seeds is None:
-            seeds = grid.QUICK_SEEDS if options.quick else grid.SEEDS
+            seeds = papers.QUICK_SEEDS if options.quick else papers.SEEDS
         if steps is None and options.quick:
-            steps = grid.QUICK_STEPS
-        what = (tasks, names, seeds, steps, options.ablations, parameters)
-        configs = grid.grid(options.out, *what)
+            steps = papers.QUICK_STEPS
+        variants = papers.ablations if options.ablations else None
+        configs = grid.grid(options.out, tasks, names, seeds, steps, parameters, variants)
     usual: Backend = "c++"
     if begun := next((f for f in configs if (f / "config.json").exists()), None):
         usual = TrainConfig.read(begun).backend
@@ -398,11 +403,11 @@ def _tasks(options: ReproduceOptions) -> Sequence[str]:
     if bool(options.tasks) + others > 1:
         raise UserError("give one of tasks, safety, and levels or mujoco, which choose the tasks")
     if options.safety:
-        return grid.SAFETY
+        return papers.SAFETY
     if options.benchmark:
-        return options.tasks or grid.BENCHMARK
+        return options.tasks or papers.BENCHMARK
     if not options.tasks:
-        return grid.circle2d_tasks(options.levels, options.mujoco)
+        return papers.circle2d_tasks(options.levels, options.mujoco)
     if options.quick and options.steps is None:
         raise UserError("quick is of Circle2D: give steps as well for other tasks")
     return options.tasks

@@ -35,7 +35,8 @@ from agents.paper.evidence import (
     short,
     some,
 )
-from agents.paper.presets import PAPER_ALGORITHMS, PAPER_STEPS, preset
+from agents.paper.grid import PAPER_ALGORITHMS
+from agents.presets import PAPER_STEPS, preset
 from agents.reporting.page import Otherwise, Statement
 from agents.results.reading import Group, Run
 from agents.results.statistics import MARGIN, equivalence_of, over_windows, p_of

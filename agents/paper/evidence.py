@@ -10,14 +10,8 @@ from importlib.resources import files
 from typing import Any, Literal, NamedTuple
 
 from agents.algorithms import title
-from agents.paper.grid import ablations
-from agents.paper.presets import (
-    PAPER_ALGORITHMS,
-    PAPER_SEEDS,
-    PAPER_STEPS,
-    preset,
-    registered_id,
-)
+from agents.paper.grid import PAPER_ALGORITHMS, PAPER_SEEDS, ablations
+from agents.presets import PAPER_STEPS, preset, registered_id
 from agents.reporting.table import Number, number, p_number
 from agents.reporting.tables import Printed
 from agents.results.frame import hyperparameter_changes

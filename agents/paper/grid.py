@@ -11,39 +11,18 @@ from typing import Any, NamedTuple
 
 from agents.algorithms import algorithm
 from agents.errors import UserError
-from agents.paper.presets import (
-    PAPER_ALGORITHMS,
-    PAPER_SEEDS,
-    PAPER_STEPS,
-    is_circle2d,
-    is_off_policy,
-    length_scale,
-    preset,
-    usual_steps,
-)
-from agents.training.config import CONFIG, TrainConfig, file_name
-from agents.training.environments import spaces_of
+from agents.presets import LENGTHS, PAPER_STEPS, is_circle2d, preset, registered_id
+from agents.training import grid
+from agents.training.config import TrainConfig
 from circle2d_mj.circle2d.config import LEVELS, Circle2DConfig
 from circle2d_mj.registration import KINEMATIC, PHYSICS
 
+PAPER_ALGORITHMS = ("trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac")
+"""The algorithms that the paper compares, in the order of its tables."""
+PAPER_SEEDS = 3
+"""Runs of an algorithm on a task. Tables Circle2DResults and SafetyGymnasiumResults, captions."""
 SEEDS = tuple(range(PAPER_SEEDS))
 QUICK_SEEDS, QUICK_STEPS = (0, 1), 10_000
-WORK = {"trpo-lag": 1.0, "cpo": 1.3, "sac-lag": 5.0, "sac-lb": 5.0, "wcsac": 5.2}
-WORK |= {"ppo-lag": 2.4, "ppo": 2.4, "sac": 4.8, "sac-lb-streak": 7.5}
-WORK |= dict.fromkeys(("cppo-pid", "focops", "p3o", "ipo"), 2.4) | {"cup": 3.5}
-WORK |= {
-    "crpo": 1.0,
-    "rcpo": 1.0,
-    "trpo-pid": 1.0,
-    "pcpo": 1.3,
-    "c-trpo": 1.3,
-    "sac-pid": 5.0,
-    "cal": 7.0,
-}
-UNKNOWN_WORK = max(WORK.values())
-"""Time of a step of an algorithm on Circle2D, in that of TRPO-Lag's; of one that is not listed the
-largest. Decides the order (what takes longest goes first) and the time left that is shown; no
-result."""
 BENCHMARK_STEPS = 1_000_000
 QUICK_SAFETY_STEPS = 30_000
 """Three epochs of ten episodes: EMCC needs a rollout in each third."""
@@ -55,8 +34,6 @@ BENCHMARK = (
     *(f"circle2d_mj/Safety{task}" for task in ("PointPush1-v0", "HalfCheetahVelocity-v1")),
 )
 """The tasks of the benchmark."""
-MOST_RUNS = 12
-"""In a training of several tasks; more make a step of each hardly cheaper."""
 
 
 def circle2d_tasks(levels: Sequence[int], mujoco: bool) -> list[str]:
@@ -65,50 +42,6 @@ def circle2d_tasks(levels: Sequence[int], mujoco: bool) -> list[str]:
         raise UserError(f"levels must be some of {list(LEVELS)}, got {list(levels)}")
     ids = PHYSICS if mujoco else KINEMATIC
     return [ids[level] for level in dict.fromkeys(levels)]
-
-
-def grid(
-    out: Path,
-    tasks: Sequence[str],
-    algorithms: Sequence[str],
-    seeds: Sequence[int],
-    steps: int | None = None,
-    with_ablations: bool = False,
-    task_parameters: Mapping[str, Any] | None = None,
-) -> dict[Path, TrainConfig]:
-    """The trainings of every algorithm on every task with its preset, by folder; what takes longest
-    first.
-
-    The folder of an algorithm is `out/ALGORITHM` where all tasks train in it together: they have
-    equal presets and spaces, and are few. Otherwise each task has its own, `out/TASK/ALGORITHM`.
-    steps: of each run; by default the usual ones of its task. with_ablations: those of `ablations`
-    as well, in folders like trpo-lag-sgd. Raises UserError for what is unknown.
-    """
-    tasks = list(dict.fromkeys(tasks))
-    order = sorted(dict.fromkeys(algorithms), key=lambda name: -WORK.get(name, UNKNOWN_WORK))
-    trainings = {}
-    for name in order:
-        choices: dict[str, dict[str, Any]] = {}  # hyper-parameters by folder, then task
-        for task in tasks:
-            others = ablations(name, task) if with_ablations else {}
-            chosen = {name: preset(name, task)} | {f"{name}-{k}": v for k, v in others.items()}
-            for folder, hyperparameters in chosen.items():
-                choices.setdefault(folder, {})[task] = hyperparameters
-        for folder, by_task in choices.items():
-            lengths = {task: steps or usual_steps(task) for task in by_task}
-            alike = len({repr((by_task[task], lengths[task])) for task in by_task}) == 1
-            few = len(by_task) > 1 and len(by_task) * len(seeds) <= MOST_RUNS
-            if alike and few and _equal_spaces(tuple(by_task)):
-                parts = {out / folder: list(by_task)}
-            else:
-                parts = {out / file_name(task) / folder: [task] for task in by_task}
-            for path, together in parts.items():
-                length, own = lengths[together[0]], by_task[together[0]]
-                parameters = dict(task_parameters or {})
-                trainings[path] = TrainConfig(
-                    name, tuple(together), tuple(seeds), length, own, parameters
-                )
-    return trainings
 
 
 def benchmark(
@@ -123,65 +56,19 @@ def benchmark(
     """The trainings of the benchmark, by folder `out/TASK/ALGORITHM`; what takes longest first.
 
     By default runs have 1 000 000 steps, and there are ten seeds on Circle2D, five off-policy, and
-    three on other tasks. quick: two seeds of as few steps as give a table. Otherwise as `grid`.
+    three on other tasks. quick: two seeds of as few steps as give a table. Otherwise as
+    `agents.training.grid.grid`.
     """
     trainings = {}
     for task in dict.fromkeys(tasks):
         circle2d = is_circle2d(task)
         usual = (QUICK_STEPS if circle2d else QUICK_SAFETY_STEPS) if quick else BENCHMARK_STEPS
         for name in dict.fromkeys(algorithms):
-            count = (10 if hasattr(preset(name, task), "episodes") else 5) if circle2d else 3
+            count = (5 if algorithm(name).off_policy else 10) if circle2d else 3
             chosen = (QUICK_SEEDS if quick else range(count)) if seeds is None else seeds
             length = steps or usual
-            trainings |= grid(out, [task], [name], chosen, length, False, task_parameters)
-    return dict(sorted(trainings.items(), key=lambda pair: -work(pair[1])))
-
-
-@functools.cache
-def _equal_spaces(tasks: tuple[str, ...]) -> bool:
-    """Whether tasks can train together."""
-    try:
-        spaces_of(tasks, {})
-    except UserError:  # for one that cannot be made, too, which its training says
-        return False
-    return True
-
-
-def shard(folders: Mapping[Path, TrainConfig], part: int, count: int) -> dict[Path, TrainConfig]:
-    """The `part`-th of `count` parts of a grid, from 1 on, which take about equally long.
-
-    Depends on nothing that has been trained, so that the parts of a grid have no folder in common.
-    """
-    order = sorted(folders, key=lambda folder: -work(folders[folder]))  # stable
-    return {folder: folders[folder] for folder in order[part - 1 :: count]}
-
-
-def work(config: TrainConfig) -> float:
-    """Time that a training takes, in steps of a run of TRPO-Lag."""
-    return WORK.get(config.algorithm, UNKNOWN_WORK) * config.steps * len(config.runs)
-
-
-def prepare(folders: Mapping[Path, TrainConfig]) -> None:
-    """Make the folders that are not there yet.
-
-    Raises UserError, before anything is made, where one holds runs of another configuration.
-    """
-    there = [folder for folder in folders if (folder / CONFIG).exists()]
-    for folder in there:
-        theirs, ours = TrainConfig.read(folder).settings, folders[folder].settings
-        changed = [
-            f"{k} {theirs.get(k, 'absent')} (now {ours.get(k, 'absent')})"
-            for k in theirs | ours
-            if repr(theirs.get(k)) != repr(ours.get(k))
-        ]
-        if changed:
-            raise UserError(
-                f"{folder} holds runs with other settings: {', '.join(changed)}; choose another "
-                "folder for out"
-            )
-    for folder, config in folders.items():
-        if folder not in there:
-            config.write(folder)
+            trainings |= grid.grid(out, [task], [name], chosen, length, task_parameters)
+    return dict(sorted(trainings.items(), key=lambda pair: -grid.work(pair[1])))
 
 
 class Unprinted(NamedTuple):
@@ -218,7 +105,7 @@ def unprinted(name: str) -> Unprinted | None:
     """
     if name == "trpo-lag":
         return MULTIPLIER
-    off_policy = name in PAPER_ALGORITHMS and is_off_policy(algorithm(name).config)
+    off_policy = name in PAPER_ALGORITHMS and algorithm(name).off_policy
     return TIME_LIMIT if off_policy else None
 
 
@@ -256,13 +143,13 @@ def ablations(name: str, task: str) -> dict[str, Any]:
         return {}
     config, setting = preset(name, task), unprinted(name)
     units = is_circle2d(task)
-    found = {"units": replace(config, input_scale=length_scale(task))} if units else {}
+    found = {"units": replace(config, input_scale=LENGTHS[registered_id(task)])} if units else {}
     if setting is None:
         return found
     (other,) = set(setting.choices) - {getattr(config, setting.field)}
     found[other] = replace(config, **{setting.field: other})
     if units and setting is TIME_LIMIT:
-        found[f"{other}-units"] = replace(found[other], input_scale=length_scale(task))
+        found[f"{other}-units"] = replace(found[other], input_scale=LENGTHS[registered_id(task)])
     return found | ({"library": replace(config, **LIBRARY)} if name == "wcsac" else {})
 
 

@@ -6,18 +6,18 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import comb, isclose
-from typing import NamedTuple
 
 from agents.algorithms import ALGORITHMS, title
 from agents.paper.claims import LIMIT, check_claims
 from agents.paper.evidence import SAFETY_SEEDS, SEEDS, choice_of, printed
-from agents.paper.grid import MARGIN, SAFETY, ablations, unprinted
-from agents.paper.presets import PAPER_ALGORITHMS, is_circle2d, registered_id
+from agents.paper.grid import MARGIN, PAPER_ALGORITHMS, SAFETY, ablations, unprinted
+from agents.presets import is_circle2d, registered_id
 from agents.reporting.overall import differences_over_tasks
 from agents.reporting.page import HANGS, Section
+from agents.reporting.study import Study
 from agents.reporting.table import Number, Row, Table, number
 from agents.reporting.tables import (
-    Reference,
+    Printed,
     caption,
     lengths_differ,
     mark,
@@ -80,42 +80,55 @@ EMCCS = [f"EMCC_{part}" for part in PARTS]
 MARKING = "of the choices the mean that is nearest to the paper's"
 
 
-class Paper(NamedTuple):
+class Paper(Study):
     """All that the paper adds to a report."""
 
-    usual: list[Group]
-    """Groups for the usual tables: those of the other choices are in tables of their own."""
-    printed: Reference
-    notes: Mapping[str, list[str]]
-    """Notes below the table of each task."""
-    tables: dict[str, Table]
-    """Tables of other choices, by title."""
-    details: dict[str, Table]
-    claims: list[Section]
+    def printed(self, group: Group) -> Printed | None:
+        """See `evidence.printed`."""
+        return printed(group)
+
+    def set_apart(self, groups: Sequence[Group]) -> tuple[list[Group], dict[str, Table]]:
+        """Other choices of what the paper does not print, beside the preset, have their tables."""
+        usual, pairs = split(groups)
+        choices = _by_preset(pairs)
+        of_paper, of_parts = (
+            [own for own in choices if (own[0].config.algorithm in PAPER_ALGORITHMS) == is_paper]
+            for is_paper in (True, False)
+        )
+        tables = {
+            CHOICES: choices_table(of_paper, "choice", f"{CHOICES}: {CHOICES_MEANING}"),
+            NEAREST: nearest_table(of_paper),
+            PARTS_TITLE: choices_table(of_parts, "part", f"{PARTS_TITLE}: {PARTS_MEANING}"),
+            f"{PARTS_TITLE}, all tasks together": parts_over_tasks(of_parts),
+        }
+        return usual, {name: table for name, table in tables.items() if table is not None}
+
+    def notes(self, groups: Sequence[Group]) -> list[str]:
+        """The settings of our presets that the paper does not print, and what it did otherwise."""
+        task = groups[0].task
+        titles: dict[str, dict[str, None]] = {}
+        for group in filter(printed, groups):
+            config, setting = group.config, unprinted(group.config.algorithm)
+            if setting and setting.field not in hyperparameter_changes(config, task):
+                choice = getattr(config.hyperparameters, setting.field)
+                titles.setdefault(setting.choices[choice], {})[title(config.algorithm)] = None
+        decides = ", which decides where runs end" if is_circle2d(task) else ""
+        source = f"The paper does not print this choice{decides}."
+        notes = [f"{', '.join(names)}: {meaning}. {source}" for meaning, names in titles.items()]
+        if registered_id(task) in SAFETY:
+            notes.append("The paper evaluated 10 episodes of each run on the Safety tasks.")
+        return notes
+
+    def details(self, groups: Sequence[Group]) -> dict[str, Table]:
+        """EMCC with all ties kept."""
+        return {OTHER_TIES: ties_table(groups)}
+
+    def claims(self, groups: Sequence[Group]) -> list[Section]:
+        """See `claims_sections`."""
+        return claims_sections(groups)
 
 
-def sections(groups: Sequence[Group]) -> Paper:
-    """The paper's part of a report on some groups."""
-    usual, pairs = split(groups)
-    choices = _by_preset(pairs)
-    of_paper, of_parts = (
-        [own for own in choices if (own[0].config.algorithm in PAPER_ALGORITHMS) == is_paper]
-        for is_paper in (True, False)
-    )
-    tables = {
-        CHOICES: choices_table(of_paper, "choice", f"{CHOICES}: {CHOICES_MEANING}"),
-        NEAREST: nearest_table(of_paper),
-        PARTS_TITLE: choices_table(of_parts, "part", f"{PARTS_TITLE}: {PARTS_MEANING}"),
-        f"{PARTS_TITLE}, all tasks together": parts_over_tasks(of_parts),
-    }
-    return Paper(
-        usual,
-        printed,
-        {task: _notes([g for g in usual if g.task == task]) for task in {g.task for g in usual}},
-        {name: table for name, table in tables.items() if table is not None},
-        {OTHER_TIES: ties_table(usual)},
-        claims_sections(groups),
-    )
+STUDY = Paper()
 
 
 def split(groups: Sequence[Group]) -> tuple[list[Group], list[tuple[Group, Group]]]:
@@ -141,23 +154,6 @@ def _is_preset_of(group: Group, ablated: Group) -> bool:
     names = ("algorithm", "task_parameters", "steps")
     equal = all(getattr(group.config, n) == getattr(ablated.config, n) for n in names)
     return equal and group.task == ablated.task and choice_of(group) == ""
-
-
-def _notes(groups: Sequence[Group]) -> list[str]:
-    """The settings of our presets that the paper does not print, and what it did otherwise."""
-    task = groups[0].task
-    titles: dict[str, dict[str, None]] = {}
-    for group in filter(printed, groups):
-        config, setting = group.config, unprinted(group.config.algorithm)
-        if setting and setting.field not in hyperparameter_changes(config, task):
-            choice = getattr(config.hyperparameters, setting.field)
-            titles.setdefault(setting.choices[choice], {})[title(config.algorithm)] = None
-    decides = ", which decides where runs end" if is_circle2d(task) else ""
-    source = f"The paper does not print this choice{decides}."
-    notes = [f"{', '.join(names)}: {meaning}. {source}" for meaning, names in titles.items()]
-    if registered_id(task) in SAFETY:
-        notes.append("The paper evaluated 10 episodes of each run on the Safety tasks.")
-    return notes
 
 
 def claims_sections(groups: Sequence[Group]) -> list[Section]:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from agents.errors import UserError
-from agents.paper.sections import Paper, sections
 from agents.reporting.figures import (
     Figure,
     intervals_figure,
@@ -20,6 +19,7 @@ from agents.reporting.numbers import numbers_csv, report_lines
 from agents.reporting.overall import RATES, tables_over_tasks
 from agents.reporting.page import Section, page
 from agents.reporting.provenance import heading, made, summary
+from agents.reporting.study import Study
 from agents.reporting.table import PAPER, Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
 from agents.results.frame import with_distinct_titles, with_varied_settings
@@ -34,7 +34,7 @@ class Report(NamedTuple):
     """A report that was written."""
 
     blocks: list[Block]
-    """Its main tables, and the verdicts on the paper's claims."""
+    """Its main tables, and the verdicts on the study's claims."""
     left_out: list[str]
     """Folders, runs and pictures that it had to leave out, and why."""
     page: Path
@@ -43,6 +43,7 @@ class Report(NamedTuple):
 
 def report(
     *paths: Path,
+    study: Study | None = None,
     archive: Path | None = None,
     out: Path | None = None,
     columns: Sequence[str] = PAPER,
@@ -60,12 +61,13 @@ def report(
     notes: list[str] = []
     name = out.resolve().name if len(paths) > 1 else None
     everything = with_distinct_titles(with_varied_settings(read(paths, notes, name, window)))
-    # Early, since later its pictures would add to the memory that all else holds.
-    paper = sections(everything)
-    by_task = _by_task(paper.usual)
+    study = study or Study()
+    claims = study.claims(everything)
+    usual, apart = study.set_apart(everything)
+    by_task = _by_task(usual)
     scenes = Scenes()
-    located = [group for group in paper.usual if group.is_of_first_cost]
-    if len(located) < len(paper.usual):
+    located = [group for group in usual if group.is_of_first_cost]
+    if len(located) < len(usual):
         notes.append("visited states, trained policies and replay are of the first cost alone")
     replay = replay_data(located, scenes, notes)
     seen = _by_task(located)
@@ -73,15 +75,15 @@ def report(
         task: Section(task, figures=task_figures(groups), maps=maps(seen[task], scenes, notes))
         for task, groups in by_task.items()
     }
-    together = _figures_together(paper)
-    over_tasks = tables_over_tasks(paper.usual)
-    details = paper.details | _details(by_task, notes)
-    main = _task_tables(by_task, paper, notes) | paper.tables | over_tasks
+    together = _figures_together(usual, study)
+    over_tasks = tables_over_tasks(usual)
+    details = study.details(usual) | _details(by_task, notes)
+    main = _task_tables(by_task, study, notes) | apart | over_tasks
     tables = main | details
     if archive is not None:
         write_archive(archive, everything)
     shown = [
-        *paper.claims,
+        *claims,
         *(Section(name, over_tasks.get(name), figures) for name, figures in together.items()),
         *([Section("Replay of training", replay=replay)] if replay["runs"] else []),
         *(
@@ -91,32 +93,34 @@ def report(
         ),
     ]
     out.mkdir(parents=True, exist_ok=True)
-    title = f"{heading(paper.usual)} ({name_of_all(everything)})"
-    html = page(title, shown, made(everything), summary(paper.usual), scenes.all)
+    title = f"{heading(usual)} ({name_of_all(everything)})"
+    html = page(title, shown, made(everything), summary(usual), scenes.all)
     write_whole(out / "index.html", html)
-    verdicts = [section.statements_markdown() for section in paper.claims]
+    verdicts = [section.statements_markdown() for section in claims]
     titled = [block for name, table in tables.items() for block in (f"## {plain(name)}\n", table)]
     ending = "Figures, heat maps and replay: index.html\n"
     write_whole(out / "report.md", markdown([*verdicts, *titled, ending]))
-    write_whole(out / "report.csv", numbers_csv(report_lines(everything, paper.printed)))
+    write_whole(out / "report.csv", numbers_csv(report_lines(everything, study.printed)))
     write_whole(out / "report.tex", latex(main, columns))
     missing = [note for note in notes if note.startswith("left out")]
     return Report([*main.values(), *verdicts], missing, out / "index.html")
 
 
-def table(folder: Path) -> list[Table]:
+def table(folder: Path, study: Study | None = None) -> list[Table]:
     """Write the tables of every folder of runs at or below a folder, without figures.
 
-    Writes `report.md` and `report.csv`, but into no archive. Otherwise as `report`.
+    Writes `report.md` and `report.csv`, but into no archive, and gathers no claims. Otherwise as
+    `report`.
     """
     notes: list[str] = []
     everything = with_distinct_titles(with_varied_settings(read([folder], notes)))
-    paper = sections(everything)
-    tables = _task_tables(_by_task(paper.usual), paper, notes) | paper.tables
+    study = study or Study()
+    usual, apart = study.set_apart(everything)
+    tables = _task_tables(_by_task(usual), study, notes) | apart
     if archive_of(folder):
         return list(tables.values())
     write_whole(folder / "report.md", markdown(tables.values()))
-    write_whole(folder / "report.csv", numbers_csv(report_lines(everything, paper.printed)))
+    write_whole(folder / "report.csv", numbers_csv(report_lines(everything, study.printed)))
     return list(tables.values())
 
 
@@ -148,28 +152,27 @@ def _by_task(groups: Sequence[Group]) -> dict[str, list[Group]]:
     return {task: [group for group in groups if group.task == task] for task in tasks}
 
 
-def _figures_together(paper: Paper) -> dict[str, list[Figure]]:
+def _figures_together(groups: Sequence[Group], study: Study) -> dict[str, list[Figure]]:
     """Every run with its mean, and what EMCC shows that the cost rate does not, by the title of
     their sections; nothing where no run is complete."""
-    groups = paper.usual
     if not any(group.runs for group in groups):
         return {}
     return {
-        RUNS: [intervals_figure(groups, paper.printed)],
+        RUNS: [intervals_figure(groups, study.printed)],
         RATES: [rates_figure(alike(groups)), profiles_figure(alike(groups))],
     }
 
 
 def _task_tables(
-    by_task: dict[str, list[Group]], paper: Paper, notes: Sequence[str]
+    by_task: dict[str, list[Group]], study: Study, notes: Sequence[str]
 ) -> dict[str, Table]:
     """The table of each task; the notes below the last one."""
     *_, last = by_task
     return {
         task: task_table(
             groups,
-            paper.printed,
-            [*paper.notes.get(task, []), *(notes if task == last else [])],
+            study.printed,
+            [*study.notes(groups), *(notes if task == last else [])],
         )
         for task, groups in by_task.items()
     }

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from agents.algorithms import ALGORITHMS, title
 from agents.errors import UserError
-from agents.paper.presets import preset, usual_steps  # the settings that runs are named against
+from agents.presets import preset, usual_steps
 from agents.results.measures import measures
 from agents.results.reading import Group, Part, run_records
 from agents.training import evaluation

@@ -46,6 +46,7 @@ class OffPolicy:
     """The runs of one algorithm of the SAC family: their networks and their replay."""
 
     takes = (SACConfig, sac.CostRule)
+    off_policy = True
 
     def __init__(
         self,

@@ -9,7 +9,7 @@ import itertools
 from textwrap import dedent
 
 from agents.algorithms import ALGORITHMS
-from agents.paper.presets import preset
+from agents.presets import preset
 
 
 def tables() -> dict[str, str]:

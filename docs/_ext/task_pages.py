@@ -13,7 +13,7 @@ import gymnasium as gym
 from gymnasium.spaces import Box
 from hyperparameters import texts
 
-from agents.paper.presets import PAPER_STEPS
+from agents.presets import PAPER_STEPS
 from agents.training.policy import FOLDER
 from circle2d_mj import Circle2DConfig, Circle2DVectorEnv
 from circle2d_mj.circle2d.config import LEVELS

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.results.reading import read_folder
 from agents.training import derive, evaluation, trainer
 from agents.training.config import TrainConfig

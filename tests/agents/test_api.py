@@ -16,7 +16,7 @@ from toys import register as register_toys
 import agents
 from agents import api
 from agents.cli.main import main
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.results.reading import write_archive
 from agents.training.config import TrainConfig
 

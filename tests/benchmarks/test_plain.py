@@ -17,7 +17,7 @@ from agents.algorithms import ALGORITHMS, learner
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.rollout import Rollout
 from agents.on_policy.epoch import Packing
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.sac import update as sac
 from agents.sac.replay import Batch
 

@@ -10,7 +10,7 @@ from toys import register
 from agents.algorithms import algorithm
 from agents.lockstep.noise import Purpose, steps_of_noise, uniform
 from agents.lockstep.rollout import collect
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.sac import OffPolicy
 from agents.training.config import TrainConfig
 from agents.training.environments import make_envs

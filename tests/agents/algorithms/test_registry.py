@@ -17,7 +17,7 @@ import agents
 from agents import algorithms
 from agents.algorithms import ALGORITHMS, BUILT_IN, RESERVED, algorithm, module_of, register, title
 from agents.errors import UserError
-from agents.paper.presets import preset
+from agents.presets import preset
 
 register_tasks()
 

@@ -21,7 +21,7 @@ from agents.cli import showing
 from agents.cli.main import AfterEpoch, Ended, handling_signals, main
 from agents.cli.training import TrainOptions
 from agents.errors import EXTRA
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.training.callbacks import Epoch, share_done
 from agents.training.config import TrainConfig
 from agents.training.policy import load_policy

@@ -15,8 +15,8 @@ from small_runs import processes, wait_until
 from agents.cli import training
 from agents.cli.main import main
 from agents.cli.options import parse
-from agents.paper import grid
-from agents.paper.presets import PAPER_ALGORITHMS
+from agents.paper.grid import PAPER_ALGORITHMS, SAFETY
+from agents.training import grid
 
 COMMAND = ["reproduce", "--algorithms", "trpo-lag", "cpo", "--levels", "1", "--seeds", "3"]
 COMMAND += ["--steps", "1100", "--workers", "1", "--out"]
@@ -103,7 +103,7 @@ def test_quick_is_small_and_safety_is_the_papers():
     # Two seeds on four levels train in one folder.
     assert set(configs) == {Path("runs", name) for name in PAPER_ALGORITHMS}
     configs = trainings("--safety")
-    assert {task for c in configs.values() for task in c.tasks} == set(grid.SAFETY)
+    assert {task for c in configs.values() for task in c.tasks} == set(SAFETY)
     assert {config.steps for config in configs.values()} == {10_000_000}
 
 

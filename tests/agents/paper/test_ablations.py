@@ -6,10 +6,12 @@ from pathlib import Path
 import pytest
 from small_runs import cells, write_evaluated
 
-from agents.paper.grid import ablations, grid
-from agents.paper.presets import preset
+from agents.paper.grid import ablations
+from agents.paper.sections import STUDY
+from agents.presets import preset
 from agents.reporting.report import table
 from agents.reporting.table import markdown
+from agents.training.grid import grid
 
 ALGORITHMS = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
 TASK, SAFETY = "Circle2D-1-v0", "circle2d_mj/SafetyPointGoal1-v0"
@@ -17,7 +19,7 @@ TASK, SAFETY = "Circle2D-1-v0", "circle2d_mj/SafetyPointGoal1-v0"
 
 def test_the_grid_with_ablations():
     arguments = (Path("x"), [TASK, SAFETY], ALGORITHMS, (0, 1, 2), 1000)
-    usual, all_of = grid(*arguments), grid(*arguments, with_ablations=True)
+    usual, all_of = grid(*arguments), grid(*arguments, variants=ablations)
     assert {folder: all_of[folder] for folder in usual} == usual
     safety = f"x/{SAFETY.replace('/', '-')}"
     added = {str(f): c for f, c in all_of.items() if f not in usual}
@@ -70,7 +72,7 @@ def folder(tmp_path):
 
 
 def test_both_choices_side_by_side(folder):
-    words = markdown(table(folder))
+    words = markdown(table(folder, STUDY))
     start = words.index("Other choices of what the paper does not print")
     end = words.index("Measures, over all tasks, in which")
     main_table, ablated = cells(words[:start]), cells(words[start:end])
@@ -131,7 +133,7 @@ def test_parts_have_a_table_of_their_own(tmp_path):
     for value, (choice, config) in enumerate(choices.items()):
         folder, j_r = tmp_path / f"of-{choice}", [-10.0 - value, -20.0]
         write_runs(folder, "sac-lb-streak", j_r, config, ends=ENDS)
-    words = markdown(table(tmp_path))
+    words = markdown(table(tmp_path, STUDY))
     assert "Other choices of what the paper does not print" not in words
     start = words.index("SAC-LB-Streak without one of its parts")
     main_table, of_parts = cells(words[:start]), cells(words[start:])[1:]
@@ -153,7 +155,7 @@ def test_parts_over_all_tasks(tmp_path):
         for choice in shown:
             folder, config = tmp_path / task / choice, choices[choice]
             write_runs(folder, "sac-lb-streak", [0.0, 0.0], config, task=task, ends=ENDS)
-    words = markdown(table(tmp_path))
+    words = markdown(table(tmp_path, STUDY))
     found = cells(words[words.index("| over all tasks") :])
     name = "B - A: without-streak, 100 steps - preset"
     assert found[1:4] == [
@@ -167,6 +169,6 @@ def test_parts_over_all_tasks(tmp_path):
 def test_how_often_a_choice_is_the_nearest(folder):
     """TRPO-Lag's choices differ in J_R alone, the gradient is nearer in it; of equal measures both
     count. CPO has no other choice here."""
-    words = markdown(table(folder))
+    words = markdown(table(folder, STUDY))
     found = cells(words[words.index("Measures, over all tasks, in which") :])
     assert found[1:] == [["TRPO-Lag, adam (preset)", "6 of 7"], ["TRPO-Lag, sgd", "7 of 7"]]

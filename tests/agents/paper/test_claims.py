@@ -9,8 +9,8 @@ import pytest
 from agents.paper import claims
 from agents.paper.claims import CLAIMS, check_claims
 from agents.paper.evidence import all_of, gather, paper_results
-from agents.paper.presets import PAPER_STEPS, preset
 from agents.paper.sections import CLAIMS_WITH_PHYSICS, claims_sections
+from agents.presets import PAPER_STEPS, preset
 from agents.reporting.page import page
 from agents.results.reading import Group, Run
 from agents.results.statistics import mixed, over_windows

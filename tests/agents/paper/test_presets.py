@@ -6,13 +6,14 @@ from pathlib import Path
 import pytest
 
 import agents
-from agents import algorithms
+from agents import algorithms, presets
 from agents.algorithms import ALGORITHMS
 from agents.errors import UserError
-from agents.paper import grid
+from agents.paper import grid as papers
 from agents.paper.evidence import paper_results
-from agents.paper.grid import unprinted
-from agents.paper.presets import PAPER_ALGORITHMS, preset, usual_steps
+from agents.paper.grid import PAPER_ALGORITHMS, unprinted
+from agents.presets import Rule, preset, usual_steps
+from agents.training import grid
 
 SHARED = {"batch_size": 256, "discount": 0.99, "learning_rate": 3e-4, "cost_limit": 5}
 SHARED |= {"hidden": (64, 64)}
@@ -116,6 +117,30 @@ def test_a_default_of_ones_own_comes_before_the_preset(subclass):
     assert preset("mine", "circle2d_mj/SafetyPointGoal1-v0") == Mine(random_steps=50_000)
 
 
+def test_the_preset_none_is_the_defaults(tmp_path):
+    for name in PAPER_ALGORITHMS:
+        assert preset(name, "Circle2D-1-v0", "none") == ALGORITHMS[name].config()
+    with pytest.raises(UserError, match="no preset 'papr': did you mean 'paper'"):
+        preset("cpo", "Circle2D-1-v0", "papr")
+    few = {"seeds": 0, "steps": 50, "episodes": 1, "out": tmp_path / "runs"}
+    runs = agents.train("cpo", preset="none", evaluation_episodes=1, **few)
+    assert runs.config.hyperparameters.cost_limit == 25.0
+
+
+def test_later_rules_come_before_earlier_ones(monkeypatch):
+    rules = (
+        Rule(["Walk-v0"], {"cost_limit": 1.0, "episodes": 3}),
+        Rule(["Walk-v0"], {"cost_limit": 2.0}, "on-policy"),
+        Rule(["Walk-v0"], {"cost_limit": 3.0}, "trpo-lag"),
+        Rule(["Run-v0"], {"cost_limit": 4.0}),
+    )
+    monkeypatch.setitem(presets.PRESETS, "paper", rules)
+    found = {name: preset(name, "Walk-v0").cost_limit for name in ("sac-lag", "cpo", "trpo-lag")}
+    assert found == {"sac-lag": 1.0, "cpo": 2.0, "trpo-lag": 3.0}
+    assert preset("rcpo", "Walk-v0").cost_limit == 3.0  # its config extends TRPO-Lag's
+    assert preset("cpo", "Walk-v0").episodes == 3
+
+
 def test_a_subclass_of_sac_lb_streak_has_its_preset(subclass):
     @dataclass(frozen=True)
     class Mine(ALGORITHMS["sac-lb-streak"].config):
@@ -159,9 +184,9 @@ def test_on_other_tasks_observations_stay_as_they_are():
 
 
 def test_the_papers_grid():
-    tasks = grid.circle2d_tasks((0, 1, 2, 3), mujoco=False)
+    tasks = papers.circle2d_tasks((0, 1, 2, 3), mujoco=False)
     algorithms = ["trpo-lag", "cpo", "sac-lag", "sac-lb", "wcsac"]
-    configs = grid.grid(Path("x"), tasks, algorithms, grid.SEEDS)
+    configs = grid.grid(Path("x"), tasks, algorithms, papers.SEEDS)
     assert sum(len(config.runs) for config in configs.values()) == 60
     assert {(task, c.algorithm) for c in configs.values() for task in c.tasks} == {
         (task, name) for task in tasks for name in algorithms
@@ -175,7 +200,7 @@ def test_the_papers_grid():
 
 
 def test_tasks_train_together_where_they_are_alike_and_few():
-    tasks = grid.circle2d_tasks((0, 1), mujoco=False)
+    tasks = papers.circle2d_tasks((0, 1), mujoco=False)
     assert list(grid.grid(Path("x"), tasks, ["cpo"], range(6))) == [Path("x/cpo")]
     apart = [Path("x") / task / "cpo" for task in tasks]
     assert list(grid.grid(Path("x"), tasks, ["cpo"], range(7))) == apart
@@ -186,13 +211,13 @@ def test_tasks_train_together_where_they_are_alike_and_few():
 
 def test_unknown_levels():
     with pytest.raises(UserError, match="levels"):
-        grid.circle2d_tasks((), mujoco=True)
-    found = grid.circle2d_tasks((1, 0, 1), mujoco=True)
+        papers.circle2d_tasks((), mujoco=True)
+    found = papers.circle2d_tasks((1, 0, 1), mujoco=True)
     assert found == ["Circle2DMuJoCo-1-v0", "Circle2DMuJoCo-0-v0"]
 
 
 def test_shards_are_a_partition(tmp_path):
-    tasks = grid.circle2d_tasks((0, 1), mujoco=False)
+    tasks = papers.circle2d_tasks((0, 1), mujoco=False)
     whole = grid.grid(tmp_path, tasks, ["cpo", "sac-lb", "trpo-lag"], range(7), 1000)
     parts = [grid.shard(whole, part, 4) for part in (1, 2, 3, 4)]
     assert sorted(folder for part in parts for folder in part) == sorted(whole)
@@ -202,11 +227,11 @@ def test_shards_are_a_partition(tmp_path):
 
 def test_the_benchmark():
     """Nine tasks; ten seeds on Circle2D, five off-policy, three elsewhere."""
-    configs = grid.benchmark(Path("x"), grid.BENCHMARK, ["cpo", "cal"])
+    configs = papers.benchmark(Path("x"), papers.BENCHMARK, ["cpo", "cal"])
     counts = {(c.tasks[0], c.algorithm): (len(c.seeds), c.steps) for c in configs.values()}
     assert len(counts) == 18
     for (task, name), found in counts.items():
         few = 10 if name == "cpo" else 5
         assert found == (few if task.startswith("Circle2D") else 3, 1_000_000)
-    quick = grid.benchmark(Path("x"), grid.BENCHMARK, ["cpo"], quick=True)
+    quick = papers.benchmark(Path("x"), papers.BENCHMARK, ["cpo"], quick=True)
     assert {(len(c.seeds), c.steps) for c in quick.values()} == {(2, 10_000), (2, 30_000)}

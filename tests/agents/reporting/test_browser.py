@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from small_runs import write_evaluated
 
-from agents.paper.grid import grid, prepare
 from agents.reporting.report import report
 from agents.training.config import RunId
 from agents.training.derive import Steps
+from agents.training.grid import grid, prepare
 from agents.training.trainer import train
 
 WIDTHS, SCHEMES = (1280, 768, 400), ("light", "dark")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from by_hand import T_OF_4
 
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.reporting import figures
 from agents.reporting.figures import POINTS, WINDOW, midpoints, thirds_emcc
 from agents.results.reading import Group, Run

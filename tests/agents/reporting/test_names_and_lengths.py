@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_runs import cells, edit_results, lines_of, write_evaluated
 
-from agents.paper.presets import preset_with
+from agents.presets import preset_with
 from agents.reporting.compare import compare
 from agents.reporting.report import report
 from agents.reporting.table import markdown

@@ -14,7 +14,7 @@ import agents
 from agents import algorithms
 from agents.cli.main import main
 from agents.paper.evidence import printed
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.reporting import overall
 from agents.reporting.figures import intervals_figure, profiles_figure
 from agents.reporting.overall import TASKS as TOGETHER

@@ -6,11 +6,11 @@ import numpy as np
 from small_runs import edit_results
 
 from agents.cli.main import main
-from agents.paper.grid import grid, prepare
 from agents.reporting.figures import Figure
 from agents.reporting.page import Section, page
 from agents.reporting.report import report
 from agents.reporting.table import Number, Row, Table
+from agents.training.grid import grid, prepare
 from agents.training.trainer import train
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.reporting.tables import common_limit, panel_table
 from agents.results.reading import Group, Run
 from agents.training.config import TrainConfig

@@ -8,7 +8,7 @@ import pytest
 from small_runs import TASK, edit_results, evaluate, write_runs
 
 from agents.cli.main import main
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.reporting import pictures
 from agents.reporting.maps import png
 from agents.reporting.pictures import HELD

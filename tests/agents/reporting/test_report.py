@@ -15,13 +15,15 @@ from small_runs import cells, edit_results, lines_of, write_evaluated, write_sta
 from agents.cli.main import main
 from agents.errors import UserError
 from agents.paper.evidence import paper_results
-from agents.paper.presets import preset
-from agents.paper.sections import ties_table
+from agents.paper.sections import STUDY, ties_table
+from agents.presets import preset
 from agents.reporting import provenance
+from agents.reporting.page import Section, Statement
 from agents.reporting.provenance import command, made
 from agents.reporting.report import report, table
+from agents.reporting.study import Study
 from agents.reporting.table import Number, Row, Table, markdown
-from agents.reporting.tables import best
+from agents.reporting.tables import Printed, best
 from agents.results.reading import read
 from agents.training import config
 from agents.training.config import TrainConfig
@@ -37,10 +39,34 @@ def test_ways_in_words(tmp_path):
     rows = [row[-1] for row in cells(words) if row[0].startswith("SAC")]
     one = "1 of 2 [0.01, 0.99]"
     assert rows[0] == f"corridor, through {one}; corridor, round {one}"
-    assert rows[2:] == ["corridor (75 %, 25 % round, 50 % through)", "corridor, round (75 %)"]
+    assert rows[1:] == ["corridor (75 %, 25 % round, 50 % through)", "corridor, round (75 %)"]
     assert '"through": ' in words
     written = (tmp_path / "report.csv").read_text()
     assert '"corridor (75 %, 25 % round, 50 % through)"' in written
+
+
+class Own(Study):
+    """A study with a number and a claim."""
+
+    def printed(self, group):
+        return Printed({"J_R": 7.0}, True, "book (9 seeds)")
+
+    def claims(self, groups):
+        verdict = f"of {len(groups)} groups"
+        return [Section("Its claims", statements=[Statement("CPO learns", verdict, "", [])])]
+
+
+def test_a_study_adds_to_a_report_and_the_closing_table_gathers_no_claims(tmp_path, monkeypatch):
+    write_evaluated(tmp_path, "cpo", costs=(1, 2))
+    plain = markdown(report(tmp_path).blocks)
+    assert "paper" not in plain
+    written = report(tmp_path, study=Own())
+    words = markdown(written.blocks)
+    assert "CPO, book (9 seeds)" in words
+    assert "Of 1 groups" in words
+    assert "Its claims" in written.page.read_text()
+    monkeypatch.setattr(Own, "claims", None)  # cannot be asked
+    assert "CPO, book (9 seeds)" in markdown(table(tmp_path, Own()))
 
 
 def test_runs_left_out_are_in_no_mean_and_have_a_note_for_each_reason(tmp_path):
@@ -270,7 +296,7 @@ def test_no_printed_numbers_beside_a_task_with_other_parameters(tmp_path):
         ({"optima_perturbation": 0.5}, {"mean", "run"}),
     ):
         path.write_text(json.dumps(content | {"task_parameters": parameters}))
-        assert ("paper (3 seeds)" in markdown(table(tmp_path))) is ("paper" in kinds)
+        assert ("paper (3 seeds)" in markdown(table(tmp_path, STUDY))) is ("paper" in kinds)
         found = {line["kind"] for line in lines_of(tmp_path / "report.csv")}
         assert found & {"mean", "run", "paper"} == kinds
         ties = ties_table(read([tmp_path], []))

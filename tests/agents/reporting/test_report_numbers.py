@@ -21,8 +21,9 @@ from by_hand import (
 from small_runs import cells as cells_of
 from small_runs import few_episodes, lines_of
 
+from agents import presets
 from agents.cli.main import main
-from agents.paper import presets
+from agents.paper.sections import STUDY
 from agents.reporting.report import report
 from circle2d_mj.core.envs import TaskEnv
 
@@ -74,7 +75,7 @@ def raw(written, tmp_path_factory):
         numbers[name + choice] = numbers_of(list(written.values()), EPISODES[name])
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(presets.PAPER_STEPS, TASK, STEPS)
-        report(out)
+        report(out, study=STUDY)
     return out, numbers
 
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from small_runs import cells, groups_of, lines_of, write_evaluated
 
+from agents import presets
 from agents.cli.main import main
 from agents.errors import OwnCodeError
-from agents.paper import presets
 from agents.paper.evidence import gather
 from agents.paper.grid import ablations
+from agents.paper.sections import STUDY
 from agents.reporting.compare import compare
 from agents.reporting.provenance import summary
 from agents.reporting.report import report
@@ -44,7 +45,7 @@ def test_a_measure_from_outside_is_everywhere(outside, tmp_path):
     write_evaluated(a / "cpo", "cpo", costs=(3, 3))
     write_evaluated(a / "wcsac", "wcsac", costs=(9, 9))
     write_evaluated(b, "trpo-lag", costs=(7, 7))
-    report(a)
+    report(a, study=STUDY)
     compare(a, b, tmp_path)
     head = "worst episode (cost)"
     tables, _, choices = (a / "report.md").read_text().partition("task, algorithm and choice")
@@ -88,7 +89,7 @@ def test_a_second_cost_has_rows_of_its_own_and_decides_no_claim(tmp_path, monkey
     task = "Circle2D-1-v0"
     write_evaluated(tmp_path / "two", "cpo", costs=(4, 4), second=(7, 8))
     monkeypatch.setitem(presets.PAPER_STEPS, task, 100)
-    report(tmp_path)
+    report(tmp_path, study=STUDY)
     table = rows((tmp_path / "report.md").read_text()[len("## The") :].partition(f"## {task}")[2])
     first, second = (table[f"CPO{of}, mean of 2"] for of in ("", " (cost_2)"))
     assert first["cost rate"].strip("*")[:4] == "0.40"

@@ -14,7 +14,7 @@ from small_runs import TRPO, cells, edit_results, results, write_evaluated
 import agents
 from agents.cli.main import main
 from agents.errors import UserError
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.results.reading import folders_below, name_of_source, read, write_archive
 
 TASK = "Circle2D-1-v0"

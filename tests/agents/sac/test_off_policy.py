@@ -9,7 +9,7 @@ from small_trainings import trainer
 from agents.errors import UserError
 from agents.lockstep.noise import Purpose
 from agents.lockstep.rollout import Rollout
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.sac import learner
 from agents.sac.replay import Replay
 from agents.training.config import TrainConfig

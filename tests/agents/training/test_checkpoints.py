@@ -8,7 +8,7 @@ from small_runs import TRPO, write_status
 from toy_family import known
 
 import agents
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.training import callbacks, trainer
 from agents.training.callbacks import StatusFile, sessions, share_done, show_progress, speed
 from agents.training.config import TrainConfig

@@ -20,7 +20,7 @@ from toys import Walk, registered
 import agents
 from agents.cli.main import main
 from agents.errors import UserError
-from agents.paper.presets import preset
+from agents.presets import preset
 from agents.training import files
 from agents.training.config import TrainConfig, read_spaces
 from agents.training.environments import Spaces

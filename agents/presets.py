@@ -1,0 +1,113 @@
+"""Presets: the hyper-parameters that an algorithm starts from on a task, as data.
+
+What sets a hyper-parameter, each before those below it:
+
+1. the value that is given, as in `agents.train(..., cost_limit=3.0)`
+2. a default that the algorithm's config class declares anew, which its base class has too
+3. the last rule of the preset that is for the task and the algorithm
+4. the default of the config
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import fields, replace
+from inspect import get_annotations
+from typing import Any, Literal, NamedTuple
+
+from agents.algorithms import ALGORITHMS, RESERVED, algorithm
+from agents.errors import OTHER_NAMES, UserError, nearest
+from circle2d_mj.circle2d.config import Circle2DConfig
+from circle2d_mj.registration import CIRCLE2D, KINEMATIC, PHYSICS, SAFETY
+from circle2d_mj.safety.tasks import NAMES
+
+PresetName = Literal["paper", "none"]
+ARENA, FULL_STEP = Circle2DConfig().arena, Circle2DConfig().full_step
+LENGTHS = dict.fromkeys(KINEMATIC.values(), ARENA)
+LENGTHS |= dict.fromkeys(PHYSICS.values(), (ARENA, ARENA, FULL_STEP, FULL_STEP))
+"""`input_scale` that turns the observations of a Circle2D task back into units of length; with
+physics its velocities into such units a step."""
+
+
+class Rule(NamedTuple):
+    """Values of hyper-parameters for some algorithms on some tasks."""
+
+    tasks: Collection[str]
+    values: Mapping[str, Any]
+    """Those that an algorithm does not have are left out."""
+    of: str = ""
+    """"on-policy", "off-policy", or the name of an algorithm, which stands for those too whose
+    config extends its own; empty for all."""
+
+    def holds(self, name: str, task: str) -> bool:
+        """Whether it is for an algorithm on a task."""
+        if task not in self.tasks:
+            return False
+        own = algorithm(name)
+        if self.of in ALGORITHMS:
+            return issubclass(own.config, ALGORITHMS[self.of].config)
+        return self.of in ("", "off-policy" if own.off_policy else "on-policy")
+
+
+PAPER = (
+    # Table Circle2DResults, caption.
+    Rule(CIRCLE2D, {"cost_limit": 5.0}),
+    # Not printed; what either choice gives: `agents.paper.grid.unprinted`.
+    Rule(CIRCLE2D, {"time_limit": "terminal"}, "off-policy"),
+    *(Rule([task], {"input_scale": s}, "sac-lb-streak") for task, s in LENGTHS.items()),
+    # Table HP_SafetyGymnasium, for the whole suite; the cost limit, 25, is the default.
+    Rule(SAFETY, {"random_steps": 50_000, "replay_size": 500_000}, "off-policy"),
+    Rule(["circle2d_mj/SafetyPointCircle1-v0"], {"episodes": 20}, "on-policy"),
+)
+"""The paper's values on its tasks, and on others of the same families."""
+PRESETS: Mapping[PresetName, Collection[Rule]] = {"paper": PAPER, "none": ()}
+_PAPERS_SAFETY = ("SafetyPointCircle1-v0", "SafetyPointGoal1-v0", "SafetyHopperVelocity-v1")
+PAPER_STEPS = dict.fromkeys(KINEMATIC.values(), 1_000_000)
+PAPER_STEPS |= {f"circle2d_mj/{name}": 10_000_000 for name in _PAPERS_SAFETY}
+"""Environment steps of a run on each task of the paper: tables HP_*, total timesteps."""
+STEPS = 1_000_000
+"""Those of a run on any other task."""
+
+
+def registered_id(task: str) -> str:
+    """The one id of a task, which has others: "module:id", and Safety-Gymnasium's own."""
+    name = task.rpartition(":")[2]
+    return f"circle2d_mj/{name}" if name in NAMES.values() else name
+
+
+def is_circle2d(task: str) -> bool:
+    """Whether a task is one of Circle2D, of either mode."""
+    return registered_id(task) in CIRCLE2D
+
+
+def preset(name: str, task: str, of: PresetName = "paper") -> Any:
+    """The hyper-parameters of an algorithm for a task by one of `PRESETS`; on tasks without a rule
+    the defaults. Raises UserError for an unknown algorithm or preset."""
+    config = algorithm(name).config()
+    if of not in PRESETS:
+        raise UserError(f"there is no preset {of!r}: {nearest(str(of), PRESETS)}")
+    values: dict[str, Any] = {}
+    for rule in PRESETS[of]:
+        if rule.holds(name, registered_id(task)):
+            values |= rule.values
+    declared = [field for kind in type(config).__mro__ for field in get_annotations(kind)]
+    return replace(config, **{k: v for k, v in values.items() if declared.count(k) == 1})
+
+
+def preset_with(name: str, task: str, given: Mapping[str, Any], of: PresetName = "paper") -> Any:
+    """The preset with the given values instead of its own. Raises UserError, with the name that was
+    probably meant, for a hyper-parameter that the algorithm does not have."""
+    config = preset(name, task, of)
+    names = [field.name for field in fields(config)]
+    for other in given:
+        if other not in names:
+            meant = OTHER_NAMES.get(other, other)
+            others = [name for name in (*names, *RESERVED) if name != other]
+            hint = nearest(meant, others, f"it has {', '.join(names)}")
+            raise UserError(f"{name} has no hyper-parameter {other!r}: {hint}")
+    return replace(config, **{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
+
+
+def usual_steps(task: str) -> int:
+    """Environment steps of a run: the paper's on its tasks, `STEPS` on any other."""
+    return PAPER_STEPS.get(registered_id(task), STEPS)

@@ -1,0 +1,34 @@
+"""What a study adds to the report of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from agents.reporting.page import Section
+from agents.reporting.table import Table
+from agents.reporting.tables import Printed
+from agents.results.reading import Group
+
+
+class Study:
+    """A study that adds nothing: a subclass says what its own adds, such as a paper's numbers."""
+
+    def printed(self, group: Group) -> Printed | None:
+        """The numbers that it prints for a group's algorithm and task."""
+        return None
+
+    def set_apart(self, groups: Sequence[Group]) -> tuple[list[Group], dict[str, Table]]:
+        """The groups to report as usual, and tables, by title, of the others."""
+        return [*groups], {}
+
+    def notes(self, groups: Sequence[Group]) -> list[str]:
+        """Notes below the table of a task. groups: the usual ones on it."""
+        return []
+
+    def details(self, groups: Sequence[Group]) -> dict[str, Table]:
+        """Tables of details, by title. groups: the usual ones."""
+        return {}
+
+    def claims(self, groups: Sequence[Group]) -> list[Section]:
+        """Its claims, with verdicts by all groups."""
+        return []
