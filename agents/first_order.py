@@ -6,7 +6,6 @@ algorithms".
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
@@ -19,19 +18,19 @@ from torch import Tensor
 from agents.checks import In
 from agents.lockstep import kernel, lagrange, tree
 from agents.lockstep.backend import tensor
+from agents.lockstep.descent import Clipped, Descent, Loss, Slopes, orders
 from agents.lockstep.kernel import Float
 from agents.lockstep.lagrange import Multiplier
-from agents.lockstep.nets import MAY_DIVERGE, Moments, adam_in_place, no_moments
+from agents.lockstep.nets import no_moments
 from agents.on_policy.epoch import (
     Epoch,
     blocks_of,
     compared,
     divergence,
-    minibatches,
     raised_advantage,
 )
 from agents.on_policy.learner import OnPolicy
-from agents.on_policy.state import Gaussian, Nets, OnPolicyConfig, OnPolicyState
+from agents.on_policy.state import Gaussian, OnPolicyConfig, OnPolicyState
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,8 @@ class FirstOrderConfig(OnPolicyConfig):
     """
 
     batch_size: Annotated[int, In(1)] = 64
-    """Steps in a minibatch of actor and critics; a multiple of 32. Not in the paper; 64 as in
-    Stable-Baselines3 and OmniSafe."""
+    """Steps in a minibatch of actor and critics. Not in the paper; 64 as in Stable-Baselines3 and
+    OmniSafe."""
     actor_iterations: Annotated[int, In(1, 10_000)] = 10
     """Passes of the actor over an epoch's steps. Not in the paper; 10 as in Schulman et al. and
     Stable-Baselines3."""
@@ -129,17 +128,6 @@ class Objective(NamedTuple):
     policy that took the steps."""
 
 
-class Slopes(NamedTuple):
-    """The gradient of a loss in what the actor says of a minibatch."""
-
-    mean: Float
-    """[R, B, A]"""
-    log_std: Float
-    """[R, A]"""
-    outside: Float
-    """[R]: share of steps that have no part in it"""
-
-
 def surrogate_at(
     config: Any, surrogate: Surrogate, policy: Gaussian, batch: Minibatch
 ) -> tuple[Tensor, Tensor]:
@@ -153,67 +141,55 @@ def surrogate_at(
     return returned
 
 
-def slopes(config: Any, surrogate: Surrogate, policy: Gaussian, batch: Minibatch) -> Slopes:
-    """The gradient of a surrogate, turned round to descend, by autograd in the policy's outputs."""
-    with torch.enable_grad():
-        mean, log_std = (part.detach().requires_grad_() for part in policy[:2])
-        policy = Gaussian(mean, log_std, log_std.exp())
-        raised, outside = surrogate_at(config, surrogate, policy, batch)
-    in_mean, in_log_std = torch.autograd.grad(
-        -raised.sum(), (mean, log_std), allow_unused=True, materialize_grads=True
+class Raised(NamedTuple):
+    """The loss of a surrogate: turned round, and differentiated by autograd in what the policy says
+    of a minibatch."""
+
+    config: Any
+    surrogate: Surrogate
+    epoch: Minibatch
+    """All steps [R, B]."""
+
+    def slopes(
+        self, rows: NDArray[np.int64], weight: Float, outputs: Float, log_std: Float
+    ) -> Slopes:
+        """See `Loss`."""
+        spread = tensor(log_std[:, None]).requires_grad_()
+        means, batch = tensor(outputs).requires_grad_(), self._at(rows, weight)
+        with torch.enable_grad():
+            policy = Gaussian(means, spread, spread.exp())
+            raised, outside = surrogate_at(self.config, self.surrogate, policy, batch)
+        of_means, of_spread = torch.autograd.grad(
+            -raised.sum(), (means, spread), allow_unused=True, materialize_grads=True
+        )
+        return Slopes(of_means.numpy(), of_spread[:, 0].numpy(), outside.detach().numpy())
+
+    def _at(self, rows: NDArray[np.int64], weight: Float) -> Minibatch:
+        """The steps [R, b] of a minibatch."""
+        run, whole = np.arange(len(rows))[:, None], self.epoch
+
+        def at(column: Tensor) -> Tensor:
+            return tensor(column.numpy()[run, rows])
+
+        steps = {"observation", "action", "advantage", "old_log_prob"}
+        columns = {name: at(getattr(whole, name)) for name in steps}
+        costs, start = whole.cost_advantage.numpy(), whole.start
+        k = np.arange(costs.shape[1])[:, None]
+        of_costs = tensor(costs[run[..., None], k, rows[:, None]])
+        start = start._replace(mean=at(start.mean))
+        return whole._replace(
+            weight=tensor(weight), cost_advantage=of_costs, start=start, **columns
+        )
+
+
+def loss_of(config: Any, surrogate: Surrogate, epoch: Minibatch) -> Loss:
+    """The loss of a surrogate at the steps of an epoch, in closed form where there is one."""
+    if surrogate is not clipped:
+        return Raised(config, surrogate, epoch)
+    action, advantage, old_log_prob = (
+        column.numpy() for column in (epoch.action, epoch.advantage, epoch.old_log_prob)
     )
-    return Slopes(in_mean.numpy(), in_log_std[:, 0].numpy(), outside.detach().numpy())
-
-
-def clipped_slopes(config: Any, policy: Gaussian, batch: Minibatch) -> Slopes:
-    """`slopes` of `clipped` in closed form: `-ρ A ∂ log π` where ρ is not clipped, 0 elsewhere."""
-    mean, log_std, std, action, weight, advantage, old = (
-        x.numpy()
-        for x in (*policy, batch.action, batch.weight, batch.advantage, batch.old_log_prob)
-    )
-    z = (action - mean) / std
-    log_prob = (-0.5 * z * z - log_std - 0.5 * math.log(2.0 * math.pi)).sum(axis=-1)
-    ratio = np.exp(np.where(weight > 0, log_prob - old, 0.0))
-    beyond = np.abs(ratio - 1.0) > config.clip_range
-    cut = beyond & ((ratio > 1.0) == (advantage > 0.0))
-    slope = np.where(cut, 0.0, -weight * advantage * ratio)[..., None]
-    outside = (weight * beyond).sum(axis=-1)
-    return Slopes(slope * z / std, (slope * (z * z - 1.0)).sum(axis=1), outside)
-
-
-CLOSED: dict[Surrogate, Callable[[Any, Gaussian, Minibatch], Slopes]] = {clipped: clipped_slopes}
-"""Closed forms of `slopes`."""
-
-
-@MAY_DIVERGE
-def actor_step(
-    nets: Nets,
-    config: Any,
-    actor: Tensor,
-    moments: Moments,
-    batch: Minibatch,
-    surrogate: Surrogate = clipped,
-) -> NDArray[np.float32]:
-    """One Adam step of each run's actor up its surrogate, in place; a run without steps waits.
-
-    Returns the share of steps without a part before the step, [R].
-    """
-    net, actions = nets.actor.net, nets.actor.net.sizes[-1]
-    params, spread = actor.numpy(), slice(net.size, net.size + actions)
-    weights, log_std = params[:, : net.size], tensor(params[:, None, spread])
-    seen, own = net.inputs_of(batch.observation).numpy(), kernel.of(params)
-    mean, tape = own.forward(net, weights, seen)
-    policy = Gaussian(tensor(mean), log_std, log_std.exp())
-    closed = CLOSED.get(surrogate)
-    found = closed(config, policy, batch) if closed else slopes(config, surrogate, policy, batch)
-    gradient = np.zeros_like(params)
-    gradient[:, : net.size], _ = own.backward(net, weights, seen, tape, found.mean, "p")
-    gradient[:, spread] = found.log_std
-    norm = np.sqrt((gradient * gradient).sum(axis=-1, keepdims=True))
-    gradient *= np.minimum(config.max_gradient_norm / (norm + 1e-6), 1.0)
-    present = batch.weight.numpy()[:, 0] > 0
-    adam_in_place(actor, gradient, moments, config.learning_rate, present)
-    return found.outside
+    return Clipped(action, advantage, old_log_prob, config.clip_range)
 
 
 class FirstOrder(OnPolicy):
@@ -241,38 +217,34 @@ class FirstOrder(OnPolicy):
         old_log_prob = torch.cat([block.old_log_prob for block in old], dim=-1)
         excess = (epoch.cost - lagrange.limits(rule, config)).to(actor.dtype)
         actor, moments = tree.copy((actor, moments))
-        columns = (epoch.observation, epoch.action, advantage, old_log_prob)
-        *columns, costs = (column.numpy() for column in (*columns, epoch.cost_advantage))
-        clipped, count, run = np.zeros(runs, np.float32), 0, np.arange(runs)[:, None]
+        descent = Descent(
+            net=self.nets.actor.net,
+            params=actor.numpy(),
+            moments=moments.arrays,
+            inputs=epoch.observation.numpy(),
+            batch_size=config.batch_size,
+            rate=config.learning_rate,
+            log_std=self.nets.actor.log_std,
+            longest=config.max_gradient_norm,
+        )
+        own = kernel.of(descent.params)
+        columns = (epoch.observation, epoch.action, epoch.weight, advantage, old_log_prob)
+        whole = Minibatch(*columns, epoch.cost_advantage, None, excess, multipliers)
+        clipped, count = np.zeros(runs), np.zeros(runs)
         for k, surrogate in enumerate(rule.surrogates):
             start = blocks_of(self.nets, actor, epoch, advantage) if k else old
-            mean = torch.cat([block.old.mean for block in start], dim=1).numpy()
-            going = np.ones((runs, 1), np.float32)
+            means = torch.cat([block.old.mean for block in start], dim=1)
+            whole = whole._replace(start=start[0].old._replace(mean=means))
+            loss, taking = loss_of(config, surrogate, whole), steps
             for _ in range(config.actor_iterations):
-                for rows, weight in minibatches(steps, config.batch_size, generators):
-                    observation, action, gain, before = (
-                        tensor(column[run, rows]) for column in columns
-                    )
-                    batch = Minibatch(observation, action, tensor(weight * going), gain, before)
-                    if surrogate not in CLOSED:
-                        of_costs = costs[
-                            run[..., None], np.arange(self.costs)[:, None], rows[:, None]
-                        ]
-                        policy = start[0].old._replace(mean=tensor(mean[run, rows]))
-                        batch = batch._replace(
-                            cost_advantage=tensor(of_costs),
-                            start=policy,
-                            excess=excess,
-                            multipliers=multipliers,
-                        )
-                    what = (self.nets, config, actor, moments, batch, surrogate)
-                    clipped += actor_step(*what)
-                    count = count + (batch.weight[:, 0] > 0).numpy()
+                order = orders(steps, generators)
+                clipped += own.descend(descent, loss, order, taking)
+                count += -(-taking // config.batch_size)
                 if config.kl_stop:
                     moved = divergence(self.nets, actor, old, rule.reverse_kl)
-                    going = going * (moved <= config.kl_stop)[:, None].numpy()
+                    taking = np.where(moved.numpy() <= config.kl_stop, taking, 0)
         _, kl = compared(self.nets, actor, old)
-        records = {"kl": kl, "clipped": tensor(clipped / np.maximum(count, 1))}
+        records = {"kl": kl, "clipped": tensor(clipped / np.maximum(count, 1)).float()}
         names = lagrange.names(rule.multipliers)
         records |= dict(zip(names, multipliers.unbind(dim=-1), strict=True))
         return state._replace(actor=actor, actor_moments=moments), records

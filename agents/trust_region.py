@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from agents.checks import In
-from agents.lockstep import lagrange
+from agents.lockstep import kernel, lagrange
 from agents.lockstep.backend import differentiate
 from agents.lockstep.lagrange import Multiplier
 from agents.on_policy.epoch import (
@@ -42,7 +42,7 @@ class TRPOConfig(EpisodeCostLimit, OnPolicyConfig):
     """
 
     batch_size: Annotated[int, In(1)] = 256
-    """Steps in a minibatch of the critics; a multiple of 32. Paper: 256."""
+    """Steps in a minibatch of the critics. Paper: 256."""
     target_kl: Annotated[float, In(1e-8, 10)] = 0.01
     """Largest mean KL divergence δ of a step of the policy. Paper: 0.01."""
     cg_iterations: Annotated[int, In(1, 10_000)] = 15
@@ -77,30 +77,17 @@ class StepRule(NamedTuple):
     of its cost itself."""
 
 
-def fisher_in(nets: Nets, actor: Tensor, block: Block) -> Product:
-    """v -> `Jᵀ M J v` of a block, J the Jacobian of mean and log-std, and M the Fisher information
-    of a Gaussian in them: `1/σ²` and 2. All [R, actor size].
-    """
-    net, actions = nets.actor.net, nets.actor.net.sizes[-1]
-    seen = net.inputs_of(block.observation)
-    push, pull = net.products(actor[:, : net.size], seen)
-    weight = block.weight[..., None] / (block.old.std * block.old.std)
-    total = 2.0 * block.weight.sum(dim=-1, keepdim=True)
+def curvature(nets: Nets, config: Any, actor: Tensor, epoch: Epoch) -> tuple[Product, Product]:
+    """v -> H v and b -> H⁻¹ b, all [R, actor size], of the damped Hessian H of the mean KL
+    divergence at the policy itself."""
+    columns = actor.numpy(), nets.actor.log_std, epoch.observation.numpy(), epoch.weight.numpy()
+    it = kernel.Curvature(nets.actor.net, *columns, config.cg_damping)
+    own = kernel.of(it.params)
 
-    def product(v: Tensor) -> Tensor:
-        image = torch.zeros_like(v)
-        image[:, : net.size] = pull(weight * push(v))
-        spread = slice(net.size, net.size + actions)
-        image[:, spread] = total * v[:, spread]
-        return image
+    def of(iterations: int) -> Product:
+        return lambda v: torch.from_numpy(own.curvature(it, v.numpy(), iterations))
 
-    return product
-
-
-def fisher_product(nets: Nets, actor: Tensor, steps: list[Block], damping: float) -> Product:
-    """v -> H v for the Hessian of the mean KL divergence at the policy itself, plus the damping."""
-    products = [fisher_in(nets, actor, block) for block in steps]
-    return lambda v: sum((product(v) for product in products), start=damping * v)
+    return of(0), of(config.cg_iterations)
 
 
 def gradient_in(nets: Nets, actor: Tensor, block: Block, of: int) -> Tensor:
@@ -131,13 +118,13 @@ def policy_step(
         parts = (gradient_in(nets, old, block, of) for block in in_blocks)
         return sum(parts, start=torch.zeros_like(old))
 
-    product = fisher_product(nets, old, in_blocks, config.cg_damping)
+    product, solve = curvature(nets, config, old, epoch)
     problem = Problem(
         gradient=gradient(0),
         cost_gradient=lambda: gradient(1) * epoch.length[:, None],
         excess=(epoch.cost - lagrange.limits(rule, config))[:, 0].to(old.dtype),
         product=product,
-        solve=lambda b: conjugate_gradient(product, b, config.cg_iterations),
+        solve=solve,
         target_kl=config.target_kl,
         multipliers=multipliers,
     )
@@ -168,21 +155,12 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
 
 
 def conjugate_gradient(product: Product, b: Tensor, iterations: int) -> Tensor:
-    """Approximate solution x of `H x = b`; product: v -> H v, symmetric positive definite.
+    """See `kernel.conjugate_gradient`."""
 
-    b: [R, P] -> [R, P]. A run whose residual has vanished stays where it is.
-    """
-    x, residual, direction = torch.zeros_like(b), b, b
-    square = dot(residual, residual)
-    for _ in range(iterations):
-        image = product(direction)
-        going = square > 1e-10 * dot(b, b)
-        curvature = torch.where(going, dot(direction, image), 1.0)
-        step = torch.where(going, square / curvature, 0.0)
-        x, residual = x + step * direction, residual - step * image
-        before, square = square, dot(residual, residual)
-        direction = residual + torch.where(going, square / before, 0.0) * direction
-    return x
+    def in_numpy(v: NDArray) -> NDArray:
+        return product(torch.from_numpy(v)).numpy()
+
+    return torch.from_numpy(kernel.conjugate_gradient(in_numpy, b.numpy(), iterations))
 
 
 class Problem(NamedTuple):

@@ -1,5 +1,5 @@
 // Multi-layer perceptrons of one shape, each computed by itself: values, products with the Jacobian
-// in the parameters and the inputs, and Adam. Sums run in an order that depends on a network's own
+// in the parameters and the inputs, and passes of Adam over minibatches. Sums run in an order that depends on a network's own
 // rows alone, so that a network's numbers are the same, bit for bit, whatever others are computed.
 //
 // A layer's parameters are a matrix [in + 1][out], weights and below them the biases; layers lie one
@@ -174,9 +174,10 @@ struct Net {
   }
   int64_t tapes(int64_t rows) const { return (rows + ROWS - 1) / ROWS * tape; }
 
-  // Rows x, `index` of them or the first, into their tape.
-  void begin(const float *x, const int64_t *index, int64_t rows, float *tape) const {
-    turn(x, n[0], index, rows, n[0], tape, ROWS, filled(rows));
+  // Rows x [.][width], `index` of them or the first, into their tape.
+  void begin(const float *x, int64_t width, const int64_t *index, int64_t rows,
+             float *tape) const {
+    turn(x, width, index, rows, n[0], tape, ROWS, filled(rows));
     for (int l = 0; l < layers; l++)
       for (int64_t i = 0; i < ROWS; i++) tape[inputs[l] + n[l] * ROWS + i] = 1.0f;
   }
@@ -262,6 +263,133 @@ struct Net {
   }
 };
 
+// A step of Adam down a gradient times `scale`; decays: beta^t after it. Source: Kingma & Ba 2015,
+// algorithm 1.
+constexpr float BETA1 = 0.9f, BETA2 = 0.999f, EPSILON = 1e-8f;
+static void step(int64_t size, float *__restrict params, const float *__restrict gradient,
+                 float scale, float *__restrict mean, float *__restrict square, float decay1,
+                 float decay2, float rate) {
+  const float by_mean = rate / (1.0f - decay1), by_square = 1.0f / (1.0f - decay2);
+  for (int64_t i = 0; i < size; i++) {
+    const float g = gradient[i] * scale;
+    mean[i] += (1.0f - BETA1) * (g - mean[i]);
+    square[i] = BETA2 * square[i] + (1.0f - BETA2) * g * g;
+    params[i] -= by_mean * mean[i] / (sqrtf(square[i] * by_square) + EPSILON);
+  }
+}
+
+static float dot(const float *a, const float *b, int64_t size) {
+  Vector sum[4] = {};
+  for (int64_t i = 0; i < size; i += LANES)
+    sum[i / LANES % 4] += load(a + i, size - i) * load(b + i, size - i);
+  sum[0] += sum[1] + sum[2] + sum[3];
+  float whole = 0.0f;
+  for (int i = 0; i < LANES; i++) whole += sum[0][i];
+  return whole;
+}
+
+// Turns values y [ROWS], the first rows, into the slopes of half their mean squared error; returns
+// their part of it.
+static float squared(float *y, const int64_t *index, const float *target, float weight,
+                     int64_t rows) {
+  float loss = 0.0f;
+  for (int64_t i = 0; i < rows; i++) {
+    const float error = y[i] - target[index[i]];
+    y[i] = weight * error;
+    loss += 0.5f * y[i] * error;
+  }
+  return loss;
+}
+
+// Turns means y [actions][ROWS] into the slopes of the clipped surrogate's mean, turned round to
+// descend, and adds those in log_std to `of_log_std`; returns the share of rows whose ratio is
+// clipped. Advantages and log-probabilities are `index`ed, actions are not.
+static float clipped(const float *log_std, float *y, const float *action, const int64_t *index,
+                     const float *advantage, const float *old_log_prob, float range, float weight,
+                     int64_t actions, int64_t rows, float *of_log_std) {
+  float log_prob[ROWS] = {}, slope[ROWS], outside = 0.0f;
+  for (int64_t j = 0; j < actions; j++) {
+    const float by_std = 1.0f / expf(log_std[j]);
+    for (int64_t i = 0; i < rows; i++) {
+      const float z = (action[j * ROWS + i] - y[j * ROWS + i]) * by_std;
+      y[j * ROWS + i] = z;
+      log_prob[i] += -0.5f * z * z - log_std[j] - 0.91893853f; // log(2 pi) / 2
+    }
+  }
+  for (int64_t i = 0; i < rows; i++) {
+    const float ratio = expf(log_prob[i] - old_log_prob[index[i]]), gain = advantage[index[i]];
+    const bool beyond = fabsf(ratio - 1.0f) > range;
+    slope[i] = beyond && (ratio > 1.0f) == (gain > 0.0f) ? 0.0f : -weight * gain * ratio;
+    if (beyond) outside += weight;
+  }
+  for (int64_t j = 0; j < actions; j++) {
+    const float by_std = 1.0f / expf(log_std[j]);
+    for (int64_t i = 0; i < rows; i++) {
+      const float z = y[j * ROWS + i];
+      of_log_std[j] += slope[i] * (z * z - 1.0f);
+      y[j * ROWS + i] = slope[i] * z * by_std;
+    }
+  }
+  return outside;
+}
+
+// The damped Hessian of the mean KL divergence of a policy from itself, over rows of some weights:
+// damping + J^T M J, J the Jacobian of means and log_stds, M the Fisher information of a Gaussian
+// in them: 1 / variance and 2.
+struct Curvature {
+  const Net &net;
+  const float *p;
+  int64_t log_std, actions, size; // where log_stds begin; of the parameters
+  float damping;
+  std::vector<float> weight, tapes; // filled
+
+  // The tapes of rows x [rows][width].
+  void begin(const float *x, int64_t width, const float *w, int64_t rows) {
+    while (rows > 0 && w[rows - 1] == 0.0f) rows--;
+    weight.assign(w, w + rows);
+    weight.resize((rows + ROWS - 1) / ROWS * ROWS);
+    tapes.resize(net.tapes(rows) + 16);
+    float *tape = aligned(tapes.data()), *y = scratch(3, net.widest * ROWS);
+    for (int64_t r = 0; r < rows; r += ROWS, tape += net.tape) {
+      net.begin(x + r * width, width, nullptr, std::min(ROWS, rows - r), tape);
+      net.values(p, tape, y, ROWS);
+    }
+  }
+
+  void product(const float *v, float *to) {
+    float whole = 0.0f, *tape = aligned(tapes.data());
+    for (float w : weight) whole += w;
+    for (int64_t i = 0; i < size; i++) to[i] = 0.0f;
+    for (size_t r = 0; r < weight.size(); r += ROWS, tape += net.tape) {
+      float *y = net.push(p, v, tape, ROWS);
+      for (int64_t j = 0; j < actions; j++) {
+        const float by_variance = expf(-2.0f * p[log_std + j]);
+        for (int64_t i = 0; i < ROWS; i++) y[j * ROWS + i] *= weight[r + i] * by_variance;
+      }
+      net.pull(p, tape, y, to, false, ROWS);
+    }
+    for (int64_t j = 0; j < actions; j++) to[log_std + j] = 2.0f * whole * v[log_std + j];
+    for (int64_t i = 0; i < size; i++) to[i] += damping * v[i];
+  }
+
+  // x of H x = b by conjugate gradients from 0, until nothing is left of the residual.
+  void solve(const float *b, int64_t iterations, float *x) {
+    std::vector<float> residual(b, b + size), direction = residual, image(size);
+    float square = dot(b, b, size);
+    const float least = 1e-10f * square;
+    std::fill(x, x + size, 0.0f);
+    for (int64_t k = 0; k < iterations && square > least; k++) {
+      product(direction.data(), image.data());
+      const float step = square / dot(direction.data(), image.data(), size), before = square;
+      for (int64_t i = 0; i < size; i++) x[i] += step * direction[i];
+      for (int64_t i = 0; i < size; i++) residual[i] -= step * image[i];
+      square = dot(residual.data(), residual.data(), size);
+      for (int64_t i = 0; i < size; i++)
+        direction[i] = residual[i] + square / before * direction[i];
+    }
+  }
+};
+
 extern "C" {
 
 // Has glibc hand freed blocks to the next array instead of back to the system: the page faults of
@@ -290,7 +418,7 @@ void forward(int layers, const int64_t *n, int kind, int64_t nets, const float *
   for (int64_t k = 0; k < nets; k++)
     for (int64_t r = 0; r < rows; r += ROWS, tape += net.tape) {
       const int64_t some = std::min(ROWS, rows - r);
-      net.begin(x + (k / share * rows + r) * n[0], nullptr, some, tape);
+      net.begin(x + (k / share * rows + r) * n[0], n[0], nullptr, some, tape);
       net.values(params + k * stride, tape, outputs, filled(some));
       turn(outputs, ROWS, nullptr, out, some, y + (k * rows + r) * out, out, out);
     }
@@ -332,18 +460,72 @@ void tangent(int layers, const int64_t *n, int kind, int64_t nets, const float *
     }
 }
 
-// One step of Adam down the gradient, all [runs][size], in place; rest1, rest2 [runs]: 1 - beta^t.
-void adam(int64_t runs, int64_t size, float *__restrict params, const float *__restrict gradient,
-          float *__restrict mean, float *__restrict square, const float *rest1, const float *rest2,
-          float rate) {
-  for (int64_t k = 0; k < runs; k++) {
-    const float by_mean = rate / rest1[k], by_square = 1.0f / rest2[k];
-    for (int64_t i = k * size; i < (k + 1) * size; i++) {
-      const float g = gradient[i];
-      mean[i] += 0.1f * (g - mean[i]);
-      square[i] = 0.999f * square[i] + 0.001f * g * g;
-      params[i] -= by_mean * mean[i] / (sqrtf(square[i] * by_square) + 1e-8f);
+// One step of Adam of each run's numbers, all [runs][size], in place; decays [runs]: beta^t before it.
+void adam(int64_t runs, int64_t size, float *params, const float *gradient, float *mean,
+          float *square, float *decay1, float *decay2, float rate) {
+  for (int64_t r = 0, at = 0; r < runs; r++, at += size) {
+    decay1[r] *= BETA1, decay2[r] *= BETA2;
+    step(size, params + at, gradient + at, 1.0f, mean + at, square + at, decay1[r], decay2[r], rate);
+  }
+}
+
+// A pass of Adam over minibatches of each run's rows, in their order, for its `share` networks
+// [runs][share][stride], in place, which have a log_std there where there are actions; moments are of the same shape, decays [runs]. Inputs x
+// [runs][rows][width], of which networks see the first; order [runs][most], of which `steps`
+// [runs]. The loss is the clipped surrogate where there are actions [runs][rows][out], or half the
+// squared error from targets [runs][share][rows]. Its gradient is shortened to `longest`. Adds to
+// records [runs][share] what the losses record.
+void descend(int layers, const int64_t *n, int kind, int64_t runs, int64_t share, float *params,
+             int64_t stride, int64_t log_std, float *mean, float *square, float *decay1,
+             float *decay2, const float *x, int64_t rows, int64_t width, const int64_t *order, int64_t most,
+             const int64_t *steps, int64_t batch, const float *action, const float *advantage,
+             const float *old_log_prob, float range, const float *target, float longest, float rate,
+             float *records) {
+  const Net net(layers, n, kind);
+  const int64_t out = n[layers], used = action ? log_std + out : net.size;
+  float *tape = scratch(3, net.tape), *y = scratch(4, net.widest * ROWS), *g = scratch(5, used);
+  float *acted = scratch(6, net.widest * ROWS);
+  for (int64_t r = 0; r < runs; r++)
+    for (int64_t start = 0; start < steps[r]; start += batch) {
+      const int64_t held = std::min(batch, steps[r] - start);
+      decay1[r] *= BETA1, decay2[r] *= BETA2;
+      for (int64_t k = r * share; k < (r + 1) * share; k++) {
+        float *p = params + k * stride;
+        memset(g, 0, 4 * used);
+        for (int64_t c = 0; c < held; c += ROWS) {
+          const int64_t some = std::min(ROWS, held - c), *index = order + r * most + start + c;
+          if (k == r * share || held > ROWS)
+            net.begin(x + r * rows * width, width, index, some, tape);
+          net.values(p, tape, y, filled(some));
+          if (action) {
+            turn(action + r * rows * out, out, index, some, out, acted, ROWS, filled(some));
+            records[k] += clipped(p + log_std, y, acted, index, advantage + r * rows,
+                                  old_log_prob + r * rows, range, 1.0f / held, out, some,
+                                  g + log_std);
+          } else
+            records[k] += squared(y, index, target + k * rows, 1.0f / held, some);
+          net.pull(p, tape, y, g, false, some);
+        }
+        const float scale = std::isinf(longest) ? 1.0f : longest / (sqrtf(dot(g, g, used)) + 1e-6f);
+        step(used, p, g, std::min(scale, 1.0f), mean + k * stride, square + k * stride, decay1[r],
+             decay2[r], rate);
+      }
     }
+}
+
+// H v of each run's policy params [runs][stride] for v [runs][stride], or with iterations the x of
+// H x = v; inputs x [runs][rows][width], of which networks see the first; weights [runs][rows].
+void curvature(int layers, const int64_t *n, int kind, int64_t runs, const float *params,
+               int64_t stride, int64_t log_std, const float *x, int64_t rows, int64_t width,
+               const float *weight, float damping, const float *v, int64_t iterations, float *to) {
+  const Net net(layers, n, kind);
+  for (int64_t r = 0; r < runs; r++) {
+    Curvature of{net, params + r * stride, log_std, n[layers], stride, damping, {}, {}};
+    of.begin(x + r * rows * width, width, weight + r * rows, rows);
+    if (iterations)
+      of.solve(v + r * stride, iterations, to + r * stride);
+    else
+      of.product(v + r * stride, to + r * stride);
   }
 }
 }

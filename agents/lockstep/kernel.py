@@ -1,4 +1,4 @@
-"""The arithmetic of networks: values, products with their Jacobian, Adam.
+"""The arithmetic of networks: values, products with their Jacobian, passes of Adam.
 
 In C++ (`kernel.cpp`), which is compiled once where there is a compiler and its results are right;
 else the same functions in NumPy, several times slower. In both a network's numbers depend on itself
@@ -23,6 +23,8 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.lockstep.descent import Clipped, Descent, Loss, Moments, Squared, descend
+
 Activation = Literal["tanh", "relu", "silu"]
 Backend = Literal["c++", "numpy"]
 Float = NDArray[np.floating]
@@ -45,6 +47,23 @@ class Shape(Protocol):
         ...
 
 
+class Curvature(NamedTuple):
+    """The damped Hessian H of the mean KL divergence of R policies from themselves: `damping + Jᵀ M
+    J`, J the Jacobian of means and log-stds, and M the Fisher information of a Gaussian in them:
+    `1/σ²` and 2."""
+
+    net: Shape
+    params: Float
+    """[R, P]"""
+    log_std: slice
+    """Where the parameters have it."""
+    inputs: Float
+    """[R, B, at least in]: networks see the first"""
+    weight: Float
+    """[R, B]: of the rows in the mean"""
+    damping: float
+
+
 class Kernel(Protocol):
     """Functions of N networks of one shape, params [N, at least size], and inputs
     [N / share, B, in]: each is that of `share` networks, one behind the other."""
@@ -64,17 +83,22 @@ class Kernel(Protocol):
         """Products of the Jacobian in the parameters with v [N, at least size]: [N, B, out]."""
         ...
 
-    def adam(
-        self,
-        params: Float,
-        gradient: Float,
-        mean: Float,
-        square: Float,
-        rest: tuple[Float, Float],
-        rate: float,
-    ) -> None:
-        """One step down the gradient, all [R, P], in place; rest: 1 - β₁ᵗ and 1 - β₂ᵗ, [R] each.
-        Source: Kingma & Ba 2015, algorithm 1."""
+    def adam(self, params: Float, gradient: Float, moments: Moments, rate: float) -> None:
+        """One step down the gradient, all [R, P], in place. Source: Kingma & Ba 2015, algorithm
+        1."""
+        ...
+
+    def descend(
+        self, it: Descent, loss: Loss, order: NDArray[np.int64], steps: NDArray[np.int64]
+    ) -> Float:
+        """A pass of Adam: the sums over minibatches of what the loss records, [N].
+
+        order: of `orders`; steps: [R], of each run in it, 0 of one that takes no part. A run
+        without rows in a minibatch waits."""
+        ...
+
+    def curvature(self, it: Curvature, v: Float, iterations: int = 0) -> Float:
+        """H v for v [R, P], or with iterations the x of H x = v by `conjugate_gradient`."""
         ...
 
 
@@ -115,21 +139,59 @@ class InNumpy:
             x = values
         return dot
 
-    def adam(
-        self,
-        params: Float,
-        gradient: Float,
-        mean: Float,
-        square: Float,
-        rest: tuple[Float, Float],
-        rate: float,
-    ) -> None:
+    def adam(self, params: Float, gradient: Float, moments: Moments, rate: float) -> None:
         """See `Kernel`."""
-        rest1, rest2 = (part[:, None] for part in rest)
+        mean, square, *decays = moments
+        for decay, beta in zip(decays, (BETA1, BETA2), strict=True):
+            decay *= beta
+        rest1, rest2 = (1 - decay[:, None] for decay in decays)
         mean += (1 - BETA1) * (gradient - mean)
         square *= BETA2
         square += (1 - BETA2) * gradient * gradient
         params -= rate * (mean / rest1) / (np.sqrt(square / rest2) + EPSILON)
+
+    def descend(
+        self, it: Descent, loss: Loss, order: NDArray[np.int64], steps: NDArray[np.int64]
+    ) -> Float:
+        """See `Kernel`."""
+        return descend(self, it, loss, order, steps)
+
+    def curvature(self, it: Curvature, v: Float, iterations: int = 0) -> Float:
+        """See `Kernel`."""
+        if iterations:
+            return conjugate_gradient(functools.partial(self.curvature, it), v, iterations)
+        params, x, log_std = it.params, it.inputs[..., : it.net.sizes[0]], it.params[:, it.log_std]
+        _, tape = self.forward(it.net, params, x)
+        by_variance = np.exp(-2.0 * log_std)[:, None] * it.weight[..., None]
+        pushed = by_variance * self.tangent(it.net, params, x, tape, v)
+        image, _ = self.backward(it.net, params, x, tape, pushed, "p")
+        assert image is not None
+        image[:, it.log_std] = 2.0 * it.weight.sum(axis=-1, keepdims=True) * v[:, it.log_std]
+        return image + it.damping * v
+
+
+def conjugate_gradient(product: Callable[[Float], Float], b: Float, iterations: int) -> Float:
+    """Approximate solution x of `H x = b`; product: v -> H v, symmetric positive definite.
+
+    b: [R, P] -> [R, P]. A run whose residual has vanished stays where it is.
+    """
+
+    def dot(a: Float, b: Float) -> Float:
+        return (a * b).sum(axis=-1, keepdims=True)
+
+    def over(a: Float, b: Float) -> Float:
+        return np.where(going, a / np.where(going, b, 1.0), 0.0)
+
+    x, residual, direction = np.zeros_like(b), b, b
+    square = dot(b, b)
+    least = 1e-10 * square
+    for _ in range(iterations):
+        image, going = product(direction), square > least
+        step = over(square, dot(direction, image))
+        x, residual = x + step * direction, residual - step * image
+        before, square = square, dot(residual, residual)
+        direction = residual + over(square, before) * direction
+    return x
 
 
 def layers(sizes: Sequence[int], params: Float) -> Iterator[tuple[Float, Float]]:
@@ -177,7 +239,12 @@ class InCpp:
         self.functions.backward.argtypes = [*nets, pointer, pointer, long, pointer]
         self.functions.tangent.argtypes = [*nets, pointer, long, pointer]
         self.functions.adam.argtypes = [long, long, *[pointer] * 6, float_]
-        for name in ("forward", "backward", "tangent", "adam"):
+        runs = [*shape, long, long, pointer, long, long, *[pointer] * 4, pointer, long, long]
+        passed = [pointer, long, pointer, long, *[pointer] * 3, float_, pointer, float_, float_]
+        self.functions.descend.argtypes = [*runs, *passed, pointer]
+        policies = [*shape, long, pointer, long, long, pointer, long, long, pointer, float_]
+        self.functions.curvature.argtypes = [*policies, pointer, long, pointer]
+        for name in ("forward", "backward", "tangent", "adam", "descend", "curvature"):
             getattr(self.functions, name).restype = None
 
     def forward(self, net: Shape, params: Float, x: Float, share: int = 1) -> tuple[Float, Any]:
@@ -206,18 +273,50 @@ class InCpp:
         self.functions.tangent(*_of(net, params, x, tape), *direction, jy.ctypes.data)
         return jy
 
-    def adam(
-        self,
-        params: Float,
-        gradient: Float,
-        mean: Float,
-        square: Float,
-        rest: tuple[Float, Float],
-        rate: float,
-    ) -> None:
+    def adam(self, params: Float, gradient: Float, moments: Moments, rate: float) -> None:
         """See `Kernel`."""
-        arrays = [a.ctypes.data for a in (params, gradient, mean, square, *rest)]
+        arrays = [a.ctypes.data for a in (params, gradient, *moments)]
         self.functions.adam(*params.shape, *arrays, rate)
+
+    def descend(
+        self, it: Descent, loss: Loss, order: NDArray[np.int64], steps: NDArray[np.int64]
+    ) -> Float:
+        """See `Kernel`."""
+        if not isinstance(loss, Clipped | Squared):
+            return descend(self, it, loss, order, steps)
+        params, x = it.params, np.ascontiguousarray(it.inputs)
+        assert params.flags.c_contiguous and all(m.flags.c_contiguous for m in it.moments)
+        # Contiguous, and kept here, while their addresses are in use.
+        rows, takes = (np.ascontiguousarray(a) for a in (order, steps))
+        records, nothing = np.zeros(len(params), np.float32), (None, None, None, 0.0)
+        columns = [np.ascontiguousarray(a) for a in loss if isinstance(a, np.ndarray)]
+        data = [column.ctypes.data for column in columns]
+        losses = (*data, loss.clip_range, None) if isinstance(loss, Clipped) else (*nothing, *data)
+        self.functions.descend(
+            *_shape(it.net.sizes, it.net.activation),
+            *(len(takes), len(params) // len(takes), params.ctypes.data, params.shape[1]),
+            it.log_std.start,
+            *(m.ctypes.data for m in it.moments),
+            *(x.ctypes.data, *x.shape[1:]),
+            *(rows.ctypes.data, rows.shape[1], takes.ctypes.data, it.batch_size),
+            *losses,
+            *(it.longest, it.rate, records.ctypes.data),
+        )
+        return records
+
+    def curvature(self, it: Curvature, v: Float, iterations: int = 0) -> Float:
+        """See `Kernel`."""
+        params, x, weight, v = (
+            np.ascontiguousarray(a) for a in (it.params, it.inputs, it.weight, v)
+        )
+        found = np.empty_like(v)
+        self.functions.curvature(
+            *_shape(it.net.sizes, it.net.activation),
+            *(len(params), params.ctypes.data, params.shape[1], it.log_std.start),
+            *(x.ctypes.data, *x.shape[1:], weight.ctypes.data, it.damping),
+            *(v.ctypes.data, iterations, found.ctypes.data),
+        )
+        return found
 
 
 LINE = 16
@@ -303,29 +402,47 @@ def error_of(kernel: Kernel) -> float:
     """The largest difference of a kernel's float32 from the NumPy kernel in float64."""
     rng, worst = np.random.default_rng(0), 0.0
     for activation in _ACTIVATIONS:
-        net = _Probe((5, 30, 64, 3), activation)
-        size = sum((a + 1) * b for a, b in pairwise(net.sizes))
-        shapes = ((4, size), (2, 70, 5), (4, 70, 3), (4, size))
-        given = [rng.normal(0, 0.3, shape) for shape in shapes]
-        found = [_results(kernel, net, [a.astype(np.float32) for a in given])]
-        found.append(_results(IN_NUMPY, net, given))
+        net, policy = _Probe((5, 30, 64, 1), activation), _Probe((5, 30, 64, 3), activation)
+        shapes = {"params": (4, _size(policy) + 3), "x": (2, 70, 5), "dy": (4, 70, 3)}
+        shapes |= {"action": (2, 70, 3), "advantage": (2, 70), "target": (2, 2, 70)}
+        given = {name: rng.normal(0, 0.3, shape) for name, shape in shapes.items()}
+        given |= {"v": rng.normal(0, 0.3, shapes["params"])}
+        single = {name: array.astype(np.float32) for name, array in given.items()}
+        found = _results(kernel, net, policy, **single), _results(IN_NUMPY, net, policy, **given)
         differences = [np.abs(a - b).max() for a, b in zip(*found, strict=True)]
         worst = max(worst, *differences) if np.isfinite(differences).all() else np.inf
     return worst
 
 
-def _results(kernel: Kernel, net: Shape, given: Sequence[Float]) -> list[Float]:
+def _size(net: Shape) -> int:
+    return sum((a + 1) * b for a, b in pairwise(net.sizes))
+
+
+def _results(
+    kernel: Kernel, net: Shape, policy: Shape, params: Float, v: Float, x: Float, **given: Float
+) -> list[Float]:
     """What all functions of a kernel return."""
-    params, x, dy, v = given
-    y, tape = kernel.forward(net, params, x, 2)
-    gp, gx = kernel.backward(net, params, x, tape, dy, "px", 2)
+    y, tape = kernel.forward(policy, params, x, 2)
+    gp, gx = kernel.backward(policy, params, x, tape, given["dy"], "px", 2)
     assert gp is not None and gx is not None
-    alone = kernel.forward(net, params[:2], x)[1]
-    jy = kernel.tangent(net, params[:2], x, alone, v[:2])
-    moved, mean, square = params.copy(), 0.1 * v, v * v
-    rest = (np.full(4, 0.2, params.dtype), np.full(4, 0.1, params.dtype))
-    kernel.adam(moved, gp, mean, square, rest, 1e-2)
-    return [y, gp / 10, gx, jy, moved, mean, square]
+    alone = kernel.forward(policy, params[:2], x)[1]
+    found = [y, gp / 10, gx, kernel.tangent(policy, params[:2], x, alone, v[:2])]
+    order, steps = np.tile(np.arange(70)[::-1], (2, 1)), np.array([70, 40])
+    old, end = np.full_like(given["advantage"], -3.0), _size(policy)
+    clipped = Clipped(given["action"], given["advantage"], old, 0.2)
+    both = ((policy, params[:2], v[:2], clipped), (net, params, v, Squared(given["target"])))
+    for shape, own, direction, loss in both:
+        width = end + 3 if shape is policy else _size(net)
+        own, direction = own[:, :width].copy(), 0.1 * direction[:, :width].reshape(2, -1)
+        moments = Moments(direction, direction**2, *np.full((2, 2), 0.9, own.dtype))
+        it = Descent(shape, own, moments, x, 33, 1e-2, slice(end, width), 0.5)
+        found += [kernel.descend(it, loss, order, steps), own, *moments]
+    moments = Moments(0.1 * v, v * v, *np.full((2, 4), 0.9, v.dtype))
+    kernel.adam(moved := params.copy(), gp, moments, 1e-2)
+    weight = np.abs(given["advantage"]) / 10
+    it = Curvature(policy, params[:2], slice(end, end + 3), x, weight, 0.1)
+    curved = [kernel.curvature(it, v[:2] / 10, iterations) for iterations in (0, 5)]
+    return [*found, moved, *curved]
 
 
 _kernel: Kernel = IN_NUMPY

@@ -7,7 +7,7 @@ sums a run's numbers fall on the same lanes of the vector units whatever the run
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from agents.errors import UserError
-from agents.lockstep import kernel, tree
+from agents.lockstep import descent, kernel, tree
+from agents.lockstep.descent import LANES
+from agents.lockstep.descent import MAY_DIVERGE as MAY_DIVERGE
 from agents.lockstep.kernel import Activation
-
-LANES = 32
 
 
 def check_batch(batch_size: int) -> None:
@@ -31,10 +31,6 @@ def check_batch(batch_size: int) -> None:
     """
     if batch_size % LANES:
         raise UserError(f"batch_size must be a multiple of {LANES}, got {batch_size}")
-
-
-MAY_DIVERGE = np.errstate(over="ignore", invalid="ignore", divide="ignore")
-"""For updates: a run whose numbers are not finite is found by its learner's `finite`."""
 
 
 class MLP:
@@ -68,22 +64,6 @@ class MLP:
         [R, B, in]: [R, K, B]."""
         count = params.shape[1]
         return self.forward(params.flatten(0, 1), inputs, count).unflatten(0, (-1, count))[..., 0]
-
-    def products(
-        self, params: Tensor, x: Tensor
-    ) -> tuple[Callable[[Tensor], Tensor], Callable[[Tensor], Tensor]]:
-        """v -> J v and u -> Jᵀ u, J the Jacobian of `forward` in its parameters; v: [N, at least
-        size], u: [N, B, out]."""
-        given = self, _rows(params), np.ascontiguousarray(x.numpy())
-        own = kernel.of(given[1])
-        _, tape = own.forward(*given)
-
-        def pull(u: Tensor) -> Tensor:
-            gradient, _ = own.backward(*given, tape, u.numpy(), "p")
-            assert gradient is not None
-            return torch.from_numpy(gradient)
-
-        return lambda v: torch.from_numpy(own.tangent(*given, tape, _rows(v))), pull
 
     def inputs_of(self, observation: Tensor) -> Tensor:
         """The first of observations [..., at least in]: behind them may stand what others see."""
@@ -150,9 +130,16 @@ class Moments(NamedTuple):
     mean: Tensor
     square: Tensor
     decay1: Tensor
-    """β₁ᵗ [R, 1, ...]. Kept as a product, since a power differs in its last bit between lanes."""
+    """β₁ᵗ [R, 1, ...]"""
     decay2: Tensor
-    """β₂ᵗ [R, 1, ...]."""
+    """β₂ᵗ [R, 1, ...]"""
+
+    @property
+    def arrays(self) -> descent.Moments:
+        """Views of all, run by run."""
+        runs, flat = len(self.mean), (part.numpy() for part in self)
+        mean, square, *decays = (part.reshape(runs, -1) for part in flat)
+        return descent.Moments(mean, square, *(decay[:, 0] for decay in decays))
 
 
 def no_moments(params: Tensor) -> Moments:
@@ -171,29 +158,12 @@ def adam(
 
 
 def adam_in_place(
-    params: Tensor,
-    gradient: NDArray,
-    moments: Moments,
-    learning_rate: float,
-    present: NDArray[np.bool_] | None = None,
+    params: Tensor, gradient: NDArray, moments: Moments, learning_rate: float
 ) -> None:
-    """`adam` of parameters [R, P] or [R, K, P], which it changes; present: [R], runs that take the
-    step, by default all."""
-    if present is not None and not present.all():
-        for run in np.flatnonzero(present):
-            own = slice(run, run + 1)
-            adam_in_place(params[own], gradient[own], Moments(*(m[own] for m in moments)),
-                          learning_rate)  # fmt: skip
-        return
-    rest = []
-    for decay, beta in zip(moments[2:], (kernel.BETA1, kernel.BETA2), strict=True):
-        numbers = decay.numpy()
-        numbers *= beta
-        rest.append(1 - numbers.reshape(-1))
+    """`adam` of parameters [R, P] or [R, K, P], which it changes."""
     runs = len(gradient)
-    rows = [x.numpy().reshape(runs, -1) for x in (params, moments.mean, moments.square)]
-    own, mean, square = rows
-    kernel.of(own).adam(own, gradient.reshape(runs, -1), mean, square, tuple(rest), learning_rate)
+    own = params.numpy().reshape(runs, -1)
+    kernel.of(own).adam(own, gradient.reshape(runs, -1), moments.arrays, learning_rate)
 
 
 ACTIVATIONS: dict[Activation, type[nn.Module]] = {

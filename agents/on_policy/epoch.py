@@ -18,7 +18,7 @@ from torch import Tensor
 from agents.on_policy.state import Gaussian, Nets
 
 BLOCK = 512
-"""Rows of a block: a multiple of 32 (see `nets`) that holds the paper's epoch of 500 steps."""
+"""Rows of a block: a multiple of 32 (see `descent`) that holds the paper's epoch of 500 steps."""
 
 
 class Epoch(NamedTuple):
@@ -81,25 +81,6 @@ def blocks(*columns: Tensor) -> Iterator[tuple[Tensor, ...]]:
     """The columns [R, size, ...] in blocks [R, BLOCK, ...]."""
     for start in range(0, columns[0].shape[1], BLOCK):
         yield tuple(column[:, start : start + BLOCK].contiguous() for column in columns)
-
-
-def minibatches(
-    steps: NDArray[np.int64], size: int, streams: list[np.random.Generator]
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
-    """One pass over the rows of each run in an order of its own: rows [R, size], weights [R, size].
-
-    The weights of a run's minibatch add up to 1, or to 0 where it has no rows left.
-    """
-    count = -(-int(steps.max()) // size)
-    order = np.zeros((len(steps), count * size), dtype=np.int64)
-    for run, (n, rng) in enumerate(zip(steps, streams, strict=True)):
-        order[run, :n] = rng.permutation(n)
-    held = np.arange(count * size) < steps[:, None]
-    for start in range(0, count * size, size):
-        part = slice(start, start + size)
-        here = held[:, part]
-        weight = here / np.maximum(here.sum(axis=1, keepdims=True), 1)
-        yield order[:, part], weight.astype(np.float32)
 
 
 def advantages(

@@ -13,47 +13,17 @@ from torch import Tensor, nn
 
 from agents.lockstep import kernel, lagrange, tree
 from agents.lockstep.backend import array, tensor
-from agents.lockstep.nets import MAY_DIVERGE, adam_in_place
+from agents.lockstep.descent import Descent, Squared, orders
+from agents.lockstep.nets import Moments
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout, learned
-from agents.on_policy.epoch import Epoch, Packing, advantages, blocks, minibatches
+from agents.on_policy.epoch import Epoch, Packing, advantages, blocks
 from agents.on_policy.state import Nets, OnPolicyState, initial_state, make_nets
 
 
 def values(nets: Nets, critics: Tensor, observation: Tensor) -> Tensor:
     """Values of all critics of each run at observations [R, B, critic inputs]: [R, 1 + C, B]."""
     return nets.critic.forward_each(critics, observation)
-
-
-@MAY_DIVERGE
-def critic_step(
-    nets: Nets,
-    config: Any,
-    state: OnPolicyState,
-    epoch: Epoch,
-    rows: NDArray[np.int64],
-    weight: NDArray[np.float32],
-) -> NDArray[np.float32]:
-    """One Adam step of all critics, in place, on half the mean squared error of a minibatch.
-
-    rows, weight: [R, B]. A run without rows in it waits. Returns the losses, [R, 1 + C].
-    """
-    runs, count, size = state.critics.shape
-    params = state.critics.numpy().reshape(-1, size)
-    observation = epoch.observation.numpy()[np.arange(runs)[:, None], rows]
-    run = np.arange(runs)[:, None]
-    target = epoch.value_targets.numpy()[run[..., None], np.arange(count)[:, None], rows[:, None]]
-    own = kernel.of(params)
-    value, tape = own.forward(nets.critic, params, observation, count)
-    error = value.reshape(target.shape) - target
-    slope = weight[:, None] * error
-    of_value = slope.reshape(value.shape)
-    gradient, _ = own.backward(nets.critic, params, observation, tape, of_value, "p", count)
-    assert gradient is not None
-    gradient = gradient.reshape(runs, count, size)
-    present = weight[:, 0] > 0
-    adam_in_place(state.critics, gradient, state.critic_moments, config.learning_rate, present)
-    return 0.5 * (slope * error).sum(axis=-1)
 
 
 class OnPolicy(ABC):
@@ -126,22 +96,41 @@ class OnPolicy(ABC):
         before = self._state
         self._state = self._followed(before, data, ahead=True)
         state, records = self.improve(data, packing.steps, generators)
-        state = state._replace(
-            **{k: tree.copy(getattr(state, k)) for k in ("critics", "critic_moments")}
-        )
-        losses, count = np.zeros((len(self.seeds), 1 + self.costs), np.float32), 0
-        for _ in range(self.config.critic_iterations):
-            for batch in minibatches(packing.steps, self.config.batch_size, generators):
-                losses += critic_step(self.nets, self.config, state, data, *batch)
-                count = count + (batch[1][:, :1] > 0)
+        critics, moments = tree.copy((state.critics, state.critic_moments))
+        losses = self._fit(critics, moments, data, packing.steps, generators)
+        state = state._replace(critics=critics, critic_moments=moments)
         self._state = tree.where(active, self._followed(state, data, ahead=False), before)
         if self._normalizer:
             self._normalizer.count(rollout.observation, rollout.length)
-        losses = tensor(losses / np.maximum(count, 1))
         records["critic_loss"], records["cost_critic_loss"] = losses[:, 0], losses[:, 1:].sum(dim=1)
         records["std"] = self._std()
         columns = np.stack([array(records[name]) for name in self.metrics], axis=-1)
         return np.where(active[:, None], columns, np.nan)
+
+    def _fit(
+        self,
+        critics: Tensor,
+        moments: Moments,
+        epoch: Epoch,
+        steps: NDArray[np.int64],
+        generators: list[np.random.Generator],
+    ) -> Tensor:
+        """Passes of the critics, in place, towards their targets; their mean losses [R, 1 + C]."""
+        config, params = self.config, critics.flatten(0, 1).numpy()
+        descent = Descent(
+            net=self.nets.critic,
+            params=params,
+            moments=moments.arrays,
+            inputs=epoch.observation.numpy(),
+            batch_size=config.batch_size,
+            rate=config.learning_rate,
+        )
+        loss, own = Squared(epoch.value_targets.numpy()), kernel.of(params)
+        total = np.zeros(len(params))
+        for _ in range(config.critic_iterations):
+            total += own.descend(descent, loss, orders(steps, generators), steps)
+        count = np.maximum(-(-steps // config.batch_size) * config.critic_iterations, 1)
+        return tensor(total.reshape(len(steps), -1) / count[:, None]).float()
 
     def _followed(self, state: OnPolicyState, epoch: Epoch, ahead: bool) -> OnPolicyState:
         """The state whose multipliers have followed the epoch's costs: those that do so `ahead` of

@@ -15,13 +15,12 @@ from torch import Tensor
 from agents.checks import In, Settings
 from agents.lockstep import lagrange
 from agents.lockstep.backend import tensor
+from agents.lockstep.descent import LANES
 from agents.lockstep.lagrange import Multiplier, State
 from agents.lockstep.nets import (
-    LANES,
     MLP,
     Activation,
     Moments,
-    check_batch,
     forward_numpy,
     no_moments,
 )
@@ -63,11 +62,16 @@ class GaussianPolicy(NamedTuple):
         """Length of the parameters, padding included."""
         return self.net.size + -(-self.net.sizes[-1] // LANES) * LANES
 
+    @property
+    def log_std(self) -> slice:
+        """Where the log-std lies."""
+        return slice(self.net.size, self.net.size + self.net.sizes[-1])
+
     def initial(self, rng: np.random.Generator, log_std: float) -> NDArray[np.float32]:
         """Fresh parameters [size]."""
         params = np.zeros(self.size, dtype=np.float32)
         params[: self.net.size] = self.net.initial(rng)
-        params[self.net.size : self.net.size + self.net.sizes[-1]] = log_std
+        params[self.log_std] = log_std
         return params
 
     def distribution(self, params: Tensor, observation: Tensor) -> Gaussian:
@@ -82,7 +86,7 @@ class GaussianPolicy(NamedTuple):
 
     def acting(self, params: NDArray[np.float32], inputs: Inputs) -> Policy:
         """The policy of those parameters in numpy, from observations as the task gives them."""
-        std = np.exp(params[:, None, self.net.size : self.net.size + self.net.sizes[-1]])
+        std = np.exp(params[:, None, self.log_std])
         layers = self.net.layers(params[:, : self.net.size])
         return functools.partial(_act, layers, self.net.activation, std, inputs)
 
@@ -137,11 +141,6 @@ class OnPolicyConfig(InputConfig):
     Stable-Baselines3."""
     time_limit: Literal["bootstrap", "terminal"] = "bootstrap"
     """Whether to bootstrap at the time limit. Not printed in the paper."""
-
-    def __post_init__(self) -> None:
-        """Raises UserError naming the value that is not allowed."""
-        super().__post_init__()
-        check_batch(getattr(self, "batch_size", LANES))
 
 
 @dataclass(frozen=True)

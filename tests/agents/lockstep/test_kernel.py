@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from small_trainings import assert_same, finished, of_run, small, trainer
 from toys import register
 
+from agents import first_order
 from agents.lockstep import kernel
+from agents.lockstep.descent import Clipped, Descent, Moments, Squared, orders
 from agents.lockstep.nets import MLP
 from agents.training.config import TrainConfig
 
@@ -81,6 +83,53 @@ def test_both_are_float64s_autograd_but_for_rounding(shape):
         np.testing.assert_array_equal(of_p[0], gp[k])
 
 
+def passed(own, dtype, net, loss, log_std, start, *pass_):
+    """Parameters [R, K, P] after a pass from `start`, and records [R, K]."""
+    x, order, steps, batch_size = pass_
+    runs, k, size = start.shape
+    params = start.astype(dtype).reshape(runs * k, size)
+    size = k * size
+    mean, square = np.zeros((runs, size), dtype), np.full((runs, size), 0.01, dtype)
+    moments = Moments(mean, square, *np.full((2, runs), 0.5, dtype))
+    kind, *columns = [a.astype(dtype) if isinstance(a, np.ndarray) else a for a in loss]
+    what = (net, params, moments, x.astype(dtype), batch_size, 0.1, log_std, 1.0)
+    record = own.descend(Descent(*what), kind(*columns), order, steps)
+    return params.reshape(start.shape), record.reshape(runs, k)
+
+
+@settings(max_examples=20, deadline=None)
+@given(shapes, st.integers(1, 100), st.booleans())
+def test_a_pass_is_float64s_but_for_rounding(shape, batch_size, policy):
+    """Of policies or of critics, of any number of rows and in any batches; a run is, bit for bit,
+    what it is alone."""
+    n_in, hidden, n_out, activation, runs, share, rows = shape
+    rng = np.random.default_rng(0)
+    steps = rng.integers(rows, size=runs) + 1
+    order, x = orders(steps, [rng] * runs), rng.normal(size=(runs, rows, n_in + 1))
+    columns = rng.normal(size=(runs, share + 1, rows))
+    if policy:
+        action, share = rng.normal(size=(runs, rows, n_out)), 1
+        loss = (Clipped, action, columns[:, 1], columns[:, 0] - 1.5 * n_out, 0.3)
+    else:
+        loss = (Squared, columns[:, 1:])
+    net = MLP((n_in, *hidden, n_out if policy else 1), activation)
+    log_std = slice(net.size, net.size + n_out * policy)
+    start = np.stack([[net.initial(rng) for _ in range(share)] for _ in range(runs)])
+    start = np.pad(start, ((0, 0), (0, 0), (0, n_out * policy)))
+
+    def found(own, dtype, run=slice(None)):
+        part = [a[run] if isinstance(a, np.ndarray) else a for a in loss]
+        return passed(own, dtype, net, part, log_std, start[run], x[run], order[run], steps[run],
+                      batch_size)  # fmt: skip
+
+    expected = found(kernel.IN_NUMPY, np.float64)
+    for own in kernels():
+        ours, alone = found(own, np.float32), found(own, np.float32, slice(runs - 1, runs))
+        for values, theirs, its in zip(ours, expected, alone, strict=True):
+            np.testing.assert_allclose(values, theirs, atol=1e-4, rtol=1e-4)
+            np.testing.assert_array_equal(values[-1:], its)
+
+
 def test_what_is_not_a_number_stays_so():
     """In a run's own outputs and gradients alone."""
     net = MLP((2, 32, 1))
@@ -103,23 +152,43 @@ def test_a_kernel_that_computes_wrongly_is_not_taken():
     assert kernel.error_of(Wrong()) > kernel.TOLERANCE
 
 
+def trained_in(backend, name, seeds, **changes):
+    """The files of a training's runs."""
+    kernel.use(backend)
+    try:
+        config = TrainConfig(name, ("Walk-v0",), seeds, 150, small(name, **changes))
+        return finished(trainer(config))
+    finally:
+        kernel.use("c++")
+
+
+def assert_one_but_for_rounding(found, expected, near):
+    for key, value in found.items():
+        if value.dtype.kind == "f" and key.startswith(("actor", "critics")):
+            np.testing.assert_allclose(value, expected[key], atol=near, err_msg=key)
+
+
 @pytest.mark.parametrize("name", ["ppo-lag", "cpo", "sac-lag", "cup", "wcsac"])
 def test_trainings_in_cpp_and_numpy_are_one_but_for_rounding(name):
     """After the first epochs; in either a run is, bit for bit, what it is alone. Conjugate
     gradients magnify rounding."""
     kernels()
-    found, near = {}, 1e-4 if name == "cpo" else 1e-5
+    found, odd = {}, {} if "sac" in name else {"batch_size": 20, "hidden": (17, 40)}
     for backend in ("c++", "numpy"):
-        kernel.use(backend)
-        try:
-            runs = [
-                finished(trainer(TrainConfig(name, ("Walk-v0",), seeds, 150, small(name))))
-                for seeds in ((0, 1, 2), (1,))
-            ]
-        finally:
-            kernel.use("c++")
+        runs = [trained_in(backend, name, seeds, **odd) for seeds in ((0, 1, 2), (1,))]
         found[backend] = of_run(runs[0], 1)
         assert_same(found[backend], of_run(runs[1], 0))
-    for key, value in found["c++"].items():
-        if value.dtype.kind == "f" and key.startswith(("actor", "critics")):
-            np.testing.assert_allclose(value, found["numpy"][key], atol=near, err_msg=key)
+    assert_one_but_for_rounding(found["c++"], found["numpy"], 1e-4 if name == "cpo" else 1e-5)
+
+
+@pytest.mark.parametrize("batch_size", [20, 32])
+def test_a_rule_trains_alike_by_autograd_and_in_closed_form(batch_size, monkeypatch):
+    """And is, bit for bit, what it is alone."""
+    kernels()
+    how = {"batch_size": batch_size}
+    closed = of_run(trained_in("c++", "ppo-lag", (0, 1), **how), 1)
+    monkeypatch.setattr(first_order, "loss_of", first_order.Raised)
+    by_autograd = of_run(trained_in("c++", "ppo-lag", (0, 1), **how), 1)
+    assert_same(by_autograd, of_run(trained_in("c++", "ppo-lag", (1,), **how), 0))
+    assert_one_but_for_rounding(by_autograd, closed, 1e-5)
+    assert any((by_autograd[key] != closed[key]).any() for key in closed)

@@ -9,15 +9,16 @@ import torch
 from modules import data, flat, module
 from torch.distributions import Independent, Normal
 
-from agents import first_order
 from agents import trust_region as trpo
 from agents.algorithms import cpo, trpo_lag
 from agents.algorithms.cpo import CPOConfig
 from agents.algorithms.trpo_lag import TRPOLagConfig
-from agents.first_order import Minibatch, PPOConfig, actor_step, clipped, surrogate_at
+from agents.first_order import Minibatch, PPOConfig, Raised, clipped, loss_of, surrogate_at
+from agents.lockstep import kernel
+from agents.lockstep.descent import Clipped, Descent, minibatches, orders
 from agents.lockstep.nets import MLP, no_moments
 from agents.lockstep.rollout import Rollout
-from agents.on_policy.epoch import BLOCK, Packing, advantages, minibatches
+from agents.on_policy.epoch import BLOCK, Packing, advantages
 from agents.on_policy.state import Gaussian, GaussianPolicy, Nets
 from agents.trust_region import TrustRegion
 
@@ -192,7 +193,7 @@ def test_packing_round_trip():
 def test_a_pass_takes_every_row_once():
     steps = np.array([1000, 0, 3, 256])
     generators = [np.random.default_rng(seed) for seed in range(4)]
-    passes = list(minibatches(steps, 256, generators))
+    passes = list(minibatches(orders(steps, generators), steps, 256))
     assert len(passes) == 4
     for run, n in enumerate(steps):
         taken = np.concatenate([rows[run][weight[run] > 0] for rows, weight in passes])
@@ -225,7 +226,18 @@ def five_steps():
         weight=torch.full((1, 5), 0.2, dtype=torch.float64),
         advantage=torch.tensor([[2.0, -1.0, 1.0, -1.0, 3.0]], dtype=torch.float64),
         old_log_prob=-0.5 * action**2 - 0.5 * math.log(2 * math.pi),
+        cost_advantage=torch.zeros(1, 1, 5),
+        start=normal_policy(0.0),
     )
+
+
+def slopes(policy, batch):
+    """Of the clipped loss at all rows: by autograd, and in closed form."""
+    rows = np.arange(batch.weight.shape[1])[None].repeat(len(policy.mean), axis=0)
+    said = (batch.weight.numpy(), policy.mean.numpy(), policy.log_std[:, 0].numpy())
+    losses = (Raised(CONFIG, clipped, batch), loss_of(CONFIG, clipped, batch))
+    assert isinstance(losses[1], Clipped)
+    return [loss.slopes(rows, *said) for loss in losses]
 
 
 def test_surrogate_and_its_gradient_by_hand():
@@ -242,12 +254,11 @@ def test_surrogate_and_its_gradient_by_hand():
     found, outside = surrogate_at(CONFIG, clipped, policy, batch)
     assert found.item() == pytest.approx((2.4 - 1.4549914 + 0.5352614 - 0.8 + 3.0) / 5, abs=1e-7)
     assert outside.item() == pytest.approx(4 / 5)
-    by_autograd = first_order.slopes(CONFIG, clipped, policy, batch)
-    for slopes in (by_autograd, first_order.clipped_slopes(CONFIG, policy, batch)):
+    for found in slopes(policy, batch):
         by_hand = np.array([0.0, -0.7274957, -0.8028921, 0.0, -0.75]) / 5
-        np.testing.assert_allclose(-slopes.mean[0, :, 0], by_hand, atol=1e-7)
-        assert -slopes.log_std.item() == pytest.approx((1.0912436 + 0.6690768 - 2.8125) / 5)
-        assert slopes.outside.item() == pytest.approx(4 / 5)
+        np.testing.assert_allclose(-found.outputs[0, :, 0], by_hand, atol=1e-7)
+        assert -found.log_std.item() == pytest.approx((1.0912436 + 0.6690768 - 2.8125) / 5)
+        assert found.record.item() == pytest.approx(4 / 5)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -259,9 +270,10 @@ def test_the_closed_form_is_autograds(seed):
     policy = Gaussian(draw(3, 64, 2), log_std, log_std.exp())
     weight = torch.rand(3, 64, generator=generator).double().clamp(min=0.3) - 0.3
     old = policy.log_prob(action := draw(3, 64, 2)) + 0.3 * draw(3, 64)
-    batch = Minibatch(draw(3, 64, 1), action, weight, draw(3, 64), old)
-    for name, own in first_order.clipped_slopes(CONFIG, policy, batch)._asdict().items():
-        expected = getattr(first_order.slopes(CONFIG, clipped, policy, batch), name)
+    columns = (draw(3, 64, 1), action, weight, draw(3, 64), old)
+    by_autograd, closed = slopes(policy, Minibatch(*columns, torch.zeros(3, 1, 64), policy))
+    for name, expected in by_autograd._asdict().items():
+        own = getattr(closed, name)
         np.testing.assert_allclose(own, expected, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
@@ -272,14 +284,14 @@ def test_rows_of_weight_zero_do_not_count():
         weight=torch.tensor([[0.25, 0.25, 0.25, 0.25, 0.0]], dtype=torch.float64),
         old_log_prob=torch.where(torch.arange(5) == 4, -1e9, step.old_log_prob),
     )
-    without = Minibatch(*(part[:, :4] for part in far[:5]))
     policy = normal_policy(0.5)
     cut = policy._replace(mean=policy.mean[:, :4])
-    pairs = [first_order.slopes(CONFIG, clipped, *pair) for pair in ((policy, far), (cut, without))]
-    pairs += [first_order.clipped_slopes(CONFIG, *pair) for pair in ((policy, far), (cut, without))]
-    for whole, part in zip(pairs[::2], pairs[1::2], strict=True):
-        np.testing.assert_array_equal(whole.mean[:, :4], part.mean)
-        np.testing.assert_array_equal(whole.mean[:, 4:], 0.0)
+    without = far._replace(
+        **{name: getattr(far, name)[:, :4] for name in far._fields[:5]}, start=cut
+    )
+    for whole, part in zip(slopes(policy, far), slopes(cut, without), strict=True):
+        np.testing.assert_array_equal(whole.outputs[:, :4], part.outputs)
+        np.testing.assert_array_equal(whole.outputs[:, 4:], 0.0)
         np.testing.assert_allclose(whole.log_std, part.log_std)
 
 
@@ -292,10 +304,10 @@ def test_a_surrogate_that_forgets_the_mean_is_an_error():
 
 
 @pytest.mark.parametrize("longest", [0.05, 1e9])
-def test_steps_of_adam_against_separate_runs(longest):
-    """Three steps of two runs; the second has no rows in the second minibatch, and waits."""
+@pytest.mark.parametrize("kind", ["closed", "autograd"])
+def test_passes_of_adam_against_separate_runs(longest, kind):
+    """Three of two runs; in the second one waits; the third is two minibatches of it."""
     nets = Nets(GaussianPolicy(MLP((3, 32, 2))), CRITIC)
-    config = PPOConfig(max_gradient_norm=longest, learning_rate=1e-2)
     rng = np.random.default_rng(0)
     actor = torch.from_numpy(np.stack([nets.actor.initial(rng, -0.5) for _ in range(2)]))
     start, moments = nets.actor.net.size, no_moments(actor)
@@ -303,19 +315,25 @@ def test_steps_of_adam_against_separate_runs(longest):
     log_stds = [params[start : start + 2].double().requires_grad_() for params in actor]
     own = [[*net.parameters(), s] for net, s in zip(theirs, log_stds, strict=True)]
     optimizers = [torch.optim.Adam(parameters, lr=1e-2) for parameters in own]
-    for held in torch.tensor([[32, 20], [32, 0], [9, 32]]):
-        columns = torch.from_numpy(rng.normal(size=(2, 32, 7)).astype(np.float32))
-        weight = (torch.arange(32) < held[:, None]) / held[:, None].clamp(min=1)
+    for held in ([30, 20], [30, 0], [9, 43]):
+        columns = torch.from_numpy(rng.normal(size=(2, 43, 7)).astype(np.float32))
         observation, action, gain, before = columns.split((3, 2, 1, 1), dim=-1)
-        batch = Minibatch(observation, action, weight, gain[..., 0], before[..., 0] / 3 - 2.5)
-        actor_step(nets, config, actor, moments, batch)
-        for run, n in enumerate(held):
-            if n == 0:
-                continue
-            mean = theirs[run](batch.observation[run, :n].double())
+        gain, before = gain[..., 0].contiguous(), before[..., 0] / 3 - 2.5
+        policy = Gaussian(action, torch.zeros(2, 1, 2), torch.ones(2, 1, 2))
+        columns = (observation, action.contiguous(), None, gain, before)
+        epoch = Minibatch(*columns, torch.zeros(2, 1, 43), policy)
+        loss = (loss_of if kind == "closed" else Raised)(CONFIG, clipped, epoch)
+        order = np.stack([rng.permutation(n).tolist() + [0] * (43 - n) for n in held])
+        what = (nets.actor.net, actor.numpy(), moments.arrays, observation.numpy())
+        descent = Descent(*what, 30, 1e-2, nets.actor.log_std, longest)
+        kernel.of(actor.numpy()).descend(descent, loss, order, np.array(held))
+        for run, rows in [
+            (r, order[r, k : min(n, k + 30)]) for r, n in enumerate(held) for k in range(0, n, 30)
+        ]:
+            mean = theirs[run](observation[run, rows].double())
             policy = Independent(Normal(mean, log_stds[run].exp().expand_as(mean)), 1)
-            ratio = (policy.log_prob(batch.action[run, :n]) - batch.old_log_prob[run, :n]).exp()
-            gains = batch.advantage[run, :n]
+            ratio = (policy.log_prob(action[run, rows]) - before[run, rows]).exp()
+            gains = gain[run, rows]
             loss = -torch.minimum(ratio * gains, ratio.clamp(0.8, 1.2) * gains).mean()
             optimizers[run].zero_grad()
             loss.backward()

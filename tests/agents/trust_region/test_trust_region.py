@@ -77,8 +77,7 @@ def test_conjugate_gradient_takes_one_iteration_an_eigenvalue():
 def test_fisher_product_against_the_hessian_of_kl(steps, size):
     """Two runs of different length, within a block and beyond one, against every entry."""
     actor, epoch = random_actor(2), random_epoch(torch.tensor(steps), size)
-    blocks = blocks_of(NETS, actor, epoch, epoch.reward_advantage)
-    product = trpo.fisher_product(NETS, actor, blocks, 0.3)
+    product, solve = trpo.curvature(NETS, TRPOLagConfig(cg_damping=0.3), actor, epoch)
     columns = [product(unit.expand(2, -1)) for unit in torch.eye(SIZE, dtype=torch.float64)]
     found = torch.stack(columns, dim=-1)
     for run, n in enumerate(steps):
@@ -90,6 +89,8 @@ def test_fisher_product_against_the_hessian_of_kl(steps, size):
 
         expected = torch.autograd.functional.hessian(mean_kl, actor[run]) + 0.3 * torch.eye(SIZE)
         torch.testing.assert_close(found[run], expected)
+    b = normal(2, SIZE)
+    torch.testing.assert_close(solve(b), conjugate_gradient(times(found), b, 15))
 
 
 def test_a_step_that_is_not_finite_is_not_taken():

@@ -1,0 +1,181 @@
+"""Passes of Adam over minibatches, and the losses that the kernel in C++ knows in closed form.
+
+A pass is of R runs with K networks each, N = R·K in all; a policy's parameters are those of its
+network and behind them its log-std.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from agents.lockstep.kernel import Float, Kernel, Shape
+
+MAY_DIVERGE = np.errstate(over="ignore", invalid="ignore", divide="ignore")
+"""For updates: a run whose numbers are not finite is found by its learner's `finite`."""
+
+
+class Slopes(NamedTuple):
+    """The gradient of a loss, summed over runs, in what networks say of a minibatch."""
+
+    outputs: Float
+    """[N, b, out]"""
+    log_std: Float
+    """[N, A]; A is 0 where the loss is of outputs alone"""
+    record: Float
+    """[N]: what the loss records of the minibatch"""
+
+
+class Loss(Protocol):
+    """A loss of the outputs of networks at some rows of an epoch."""
+
+    def slopes(
+        self, rows: NDArray[np.int64], weight: Float, outputs: Float, log_std: Float
+    ) -> Slopes:
+        """At rows [R, b] whose weights [R, b] add up to 1, or to 0 of a run that has none in it;
+        outputs: [N, b, out]; log_std: [N, A]."""
+        ...
+
+
+class Clipped(NamedTuple):
+    """PPO's loss, `-E[min(ρ A, clip(ρ, 1 - ε, 1 + ε) A)]`, of means and log-stds: its gradient is
+    `-ρ A ∂ log π` where ρ is not clipped, 0 elsewhere. Records the share of steps whose ratio is
+    beyond the range."""
+
+    action: Float
+    """[R, B, A]"""
+    advantage: Float
+    """[R, B]"""
+    old_log_prob: Float
+    """[R, B]"""
+    clip_range: float
+    """ε"""
+
+    def slopes(
+        self, rows: NDArray[np.int64], weight: Float, outputs: Float, log_std: Float
+    ) -> Slopes:
+        """See `Loss`."""
+        run, log_std = np.arange(len(rows))[:, None], log_std[:, None]
+        action, advantage, old = (column[run, rows] for column in self[:3])
+        std = np.exp(log_std)
+        z = (action - outputs) / std
+        log_prob = (-0.5 * z * z - log_std - 0.5 * math.log(2.0 * math.pi)).sum(axis=-1)
+        ratio = np.exp(np.where(weight > 0, log_prob - old, 0.0))
+        beyond = np.abs(ratio - 1.0) > self.clip_range
+        cut = beyond & ((ratio > 1.0) == (advantage > 0.0))
+        slope = np.where(cut, 0.0, -weight * advantage * ratio)[..., None]
+        of_log_std = (slope * (z * z - 1.0)).sum(axis=1)
+        return Slopes(slope * z / std, of_log_std, (weight * beyond).sum(axis=-1))
+
+
+class Squared(NamedTuple):
+    """Half the mean squared error of networks with one output, which it records."""
+
+    target: Float
+    """[R, K, B]"""
+
+    def slopes(
+        self, rows: NDArray[np.int64], weight: Float, outputs: Float, log_std: Float
+    ) -> Slopes:
+        """See `Loss`."""
+        runs, count, _ = self.target.shape
+        run, k = np.arange(runs)[:, None, None], np.arange(count)[:, None]
+        error = outputs.reshape(runs, count, -1) - self.target[run, k, rows[:, None]]
+        slope = weight[:, None] * error
+        record = (0.5 * slope * error).sum(axis=-1).reshape(-1)
+        return Slopes(slope.reshape(outputs.shape), log_std, record)
+
+
+class Moments(NamedTuple):
+    """Adam's state of R runs as arrays."""
+
+    mean: Float
+    """[R, P]"""
+    square: Float
+    """[R, P]"""
+    decay1: Float
+    """β₁ᵗ [R]. Kept as a product, since a power differs in its last bit between lanes."""
+    decay2: Float
+    """β₂ᵗ [R]"""
+
+
+class Descent(NamedTuple):
+    """What a pass changes, in place, and how."""
+
+    net: Shape
+    params: Float
+    """[N, P]: a network's, in a policy the log-std, and padding, which stays 0"""
+    moments: Moments
+    """[R, K·P]"""
+    inputs: Float
+    """[R, B, at least in]: networks see the first"""
+    batch_size: int
+    rate: float
+    """Adam's step size"""
+    log_std: slice = slice(0, 0)
+    """Where a policy's parameters have it."""
+    longest: float = math.inf
+    """Norm to which a longer gradient of a network is scaled."""
+
+
+def orders(steps: NDArray[np.int64], streams: Sequence[np.random.Generator]) -> NDArray[np.int64]:
+    """An order of each run's rows for a pass, [R, most steps]: the first steps [R] of it count."""
+    order = np.zeros((len(steps), int(steps.max())), dtype=np.int64)
+    for run, (n, rng) in enumerate(zip(steps, streams, strict=True)):
+        order[run, :n] = rng.permutation(n)
+    return order
+
+
+LANES = 32
+"""A multiple of the lanes of PyTorch's functions, which compute what is left over otherwise."""
+
+
+def minibatches(
+    order: NDArray[np.int64], steps: NDArray[np.int64], size: int
+) -> Iterator[tuple[NDArray[np.int64], Float]]:
+    """Rows [R, b] and weights [R, b] of a pass; b is the size, filled to a multiple of `LANES`.
+
+    The weights of a run's minibatch add up to 1, or to 0 where it has no rows left.
+    """
+    width = -(-size // LANES) * LANES
+    for start in range(0, int(steps.max()), size):
+        rows = np.zeros((len(steps), width), dtype=np.int64)
+        part = order[:, start : start + size]
+        rows[:, : part.shape[1]] = part
+        held = np.minimum(np.maximum(steps - start, 0), size)[:, None]
+        here = np.arange(width) < held
+        yield rows, (here / np.maximum(held, 1)).astype(np.float32)
+
+
+@MAY_DIVERGE
+def descend(
+    own: Kernel, it: Descent, loss: Loss, order: NDArray[np.int64], steps: NDArray[np.int64]
+) -> Float:
+    """See `Kernel.descend`, for any loss."""
+    params, runs = it.params, len(steps)
+    share, seen = len(params) // runs, it.inputs[..., : it.net.sizes[0]]
+    total = np.zeros(len(params), params.dtype)
+    for rows, weight in minibatches(order, steps, it.batch_size):
+        x = seen[np.arange(runs)[:, None], rows]
+        outputs, tape = own.forward(it.net, params, x, share)
+        found = loss.slopes(rows, weight.astype(x.dtype), outputs, params[:, it.log_std])
+        gradient, _ = own.backward(it.net, params, x, tape, found.outputs, "p", share)
+        assert gradient is not None
+        gradient[:, it.log_std] = found.log_std
+        norm = np.sqrt((gradient * gradient).sum(axis=-1, keepdims=True))
+        gradient *= np.minimum(it.longest / (norm + 1e-6), 1.0)
+        present = weight[:, 0] > 0
+        own_rows = (
+            [slice(None)] if present.all() else [slice(r, r + 1) for r in np.flatnonzero(present)]
+        )
+        by_run = [a.reshape(runs, -1) for a in (params, gradient)]
+        for part in own_rows:
+            moments = Moments(*(m[part] for m in it.moments))
+            own.adam(*(a[part] for a in by_run), moments, it.rate)
+        total += found.record
+    return total

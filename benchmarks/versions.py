@@ -1,0 +1,145 @@
+"""Training beside an older version of this package and Stable-Baselines3: CPU seconds, one core.
+
+    git worktree add ../before 81307c5
+    python benchmarks/versions.py --before ../before [--turns 3] [--only ppo-lag sac-lag]
+
+Prints how many times as fast as the older version, in C++ and in NumPy, trainings are: rollout,
+updates and records, after an epoch for warming up, of 1 and of 12 runs; and beside PPO and SAC of
+Stable-Baselines3, one run. Each measurement has a process of its own; sides take turns, and medians
+over turns are printed. 81307c5 is the last version with `torch.compile`, which it uses here.
+"""
+
+import argparse
+import contextlib
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+GOAL, CIRCLE = "SafetyPointGoal1-v0", "Circle2D-1-v0"
+CASES = [
+    ("ppo-lag", GOAL),
+    *((name, task) for name in ("cpo", "trpo-lag") for task in (GOAL, CIRCLE)),
+]
+CASES += [(name, CIRCLE) for name in ("sac-lag", "sac-lb", "wcsac")]
+EPOCHS = {GOAL: 1, CIRCLE: 10}
+"""Timed epochs of an on-policy algorithm; the SAC family's are of one episode, and four times as
+many, each with a gradient step for every step."""
+STABLE_BASELINES3 = {"ppo-lag": "PPO", "sac-lag": "SAC"}
+EPISODE = 50
+
+
+def ours(algorithm, task, runs, how):
+    """Steps a CPU second of all runs together; how: a backend, or "before"."""
+    from dataclasses import replace
+
+    from agents.lockstep import backend
+    from agents.paper.presets import preset
+    from agents.training.config import TrainConfig
+    from agents.training.trainer import Trainer
+
+    backend.configure(True if how == "before" else how)
+    config, epochs, warm = preset(algorithm, task), EPOCHS[task], 1
+    if hasattr(config, "gradient_steps"):
+        config = replace(config, gradient_steps=EPISODE, random_steps=0)
+        epochs, warm = 4 * epochs, -(-config.batch_size // EPISODE)
+    training = TrainConfig(algorithm, (task,), tuple(range(runs)), 10**6, config)
+    with tempfile.TemporaryDirectory() as folder:
+        training.write(Path(folder))
+        with contextlib.closing(Trainer(Path(folder), training)) as trainer:
+            for _ in range(warm):
+                trainer.run_epoch()
+            before, start = trainer.steps.sum(), time.process_time()
+            for _ in range(epochs):
+                trainer.run_epoch()
+            return (trainer.steps.sum() - before) / (time.process_time() - start)
+
+
+def theirs(name, task):
+    """Those of one run of Stable-Baselines3."""
+    import gymnasium as gym
+    import stable_baselines3 as sb3
+    import torch
+
+    import circle2d_mj  # noqa: F401  (registers the tasks)
+
+    torch.set_num_threads(1)
+    if name == "PPO":
+        warm, steps = 10_000, 10_000
+        how = {"n_steps": warm, "batch_size": 64, "n_epochs": 10}
+    else:
+        warm, steps = 300, 40 * EPISODE
+        how = {"batch_size": 256, "learning_starts": 256, "train_freq": 1, "gradient_steps": 1}
+    layers = {"net_arch": [64, 64]}
+    env = gym.make(f"circle2d_mj/{task}")
+    model = getattr(sb3, name)("MlpPolicy", env, policy_kwargs=layers, device="cpu", **how)
+    model.learn(warm)
+    start = time.process_time()
+    model.learn(steps, reset_num_timesteps=False)
+    return steps / (time.process_time() - start)
+
+
+def speed(*what, checkout=None):
+    """A measurement in a process of its own, by the package of a checkout or this one's."""
+    own = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    own["PYTHONPATH"] = str(Path(checkout or Path(__file__).parent.parent).resolve())
+    command = [sys.executable, __file__, "--one", *map(str, what)]
+    done = subprocess.run(command, env=own, stdout=subprocess.PIPE, text=True, check=True)
+    return float(done.stdout.split()[-1])
+
+
+def row(algorithm, task, runs, options):
+    """Cells of a line of the table."""
+    turns = []
+    for _ in range(options.turns):
+        what = (algorithm, task, runs)
+        found = {"before": speed(*what, "before", checkout=options.before)}
+        found |= {how: speed(*what, how) for how in ("c++", "numpy")}
+        if runs == 1 and algorithm in STABLE_BASELINES3:
+            found["SB3"] = speed(STABLE_BASELINES3[algorithm], task)
+        turns.append(found)
+        print(algorithm, task, runs, found, file=sys.stderr)
+
+    def median(kind, over=None):
+        if kind not in turns[0] or over not in (None, *turns[0]):
+            return ""
+        values = [turn[kind] / (turn[over] if over else 1) for turn in turns]
+        return f"{statistics.median(values):,.{2 if over else 0}f}"
+
+    pairs = [
+        ("before", None),
+        ("c++", None),
+        ("c++", "before"),
+        ("numpy", "before"),
+        ("c++", "SB3"),
+    ]
+    return [algorithm, task, str(runs), *(median(*pair) for pair in pairs)]
+
+
+def main():
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--before", metavar="CHECKOUT", help="of the older version")
+    parser.add_argument("--turns", type=int, default=3)
+    parser.add_argument("--only", nargs="+", default=[name for name, _ in CASES])
+    parser.add_argument("--runs", type=int, nargs="+", default=[1, 12])
+    parser.add_argument("--one", nargs="+", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.one:
+        name, task, *how = options.one
+        print(ours(name, task, int(how[0]), how[1]) if how else theirs(name, task))
+        return
+    if not options.before:
+        parser.error("--before must be a checkout of the older version")
+    head = ["algorithm", "task", "runs", "before", "now", "ratio", "in NumPy", "over SB3"]
+    print(f"| {' | '.join(head)} |\n| {' | '.join(['---'] * len(head))} |")
+    for algorithm, task in CASES:
+        for runs in options.runs if algorithm in options.only else ():
+            print(f"| {' | '.join(row(algorithm, task, runs, options))} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
