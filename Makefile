@@ -2,6 +2,7 @@
 # make test: run the tests.
 # make check: make slow (slow tests, among them installations in environments of their own), make docs.
 # make docs: build the documentation: docs/_build/html/index.html.
+# make results: the pages of the published runs, results/**/index.html, from their archives.
 # make integrate: install [integrations] and [tianshou] as well, and run the tests against other libraries.
 # make ray: install [ray] as well, and kill nodes and drivers of clusters, six minutes.
 # make faults: kill, damage, fill and mistype thousands of times, about 25 minutes on a core; prints what
@@ -17,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
 INSTALL := $(PIP) -c constraints.txt
 
-.PHONY: demo test check slow docs faults integrate lint ray clean
+.PHONY: demo test check slow docs results faults integrate lint ray clean
 .DELETE_ON_ERROR:
 
 $(VENV)/made:
@@ -66,6 +67,22 @@ slow: $(VENV)/develops
 docs: $(VENV)/develops
 	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
 	@echo "The documentation: $(abspath docs/_build/html/index.html)"
+
+# Status 1 of a report says that it names runs which failed.
+LEVELS := 0 1 2 3
+OF_PAPER := trpo-lag cpo sac-lag sac-lb wcsac
+BESIDE := $(LEVELS:%=results/solve/runs.zip/Circle2D-%-v0-sac-lb-streak)
+BESIDE += $(foreach n,$(LEVELS),$(OF_PAPER:%=results/circle2d/runs.zip/Circle2D-$n-v0/%))
+REPORT := $(BIN)/circle2d report
+
+results: $(VENV)/trains
+	-$(REPORT) results/circle2d/runs.zip results/circle2d/bootstrap.zip --out results/circle2d
+	-$(REPORT) results/baselines/runs.zip results/baselines/sac-pid-cal.zip $(BESIDE) \
+		--out results/baselines
+	-cd examples && ../$(REPORT) ../results/library/*.zip --import library_cpo \
+		--import library_sac_lag --out ../results/library
+	for folder in baselines/safety physics safety sensitivity solve solve/safety; do \
+		$(REPORT) results/$$folder/*.zip --out results/$$folder; done
 
 INTEGRATED := $(addprefix tests/emcc/test_emcc_,minari.py sb3.py tensordict.py) tests/test_examples.py
 INTEGRATED += tests/agents/test_export.py tests/circle2d_mj/core/test_other_libraries.py
