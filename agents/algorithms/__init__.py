@@ -21,6 +21,7 @@ BUILT_IN = (
     *("sac-lb-streak", "ppo-lag", "ppo", "sac"),
     *("cppo-pid", "focops", "cup", "p3o", "ipo"),
     *("crpo", "pcpo", "c-trpo", "rcpo", "sac-pid", "cal", "trpo-pid"),
+    *("ppo-saute", "trpo-saute"),
 )
 """Each a module of this package that defines `ALGORITHM`. `ppo` and `sac` know no constraint."""
 
@@ -85,7 +86,11 @@ class Algorithm(NamedTuple):
     title: str
     config: type
     """A frozen dataclass in which every hyper-parameter has a default, a text below it, and a name
-    that is not `RESERVED`."""
+    that is not `RESERVED`. Two methods are asked for where it has them: `wrap(env, costs,
+    time_limit)` returns an Env or a VectorEnv of the task, which need not reset itself, as policies
+    see it, in training, in evaluations and in films (costs: their names in the infos; time_limit:
+    of the task, or None); `relabelled(rollout)` the `Rollout` that is learned from, while records
+    keep the task's."""
     rule: Any
     """The part that the algorithm adds to its family, which receives it."""
     family: Callable[..., Learner]

@@ -202,10 +202,12 @@ def _checked(rollout: Rollout, envs: VectorEnv, costs: Sequence[str]) -> Rollout
 
 
 def learned(rollout: Rollout, config: Any, costs: int) -> Rollout:
-    """The rollout as an algorithm learns from it: the first `costs` of its costs; observations
-    times `config.input_scale`; with a `config.streak_weight`, costs that grow along a streak, and
-    behind the observations each cost's streak so far, in steps, for the critics: see
-    `critic_inputs`."""
+    """The rollout as an algorithm learns from it: as its config has `relabelled` it, where it does;
+    the first `costs` of its costs; observations times `config.input_scale`; with a
+    `config.streak_weight`, costs that grow along a streak, and behind the observations each cost's
+    streak so far, in steps, for the critics: see `critic_inputs`."""
+    if hasattr(config, "relabelled"):
+        rollout = config.relabelled(rollout)
     scale = input_scale(config)
     scaled = rollout._replace(
         observation=rollout.observation * scale,

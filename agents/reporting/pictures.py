@@ -310,7 +310,7 @@ def film_episodes(
     except UserError as error:
         raise _without_frames(task, error) from error
     with contextlib.closing(_KeepFrames(made, task, every)) as envs:
-        rollout, frames = played(envs), envs.frames
+        rollout, frames = played(config.wrap(envs, task)), envs.frames
     costs = rollout.cost[..., 0].astype(np.float64)
     return [
         Filmed({n: state[k] for n, state in frames.items() if n <= steps}, costs[:steps, k])

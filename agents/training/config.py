@@ -181,6 +181,13 @@ class TrainConfig(Settings):
         if (learned := getattr(known.rule, "costs", 1)) > len(self.costs):
             raise UserError(f"{self.algorithm} limits {learned} costs, got costs {self.costs}")
 
+    def wrap(self, env: Any, task: str) -> Any:
+        """An Env or a VectorEnv, which need not reset itself, as the policies of a task see it."""
+        if not hasattr(self.hyperparameters, "wrap"):
+            return env
+        limit = time_limit(task, self.task_parameters)
+        return self.hyperparameters.wrap(env, self.costs, limit)
+
     @property
     def runs(self) -> list[RunId]:
         """The runs, a task after the other."""
@@ -249,7 +256,7 @@ class TrainConfig(Settings):
         """
         check_folder(folder)
         _require_none(folder)
-        spaces = spaces_of(self.tasks, self.task_parameters)
+        spaces = spaces_of(self.tasks, self.task_parameters, self.wrap)
         _check_memory(self.learned, len(self.runs), self.steps, spaces.sizes)
         scale = getattr(self.hyperparameters, "input_scale", 1.0)
         if isinstance(scale, tuple) and len(scale) != spaces.observation_size:

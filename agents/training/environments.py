@@ -8,7 +8,7 @@ import importlib
 import inspect
 import re
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
@@ -158,12 +158,18 @@ def _one(task: str, parameters: dict[str, Any]) -> Iterator[Any]:
         yield env.envs[0] if isinstance(env, SyncVectorEnv) else env
 
 
-def spaces_of(tasks: Sequence[str], parameters: dict[str, Any]) -> Spaces:
-    """`Spaces` of some tasks. Raises UserError where they have different ones."""
+def spaces_of(
+    tasks: Sequence[str],
+    parameters: dict[str, Any],
+    wrap: Callable[[VectorEnv, str], VectorEnv] = lambda envs, task: envs,
+) -> Spaces:
+    """`Spaces` of some tasks as policies see them: wrap returns their environments so. Raises
+    UserError where they have different ones."""
     spaces: list[Spaces] = []
     for task in tasks:
         with contextlib.closing(unscaled(task, 1, parameters)) as envs:
-            own = envs.single_observation_space, envs.single_action_space
+            seen = wrap(envs, task)
+            own = seen.single_observation_space, seen.single_action_space
             spaces.append(checked_spaces(task, *own))
     for task, other in zip(tasks, spaces, strict=True):
         if other != spaces[0]:

@@ -96,7 +96,8 @@ def runs_envs(config: TrainConfig, each: int) -> SideBySide:
         envs = make_envs(task, count, config.task_parameters, *how, alone=True)
         of_task = (task, config.task_parameters)
         parts.append(RecordSteps(envs, view_of(*of_task), list(recorded_of(*of_task))))
-    return SideBySide(parts, config.costs)
+    seen = [config.wrap(part, task) for part, task in zip(parts, config.tasks, strict=True)]
+    return SideBySide(parts, config.costs, seen)
 
 
 def play(

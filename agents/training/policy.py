@@ -17,6 +17,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium.spaces import Box
+from gymnasium.vector import VectorEnv
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 from torch import from_numpy as to_tensor
@@ -131,6 +132,7 @@ class Policy:
         self.task, self.task_parameters = run.task, config.task_parameters
         self.seed, self.step, self.failure = run.seed, step, failure
         self.spaces, self.in_lockstep = spaces, learner.policy()
+        self._wrap = functools.partial(config.wrap, task=run.task)
         module = getattr(learner, "module", None)
         self._module = module(0) if module else None
         self._rng = np.random.default_rng()
@@ -159,6 +161,12 @@ class Policy:
             noise = (rng or self._rng).standard_normal(shape, dtype=np.float32)
         action = self._bounds(np.clip(self.in_lockstep(observations[None], noise)[0], -1.0, 1.0))
         return action[0] if alone else action
+
+    def wrap(self, env: gym.Env | VectorEnv) -> Any:
+        """An Env or a VectorEnv of its task as the policy sees it: what its algorithm adds to
+        observations, such as what is left of Sauté's budget, stands behind them. Most algorithms
+        add nothing, and the environment is returned as it is."""
+        return self._wrap(env)
 
     def predict(
         self,
@@ -452,8 +460,9 @@ def evaluate(
         raise OwnCodeError(f"cannot make task {name!r}: {described(error)}") from error
     with contextlib.closing(CheckedEnv(made, (cost,))) as env:
         act: Callable[[NDArray], Any] = policy
+        seen: gym.Env = own.wrap(env) if own else env
         if own:
-            spaces = checked_spaces(name, env.observation_space, env.action_space)
+            spaces = checked_spaces(name, seen.observation_space, seen.action_space)
             if spaces != own.spaces:
                 raise UserError(
                     f"the policy of {own.task} has {own.spaces}, task {name!r} has {spaces}"
@@ -462,7 +471,7 @@ def evaluate(
             act = functools.partial(own, deterministic=deterministic, rng=rng)
         starts = np.random.default_rng(seed).integers(2**31, size=episodes).tolist()
         try:
-            played = [_episode(env, act, start, cost) for start in starts]
+            played = [_episode(seen, act, start, cost) for start in starts]
         except TaskFailure as error:
             raise TaskFailure(f"task {name!r} {error}") from error.__cause__
     return Evaluation(name, (own.seed,) if own else (), *map(np.array, zip(*played, strict=True)))

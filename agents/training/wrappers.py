@@ -437,12 +437,19 @@ class SideBySide(VectorEnv):
     every array. They have observations of one size and actions of one size. The info of a step
     holds the costs, and failures."""
 
-    def __init__(self, parts: Sequence[RecordSteps], costs: Sequence[str]) -> None:
+    def __init__(
+        self,
+        parts: Sequence[RecordSteps],
+        costs: Sequence[str],
+        seen: Sequence[VectorEnv] | None = None,
+    ) -> None:
+        """seen: the parts as policies see them, by default as they are."""
         self.parts, self._costs = parts, costs
+        self._seen = parts if seen is None else seen
         self._ends = np.cumsum([part.num_envs for part in parts])
         self.num_envs = int(self._ends[-1])
-        self.single_observation_space = parts[0].single_observation_space
-        self.single_action_space = parts[0].single_action_space
+        self.single_observation_space = self._seen[0].single_observation_space
+        self.single_action_space = self._seen[0].single_action_space
 
     def __repr__(self) -> str:
         return " beside ".join(map(str, self.parts))
@@ -452,14 +459,14 @@ class SideBySide(VectorEnv):
     ) -> tuple[NDArray, dict[str, Any]]:
         """Reset all, with a seed for each environment; or those in `options["reset_mask"]`."""
         if options is None:
-            pairs = zip(self.parts, self._split(seed), strict=True)
+            pairs = zip(self._seen, self._split(seed), strict=True)
             resets = [part.reset(seed=seeds.tolist()) for part, seeds in pairs]
             observations, infos = zip(*resets, strict=True)
         else:
             infos = ()  # of episodes that are over
             observations = []
             masks = self._split(options["reset_mask"])
-            for part, mask, last in zip(self.parts, masks, self._split(self._last), strict=True):
+            for part, mask, last in zip(self._seen, masks, self._split(self._last), strict=True):
                 to_reset = {"reset_mask": mask.copy()}
                 observations.append(part.reset(options=to_reset)[0] if mask.any() else last)
         self._last = np.concatenate(observations)
@@ -470,8 +477,9 @@ class SideBySide(VectorEnv):
     ) -> tuple[NDArray, NDArray, NDArray, NDArray, dict[str, NDArray]]:
         """Step all; actions: [N, action size]."""
         results, infos = [], []
-        for part, own in zip(self.parts, self._split(actions), strict=True):
-            *columns, info = part.step(own)
+        seen = zip(self.parts, self._seen, self._split(actions), strict=True)
+        for part, as_seen, own in seen:
+            *columns, info = as_seen.step(own)
             require_info(part, info, self._costs)
             results.append((*columns, *(info[name] for name in self._costs)))
             infos.append(info)

@@ -26,6 +26,7 @@ EPISODES = {"episodes": 64, "critic_iterations": 2}
 SGD = EPISODES | {"multiplier_lr": 0.5, "multiplier_optimizer": "sgd"}
 BOUNDED = EPISODES | {"multiplier_lr": 0.5, "max_multiplier": 10.0, "initial_log_std": 0.0}
 BOUNDED |= {"limit_of": "discounted"}  # the task has no time limit
+SAUTE = EPISODES | {"saute_discount": 1.0, "initial_log_std": -1.5}
 SETTINGS = {  # steps, settings, the reward's noise
     "trpo-lag": (6400, SGD, 1.0),
     "ppo-lag": (6400, SGD, 1.0),
@@ -43,6 +44,8 @@ SETTINGS = {  # steps, settings, the reward's noise
     "pcpo": (2000, EPISODES, 0.1),
     "c-trpo": (3200, EPISODES | {"hysteresis": 1.0}, 0.1),
     "rcpo": (6400, SGD, 1.0),
+    "ppo-saute": (6400, SAUTE, 0.0),
+    "trpo-saute": (6400, SAUTE, 0.0),
     "sac-pid": (1200, {"pid_ki": 0.05, "pid_kd": 0.0}, 0.0),
     "cal": (2400, {"multiplier_lr": 3e-3, "convexity": 1.0, "replay_size": 128}, 0.0),
 }
@@ -65,7 +68,8 @@ def test_comes_close_to_the_optimum_within_the_limit(name):
         config = replace(config, temperature_lr=SHARED["learning_rate"])
     it = TrainConfig(name, ("Target-v0",), SEEDS[name], steps, config, {"noise": noise})
     training = trainer(it)
-    actions, nothing = [], np.zeros((2, 1, 1), np.float32)
+    actions, nothing = [], np.zeros((2, 1, 1 + ("saute" in name)), np.float32)
+    nothing[..., 1:] = 1.0  # the whole budget is left
     untrained = training.learner.policy()(nothing, None)
     assert np.abs(untrained - OPTIMUM[name]).max() > DISTANCE[name]
     while not training.done:

@@ -1,0 +1,22 @@
+"""TRPO-Sauté: TRPO in a state augmented by what is left of the cost budget of an episode.
+
+Source: Sootla et al. 2022, "Sauté RL: almost surely safe reinforcement learning using state
+augmentation", with the budget of OmniSafe's adapter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from agents.algorithms import Algorithm
+from agents.algorithms.ppo_saute import SauteConfig, advantage
+from agents.algorithms.trpo_lag import step
+from agents.trust_region import StepRule, TRPOConfig, TrustRegion
+
+
+@dataclass(frozen=True)
+class TRPOSauteConfig(SauteConfig, TRPOConfig):
+    """Hyper-parameters of TRPO-Sauté."""
+
+
+ALGORITHM = Algorithm("TRPO-Sauté", TRPOSauteConfig, StepRule(advantage, step), TrustRegion)
