@@ -120,8 +120,8 @@ def measure(name: str) -> Measure:
 def measured(data: RunData, run: str) -> dict[str, float | None]:
     """All measures of a run by name.
 
-    run: its name. Raises OwnCodeError where a measure of the user's own raises or gives no number;
-    the ValueError of a built-in one, and of one that is not finite, says that the run is damaged.
+    run: its name. Raises OwnCodeError where a measure of the user's own raises or gives no finite
+    number; the ValueError of a built-in one says that the run is damaged.
     """
     values: dict[str, float | None] = {}
     for m in measures():
@@ -133,13 +133,21 @@ def measured(data: RunData, run: str) -> dict[str, float | None]:
             words = f"measure {m.name!r} failed on run {run}: {described(error)}"
             raise OwnCodeError(words) from error
         try:
-            values[m.name] = number = None if value is None else as_one(value, "it")
+            values[m.name] = None if value is None else _finite(value)
         except (TypeError, ValueError):
-            words = f"must give a number or None, on run {run} it gave {reprlib.repr(value)}"
+            if m in BUILT_IN:
+                raise ValueError(f"{m.name} is not finite: {value}") from None
+            words = f"must give a finite number or None, on run {run} it gave {reprlib.repr(value)}"
             raise OwnCodeError(f"measure {m.name!r} {words}") from None
-        if number is not None and not math.isfinite(number):
-            raise ValueError(f"{m.name} is not finite: {number}")
     return values
+
+
+def _finite(value: Any) -> float:
+    """A finite number. Raises TypeError or ValueError for anything else."""
+    number = as_one(value, "it")
+    if not math.isfinite(number):
+        raise ValueError(f"not finite: {number}")
+    return number
 
 
 def _cost_rate(run: RunData) -> float:

@@ -134,13 +134,13 @@ def test_a_measure_that_raises_is_named_and_the_run_is_not_blamed(tmp_path, wron
     assert not (tmp_path / "report.csv").exists()
 
 
-@pytest.mark.parametrize("value", ["12", [1.0, 2.0], {}])
+@pytest.mark.parametrize("value", ["12", [1.0, 2.0], {}, float("nan"), -np.inf])
 def test_a_measure_that_gives_no_number_is_named(tmp_path, value):
     write_evaluated(tmp_path / "cpo", "cpo", costs=(4, 4))
     register(Measure("mine", "mine", "", 2, "lower", lambda run: value))
     try:
         with pytest.raises(
-            OwnCodeError, match=r"'mine' must give a number or None, on run .*seed 0"
+            OwnCodeError, match=r"'mine' must give a finite number or None, on run .*seed 0"
         ):
             report(tmp_path)
     finally:
