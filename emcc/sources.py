@@ -115,6 +115,8 @@ def _read_run_folder(folder: Any, threshold: float) -> Iterator[Run]:
     with named(folder / "config.json"):
         config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
         algorithm, steps = config["algorithm"], as_count(config["steps"], "steps")
+        if not isinstance(algorithm, str):
+            raise ValueError(f"algorithm must be a name, got {algorithm!r}")
         costs = config.get("costs", ["cost"])
         keys = [(task, str(seed)) for task in config["tasks"] for seed in config["seeds"]]
     results = folder / "results.npz"

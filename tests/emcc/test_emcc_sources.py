@@ -284,6 +284,7 @@ def test_paths_that_are_no_runs_are_named(tmp_path, how):
 BAD_RUNS = {
     "no settings": ([1], {}, r"config\.json: "),
     "no steps": ({"steps": 0}, {}, r"config\.json: steps must be >= 1"),
+    "no name": ({"algorithm": None}, {}, r"config\.json: algorithm must be a name, got None"),
     "another seed": ({"seeds": [0, 4]}, {}, r"results\.npz: missing: A-v0/4/"),
     "no length": ({}, {"length": np.zeros(50, int)}, r"results\.npz: lengths"),
     "cut off": ({}, None, r"results\.npz: "),
