@@ -29,11 +29,25 @@ def register() -> None:
         add(KINEMATIC[level], kinematic, MAX_EPISODE_STEPS, level=level)
         add(PHYSICS[level], physics, MAX_EPISODE_STEPS, level=level)
     for name, task in safety.TASKS.items():
-        for of_task in (safety.IDS[name], safety.NAMES[name]):
-            add(of_task, "safety.envs:Safety", task.max_episode_steps, task=name)
+        add_safety(safety.NAMES[name], name, task)
+    for name, task in safety.OLD.items():
+        add_safety(name, name, task)
 
 
-def add(name: str, env: str, max_episode_steps: int, **parameters: Any) -> None:
+def add_safety(plain: str, of_env: str | safety.SafetyTask, task: safety.SafetyTask) -> None:
+    """Register a Safety task under `circle2d_mj/...`, and under the plain id if it is free."""
+    for name in (f"circle2d_mj/{plain}", plain):
+        steps, solved = task.max_episode_steps, task.reward_threshold
+        add(name, "safety.envs:Safety", steps, reward_threshold=solved, task=of_env)
+
+
+def add(
+    name: str,
+    env: str,
+    max_episode_steps: int,
+    reward_threshold: float | None = None,
+    **parameters: Any,
+) -> None:
     """Register a task with gymnasium, unless its name is taken. env: "module:class" of ours."""
     if name in gym.registry:
         return
@@ -43,5 +57,6 @@ def add(name: str, env: str, max_episode_steps: int, **parameters: Any) -> None:
         entry_point=f"circle2d_mj.{env.partition(':')[0]}:for_gym_make",
         vector_entry_point=f"circle2d_mj.{env}VectorEnv",
         max_episode_steps=max_episode_steps,
+        reward_threshold=reward_threshold,
         kwargs=parameters,
     )

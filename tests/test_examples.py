@@ -63,6 +63,23 @@ def test_a_thicker_wall(monkeypatch):
     del gym.registry[name]
 
 
+def test_a_task_from_the_suites_parts(monkeypatch):
+    """A penalty for each step; the native vector environment and a view of distances."""
+    monkeypatch.syspath_prepend(FOLDER)
+    importlib.import_module("my_suite_task")
+    name = "SafetyCarGauntlet-v0"
+    one, many = gym.make(name), gym.make_vec(name, 2)
+    observation, _ = one.reset(seed=1)
+    assert (many.reset(seed=0)[0][1] == observation).all()
+    task = one.unwrapped.task
+    before, reward = task.dist_goal(), one.step([0.1, 0.1])[1]
+    assert reward == pytest.approx(before - task.dist_goal() - 0.001)
+    assert (task.hazards.num, task.gremlins.num, one.spec.max_episode_steps) == (5, 2, 400)
+    assert many.view.axes == ("to the goal (m)", "to the nearest hazard (m)")
+    for id in (name, f"circle2d_mj/{name}"):
+        del gym.registry[id]
+
+
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("slurm/*.sbatch")), ids=lambda path: path.name)
 def test_batch_scripts(path):
     subprocess.run(["bash", "-n", path], check=True)

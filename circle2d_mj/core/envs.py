@@ -206,10 +206,15 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         info.update(self.simulation.state_info())
 
     def _start(self, index: NDArray[np.intp]) -> None:
-        assert self._streams is not None
-        self.simulation.start(self._streams, index)
+        streams = self._start_streams()
+        assert streams is not None
+        self.simulation.start(streams, index)
         self._steps[index] = 0
         self._finished[index] = False
+
+    def _start_streams(self) -> Streams | None:
+        """The streams of which episodes start."""
+        return self._streams
 
     def _seed(self, seed: int | Sequence[int | None] | None, index: NDArray[np.intp]) -> None:
         keys = [None] * self.num_envs if seed is None else keys_of_seeds(seed, self.num_envs)

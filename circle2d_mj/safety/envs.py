@@ -1,35 +1,53 @@
 """Safety-Gymnasium's tasks as gymnasium environments."""
 
+# pyright: reportAttributeAccessIssue=false
+# mujoco's names are compiled in, where pyright does not see them.
+
 from __future__ import annotations
 
+import copy
 import pkgutil
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from circle2d_mj.core.envs import Copy, TaskEnv, TaskVectorEnv, render_modes, without_time_limit
-from circle2d_mj.safety.mujoco_task import FRAME_SIZE
-from circle2d_mj.safety.tasks import TASKS
+from circle2d_mj.core.engine import mujoco
+from circle2d_mj.core.envs import (
+    Copy,
+    Step,
+    TaskEnv,
+    TaskVectorEnv,
+    render_modes,
+    without_time_limit,
+)
+from circle2d_mj.core.simulation import State
+from circle2d_mj.core.streams import Streams, keys_of_seeds
+from circle2d_mj.safety.mujoco_task import FRAME_SIZE, MuJoCoTask
+from circle2d_mj.safety.navigation import NavigationTask
+from circle2d_mj.safety.seen import HOW, TaskView
+from circle2d_mj.safety.tasks import OLD, TASKS, SafetyTask
 
 METADATA: dict[str, Any] = {"render_modes": [*render_modes(), "depth_array"]}
 
 
 class SafetyVectorEnv(TaskVectorEnv):
-    """Many copies of one of `TASKS`, stepped together by MuJoCo.
+    """Many copies of one of `TASKS` or `OLD`, or of one's own, stepped together by MuJoCo.
 
     Observations, actions, rewards, costs and parameters: see the task's simulation. num_threads:
     for MuJoCo's steps; it changes no number. Seeds, autoreset and errors: see `TaskVectorEnv`.
+    layout_seed: every episode of every copy starts as the first of `reset(seed=layout_seed)`.
     Pictures: of a camera by name or id, width x height pixels, see `MuJoCoTask.choose_picture`;
     with the render mode "depth_array" distances, m, float32 [height, width].
     """
 
     metadata = METADATA
+    simulation: MuJoCoTask
 
     def __init__(
         self,
-        task: str,
+        task: str | SafetyTask,
         num_envs: int = 1,
         *,
         num_threads: int = 1,
@@ -40,14 +58,21 @@ class SafetyVectorEnv(TaskVectorEnv):
         camera_id: int | None = None,
         width: int = FRAME_SIZE,
         height: int = FRAME_SIZE,
+        layout_seed: int | None = None,
         **parameters: Any,
     ) -> None:
-        if task not in TASKS:
-            raise ValueError(f"task must be one of {list(TASKS)}, got {task!r}")
-        found = TASKS[task]
-        simulation = pkgutil.resolve_name(found.simulation)(
+        known = TASKS | OLD
+        if isinstance(task, str) and task not in known:
+            raise ValueError(f"task must be one of {list(known)}, got {task!r}")
+        found = task if isinstance(task, SafetyTask) else known[task]
+        kind = found.simulation
+        simulation = (pkgutil.resolve_name(kind) if isinstance(kind, str) else kind)(
             **found.arguments, num_envs=num_envs, num_threads=num_threads, **parameters
         )
+        self.layout_seed = None if layout_seed is None else keys_of_seeds(layout_seed, 1)[0]
+        self.registered_steps = found.max_episode_steps
+        self._live: dict[int, Any] = {}
+        self._live_model: Any = None
         simulation.choose_picture(camera_name, camera_id, width, height)
         super().__init__(
             simulation,
@@ -60,85 +85,97 @@ class SafetyVectorEnv(TaskVectorEnv):
     def picture(self, index: int) -> Any:
         """Draw environment `index` in the render mode; None without one, and in a window."""
         if self.render_mode == "depth_array":
-            simulation: Any = self.simulation
-            return simulation.depth(index)
+            return self.simulation.depth(index)
         return super().picture(index)
+
+    @property
+    def live_model(self) -> Any:
+        """A copy of the model with all that is drawn."""
+        if self._live_model is None:
+            self._live_model = copy.copy(self.simulation.picture_model)
+            self._model_bytes = _bytes(self._live_model)
+        return self._live_model
+
+    def live_data(self, index: int) -> Any:
+        """Environment `index` as an MjData of `live_model` that follows it; what is written into it
+        is refused by the next step."""
+        if index not in self._live:
+            self._live[index] = self.simulation.data(index)
+        return self._live[index]
+
+    def advance(self, actions: NDArray[np.float64]) -> Step:
+        """Take a step with checked actions. Raises RuntimeError where what `live_model` or
+        `live_data` gave was written to."""
+        if self._live or self._live_model is not None:
+            self._refuse_writes()
+        results = super().advance(actions)
+        self._follow()
+        return results
+
+    def load_state_dict(self, state: State) -> None:
+        """Load a state. Raises ValueError for other names or shapes."""
+        super().load_state_dict(state)
+        self._follow()
+
+    def _start(self, index: NDArray[np.intp]) -> None:
+        super()._start(index)
+        self._follow()
+
+    def _start_streams(self) -> Streams | None:
+        if self.layout_seed is None:
+            return super()._start_streams()
+        return Streams(np.full(self.num_envs, self.layout_seed, dtype=np.uint64))
+
+    def _follow(self) -> None:
+        for index, data in self._live.items():
+            self.simulation.write(data, index)
+
+    def _refuse_writes(self) -> None:
+        task = self.simulation
+        for index, data in self._live.items():
+            if (data.qpos != task.qpos[index]).any() or (data.qvel != task.qvel[index]).any():
+                raise RuntimeError(
+                    "data is a copy of the state, and was written to: places and layout_seed are "
+                    "parameters of make; load_state_dict and circle2d_mj.safety.original.load put "
+                    "an environment into a state"
+                )
+        model = self._live_model
+        if model is not None and not np.array_equal(_bytes(model), self._model_bytes):
+            raise RuntimeError(f"model is a copy of the task's, and was written to: {HOW}")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_live": {}, "_live_model": None}
 
     def copy_of(self, index: int) -> SafetyCopy:
         """Return sub-environment `index`, to read from."""
         return SafetyCopy(self, index)
 
 
-class Seen(NamedTuple):
-    """Objects of one kind."""
-
-    pos: Any
-    """[3] m, or a list of such arrays where there may be several"""
-    size: float
-
-
-class SeenAgent:
-    """The agent under safety-gymnasium's names, all in the world but the sensors."""
-
-    def __init__(self, simulation: Any, index: int) -> None:
-        self._simulation, self._index = simulation, index
-
-    @property
-    def pos(self) -> NDArray[np.float64]:
-        """Its origin, [3] m."""
-        return self._simulation.positions("agent")[self._index, 0]
-
-    @property
-    def mat(self) -> NDArray[np.float64]:
-        """Its rotation matrix, [3, 3]: columns are its axes."""
-        return self._simulation.rotations[self._index, 0].copy()
-
-    @property
-    def vel(self) -> NDArray[np.float64]:
-        """The velocity of its origin, [3] m/s."""
-        return self.mat @ self.get_sensor("velocimeter")
-
-    def get_sensor(self, name: str) -> NDArray[np.float64]:
-        """Return what a sensor of the agent's model reads, as in "velocimeter": [3]."""
-        sensor = self._simulation.model.sensor(name)
-        first = sensor.adr[0]
-        return self._simulation.sensors[self._index, first : first + sensor.dim[0]].copy()
-
-
-class TaskView:
-    """Places of a navigation task under safety-gymnasium's names: `task.agent.pos`,
-    `task.hazards.pos[0]`, `task.goal.size`, `task.goal_achieved`."""
-
-    def __init__(self, simulation: Any, index: int) -> None:
-        self._simulation, self._index = simulation, index
-        self.agent_name: str = simulation.agent.name
-        self.agent = SeenAgent(simulation, index)
-
-    @property
-    def goal_achieved(self) -> bool:
-        """Whether the current state meets the current goal."""
-        return bool(self._simulation.met[self._index])
-
-    def __getattr__(self, name: str) -> Seen:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        world = self._simulation.world
-        if name not in world.rows:
-            raise AttributeError(f"task has no {name!r}; it has {sorted(world.rows)}")
-        places = self._simulation.positions(name)[self._index]
-        several = name.endswith("s")
-        return Seen(list(places) if several else places[0], world.kinds[name].size[0])
-
-
 class SafetyCopy(Copy):
     """One copy of a task in a vector environment, to read from."""
 
+    _envs: SafetyVectorEnv
+
     @property
     def task(self) -> TaskView | None:
-        """Places as code for safety-gymnasium reads them; None for bodies with a speed limit."""
-        simulation = self._envs.simulation
-        navigates = hasattr(simulation, "places")
-        return TaskView(simulation, self._index) if navigates else None
+        """The task as code for safety-gymnasium reads it; None for bodies with a speed limit."""
+        navigates = isinstance(self._envs.simulation, NavigationTask)
+        return TaskView(self._envs, self._index) if navigates else None
+
+    @property
+    def model(self) -> Any:
+        """MuJoCo's model, a copy: see `SafetyVectorEnv.live_model`."""
+        return self._envs.live_model
+
+    @property
+    def data(self) -> Any:
+        """MuJoCo's data, a copy: see `SafetyVectorEnv.live_data`."""
+        return self._envs.live_data(self._index)
+
+    @property
+    def dt(self) -> float:
+        """Seconds of a step."""
+        return self._envs.simulation.step_seconds
 
 
 class SafetyEnv(TaskEnv):
@@ -148,7 +185,7 @@ class SafetyEnv(TaskEnv):
 
     def __init__(
         self,
-        task: str,
+        task: str | SafetyTask,
         *,
         num_threads: int = 1,
         max_episode_steps: int | None,
@@ -164,11 +201,39 @@ class SafetyEnv(TaskEnv):
             **parameters,
         )
         super().__init__(envs)
+        self._copy = envs.copy_of(0)
 
     @property
     def task(self) -> TaskView | None:
-        """Places as code for safety-gymnasium reads them; None for bodies with a speed limit."""
-        return self._envs.copy_of(0).task
+        """The task as code for safety-gymnasium reads it; None for bodies with a speed limit."""
+        return self._copy.task
+
+    @property
+    def model(self) -> Any:
+        """MuJoCo's model, a copy: see `SafetyVectorEnv.live_model`."""
+        return self._copy.model
+
+    @property
+    def data(self) -> Any:
+        """MuJoCo's data, a copy: see `SafetyVectorEnv.live_data`."""
+        return self._copy.data
+
+    @property
+    def dt(self) -> float:
+        """Seconds of a step."""
+        return self._copy.dt
+
+    @property
+    def obs_space_dict(self) -> Any:
+        """The parts of a navigation task's observation by name, in its order."""
+        assert self.task is not None, "of navigation tasks alone"
+        return self.task.obs_info.obs_space_dict
+
+
+def _bytes(model: Any) -> NDArray[np.uint8]:
+    buffer = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer
 
 
 for_gym_make = without_time_limit(SafetyEnv)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from circle2d_mj.core.simulation import State
 from circle2d_mj.safety import layout, rules
 from circle2d_mj.safety.navigation import Flags, Floats, NavigationTask
+from circle2d_mj.safety.scenes import Scene
 
 BUTTON_DELAY = 10
 """Steps after a press during which buttons are not seen and wrong ones do not cost"""
@@ -20,7 +23,8 @@ class _WithGoal(NavigationTask):
 
     def _begin_goals(self, index: NDArray[np.intp]) -> None:
         # The original draws the goal a second time before anyone sees it.
-        self._draw_goals(index)
+        if "goal" not in self.given:
+            self._draw_goals(index)
 
     def _renew_goals(self, met: Flags) -> Flags:
         terminated = np.zeros(self.num_envs, dtype=bool)
@@ -79,7 +83,12 @@ class ButtonTask(NavigationTask):
     has_goals = True
 
     def __init__(
-        self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1, **changes: float
+        self,
+        agent: str,
+        level: int | Scene,
+        num_envs: int = 1,
+        num_threads: int = 1,
+        **changes: Any,
     ) -> None:
         self.goal_button = np.zeros(num_envs, dtype=np.int64)
         self.timer = np.zeros(num_envs, dtype=np.int64)
@@ -128,8 +137,10 @@ class ButtonTask(NavigationTask):
     def observe(self) -> Floats:
         """Return the observations; buttons are not seen while the timer runs."""
         observation = super().observe()
-        first = self.agent.sensors
-        observation[self.timer != 0, first : first + rules.LIDAR_BINS] = 0.0
+        lidars = self.world.scene.lidars
+        if "buttons" in lidars:
+            first = self.agent.sensors + rules.LIDAR_BINS * lidars.index("buttons")
+            observation[self.timer != 0, first : first + rules.LIDAR_BINS] = 0.0
         return observation
 
     def state_dict(self) -> State:

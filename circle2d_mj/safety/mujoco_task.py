@@ -55,6 +55,7 @@ class MuJoCoTask:
         self.sensors = np.zeros((self.num_envs, model.nsensordata))
         self.recorded_info: dict[str, str] = {}
         self._control = self.batch.bind("ctrl")
+        self._time = self.batch.bind("time").reshape(self.num_envs)
         self._sensed = self.batch.bind("sensordata") if model.nsensordata else None
         self._initial = self.batch.state[0].copy()
         self._substeps = substeps
@@ -108,10 +109,15 @@ class MuJoCoTask:
         self.sensors[:] = state["sensors"]
 
     def data(self, index: int) -> mujoco.MjData:
-        """Return environment `index` as MuJoCo's own MjData, with derived quantities, to render."""
-        data = self.batch.get_data(index)
-        mujoco.mj_forward(self.model, data)
+        """Return environment `index` as an MjData of `picture_model`, with derived quantities."""
+        data = mujoco.MjData(self.picture_model)
+        self.write(data, index)
         return data
+
+    def write(self, data: mujoco.MjData, index: int) -> None:
+        """Write environment `index`, with derived quantities, into an MjData of `picture_model`."""
+        self._fill(data, index)
+        mujoco.mj_forward(self.picture_model, data)
 
     def choose_picture(
         self, camera_name: str | None, camera_id: int | None, width: int, height: int
@@ -172,6 +178,7 @@ class MuJoCoTask:
     def _fill(self, data: mujoco.MjData, index: int) -> None:
         """Write the state of environment `index` into an MjData of `picture_model`."""
         data.qpos[:], data.qvel[:] = self.qpos[index], self.qvel[index]
+        data.ctrl[:], data.time = self._control[index], self._time[index]
 
     def show(self, index: int) -> None:
         """Show environment `index` in MuJoCo's viewer."""

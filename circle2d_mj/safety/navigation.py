@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,8 +18,11 @@ from circle2d_mj.core.simulation import Outcome, State
 from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import layout, rules, scenes, views, worlds
 from circle2d_mj.safety.agents import action_space
+from circle2d_mj.safety.layout import Areas
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
 from circle2d_mj.safety.resting import SUBSTEPS, Circling, Resting
+from circle2d_mj.safety.scenes import Scene
+from circle2d_mj.safety.worlds import World
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -39,8 +44,12 @@ class NavigationTask(MuJoCoTask):
 
     Parameters that replace those of the level: the numbers of `hazards`, `vases`, `pillars` and
     `gremlins`, for the kinds that the level has, from 0 to 100 (the observation keeps its size),
-    and `half_width`, m, of the square in which all are placed. Raises TypeError for a parameter
-    that the task does not have, ValueError for a value.
+    and `half_width`, m, of the square in which all are placed. `places` gives, by kind or for the
+    "agent", where the first of them start, as in `places={"hazards": [(0, 0), (1, 0)]}`, m; a goal
+    that is given is an episode's first. Raises TypeError for a parameter that the task does not
+    have, ValueError for a value.
+
+    level: of the task, or a `Scene` of one's own.
     """
 
     family: ClassVar[str]
@@ -48,12 +57,23 @@ class NavigationTask(MuJoCoTask):
     camera: ClassVar[str] = "top"
 
     def __init__(
-        self, agent: str, level: int, num_envs: int = 1, num_threads: int = 1, **changes: float
+        self,
+        agent: str,
+        level: int | Scene,
+        num_envs: int = 1,
+        num_threads: int = 1,
+        *,
+        places: Mapping[str, Any] | None = None,
+        **changes: float,
     ) -> None:
-        scene = scenes.scene(f"{self.family}{level}", agent, tuple(changes.items()))
+        self.level = level if isinstance(level, int) else "Own"
+        name = level if isinstance(level, Scene) else f"{self.family}{level}"
+        scene = scenes.scene(name, agent, tuple(changes.items()))
         self._of_world = agent, self.family, scene
         self.world = worlds.world(*self._of_world)
-        arguments = {"agent": agent, "level": level, **changes}
+        self.given = checked_places(self.world, places or {})
+        self._areas = starting_areas(self.world, self.given)
+        arguments = {"agent": agent, "level": level, "places": places, **changes}
         super().__init__(self.world.model, num_envs, num_threads, SUBSTEPS, **arguments)
         self.agent = self.world.agent
         self.action_space = action_space(self.agent)
@@ -73,14 +93,16 @@ class NavigationTask(MuJoCoTask):
         self._free_qvel = self.qvel[:, self.agent.nv :].reshape(n, free, 6)
         self._mocap_pos = self.batch.bind("mocap_pos").reshape(n, -1, 3)
         self._mocap_quat = self.batch.bind("mocap_quat").reshape(n, -1, 4)
-        self._time = self.batch.bind("time").reshape(n)
         rotations = self.batch.bind("xmat").reshape(n, -1, 3, 3)
         self.rotations = rotations[:, 1 : 1 + self.agent.bodies]
         """Orientations of the agent's bodies, the agent first: [num_envs, bodies, 3, 3]"""
         rows = self.world.rows
         counts = [rows[kind].stop - rows[kind].start for kind in scene.lidars]
         groups = np.repeat(np.arange(len(counts)), counts)
-        # They show all that is placed, in the order in which it is.
+        shown = [i for kind in scene.lidars for i in range(rows[kind].start, rows[kind].stop)]
+        # Mostly all that is placed, in the order in which it is.
+        every = shown == list(range(1, len(self.world.areas.keepout)))
+        self._shown = slice(1, None) if every else np.array(shown, dtype=np.intp)
         self._lidars = rules.Lidars(n, groups, len(counts), scene.reach) if counts else None
         self._driven = "gremlins" in rows
         self._first_gremlin = len(self.world.mocap) - free  # of the mocap bodies
@@ -102,6 +124,11 @@ class NavigationTask(MuJoCoTask):
         return self._met(self._lengths())
 
     @property
+    def layout(self) -> Floats:
+        """Where everything was put, m: [num_envs, objects, 2]; the place of a goal is current."""
+        return self._layout.copy()
+
+    @property
     def places(self) -> Floats:
         """Where everything is now, m: [num_envs, objects, 2]; rows: `world.rows`."""
         return self._places.copy()
@@ -121,7 +148,7 @@ class NavigationTask(MuJoCoTask):
         free = self._free_qpos.shape[1]
         self._goals.reseed(index, layout.stream_keys(streams, index, 1)[:, 0])
         draw = streams.uniform(index, draws=1 + free // 4)
-        places = layout.sample_layout(streams, index, self.world.areas)
+        places = layout.sample_layout(streams, index, self._areas)
         turns = np.pi * draw[:, 1 : 1 + free]  # half of each turn
         self.place(index, places, 2.0 * np.pi * draw[:, 0], turns)
         self._begin_goals(index)
@@ -200,7 +227,7 @@ class NavigationTask(MuJoCoTask):
         parts = self.agent.observe(self.sensors, self.rotations)
         if self._lidars is not None:
             axes, height = self.rotations[:, 0, :, :2], self._position[:, 2]
-            parts += (self._lidars(self._offset[:, 1:], height, axes),)
+            parts += (self._lidars(self._offset[:, self._shown], height, axes),)
         return np.concatenate(parts, axis=1)
 
     def state_dict(self) -> State:
@@ -224,16 +251,8 @@ class NavigationTask(MuJoCoTask):
         """The model with all that is drawn."""
         return worlds.picture_model(*self._of_world)
 
-    def data(self, index: int) -> Any:
-        """Return environment `index` as an MjData of `picture_model`."""
-        data = mujoco.MjData(self.picture_model)
-        self._fill(data, index)
-        mujoco.mj_forward(self.picture_model, data)
-        return data
-
     def _fill(self, data: Any, index: int) -> None:
         super()._fill(data, index)
-        data.ctrl[:], data.time = self._control[index], self._time[index]
         count = len(self.world.mocap)
         data.mocap_pos[:count] = self._mocap_pos[index]
         data.mocap_quat[:count] = self._mocap_quat[index]
@@ -265,7 +284,7 @@ class NavigationTask(MuJoCoTask):
         return np.zeros(self.num_envs, dtype=bool)
 
     def _costs(self) -> dict[str, Floats]:
-        """Costs of each kind: [num_envs]."""
+        """Costs of each kind in the current state: [num_envs]."""
         return {kind: self._cost(kind) for kind in self.world.scene.costs}
 
     def _cost(self, kind: str) -> Floats:
@@ -305,3 +324,46 @@ class NavigationTask(MuJoCoTask):
         low = np.concatenate((np.full(self.agent.sensors, -np.inf), np.zeros(bins)))
         high = np.concatenate((np.full(self.agent.sensors, np.inf), np.ones(bins)))
         return Box(low, high, dtype=np.float64)
+
+
+def checked_places(world: World, places: Mapping[str, Any]) -> dict[str, list[tuple[float, float]]]:
+    """Return the places given for the agent and kinds of objects, [k, 2] m each.
+
+    Raises ValueError for other kinds, for more places than objects, for what is no place, and for
+    two that are nearer than their objects may be.
+    """
+    fixed = {"circle", "goal"} if "buttons" in world.kinds else {"circle"}
+    placed = [kind for kind in world.rows if kind not in fixed]
+    found: dict[str, list[tuple[float, float]]] = {}
+    each: list[tuple[str, NDArray[np.float64], float]] = []
+    for kind, given in places.items():
+        if kind not in placed:
+            raise ValueError(f"places may hold {', '.join(placed)}, got {kind!r}")
+        rows, at = world.rows[kind], np.atleast_2d(np.asarray(given, dtype=np.float64))
+        if at.ndim != 2 or at.shape[1] != 2 or not np.isfinite(at).all():
+            raise ValueError(f"places[{kind!r}] must be pairs (x, y), m, got {given!r}")
+        if len(at) > rows.stop - rows.start:
+            count = rows.stop - rows.start
+            raise ValueError(f"places[{kind!r}] must be {count} at most, got {len(at)}")
+        found[kind] = [(float(x), float(y)) for x, y in at]
+        keepouts = world.areas.keepout[rows]
+        each += [(f"{kind}[{i}]", at[i], float(keepouts[i])) for i in range(len(at))]
+    for (name, one, own), (other, place, keepout) in itertools.combinations(each, 2):
+        apart, needed = float(np.hypot(*(one - place))), own + keepout
+        if apart < needed:
+            raise ValueError(
+                f"places: {name}, {other} are {apart:.3g} m apart; they need {needed:.3g}"
+            )
+    return found
+
+
+def starting_areas(world: World, given: Mapping[str, list[tuple[float, float]]]) -> Areas:
+    """Return where everything may start: the world's areas, but points for the places given."""
+    if not given:
+        return world.areas
+    centre, half = world.areas.centre.copy(), world.areas.half.copy()
+    for kind, places in given.items():
+        first = world.rows[kind].start
+        centre[first : first + len(places)] = places
+        half[first : first + len(places)] = 0.0
+    return Areas(centre, half, world.areas.keepout)

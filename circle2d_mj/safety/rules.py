@@ -147,11 +147,9 @@ def gremlin_offset(time: Floats) -> Floats:
     return offset
 
 
-def velocity_reward(
-    speed: Floats, action: Floats, forward: float, alive: float, control: float
-) -> Floats:
-    """Return forward * speed + alive - control * |action|²: [...] and [..., nu], not clipped."""
-    return forward * speed + alive - control * np.add.reduce(action * action, axis=-1)
+def control_cost(action: Floats, weight: float) -> Floats:
+    """Return weight * |action|²: [..., nu] -> [...]; actions are not clipped."""
+    return weight * np.add.reduce(action * action, axis=-1)
 
 
 def velocity_cost(speed: Floats, limit: float) -> Floats:

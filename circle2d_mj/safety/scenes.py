@@ -166,12 +166,12 @@ def parameters(scene: Scene) -> dict[str, float]:
     return numbers if scene.start else numbers | {"half_width": scene.half_width}
 
 
-def scene(name: str, agent: str, changes: Changes = ()) -> Scene:
-    """Return a scene of `SCENES` as it is with an agent, changed.
+def scene(name: str | Scene, agent: str, changes: Changes = ()) -> Scene:
+    """Return a scene, by its name one of `SCENES`, as it is with an agent, changed.
 
     Raises TypeError for a change that the scene does not have, ValueError for a value.
     """
-    found = SCENES[name]
+    found = SCENES[name] if isinstance(name, str) else name
     box = BOX[agent][0]
     placed = {p.kind: p._replace(keepout=box) if p.kind == "push_box" else p for p in found.placed}
     half_width = found.half_width
@@ -179,7 +179,8 @@ def scene(name: str, agent: str, changes: Changes = ()) -> Scene:
         if key not in parameters(found):
             there = ", ".join(parameters(found)) or "no parameters"
             words = f"got an unexpected keyword argument {key!r}"  # Python's, for TorchRL
-            raise TypeError(f"Safety{agent}{name} {words}; it has {there}")
+            which = f"Safety{agent}{name}" if isinstance(name, str) else "this task"
+            raise TypeError(f"{which} {words}; it has {there}, places and layout_seed")
         if key in COUNTED:
             if not isinstance(value, Integral) or not 0 <= value <= MOST_OBJECTS:
                 rule = f"a whole number from 0 to {MOST_OBJECTS}"

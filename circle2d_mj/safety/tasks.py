@@ -10,10 +10,12 @@ class SafetyTask(NamedTuple):
 
     version: str
     max_episode_steps: int
-    simulation: str
-    """Its class, "module:name" """
+    simulation: Any
+    """Its class, or "module:name" """
     arguments: dict[str, Any]
     """The class's, apart from num_envs and num_threads"""
+    reward_threshold: float | None = None
+    """Return at which gymnasium counts it as solved"""
 
 
 _FAMILIES = {"Goal": 3, "Button": 3, "Push": 3, "Circle": 3, "Run": 1}
@@ -21,6 +23,16 @@ _FAMILIES = {"Goal": 3, "Button": 3, "Push": 3, "Circle": 3, "Run": 1}
 _SHORT = ("Circle", "Run")
 """Families whose episodes have 500 steps, not 1000"""
 VELOCITY = ("HalfCheetah", "Hopper", "Swimmer", "Walker2d", "Ant", "Humanoid")
+_SOLVED = {"HalfCheetah": 4800.0, "Hopper": 3800.0, "Swimmer": 360.0, "Ant": 6000.0}
+
+
+def _velocity(body: str, version: int) -> SafetyTask:
+    arguments: dict[str, Any] = {"body": body}
+    simulation = "circle2d_mj.safety.velocity:VelocityTask"
+    if version == 0:
+        arguments["version"] = 0
+    return SafetyTask(f"v{version}", 1000, simulation, arguments, _SOLVED.get(body))
+
 
 TASKS = {
     f"Safety{agent}{family}{level}": SafetyTask(
@@ -32,12 +44,9 @@ TASKS = {
     for family, levels in _FAMILIES.items()
     for agent in ("Point", "Car", "Doggo")
     for level in range(levels)
-} | {
-    f"Safety{body}Velocity": SafetyTask(
-        "v1", 1000, "circle2d_mj.safety.velocity:VelocityTask", {"body": body}
-    )
-    for body in VELOCITY
-}
+} | {f"Safety{body}Velocity": _velocity(body, 1) for body in VELOCITY}
+OLD = {f"Safety{body}Velocity-v0": _velocity(body, 0) for body in VELOCITY}
+"""Tasks by id that are registered and no more: with the lower limits of a first version"""
 NAMES = {name: f"{name}-{task.version}" for name, task in TASKS.items()}
 """Safety-Gymnasium's id of each of them."""
 IDS = {name: f"circle2d_mj/{plain}" for name, plain in NAMES.items()}

@@ -56,10 +56,14 @@ class Body(NamedTuple):
     """Whether the limits of the height belong to it"""
     measured: str = "qpos"
     """Source of the speed: "qpos", "torso" or "centre of mass" """
+    terms: tuple[str, ...] = ()
+    """Names in the info of the reward's terms: for the way, less for control, for being alive"""
 
 
 BODIES = {
-    "HalfCheetah": Body("half_cheetah", 5, 3.2096, 0.1, 0.1, normal=True),
+    "HalfCheetah": Body(
+        *("half_cheetah", 5, 3.2096, 0.1, 0.1), normal=True, terms=("reward_run", "reward_ctrl")
+    ),
     "Hopper": Body(
         *("hopper", 4, 0.7402, 0.005, 1e-3, 1.0),
         clipped=10.0,
@@ -67,7 +71,9 @@ BODIES = {
         tilt=(-0.2, 0.2),
         rest=100.0,
     ),
-    "Swimmer": Body("swimmer", 4, 0.2282, 0.1, 1e-4, hidden=2),
+    "Swimmer": Body(
+        *("swimmer", 4, 0.2282, 0.1, 1e-4), hidden=2, terms=("reward_fwd", "reward_ctrl")
+    ),
     "Walker2d": Body(
         *("walker2d", 4, 2.3415, 0.005, 1e-3, 1.0),
         clipped=10.0,
@@ -83,6 +89,7 @@ BODIES = {
         rest=np.inf,
         rim=True,
         measured="torso",
+        terms=("reward_forward", "reward_ctrl", "reward_survive"),
     ),
     "Humanoid": Body(
         *("humanoid", 5, 1.4149, 0.01, 0.1, 5.0, 1.25),
@@ -90,8 +97,18 @@ BODIES = {
         planar=False,
         height=(1.0, 2.0),
         measured="centre of mass",
+        terms=("reward_linvel", "reward_quadctrl", "reward_alive"),
     ),
 }
+OLD_SPEEDS = {
+    "HalfCheetah": 2.8795,
+    "Hopper": 0.37315,
+    "Swimmer": 0.04845,
+    "Walker2d": 1.7075,
+    "Ant": 2.5745,
+    "Humanoid": 2.3475,
+}
+"""Limits of version 0, m/s; the Swimmer's is of its speed in the plane there"""
 HUMANOID_EXTRA = ("cinert", "cvel", "qfrc_actuator")
 """Fields of MuJoCo that the Humanoid observes; the last is cfrc_ext, the forces of contacts."""
 
@@ -123,27 +140,42 @@ class VelocityTask(MuJoCoTask):
     The observation is qpos without x (and y), then qvel, cut where `Body.clipped` says; of the
     Humanoid also MuJoCo's cinert, cvel, qfrc_actuator and cfrc_ext. Actions are torques over the
     actuator's gear; MuJoCo clips them, the reward's control cost does not.
-    `info["x_velocity"]`, and of Ant and Humanoid `info["y_velocity"]`, is the mean over the step,
-    m/s. Where the original reads positions that are those of the last stage of MuJoCo's
-    integrator (Ant, Humanoid), so does this. Source: safety-gymnasium 1.0.0 on gymnasium's v4.
+    `info["x_velocity"]`, and of Swimmer, Ant, Humanoid `info["y_velocity"]`, is the mean over the
+    step, m/s; `info["x_position"]` is where it ended, m; the reward's terms have the original's
+    names: `Body.terms`. version: 0 has other speed limits, `OLD_SPEEDS`. Where the original reads
+    positions that are those of the last stage of MuJoCo's integrator (Ant, Humanoid), so does this.
+    Source: safety-gymnasium 1.0.0 on gymnasium's v4.
     """
 
-    def __init__(self, body: str, num_envs: int = 1, num_threads: int = 1) -> None:
+    def __init__(
+        self, body: str, num_envs: int = 1, num_threads: int = 1, version: int = 1
+    ) -> None:
         self.body = BODIES[body]
+        if version == 0:
+            self.body = self.body._replace(max_speed=OLD_SPEEDS[body])
+        self._sideways = self.body.hidden == 2  # y is told
+        # Whether the speed that costs is that of x and y
+        self._both = not self.body.planar or (body == "Swimmer" and version == 0)
         observes_forces = body == "Humanoid"
         super().__init__(
-            model(body), num_envs, num_threads, self.body.substeps, observes_forces, body=body
+            *(model(body), num_envs, num_threads, self.body.substeps, observes_forces),
+            body=body,
+            version=version,
         )
         lead = self.model.nq - self.body.hidden + self.model.nv
         self._extra = [self.batch.bind(name) for name in HUMANOID_EXTRA] * observes_forces
         size = lead + sum(array[0].size for array in self._extra)
         size += 6 * self.model.nbody if observes_forces else 0
-        self.view = views.of_body(body, self.body.max_speed, self.body.planar)
+        self.view = views.of_body(body, self.body.max_speed, not self._both)
         self.observation_space = Box(-np.inf, np.inf, (size,), np.float64)
         low, high = self.model.actuator_ctrlrange.T.astype(np.float32)
         self.action_space = Box(low, high, dtype=np.float32)
-        of_speed = ("x_velocity",) if self.body.planar else ("x_velocity", "y_velocity")
-        self.info_keys = ("cost", *of_speed)
+        of_step = ("cost", "x_velocity", *self.body.terms)
+        of_state = ("x_position",)
+        if self._sideways:
+            of_step += ("y_velocity", "forward_reward")
+            of_state += ("y_position", "distance_from_origin")
+        self.info_keys = of_step + of_state
         measured = {"torso": "xpos", "centre of mass": "xipos"}.get(self.body.measured)
         self._bodies = None if measured is None else self.batch.bind(measured)
         self._all = np.arange(self.num_envs)
@@ -187,16 +219,24 @@ class VelocityTask(MuJoCoTask):
         self._see(self._all)
         of = self.body
         x_velocity = velocity[:, 0].copy()
-        reward = rules.velocity_reward(x_velocity, action, of.forward, of.alive, of.control_cost)
-        speed = x_velocity if of.planar else np.hypot(x_velocity, velocity[:, 1])
+        forward, control = of.forward * x_velocity, rules.control_cost(action, of.control_cost)
+        reward = forward + of.alive - control
+        speed = np.hypot(x_velocity, velocity[:, 1]) if self._both else x_velocity
         info = {"cost": rules.velocity_cost(speed, of.max_speed), "x_velocity": x_velocity}
-        if not of.planar:
-            info["y_velocity"] = velocity[:, 1].copy()
+        if of.terms:
+            terms = (forward, -control, np.full(self.num_envs, of.alive))
+            info.update(zip(of.terms, terms, strict=False))
+        if self._sideways:
+            info["y_velocity"], info["forward_reward"] = velocity[:, 1].copy(), forward.copy()
         return Outcome(reward, self._fell(), info)
 
     def state_info(self) -> dict[str, Floats]:
-        """Return nothing: velocities belong to the step."""
-        return {}
+        """Return where the bodies are; velocities belong to the step."""
+        place = {"x_position": self._place[:, 0].copy()}
+        if self._sideways:
+            place["y_position"] = self._place[:, 1].copy()
+            place["distance_from_origin"] = np.hypot(*self._place.T)
+        return place
 
     def observe(self) -> Floats:
         """Return the observations: [num_envs, observation size]."""

@@ -155,10 +155,10 @@ def of_scene(family: str, scene: Scene, radius: float, sensors: int) -> View | N
     if family in _FROM_ABOVE:
         extent, ticks, circle = _FROM_ABOVE[family]
         return MapView(extent, ticks, scene.walls, circle)
-    if "hazards" not in scene.lidars:
+    target = "push_box" if family == "Push" else "goal"
+    if not {"hazards", target} <= set(scene.lidars):
         return None
     first = {kind: sensors + rules.LIDAR_BINS * i for i, kind in enumerate(scene.lidars)}
-    target = "push_box" if family == "Push" else "goal"
     name = "box" if family == "Push" else "goal"
     return DistanceView(name, first[target], first["hazards"], radius, met=family == "Goal")
 

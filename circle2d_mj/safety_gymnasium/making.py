@@ -11,7 +11,7 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator, spec
 
 from circle2d_mj import registration
 from circle2d_mj.safety.six_values import SixValueEnv
-from circle2d_mj.safety.tasks import NAMES, TASKS
+from circle2d_mj.safety.tasks import NAMES, OLD, TASKS
 from circle2d_mj.safety_gymnasium.wrappers import (
     Gymnasium2SafetyGymnasium,
     SafeAutoResetWrapper,
@@ -32,11 +32,10 @@ __all__ = [
     "spec",
 ]
 
-registry: dict[str, EnvSpec] = {NAMES[name]: spec(f"circle2d_mj/{NAMES[name]}") for name in TASKS}
+registry: dict[str, EnvSpec] = {id: spec(f"circle2d_mj/{id}") for id in (*NAMES.values(), *OLD)}
 """The ids that `make` takes, with gymnasium's specifications of them."""
 safe_registry = set(registry)
 """The same ids alone."""
-_OURS = frozenset(registry)
 NAVIGATION_SIZE, VELOCITY_SIZE = 256, 480
 """Pixels along each side of the original's pictures"""
 
@@ -68,7 +67,7 @@ def make(
     if apply_api_compatibility:
         raise ValueError("apply_api_compatibility is for gym before 0.26, which is not taken here")
     own = known_id(id)
-    if own not in _OURS:
+    if not is_own(own):
         made = _registered(own, max_episode_steps, parameters)
     else:
         made = SafetyGymnasiumEnv(
@@ -114,10 +113,15 @@ class SafeMAEnv:
         make_ma()
 
 
+def is_own(id: str) -> bool:
+    """Whether an id is of this package's tasks: the suite's, or made of its parts."""
+    return f"circle2d_mj/{id}" in gym.registry
+
+
 def known_id(id: str | EnvSpec) -> str:
     """Return the id without a prefix. Raises ValueError for one that is not in `registry`."""
     own = str(getattr(id, "id", id)).removeprefix("circle2d_mj/")
-    if own not in registry:
+    if own not in registry and not is_own(own):
         near = difflib.get_close_matches(own, registry, cutoff=0.0)
         raise ValueError(f"id must be one of `registry`, such as {', '.join(near)}, got {own!r}")
     return own
@@ -171,12 +175,11 @@ def as_the_originals(info: dict[str, Any]) -> dict[str, Any]:
 
 
 def _register_five_values() -> None:
-    for name, task in TASKS.items():
-        plain, version = NAMES[name].rsplit("-", 1)
-        arguments: dict[str, Any] = {"task": name}
-        registration.add(
-            f"{plain}Gymnasium-{version}", "safety.envs:Safety", task.max_episode_steps, **arguments
-        )
+    for name, task in (TASKS | OLD).items():
+        plain, version = NAMES.get(name, name).rsplit("-", 1)
+        steps, solved = task.max_episode_steps, task.reward_threshold
+        id, env = f"{plain}Gymnasium-{version}", "safety.envs:Safety"
+        registration.add(id, env, steps, reward_threshold=solved, task=name)
 
 
 _register_five_values()

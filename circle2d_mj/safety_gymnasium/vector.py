@@ -12,9 +12,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from circle2d_mj.safety.six_values import SixValueVectorEnv
-from circle2d_mj.safety.tasks import NAMES
 from circle2d_mj.safety_gymnasium.making import (
     as_the_originals,
+    is_own,
     known_id,
     known_options,
     with_pictures,
@@ -45,7 +45,7 @@ def make(
     own = known_id(env_id)
     if max_episode_steps is not None:  # the native environment takes None for no limit at all
         arguments["max_episode_steps"] = max_episode_steps
-    if wrappers is None and own in NAMES.values():
+    if wrappers is None and is_own(own):
         return SafetyVectorEnv(
             gym.make_vec(
                 f"circle2d_mj/{own}",

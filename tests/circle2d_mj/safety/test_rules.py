@@ -33,7 +33,7 @@ def test_velocity_rules():
         rules.velocity_cost(np.array([0.7402, 0.7403, -5]), 0.7402), [0, 1, 0]
     )
     action = np.array([1.0, -2.0, 3.0])
-    assert rules.velocity_reward(np.array(2.0), action, 1.25, 5.0, 0.1) == 2.5 + 5 - 1.4
+    assert rules.control_cost(action, 0.1) == 0.1 * (1 + 4 + 9)
 
     heights = np.array([0.6999, 0.7, 1.25, 2.0, np.nan])
     np.testing.assert_array_equal(rules.outside(heights, (0.7, 2.0)), [1, 1, 0, 1, 1])

@@ -1,0 +1,92 @@
+"""Tasks of one's own from the suite's parts: its robots, objects, costs, lidars and rewards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from circle2d_mj import registration
+from circle2d_mj.safety import scenes
+from circle2d_mj.safety.agents import AGENTS
+from circle2d_mj.safety.families import ButtonTask, GoalTask, PushTask
+from circle2d_mj.safety.navigation import NavigationTask
+from circle2d_mj.safety.scenes import KINDS, Placed, Scene
+from circle2d_mj.safety.tasks import SafetyTask
+
+FAMILIES: dict[str, type[NavigationTask]] = {
+    "Goal": GoalTask,
+    "Button": ButtonTask,
+    "Push": PushTask,
+}
+_OF_FAMILY = {
+    "Goal": {"goal": 1},
+    "Button": {"buttons": 4, "goal": 1},
+    "Push": {"goal": 1, "push_box": 1},
+}
+"""What each brings by itself"""
+OBJECTS = ("hazards", "vases", "pillars", "gremlins")
+COSTS = {
+    "hazards": "hazards",
+    "vases_contact": "vases",
+    "vases_velocity": "vases",
+    "pillars": "pillars",
+    "gremlins": "gremlins",
+    "buttons": "buttons",
+}
+"""Kinds of costs, and of what: being in it, touching it (of buttons: a wrong one), moving it"""
+KEEPOUTS = {"goal": 0.4, "hazards": 0.18, "vases": 0.15, "pillars": 0.3, "buttons": 0.2}
+KEEPOUTS |= {"gremlins": 0.4, "push_box": scenes.BOX["Point"][0]}
+
+
+def register(
+    id: str,
+    family: str | type[NavigationTask],
+    objects: Mapping[str, int],
+    *,
+    costs: Sequence[str],
+    agent: str = "Point",
+    lidars: Sequence[str] | None = None,
+    half_width: float = 1.5,
+    max_episode_steps: int = 1000,
+) -> None:
+    """Register a task with gymnasium, as in `register("MyGoal-v0", "Goal", {"hazards": 4}, ...)`.
+
+    It has all that the suite's tasks have: `gym.make`, the native vector environment, infos,
+    parameters, pictures, the six values of `safety_gymnasium.make`, training.
+
+    family: "Goal", "Button" or "Push", which brings its goal, box or four buttons and its reward;
+    or a class derived from one in `circle2d_mj.safety.families`, which may replace `_reward`.
+    objects: how many of `OBJECTS`, in the order in which they are placed; of the box, vases and
+    gremlins, which move, one kind. costs: of `COSTS`. agent: Point, Car or Doggo. lidars: what is
+    observed beside the agent's sensors, by default all that is placed. half_width: of the square
+    in which all are placed, m. Raises ValueError, and TypeError as `gymnasium.make` for parameters.
+    """
+    task = FAMILIES.get(family) if isinstance(family, str) else family
+    if task is None or getattr(task, "family", None) not in FAMILIES:
+        raise ValueError(
+            f"family must be one of {', '.join(FAMILIES)} or of theirs, got {family!r}"
+        )
+    _check("agent", [agent], AGENTS)
+    _check("objects", objects, OBJECTS)
+    counts = {**_OF_FAMILY[task.family], **objects}
+    moving = [kind for kind in counts if kind == "push_box" or KINDS[kind].physics in _MOVES]
+    if len(moving) > 1:
+        raise ValueError(f"objects may hold one kind that moves, got {' and '.join(moving)}")
+    _check("costs", costs, [cost for cost, kind in COSTS.items() if kind in counts])
+    _check("lidars", lidars or (), counts)
+    placed = tuple(Placed(kind, number, KEEPOUTS[kind]) for kind, number in counts.items())
+    seen = tuple(counts if lidars is None else lidars)
+    changes = (*objects.items(), ("half_width", half_width))
+    scene = scenes.scene(Scene(placed, half_width, seen, tuple(costs)), agent, changes)
+    arguments = {"agent": agent, "level": scene}
+    own = SafetyTask("", max_episode_steps, task, arguments)
+    registration.add_safety(id, own, own)
+
+
+_MOVES = ("free", "driven")
+
+
+def _check(name: str, given: object, allowed: object) -> None:
+    known = list(allowed)  # pyright: ignore[reportArgumentType]
+    for one in given:  # pyright: ignore[reportGeneralTypeIssues]
+        if one not in known:
+            raise ValueError(f"{name} may hold {', '.join(known)}, got {one!r}")

@@ -1,0 +1,345 @@
+"""A navigation task under safety-gymnasium's names, to read from: `env.unwrapped.task`."""
+
+# pyright: reportAttributeAccessIssue=false
+# mujoco's names are compiled in, where pyright does not see them.
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Dict
+from numpy.typing import NDArray
+
+from circle2d_mj.core.engine import mujoco
+from circle2d_mj.safety import rules, worlds
+
+HOW = (
+    "the task is compiled once, from its parameters: numbers of objects, half_width, layout_seed "
+    "and places, as in make(id, hazards=3, layout_seed=7); another scene is a task of your own, "
+    "see circle2d_mj.safety.own"
+)
+"""What to do where something cannot be written"""
+
+
+class Part:
+    """Named values that are read; writing one raises AttributeError, which says what to do."""
+
+    def __init__(self, what: str, **values: Any) -> None:
+        self.__dict__.update(_what=what, **values)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"{self._what}.{name} cannot be written: {HOW}")
+
+    def __repr__(self) -> str:
+        shown = (f"{k}={v!r}" for k, v in self.__dict__.items() if not k.startswith("_"))
+        return f"{self._what}({', '.join(shown)})"
+
+
+class Objects(Part):
+    """Objects of one kind."""
+
+    @property
+    def pos(self) -> Any:
+        """Where they are now, [3] m, or a list of such arrays where there may be several."""
+        places = self._simulation.positions(self.name)[self._index]
+        return list(places) if hasattr(self, "num") else places[0]
+
+
+class Buttons(Objects):
+    """The buttons."""
+
+    @property
+    def goal_button(self) -> int:
+        """The number of the one to press."""
+        return int(self._simulation.goal_button[self._index])
+
+    @property
+    def timer(self) -> int:
+        """Steps for which buttons are still off."""
+        return int(self._simulation.timer[self._index])
+
+
+class Agent(Part):
+    """The agent, all in the world but the sensors."""
+
+    @property
+    def pos(self) -> NDArray[np.float64]:
+        """Its origin, [3] m."""
+        return self._simulation.positions("agent")[self._index, 0]
+
+    @property
+    def mat(self) -> NDArray[np.float64]:
+        """Its rotation matrix, [3, 3]: columns are its axes."""
+        return self._simulation.rotations[self._index, 0].copy()
+
+    @property
+    def vel(self) -> NDArray[np.float64]:
+        """The velocity of its origin, [3] m/s."""
+        return self.mat @ self.get_sensor("velocimeter")
+
+    @property
+    def com(self) -> NDArray[np.float64]:
+        """Its centre of mass, [3] m."""
+        return self.engine.data.body("agent").subtree_com.copy()
+
+    def get_sensor(self, name: str) -> NDArray[np.float64]:
+        """Return what a sensor of the agent's model reads, as in "velocimeter": [3]."""
+        sensor = self._simulation.model.sensor(name)
+        first = sensor.adr[0]
+        return self._simulation.sensors[self._index, first : first + sensor.dim[0]].copy()
+
+    def obs_sensor(self) -> dict[str, NDArray[np.float64]]:
+        """Return the agent's part of the observation by name: see `TaskView.obs_info`."""
+        return {name: v for name, v in self._by_name().items() if not name.endswith("_lidar")}
+
+    def dist_xy(self, pos: Any) -> float:
+        """Return the distance to a place, [2 or 3], in the plane, m."""
+        return float(np.hypot(*(np.asarray(pos)[:2] - self.pos[:2])))
+
+    def is_alive(self) -> bool:
+        """Return True: no agent here dies."""
+        return True
+
+
+class Engine(Part):
+    """MuJoCo's model and data, copies of the task's that follow it; writing into them is refused
+    by the next step. The joints of the Point act along the world's axes."""
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The model with all that is drawn."""
+        return self._envs.live_model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The state and what follows from it."""
+        return self._envs.live_data(self._index)
+
+    def body_pos(self, name: str) -> NDArray[np.float64]:
+        """Return where a body's origin is, [3] m."""
+        return self.data.body(name).xpos.copy()
+
+    def body_mat(self, name: str) -> NDArray[np.float64]:
+        """Return a body's rotation matrix, [3, 3]."""
+        return self.data.body(name).xmat.reshape(3, 3).copy()
+
+    def body_com(self, name: str) -> NDArray[np.float64]:
+        """Return the centre of mass of a body and all that hangs on it, [3] m."""
+        return self.data.body(name).subtree_com.copy()
+
+    def body_vel(self, name: str) -> NDArray[np.float64]:
+        """Return the velocity of a body's origin, [3] m/s."""
+        velocity, of = np.zeros(6), self.model.body(name).id
+        kind = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(self.model, self.data, kind, of, velocity, 0)
+        return velocity[3:]
+
+
+class TaskView(Part):
+    """A navigation task: objects as in `task.hazards.pos[0]`, `task.agent`, and its settings."""
+
+    def __init__(self, envs: Any, index: int) -> None:
+        task, engine = envs.simulation, Engine("task.world", _envs=envs, _index=index)
+        super().__init__("task", _envs=envs, _simulation=task, _index=index, world=engine)
+        world, name = task.world, task.agent.name
+        model = task.model
+        bodies = range(1, 1 + _bodies(model))
+        geoms = [model.geom(i).name for b in bodies for i in _geoms(model, b)]
+        size = {"nq": task.agent.nq, "nv": task.agent.nv, "nu": task.agent.nu}
+        agent = Agent(
+            "task.agent",
+            _simulation=task,
+            _index=index,
+            _by_name=self._by_name,
+            name=name,
+            engine=engine,
+            keepout=float(world.areas.keepout[0]),
+            z_height=task.agent.height,
+            rot=None,
+            placements=None,
+            locations=task.given.get("agent", []),
+            action_space=task.action_space,
+            body_info=Part("body_info", **size, nbody=1 + len(bodies), geom_names=geoms),
+            sensor_conf=Part("sensor_conf", sensors=_SENSORS),
+            sensor_info=Part(
+                "sensor_info",
+                sensor_dim={
+                    model.sensor(i).name: int(model.sensor(i).dim[0])
+                    for i in range(model.nsensor)
+                    if model.sensor(i).adr[0] < task.agent.sensed
+                },
+            ),
+        )
+        half = world.scene.half_width
+        self.__dict__.update(
+            agent_name=name,
+            agent=agent,
+            task_name=f"{task.family}Level{task.level}",
+            num_steps=envs.registered_steps,
+            action_space=task.action_space,
+            observation_space=task.observation_space,
+            observation_flatten=True,
+            observe_vision=False,
+            debug=False,
+            action_noise=0.0,
+            lidar_conf=Part(
+                "task.lidar_conf",
+                num_bins=rules.LIDAR_BINS,
+                max_dist=world.scene.reach,
+                exp_gain=1.0,
+                type="pseudo",
+                alias=True,
+            ),
+            compass_conf=Part("task.compass_conf", shape=2),
+            reward_conf=Part("task.reward_conf", reward_clip=rules.REWARD_CLIP),
+            cost_conf=Part("task.cost_conf", constrain_indicator=True),
+            mechanism_conf=Part(
+                "task.mechanism_conf",
+                randomize_layout=envs.layout_seed is None,
+                continue_goal=True,
+                terminate_resample_failure=True,
+            ),
+            sim_conf=Part("task.sim_conf", frameskip_binom_n=10, frameskip_binom_p=1.0),
+            floor_conf=Part("task.floor_conf", type="mat", size=(3.5, 3.5, 0.1)),
+            obs_info=Part("task.obs_info", obs_space_dict=self._spaces()),
+            placements_conf=Part(
+                "task.placements_conf",
+                extents=(-half, -half, half, half),
+                margin=0.0,
+                placements=self._placements(),
+            ),
+            **{kind: self._objects(kind) for kind in world.kinds},
+        )
+        if world.scene.walls:
+            walls = {"num": 2 * len(world.scene.walls), "locate_factor": world.scene.walls[0]}
+            self.__dict__["sigwalls"] = Part("task.sigwalls", name="sigwalls", **walls)
+
+    @property
+    def goal_achieved(self) -> bool:
+        """Whether the current state meets the current goal."""
+        return bool(self._simulation.met[self._index])
+
+    @property
+    def world_info(self) -> Part:
+        """The layout by name: where the agent and all objects were put, m; a goal's is current."""
+        layout = self._simulation.layout[self._index]
+        return Part("task.world_info", layout=dict(zip(self._names(), layout, strict=True)))
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """See `Engine.model`."""
+        return self.world.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """See `Engine.data`."""
+        return self.world.data
+
+    @property
+    def last_dist_goal(self) -> float:
+        """See `dist_goal`."""
+        return self.dist_goal()
+
+    @property
+    def _obstacles(self) -> list[Objects]:
+        return [getattr(self, kind) for kind in self._simulation.world.kinds]
+
+    def dist_goal(self) -> float:
+        """Return the distance from the agent to the goal in the plane, m."""
+        return self.agent.dist_xy(self.goal.pos)
+
+    def dist_box_goal(self) -> float:
+        """Return the distance from the box to the goal, m."""
+        return float(np.linalg.norm(self.push_box.pos - self.goal.pos))
+
+    def obs(self) -> NDArray[np.float64]:
+        """Return the observation."""
+        return self._simulation.observe()[self._index]
+
+    def calculate_cost(self) -> dict[str, float]:
+        """Return the costs of the current state by kind, 1.0 or 0.0, and whether there is one."""
+        kinds = {f"cost_{k}": float(v[self._index]) for k, v in self._simulation._costs().items()}
+        return {**kinds, "cost_sum": max([0.0, *kinds.values()])}
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        raise AttributeError(f"task has no {name!r}; it has {sorted(self._simulation.world.rows)}")
+
+    def _objects(self, kind: str) -> Objects:
+        world = self._simulation.world
+        rows, of = world.rows[kind], world.kinds[kind]
+        several = {"num": rows.stop - rows.start} if kind.endswith("s") else {}
+        values = {
+            "name": kind,
+            "size": of.size[0],
+            "keepout": float(world.areas.keepout[rows.start]) if rows.stop > rows.start else 0.0,
+            "locations": self._simulation.given.get(kind, []),
+            "placements": None,
+            "is_lidar_observed": kind in world.scene.lidars,
+            "is_constrained": any(cost.startswith(kind) for cost in world.scene.costs),
+            "color": np.array(of.colour),
+            **({"density": of.density} if of.physics in ("free", "driven") else {}),
+            **({"radius": of.size[0]} if kind == "circle" else {}),
+        }
+        made = Buttons if kind == "buttons" else Objects
+        where = {"_simulation": self._simulation, "_index": self._index}
+        return made(f"task.{kind}", **where, **several, **values)
+
+    def _names(self) -> list[str]:
+        world = self._simulation.world
+        each = (
+            worlds.names(kind, world.rows[name].stop - world.rows[name].start)
+            for name, kind in world.kinds.items()
+        )
+        return ["agent", *(name for of_kind in each for name in of_kind)]
+
+    def _placements(self) -> dict[str, tuple[Any, float]]:
+        """Rectangles in which each may be placed (None: the square), with its keepout."""
+        areas = self._simulation.world.areas
+        pairs = zip(self._names(), areas.keepout.tolist(), strict=True)
+        return {name: (None, keepout) for name, keepout in pairs}
+
+    def _spaces(self) -> Dict:
+        """The observation's parts by name, in its order: the agent's sensors, then the lidars."""
+        task, spaces = self._simulation, OrderedDict[str, Any]()
+        later: dict[str, tuple[int, ...]] = {}
+        for i in range(task.model.nsensor):
+            sensor = task.model.sensor(i)
+            if sensor.adr[0] >= task.agent.sensed:
+                break
+            angle = sensor.type[0] == mujoco.mjtSensor.mjSENS_JOINTPOS
+            (later if angle else spaces)[sensor.name] = (2,) if angle else (int(sensor.dim[0]),)
+        if task.agent.name == "Car":
+            later["ballquat_rear"] = (3, 3)
+        shapes = {**spaces, **later}
+        spaces = OrderedDict(
+            (name, Box(-np.inf, np.inf, shape, np.float64)) for name, shape in shapes.items()
+        )
+        for kind in task.world.scene.lidars:
+            spaces[f"{kind}_lidar"] = Box(0.0, 1.0, (rules.LIDAR_BINS,), np.float64)
+        return Dict(spaces)  # pyright: ignore[reportArgumentType]
+
+    def _by_name(self) -> dict[str, NDArray[np.float64]]:
+        """The observation's parts by name."""
+        found, first, observation = {}, 0, self.obs()
+        for name, space in self.obs_info.obs_space_dict.items():
+            size = int(np.prod(space.shape))
+            found[name] = observation[first : first + size].reshape(space.shape)
+            first += size
+        return found
+
+
+_SENSORS = ("accelerometer", "velocimeter", "gyro", "magnetometer")
+
+
+def _bodies(model: mujoco.MjModel) -> int:
+    """How many bodies the agent has; they lead, all under the first."""
+    return int((model.body_rootid == model.body("agent").id).sum())
+
+
+def _geoms(model: mujoco.MjModel, body: int) -> range:
+    first = int(model.body_geomadr[body])
+    return range(first, first + int(model.body_geomnum[body]))
