@@ -7,6 +7,7 @@
 # make ray: install [ray] as well, and kill nodes and drivers of clusters, six minutes.
 # make faults: kill, damage, fill and mistype thousands of times, about 25 minutes on a core; prints what
 # was tried and what was wrong (docs/faults.md).
+# make peers PEER=checkout: run safety-gymnasium's own tests, of a checkout, on the tasks here.
 # Each builds .venv first; Python 3.11 or newer is all they need.
 
 PYTHON ?= python3
@@ -18,7 +19,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
 INSTALL := $(PIP) -c constraints.txt
 
-.PHONY: demo test check slow docs results faults integrate lint ray clean
+.PHONY: demo test check slow docs results faults integrate lint peers ray clean
 .DELETE_ON_ERROR:
 
 $(VENV)/made:
@@ -102,6 +103,9 @@ ray: $(VENV)/develops
 
 faults: $(VENV)/develops
 	OMP_NUM_THREADS=1 $(BIN)/python tests/faults/run.py
+
+peers: $(VENV)/develops
+	$(BIN)/python tests/peers/run.py $(PEER)
 
 lint: $(VENV)/develops
 	$(BIN)/ruff check .

@@ -8,6 +8,7 @@ import gymnasium as gym
 import pytest
 
 from circle2d_mj.registration import CIRCLE2D, SAFETY
+from circle2d_mj.safety.tasks import OLD
 
 
 def run(code, folder):
@@ -46,7 +47,10 @@ def test_the_ids_that_are_listed_are_those_that_are_registered():
     found = {name for name in gym.registry if name.startswith("Circle2D")}
     assert set(CIRCLE2D) == found
     assert len(CIRCLE2D) == 8
-    assert {name for name in gym.registry if name.startswith("circle2d_mj/")} == set(SAFETY)
+    assert {name for name in gym.registry if name.startswith("circle2d_mj/")} == {
+        *SAFETY,
+        *(f"circle2d_mj/{name}" for name in OLD),
+    }
 
 
 def test_an_unknown_keyword_is_refused_in_pythons_words():

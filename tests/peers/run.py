@@ -2,8 +2,8 @@
 
 python tests/peers/run.py CHECKOUT [pytest's arguments]
 
-CHECKOUT: of github.com/PKU-Alignment/safety-gymnasium; only the files in its folder `tests` are used.
-Nothing is fetched. Prints how many cases pass, of all and of those whose ids are here.
+CHECKOUT: of github.com/PKU-Alignment/safety-gymnasium; only its folder `tests` is used. Nothing is
+fetched. Prints how many cases pass, of all and of those whose ids are here.
 """
 
 from __future__ import annotations
@@ -69,10 +69,10 @@ def main(checkout: Path, arguments: list[str]) -> int:
     for where, outcome, name in cases:
         if (where, outcome) == ("here", "failed"):
             print("failed:", name)
+    ours = f"{counts['here', 'passed']} of {of_here} whose ids are here"
     print(
-        f"{passed} of {len(cases)} cases passed, {counts['here', 'passed']} of {of_here} whose ids"
+        f"{passed} of {len(cases)} cases passed, {ours}; files that cannot be imported not counted"
     )
-    print("are here; files that could not be imported count as nothing")
     return 0 if of_here and counts["here", "passed"] >= 0.95 * of_here else 1
 
 

@@ -21,13 +21,22 @@ class Slow(GoalTask):
         return super()._reward(before, after, met) - 2.0
 
 
-def registered(id, *args, **options):
-    gym.registry.pop(id, None), gym.registry.pop(f"circle2d_mj/{id}", None)
-    own.register(id, *args, **options)
-    return id
+@pytest.fixture
+def registered():
+    """Registers a task for the time of a test."""
+    names = []
+
+    def register(id, *args, **options):
+        own.register(id, *args, **options)
+        names.extend((id, f"circle2d_mj/{id}"))
+        return id
+
+    yield register
+    for name in names:
+        del gym.registry[name]
 
 
-def test_the_suites_task_made_of_its_parts():
+def test_the_suites_task_made_of_its_parts(registered):
     """Goal1 again, but for the goal's keepout: the same steps from the same places."""
     id = registered("OwnGoal1-v0", Slow, {"hazards": 8, "vases": 1}, costs=["hazards"])
     assert id in gym.registry
@@ -49,7 +58,7 @@ def test_the_suites_task_made_of_its_parts():
         assert got[4] == expected[4]
 
 
-def test_an_own_task_in_a_vector_environment_and_with_six_values():
+def test_an_own_task_in_a_vector_environment_and_with_six_values(registered):
     id = registered(
         *("OwnPush-v0", "Push", {"pillars": 2, "hazards": 1}),
         agent="Car",

@@ -381,6 +381,7 @@ def test_an_environment_that_is_registered():
     envs = safety_gymnasium.vector.make("Six-v0", 2)
     envs.reset()
     equal(envs.step(np.zeros((2, 1)))[2], [1.0, 1.0])
+    del gym.registry["Six-v0"], safety_gymnasium.registry["Six-v0"]
 
 
 def test_pictures_in_rows():
