@@ -24,10 +24,10 @@ from agents.lockstep.lagrange import Multiplier
 from agents.lockstep.nets import no_moments
 from agents.on_policy.epoch import (
     Epoch,
-    blocks_of,
     compared,
     divergence,
     raised_advantage,
+    taken,
 )
 from agents.on_policy.learner import OnPolicy
 from agents.on_policy.state import Gaussian, OnPolicyConfig, OnPolicyState
@@ -213,8 +213,7 @@ class FirstOrder(OnPolicy):
         assert moments is not None
         multipliers = lagrange.values(rule.multipliers, state.multipliers, runs)
         advantage = raised_advantage(rule, config, epoch, steps, multipliers)
-        old = blocks_of(self.nets, actor, epoch, advantage)
-        old_log_prob = torch.cat([block.old_log_prob for block in old], dim=-1)
+        old = taken(self.nets, actor, epoch, advantage)
         excess = (epoch.cost - lagrange.limits(rule, config)).to(actor.dtype)
         actor, moments = tree.copy((actor, moments))
         descent = Descent(
@@ -228,13 +227,12 @@ class FirstOrder(OnPolicy):
             longest=config.max_gradient_norm,
         )
         own = kernel.of(descent.params)
-        columns = (epoch.observation, epoch.action, epoch.weight, advantage, old_log_prob)
+        columns = (epoch.observation, epoch.action, epoch.weight, advantage, old.old_log_prob)
         whole = Minibatch(*columns, epoch.cost_advantage, None, excess, multipliers)
         clipped, count = np.zeros(runs), np.zeros(runs)
         for k, surrogate in enumerate(rule.surrogates):
-            start = blocks_of(self.nets, actor, epoch, advantage) if k else old
-            means = torch.cat([block.old.mean for block in start], dim=1)
-            whole = whole._replace(start=start[0].old._replace(mean=means))
+            start = taken(self.nets, actor, epoch, advantage) if k else old
+            whole = whole._replace(start=start.old)
             loss, taking = loss_of(config, surrogate, whole), steps
             for _ in range(config.actor_iterations):
                 order = orders(steps, generators)

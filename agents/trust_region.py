@@ -20,12 +20,10 @@ from agents.lockstep import kernel, lagrange
 from agents.lockstep.backend import differentiate
 from agents.lockstep.lagrange import Multiplier
 from agents.on_policy.epoch import (
-    Block,
     Epoch,
-    blocks_of,
     compared,
-    compared_in,
     raised_advantage,
+    taken,
 )
 from agents.on_policy.learner import OnPolicy
 from agents.on_policy.state import EpisodeCostLimit, Nets, OnPolicyConfig, OnPolicyState
@@ -90,15 +88,6 @@ def curvature(nets: Nets, config: Any, actor: Tensor, epoch: Epoch) -> tuple[Pro
     return of(0), of(config.cg_iterations)
 
 
-def gradient_in(nets: Nets, actor: Tensor, block: Block, of: int) -> Tensor:
-    """A block's part of the gradient of `compared`'s surrogate `of`, [R, actor size]."""
-
-    def surrogate(params: Tensor) -> tuple[Tensor, tuple[()]]:
-        return compared_in(nets, params, block)[0][:, of].sum(), ()
-
-    return differentiate(surrogate, actor)[0]
-
-
 def policy_step(
     nets: Nets,
     config: Any,
@@ -112,11 +101,13 @@ def policy_step(
     old = state.actor
     multipliers = lagrange.values(rule.multipliers, state.multipliers, len(old))
     advantage = raised_advantage(rule, config, epoch, steps, multipliers)
-    in_blocks = blocks_of(nets, old, epoch, advantage)
+    taken_steps = taken(nets, old, epoch, advantage)
 
     def gradient(of: int) -> Tensor:
-        parts = (gradient_in(nets, old, block, of) for block in in_blocks)
-        return sum(parts, start=torch.zeros_like(old))
+        def surrogate(params: Tensor) -> tuple[Tensor, tuple[()]]:
+            return compared(nets, params, taken_steps)[0][:, of].sum(), ()
+
+        return differentiate(surrogate, old)[0]
 
     product, solve = curvature(nets, config, old, epoch)
     problem = Problem(
@@ -129,10 +120,10 @@ def policy_step(
         multipliers=multipliers,
     )
     step = rule.step(config, problem)
-    before, _ = compared(nets, old, in_blocks)
+    before, _ = compared(nets, old, taken_steps)
 
     def judge(actor: Tensor) -> tuple[Tensor, Tensor]:
-        after, kl = compared(nets, actor, in_blocks)
+        after, kl = compared(nets, actor, taken_steps)
         growth, cost_growth = (after - before).unbind(dim=-1)
         cost_growth = cost_growth * epoch.length
         near = step.divergence(kl, cost_growth) <= config.target_kl

@@ -37,9 +37,13 @@ def ours(algorithm, task, runs, how):
     from dataclasses import replace
 
     from agents.lockstep import backend
-    from agents.paper.presets import preset
     from agents.training.config import TrainConfig
     from agents.training.trainer import Trainer
+
+    with contextlib.suppress(ModuleNotFoundError):
+        from agents.paper.presets import preset  # where it was
+    with contextlib.suppress(ModuleNotFoundError):
+        from agents.presets import preset
 
     backend.configure(True if how == "before" else how)
     config, epochs, warm = preset(algorithm, task), EPOCHS[task], 1

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from agents.lockstep.kernel import Float, Kernel, Shape
+    from agents.lockstep.kernel import Float, InNumpy, Shape
 
 MAY_DIVERGE = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 """For updates: a run whose numbers are not finite is found by its learner's `finite`."""
@@ -154,9 +154,9 @@ def minibatches(
 
 @MAY_DIVERGE
 def descend(
-    own: Kernel, it: Descent, loss: Loss, order: NDArray[np.int64], steps: NDArray[np.int64]
+    own: InNumpy, it: Descent, loss: Loss, order: NDArray[np.int64], steps: NDArray[np.int64]
 ) -> Float:
-    """See `Kernel.descend`, for any loss."""
+    """See `InNumpy.descend`, for any loss."""
     params, runs = it.params, len(steps)
     share, seen = len(params) // runs, it.inputs[..., : it.net.sizes[0]]
     total = np.zeros(len(params), params.dtype)
@@ -170,12 +170,10 @@ def descend(
         norm = np.sqrt((gradient * gradient).sum(axis=-1, keepdims=True))
         gradient *= np.minimum(it.longest / (norm + 1e-6), 1.0)
         present = weight[:, 0] > 0
-        own_rows = (
-            [slice(None)] if present.all() else [slice(r, r + 1) for r in np.flatnonzero(present)]
-        )
-        by_run = [a.reshape(runs, -1) for a in (params, gradient)]
-        for part in own_rows:
-            moments = Moments(*(m[part] for m in it.moments))
-            own.adam(*(a[part] for a in by_run), moments, it.rate)
+        own_rows = [slice(r, r + 1) for r in np.flatnonzero(present)]
+        by_run = (params.reshape(runs, -1), gradient.reshape(runs, -1), *it.moments)
+        for part in [slice(None)] if present.all() else own_rows:
+            to, down, mean, square, decay1, decay2 = (array[part] for array in by_run)
+            own.adam(to, down, Moments(mean, square, decay1, decay2), it.rate)
         total += found.record
     return total

@@ -408,15 +408,16 @@ int64_t tape_size(int layers, const int64_t *n, int kind, int64_t rows) {
 }
 
 // Outputs y [nets][rows][out] of networks params [nets], `stride` numbers apart, for inputs
-// x [nets / share][rows][in], and their tape.
+// x [nets / share][rows][in], and their tape, unless null.
 void forward(int layers, const int64_t *n, int kind, int64_t nets, const float *params,
              int64_t stride, int64_t rows, float *tape, const float *x, int64_t share, float *y) {
   const Net net(layers, n, kind);
   const int64_t out = n[layers];
   float *outputs = scratch(3, net.widest * ROWS);
-  tape = aligned(tape);
+  const int64_t kept = tape ? net.tape : 0;
+  tape = tape ? aligned(tape) : scratch(4, net.tape);
   for (int64_t k = 0; k < nets; k++)
-    for (int64_t r = 0; r < rows; r += ROWS, tape += net.tape) {
+    for (int64_t r = 0; r < rows; r += ROWS, tape += kept) {
       const int64_t some = std::min(ROWS, rows - r);
       net.begin(x + (k / share * rows + r) * n[0], n[0], nullptr, some, tape);
       net.values(params + k * stride, tape, outputs, filled(some));

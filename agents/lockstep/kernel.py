@@ -64,49 +64,19 @@ class Curvature(NamedTuple):
     damping: float
 
 
-class Kernel(Protocol):
-    """Functions of N networks of one shape, params [N, at least size], and inputs
-    [N / share, B, in]: each is that of `share` networks, one behind the other."""
-
-    def forward(self, net: Shape, params: Float, x: Float, share: int = 1) -> tuple[Float, Any]:
-        """Outputs [N, B, out], and what the others need of the hidden layers."""
-        ...
-
-    def backward(
-        self, net: Shape, params: Float, x: Float, tape: Any, dy: Float, of: str, share: int = 1
-    ) -> tuple[Float | None, Float | None]:
-        """Products of dy [N, B, out] with the Jacobian; of: "p" in the parameters, [N, width of
-        params], 0 behind the network's own; "x" in the inputs, [N, B, in]; "px" both."""
-        ...
-
-    def tangent(self, net: Shape, params: Float, x: Float, tape: Any, v: Float) -> Float:
-        """Products of the Jacobian in the parameters with v [N, at least size]: [N, B, out]."""
-        ...
-
-    def adam(self, params: Float, gradient: Float, moments: Moments, rate: float) -> None:
-        """One step down the gradient, all [R, P], in place. Source: Kingma & Ba 2015, algorithm
-        1."""
-        ...
-
-    def descend(
-        self, it: Descent, loss: Loss, order: NDArray[np.int64], steps: NDArray[np.int64]
-    ) -> Float:
-        """A pass of Adam: the sums over minibatches of what the loss records, [N].
-
-        order: of `orders`; steps: [R], of each run in it, 0 of one that takes no part. A run
-        without rows in a minibatch waits."""
-        ...
-
-    def curvature(self, it: Curvature, v: Float, iterations: int = 0) -> Float:
-        """H v for v [R, P], or with iterations the x of H x = v by `conjugate_gradient`."""
-        ...
-
-
 class InNumpy:
-    """The kernel in NumPy, for numbers of any precision."""
+    """The kernel in NumPy, for numbers of any precision.
+
+    Its functions are of N networks of one shape, params [N, at least size], and of inputs
+    [N / share, B, in], each that of `share` networks, one behind the other.
+    """
+
+    def values(self, net: Shape, params: Float, x: Float, share: int = 1) -> Float:
+        """Outputs [N, B, out]."""
+        return self.forward(net, params, x, share)[0]
 
     def forward(self, net: Shape, params: Float, x: Float, share: int = 1) -> tuple[Float, Any]:
-        """See `Kernel`."""
+        """Outputs [N, B, out], and what `backward` and `tangent` need of the hidden layers."""
         x, tape = np.repeat(x, share, axis=0), []
         *hidden, (weight, bias) = layers(net.sizes, params)
         for w, b in hidden:
@@ -117,7 +87,8 @@ class InNumpy:
     def backward(
         self, net: Shape, params: Float, x: Float, tape: Any, dy: Float, of: str, share: int = 1
     ) -> tuple[Float | None, Float | None]:
-        """See `Kernel`."""
+        """Products of dy [N, B, out] with the Jacobian; of: "p" in the parameters, [N, width of
+        params], 0 behind the network's own; "x" in the inputs, [N, B, in]; "px" both."""
         gradient = np.zeros_like(params)
         inputs = [np.repeat(x, share, axis=0), *(values for values, _ in tape)]
         pairs = zip(layers(net.sizes, params), layers(net.sizes, gradient), strict=True)
@@ -130,7 +101,7 @@ class InNumpy:
         return gradient if "p" in of else None, dy if "x" in of else None
 
     def tangent(self, net: Shape, params: Float, x: Float, tape: Any, v: Float) -> Float:
-        """See `Kernel`."""
+        """Products of the Jacobian in the parameters with v [N, at least size]: [N, B, out]."""
         dot, steps = np.zeros_like(x), [*tape, (None, 1)]
         for (w, _), (vw, vb), (values, slope) in zip(
             layers(net.sizes, params), layers(net.sizes, v), steps, strict=True
@@ -140,7 +111,8 @@ class InNumpy:
         return dot
 
     def adam(self, params: Float, gradient: Float, moments: Moments, rate: float) -> None:
-        """See `Kernel`."""
+        """One step down the gradient, all [R, P], in place. Source: Kingma & Ba 2015, algorithm
+        1."""
         mean, square, *decays = moments
         for decay, beta in zip(decays, (BETA1, BETA2), strict=True):
             decay *= beta
@@ -153,11 +125,14 @@ class InNumpy:
     def descend(
         self, it: Descent, loss: Loss, order: NDArray[np.int64], steps: NDArray[np.int64]
     ) -> Float:
-        """See `Kernel`."""
+        """A pass of Adam: the sums over minibatches of what the loss records, [N].
+
+        order: of `orders`; steps: [R], of each run in it, 0 of one that takes no part. A run
+        without rows in a minibatch waits."""
         return descend(self, it, loss, order, steps)
 
     def curvature(self, it: Curvature, v: Float, iterations: int = 0) -> Float:
-        """See `Kernel`."""
+        """H v for v [R, P], or with iterations the x of H x = v by `conjugate_gradient`."""
         if iterations:
             return conjugate_gradient(functools.partial(self.curvature, it), v, iterations)
         params, x, log_std = it.params, it.inputs[..., : it.net.sizes[0]], it.params[:, it.log_std]
@@ -226,7 +201,7 @@ _ACTIVATIONS: dict[Activation, Callable[[Float], tuple[Float, Float]]] = {
 IN_NUMPY = InNumpy()
 
 
-class InCpp:
+class InCpp(InNumpy):
     """The kernel in C++, for float32."""
 
     def __init__(self, library: Path) -> None:
@@ -247,8 +222,14 @@ class InCpp:
         for name in ("forward", "backward", "tangent", "adam", "descend", "curvature"):
             getattr(self.functions, name).restype = None
 
+    def values(self, net: Shape, params: Float, x: Float, share: int = 1) -> Float:
+        """See `InNumpy`."""
+        y = np.empty((len(params), x.shape[1], net.sizes[-1]), np.float32)
+        self.functions.forward(*_of(net, params, x, None), x.ctypes.data, share, y.ctypes.data)
+        return y
+
     def forward(self, net: Shape, params: Float, x: Float, share: int = 1) -> tuple[Float, Any]:
-        """See `Kernel`."""
+        """See `InNumpy`."""
         y = np.empty((len(params), x.shape[1], net.sizes[-1]), np.float32)
         size = self.functions.tape_size(*_shape(net.sizes, net.activation), x.shape[1])
         tape = np.empty(len(params) * size + LINE, np.float32)
@@ -258,7 +239,7 @@ class InCpp:
     def backward(
         self, net: Shape, params: Float, x: Float, tape: Any, dy: Float, of: str, share: int = 1
     ) -> tuple[Float | None, Float | None]:
-        """See `Kernel`."""
+        """See `InNumpy`."""
         dy = np.ascontiguousarray(dy)  # kept here, while its address is in use
         gp = np.zeros(params.shape, np.float32) if "p" in of else None
         gx = np.empty((*dy.shape[:2], net.sizes[0]), np.float32) if "x" in of else None
@@ -267,23 +248,23 @@ class InCpp:
         return gp, gx
 
     def tangent(self, net: Shape, params: Float, x: Float, tape: Any, v: Float) -> Float:
-        """See `Kernel`."""
+        """See `InNumpy`."""
         jy = np.empty((len(params), x.shape[1], net.sizes[-1]), np.float32)
         direction = (v.ctypes.data, v.strides[0] // 4)
         self.functions.tangent(*_of(net, params, x, tape), *direction, jy.ctypes.data)
         return jy
 
     def adam(self, params: Float, gradient: Float, moments: Moments, rate: float) -> None:
-        """See `Kernel`."""
+        """See `InNumpy`."""
         arrays = [a.ctypes.data for a in (params, gradient, *moments)]
         self.functions.adam(*params.shape, *arrays, rate)
 
     def descend(
         self, it: Descent, loss: Loss, order: NDArray[np.int64], steps: NDArray[np.int64]
     ) -> Float:
-        """See `Kernel`."""
+        """See `InNumpy`."""
         if not isinstance(loss, Clipped | Squared):
-            return descend(self, it, loss, order, steps)
+            return super().descend(it, loss, order, steps)
         params, x = it.params, np.ascontiguousarray(it.inputs)
         assert params.flags.c_contiguous and all(m.flags.c_contiguous for m in it.moments)
         # Contiguous, and kept here, while their addresses are in use.
@@ -305,7 +286,7 @@ class InCpp:
         return records
 
     def curvature(self, it: Curvature, v: Float, iterations: int = 0) -> Float:
-        """See `Kernel`."""
+        """See `InNumpy`."""
         params, x, weight, v = (
             np.ascontiguousarray(a) for a in (it.params, it.inputs, it.weight, v)
         )
@@ -323,10 +304,10 @@ LINE = 16
 """Numbers in a line of the cache, at whose beginning C++ has a tape begin."""
 
 
-def _of(net: Shape, params: Float, x: Float, tape: Float) -> tuple[Any, ...]:
+def _of(net: Shape, params: Float, x: Float, tape: Float | None) -> tuple[Any, ...]:
     """The arguments that the functions of networks begin with."""
     given = (len(params), params.ctypes.data, params.strides[0] // 4, x.shape[1])
-    return *_shape(net.sizes, net.activation), *given, tape.ctypes.data
+    return *_shape(net.sizes, net.activation), *given, _data(tape)
 
 
 @functools.cache
@@ -398,7 +379,7 @@ class _Probe(NamedTuple):
     activation: Activation
 
 
-def error_of(kernel: Kernel) -> float:
+def error_of(kernel: InNumpy) -> float:
     """The largest difference of a kernel's float32 from the NumPy kernel in float64."""
     rng, worst = np.random.default_rng(0), 0.0
     for activation in _ACTIVATIONS:
@@ -419,14 +400,15 @@ def _size(net: Shape) -> int:
 
 
 def _results(
-    kernel: Kernel, net: Shape, policy: Shape, params: Float, v: Float, x: Float, **given: Float
+    kernel: InNumpy, net: Shape, policy: Shape, params: Float, v: Float, x: Float, **given: Float
 ) -> list[Float]:
     """What all functions of a kernel return."""
     y, tape = kernel.forward(policy, params, x, 2)
+    found = [kernel.values(policy, params, x, 2)]
     gp, gx = kernel.backward(policy, params, x, tape, given["dy"], "px", 2)
     assert gp is not None and gx is not None
     alone = kernel.forward(policy, params[:2], x)[1]
-    found = [y, gp / 10, gx, kernel.tangent(policy, params[:2], x, alone, v[:2])]
+    found += [y, gp / 10, gx, kernel.tangent(policy, params[:2], x, alone, v[:2])]
     order, steps = np.tile(np.arange(70)[::-1], (2, 1)), np.array([70, 40])
     old, end = np.full_like(given["advantage"], -3.0), _size(policy)
     clipped = Clipped(given["action"], given["advantage"], old, 0.2)
@@ -445,7 +427,7 @@ def _results(
     return [*found, moved, *curved]
 
 
-_kernel: Kernel = IN_NUMPY
+_kernel: InNumpy = IN_NUMPY
 
 
 def use(backend: Backend) -> None:
@@ -461,6 +443,6 @@ def used() -> Backend:
     return "numpy" if _kernel is IN_NUMPY else "c++"
 
 
-def of(array: Float) -> Kernel:
+def of(array: Float) -> InNumpy:
     """The kernel for numbers like those of an array."""
     return _kernel if array.dtype == np.float32 else IN_NUMPY

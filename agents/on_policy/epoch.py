@@ -1,13 +1,11 @@
-"""Episodes of each run laid end to end, in blocks whose size does not depend on any run.
+"""Episodes of each run laid end to end, and sums over them.
 
-Runs whose episodes have different lengths share arrays; rows of weight 0 fill the rest. Sums go
-over one block after another, so that a run's sums are the same, bit for bit, however many rows the
-other runs have.
+Runs whose episodes have different lengths share arrays; rows of weight 0 fill the rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,10 +75,11 @@ class Packing:
         return (rows / np.maximum(self.steps, 1)[:, None]).astype(np.float32)
 
 
-def blocks(*columns: Tensor) -> Iterator[tuple[Tensor, ...]]:
-    """The columns [R, size, ...] in blocks [R, BLOCK, ...]."""
-    for start in range(0, columns[0].shape[1], BLOCK):
-        yield tuple(column[:, start : start + BLOCK].contiguous() for column in columns)
+def total(values: Tensor) -> Tensor:
+    """Sums over rows [R, ..., B] -> [R, ...], of one block after another: a run's is the same, bit
+    for bit, however many rows the others have."""
+    parts = values.unflatten(-1, (-1, BLOCK)).sum(dim=-1)
+    return functools.reduce(torch.add, parts.unbind(dim=-1))
 
 
 def advantages(
@@ -109,21 +108,21 @@ def advantages(
     return result
 
 
-class Block(NamedTuple):
+class Taken(NamedTuple):
     """Steps of an epoch, with the distribution of the policy that took them."""
 
     observation: Tensor
-    """[R, BLOCK, observation size]"""
+    """[R, B, critic inputs]"""
     action: Tensor
-    """[R, BLOCK, A]"""
+    """[R, B, A]"""
     weight: Tensor
-    """[R, BLOCK]"""
+    """[R, B]"""
     gains: Tensor
-    """[R, 2, BLOCK]: advantages of the objective and of the first cost"""
+    """[R, 2, B]: advantages of the objective and of the first cost"""
     old: Gaussian
     """The policy before its step."""
     old_log_prob: Tensor
-    """[R, BLOCK]"""
+    """[R, B]"""
 
 
 def raised_advantage(
@@ -147,46 +146,27 @@ def raised_advantage(
     return raised
 
 
-def blocks_of(nets: Nets, actor: Tensor, epoch: Epoch, objective: Tensor) -> list[Block]:
+def taken(nets: Nets, actor: Tensor, epoch: Epoch, objective: Tensor) -> Taken:
     """The epoch's steps under the policy that took them; objective: advantages [R, B]."""
-    first = epoch.cost_advantage[:, 0]
-    columns = (epoch.observation, epoch.action, epoch.weight, objective, first)
-    found = []
-    for observation, action, weight, of_objective, of_cost in blocks(*columns):
-        old = nets.actor.distribution(actor, observation)
-        gains = torch.stack((of_objective, of_cost), dim=1)
-        found.append(Block(observation, action, weight, gains, old, old.log_prob(action)))
-    return found
+    old = nets.actor.distribution(actor, epoch.observation)
+    gains = torch.stack((objective, epoch.cost_advantage[:, 0]), dim=1)
+    of_policy = old, old.log_prob(epoch.action)
+    return Taken(epoch.observation, epoch.action, epoch.weight, gains, *of_policy)
 
 
-def compared_in(nets: Nets, actor: Tensor, block: Block) -> tuple[Tensor, Tensor]:
-    """A block's part of the sums of `compared`."""
-    policy = nets.actor.distribution(actor, block.observation)
-    held = block.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
-    change = torch.where(held, policy.log_prob(block.action) - block.old_log_prob, 0.0)
-    weighted = (block.weight * change.exp())[:, None] * block.gains
-    divergence = torch.where(held, block.old.kl(policy), 0.0)
-    return weighted.sum(dim=-1), (block.weight * divergence).sum(dim=-1)
-
-
-def compared(nets: Nets, actor: Tensor, steps: list[Block]) -> tuple[Tensor, Tensor]:
+def compared(nets: Nets, actor: Tensor, steps: Taken) -> tuple[Tensor, Tensor]:
     """A policy against the one before: `E[π(a|s) / π_old(a|s) · A]` for the objective and the first
     cost, [R, 2], and the mean KL divergence from the old to the new one, [R]."""
-    surrogates, kl = torch.zeros(len(actor), 2), torch.zeros(len(actor))
-    for block in steps:
-        of_block, kl_of_block = compared_in(nets, actor, block)
-        surrogates, kl = surrogates + of_block, kl + kl_of_block
-    return surrogates, kl
+    policy = nets.actor.distribution(actor, steps.observation)
+    held = steps.weight > 0  # elsewhere a sharp policy may give infinity, and 0 · ∞ is NaN
+    change = torch.where(held, policy.log_prob(steps.action) - steps.old_log_prob, 0.0)
+    weighted = (steps.weight * change.exp())[:, None] * steps.gains
+    kl = torch.where(held, steps.old.kl(policy), 0.0)
+    return total(weighted), total(steps.weight * kl)
 
 
-def divergence_in(nets: Nets, actor: Tensor, block: Block, reverse: bool) -> Tensor:
-    """A block's part of the sum of `divergence`."""
-    policy = nets.actor.distribution(actor, block.observation)
-    kl = policy.kl(block.old) if reverse else block.old.kl(policy)
-    return (block.weight * torch.where(block.weight > 0, kl, 0.0)).sum(dim=-1)
-
-
-def divergence(nets: Nets, actor: Tensor, steps: list[Block], reverse: bool = False) -> Tensor:
+def divergence(nets: Nets, actor: Tensor, steps: Taken, reverse: bool = False) -> Tensor:
     """The mean KL divergence from the old policy to another, or the other way round, [R]."""
-    parts = (divergence_in(nets, actor, block, reverse) for block in steps)
-    return sum(parts, start=torch.zeros(len(actor)))
+    policy = nets.actor.distribution(actor, steps.observation)
+    kl = policy.kl(steps.old) if reverse else steps.old.kl(policy)
+    return total(steps.weight * torch.where(steps.weight > 0, kl, 0.0))

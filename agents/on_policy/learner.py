@@ -17,13 +17,8 @@ from agents.lockstep.descent import Descent, Squared, orders
 from agents.lockstep.nets import Moments
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout, learned
-from agents.on_policy.epoch import Epoch, Packing, advantages, blocks
-from agents.on_policy.state import Nets, OnPolicyState, initial_state, make_nets
-
-
-def values(nets: Nets, critics: Tensor, observation: Tensor) -> Tensor:
-    """Values of all critics of each run at observations [R, B, critic inputs]: [R, 1 + C, B]."""
-    return nets.critic.forward_each(critics, observation)
+from agents.on_policy.epoch import Epoch, Packing, advantages
+from agents.on_policy.state import OnPolicyState, initial_state, make_nets
 
 
 class OnPolicy(ABC):
@@ -181,9 +176,8 @@ class OnPolicy(ABC):
         return tensor(self._normalizer.inputs(observation) if self._normalizer else observation)
 
     def _values(self, observation: torch.Tensor) -> NDArray[np.float32]:
-        """Values of the critics, computed block by block: [R, 1 + C, B]."""
-        parts = [values(self.nets, self._state.critics, *block) for block in blocks(observation)]
-        return array(torch.cat(parts, dim=-1))
+        """Values of the critics: [R, 1 + C, B]."""
+        return array(self.nets.critic.forward_each(self._state.critics, observation))
 
     def _std(self) -> torch.Tensor:
         """Standard deviation of each run's policy, mean over action components: [R]."""

@@ -74,16 +74,12 @@ def test_passes_end_by_the_divergence_from_the_new_policy_to_the_old(name, monke
     def noted(nets, actor, steps, reverse):
         found = divergence(nets, actor, steps, reverse)
         for run in range(2):
-            total = 0.0
-            for block in steps:
-                new, old = (
-                    nets.actor.distribution(params, block.observation) for params in (actor, start)
-                )
-                pair = [
-                    Normal(of.mean[run], of.std[run].expand_as(of.mean[run])) for of in (new, old)
-                ]
-                total += (block.weight[run] * kl_divergence(*pair).sum(dim=-1)).sum()
-            assert found[run].item() == pytest.approx(total.item(), rel=1e-3, abs=1e-7)
+            new, old = (
+                nets.actor.distribution(params, steps.observation) for params in (actor, start)
+            )
+            pair = [Normal(of.mean[run], of.std[run].expand_as(of.mean[run])) for of in (new, old)]
+            mean = (steps.weight[run] * kl_divergence(*pair).sum(dim=-1)).sum()
+            assert found[run].item() == pytest.approx(mean.item(), rel=1e-3, abs=1e-7)
         checked.append(found)
         return found
 

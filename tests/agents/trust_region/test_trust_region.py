@@ -15,7 +15,7 @@ from agents.algorithms.cpo import CPOConfig
 from agents.algorithms.trpo_lag import TRPOLagConfig
 from agents.lockstep.normalizer import Inputs
 from agents.on_policy import state as on_policy
-from agents.on_policy.epoch import BLOCK, Epoch, blocks_of, compared
+from agents.on_policy.epoch import BLOCK, Epoch, compared, taken
 from agents.on_policy.state import OnPolicyState
 from agents.trust_region import Problem, Step, conjugate_gradient, line_search
 
@@ -195,11 +195,11 @@ def test_compared_and_its_gradient_against_separate_runs(steps, size):
     """E[ratio · A] for both advantages, and the KL from the old to the new policy."""
     old, new = random_actor(2), random_actor(2, seed=3)
     epoch = random_epoch(torch.tensor(steps), size)
-    blocks = blocks_of(NETS, old, epoch, epoch.reward_advantage)
-    found, kl = compared(NETS, new, blocks)
+    steps_taken = taken(NETS, old, epoch, epoch.reward_advantage)
+    found, kl = compared(NETS, new, steps_taken)
     for of, advantage in enumerate((epoch.reward_advantage, epoch.cost_advantage[:, 0])):
         at = new.clone().requires_grad_()
-        (moved,) = torch.autograd.grad(compared(NETS, at, blocks)[0][:, of].sum(), at)
+        (moved,) = torch.autograd.grad(compared(NETS, at, steps_taken)[0][:, of].sum(), at)
         for run, n in enumerate(steps):
             vector = new[run].clone().requires_grad_()
             observation, action = epoch.observation[run, :n], epoch.action[run, :n]
@@ -254,9 +254,9 @@ def test_rows_of_weight_zero_do_not_change_a_sharp_policy():
             length=torch.ones(1),
             cost=torch.zeros(1, 1),
         )
-        steps = blocks_of(NETS, actor, epoch, epoch.reward_advantage)
+        steps = taken(NETS, actor, epoch, epoch.reward_advantage)
         at_padding = NETS.actor.distribution(nearer, epoch.observation).log_prob(epoch.action)
-        assert (at_padding - steps[0].old_log_prob[:, -1])[0, -1] > 100
+        assert (at_padding - steps.old_log_prob[:, -1])[0, -1] > 100
         found.append(compared(NETS, nearer, steps))
     for short, long in zip(*found, strict=True):
         assert short.isfinite().all()
