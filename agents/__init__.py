@@ -9,6 +9,7 @@ The whole entrance from Python:
 | `load_runs(*folders)` | open the runs at or below folders -> `Runs` |
 | `load_policy(folder, seed, step=None)` | a trained policy -> `Policy` |
 | `pretrained(algorithm, task)` | the folder of a policy that comes with the package |
+| `zoo()` | what the trained agents that come with the package reach -> a pandas frame |
 | `evaluate(policy_or_folder, task)` | play episodes -> `Evaluation` |
 | `sweep(algorithm, task, grid={...}, out=...)` | every combination of hyper-parameters -> `Runs` |
 | `report(*folders)` | tables, figures and a page of all runs below some folders |
@@ -32,6 +33,7 @@ The subpackages and modules, lowest layer first; each imports only those before 
 - `paper`: the study of the paper: grid, printed numbers and claims, which reports are given
 - `export`: policies as files for other programs
 - `runs`: runs on disk as Python objects
+- `zoo`: what the trained agents of the package reach
 - `api`: the functions that train and report
 - `cli`: the command `circle2d`
 """
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     from agents.runs import Runs, load_runs
     from agents.training.callbacks import Epoch
     from agents.training.policy import Evaluation, Policy, evaluate, load_policy, pretrained
+    from agents.zoo import zoo
 
 __all__ = (
     "Algorithm",
@@ -66,11 +69,13 @@ __all__ = (
     "resume",
     "sweep",
     "train",
+    "zoo",
 )
 _HOMES = {
     "agents.algorithms": ("Algorithm", "register"),
     "agents.api": ("compare", "plot", "report", "resume", "sweep", "train"),
     "agents.errors": ("UserError",),
+    "agents.zoo": ("zoo",),
     "agents.runs": ("Runs", "load_runs"),
     "agents.training.callbacks": ("Epoch",),
     "agents.training.policy": ("Evaluation", "Policy", "evaluate", "load_policy", "pretrained"),

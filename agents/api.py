@@ -35,7 +35,7 @@ from agents.checks import as_integer
 from agents.errors import RemoteTraceback, RunsFailed, UserError, extra
 from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.kernel import Backend
-from agents.presets import PresetName, preset_with
+from agents.presets import PresetName, preset_with, recipe
 from agents.runs import Runs, folders_of
 from agents.training import callbacks, trainer
 from agents.training.callbacks import Epoch
@@ -61,7 +61,7 @@ def train(
     task: str | Iterable[str] = "Circle2D-1-v0",
     *,
     seeds: int | Iterable[int] = (0, 1, 2),
-    steps: int = 1_000_000,
+    steps: int | None = None,
     out: Folder | None = None,
     task_parameters: Mapping[str, Any] | None = None,
     costs: Sequence[str] = ("cost",),
@@ -86,13 +86,16 @@ def train(
     >>> [round(float(x)) for x in runs.records[runs.folder, 1].length]
     [50, 50, 50, 50, 50, 50, 50, 50]
 
-    algorithm: name of a built-in (`circle2d --help` lists them) or registered one. hyperparameters:
-        values that replace those of the task's preset. preset: "paper", the paper's values on its
-        tasks and their families, or "none", the algorithm's defaults: see `agents.presets`.
+    algorithm: name of a built-in (`circle2d --help` lists them) or registered one; "zoo": the one
+        that the zoo has for the task, with its preset and number of steps.
+    hyperparameters: values that replace those of the task's preset. preset: "paper", the paper's
+        values on its tasks and their families, "zoo", those of the agents that come with the
+        package, or "none", the algorithm's defaults: see `agents.presets`.
     task: id of a gymnasium task with `info["cost"]`, or several, whose observations, actions and
         presets are equal; "module:Id" imports the module first. task_parameters: keyword arguments
         for each.
-    seeds: one run for each; a number is one seed. steps: environment steps of each run.
+    seeds: one run for each; a number is one seed. steps: environment steps of each run; None: as
+        many as the zoo's runs had, or 1 000 000.
     out: folder for the runs; made, and refused where it holds runs already. None: a temporary one,
         which lives as long as the returned object.
     costs: names of costs in the task's info: all are recorded and evaluated; an algorithm limits
@@ -116,6 +119,11 @@ def train(
     Raises UserError for an unknown or invalid argument, before anything is written, and where every
     run failed; an error of the task's or the algorithm's own code is its cause.
     """
+    if algorithm == "zoo":
+        algorithm, preset, usual = of_zoo(task, preset)
+    else:
+        usual = 1_000_000
+    steps = usual if steps is None else steps
     given = {name: value for name, value in locals().items() if name in SETTINGS}
     place = None if out is None else _to_write(out)  # before anything that takes long
     (config,) = configs_of(algorithm, task, [hyperparameters], preset, backend, given)
@@ -298,6 +306,19 @@ SETTINGS = (
     *("evaluation_episodes", "vectorization", "step_timeout", "tensorboard"),
 )
 """Arguments of `train` that are fields of a configuration."""
+
+
+def of_zoo(task: str | Iterable[str], preset: PresetName) -> tuple[str, PresetName, int]:
+    """The zoo's algorithm for a task, its preset, and its number of steps. Raises UserError for a
+    task that it does not have, for tasks trained in different ways, and for another preset."""
+    if preset == "none":
+        raise UserError("zoo has a preset of its own: name the algorithm to train without one")
+    tasks = [task] if isinstance(task, str) else list(task)
+    several = [recipe(task_id(name)) for name in tasks]
+    for name, other in zip(tasks, several, strict=True):
+        if other[:2] != several[0][:2]:
+            raise UserError(f"the zoo trains {tasks[0]} and {name} in other ways: train them apart")
+    return several[0].algorithm, "zoo", several[0].steps
 
 
 def configs_of(

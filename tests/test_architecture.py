@@ -24,6 +24,7 @@ LAYERS = (
     "paper",
     "export",
     "runs",
+    "zoo",
     "api",
     "cli",
 )

@@ -115,7 +115,9 @@ def test_a_command_that_is_shown_exists(name, words):
     for name in (word.partition(":")[2] for word in rest if word.startswith("pretrained:")):
         pretrained(*name.split("/"))
     if command == "train":
-        assert rest[0] in {*ALGORITHMS, *OWN, "NAME", "--help", "ALGORITHM"}, "the algorithm first"
+        assert rest[0] in {*ALGORITHMS, *OWN, "zoo", "NAME", "--help", "ALGORITHM"}, (
+            "the algorithm first"
+        )
     own = OWN.get(rest[0], set()) if rest else set()
     for option in (word for word in rest if word.startswith("--")):
         assert option in options_of(command, words) | own

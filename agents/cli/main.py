@@ -38,6 +38,7 @@ COMMANDS = {
     "resume": ("training", "go on with runs that were interrupted"),
     "evaluate": ("training", "play episodes with trained policies"),
     "reproduce": ("training", "run the paper's experiments, or a part of them, and report"),
+    "zoo": ("showing", "list the trained agents that come with the package, and what they reach"),
     "report": ("showing", "write tables, training curves and heat maps of trained runs"),
     "plot": ("showing", "draw learning curves for a paper: PDF, SVG, PNG, PGF"),
     "compare": ("showing", "put two sets of runs side by side, with their differences"),

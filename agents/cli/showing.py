@@ -27,7 +27,7 @@ from agents.cli.options import (
 )
 from agents.errors import UserError
 from agents.export import Format
-from agents.reporting.table import PAPER, show, working
+from agents.reporting.table import PAPER, Number, Row, Table, show, working
 from agents.training.config import TrainConfig
 from agents.training.environments import task_id, time_limit, unscaled
 from agents.training.policy import chosen_run, folder_of
@@ -103,6 +103,44 @@ def plot(args: Sequence[str]) -> int:
     with working("reading runs"):
         words = draw(*options.folders, out=options.out, measures=options.measure, **look)
     print(f"{options.out}\nCaption: {words}")
+    return 0
+
+
+@dataclass(frozen=True)
+class ZooOptions(Settings):
+    """List the trained agents that come with the package: what they reach on each task, beside the
+    best that is published. 'circle2d train zoo --task TASK' trains them again; pretrained:zoo/TASK
+    is a policy for the other commands."""
+
+    task: Task = None
+    width: Width = None
+
+
+def zoo(args: Sequence[str]) -> int:
+    """Run `circle2d zoo`; returns the exit status."""
+    from agents.presets import recipe
+    from agents.zoo import zoo as rows_of
+
+    options = parse(ZooOptions, "zoo", args)
+    rows = rows_of()
+    if options.task is not None:
+        task = task_id(options.task)
+        recipe(task)  # raises where there is none
+        rows = rows.query("task == @task.rpartition('/')[2]")
+    numbers = {"J_R": 2, "J_C": 2, "EMCC_0.33": 2, "EMCC_0.99": 2}
+    numbers |= {"published_J_R": 2, "published_J_C": 2}
+    shown = [
+        Row(
+            f"{row['task']}, {row['algorithm']}, {row['steps']:,} steps, mean of {row['seeds']}",
+            [Number(row[name], digits) for name, digits in numbers.items()],
+        )
+        for row in rows.to_dict("records")
+    ]
+    words = (
+        "J_R, J_C: undiscounted, deterministic policy, 100 episodes of each seed; published: the "
+        "highest return within the limit in OmniSafe's benchmark, 10 000 000 steps"
+    )
+    show([Table(words, ["agent", *(n.replace("_J", " J") for n in numbers)], shown)], options.width)
     return 0
 
 

@@ -58,8 +58,9 @@ class TrainOptions:
     """Ids of gymnasium tasks with info["cost"]; without its version the newest."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """A run on each task for each seed."""
-    steps: int = 1_000_000
-    """Environment steps of each run, rounded up to whole epochs."""
+    steps: int | None = None
+    """Environment steps of each run, rounded up to whole epochs; by default 1 000 000, of zoo as
+    many as its runs had."""
     checkpoint_every: int = 50_000
     """Environment steps of a run between checkpoints, from which a killed run goes on; more, where
     writing them would take more than 2 % of the time."""
@@ -100,14 +101,16 @@ def train(args: Sequence[str]) -> int:
         names = ", ".join(ALGORITHMS)
         if {"-h", "--help"} & set(args):
             print(f"usage: circle2d train ALGORITHM [OPTIONS]\n\nAlgorithms: {names}.\n")
+            print("zoo is the one that 'circle2d zoo' names for the task, with its settings.")
             print("'circle2d train ALGORITHM --help' explains the options of one.")
             return 0
         raise UserError(f"train needs the algorithm first: one of {names}")
     tasks = [task_id(task) for task in values_of("--task", args)] or [*TrainOptions.task]
     named: Any = [TrainOptions.preset, *values_of("--preset", args, most=1)][-1]
-    hyperparameters = preset(name, tasks[0], named)
+    own, named, _ = api.of_zoo(tasks, named) if name == "zoo" else (name, named, None)
+    hyperparameters = preset(own, tasks[0], named)
     for task in tasks[1:]:
-        if preset(name, task, named) != hyperparameters:
+        if preset(own, task, named) != hyperparameters:
             raise UserError(f"{tasks[0]} and {task} have other presets: train them apart")
     options = parse(_train_options(hyperparameters), f"train {name}", args[1:])
     values = {f.name: getattr(options, f.name) for f in dataclasses.fields(TrainOptions)}

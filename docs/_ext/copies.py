@@ -8,6 +8,7 @@ from pathlib import Path
 
 TEXTS = {
     "metric.md": "emcc/README.md",
+    "zoo.md": "results/zoo/README.md",
     "results.md": "results/README.md",
     "physics.md": "results/physics/README.md",
     "safety.md": "results/safety/README.md",

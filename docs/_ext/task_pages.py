@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import itertools
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -72,8 +73,10 @@ ORIGINAL = "The tasks are Safety-Gymnasium's, on current MuJoCo: see [parity](..
 
 
 def shown_policy(task: str) -> str:
-    """Name of the policy in a Safety task's film: CPO's where the package has one, else ""."""
-    return f"pretrained:cpo/{task}" if (FOLDER / "cpo" / task).is_dir() else ""
+    """Name of the policy in a Safety task's film: the zoo's or CPO's, where the package has one,
+    else ""."""
+    found = (name for name in ("zoo", "cpo") if (FOLDER / name / task).is_dir())
+    return "".join(f"pretrained:{name}/{task}" for name in itertools.islice(found, 1))
 
 
 def pages() -> dict[str, str]:
@@ -262,7 +265,7 @@ def _safety_arguments(name: str, changed: Iterable[str] = ()) -> str:
 
 def _safety_page(name: str, film: str, sections: dict[str, list[str]]) -> str:
     policy = shown_policy(film)
-    shown = f"CPO's policy, `{policy}`" if policy else "An agent that draws its actions at random"
+    shown = f"The policy `{policy}`" if policy else "An agent that draws its actions at random"
     head = [f"# {name}", f"![A film of {film}]({film}.gif)", f"{shown}, on `{film}`."]
     for title, parts in sections.items():
         head += [f"## {title}", *filter(None, parts)]

@@ -1,0 +1,114 @@
+"""Put trained runs of the zoo into results/zoo/zoo.csv, and their policy into the package.
+
+python docs/_ext/zoo_rows.py FOLDER ...
+
+The policy is that of the run whose return is nearest to the median of the runs whose deterministic
+policy keeps J_C within the task's limit.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+import agents
+from agents.training.config import RunId, TrainConfig
+from agents.training.files import write_arrays
+from agents.training.policy import read_policy_arrays
+
+ROOT = Path(__file__).parents[2]
+TABLE, POLICIES = ROOT / "results/zoo/zoo.csv", ROOT / "agents/policies/zoo"
+LIMIT, WINDOW = 25.0, 10
+# Of OmniSafe's benchmark (its repository, benchmarks/on-policy), after 10 000 000 steps: J_R, J_C
+# and the algorithm of the highest return within the limit, without those that end episodes at it.
+PUBLISHED = {
+    "SafetyPointGoal1-v0": (19.24, 21.4, "TRPO-PID"),
+    "SafetyPointGoal2-v0": (1.67, 23.5, "TRPO-PID"),
+    "SafetyPointButton1-v0": (4.60, 20.8, "PPO-Lag"),
+    "SafetyPointButton2-v0": (2.43, 17.9, "FOCOPS"),
+    "SafetyCarGoal1-v0": (18.71, 23.1, "RCPO"),
+    "SafetyCarGoal2-v0": (2.30, 22.9, "RCPO"),
+    "SafetyCarButton1-v0": (-0.31, 15.2, "TRPO-PID"),
+    "SafetyCarButton2-v0": (-0.99, 20.4, ""),
+    "SafetyAntVelocity-v1": (3262, 12.1, "PPO-Lag"),
+    "SafetyHalfCheetahVelocity-v1": (2965, 2.4, "FOCOPS"),
+    "SafetyHopperVelocity-v1": (1716, 7.5, "CUP"),
+    "SafetyHumanoidVelocity-v1": (6624, 5.9, "PPO-Lag"),
+    "SafetySwimmerVelocity-v1": (91.1, 19.1, "CPPO-PID"),
+    "SafetyWalker2dVelocity-v1": (3207, 15.0, "TRPO-Lag"),
+}
+
+
+def row(folder: Path) -> dict[str, object]:
+    """The row of a folder of finished runs on one task."""
+    runs = agents.load_runs(folder)
+    config = runs.config
+    (task,) = (name.rpartition("/")[2] for name in config.tasks)
+    frame = runs.to_pandas("evaluations")
+    last = frame[frame.step == frame.groupby("seed").step.transform("max")]
+    means = last.groupby(["policy", "seed"])[["return", "cost"]].mean().groupby("policy").mean()
+    records = runs.records.values()
+    parts = [own.emcc_by_part(alpha=0.1, window=WINDOW) for own in records]
+    status = json.loads((folder / "status.json").read_text())
+    published = PUBLISHED.get(task, (np.nan, np.nan, ""))
+    return {
+        "task": task,
+        "algorithm": config.algorithm,
+        "steps": max(int(own.total_steps) for own in records),
+        "seeds": len(config.seeds),
+        "J_R": means.loc["deterministic", "return"].round(2),
+        "J_C": means.loc["deterministic", "cost"].round(2),
+        "J_R_stochastic": means.loc["stochastic", "return"].round(2),
+        "J_C_stochastic": means.loc["stochastic", "cost"].round(2),
+        **{f"EMCC_{part}": round(np.mean([p[part] for p in parts]), 4) for part in parts[0]},
+        "steps_per_second": round(status["steps_per_second"]),
+        "commit": json.loads((folder / "config.json").read_text())["commit"][:7],
+        "policy": f"pretrained:zoo/{task}",
+        "published_J_R": published[0],
+        "published_J_C": published[1],
+        "published_algorithm": published[2],
+    }
+
+
+def chosen_seed(folder: Path) -> int:
+    """The seed whose policy comes with the package."""
+    frame = agents.load_runs(folder).to_pandas("evaluations")
+    last = frame[frame.step == frame.groupby("seed").step.transform("max")]
+    means = last[last.policy == "deterministic"].groupby("seed")[["return", "cost"]].mean()
+    within = means[means.cost <= LIMIT]["return"]
+    return int((within - within.median()).abs().idxmin())
+
+
+def write_policy(folder: Path, seed: int) -> None:
+    """Put the policy of a run into the package."""
+    config = TrainConfig.read(folder)
+    (task,) = config.tasks
+    arrays, steps, _ = read_policy_arrays(folder, config, RunId(task, seed))
+    target = POLICIES / task.rpartition("/")[2]
+    shutil.rmtree(target, ignore_errors=True)
+    (target / "checkpoints").mkdir(parents=True)
+    content = json.loads((folder / "config.json").read_text()) | {"seeds": [seed]}
+    (target / "config.json").write_text(json.dumps(content, indent=1) + "\n")
+    write_arrays(target / "checkpoints" / f"{steps:09}.npz", arrays)
+
+
+def main(folders: list[Path]) -> None:
+    """Replace the rows and policies of the folders' tasks."""
+    rows = [row(folder) for folder in folders]
+    if TABLE.exists():
+        old = pd.read_csv(TABLE)
+        old = old[~old.task.isin([own["task"] for own in rows])]
+        rows = [*old.to_dict("records"), *rows]
+    TABLE.parent.mkdir(exist_ok=True)
+    pd.DataFrame(rows).sort_values("task").to_csv(TABLE, index=False)
+    for folder in folders:
+        write_policy(folder, chosen_seed(folder))
+
+
+if __name__ == "__main__":
+    main([Path(word) for word in sys.argv[1:]])
