@@ -114,8 +114,8 @@ def test_heat_maps_by_algorithm_and_third(groups, tmp_path):
 class Played(Group):
     """Runs whose policies' episodes are given."""
 
-    def trained(self, seeds):
-        return dict.fromkeys(seeds, EPISODES)
+    def trained(self, seed):
+        return EPISODES
 
 
 def played(groups):
