@@ -150,8 +150,8 @@ def panel(
     thirds = zip(PARTS, *(source.by_part(total_steps).values() for source in sources), strict=True)
     choices = limit, alpha, moving, ties
     parts = {
-        part: measures_of(*third, *choices) if len(third[0]) and len(third[2]) else None
-        for part, *third in thirds
+        part: measures_of(own, whole, grouped, *choices) if len(own) and len(grouped) else None
+        for part, own, whole, grouped in thirds
     }
     first, share = _feasible(episodes, limit, moving)
     return Panel(**vars(measures_of(*sources, *choices)), steps_to_feasible=first,

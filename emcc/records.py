@@ -132,18 +132,17 @@ class EpisodeRecords:
         may be all; with neither, the rollouts stay.
         ValueError: both, or a number below 1.
         """
-        if window is None and window_steps is None:
-            return self
         if window is not None and window_steps is not None:
             raise ValueError("give window, in episodes, or window_steps, but not both")
-        rows = np.argsort(self.start_step, kind="stable")
         if window is not None:
             ids = np.arange(len(self)) // as_count(window, "window")
             whole = ids < len(self) // window
+        elif window_steps is not None:
+            ids = np.sort(self.start_step) // as_count(window_steps, "window_steps")
+            whole = ids < self.total_steps // window_steps
         else:
-            size = as_count(window_steps, "window_steps")
-            ids = self.start_step[rows] // size
-            whole = ids < self.total_steps // size
+            return self
+        rows = np.argsort(self.start_step, kind="stable")
         return replace(self.select(rows[whole]), rollout=ids[whole])
 
     def emcc(
