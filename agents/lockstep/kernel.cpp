@@ -250,7 +250,7 @@ struct Net {
 
   // The product of the Jacobian in the parameters with v, [out][ROWS].
   float *push(const float *p, const float *v, const float *tape, int64_t columns) const {
-    float *dot = scratch(1, widest * ROWS), *next = scratch(2, widest * ROWS);
+    float *dot = scratch(4, widest * ROWS), *next = scratch(5, widest * ROWS); // not those of pull
     for (int l = 0; l < layers; l++) {
       const int64_t in = n[l], out = n[l + 1];
       product({v + weights[l], 1, out, tape + inputs[l], ROWS, next, ROWS, in + 1, false}, out,
