@@ -32,7 +32,7 @@ def toy():
 def config(algorithm="toy", **more):
     own = SETTINGS | more
     hyperparameters = {k: own.pop(k) for k in list(own) if k not in SETTINGS and k != "backend"}
-    [made] = configs_of(algorithm, "Walk-v0", [hyperparameters], "numpy", own)
+    [made] = configs_of(algorithm, "Walk-v0", [hyperparameters], "paper", "numpy", own)
     return made
 
 

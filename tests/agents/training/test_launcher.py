@@ -21,7 +21,7 @@ from agents.training.trainer import train
 def made(folder, steps=200):
     own = {"seeds": (0, 1), "steps": steps, "checkpoint_every": 100}
     hyperparameters = {name: value for name, value in TRPO.items() if name != "backend"}
-    [config] = configs_of("trpo-lag", "Circle2D-1-v0", [hyperparameters], "numpy", own)
+    [config] = configs_of("trpo-lag", "Circle2D-1-v0", [hyperparameters], "paper", "numpy", own)
     config.write(folder)
     return folder
 
