@@ -211,10 +211,10 @@ class FirstOrder(OnPolicy):
         config, rule, state = self.config, self.rule, self._state
         actor, moments, runs = state.actor, state.actor_moments, len(self.seeds)
         assert moments is not None
-        multipliers = lagrange.values(rule.multipliers, state.multipliers, runs)
+        multipliers = tensor(lagrange.values(rule.multipliers, state.multipliers, runs))
         advantage = raised_advantage(rule, config, epoch, steps, multipliers)
         old = taken(self.nets, actor, epoch, advantage)
-        excess = (epoch.cost - lagrange.limits(rule, config)).to(actor.dtype)
+        excess = (epoch.cost - tensor(lagrange.limits(rule, config))).to(actor.dtype)
         actor, moments = tree.copy((actor, moments))
         descent = Descent(
             net=self.nets.actor.net,

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from agents.checks import In
 from agents.lockstep import kernel, lagrange
-from agents.lockstep.backend import differentiate
+from agents.lockstep.backend import differentiate, tensor
 from agents.lockstep.lagrange import Multiplier
 from agents.on_policy.epoch import (
     Epoch,
@@ -99,7 +99,7 @@ def policy_step(
     """The policy after the rule's step and its line search -> [R, actor size], records [R]; NaN for
     a run whose step is. steps: [R], of each run in the epoch."""
     old = state.actor
-    multipliers = lagrange.values(rule.multipliers, state.multipliers, len(old))
+    multipliers = tensor(lagrange.values(rule.multipliers, state.multipliers, len(old)))
     advantage = raised_advantage(rule, config, epoch, steps, multipliers)
     taken_steps = taken(nets, old, epoch, advantage)
 
@@ -113,7 +113,7 @@ def policy_step(
     problem = Problem(
         gradient=gradient(0),
         cost_gradient=lambda: gradient(1) * epoch.length[:, None],
-        excess=(epoch.cost - lagrange.limits(rule, config))[:, 0].to(old.dtype),
+        excess=(epoch.cost - tensor(lagrange.limits(rule, config)))[:, 0].to(old.dtype),
         product=product,
         solve=solve,
         target_kl=config.target_kl,

@@ -1,9 +1,11 @@
 """The examples of the paper group's CPO and SAC-Lag, beside CPO and SAC-Lag themselves."""
 
+import numpy as np
 import pytest
 import torch
 
 from agents.algorithms import cpo, sac_lag
+from agents.lockstep import tree
 from agents.sac import update as sac
 from agents.sac.replay import Batch
 from agents.trust_region import Problem, conjugate_gradient
@@ -43,20 +45,22 @@ def test_the_multiplier_follows_the_actions_of_the_replay(library):
     config = sac_lag.SACLagConfig(learning_rate=1e-9)
     nets = sac.make_nets(config, 2, 2, 1)
     state = sac.initial_state(nets, config, sac_lag.RULE, [0])
-    state = state._replace(actor=torch.zeros_like(state.actor))  # with noise 0 its action is 0
-    zeros, replayed = torch.zeros(1, 1, 2), torch.ones(1, 1, 2)
-    batch = Batch(zeros, replayed, *torch.zeros(2, 1, 1), zeros, *torch.zeros(2, 1, 1))
-    batch = batch._replace(cost=torch.zeros(1, 1, 1))
+    state = state._replace(actor=0 * state.actor)  # with noise 0 its action is 0
+    nothing = np.zeros((1, 1, 2), np.float32)
+    zero, zeros, replayed = nothing[..., 0], nothing, nothing + 1
+    batch = Batch(zeros, replayed, zero, zero[None], zeros, zero, zero)
 
     def risk(action):
-        return sac.values(nets, state.critics, zeros, action)[0, 2:].max().item()
+        seen = torch.from_numpy(np.concatenate([zeros, action], axis=-1))
+        values = nets.critic.forward_each(torch.from_numpy(state.critics), seen)
+        return values[0, 2:].max().item()
 
     limit = 0.5 * (risk(replayed) + risk(zeros))
     config = sac_lag.SACLagConfig(learning_rate=1e-9, cost_limit=limit)
     noise = sac.UpdateNoise(zeros, zeros)
     moved = []
     for rule in (sac_lag.RULE, library.sac_lag.rule):
-        after, _ = sac.update(nets, config, rule, state, batch, noise)
+        after, _ = sac.update(nets, config, rule, tree.copy(state), batch, noise)
         moved.append(after.multipliers[0].parameter[0, 0].item())
     signs = [risk(action) > limit for action in (zeros, replayed)]
     assert signs[0] != signs[1]

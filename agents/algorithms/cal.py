@@ -10,13 +10,16 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from agents.algorithms import Algorithm
-from agents.algorithms.sac_lag import penalty
+from agents.algorithms.sac_lag import penalty, squared
 from agents.checks import In
+from agents.lockstep.kernel import Float
 from agents.lockstep.lagrange import EXP, Multiplier
+from agents.lockstep.pulled import Pull, closed_form
 from agents.sac import CostRule, MultiplierOfConfig, OffPolicy
 from agents.sac.replay import Batch
 
@@ -47,6 +50,16 @@ def risk(config: CALConfig, cost_values: Tensor) -> Tensor:
     return mean + config.conservatism * std
 
 
+@closed_form(risk)
+def _risk(config: CALConfig, cost_values: Float) -> tuple[Float, Pull]:
+    count, mean = cost_values.shape[1], cost_values.mean(axis=1)
+    off = cost_values - mean[:, None]
+    std = np.sqrt((off * off).sum(axis=1) / (count - 1))
+    share = off / (np.where(std > 0, std, 1.0) * (count - 1))[:, None]  # 0 where all are equal
+    share = 1.0 / count + config.conservatism * share
+    return mean + config.conservatism * std, lambda slope: slope[:, None] * share
+
+
 def critic_loss(
     config: CALConfig, cost_values: Tensor, next_cost_values: Tensor, batch: Batch
 ) -> Tensor:
@@ -55,6 +68,14 @@ def critic_loss(
     target = batch.cost[:, None] + discount[:, None] * next_cost_values
     error = cost_values - target
     return 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
+
+
+@closed_form(critic_loss)
+def _critic_loss(
+    config: CALConfig, cost_values: Float, next_cost_values: Float, batch: Batch
+) -> tuple[Float, Pull]:
+    discount = config.discount * (1.0 - batch.cost_terminal)
+    return squared(cost_values - batch.cost[:, None] - discount[:, None] * next_cost_values)
 
 
 def augmented(config: CALConfig, multipliers: Tensor, risk: Tensor) -> Tensor:

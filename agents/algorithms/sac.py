@@ -5,17 +5,25 @@ Source: Haarnoja et al. 2018, "Soft actor-critic algorithms and applications".
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from agents.algorithms import Algorithm
 from agents.algorithms.sac_lag import critic_loss, risk
+from agents.lockstep.kernel import Float
+from agents.lockstep.pulled import Pull, closed_form
 from agents.sac import CostRule, OffPolicy, SACConfig
 
 
 def penalty(config: SACConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
     """0: the cost critics learn for the records alone."""
     return torch.zeros_like(risk)
+
+
+@closed_form(penalty)
+def _penalty(config: SACConfig, risk: Float, multipliers: Float) -> tuple[Float, Pull]:
+    return np.zeros_like(risk), np.zeros_like
 
 
 RULE = CostRule(risk, critic_loss, penalty)

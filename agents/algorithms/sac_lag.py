@@ -8,13 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from agents.algorithms import Algorithm
+from agents.lockstep.kernel import Float
 from agents.lockstep.lagrange import SOFTPLUS, Multiplier
+from agents.lockstep.pulled import Pull, closed_form
 from agents.sac import CostRule, MultiplierOfConfig, OffPolicy, SACConfig
 from agents.sac.replay import Batch
+from agents.sac.update import mean, share_of_first
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,13 @@ def risk(config: SACConfig, cost_values: Tensor) -> Tensor:
     return torch.maximum(cost_values[:, 0], cost_values[:, 1])
 
 
+@closed_form(risk)
+def _risk(config: SACConfig, cost_values: Float) -> tuple[Float, Pull]:
+    share = share_of_first(cost_values, -1.0)
+    pull = lambda slope: np.stack([slope * share, slope * (1.0 - share)], axis=1)  # noqa: E731
+    return np.maximum(cost_values[:, 0], cost_values[:, 1]), pull
+
+
 def critic_loss(
     config: SACConfig, cost_values: Tensor, next_cost_values: Tensor, batch: Batch
 ) -> Tensor:
@@ -40,9 +51,29 @@ def critic_loss(
     return 0.5 * (error * error).mean(dim=-1).sum(dim=-1)
 
 
+@closed_form(critic_loss)
+def _critic_loss(
+    config: SACConfig, cost_values: Float, next_cost_values: Float, batch: Batch
+) -> tuple[Float, Pull]:
+    next_value = np.maximum(next_cost_values[:, 0], next_cost_values[:, 1])
+    target = batch.cost + config.discount * (1.0 - batch.cost_terminal) * next_value
+    return squared(cost_values - target[:, None])
+
+
+def squared(error: Float) -> tuple[Float, Pull]:
+    """Half the mean squares of errors [R, K, B], summed over K."""
+    pull = lambda slope: slope[:, None, None] * error / error.shape[-1]  # noqa: E731
+    return 0.5 * mean(error * error).sum(axis=-1), pull
+
+
 def penalty(config: SACLagConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
     """`β Q_c`: the constraint's term of the Lagrangian (its constant, -β d, has no gradient)."""
     return multipliers[..., None] * risk
+
+
+@closed_form(penalty)
+def _penalty(config: SACLagConfig, risk: Float, multipliers: Float) -> tuple[Float, Pull]:
+    return multipliers[..., None] * risk, lambda slope: multipliers[..., None] * slope
 
 
 RULE = CostRule(risk, critic_loss, penalty, (Multiplier(SOFTPLUS),))

@@ -10,12 +10,15 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from agents.algorithms import Algorithm
 from agents.algorithms.sac_lag import critic_loss, risk
 from agents.checks import In
+from agents.lockstep.kernel import Float
+from agents.lockstep.pulled import Pull, closed_form
 from agents.sac import ConstrainedSACConfig, CostRule, OffPolicy
 
 
@@ -44,6 +47,15 @@ def log_barrier(z: Tensor, t: float) -> Tensor:
 def penalty(config: SACLBConfig, risk: Tensor, multipliers: Tensor) -> Tensor:
     """`ψ(max Q_c - d)`."""
     return log_barrier(risk - config.cost_limit, config.log_barrier_factor)
+
+
+@closed_form(penalty)
+def _penalty(config: SACLBConfig, risk: Float, multipliers: Float) -> tuple[Float, Pull]:
+    z, t = risk - config.cost_limit, config.log_barrier_factor
+    switch = -1.0 / t**2
+    inside, tangent = z.clip(max=switch), t * z - math.log(-switch) / t + 1.0 / t
+    values = np.where(z <= switch, -np.log(-inside) / t, tangent)
+    return values, lambda slope: slope / (-t * inside)  # of the tangent t, the slope at the switch
 
 
 RULE = CostRule(risk, critic_loss, penalty)

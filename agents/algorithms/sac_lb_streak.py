@@ -37,8 +37,7 @@ class SACLBStreakConfig(SACLBConfig):
     """Adam's step size for the temperature, which falls from 1 as the policy gets surer. The
     paper's SAC-LB: 3e-4."""
     batch_size: Annotated[int, In(1)] = 128
-    """Transitions a gradient step; a multiple of 32, at most the replay's size. The paper's
-    SAC-LB: 256."""
+    """Transitions a gradient step, at most the replay's size. The paper's SAC-LB: 256."""
     gradient_steps: Annotated[int, In(1, 100_000)] = 10
     """Gradient steps an epoch, which is one episode. The paper's SAC-LB: 5."""
     random_exponent: Annotated[float, In(0, 4)] = 2.0

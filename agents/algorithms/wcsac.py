@@ -19,9 +19,13 @@ from torch.nn.functional import softplus
 
 from agents.algorithms import Algorithm
 from agents.checks import In
+from agents.lockstep import lagrange
+from agents.lockstep.kernel import Float
 from agents.lockstep.lagrange import EXP, Multiplier
+from agents.lockstep.pulled import Pull, closed_form
 from agents.sac import CostRule, MultiplierOfConfig, OffPolicy
 from agents.sac.replay import Batch
+from agents.sac.update import mean
 from emcc import cvar
 
 VARIANCE = (1e-8, 1e8)
@@ -135,6 +139,53 @@ def damped(config: WCSACConfig, multipliers: Tensor, followed: Tensor) -> Tensor
 def worst(config: WCSACConfig, costs: NDArray[np.float64]) -> float:
     """The mean of the worst share α of the costs of episodes [E]."""
     return cvar(costs, config.risk_level, ties="split")
+
+
+# Closed forms of the rule, in NumPy.
+
+
+def _variance(output: Float) -> tuple[Float, Float]:
+    """`variance`, and its slope."""
+    free = lagrange.softplus(output)
+    clamped = free.clip(*VARIANCE)
+    return clamped, (free == clamped) * lagrange.sigmoid(output)
+
+
+@closed_form(risk)
+def _risk(config: WCSACConfig, cost_values: Float) -> tuple[Float, Pull]:
+    factor, (spread, slope) = tail_factor(config.risk_level).item(), _variance(cost_values[:, 1])
+    std = np.sqrt(spread)
+    of_output = 0.5 * factor * slope / std
+    return cost_values[:, 0] + factor * std, lambda s: np.stack([s, s * of_output], axis=1)
+
+
+@closed_form(critic_loss)
+def _critic_loss(
+    config: WCSACConfig, cost_values: Float, next_cost_values: Float, batch: Batch
+) -> tuple[Float, Pull]:
+    now, following, cost = cost_values[:, 0], next_cost_values[:, 0], batch.cost
+    discount = going = config.discount * (1.0 - batch.cost_terminal)
+    squared = following * following
+    if config.variance_target == "unsquared":
+        going, squared = config.discount, following
+    squared = squared + _variance(next_cost_values[:, 1])[0]
+    later = going * (2.0 * cost * following + going * squared)
+    target = (cost * cost - now * now + later).clip(*VARIANCE)
+    error, (spread, slope) = now - cost - discount * following, _variance(cost_values[:, 1])
+    both = np.sqrt(spread * target)
+    loss = 0.5 * mean(error * error + spread + target - 2.0 * both)
+    slopes = np.stack([error, 0.5 * slope * (1.0 - target / both)], axis=1) / now.shape[-1]
+    return loss, lambda s: s[:, None, None] * slopes
+
+
+@closed_form(penalty)
+def _penalty(config: WCSACConfig, risk: Float, multipliers: Float) -> tuple[Float, Pull]:
+    weight, through = multipliers[..., None], 0.0
+    if config.multiplier_of == "replay":
+        weight = weight - config.damping * (config.cost_limit - mean(risk)[..., None])
+        through = config.damping * (config.damping_gradient == "through") / risk.shape[-1]
+    along = lambda s: (s * risk).sum(axis=-1, keepdims=True)  # noqa: E731
+    return weight * risk, lambda s: weight * s + (through * along(s) if through else 0.0)
 
 
 RULE = CostRule(

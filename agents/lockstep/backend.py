@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from typing import TypeVar
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -61,6 +62,6 @@ def tensor(array: NDArray) -> Tensor:
     return torch.from_numpy(array)
 
 
-def array(tensor: Tensor) -> NDArray:
-    """The tensor as an array that shares its memory."""
-    return tensor.numpy()
+def array(numbers: Tensor | NDArray) -> NDArray:
+    """The numbers as an array that shares their memory."""
+    return numbers if isinstance(numbers, np.ndarray) else numbers.numpy()

@@ -10,11 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
 
-import torch
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn.functional import softplus
 
 from agents.checks import In, Settings
+from agents.lockstep.backend import tensor
+from agents.lockstep.kernel import Float
 from agents.lockstep.nets import LANES, Moments, adam, no_moments
 
 PID_SMOOTHING = 0.95
@@ -57,21 +59,31 @@ class MultiplierConfig(PIDConfig):
 class MultiplierForm(NamedTuple):
     """How a parameter stands for a multiplier, which cannot be negative."""
 
-    value: Callable[[Tensor], Tensor]
+    value: Callable[[Float], Float]
     """parameter -> multiplier"""
-    slope: Callable[[Tensor], Tensor]
+    slope: Callable[[Float], Float]
     """parameter -> derivative of the multiplier"""
     lowest: float = -math.inf
     """Lower bound of the parameter."""
     law: Callable[[Any, Tensor, Tensor], Tensor] | None = None
-    """(config, parameter [R, LANES], cost [R, 1]) -> the parameter after an update, or one [R, 1].
-    An algorithm's own law, instead of a `multiplier_optimizer`; its config has `initial_multiplier`
-    alone, or none: the parameter starts at 0."""
+    """(config, parameter [R, LANES], cost [R, 1]) -> the parameter after an update, or one [R, 1],
+    in PyTorch. An algorithm's own law, instead of a `multiplier_optimizer`; its config has
+    `initial_multiplier` alone, or none: the parameter starts at 0."""
 
 
-SOFTPLUS = MultiplierForm(softplus, torch.sigmoid)
-EXP = MultiplierForm(torch.exp, torch.exp)
-PROJECTED = MultiplierForm(torch.clone, torch.ones_like, lowest=0.0)
+def softplus(x: Float) -> Float:
+    """`log(1 + eˣ)`, without overflow."""
+    return np.maximum(x, 0.0) + np.log1p(np.exp(-np.abs(x)))
+
+
+def sigmoid(x: Float) -> Float:
+    """`1 / (1 + e⁻ˣ)`, without overflow."""
+    return 0.5 + 0.5 * np.tanh(0.5 * x)
+
+
+SOFTPLUS = MultiplierForm(softplus, sigmoid)
+EXP = MultiplierForm(np.exp, np.exp)
+PROJECTED = MultiplierForm(np.copy, np.ones_like, lowest=0.0)
 """The parameter is the multiplier."""
 
 
@@ -94,7 +106,7 @@ class Multiplier(NamedTuple):
 class MultiplierState(NamedTuple):
     """A multiplier of all runs that ascends a gradient. Lanes of a row are equal: see `nets`."""
 
-    parameter: Tensor
+    parameter: NDArray
     """[R, LANES]"""
     moments: Moments
 
@@ -102,11 +114,11 @@ class MultiplierState(NamedTuple):
 class PIDState(NamedTuple):
     """A multiplier of all runs that a PID controller sets. Lanes of a row are equal."""
 
-    value: Tensor
+    value: NDArray
     """[R, LANES]: the multiplier itself, at least 0"""
-    integral: Tensor
+    integral: NDArray
     """[R, LANES]: the integral term, its gain included, at least 0"""
-    smoothed_cost: Tensor
+    smoothed_cost: NDArray
     """[R, LANES]: exponential average of the costs seen, from 0"""
 
 
@@ -125,26 +137,26 @@ def initial(multipliers: Sequence[Multiplier], config: Any, runs: int) -> tuple[
 
 def _initial(form: MultiplierForm, config: Any, runs: int) -> State:
     start = getattr(config, "initial_multiplier", 0.0) if form.law else config.initial_multiplier
-    parameter = torch.full((runs, LANES), float(start))
+    parameter = np.full((runs, LANES), start, np.float32)
     if form.law and hasattr(config, "multiplier_optimizer"):
         raise TypeError(f"the multiplier has a law: {config!r} must not have an optimizer")
     if form.law:
-        after = tuple(form.law(config, parameter, torch.zeros(runs, 1)).shape)
+        after = tuple(form.law(config, *map(tensor, (parameter, parameter[:, :1] * 0))).shape)
         if after not in (parameter.shape, (runs, 1)):
             raise ValueError(f"a law must return [{runs}, {LANES}] or [{runs}, 1], got {[*after]}")
     if form.law or config.multiplier_optimizer != "pid":
         return MultiplierState(parameter, no_moments(parameter))
     value = form.value(parameter)
-    return PIDState(value, value.clone(), torch.zeros_like(value))
+    return PIDState(value, value.copy(), np.zeros_like(value))
 
 
-def values(multipliers: Sequence[Multiplier], states: Sequence[State], runs: int) -> Tensor:
+def values(multipliers: Sequence[Multiplier], states: Sequence[State], runs: int) -> Float:
     """The M multipliers of each run, [R, M]."""
     columns = [
-        state.value[:, :1] if isinstance(state, PIDState) else of.form.value(state.parameter)[:, :1]
+        state.value[:, :1] if isinstance(state, PIDState) else of.form.value(state.parameter[:, :1])
         for of, state in zip(multipliers, states, strict=True)
     ]
-    return torch.cat([torch.zeros(runs, 0), *columns], dim=-1)
+    return np.concatenate(columns or [np.zeros((runs, 0), np.float32)], axis=-1)
 
 
 def limit_names(rule: Any, config: Any) -> dict[int, str]:
@@ -154,11 +166,11 @@ def limit_names(rule: Any, config: Any) -> dict[int, str]:
     return {k: name for k, name in sorted(names.items()) if hasattr(config, name)}
 
 
-def limits(rule: Any, config: Any) -> Tensor:
+def limits(rule: Any, config: Any) -> Float:
     """The limit of each cost, [C]; NaN for a cost without one."""
     names = limit_names(rule, config)
     chosen = [getattr(config, names[k]) if k in names else math.nan for k in range(rule.costs)]
-    return torch.tensor(chosen, dtype=torch.float64)
+    return np.array(chosen)
 
 
 def names(multipliers: Sequence[Multiplier]) -> tuple[str, ...]:
@@ -170,8 +182,8 @@ def follow(
     multipliers: Sequence[Multiplier],
     config: Any,
     states: Sequence[State],
-    cost: Tensor,
-    discounted: Tensor | None = None,
+    cost: Float,
+    discounted: Float | None = None,
     ahead: bool | None = None,
 ) -> tuple[State, ...]:
     """The states after an update by each form's law or the config's optimiser.
@@ -187,45 +199,45 @@ def follow(
     return tuple(followed)
 
 
-def _follow(multiplier: Multiplier, config: Any, state: State, cost: Tensor) -> State:
+def _follow(multiplier: Multiplier, config: Any, state: State, cost: Float) -> State:
     """cost: [R, 1]."""
     form, excess = multiplier.form, cost - getattr(config, multiplier.limit)
     if isinstance(state, PIDState):
         return control(config, state, cost, excess)
-    if form.law:
-        parameter = form.law(config, state.parameter, cost).to(state.parameter.dtype)
-        parameter = parameter.expand_as(state.parameter).clamp(min=form.lowest)
-        return MultiplierState(parameter, state.moments)
-    after = ascend(form, config, state, excess)
-    if not multiplier.highest:
-        return after
-    return after._replace(parameter=after.parameter.clamp(max=getattr(config, multiplier.highest)))
+    if not form.law:
+        after = ascend(form, config, state, excess)
+        highest = getattr(config, multiplier.highest) if multiplier.highest else math.inf
+        return after._replace(parameter=np.minimum(after.parameter, highest))
+    own = form.law(config, tensor(state.parameter), tensor(cost)).numpy()
+    parameter = np.empty_like(state.parameter)
+    parameter[...] = np.maximum(own, form.lowest)
+    return state._replace(parameter=parameter)
 
 
 def ascend(
-    form: MultiplierForm, config: Any, state: MultiplierState, excess: Tensor
+    form: MultiplierForm, config: Any, state: MultiplierState, excess: Float
 ) -> MultiplierState:
     """One gradient step up `λ (cost - d)`: λ rises exactly where the excess [R, 1] is above 0."""
     parameter, moments = state
-    gradient = -form.slope(parameter) * excess.to(parameter.dtype)
+    gradient = -form.slope(parameter) * excess.astype(parameter.dtype)
     if config.multiplier_optimizer == "adam":
         parameter, moments = adam(parameter, gradient, moments, config.multiplier_lr)
     else:
         parameter = parameter - config.multiplier_lr * gradient
-    return MultiplierState(parameter.clamp(min=form.lowest), moments)
+    return MultiplierState(np.maximum(parameter, form.lowest), moments)
 
 
-def control(config: Any, state: PIDState, cost: Tensor, excess: Tensor) -> PIDState:
+def control(config: Any, state: PIDState, cost: Float, excess: Float) -> PIDState:
     """One step of the PID controller, `Δ = cost - d`, `(x)₊ = max(x, 0)`; cost, excess: [R, 1].
 
     `I ← (I + k_I Δ)₊`, `c ← .95 c + .05 cost`, `λ = (k_P Δ + I + k_D (c - c_before)₊)₊`.
     Source: Stooke et al. 2020, "Responsive safety in reinforcement learning by PID Lagrangian
     methods", algorithm 2, with the derivative of the smoothed cost as in its code.
     """
-    excess = excess.to(state.value.dtype)
-    integral = (state.integral + config.pid_ki * excess).clamp(min=0.0)
-    new_share = (1.0 - PID_SMOOTHING) * cost.to(state.value.dtype)
+    excess = excess.astype(state.value.dtype)
+    integral = np.maximum(state.integral + config.pid_ki * excess, 0.0)
+    new_share = (1.0 - PID_SMOOTHING) * cost.astype(state.value.dtype)
     smoothed = PID_SMOOTHING * state.smoothed_cost + new_share
-    growth = (smoothed - state.smoothed_cost).clamp(min=0.0)
+    growth = np.maximum(smoothed - state.smoothed_cost, 0.0)
     value = config.pid_kp * excess + integral + config.pid_kd * growth
-    return PIDState(value.clamp(min=0.0), integral, smoothed)
+    return PIDState(np.maximum(value, 0.0), integral, smoothed)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -18,9 +18,12 @@ from torch import Tensor, nn
 
 from agents.errors import UserError
 from agents.lockstep import descent, kernel, tree
+from agents.lockstep.backend import array, tensor
 from agents.lockstep.descent import LANES
 from agents.lockstep.descent import MAY_DIVERGE as MAY_DIVERGE
 from agents.lockstep.kernel import Activation
+
+Numbers = TypeVar("Numbers", Tensor, NDArray)
 
 
 def check_batch(batch_size: int) -> None:
@@ -128,44 +131,46 @@ _IN_NUMPY = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0), "silu": _silu}
 
 
 class Moments(NamedTuple):
-    """Adam's optimiser state of parameters [R, ...]."""
+    """Adam's optimiser state of parameters [R, ...], of their kind: tensors or arrays."""
 
-    mean: Tensor
-    square: Tensor
-    decay1: Tensor
+    mean: Any
+    square: Any
+    decay1: Any
     """β₁ᵗ [R, 1, ...]"""
-    decay2: Tensor
+    decay2: Any
     """β₂ᵗ [R, 1, ...]"""
 
     @property
     def arrays(self) -> descent.Moments:
         """Views of all, run by run."""
-        runs, flat = len(self.mean), (part.numpy() for part in self)
+        runs, flat = len(self.mean), map(array, self)
         mean, square, *decays = (part.reshape(runs, -1) for part in flat)
         return descent.Moments(mean, square, *(decay[:, 0] for decay in decays))
 
 
-def no_moments(params: Tensor) -> Moments:
+def no_moments(params: Tensor | NDArray) -> Moments:
     """The moments before the first step."""
-    one = torch.ones([params.shape[0]] + [1] * (params.dim() - 1))
-    return Moments(torch.zeros_like(params), torch.zeros_like(params), one, one.clone())
+    nothing = np.zeros_like(array(params))
+    ones = np.ones((len(nothing), *[1] * (nothing.ndim - 1)), nothing.dtype)
+    found = (nothing, nothing.copy(), ones, ones.copy())
+    return Moments(*(map(tensor, found) if isinstance(params, Tensor) else found))
 
 
 def adam(
-    params: Tensor, gradient: Tensor, moments: Moments, learning_rate: float
-) -> tuple[Tensor, Moments]:
+    params: Numbers, gradient: NDArray, moments: Moments, learning_rate: float
+) -> tuple[Numbers, Moments]:
     """One step down the gradient; all [R, ...]. Source: Kingma & Ba 2015, algorithm 1."""
     stepped, after = tree.copy((params, moments))
-    adam_in_place(stepped, gradient.numpy(), after, learning_rate)
+    adam_in_place(stepped, gradient, after, learning_rate)
     return stepped, after
 
 
 def adam_in_place(
-    params: Tensor, gradient: NDArray, moments: Moments, learning_rate: float
+    params: Tensor | NDArray, gradient: NDArray, moments: Moments, learning_rate: float
 ) -> None:
     """`adam` of parameters [R, P] or [R, K, P], which it changes."""
     runs = len(gradient)
-    own = params.numpy().reshape(runs, -1)
+    own = array(params).reshape(runs, -1)
     kernel.of(own).adam(own, gradient.reshape(runs, -1), moments.arrays, learning_rate)
 
 

@@ -1,4 +1,4 @@
-"""Nested tuples of tensors with a run axis: choosing by run, saving, loading.
+"""Nested tuples of arrays and tensors with a run axis: choosing by run, saving, loading.
 
 None stands for a part that an algorithm does not have.
 """
@@ -9,50 +9,54 @@ from collections.abc import Iterable, Iterator
 from typing import Any, TypeVar
 
 import numpy as np
-import torch
 from numpy.typing import DTypeLike, NDArray
 from torch import Tensor
 
 from agents.lockstep.backend import array, tensor
 
 Tree = TypeVar("Tree")
+LEAF = (np.ndarray, Tensor)
 
 
 def where(mask: NDArray[np.bool_], new: Tree, old: Tree) -> Tree:
     """The new state of the runs in mask [R], the old state of the others."""
-    return new if mask.all() else select(tensor(mask), new, old)
+    return new if mask.all() else _select(mask, new, old)
 
 
-def select(mask: Tensor, new: Any, old: Any) -> Any:
-    """`where` for a mask that is a tensor; does not branch on its values."""
+def _select(mask: NDArray[np.bool_], new: Any, old: Any) -> Any:
     if new is None:
         return new
-    if isinstance(new, Tensor):
-        return torch.where(mask.view(-1, *[1] * (new.dim() - 1)), new, old)
-    return _like(new, (select(mask, a, b) for a, b in zip(new, old, strict=True)))
+    if isinstance(new, LEAF):
+        chosen = np.where(mask.reshape(-1, *[1] * (new.ndim - 1)), array(new), array(old))
+        return tensor(chosen) if isinstance(new, Tensor) else chosen
+    return _like(new, (_select(mask, a, b) for a, b in zip(new, old, strict=True)))
 
 
 def copy(tree: Any) -> Any:
-    """The tree with tensors of its own."""
+    """The tree with numbers of its own."""
     if tree is None:
         return tree
-    if isinstance(tree, Tensor):
-        return tree.clone(memory_format=torch.contiguous_format)
+    if isinstance(tree, LEAF):
+        copied = array(tree).copy()
+        return tensor(copied) if isinstance(tree, Tensor) else copied
     return _like(tree, map(copy, tree))
+
+
+def tensors(tree: Any) -> Any:
+    """The tree with contiguous tensors in the place of its arrays."""
+    if isinstance(tree, np.ndarray):
+        return tensor(np.ascontiguousarray(tree))
+    return tree if isinstance(tree, Tensor) else _like(tree, map(tensors, tree))
 
 
 def finite(tree: Any) -> NDArray[np.bool_]:
     """Mask of the runs that hold only finite numbers, [R]."""
-    return array(_finite(list(_leaves(tree))))
+    return np.all([np.isfinite(leaf).reshape(len(leaf), -1).all(1) for leaf in _leaves(tree)], 0)
 
 
-def _finite(leaves: list[Tensor]) -> Tensor:
-    return torch.stack([leaf.flatten(1).isfinite().all(dim=1) for leaf in leaves]).all(dim=0)
-
-
-def _leaves(tree: Any) -> Iterator[Tensor]:
-    if isinstance(tree, Tensor):
-        yield tree
+def _leaves(tree: Any) -> Iterator[NDArray]:
+    if isinstance(tree, LEAF):
+        yield array(tree)
     elif tree is not None:
         for part in tree:
             yield from _leaves(part)
@@ -70,10 +74,10 @@ def expect(
 
 
 def flatten(tree: Any, prefix: str = "") -> dict[str, NDArray]:
-    """Every tensor under its dotted name."""
+    """Every array under its dotted name."""
     if tree is None:
         return {}
-    if isinstance(tree, Tensor):
+    if isinstance(tree, LEAF):
         return {prefix: array(tree)}
     return {k: v for name, part in _named(tree, prefix) for k, v in flatten(part, name).items()}
 
@@ -83,9 +87,10 @@ def unflatten(like: Any, arrays: dict[str, NDArray], prefix: str = "") -> Any:
     for one of another shape or type."""
     if like is None:
         return None
-    if isinstance(like, Tensor):
+    if isinstance(like, LEAF):
         whole = array(like)
-        return tensor(expect(prefix, arrays, whole.shape, whole.dtype).copy())
+        found = expect(prefix, arrays, whole.shape, whole.dtype).copy()
+        return tensor(found) if isinstance(like, Tensor) else found
     return _like(like, (unflatten(part, arrays, name) for name, part in _named(like, prefix)))
 
 

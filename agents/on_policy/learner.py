@@ -130,8 +130,9 @@ class OnPolicy(ABC):
     def _followed(self, state: OnPolicyState, epoch: Epoch, ahead: bool) -> OnPolicyState:
         """The state whose multipliers have followed the epoch's costs: those that do so `ahead` of
         the policy, or the others."""
+        assert epoch.discounted_cost is not None
         what = (self.rule.multipliers, self.config, state.multipliers)
-        costs = (epoch.cost, epoch.discounted_cost)
+        costs = (array(epoch.cost), array(epoch.discounted_cost))
         return state._replace(multipliers=lagrange.follow(*what, *costs, ahead=ahead))
 
     def _epoch(self, rollout: Rollout, packing: Packing) -> Epoch:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import nn
 
 from agents.lockstep import lagrange, tree
-from agents.lockstep.backend import array, tensor
+from agents.lockstep.kernel import Float
 from agents.lockstep.lagrange import PIDState
 from agents.lockstep.nets import Activation, forward_numpy
 from agents.lockstep.noise import (
@@ -84,12 +84,12 @@ class OffPolicy:
     def policy(self) -> Policy:
         """The policy of every run as it stands now."""
         net = self.nets.actor
-        layers = net.layers(array(self._state.actor))
+        layers = net.layers(self._state.actor)
         return functools.partial(_act, layers, net.activation, self._inputs)
 
     def module(self, run: int) -> nn.Module:
         """The deterministic policy of a run in PyTorch: observations -> actions in [-1, 1]."""
-        layers = [layer[run] for layer in self.nets.actor.layers(array(self._state.actor))]
+        layers = [layer[run] for layer in self.nets.actor.layers(self._state.actor)]
         layers[-2:] = [layer[..., : self.action_size] for layer in layers[-2:]]  # of the mean
         return self._inputs.module(run, layers, self.nets.actor.activation).append(nn.Tanh())
 
@@ -153,44 +153,44 @@ class OffPolicy:
         does."""
         if not learning.any():
             return np.full((len(self.seeds), len(self.metrics)), np.nan)
-        total = risks = 0.0
+        before, self._state, total = self._state, tree.copy(self._state), 0.0
         for index, noise in self._draws(epoch):
             batch = self._as_learned(self._replay.gather(index))
             what = (self.nets, self.config, self.rule, self._state)
-            state, metrics = sac.update(*what, batch, noise, self._followed(noise))
-            self._state = tree.where(learning, state, self._state)
-            risks = risks + array(metrics["risks"])
+            self._state, metrics = sac.update(*what, batch, noise, self._followed(noise))
             total = total + _columns(metrics)
-        self._control_multipliers(risks / self.config.gradient_steps, learning)
-        return np.where(learning[:, None], total / self.config.gradient_steps, np.nan)
+        means = total / self.config.gradient_steps
+        self._control_multipliers(means[:, -1 - self.costs : -1])
+        self._state = tree.where(learning, self._state, before)
+        return np.where(learning[:, None], means, np.nan)
 
-    def _followed(self, noise: sac.UpdateNoise) -> Tensor | None:
+    def _followed(self, noise: sac.UpdateNoise) -> Float | None:
         """What multipliers follow instead of a batch's risk: see `multiplier_of`; [R, C]."""
         if self._recent is None:
             return None
         if self._multiplier_of == "episode":
             of = functools.partial(self.rule.of_episodes, self.config)
-            return tensor(self._recent.costs(of))
+            return self._recent.costs(of)
         starts, weight = self._recent.starts
         seen = self._normalizer.inputs(starts) if self._normalizer else starts
         what = (self.nets, self.config, self.rule, self._state)
-        return sac.risk_at(*what, tensor(seen), noise.start_action, tensor(weight))
+        return sac.risk_at(*what, seen, noise.start_action, weight)
 
     def _as_learned(self, batch: Batch) -> Batch:
         """The batch with its rewards in the running scale, and with `novelty_bonus`, by what the
         runs have seen until now, and its observations as networks see them."""
         if self._scale:
-            batch = batch._replace(reward=tensor(self._scale.of(array(batch.reward))))
+            batch = batch._replace(reward=self._scale.of(batch.reward))
         if self._novelty:
-            novelty = tensor(self._novelty.of(array(batch.next_observation)))
+            novelty = self._novelty.of(batch.next_observation)
             batch = batch._replace(reward=batch.reward + self.config.novelty_bonus * novelty)
         if self._normalizer:
             seen = self._normalizer.inputs
             names = ("observation", "next_observation")
-            batch = batch._replace(**{k: tensor(seen(array(getattr(batch, k)))) for k in names})
+            batch = batch._replace(**{k: seen(getattr(batch, k)) for k in names})
         return batch
 
-    def _control_multipliers(self, risks: NDArray, learning: NDArray[np.bool_]) -> None:
+    def _control_multipliers(self, risks: Float) -> None:
         """One step of PID multipliers; risks: [R, C], means over the epoch's gradient steps.
 
         Once an epoch, as on-policy: the gains are those of a step of the controller, and the
@@ -198,9 +198,8 @@ class OffPolicy:
         """
         if any(isinstance(state, PIDState) for state in self._state.multipliers):
             multipliers, states = self.rule.multipliers, self._state.multipliers
-            after = lagrange.follow(multipliers, self.config, states, tensor(risks))
-            state = self._state._replace(multipliers=after)
-            self._state = tree.where(learning, state, self._state)
+            after = lagrange.follow(multipliers, self.config, states, risks)
+            self._state = self._state._replace(multipliers=after)
 
     def finite(self) -> NDArray[np.bool_]:
         """Mask of the runs that hold only finite numbers, [R]."""
@@ -216,9 +215,10 @@ class OffPolicy:
             if self._multiplier_of == "start":
                 start_noise.append(normal(rng, (steps, STARTS, self.action_size)))
         index = self._slots(np.stack(share, axis=1))
-        noise = tensor(np.stack(action_noise, axis=1))
-        starts = tensor(np.stack(start_noise, axis=1)) if start_noise else [None] * steps
-        following, new = (noise[:, :, k].contiguous() for k in range(2))
+        # Action by action in memory, as `sampled` takes them.
+        noise = np.ascontiguousarray(np.array(action_noise).transpose(1, 2, 4, 0, 3))
+        following, new = noise.transpose(1, 0, 3, 4, 2)
+        starts = np.stack(start_noise, axis=1) if start_noise else [None] * steps
         noises = [sac.UpdateNoise(following[k], new[k], starts[k]) for k in range(steps)]
         return list(zip(index, noises, strict=True))
 
@@ -259,9 +259,9 @@ class OffPolicy:
             part.load_state_dict(arrays)
 
 
-def _columns(metrics: dict[str, Tensor]) -> NDArray:
+def _columns(metrics: dict[str, Float]) -> Float:
     """The records of an update in the order of `OffPolicy.metrics`, [R, metrics]."""
     *usual, last = METRICS
-    single = [array(metrics[name])[:, None] for name in usual]
-    several = [array(metrics[name]) for name in ("multipliers", "risks")]
-    return np.concatenate([*single, *several, array(metrics[last])[:, None]], axis=-1)
+    single = [metrics[name][:, None] for name in usual]
+    several = (metrics["multipliers"], metrics["risks"], metrics[last][:, None])
+    return np.concatenate([*single, *several], axis=-1)

@@ -3,36 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from agents.lockstep import tree
-from agents.lockstep.backend import tensor
 from agents.lockstep.noise import Purpose, streams
 from agents.lockstep.normalizer import RunningMoments
 from agents.lockstep.rollout import Rollout
 
 
 class Batch(NamedTuple):
-    """Transitions drawn from the replay."""
+    """Transitions drawn from the replay; arrays, and tensors where PyTorch differentiates a
+    rule."""
 
-    observation: Tensor
+    observation: Any
     """[R, B, critic inputs]: with what the critics alone see, see `critic_inputs`"""
-    action: Tensor
+    action: Any
     """[R, B, action size], in [-1, 1]"""
-    reward: Tensor
+    reward: Any
     """[R, B]"""
-    cost: Tensor
+    cost: Any
     """[R, C, B]"""
-    next_observation: Tensor
+    next_observation: Any
     """[R, B, critic inputs]"""
-    terminal: Tensor
+    terminal: Any
     """[R, B]: 1.0 where no reward follows the transition, else 0.0"""
-    cost_terminal: Tensor
+    cost_terminal: Any
     """[R, B]: 1.0 where no cost follows it that counts, else 0.0"""
 
 
@@ -49,9 +48,10 @@ class Replay:
         costs: int = 1,
         kept: int = 0,
     ) -> None:
-        self._widths = [observation_size, action_size, 1, costs, observation_size, 1, 1]
+        widths = [observation_size, action_size, 1, costs, observation_size, 1, 1]
+        self._ends = np.cumsum(widths[:-1])  # of the columns in a row
         self._kept = kept
-        self._rows = np.zeros((runs, capacity, sum(self._widths)), dtype=np.float32)
+        self._rows = np.zeros((runs, capacity, sum(widths)), dtype=np.float32)
         self.stored = np.zeros(runs, dtype=np.int64)
         """Transitions stored so far, [R]; those beyond the capacity have replaced the oldest
         that are not kept."""
@@ -75,14 +75,13 @@ class Replay:
 
     def gather(self, index: NDArray[np.int64]) -> Batch:
         """The transitions in slots index [R, B]; those kept come first."""
-        rows = tensor(self._rows[np.arange(len(index))[:, None], index])
-        parts = (part.contiguous() for part in rows.split(self._widths, dim=-1))
-        observation, action, reward, cost, next_observation, *ends = parts
-        terminal, cost_terminal = (end[..., 0] for end in ends)
-        cost = cost.transpose(1, 2).contiguous()
-        return Batch(
-            observation, action, reward[..., 0], cost, next_observation, terminal, cost_terminal
-        )
+        runs, capacity, width = self._rows.shape
+        of_run = capacity * np.arange(runs)[:, None]
+        rows = self._rows.reshape(-1, width).take(of_run + index, axis=0)
+        observation, action, reward, cost, following, *ends = np.split(rows, self._ends, axis=-1)
+        reward, *ends = (np.ascontiguousarray(column[..., 0]) for column in (reward, *ends))
+        cost = np.ascontiguousarray(cost.transpose(0, 2, 1))
+        return Batch(observation, action, reward, cost, following, *ends)
 
     def state_dict(self) -> dict[str, NDArray]:
         """The state for a checkpoint: the rows that are held, not the empty ones."""

@@ -16,12 +16,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn.functional import softplus
 
 from agents.checks import In
 from agents.errors import UserError
-from agents.lockstep import kernel, lagrange, tree
-from agents.lockstep.backend import tensor
+from agents.lockstep import kernel, lagrange
+from agents.lockstep.backend import array, tensor
 from agents.lockstep.kernel import Float
 from agents.lockstep.lagrange import Multiplier, MultiplierConfig, MultiplierState, State
 from agents.lockstep.nets import (
@@ -36,6 +35,7 @@ from agents.lockstep.nets import (
 )
 from agents.lockstep.noise import Purpose, stream
 from agents.lockstep.normalizer import InputConfig
+from agents.lockstep.pulled import Pull, has_closed_form, pulled
 from agents.lockstep.rollout import critic_inputs
 from agents.sac.replay import Batch
 
@@ -60,7 +60,7 @@ class SACConfig(InputConfig):
     """Adam's step size for the temperature, which falls from 1 as the policy gets surer. Paper:
     3e-4, as for the networks."""
     batch_size: Annotated[int, In(1)] = 256
-    """Transitions a gradient step; a multiple of 32, at most the replay's size. Paper: 256."""
+    """Transitions a gradient step, at most the replay's size. Paper: 256."""
     gradient_steps: Annotated[int, In(1, 100_000)] = 5
     """Gradient steps an epoch, which is one episode. Paper: 5."""
     random_steps: Annotated[int, In(0)] = 5_000
@@ -108,7 +108,6 @@ class SACConfig(InputConfig):
     def __post_init__(self) -> None:
         """Raises UserError naming the value that is not allowed."""
         super().__post_init__()
-        check_batch(self.batch_size)
         if self.batch_size > self.replay_size:
             raise UserError(
                 f"batch_size must be at most replay_size, {self.replay_size}, got {self.batch_size}"
@@ -167,30 +166,13 @@ LOG_STD = (-20.0, 2.0)
 """Where the logarithm of the standard deviation is clamped."""
 
 
-def sample(outputs: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-    """Actions and their log-probabilities.
-
-    outputs: mean and log-std of the policy net, [R, B, 2·A]; noise: standard normal, [R, B, A]
-    -> [R, B, A] in (-1, 1), [R, B]. `a = tanh(u)`, `u = μ + σ·noise`,
-    `log π = log N(u) - Σ log(1 - tanh²u)`. Source: Haarnoja et al. 2018, appendix C.
-    """
-    mean, log_std = outputs.chunk(2, dim=-1)
-    log_std = log_std.clamp(*LOG_STD)
-    u = mean + log_std.exp() * noise
-    log_normal = -0.5 * noise * noise - log_std - 0.5 * math.log(2.0 * math.pi)
-    # log(1 - tanh²u) without the cancellation at large u
-    log_slope = 2.0 * (math.log(2.0) - u - softplus(-2.0 * u))
-    return torch.tanh(u), (log_normal - log_slope).sum(dim=-1)
-
-
 def act(outputs: NDArray[np.float32], noise: NDArray[np.float32] | None) -> NDArray[np.float32]:
-    """The actions of `sample` in numpy; without noise the deterministic policy's, `tanh(μ)`."""
+    """The actions of `sampled`, [..., A]; without noise the deterministic policy's, `tanh(μ)`."""
     half = outputs.shape[-1] // 2
     mean, log_std = outputs[..., :half], outputs[..., half:]
     if noise is None:
         return np.tanh(mean)
-    log_std = np.minimum(np.maximum(log_std, LOG_STD[0]), LOG_STD[1])
-    return np.tanh(mean + np.exp(log_std) * noise)
+    return np.tanh(mean + np.exp(log_std.clip(*LOG_STD)) * noise)
 
 
 def mean_cost(config: Any, costs: NDArray[np.float64]) -> float:
@@ -199,7 +181,8 @@ def mean_cost(config: Any, costs: NDArray[np.float64]) -> float:
 
 
 class CostRule(NamedTuple):
-    """How an algorithm of the family treats costs. Every function takes its config first.
+    """How an algorithm of the family treats costs. Every function takes its config first, and
+    tensors; PyTorch differentiates it unless it has a `closed_form`.
 
     `cost_values` are the outputs of one cost's critics, two by default, [R, 2, B].
     """
@@ -243,13 +226,13 @@ class SACState(NamedTuple):
     Numbers that are one a run (temperature, multiplier) fill a row of 32 equal ones: see `nets`.
     """
 
-    actor: Tensor
+    actor: Float
     """[R, actor size]"""
-    critics: Tensor
+    critics: Float
     """[R, 2 + 2·C, critic size]: two for the reward, two (`cost_critics`) for each cost"""
-    targets: Tensor
+    targets: Float
     """[R, 2 + 2·C, critic size]"""
-    log_temperature: Tensor
+    log_temperature: Float
     """[R, LANES]"""
     multipliers: tuple[State, ...]
     actor_moments: Moments
@@ -260,8 +243,8 @@ class SACState(NamedTuple):
 class UpdateNoise(NamedTuple):
     """The random numbers of one update: standard normal, [R, B, action size]."""
 
-    next_action: Tensor
-    new_action: Tensor
+    next_action: Float
+    new_action: Float
     start_action: Any = None
     """[R, STARTS, action size], with `multiplier_of` start"""
 
@@ -278,15 +261,14 @@ def make_nets(config: SACConfig, observation_size: int, action_size: int, costs:
 def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int]) -> SACState:
     """The state of runs before their first update; each run's comes from its seed alone."""
     streams = [stream(seed, Purpose.PARAMETERS) for seed in seeds]
-    actor = tensor(np.stack([nets.actor.initial(rng) for rng in streams]))
+    actor = np.stack([nets.actor.initial(rng) for rng in streams])
     count = 2 + config.cost_critics * rule.costs
-    critics = [[nets.critic.initial(rng) for _ in range(count)] for rng in streams]
-    critics = tensor(np.array(critics))
-    log_temperature = torch.zeros(len(seeds), LANES)
+    critics = np.array([[nets.critic.initial(rng) for _ in range(count)] for rng in streams])
+    log_temperature = np.zeros((len(seeds), LANES), np.float32)
     return SACState(
         actor=actor,
         critics=critics,
-        targets=critics.clone(),
+        targets=critics.copy(),
         log_temperature=log_temperature,
         multipliers=lagrange.initial(rule.multipliers, config, len(seeds)),
         actor_moments=no_moments(actor),
@@ -297,7 +279,10 @@ def initial_state(nets: Nets, config: Any, rule: CostRule, seeds: Sequence[int])
 
 def check_rule(config: Any, rule: CostRule) -> None:
     """Raise ValueError where a function of a rule returns another shape than `CostRule` says: sums
-    would run over other axes. Each is called once, with zeros."""
+    would run over other axes. Each is called once, with zeros. Raises UserError for a batch_size
+    that PyTorch must not see."""
+    if not all(map(has_closed_form, (rule.risk, rule.critic_loss, rule.penalty))):
+        check_batch(config.batch_size)
     runs, batch, costs = 2, 3, rule.costs
     critics = torch.zeros(runs, config.cost_critics, batch)
     rows, features = torch.zeros(runs, batch), torch.zeros(runs, batch, 1)
@@ -319,35 +304,51 @@ def check_rule(config: Any, rule: CostRule) -> None:
             raise ValueError(f"{name} must return {list(shape)}, got {given} ({sizes})")
 
 
-def values(nets: Nets, critics: Tensor, observation: Tensor, action: Tensor) -> Tensor:
-    """Values of all critics of each run: [R, 2 + 2·C, B]."""
-    return nets.critic.forward_each(critics, torch.cat([observation, action], dim=-1))
+class Sampled(NamedTuple):
+    """Actions that a policy draws, and what their gradient needs: action by action, each [A, R, B],
+    since numpy is slow along a short last axis."""
+
+    action: Float
+    log_prob: Float
+    """[R, B]"""
+    spread: Float
+    """`σ·noise`"""
+    inside: NDArray[np.bool_]
+    """Where log σ was not clamped."""
+
+    def slope(self, of_action: Float, of_log_prob: Float) -> Float:
+        """The gradient of a loss in the outputs [R, B, 2·A], from those in action [A, R, B] and
+        log-probability [R, 1].
+
+        `∂a/∂u = 1 - a²`, `∂ log π/∂u = 2 a`, `∂u/∂ log σ = σ·noise`, `∂ log π/∂ log σ = 2 a σ·noise
+        - 1`.
+        """
+        in_u = of_action * (1.0 - self.action * self.action) + 2.0 * of_log_prob * self.action
+        in_log_std = self.inside * (in_u * self.spread - of_log_prob)
+        return np.concatenate([in_u, in_log_std]).transpose(1, 2, 0)
 
 
-def risk_at(
-    nets: Nets,
-    config: Any,
-    rule: CostRule,
-    state: SACState,
-    observation: Tensor,
-    noise: Tensor,
-    weight: Tensor,
-) -> Tensor:
-    """The mean risk of each cost where the policy acts anew at observations [R, B, critic inputs]:
-    [R, C]; noise: [R, B, action size]; weight: [R, B], adds up to 1."""
-    outputs = nets.actor.forward(state.actor, nets.actor.inputs_of(observation))
-    q = values(nets, state.critics, observation, sample(outputs, noise)[0])
-    return (weight[:, None] * risks(config, rule, q)).sum(dim=-1)
+LOG_2, LOG_2_PI = math.log(2.0), math.log(2.0 * math.pi)
 
 
-def cost_critics(values: Tensor, rule: CostRule) -> list[Tensor]:
-    """The outputs [R, 2, B] of each cost's critics among those of all critics."""
-    return list(values[:, 2:].chunk(rule.costs, dim=1))
+def sampled(outputs: Float, noise: Float) -> Sampled:
+    """Actions and their log-probabilities.
 
-
-def risks(config: Any, rule: CostRule, values: Tensor) -> Tensor:
-    """The risk of each cost, [R, C, B], from the outputs of all critics."""
-    return torch.stack([rule.risk(config, own) for own in cost_critics(values, rule)], dim=1)
+    outputs: mean and log-std of the policy net, [R, B, 2·A]; noise: standard normal, [R, B, A].
+    `a = tanh(u)`, `u = μ + σ·noise`, `log π = log N(u) - Σ log(1 - tanh²u)`. Source: Haarnoja et
+    al. 2018, appendix C.
+    """
+    noise = noise.transpose(2, 0, 1)
+    numbers = np.ascontiguousarray(outputs.transpose(2, 0, 1))
+    mean, raw = numbers[: len(noise)], numbers[len(noise) :]
+    log_std = raw.clip(*LOG_STD)
+    spread = np.exp(log_std) * noise
+    u = mean + spread
+    # log(1 - tanh²u) without the cancellation at large u
+    size = np.abs(u)
+    log_slope = 2.0 * (LOG_2 - size - np.log1p(np.exp(-2.0 * size)))
+    log_prob = (-0.5 * (noise * noise + LOG_2_PI) - log_std - log_slope).sum(axis=0)
+    return Sampled(np.tanh(u), log_prob, spread, log_std == raw)
 
 
 class Critics(NamedTuple):
@@ -356,117 +357,123 @@ class Critics(NamedTuple):
     seen: Float
     """[R, B, critic inputs + A]"""
     tape: Any
-    values: Tensor
+    values: Float
     """[R, 2 + 2·C, B]"""
 
 
-def critics_at(nets: Nets, critics: Tensor, observation: Tensor, action: Float) -> Critics:
+def critics_at(nets: Nets, critics: Float, observation: Float, action: Float) -> Critics:
     """All critics [R, 2 + 2·C, size] at observations [R, B, critic inputs] and actions
-    [R, B, A]."""
+    [A, R, B]."""
     runs, count, size = critics.shape
-    seen = np.concatenate([observation.numpy(), action], axis=-1)
-    params = critics.numpy().reshape(-1, size)
+    inputs = observation.shape[-1]
+    seen = np.empty((*observation.shape[:2], inputs + len(action)), observation.dtype)
+    seen[..., :inputs] = observation
+    for column, of_one in enumerate(action, start=inputs):
+        seen[..., column] = of_one
+    params = critics.reshape(-1, size)
     found, tape = kernel.of(params).forward(nets.critic, params, seen, count)
-    return Critics(seen, tape, tensor(found.reshape(runs, count, -1)))
+    return Critics(seen, tape, found.reshape(runs, count, -1))
 
 
-def pulled(nets: Nets, critics: Tensor, at: Critics, slope: Float, of: str) -> Float:
+def gradient_of(nets: Nets, critics: Float, at: Critics, slope: Float, of: str) -> Float:
     """The gradient of a loss in the critics' parameters, [R, 2 + 2·C, size] (of "p"), or in the
-    actions, [R, B, A] (of "x"); slope: in their values, [R, 2 + 2·C, B]."""
+    actions, [A, R, B] (of "x"); slope: in their values, [R, 2 + 2·C, B]."""
     runs, count, size = critics.shape
-    params = critics.numpy().reshape(-1, size)
-    dy = slope.reshape(runs * count, -1, 1)
-    of_params, of_inputs = kernel.of(params).backward(
-        nets.critic, params, at.seen, at.tape, dy, of, count
-    )
-    if of_params is not None:
-        return of_params.reshape(critics.shape)
-    assert of_inputs is not None
-    _, batch, width = of_inputs.shape
-    actions = slice(nets.critic.sizes[0] - nets.actor.sizes[-1] // 2, None)
-    return of_inputs.reshape(runs, count, batch, width)[..., actions].sum(axis=1)
+    params, dy = critics.reshape(-1, size), slope.reshape(runs * count, -1, 1)
+    own = kernel.of(params)
+    in_params, in_seen = own.backward(nets.critic, params, at.seen, at.tape, dy, of, count)
+    if in_params is not None:
+        return in_params.reshape(critics.shape)
+    assert in_seen is not None
+    _, batch, width = in_seen.shape
+    actions = in_seen.reshape(runs, count, batch, width)[..., -(nets.actor.sizes[-1] // 2) :]
+    return np.ascontiguousarray(actions.transpose(3, 1, 0, 2)).sum(axis=1)
+
+
+def of_costs(values: Float, rule: CostRule) -> list[Float]:
+    """The outputs [R, 2, B] of each cost's critics among those of all critics."""
+    return list(np.split(values[:, 2:], rule.costs, axis=1)) if rule.costs > 1 else [values[:, 2:]]
+
+
+def risks(config: Any, rule: CostRule, values: Float) -> tuple[Float, list[Pull]]:
+    """The risk of each cost, [R, C, B], from the outputs of all critics."""
+    found = [pulled(rule.risk, config, own) for own in of_costs(values, rule)]
+    return np.stack([risk for risk, _ in found], axis=1), [pull for _, pull in found]
+
+
+def risk_at(
+    nets: Nets,
+    config: Any,
+    rule: CostRule,
+    state: SACState,
+    observation: Float,
+    noise: Float,
+    weight: Float,
+) -> Float:
+    """The mean risk of each cost where the policy acts anew at observations [R, B, critic inputs]:
+    [R, C]; noise: [R, B, action size]; weight: [R, B], adds up to 1."""
+    new, *_ = drawn(nets, state, observation, noise)
+    at = critics_at(nets, state.critics, observation, new.action)
+    return (weight[:, None] * risks(config, rule, at.values)[0]).sum(axis=-1)
+
+
+def drawn(
+    nets: Nets, state: SACState, observation: Float, noise: Float
+) -> tuple[Sampled, Float, Any]:
+    """Actions of the policy at observations [R, B, at least its inputs], what it saw of them, and
+    the tape of its network."""
+    seen = np.ascontiguousarray(observation[..., : nets.actor.sizes[0]])
+    outputs, tape = kernel.of(state.actor).forward(nets.actor, state.actor, seen)
+    return sampled(outputs, noise), seen, tape
+
+
+def share_of_first(values: Float, sign: float) -> Float:
+    """How far the lower (sign 1) or higher (-1) of two values [R, 2, B] is the first: 0, 1, or, of
+    equal ones, ½: [R, B]."""
+    return 0.5 + (0.5 * sign) * np.sign(values[:, 1] - values[:, 0])
 
 
 def critic_slope(
-    config: Any,
-    rule: CostRule,
-    found: Tensor,
-    batch: Batch,
-    reward_target: Float,
-    following: Tensor,
-) -> tuple[Float, dict[str, Tensor]]:
+    config: Any, rule: CostRule, found: Float, batch: Batch, target: Float, following: Float
+) -> tuple[Float, dict[str, Float]]:
     """The gradient in the critics' values [R, 2 + 2·C, B] of half the mean squared error of each
     reward critic and the rule's loss of the cost critics, and both parts [R].
 
-    following: the target critics' values at the next action, [R, 2 + 2·C, B].
+    target: of the reward critics, [R, B]; following: the target critics' values at the next action,
+    [R, 2 + 2·C, B].
     """
-    error = found[:, :2].numpy() - reward_target[:, None]
-    slope = np.empty(found.shape, error.dtype)
-    slope[:, :2] = error / error.shape[-1]
-    reward_part = 0.5 * (error * error).mean(axis=-1).sum(axis=-1)
-    with torch.enable_grad():
-        costs = found[:, 2:].detach().requires_grad_()
-        pairs = zip(costs.chunk(rule.costs, 1), cost_critics(following, rule), strict=True)
-        losses = [
-            rule.critic_loss(config, own, theirs, batch._replace(cost=batch.cost[:, k]))
-            for k, (own, theirs) in enumerate(pairs)
-        ]
-        cost_part = sum(losses[1:], start=losses[0])
-    slope[:, 2:] = torch.autograd.grad(cost_part.sum(), costs)[0].numpy()
-    return slope, {"critic_loss": tensor(reward_part), "cost_critic_loss": cost_part.detach()}
+    error = found[:, :2] - target[:, None]
+    slopes, cost_part, one = [error / error.shape[-1]], 0.0, np.ones(len(found), found.dtype)
+    pairs = zip(of_costs(found, rule), of_costs(following, rule), strict=True)
+    for k, (own, theirs) in enumerate(pairs):
+        of_cost = batch._replace(cost=batch.cost[:, k])
+        loss, pull = pulled(rule.critic_loss, config, own, theirs, of_cost)
+        cost_part = cost_part + loss
+        slopes.append(pull(one))
+    reward_part = 0.5 * mean(error * error).sum(axis=-1)
+    records = {"critic_loss": reward_part, "cost_critic_loss": np.asarray(cost_part)}
+    return np.concatenate(slopes, axis=1), records
 
 
 def actor_slope(
-    config: Any, rule: CostRule, found: Tensor, multipliers: Tensor
-) -> tuple[Float, Tensor, Tensor]:
+    config: Any, rule: CostRule, found: Float, multipliers: Float
+) -> tuple[Float, Float, Float]:
     """The gradient of `E[-min Q + penalty(risk)]` in the critics' values [R, 2 + 2·C, B], that mean
-    without its gradient [R], and the risks [R, C, B]; multipliers: [R, M]."""
-    with torch.enable_grad():
-        leaf = found.detach().requires_grad_()
-        risk = risks(config, rule, leaf)
-        penalty = rule.penalty(config, risk, multipliers).sum(dim=1)
-        loss = (penalty - torch.minimum(leaf[:, 0], leaf[:, 1])).mean(dim=-1)
-    (slope,) = torch.autograd.grad(loss.sum(), leaf)
-    return slope.numpy(), loss.detach(), risk.detach()
+    [R], and the mean of the risks [R, C]; multipliers: [R, M]."""
+    batch = found.shape[-1]
+    risk, pulls = risks(config, rule, found)
+    penalty, pull = pulled(rule.penalty, config, risk, multipliers)
+    in_risk = pull(np.full(risk.shape, 1.0 / batch, risk.dtype))
+    share = share_of_first(found, 1.0)[:, None]
+    slopes = [share / -batch, (share - 1.0) / batch]
+    slopes += [pull(in_risk[:, k]) for k, pull in enumerate(pulls)]
+    loss = penalty.sum(axis=1) - np.minimum(found[:, 0], found[:, 1])
+    return np.concatenate(slopes, axis=1), mean(loss), mean(risk)
 
 
-class Sampled(NamedTuple):
-    """`sample` in numpy, with what its gradient needs."""
-
-    action: Float
-    """[R, B, A]"""
-    log_prob: Float
-    """[R, B]"""
-    outputs: Float
-    """Of the policy net, [R, B, 2·A]"""
-    spread: Float
-    """`σ·noise`, [R, B, A]"""
-
-    def slope(self, of_action: Float, of_log_prob: Float) -> Float:
-        """The gradient of a loss in the outputs, from those in action [R, B, A] and
-        log-probability [R, B, 1].
-
-        `∂a/∂u = 1 - a²`, `∂ log π/∂u = 2 a`, `∂u/∂ log σ = σ·noise`, `∂ log π/∂ log σ = 2 a σ·noise
-        - 1`.
-        """
-        in_u = of_action * (1.0 - self.action * self.action) + of_log_prob * 2.0 * self.action
-        raw = self.outputs[..., self.action.shape[-1] :]
-        inside = (raw >= LOG_STD[0]) & (raw <= LOG_STD[1])
-        return np.concatenate([in_u, inside * (in_u * self.spread - of_log_prob)], axis=-1)
-
-
-LOG_2, LOG_2_PI = math.log(2.0), math.log(2.0 * math.pi)
-
-
-def sampled(outputs: Float, noise: Float) -> Sampled:
-    """See `sample`; outputs: [R, B, 2·A]; noise: [R, B, A]."""
-    half = outputs.shape[-1] // 2
-    log_std = np.minimum(np.maximum(outputs[..., half:], LOG_STD[0]), LOG_STD[1])
-    spread = np.exp(log_std) * noise
-    u = outputs[..., :half] + spread
-    log_slope = 2.0 * (LOG_2 - u - np.logaddexp(0.0, -2.0 * u))
-    log_prob = (-0.5 * (noise * noise + LOG_2_PI) - log_std - log_slope).sum(axis=-1)
-    return Sampled(np.tanh(u), log_prob, outputs, spread)
+def mean(values: Float) -> Float:
+    """Over the batch, the last axis."""
+    return np.add.reduce(values, axis=-1) / values.shape[-1]
 
 
 def actor_gradient(
@@ -474,24 +481,22 @@ def actor_gradient(
     config: Any,
     rule: CostRule,
     state: SACState,
-    observation: Tensor,
-    noise: Tensor,
-    multipliers: Tensor,
-) -> tuple[Float, Tensor, Tensor, Float]:
+    observation: Float,
+    noise: Float,
+    multipliers: Float,
+) -> tuple[Float, Float, Float, Float]:
     """The gradient of `E[α log π - min Q + penalty(risk)]` in the actors [R, actor size], over
-    actions drawn anew with that noise [R, B, A]; the loss [R], risks [R, C, B], log π [R, B]."""
-    actor, alpha = state.actor.numpy(), state.log_temperature.exp()[:, :1]
-    seen, own = nets.actor.inputs_of(observation).numpy(), kernel.of(actor)
-    outputs, tape = own.forward(nets.actor, actor, seen)
-    new = sampled(outputs, noise.numpy())
+    actions drawn anew with that noise [R, B, A]; means of the loss [R], risks [R, C], log π [R]."""
+    alpha = np.exp(state.log_temperature[:, :1])
+    new, seen, tape = drawn(nets, state, observation, noise)
     at = critics_at(nets, state.critics, observation, new.action)
     slope, loss, risk = actor_slope(config, rule, at.values, multipliers)
-    of_log_prob = (alpha.numpy() / seen.shape[1])[..., None]
-    in_outputs = new.slope(pulled(nets, state.critics, at, slope, "x"), of_log_prob)
-    gradient, _ = own.backward(nets.actor, actor, seen, tape, in_outputs, "p")
+    in_action = gradient_of(nets, state.critics, at, slope, "x")
+    in_outputs = new.slope(in_action, alpha / seen.shape[1])
+    own, log_prob = kernel.of(state.actor), mean(new.log_prob)
+    gradient, _ = own.backward(nets.actor, state.actor, seen, tape, in_outputs, "p")
     assert gradient is not None
-    loss = loss + alpha[:, 0] * tensor(new.log_prob.mean(axis=-1))
-    return gradient, loss, risk, new.log_prob
+    return gradient, loss + alpha[:, 0] * log_prob, risk, log_prob
 
 
 @MAY_DIVERGE
@@ -502,69 +507,59 @@ def update(
     state: SACState,
     batch: Batch,
     noise: UpdateNoise,
-    followed: Tensor | None = None,
-) -> tuple[SACState, dict[str, Tensor]]:
+    followed: Float | None = None,
+) -> tuple[SACState, dict[str, Float]]:
     """One gradient step of critics, actor, temperature and multiplier, in this order.
 
     Losses are summed over runs and averaged over the batch: the critics' are those of
     `critic_slope` against `r + γ (min Q' - α log π)`, the actor's is `E[α log π - min Q +
-    penalty(risk)]` over actions drawn anew. Networks are the kernel's; a rule is differentiated in
-    the critics' values. Temperature and multiplier see the actions that the actor's step was
-    computed from; followed: [R, C], what multipliers follow instead of the batch's risk. Returns
-    the new state and, for the records, means over the batch: [R], multipliers [R, M], risks, those
-    that are followed [R, C].
+    penalty(risk)]` over actions drawn anew. Networks are the kernel's. Temperature and multiplier
+    see the actions that the actor's step was computed from; followed: [R, C], what multipliers
+    follow instead of the batch's risk. Changes the arrays of the state but the multipliers' in
+    place. Returns the state with them, and for the records, means over the batch: [R], multipliers
+    [R, M], risks, those that are followed [R, C].
     """
-    rate = config.learning_rate
-    after = state._replace(**{k: tree.copy(getattr(state, k)) for k in LEARNED})
-    temperature = state.log_temperature.exp()
-    alpha = temperature.numpy()[:, :1]
-    own, actor = kernel.of(state.actor.numpy()), after.actor.numpy()
+    rate, count = config.learning_rate, len(state.actor)
+    temperature = np.exp(state.log_temperature)
+    alpha = temperature[:, :1]
+    following, *_ = drawn(nets, state, batch.next_observation, noise.next_action)
+    later = critics_at(nets, state.targets, batch.next_observation, following.action).values
+    value = np.minimum(later[:, 0], later[:, 1]) - alpha * following.log_prob
+    target = batch.reward + config.discount * (1.0 - batch.terminal) * value
 
-    seen = nets.actor.inputs_of(batch.next_observation).numpy()
-    outputs, _ = own.forward(nets.actor, actor, seen)
-    following = sampled(outputs, noise.next_action.numpy())
-    targets = critics_at(nets, state.targets, batch.next_observation, following.action).values
-    low = np.minimum(*targets[:, :2].numpy().swapaxes(0, 1))
-    going = config.discount * (1.0 - batch.terminal.numpy())
-    target = batch.reward.numpy() + going * (low - alpha * following.log_prob)
+    taken = batch.action.transpose(2, 0, 1)
+    at = critics_at(nets, state.critics, batch.observation, taken)
+    slope, metrics = critic_slope(config, rule, at.values, batch, target, later)
+    gradient = gradient_of(nets, state.critics, at, slope, "p")
+    adam_in_place(state.critics, gradient, state.critic_moments, rate)
 
-    at = critics_at(nets, after.critics, batch.observation, batch.action.numpy())
-    slope, metrics = critic_slope(config, rule, at.values, batch, target, targets)
-    gradient = pulled(nets, after.critics, at, slope, "p")
-    adam_in_place(after.critics, gradient, after.critic_moments, rate)
-
-    multipliers = in_penalty = lagrange.values(rule.multipliers, state.multipliers, len(alpha))
+    multipliers = in_penalty = lagrange.values(rule.multipliers, state.multipliers, count)
     if rule.augmented and rule.augments_replay and followed is None:
-        taken = critics_at(nets, after.critics, batch.observation, batch.action.numpy())
-        followed = risks(config, rule, taken.values).mean(dim=-1)
+        at = critics_at(nets, state.critics, batch.observation, taken)
+        followed = mean(risks(config, rule, at.values)[0])
     if rule.augmented and followed is not None:
-        in_penalty = rule.augmented(config, multipliers, followed)
+        in_penalty = array(rule.augmented(config, tensor(multipliers), tensor(followed)))
 
-    what = (after, batch.observation, noise.new_action, in_penalty)
+    what = (state, batch.observation, noise.new_action, in_penalty)
     gradient, loss, risk, log_prob = actor_gradient(nets, config, rule, *what)
-    adam_in_place(after.actor, gradient, after.actor_moments, rate)
+    adam_in_place(state.actor, gradient, state.actor_moments, rate)
 
-    risk = risk.mean(dim=-1) if followed is None else followed
-    entropy = -log_prob.mean(axis=-1)
+    risk = risk if followed is None else followed
     metrics |= {
         "actor_loss": loss,
         "temperature": temperature[:, 0],
         "multipliers": multipliers,
         "risks": risk,
-        "entropy": tensor(entropy),
+        "entropy": -log_prob,
     }
     # Descend `-α E[log π + target entropy]` along log α, with the target entropy -A.
-    excess = tensor(-entropy)[:, None] - batch.action.shape[-1]
-    of_temperature = (-temperature * excess).numpy()
-    moments = after.temperature_moments
-    adam_in_place(after.log_temperature, of_temperature, moments, config.temperature_lr)
-    after.targets.lerp_(after.critics, config.target_rate)
+    of_temperature = temperature * (len(taken) - log_prob[:, None])
+    moments = state.temperature_moments
+    adam_in_place(state.log_temperature, of_temperature, moments, config.temperature_lr)
+    change = state.critics - state.targets
+    change *= config.target_rate
+    np.add(state.targets, change, out=state.targets)
     if all(isinstance(part, MultiplierState) for part in state.multipliers):
         states = lagrange.follow(rule.multipliers, config, state.multipliers, risk)
-        after = after._replace(multipliers=states)  # a PID follows once an epoch
-    return after, metrics
-
-
-LEARNED = ("actor", "critics", "targets", "log_temperature")
-LEARNED += ("actor_moments", "critic_moments", "temperature_moments")
-"""Parts of the state that an update changes in place, in a copy."""
+        state = state._replace(multipliers=states)  # a PID follows once an epoch
+    return state, metrics

@@ -88,7 +88,7 @@ def test_multipliers_of_this_epochs_cost():
     assert c_trpo.recovers(config, 1 + nothing, costs - 0.1)[0, 0].item() == 0
     rule, config = focops.RULE, focops.FOCOPSConfig()
     states = lagrange.initial(rule.multipliers, config, 2)
-    states = lagrange.follow(rule.multipliers, config, states, torch.tensor([[75.0], [425.0]]))
+    states = lagrange.follow(rule.multipliers, config, states, np.array([[75.0], [425.0]]))
     assert lagrange.values(rule.multipliers, states, 2)[:, 0].tolist() == pytest.approx([0.5, 2])
 
 
@@ -260,7 +260,7 @@ def test_the_barrier_of_ipo_follows_the_discounted_cost():
     """1 / (20 · (25 - 20)); the undiscounted cost is above the limit."""
     config, rule = ipo.IPOConfig(), ipo.RULE.multipliers
     states = lagrange.initial(rule, config, 1)
-    states = lagrange.follow(rule, config, states, torch.tensor([[30.0]]), torch.tensor([[20.0]]))
+    states = lagrange.follow(rule, config, states, np.array([[30.0]]), np.array([[20.0]]))
     assert lagrange.values(rule, states, 1).item() == pytest.approx(0.01)
 
 

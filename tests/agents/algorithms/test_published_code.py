@@ -76,7 +76,7 @@ def improved(name, cost, length=1.0, before=0.0, **changes):
         cost=torch.full((1, 1), cost, dtype=torch.float64),
         discounted_cost=torch.full((1, 1), cost, dtype=torch.float64),
     )
-    states = [state._replace(parameter=state.parameter + before) if before else state
+    states = [state._replace(parameter=state.parameter + np.float32(before)) if before else state
               for state in it._state.multipliers]  # fmt: skip
     it._state = it._followed(it._state._replace(multipliers=tuple(states)), epoch, ahead=True)
     state, _ = it.improve(epoch, np.array([ROWS]), [np.random.default_rng(0)])
@@ -123,7 +123,7 @@ def test_pid():
     config, rule = algorithm("cppo-pid").config(), algorithm("cppo-pid").rule
     states, found = lagrange.initial(rule.multipliers, config, 1), []
     for cost in (30.0, 10.0, 40.0, 26.0):
-        states = lagrange.follow(rule.multipliers, config, states, torch.tensor([[cost]]))
+        states = lagrange.follow(rule.multipliers, config, states, np.array([[cost]]))
         found.append(lagrange.values(rule.multipliers, states, 1).item())
     assert found == pytest.approx([0.566, 0.0, 1.6690375, 0.2710856], abs=1e-6)
 
@@ -140,26 +140,29 @@ def off_policy(name, shifts, cost_bias=0.0, **changes):
     critics = np.stack([filled(nets.critic, 0.3, shift) for shift in critics])
     for critic in critics[2:]:
         nets.critic.layers(critic[None])[-1][...] += cost_bias
-    critics = torch.from_numpy(critics)[None]
-    actor = torch.from_numpy(filled(nets.actor, 0.3, actor))[None]
-    return nets, config, state._replace(actor=actor, critics=critics, targets=critics.clone())
+    critics, actor = critics[None], filled(nets.actor, 0.3, actor)[None]
+    return nets, config, state._replace(actor=actor, critics=critics, targets=critics.copy())
+
+
+def said(net, params, seen):
+    """Outputs of networks params [N, size] for seen [B, in]."""
+    seen = torch.from_numpy(np.repeat(seen[None], len(params), axis=0))
+    return net.forward(torch.from_numpy(params), seen)
 
 
 def noise(rate, shift):
     """[1, ROWS, 1]"""
-    return torch.from_numpy((1.2 * np.sin(rate * i + shift))[None, :, None].astype(np.float32))
+    return (1.2 * np.sin(rate * i + shift))[None, :, None].astype(np.float32)
 
 
 BATCH = Batch(
-    observation=torch.from_numpy(OBSERVATION)[None],
-    action=torch.from_numpy(np.tanh(ACTION))[None],
-    reward=torch.from_numpy(np.cos(0.7 * i).astype(np.float32))[None],
-    cost=torch.from_numpy((COST > 0).astype(np.float32))[None, None],
-    next_observation=torch.from_numpy(
-        np.sin(0.9 * (i[:, None] + 1) + 2.1 * np.arange(3)).astype(np.float32)
-    )[None],
-    terminal=torch.from_numpy((i % 10 == 9).astype(np.float32))[None],
-    cost_terminal=torch.from_numpy((i % 10 == 9).astype(np.float32))[None],
+    observation=OBSERVATION[None],
+    action=np.tanh(ACTION)[None],
+    reward=np.cos(0.7 * i).astype(np.float32)[None],
+    cost=(COST > 0).astype(np.float32)[None, None],
+    next_observation=np.sin(0.9 * (i[:, None] + 1) + 2.1 * np.arange(3)).astype(np.float32)[None],
+    terminal=(i % 10 == 9).astype(np.float32)[None],
+    cost_terminal=(i % 10 == 9).astype(np.float32)[None],
 )
 
 
@@ -181,9 +184,10 @@ def test_cal(limit, actor, cost_critics, log_multiplier):
     for step in range(3):
         drawn = sac.UpdateNoise(noise(2.3, step), noise(2.9, step + 1))
         state, _ = sac.update(nets, config, algorithm("cal").rule, state, BATCH, drawn)
-    outputs = nets.actor.forward(state.actor, BATCH.observation)[0, :3]
+    outputs = said(nets.actor, state.actor, OBSERVATION)[0, :3]
     assert outputs.T.flatten().tolist() == pytest.approx(actor, abs=2e-5)
-    q = sac.values(nets, state.critics, BATCH.observation, BATCH.action)[0, :, 0]
+    seen = np.concatenate([OBSERVATION, np.tanh(ACTION)], axis=-1)
+    q = said(nets.critic, state.critics[0], seen)[:, 0, 0]
     assert q[2:].tolist() == pytest.approx(cost_critics, abs=1e-5)
     assert state.multipliers[0].parameter[0, 0].item() == pytest.approx(log_multiplier, abs=1e-5)
     assert state.log_temperature[0, 0].item() == pytest.approx(-0.0090014, abs=1e-6)
@@ -192,11 +196,10 @@ def test_cal(limit, actor, cost_critics, log_multiplier):
 def test_sac_pid():
     """The actor's loss, and means and log σ at three observations after a step, at λ = 0.566."""
     nets, config, state = off_policy("sac-pid", (0.1, 0.2, 0.4, 0.6, 0.6))
-    what = (state, BATCH.observation, noise(2.9, 1), torch.tensor([[0.566]]))
+    what = (state, BATCH.observation, noise(2.9, 1), np.float32([[0.566]]))
     gradient, value, *_ = sac.actor_gradient(nets, config, algorithm("sac-pid").rule, *what)
     assert value.item() == pytest.approx(0.087554953, abs=1e-6)
-    gradient = torch.from_numpy(gradient)
     moved, _ = adam(state.actor, gradient, state.actor_moments, config.learning_rate)
-    outputs = nets.actor.forward(moved, BATCH.observation)[0, :3].flatten().tolist()
+    outputs = said(nets.actor, moved, OBSERVATION)[0, :3].flatten().tolist()
     published = (-0.160674, -0.086085, -0.058724, -0.064032, -0.014553, -0.017238)
     assert outputs == pytest.approx(published, abs=2e-5)

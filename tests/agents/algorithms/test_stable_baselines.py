@@ -13,6 +13,7 @@ from gymnasium.spaces import Box
 from torch import nn
 
 from agents.algorithms import learner, ppo, sac
+from agents.lockstep import tree
 from agents.lockstep.rollout import Rollout
 from agents.on_policy.epoch import Packing
 from agents.sac import update
@@ -83,8 +84,9 @@ def test_sac(monkeypatch):
     rates = {"learning_rate": RATE, "temperature_lr": RATE}
     config = sac.ALGORITHM.config(batch_size=ROWS, hidden=HIDDEN, **rates)
     nets = update.make_nets(config, OBSERVATION, ACTION, 1)
-    state = update.initial_state(nets, config, sac.RULE, [3])
-    state = state._replace(targets=state.targets + 0.01)
+    ours = update.initial_state(nets, config, sac.RULE, [3])
+    ours.targets[...] += 0.01
+    state = tree.tensors(ours)  # of the same memory
     rng = torch.Generator().manual_seed(0)
 
     def normal(*shape):
@@ -112,9 +114,12 @@ def test_sac(monkeypatch):
     monkeypatch.setattr(model.replay_buffer, "sample", lambda *_, **__: sample)
     model.train(gradient_steps=1, batch_size=ROWS)
 
-    after, told = update.update(nets, config, sac.RULE, state, batch, noise)
     outputs = nets.actor.forward(state.actor, batch.observation)
-    entropy = -update.sample(outputs, noise.new_action)[1].mean().item()
+    entropy = -update.sampled(outputs.numpy(), noise.new_action.numpy()).log_prob.mean()
+    batch = Batch(*(column.numpy() for column in batch))
+    drawn = update.UpdateNoise(*(normals.numpy() for normals in noise[:2]))
+    after, told = update.update(nets, config, sac.RULE, ours, batch, drawn)
+    after = tree.tensors(after)
     assert told["entropy"].item() == pytest.approx(entropy, abs=1e-5)
     assert told["temperature"].item() == 1.0
     of_actor, of_critic = average(model.actor.optimizer), average(model.critic.optimizer)

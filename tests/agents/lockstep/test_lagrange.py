@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pytest
-import torch
 
 from agents.lockstep import lagrange
 from agents.lockstep.lagrange import EXP, PROJECTED, SOFTPLUS, Multiplier, MultiplierConfig
@@ -36,7 +36,7 @@ class One:
         return self
 
 
-COST = 4.0 + torch.tensor([[2.0], [-3.0], [0.0], [1e-3]])
+COST = 4.0 + np.array([[2.0], [-3.0], [0.0], [1e-3]])
 
 
 @pytest.mark.parametrize("name", FORMS)
@@ -44,17 +44,17 @@ COST = 4.0 + torch.tensor([[2.0], [-3.0], [0.0], [1e-3]])
 def test_rises_exactly_when_the_cost_is_above_the_limit(name, optimizer):
     config = Config(initial_multiplier=1.5, multiplier_lr=1e-2, multiplier_optimizer=optimizer)
     one = One(FORMS[name], config, 4)
-    before = torch.tensor(one.value)
-    change = torch.tensor(one.follow(COST).value) - before
-    assert change.sign().tolist() == [1.0, -1.0, 0.0, 1.0]
+    before = np.array(one.value)
+    change = np.array(one.follow(COST).value) - before
+    assert np.sign(change).tolist() == [1.0, -1.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize("name", FORMS)
 def test_slope_against_finite_differences(name):
     h, form = 1e-6, FORMS[name]
-    at = torch.tensor([0.1, 0.7, 3.0], dtype=torch.float64)
+    at = np.array([-30.0, 0.1, 0.7, 3.0])
     expected = (form.value(at + h) - form.value(at - h)) / (2 * h)
-    torch.testing.assert_close(form.slope(at), expected, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(form.slope(at), expected, rtol=1e-6, atol=1e-8)
 
 
 def test_steps_by_hand():
@@ -91,7 +91,7 @@ def test_ten_steps_of_pid_by_hand():
     assert one.value == [pytest.approx(0.3)] * 2
     for cost in costs:
         # The second run's costs are always 0: its integral falls to 0 and no further.
-        found.append(one.follow(torch.tensor([[cost], [0.0]])).value)
+        found.append(one.follow(np.array([[cost], [0.0]])).value)
     assert [value for value, _ in found] == pytest.approx(expected, abs=1e-5)
     assert [value for _, value in found] == [0.0] * 10
     assert one.state.integral[:, 0].tolist() == [pytest.approx(3.4), 0.0]
@@ -110,7 +110,7 @@ def test_a_law_by_hand():
     def law(config, parameter, cost):
         return parameter * (1.0 + 0.1 * (cost - config.cost_limit))
 
-    form, cost = PROJECTED._replace(law=law), torch.tensor([[6.0], [1.0], [-8.0]])
+    form, cost = PROJECTED._replace(law=law), np.array([[6.0], [1.0], [-8.0]])
     one = One(form, Limited(), 3).follow(cost)
     assert one.value == pytest.approx([0.6, 0.35, 0.0])
     assert one.state.parameter.shape == (3, LANES)
@@ -126,13 +126,13 @@ def test_several_follow_their_own_costs_and_limits():
     rule = second, Multiplier(SOFTPLUS), Multiplier(PROJECTED, 1)
     config = Config(initial_multiplier=0.5, multiplier_lr=0.1, multiplier_optimizer="sgd")
     states = lagrange.initial(rule, config, 2)
-    after = lagrange.follow(rule, config, states, torch.tensor([[5.0, 10.0], [2.0, 6.0]]))
-    found = torch.stack([state.parameter[:, 0] for state in after], dim=1)
-    by_hand = torch.tensor([[0.8, 0.5622459, 1.1], [0.4, 0.3755081, 0.7]])
-    torch.testing.assert_close(found, by_hand)
+    after = lagrange.follow(rule, config, states, np.array([[5.0, 10.0], [2.0, 6.0]]))
+    found = np.stack([state.parameter[:, 0] for state in after], axis=1)
+    by_hand = np.array([[0.8, 0.5622459, 1.1], [0.4, 0.3755081, 0.7]])
+    np.testing.assert_allclose(found, by_hand, rtol=1e-6)
     values = lagrange.values(rule, after, 2)
-    torch.testing.assert_close(values[:, 1], (1 + by_hand[:, 1].exp()).log())
-    torch.testing.assert_close(values[:, ::2], by_hand[:, ::2])
+    np.testing.assert_allclose(values[:, 1], np.log(1 + np.exp(by_hand[:, 1])), rtol=1e-6)
+    np.testing.assert_allclose(values[:, ::2], by_hand[:, ::2], rtol=1e-6)
     assert lagrange.names(rule) == ("multiplier", "multiplier_2", "multiplier_3")
 
 

@@ -102,7 +102,7 @@ def test_networks_see_the_moments_of_the_epochs_before(name):
         assert moments[run, 0].tolist() == [len(own)] * 2
         np.testing.assert_allclose(moments[run, 1], own.mean(0), rtol=1e-10)
     if name == "sac-lag":
-        stored = it.learner._replay.gather(np.tile(np.arange(40), (2, 1))).observation.numpy()
+        stored = it.learner._replay.gather(np.tile(np.arange(40), (2, 1))).observation
         np.testing.assert_array_equal(stored[1], np.concatenate(seen[1])[:40].astype(np.float32))
         drawn = it.learner._as_learned(it.learner._replay.gather(np.tile(np.arange(40), (2, 1))))
         shown = (stored[1] - moments[1, 1]) / np.sqrt(moments[1, 2] / moments[1, 0] + 1e-8)

@@ -87,11 +87,12 @@ def test_the_risk_at_start_states(name, normalize):
                 count, mean, squares = before_it[run]
                 own = (own - mean) / np.sqrt(squares / count + 1e-8)
                 own = own.clip(-10, 10).astype(np.float32)
-            observation = torch.from_numpy(own)[None]
-            actor, critics = before.actor[[run]], before.critics[[run]]
-            outputs = it.learner.nets.actor.forward(actor, observation)
-            action, _ = sac.sample(outputs, noise.start_action[[run], : len(own)])
-            q = sac.values(it.learner.nets, critics, observation, action)
+            nets, observation = it.learner.nets, torch.from_numpy(own)[None]
+            actor, critics = (torch.from_numpy(x[[run]]) for x in (before.actor, before.critics))
+            outputs = nets.actor.forward(actor, observation).numpy()
+            action = sac.act(outputs, noise.start_action[[run], : len(own)])
+            seen = torch.cat([observation, torch.from_numpy(action)], dim=-1)
+            q = nets.critic.forward_each(critics, seen)
             risk = it.learner.rule.risk(it.learner.config, q[:, 2:]).mean().item()
             assert metrics["risk"][run] == pytest.approx(risk, rel=1e-4)
             compared += 1

@@ -6,7 +6,6 @@ from small_trainings import trained
 from threadpoolctl import threadpool_limits
 
 from agents.lockstep import backend
-from agents.lockstep.backend import array
 from agents.sac.replay import FEATURES, Novelty, ReturnScale
 
 
@@ -73,8 +72,8 @@ def test_the_bonus_joins_the_learned_reward_alone():
     index = np.tile(np.arange(32), (2, 1))
     plain = learner._replay.gather(index)
     with_bonus = learner._as_learned(plain)
-    novelty = learner._novelty.of(plain.next_observation.numpy())
-    np.testing.assert_allclose(with_bonus.reward, plain.reward.numpy() + 3.0 * novelty, rtol=1e-6)
+    novelty = learner._novelty.of(plain.next_observation)
+    np.testing.assert_allclose(with_bonus.reward, plain.reward + 3.0 * novelty, rtol=1e-6)
     assert (plain.reward <= 0).all()
     assert novelty.max() > 5 * novelty.min() / 4
 
@@ -101,9 +100,9 @@ def test_the_scale_follows_training_and_resumes():
     it = trained("sac-lag", "Circle2D-1-v0", steps=300, reward_scale="running", random_steps=100)
     learner = it.learner
     plain = learner._replay.gather(np.tile(np.arange(32), (2, 1)))
-    scaled = array(learner._as_learned(plain).reward)
-    ratio = array(plain.reward) / scaled
+    scaled = learner._as_learned(plain).reward
+    ratio = plain.reward / scaled
     np.testing.assert_allclose(ratio, ratio[:, :1].repeat(32, axis=1), rtol=1e-5)
     again = ReturnScale(2, 0.99)
     again.load_state_dict({"moments": learner.state_dict()["scale.moments"]})
-    np.testing.assert_array_equal(again.of(array(plain.reward)), scaled)
+    np.testing.assert_array_equal(again.of(plain.reward), scaled)

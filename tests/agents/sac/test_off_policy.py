@@ -49,7 +49,7 @@ def test_noise_is_fresh_and_without_a_share_every_slot_is_drawn():
     slots = np.concatenate([index.ravel() for index, _ in draws])
     assert (slots.min(), slots.max()) == (0, 1999)
     assert np.bincount(slots, minlength=2000).max() < 45  # of 12.8 on average
-    noises = [noise.numpy() for _, noises in draws[:6] for noise in noises[:2]]
+    noises = [noise for _, noises in draws[:6] for noise in noises[:2]]
     assert len({run.tobytes() for noise in noises for run in noise}) == 2 * len(noises)
 
 
@@ -71,7 +71,7 @@ def test_what_ends_at_the_time_limit(time_limit, ends):
     batch = it.learner._replay.gather(np.tile(np.arange(100), (2, 1)))
     last = np.arange(100) % 50 == 49
     for column, expected in zip((batch.terminal, batch.cost_terminal), ends, strict=True):
-        np.testing.assert_array_equal(column.numpy(), np.tile(last & expected, (2, 1)))
+        np.testing.assert_array_equal(column, np.tile(last & expected, (2, 1)))
 
 
 def test_episodes_start_elsewhere():
@@ -140,9 +140,8 @@ def fill(replay, capacity, epochs=9, kept=0):
 
 
 def rows(batch):
-    batch = batch._replace(cost=batch.cost.mT)
-    columns = [c if c.dim() == 3 else c[..., None] for c in batch]
-    return np.concatenate([c.numpy() for c in columns], axis=-1)
+    batch = batch._replace(cost=batch.cost.swapaxes(1, 2))
+    return np.concatenate([c if c.ndim == 3 else c[..., None] for c in batch], axis=-1)
 
 
 @pytest.mark.parametrize(("capacity", "kept"), [(12, 0), (12, 5), (12, 11), (100, 0), (100, 7)])

@@ -19,13 +19,13 @@ CONFIG = SACLagConfig(cost_limit=5.0, discount=0.9, multiplier_lr=2e-3)
 
 def two_transitions():
     return Batch(
-        observation=torch.zeros(1, 2, 2),
-        action=torch.zeros(1, 2, 2),
-        reward=torch.tensor([[1.0, -2.0]]),
-        cost=torch.tensor([[[0.0, 1.0]]]),
-        next_observation=torch.zeros(1, 2, 2),
-        terminal=torch.tensor([[0.0, 1.0]]),
-        cost_terminal=torch.tensor([[0.0, 1.0]]),
+        observation=np.zeros((1, 2, 2), np.float32),
+        action=np.zeros((1, 2, 2), np.float32),
+        reward=np.float32([[1.0, -2.0]]),
+        cost=np.float32([[[0.0, 1.0]]]),
+        next_observation=np.zeros((1, 2, 2), np.float32),
+        terminal=np.float32([[0.0, 1.0]]),
+        cost_terminal=np.float32([[0.0, 1.0]]),
     )
 
 
@@ -33,10 +33,10 @@ def constant_nets(config, values, targets):
     """Nets whose weights are 0: each critic says its last bias, the actor mean 0 and log-std 0."""
     nets = sac.make_nets(config, 2, 2, 1)
     state = sac.initial_state(nets, config, RULE, [0])
-    critics, slow = torch.zeros(2, 1, 4, nets.critic.size)
+    critics, slow = np.zeros((2, 1, 4, nets.critic.size), np.float32)
     last = sum(a * b + b for a, b in ((4, 64), (64, 64))) + 64  # where the output's bias lies
-    critics[0, :, last], slow[0, :, last] = torch.tensor(values), torch.tensor(targets)
-    return nets, state._replace(actor=torch.zeros_like(state.actor), critics=critics, targets=slow)
+    critics[0, :, last], slow[0, :, last] = values, targets
+    return nets, state._replace(actor=0 * state.actor, critics=critics, targets=slow)
 
 
 def test_losses_by_hand():
@@ -48,7 +48,7 @@ def test_losses_by_hand():
     """
     config = replace(CONFIG, learning_rate=1e-12)  # the actor's loss is with the stepped critics
     nets, state = constant_nets(config, [3.0, 4.0, 6.0, 7.0], [2.0, 1.5, 8.0, 9.0])
-    noise = sac.UpdateNoise(torch.zeros(1, 2, 2), torch.zeros(1, 2, 2))
+    noise = sac.UpdateNoise(*np.zeros((2, 1, 2, 2), np.float32))
     log_prob = -math.log(2 * math.pi)
     _, found = sac.update(nets, config, RULE, state, two_transitions(), noise)
     # targets: 1 + 0.9 (min(2, 1.5) + 1.8378771) = 4.0040894, and -2, the terminal one's reward;
@@ -70,7 +70,8 @@ def test_squashed_gaussian_against_torch_distributions(scale):
     generator = torch.Generator().manual_seed(0)
     outputs = (scale * torch.randn(2, 50, 6, generator=generator)).double()
     noise = torch.randn(2, 50, 3, generator=generator).double()
-    action, log_prob = sac.sample(outputs, noise)
+    drawn = sac.sampled(outputs.numpy(), noise.numpy())
+    action, log_prob = torch.tensor(drawn.action).movedim(0, -1), torch.tensor(drawn.log_prob)
     mean, log_std = outputs.chunk(2, dim=-1)
     distribution = torch.distributions.TransformedDistribution(
         torch.distributions.Normal(mean, log_std.clamp(-20, 2).exp()),
@@ -92,8 +93,8 @@ def test_squashed_gaussian_against_torch_distributions(scale):
 def test_every_critic_starts_elsewhere():
     """Twins that start alike stay alike, and their minimum is no caution."""
     nets = sac.make_nets(CONFIG, 3, 2, 1)
-    critics = sac.initial_state(nets, CONFIG, RULE, (0, 1)).critics.flatten(0, 1).tolist()
-    assert len(set(map(tuple, critics))) == 2 * 4
+    critics = sac.initial_state(nets, CONFIG, RULE, (0, 1)).critics
+    assert len({critic.tobytes() for of_run in critics for critic in of_run}) == 2 * 4
 
 
 @pytest.mark.parametrize(
