@@ -138,7 +138,7 @@ def train(
         else:
             if (folder / CONFIG).exists():
                 raise UserError(f"{folder} holds runs already")
-            _launch({folder: config}, engine, None, address)
+            _launch({folder: config}, engine, None, address, split=False)
     except BaseException:
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -162,8 +162,9 @@ def sweep(
     """Train an algorithm with every combination of some hyper-parameters.
 
     grid: values of each hyper-parameter by its name: {"cost_limit": (1.0, 5.0), ...}. Each
-        combination has a folder below `out`, named by its values. Given again, the same call goes
-        on where it was interrupted. workers: processes, or tasks of Ray, at a time; by default as
+        combination has a folder below `out`, named by its values; where there are more workers than
+        these, its runs are in parts below it. Given again, the same call goes on where it was
+        interrupted. workers: processes, or tasks of Ray, at a time; by default as
         many as there are cores. settings: the other arguments of `train` but on_epoch and
         progress, hyper-parameters among them.
 
@@ -182,8 +183,7 @@ def sweep(
     chosen = [settings | values for values in combinations.values()]
     configs = configs_of(algorithm, task, chosen, preset, backend, given)
     by_folder = {folder / name: c for name, c in zip(combinations, configs, strict=True)}
-    _launch(by_folder, engine, workers, address)
-    return Runs(list(by_folder))
+    return Runs(_launch(by_folder, engine, workers, address, split=len(by_folder) > 1))
 
 
 @lockstep_backend.restored()
@@ -415,17 +415,20 @@ def _launch(
     engine: EngineName,
     workers: int | None,
     address: str | None,
-) -> None:
-    """Train folders to their end; what is done stays.
+    split: bool,
+) -> list[Path]:
+    """Train folders to their end; what is done stays. Returns the folders of the runs.
 
-    Raises UserError where one holds other runs, and where the training of a folder fails; the
-    others are done by then.
+    split: whether trainings may be cut into parts. Raises UserError where one holds other runs, and
+    where the training of a folder fails; the others are done by then.
     """
     from agents.training import grid as grids
     from agents.training.launcher import launcher
 
     modules = modules_of(configs.values())
     with launcher(engine, workers, modules, address) as trainings:
+        if split:
+            configs = grids.split(configs, trainings.count)
         grids.prepare(configs)
         for folder in configs:
             if not finished(folder):
@@ -434,6 +437,7 @@ def _launch(
         failed = trainings.failed
     if failed:
         raise RunsFailed("; ".join(f"{folder} failed: {why}" for folder, why in failed.items()))
+    return list(configs)
 
 
 def modules_of(configs: Collection[TrainConfig]) -> list[str]:

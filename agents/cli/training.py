@@ -333,11 +333,14 @@ def reproduce(args: Sequence[str]) -> int:
             raise UserError(f"beside {source}: there is no such folder or archive")
     configs = _configs(options)
     if options.shard is not None:
-        configs = grid.shard(configs, *_shard(options.shard))
+        part, count = _shard(options.shard)  # equally cut in all of them
+        configs = grid.shard(grid.split(configs, count * (options.workers or 1)), part, count)
     modules = [*dict.fromkeys([*options.imports, *api.modules_of(configs.values())])]
     how = (options.engine, options.workers, modules, options.address)
     # The engine first: one that refuses leaves no folder behind.
     with launcher(*how) as trainings:
+        if options.shard is None:
+            configs = grid.split(configs, trainings.count)
         grid.prepare(configs)
         for folder in configs:
             if (note := callbacks.other_session(folder)) and not finished(folder):

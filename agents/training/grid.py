@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import heapq
+import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -85,6 +89,98 @@ def shard(folders: Mapping[Path, TrainConfig], part: int, count: int) -> dict[Pa
 def work(config: TrainConfig) -> float:
     """Time that a training takes, in steps of a run of TRPO-Lag."""
     return algorithm(config.algorithm).work * config.steps * len(config.runs)
+
+
+LOCKSTEP = 2
+"""The runs of a training take as long as so many more of them: what runs in lockstep share."""
+NEGLIGIBLE = 0.95
+"""What the time must fall to for parts that are smaller."""
+
+
+def split(folders: Mapping[Path, TrainConfig], workers: int) -> dict[Path, TrainConfig]:
+    """The trainings for so many processes at a time, what takes longest first.
+
+    Where processes would wait for the longest, trainings are cut into parts, `FOLDER/K-of-N`, with
+    some of their tasks and seeds each; runs have the same numbers alone as among others. What has
+    begun stays cut as it is.
+    """
+    numbers = {folder: _cuts(config) for folder, config in folders.items()}
+    share = {f: work(config) / len(config.runs) for f, config in folders.items()}
+
+    def duration(folder: Path, runs: int) -> float:
+        return share[folder] * (runs + LOCKSTEP)
+
+    def sizes(folder: Path) -> list[int]:
+        tasks, seeds = numbers[folder][cut[folder]]
+        config = folders[folder]
+        pairs = itertools.product(_pieces(config.tasks, tasks), _pieces(config.seeds, seeds))
+        return [len(own) * len(few) for own, few in pairs]
+
+    cut, chosen, best, idle = dict.fromkeys(folders, 0), {}, math.inf, 0
+    runs = {folder: sizes(folder) for folder in folders}
+    while folders:
+        takes = makespan([duration(f, n) for f, own in runs.items() for n in own], workers)
+        if takes < NEGLIGIBLE * best:
+            chosen, best, idle = dict(cut), takes, workers - sum(map(len, runs.values()))
+        longest = max(runs, key=lambda folder: duration(folder, max(runs[folder])))
+        if cut[longest] + 1 == len(numbers[longest]):
+            break
+        cut[longest] += 1
+        runs[longest] = sizes(longest)
+    for folder in sorted(folders, key=lambda folder: -work(folders[folder])):  # for idle workers
+        for k, own in list(enumerate(numbers[folder]))[chosen[folder] + 1 :]:
+            more = math.prod(own) - math.prod(numbers[folder][chosen[folder]])
+            if more <= idle:
+                chosen[folder], idle = k, idle - more
+    parts = {}
+    for folder, config in folders.items():
+        begun = next(folder.glob(f"*-of-*/{CONFIG}"), None)
+        found = [numbers[folder][chosen[folder]]]
+        if (folder / CONFIG).exists():
+            found = [(1, 1)]
+        elif begun is not None:
+            count = int(begun.parent.name.rpartition("-")[2])
+            found = [n for n in numbers[folder] if math.prod(n) == count] or found
+        own = _parts(config, *found[0])
+        named = [folder / f"{k}-of-{len(own)}" for k in range(1, len(own) + 1)]
+        parts |= zip(named if len(own) > 1 else [folder], own, strict=True)
+    return dict(sorted(parts.items(), key=lambda pair: -work(pair[1])))
+
+
+def _cuts(config: TrainConfig) -> list[tuple[int, int]]:
+    """Into how many parts its tasks and its seeds may be cut: each time more, the largest of which
+    is smaller."""
+    counts = itertools.product(range(1, len(config.tasks) + 1), range(1, len(config.seeds) + 1))
+    cuts: list[tuple[int, int]] = []
+    smallest = math.inf
+    for tasks, seeds in sorted(counts, key=math.prod):
+        largest = -(-len(config.tasks) // tasks) * -(-len(config.seeds) // seeds)
+        if largest < smallest:
+            cuts, smallest = [c for c in cuts if math.prod(c) < tasks * seeds], largest
+            cuts.append((tasks, seeds))
+    return cuts
+
+
+def _parts(config: TrainConfig, tasks: int, seeds: int) -> list[TrainConfig]:
+    """The training in so many parts."""
+
+    pairs = itertools.product(_pieces(config.tasks, tasks), _pieces(config.seeds, seeds))
+    return [dataclasses.replace(config, tasks=own, seeds=few) for own, few in pairs]
+
+
+def _pieces(items: tuple, count: int) -> list[tuple]:
+    """So many pieces of about equal length."""
+    ends = [len(items) * k // count for k in range(count + 1)]
+    return [items[start:end] for start, end in itertools.pairwise(ends)]
+
+
+def makespan(durations: Sequence[float], workers: int) -> float:
+    """When the last of some trainings ends of which the longest that waits goes to the first of the
+    workers that is free."""
+    free = [0.0] * workers
+    for duration in sorted(durations, reverse=True):
+        heapq.heapreplace(free, free[0] + duration)
+    return max(free)
 
 
 def prepare(folders: Mapping[Path, TrainConfig]) -> None:

@@ -117,7 +117,6 @@ def test_a_default_of_ones_own_is_checked_by_its_own_type():
 
 
 WRONG = [
-    ("ppo-lag", "batch_size", 50, "multiple of 32"),
     ("sac", "batch_size", 65_536, "replay_size"),
     ("sac-lb", "log_barrier_factor", 0, "0.001"),
     ("sac-lb", "streak_weight", -0.5, "at least 0"),

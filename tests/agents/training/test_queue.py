@@ -1,0 +1,135 @@
+"""Grids over the cores that there are: by counting, with made-up durations."""
+
+import threading
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agents.algorithms import algorithm
+from agents.paper.grid import PAPER_ALGORITHMS, circle2d_tasks
+from agents.training import grid
+from agents.training.config import TrainConfig
+from agents.training.launcher import Launcher
+
+TASKS = tuple(circle2d_tasks(range(4), mujoco=False))
+
+
+def training(name="cpo", tasks=TASKS, seeds=(0, 1, 2), steps=1000):
+    return TrainConfig(name, tuple(tasks), tuple(seeds), steps, algorithm(name).config())
+
+
+def cells(config):
+    return [(config.algorithm, task, seed) for task in config.tasks for seed in config.seeds]
+
+
+def duration(config):
+    """Runs in lockstep share what two runs take."""
+    share = algorithm(config.algorithm).work * config.steps
+    return share * (len(config.runs) + 2)
+
+
+def simulated(configs, workers):
+    """Start and end of each training, taken from a queue in its order by the first free worker."""
+    free, times = [0.0] * workers, []
+    for config in configs:
+        worker = min(range(workers), key=free.__getitem__)
+        times.append((free[worker], free[worker] + duration(config)))
+        free[worker] = times[-1][1]
+    return times
+
+
+def paper(out):
+    """Sixty runs: five algorithms, four tasks, three seeds."""
+    return grid.grid(out, TASKS, PAPER_ALGORITHMS, range(3), steps=1000)
+
+
+def test_sixty_runs_on_sixteen_cores_are_sixteen_processes(tmp_path):
+    whole = paper(tmp_path)
+    assert len(whole) == 5
+    parts = grid.split(whole, 16)
+    assert len(parts) == 16
+    every = sorted(cell for config in parts.values() for cell in cells(config))
+    assert every == sorted(cell for config in whole.values() for cell in cells(config))
+    assert len(set(every)) == 60
+    times = simulated(parts.values(), 16)
+    assert {start for start, _ in times} == {0.0}  # all cores begin at once, and no run waits
+    before = max(map(duration, whole.values()))
+    assert max(end for _, end in times) < 0.4 * before
+
+
+def test_one_core_trains_whole_trainings(tmp_path):
+    whole = paper(tmp_path)
+    parts = grid.split(whole, 1)
+    assert parts.keys() == whole.keys() and all(parts[f].runs == whole[f].runs for f in whole)
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(1, 4), st.integers(1, 7), st.integers(1, 9)), min_size=1, max_size=6
+    ),
+    st.integers(1, 20),
+)
+def test_parts_hold_every_run_once_and_take_no_longer(shapes, workers):
+    folders = {
+        Path("nowhere", str(k)): training("cpo", TASKS[:tasks], range(seeds), 100 * steps)
+        for k, (tasks, seeds, steps) in enumerate(shapes)
+    }
+    parts = grid.split(folders, workers)
+    for folder, config in folders.items():
+        own = [c for f, c in parts.items() if f == folder or f.parent == folder]
+        assert sorted(x for c in own for x in cells(c)) == sorted(cells(config))
+    whole = sorted(folders.values(), key=duration, reverse=True)
+    cut = sorted(parts.values(), key=duration, reverse=True)
+    before, after = (max(end for _, end in simulated(c, workers)) for c in (whole, cut))
+    assert after <= before * (1 + 1e-9)
+    works = [grid.work(config) for config in parts.values()]
+    assert works == sorted(works, reverse=True)
+
+
+def test_what_has_begun_stays_cut_as_it_is(tmp_path):
+    """On a machine of other cores the same command finds its folders, whole or in parts."""
+    whole = paper(tmp_path)
+    parts = grid.split(whole, 16)
+    grid.prepare(parts)
+    for workers in (1, 5, 60):
+        assert grid.split(whole, workers).keys() == parts.keys()
+    other = {folder: training("cpo") for folder in (tmp_path / "a", tmp_path / "b")}
+    grid.prepare(other)
+    assert grid.split(other, 16).keys() == other.keys()
+
+
+def test_shards_have_every_run_once(tmp_path):
+    parts = [grid.shard(grid.split(paper(tmp_path), 16), k, 16) for k in range(1, 17)]
+    assert all(len(part) == 1 for part in parts)
+    assert len({cell for part in parts for config in part.values() for cell in cells(config)}) == 60
+
+
+@pytest.mark.parametrize("workers", [1, 3, 8])
+def test_no_worker_is_idle_while_a_training_waits(workers):
+    """The launcher with a training that ends when it is told to: the longest that wait are taken
+    first, and as many run as can at any time."""
+    changed, started, ended = threading.Condition(), [], set()
+
+    def train(folder, ending):
+        with changed:
+            started.append(folder.name)
+            changed.notify_all()
+            assert changed.wait_for(lambda: folder.name in ended, timeout=60)
+        return ""
+
+    names = [str(k) for k in range(12)]
+    with Launcher(workers, train) as trainings:
+        for name in names:
+            trainings.submit(Path(name))
+        for over in range(len(names)):
+            with changed:
+                most = min(workers + over, len(names))
+                assert changed.wait_for(lambda most=most: len(started) == most, timeout=60)
+                assert sorted(started, key=int) == names[:most]
+                running = [name for name in started if name not in ended]
+                ended.add(running[over % len(running)])
+                changed.notify_all()
+        trainings.wait(every=0.1)
+        assert not trainings.failed
