@@ -111,10 +111,10 @@ def counted_kernel():
                 self.count(net, len(params), x.shape[1], first=True)
             return super().backward(net, params, x, tape, dy, of, share)
 
-        def tangent(self, net, params, x, tape, v):
-            self.count(net, len(params), x.shape[1], first=True)
-            self.count(net, len(params), x.shape[1], first=False)
-            return super().tangent(net, params, x, tape, v)
+        def curvature(self, it, v, iterations=0):
+            for first in () if iterations else (True, False):
+                self.count(it.net, len(it.params), it.inputs.shape[1], first)
+            return super().curvature(it, v, iterations)
 
     return Counted()
 

@@ -1,9 +1,10 @@
 // Multi-layer perceptrons of one shape, each computed by itself: values, products with the Jacobian
-// in the parameters and the inputs, and passes of Adam over minibatches. Sums run in an order that depends on a network's own
-// rows alone, so that a network's numbers are the same, bit for bit, whatever others are computed.
+// in the parameters and the inputs, passes of Adam over minibatches, and conjugate gradients. Sums
+// run in an order that depends on a network's own rows alone, so that a network's numbers are the
+// same, bit for bit, whatever others are computed.
 //
-// A layer's parameters are a matrix [in + 1][out], weights and below them the biases; layers lie one
-// behind the other. Rows go through all layers ROWS at a time, turned, as matrices [in + 1][ROWS]
+// A layer's parameters are a matrix [in + 1][out], weights and below them the biases; layers lie
+// one behind the other. Rows go through all layers ROWS at a time, turned, as matrices [in + 1][ROWS]
 // whose last row is 1: so a layer is one product, its biases included, and so is its gradient. All
 // numbers are float32.
 #include <algorithm>
@@ -446,42 +447,28 @@ void backward(int layers, const int64_t *n, int kind, int64_t nets, const float 
   }
 }
 
-// Products of the Jacobian in the parameters with v [nets][vstride]: jy [nets][rows][out].
-void tangent(int layers, const int64_t *n, int kind, int64_t nets, const float *params,
-             int64_t stride, int64_t rows, float *tape, const float *v, int64_t vstride,
-             float *jy) {
-  const Net net(layers, n, kind);
-  const int64_t out = n[layers];
-  tape = aligned(tape);
-  for (int64_t k = 0; k < nets; k++)
-    for (int64_t r = 0; r < rows; r += ROWS, tape += net.tape) {
-      const int64_t some = std::min(ROWS, rows - r);
-      const float *found = net.push(params + k * stride, v + k * vstride, tape, filled(some));
-      turn(found, ROWS, nullptr, out, some, jy + (k * rows + r) * out, out, out);
-    }
-}
-
-// One step of Adam of each run's numbers, all [runs][size], in place; decays [runs]: beta^t before it.
+// One step of Adam of each run's numbers, all [runs][size], in place; decays [runs]: beta^t before.
 void adam(int64_t runs, int64_t size, float *params, const float *gradient, float *mean,
           float *square, float *decay1, float *decay2, float rate) {
   for (int64_t r = 0, at = 0; r < runs; r++, at += size) {
     decay1[r] *= BETA1, decay2[r] *= BETA2;
-    step(size, params + at, gradient + at, 1.0f, mean + at, square + at, decay1[r], decay2[r], rate);
+    step(size, params + at, gradient + at, 1.0f, mean + at, square + at, decay1[r], decay2[r],
+         rate);
   }
 }
 
 // A pass of Adam over minibatches of each run's rows, in their order, for its `share` networks
-// [runs][share][stride], in place, which have a log_std there where there are actions; moments are of the same shape, decays [runs]. Inputs x
+// [runs][share][stride], in place; moments are of the same shape, decays [runs]. Inputs x
 // [runs][rows][width], of which networks see the first; order [runs][most], of which `steps`
-// [runs]. The loss is the clipped surrogate where there are actions [runs][rows][out], or half the
-// squared error from targets [runs][share][rows]. Its gradient is shortened to `longest`. Adds to
-// records [runs][share] what the losses record.
+// [runs]. The loss is half the squared error from targets [runs][share][rows] or, where there are
+// actions [runs][rows][out], the clipped surrogate of policies, whose parameters have log_stds
+// there. Its gradient is shortened to `longest`. Adds to records [runs][share] what losses record.
 void descend(int layers, const int64_t *n, int kind, int64_t runs, int64_t share, float *params,
              int64_t stride, int64_t log_std, float *mean, float *square, float *decay1,
-             float *decay2, const float *x, int64_t rows, int64_t width, const int64_t *order, int64_t most,
-             const int64_t *steps, int64_t batch, const float *action, const float *advantage,
-             const float *old_log_prob, float range, const float *target, float longest, float rate,
-             float *records) {
+             float *decay2, const float *x, int64_t rows, int64_t width, const int64_t *order,
+             int64_t most, const int64_t *steps, int64_t batch, const float *action,
+             const float *advantage, const float *old_log_prob, float range, const float *target,
+             float longest, float rate, float *records) {
   const Net net(layers, n, kind);
   const int64_t out = n[layers], used = action ? log_std + out : net.size;
   float *tape = scratch(3, net.tape), *y = scratch(4, net.widest * ROWS), *g = scratch(5, used);

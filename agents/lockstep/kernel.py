@@ -76,7 +76,7 @@ class InNumpy:
         return self.forward(net, params, x, share)[0]
 
     def forward(self, net: Shape, params: Float, x: Float, share: int = 1) -> tuple[Float, Any]:
-        """Outputs [N, B, out], and what `backward` and `tangent` need of the hidden layers."""
+        """Outputs [N, B, out], and what `backward` needs of the hidden layers."""
         x, tape = np.repeat(x, share, axis=0), []
         *hidden, (weight, bias) = layers(net.sizes, params)
         for w, b in hidden:
@@ -99,16 +99,6 @@ class InNumpy:
             if k or "x" in of:
                 dy = np.matmul(dy, w.swapaxes(1, 2)) * (tape[k - 1][1] if k else 1)
         return gradient if "p" in of else None, dy if "x" in of else None
-
-    def tangent(self, net: Shape, params: Float, x: Float, tape: Any, v: Float) -> Float:
-        """Products of the Jacobian in the parameters with v [N, at least size]: [N, B, out]."""
-        dot, steps = np.zeros_like(x), [*tape, (None, 1)]
-        for (w, _), (vw, vb), (values, slope) in zip(
-            layers(net.sizes, params), layers(net.sizes, v), steps, strict=True
-        ):
-            dot = (np.matmul(x, vw) + vb + np.matmul(dot, w)) * slope
-            x = values
-        return dot
 
     def adam(self, params: Float, gradient: Float, moments: Moments, rate: float) -> None:
         """One step down the gradient, all [R, P], in place. Source: Kingma & Ba 2015, algorithm
@@ -138,11 +128,22 @@ class InNumpy:
         params, x, log_std = it.params, it.inputs[..., : it.net.sizes[0]], it.params[:, it.log_std]
         _, tape = self.forward(it.net, params, x)
         by_variance = np.exp(-2.0 * log_std)[:, None] * it.weight[..., None]
-        pushed = by_variance * self.tangent(it.net, params, x, tape, v)
+        pushed = by_variance * _tangent(it.net, params, x, tape, v)
         image, _ = self.backward(it.net, params, x, tape, pushed, "p")
         assert image is not None
         image[:, it.log_std] = 2.0 * it.weight.sum(axis=-1, keepdims=True) * v[:, it.log_std]
         return image + it.damping * v
+
+
+def _tangent(net: Shape, params: Float, x: Float, tape: Any, v: Float) -> Float:
+    """Products of the Jacobian in the parameters with v [N, at least size]: [N, B, out]."""
+    dot, steps = np.zeros_like(x), [*tape, (None, 1)]
+    for (w, _), (vw, vb), (values, slope) in zip(
+        layers(net.sizes, params), layers(net.sizes, v), steps, strict=True
+    ):
+        dot = (np.matmul(x, vw) + vb + np.matmul(dot, w)) * slope
+        x = values
+    return dot
 
 
 def conjugate_gradient(product: Callable[[Float], Float], b: Float, iterations: int) -> Float:
@@ -212,14 +213,13 @@ class InCpp(InNumpy):
         self.functions.tape_size.argtypes, self.functions.tape_size.restype = [*shape, long], long
         self.functions.forward.argtypes = [*nets, pointer, long, pointer]
         self.functions.backward.argtypes = [*nets, pointer, pointer, long, pointer]
-        self.functions.tangent.argtypes = [*nets, pointer, long, pointer]
         self.functions.adam.argtypes = [long, long, *[pointer] * 6, float_]
         runs = [*shape, long, long, pointer, long, long, *[pointer] * 4, pointer, long, long]
         passed = [pointer, long, pointer, long, *[pointer] * 3, float_, pointer, float_, float_]
         self.functions.descend.argtypes = [*runs, *passed, pointer]
         policies = [*shape, long, pointer, long, long, pointer, long, long, pointer, float_]
         self.functions.curvature.argtypes = [*policies, pointer, long, pointer]
-        for name in ("forward", "backward", "tangent", "adam", "descend", "curvature"):
+        for name in ("forward", "backward", "adam", "descend", "curvature"):
             getattr(self.functions, name).restype = None
 
     def values(self, net: Shape, params: Float, x: Float, share: int = 1) -> Float:
@@ -246,13 +246,6 @@ class InCpp(InNumpy):
         to = (_data(gp), params.shape[1], _data(gx))
         self.functions.backward(*_of(net, params, x, tape), dy.ctypes.data, *to)
         return gp, gx
-
-    def tangent(self, net: Shape, params: Float, x: Float, tape: Any, v: Float) -> Float:
-        """See `InNumpy`."""
-        jy = np.empty((len(params), x.shape[1], net.sizes[-1]), np.float32)
-        direction = (v.ctypes.data, v.strides[0] // 4)
-        self.functions.tangent(*_of(net, params, x, tape), *direction, jy.ctypes.data)
-        return jy
 
     def adam(self, params: Float, gradient: Float, moments: Moments, rate: float) -> None:
         """See `InNumpy`."""
@@ -407,8 +400,7 @@ def _results(
     found = [kernel.values(policy, params, x, 2)]
     gp, gx = kernel.backward(policy, params, x, tape, given["dy"], "px", 2)
     assert gp is not None and gx is not None
-    alone = kernel.forward(policy, params[:2], x)[1]
-    found += [y, gp / 10, gx, kernel.tangent(policy, params[:2], x, alone, v[:2])]
+    found += [y, gp / 10, gx]
     order, steps = np.tile(np.arange(70)[::-1], (2, 1)), np.array([70, 40])
     old, end = np.full_like(given["advantage"], -3.0), _size(policy)
     clipped = Clipped(given["action"], given["advantage"], old, 0.2)

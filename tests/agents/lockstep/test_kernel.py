@@ -40,8 +40,8 @@ shapes = st.tuples(
 @settings(max_examples=60, deadline=None)
 @given(shapes)
 def test_both_are_float64s_autograd_but_for_rounding(shape):
-    """Values and all three products, for any depth and width; a network is, bit for bit, what it is
-    alone."""
+    """Values, both products and that with a policy's curvature, for any depth and width; a network
+    is, bit for bit, what it is alone."""
     n_in, hidden, n_out, activation, inputs, share, rows = shape
     net, nets = MLP((n_in, *hidden, n_out), activation), inputs * share
     rng = np.random.default_rng(0)
@@ -66,14 +66,23 @@ def test_both_are_float64s_autograd_but_for_rounding(shape):
     _, jy = torch.autograd.functional.jvp(
         lambda p: values(p, given_[1]), given_[0], torch.from_numpy(v).double()
     )
+    weight = rng.random((nets, rows))
+    log_std, of_log_std = rng.normal(0, 0.3, (2, nets, n_out))
+    u = torch.from_numpy(weight[..., None] * np.exp(-2 * log_std)[:, None]) * jy
+    (of_params,) = torch.autograd.grad(values(*given_), given_[:1], u)
+    of_spread = 2 * weight.sum(axis=1, keepdims=True) * of_log_std
+    direction = np.concatenate([v, of_log_std], axis=1)
+    curved = np.concatenate([of_params.numpy(), of_spread], axis=1) + 0.1 * direction
+    expected.append(torch.from_numpy(curved))
     for own in kernels():
         found, tape = own.forward(net, params, x, share)
         gp, gx = own.backward(net, params, x, tape, dy, "px", share)
         gx = gx.reshape(inputs, share, rows, n_in).sum(axis=1)
-        whole = params.repeat(1, axis=0), np.repeat(x, share, axis=0)
-        _, tape = own.forward(net, *whole)
-        tangent = own.tangent(net, *whole, tape, v)
-        for ours, theirs in zip((found, gp, gx, tangent), (*expected, jy), strict=True):
+        policies = np.concatenate([params, log_std], axis=1, dtype=np.float32)
+        seen, at = np.repeat(x, share, axis=0), slice(net.size, net.size + n_out)
+        it = kernel.Curvature(net, policies, at, seen, weight.astype(np.float32), 0.1)
+        curved = own.curvature(it, direction.astype(np.float32))
+        for ours, theirs in zip((found, gp, gx, curved), expected, strict=True):
             scale = max(1.0, theirs.abs().max().item())
             np.testing.assert_allclose(ours / scale, theirs.detach().numpy() / scale, atol=3e-5)
         k = nets - 1
@@ -145,8 +154,8 @@ def test_what_is_not_a_number_stays_so():
 
 def test_a_kernel_that_computes_wrongly_is_not_taken():
     class Wrong(kernel.InNumpy):
-        def tangent(self, *given):
-            return 1.001 * super().tangent(*given)
+        def values(self, *given):
+            return 1.001 * super().values(*given)
 
     assert kernel.error_of(kernel.IN_NUMPY) < 1e-5
     assert kernel.error_of(Wrong()) > kernel.TOLERANCE
