@@ -1,4 +1,5 @@
-"""Circle2D: a benchmark task for safe exploration.
+"""The tasks of a suite for safe reinforcement learning: Safety-Gymnasium's on current MuJoCo, and
+Circle2D.
 
     import circle2d_mj
     import gymnasium as gym

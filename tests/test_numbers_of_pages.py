@@ -22,7 +22,7 @@ from agents.paper import evidence
 from agents.paper.grid import PAPER_ALGORITHMS
 from agents.paper.sections import _with_all_ties, claims_sections
 from agents.reporting.numbers import numbers_csv, report_lines
-from agents.results.frame import changes, name_of, with_distinct_titles
+from agents.results.frame import changes, with_distinct_titles
 from agents.results.reading import read
 from agents.results.statistics import comparisons, over_windows, thirds_of
 from agents.training.evaluation import POLICIES
@@ -89,29 +89,6 @@ def test_the_tables(name, table):
     assert rows
     text = page(f"results/{name}")
     assert [row for row in rows if row not in text] == []
-
-
-@pytest.mark.slow
-def test_the_readmes_table():
-    """EMCC over windows of ten episodes, from the archives; the rest as in the reports."""
-    archives = [
-        *(RESULTS / "circle2d" / "runs.zip" / "Circle2D-1-v0" / name for name in PAPER_ALGORITHMS),
-        RESULTS / "solve" / "units.zip",
-        RESULTS / "solve" / "runs.zip" / "Circle2D-1-v0-sac-lb-streak",
-    ]
-    groups = read(archives, [], "results", window=10)
-    found = {name_of(group): group for group in groups if group.task == "Circle2D-1-v0"}
-    for name in ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB", "WCSAC", UNITS, "SAC-LB-Streak"):
-        own = runs(
-            results_table.report("solve" if name in (UNITS, "SAC-LB-Streak") else "circle2d"),
-            "Circle2D-1-v0",
-            name,
-        )
-        emccs = [np.mean(found[name].values(measure)) for measure in ("EMCC_0.33", "EMCC_0.99")]
-        numbers = [*emccs, *own[["cost_rate", "J_R", "J_C"]].mean()]
-        title = name.replace("(input_scale 15.0)", "in units of length")
-        cells = " | ".join(f"{value:.2f}" for value in numbers)
-        assert f"| {title} | {cells} | {count(solved(own))} |" in page("README.md")
 
 
 VERDICT = re.compile(r"\*\*([\w ]+?)( †)?(?: \(parts: (.*)\))?\*\*$", re.M)
@@ -616,7 +593,6 @@ def test_the_page_with_physics():
     for name in ("TRPO-Lag", "SAC-Lag"):
         own = on(physics, name, tasks)
         assert own.ends_in.str.startswith("corridor, through").all() and not solved(own).any()
-    told("README.md", f"only SAC-LB of the paper's five does, [in {count(sides[0])}]")
     in_units = results_table.report("solve")
     units = results_table.UNITS_WITH_PHYSICS
     of_levels = [runs(in_units, task, units) for task in [*tasks][1:]]
@@ -846,15 +822,9 @@ def test_the_verdicts_on_the_further_safety_tasks():
 
 
 def test_the_levels_that_sac_lb_streak_solves():
-    """The sentences of the README and of its own page, beside SAC-LB in units of length."""
+    """The sentences of its own page, beside SAC-LB in units of length."""
     grid, lines = results_table.report("circle2d"), results_table.report("solve")
     streak, units = (solved(on(lines, name, LEVELS)) for name in ("SAC-LB-Streak", UNITS))
-    physics = solved(on(lines, "SAC-LB-Streak", results_table.PHYSICS))
-    told(
-        "README.md",
-        f"Of 40 runs, ten on each level, {int(streak.sum())} end in the corridor",
-        f"with physics {count(physics)} do, {count(physics.iloc[10:])} on levels 1 to 3.",
-    )
     own = pd.concat([results_table._part(lines, task, "-without-horizon") for task in LEVELS])
     others = own[~solved(own)].ends_in
     assert (len(own), len(others), others.str.contains("rim").sum()) == (12, 5, 4)
@@ -882,7 +852,6 @@ def test_the_levels_that_sac_lb_streak_solves():
     assert [*tested[:5], tested[-1]] == ["p < .001"] * 6
     assert all(float(a) > float(b) for a, b in zip(higher, lower, strict=True) if float(a) > 0)
     told("results/physics/README.md", f"which solves {count(units)}:")
-    told("README.md", f"in units of length, does in 28 of 40, with physics in {count(units)}")
     told(
         "results/solve/README.md",
         f"solve {count(units[10:])} on levels 1 to 3, the preset {count(preset[10:])} "

@@ -56,7 +56,7 @@ def usage() -> str:
 
     commands = "\n".join(f"  {name:<10} {text}" for name, (_, text) in COMMANDS.items())
     return (
-        f"usage: circle2d COMMAND ...\n\n{commands}\n\n"
+        f"usage: circle2d COMMAND ...\n\nA suite for safe reinforcement learning.\n\n{commands}\n\n"
         "circle2d COMMAND --help explains the options of a command; circle2d --version prints the\n"
         f"version.\nAlgorithms: {', '.join(ALGORITHMS)}.\n"
     )
