@@ -361,7 +361,7 @@ def configs_of(
         word = first.vectorization
         raise UserError(f"step_timeout is for processes: vectorization must be async, got {word}")
     for name in tasks:
-        check_task(name, first.task_parameters, first.costs)
+        check_task(name, first.task_parameters, first.task_costs)
     if first.tensorboard:
         extra("tensorboard", "tensorboard")
     chosen, why = lockstep_backend.choose(backend)

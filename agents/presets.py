@@ -137,8 +137,16 @@ def preset_with(name: str, task: str, given: Mapping[str, Any], of: PresetName =
             meant = OTHER_NAMES.get(other, other)
             others = [name for name in (*names, *RESERVED) if name != other]
             hint = nearest(meant, others, f"it has {', '.join(names)}")
+            if having := with_hyperparameter(other):
+                hint = f"it is of {', '.join(having)}"
             raise UserError(f"{name} has no hyper-parameter {other!r}: {hint}")
     return replace(config, **{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
+
+
+def with_hyperparameter(name: str) -> list[str]:
+    """Names of the algorithms that have a hyper-parameter."""
+    every = {own: [field.name for field in fields(its.config)] for own, its in ALGORITHMS.items()}
+    return [own for own, names in every.items() if name in names]
 
 
 def usual_steps(task: str) -> int:

@@ -90,7 +90,8 @@ class Algorithm(NamedTuple):
     time_limit)` returns an Env or a VectorEnv of the task, which need not reset itself, as policies
     see it, in training, in evaluations and in films (costs: their names in the infos; time_limit:
     of the task, or None); `relabelled(rollout)` the `Rollout` that is learned from, while records
-    keep the task's."""
+    keep the task's. Where `wrap` adds costs to the infos, `added_costs(costs)` returns their names;
+    they are recorded behind those that the rule of the class limits."""
     rule: Any
     """The part that the algorithm adds to its family, which receives it."""
     family: Callable[..., Learner]

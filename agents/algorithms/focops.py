@@ -16,11 +16,11 @@ from agents.algorithms import Algorithm
 from agents.checks import In
 from agents.first_order import FirstOrder, FirstOrderConfig, Minibatch, Objective, mean
 from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier, MultiplierConfig
-from agents.on_policy.state import EpisodeCostLimit, Gaussian
+from agents.on_policy.state import Gaussian, StreakLimit
 
 
 @dataclass(frozen=True)
-class ProjectedMultiplierConfig(MultiplierConfig, EpisodeCostLimit, FirstOrderConfig):
+class ProjectedMultiplierConfig(MultiplierConfig, StreakLimit, FirstOrderConfig):
     """Hyper-parameters that FOCOPS and CUP share, equal in both papers' code."""
 
     limit_of: Literal["discounted", "episode"] = "episode"

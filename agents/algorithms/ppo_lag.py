@@ -13,11 +13,11 @@ from agents.algorithms import Algorithm
 from agents.algorithms.trpo_lag import advantage
 from agents.first_order import FirstOrder, Objective, PPOConfig
 from agents.lockstep.lagrange import PROJECTED, Gain, Multiplier, MultiplierConfig
-from agents.on_policy.state import EpisodeCostLimit
+from agents.on_policy.state import StreakLimit
 
 
 @dataclass(frozen=True)
-class PPOLagConfig(MultiplierConfig, EpisodeCostLimit, PPOConfig):
+class PPOLagConfig(MultiplierConfig, StreakLimit, PPOConfig):
     """Hyper-parameters of PPO-Lag."""
 
     initial_multiplier: Annotated[float, Gain] = 0.001

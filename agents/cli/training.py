@@ -36,7 +36,7 @@ from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.kernel import Backend
 from agents.paper import grid as papers
 from agents.paper.sections import STUDY
-from agents.presets import PresetName, preset
+from agents.presets import PresetName, preset, preset_with, with_hyperparameter
 from agents.reporting.report import report, table
 from agents.reporting.table import show, working
 from agents.training import callbacks, derive, evaluation, grid, policy, trainer
@@ -112,7 +112,13 @@ def train(args: Sequence[str]) -> int:
     for task in tasks[1:]:
         if preset(own, task, named) != hyperparameters:
             raise UserError(f"{tasks[0]} and {task} have other presets: train them apart")
-    options = parse(_train_options(hyperparameters), f"train {name}", args[1:])
+    try:
+        options = parse(_train_options(hyperparameters), f"train {name}", args[1:])
+    except UserError:
+        for option in (arg.removeprefix("--").replace("-", "_") for arg in args[1:]):
+            if not hasattr(hyperparameters, option) and with_hyperparameter(option):
+                preset_with(name, tasks[0], {option: None}, named)  # says whose it is
+        raise
     values = {f.name: getattr(options, f.name) for f in dataclasses.fields(TrainOptions)}
     del values["imports"]
     values["task_parameters"] = literals(options.task_parameters)

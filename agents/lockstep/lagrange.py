@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from agents.checks import In, Settings
+from agents.errors import UserError
 from agents.lockstep.backend import tensor
 from agents.lockstep.kernel import Float
 from agents.lockstep.nets import LANES, Moments, adam, no_moments
@@ -157,6 +158,21 @@ def values(multipliers: Sequence[Multiplier], states: Sequence[State], runs: int
         for of, state in zip(multipliers, states, strict=True)
     ]
     return np.concatenate(columns or [np.zeros((runs, 0), np.float32)], axis=-1)
+
+
+def with_streaks(rule: Any, config: Any) -> Any:
+    """The rule of an algorithm whose config has a `streak_limit`: with one cost more, behind its
+    own, and a multiplier for it that is like its last one; of any other the rule itself.
+
+    Raises UserError for a rule without a multiplier, or whose multiplier has a law of its own.
+    """
+    if getattr(config, "streak_limit", None) is None:
+        return rule
+    if not rule.multipliers or rule.multipliers[-1].form.law:
+        raise UserError("streak_limit needs an algorithm whose multiplier follows an optimizer")
+    like = rule.multipliers[-1]
+    added = like._replace(signal=rule.costs, limit="streak_limit", discounted=False)
+    return rule._replace(costs=rule.costs + 1, multipliers=(*rule.multipliers, added))
 
 
 def limit_names(rule: Any, config: Any) -> dict[int, str]:

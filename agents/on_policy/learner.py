@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -19,6 +21,7 @@ from agents.lockstep.noise import Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout, learned
 from agents.on_policy.epoch import Epoch, Packing, advantages
 from agents.on_policy.state import OnPolicyState, initial_state, make_nets
+from agents.on_policy.tail import StreakTail
 
 
 class OnPolicy(ABC):
@@ -35,6 +38,7 @@ class OnPolicy(ABC):
         observation_size: int,
         action_size: int,
     ) -> None:
+        rule = lagrange.with_streaks(rule, config)
         self.config, self.rule, self.seeds = config, rule, tuple(seeds)
         self.episodes: int = config.episodes
         critics_own = ("critic_loss", "cost_critic_loss", "std")
@@ -44,6 +48,8 @@ class OnPolicy(ABC):
         self.nets = make_nets(config, observation_size, action_size, rule.costs)
         self._state = initial_state(self.nets, config, rule.multipliers, rule.costs, seeds)
         self._normalizer = config.normalizer(len(seeds), observation_size)
+        alpha = getattr(config, "streak_alpha", 1.0)
+        self._tail = StreakTail(len(seeds), alpha) if alpha < 1 else None
 
     @abstractmethod
     def improve(
@@ -86,7 +92,12 @@ class OnPolicy(ABC):
         length = np.where(np.repeat(active, self.episodes), rollout.length, 0)
         rollout = learned(rollout, self.config, self.costs)._replace(length=length)
         packing = Packing(rollout.during, len(self.seeds))
+        level = None
+        if self._tail:
+            rollout, level = self._tail.of(rollout)
         data = self._epoch(rollout, packing)
+        if level is not None:  # of the part of CVaR that no step has
+            data.cost[:, -1] += tensor(level)
         generators = streams(self.seeds, Purpose.UPDATE, epoch)
         before = self._state
         self._state = self._followed(before, data, ahead=True)
@@ -191,12 +202,13 @@ class OnPolicy(ABC):
 
     def state_dict(self) -> dict[str, NDArray]:
         """The whole training state as named arrays."""
-        return tree.flatten(self._state) | (
-            self._normalizer.state_dict() if self._normalizer else {}
-        )
+        parts = (self._normalizer, self._tail)
+        dicts = [part.state_dict() for part in parts if part is not None]
+        return functools.reduce(operator.or_, dicts, tree.flatten(self._state))
 
     def load_state_dict(self, state: dict[str, NDArray]) -> None:
         """Load a state, bit for bit."""
         self._state = tree.unflatten(self._state, state)
-        if self._normalizer:
-            self._normalizer.load_state_dict(state)
+        for part in (self._normalizer, self._tail):
+            if part is not None:
+                part.load_state_dict(state)

@@ -306,7 +306,7 @@ def film_episodes(
     [task] = config.tasks
     parameters = config.task_parameters | {"render_mode": "rgb_array"}
     try:
-        made = make_envs(registered(task), episodes, parameters, "sync", costs=config.costs)
+        made = make_envs(registered(task), episodes, parameters, "sync", costs=config.task_costs)
     except UserError as error:
         raise _without_frames(task, error) from error
     with contextlib.closing(_KeepFrames(made, task, every)) as envs:

@@ -180,6 +180,20 @@ class TrainConfig(Settings):
             )
         if (learned := getattr(known.rule, "costs", 1)) > len(self.costs):
             raise UserError(f"{self.algorithm} limits {learned} costs, got costs {self.costs}")
+        others = [name for name in self.costs if name not in self._added]
+        costs = (*others[:learned], *self._added, *others[learned:])
+        object.__setattr__(self, "costs", costs)
+
+    @property
+    def _added(self) -> tuple[str, ...]:
+        """Names of the costs that `wrap` adds to those of the task."""
+        added = getattr(self.hyperparameters, "added_costs", None)
+        return added(self.costs) if added else ()
+
+    @property
+    def task_costs(self) -> tuple[str, ...]:
+        """Names of the costs in the tasks' own infos."""
+        return tuple(name for name in self.costs if name not in self._added)
 
     def wrap(self, env: Any, task: str) -> Any:
         """An Env or a VectorEnv, which need not reset itself, as the policies of a task see it."""
@@ -209,9 +223,10 @@ class TrainConfig(Settings):
         registered, or without a rule of the package's families, `cost_limit`."""
         rule = ALGORITHMS[self.algorithm].rule if self.algorithm in ALGORITHMS else None
         if hasattr(rule, "limits"):
-            from agents.lockstep.lagrange import limit_names  # torch, which the rule has imported
+            from agents.lockstep import lagrange  # torch, which the rule has imported
 
-            return limit_names(rule, self.hyperparameters)
+            rule = lagrange.with_streaks(rule, self.hyperparameters)
+            return lagrange.limit_names(rule, self.hyperparameters)
         return {0: "cost_limit"} if hasattr(self.hyperparameters, "cost_limit") else {}
 
     @property
@@ -224,8 +239,8 @@ class TrainConfig(Settings):
     def learned(self) -> Any:
         """The hyper-parameters that the learner gets: with `limit_of` episode, limits of an
         episode's cost become limits of its discounted cost, by the mean discount of a step, which
-        is their ratio where all steps cost the same. Raises UserError where the tasks have no time
-        limit, or different ones."""
+        is their ratio where all steps cost the same; that of the longest streak stays. Raises
+        UserError where the tasks have no time limit, or different ones."""
         given = self.hyperparameters
         of_episodes = getattr(given, "multiplier_of", "") == "episode"  # they are compared as given
         if getattr(given, "limit_of", "") != "episode" or of_episodes:
@@ -238,7 +253,8 @@ class TrainConfig(Settings):
                 "discounted takes any, and a limit of the discounted cost"
             )
         mean = sum(given.discount**k for k in range(steps)) / steps
-        names = self._limit_names.values()
+        # That of the longest streak has no multiplier that follows a discounted cost.
+        names = {*self._limit_names.values()} - {"streak_limit"}
         return dataclasses.replace(given, **{name: mean * getattr(given, name) for name in names})
 
     @property

@@ -91,7 +91,7 @@ def runs_envs(config: TrainConfig, each: int) -> SideBySide:
     """Environments of all runs, `each` of a run; they record their steps."""
     parts = []
     for task in config.tasks:
-        how = (config.vectorization, config.step_timeout, config.costs)
+        how = (config.vectorization, config.step_timeout, config.task_costs)
         count = len(config.seeds) * each
         envs = make_envs(task, count, config.task_parameters, *how, alone=True)
         of_task = (task, config.task_parameters)

@@ -21,11 +21,14 @@ VARIANTS = {
     "normalized": {"normalize_observations": True},
     "start": {"multiplier_of": "start"},
     "episode": {"multiplier_of": "episode"},
+    "streaks": {"streak_limit": 1.0, "multiplier_lr": 0.1},
+    "tail": {"streak_limit": 1.0, "streak_alpha": 0.3},
 }
 WITH_PID = ("trpo-lag pid", "sac-lag pid", "wcsac pid")
 NORMALIZED = ("ppo-lag normalized", "cpo normalized", "sac-lb-streak normalized")
 FOLLOWING = ("sac-lag start", "sac-pid episode", "wcsac start", "wcsac episode", "cal start")
-EVERYTHING = (*BUILT_IN, *WITH_PID, *NORMALIZED, *FOLLOWING)
+STREAKS = ("trpo-pid streaks", "rcpo tail", "ppo-lag tail", "focops tail", "cup streaks")
+EVERYTHING = (*BUILT_IN, *WITH_PID, *NORMALIZED, *FOLLOWING, *STREAKS)
 FAMILIES = ("trpo-lag", "cpo", "ppo-lag", "sac-lb", "wcsac")
 """One of each learner, and those with states of their own."""
 

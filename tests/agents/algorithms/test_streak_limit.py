@@ -1,0 +1,139 @@
+"""The longest streak of an episode as a second cost: what is recorded, learned and followed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_trainings import of_run, small, trainer
+from toys import register
+
+import agents
+from agents.errors import UserError
+from agents.lockstep import lagrange
+from agents.lockstep.rollout import Rollout, learned
+from agents.on_policy.tail import StreakTail
+from agents.training.config import TrainConfig
+from emcc import cvar, longest_streaks
+from emcc.streaks import record
+
+register()
+NAMES = ("trpo-lag", "trpo-pid", "rcpo", "ppo-lag", "cppo-pid", "focops", "cup")
+SGD = {"multiplier_optimizer": "sgd", "multiplier_lr": 0.1, "initial_multiplier": 0.5}
+
+
+def config(name="ppo-lag", task="Walk-v0", costs=("cost",), **changes):
+    own = small(name, **{"streak_limit": 1.0, "learning_rate": 0.01, **changes})
+    return TrainConfig(name, (task,), (0, 1), 400, own, costs=costs)
+
+
+def first_epoch(it):
+    """An epoch of a trainer, and its rollout as the task gave it."""
+    seen, learn = [], it.learner.learn
+    it.learner.learn = lambda rollout, *rest: learn(seen.append(rollout) or rollout, *rest)
+    it.run_epoch()
+    return seen[0]
+
+
+def longest_of(rollout):
+    """The longest streak of each episode, by its plain costs."""
+    pairs = zip(rollout.cost[..., 0].T, rollout.length, strict=True)
+    return np.array([longest_streaks(costs[:n], [n])[0] for costs, n in pairs])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_multiplier_follows_its_cost(name):
+    """By the plain gradient: λ ← (λ + η (J - d))₊, J_2 being the mean longest streak. Every one
+    sees the episode's undiscounted longest streak, FOCOPS and CUP too."""
+    it = trainer(config(name, **SGD))
+    rollout = first_epoch(it)
+    longest = longest_of(rollout).reshape(2, -1).mean(axis=1)
+    assert len(set(longest)) == 2
+    states = it.learner._state.multipliers
+    found = lagrange.values(it.learner.rule.multipliers, states, 2)
+    np.testing.assert_allclose(found[:, 1], np.maximum(0.5 + 0.1 * (longest - 1), 0), rtol=1e-5)
+    assert it.config.limits == {"cost": 1.0, "record_cost": 1.0}
+    assert it.learner.metrics[-1] == "case" or it.learner.metrics[-1] == "multiplier_2"
+
+
+def test_what_is_seen_and_recorded():
+    it = trainer(config())
+    rollout = first_epoch(it)
+    steps, episodes = rollout.reward.shape
+    assert rollout.observation.shape == (steps, episodes, 4)
+    for k, n in enumerate(rollout.length):
+        plain, costs = rollout.cost[:n, k].T
+        assert costs.tolist() == record(plain).tolist()
+        streak, longest = rollout.next_observation[:n, k, 2:].T * 20
+        np.testing.assert_allclose(longest, np.cumsum(costs), rtol=1e-6)
+        last = np.flatnonzero(plain == 0)
+        expected = [t - max(last[last <= t], default=-1) for t in range(n)]
+        np.testing.assert_allclose(streak, expected, rtol=1e-6)
+    own = of_run(it, 0)
+    assert own["costs/record_cost"].sum() == longest_of(rollout)[:3].sum()
+
+
+def test_a_cost_that_the_algorithm_does_not_limit_stands_behind():
+    it = config(task="TwoCosts-v0", costs=("cost", "cost_2"))
+    assert it.costs == ("cost", "record_cost", "cost_2")
+    assert it.task_costs == ("cost", "cost_2")
+    assert replace(it, seeds=(3,)).costs == it.costs
+    rollout = first_epoch(trainer(it))
+    assert set(np.unique(rollout.cost[..., 2])) == {0.0, 0.25}
+
+
+@pytest.mark.parametrize("alpha", [0.1, 0.5, 0.8])
+def test_the_limited_cost_is_cvar_of_the_longest_streak(alpha):
+    """In the first epoch, whose episodes are all there are. The costs of an episode's steps are
+    (L - η)₊ / α, at the steps in which the streak is longer than η."""
+    it = trainer(config(streak_alpha=alpha, episodes=8))
+    epochs, make = [], it.learner._epoch
+    it.learner._epoch = lambda rollout, packing: epochs.append(make(rollout, packing)) or epochs[-1]
+    rollout = first_epoch(it)
+    longest = longest_of(rollout).reshape(2, -1)
+    expected = [cvar(own, alpha, ties="split") for own in longest]
+    np.testing.assert_allclose(epochs[0].cost[:, 1], expected, rtol=1e-6)
+    given = learned(rollout, it.learner.config, 2)
+    costs, level = StreakTail(2, alpha).of(given)
+    beyond = np.maximum(longest - level[:, None], 0).ravel() / alpha
+    np.testing.assert_allclose(costs.cost_returns[:, 1], beyond)
+    np.testing.assert_array_equal(costs.cost[..., 0], given.cost[..., 0])
+
+
+def test_the_quantile_is_of_the_last_hundred_episodes():
+    """L = 0, 1, ..., 129 in epochs of ten: of 30 to 129 a tenth is above 119."""
+    tail = StreakTail(1, 0.1)
+    for first in range(0, 130, 10):
+        longest = np.arange(first, first + 10)
+        cost = (np.arange(130)[:, None] < longest).astype(float)[..., None]
+        numbers = np.zeros((130, 10, 1), np.float32)
+        ends, lengths = np.zeros((130, 10), bool), np.full(10, 130)
+        void = np.full(10, "", object)
+        given = (numbers, numbers, cost[..., 0], cost, numbers, ends, ends, lengths, void)
+        _, level = tail.of(Rollout._make(given))
+    assert level.tolist() == [119]
+
+
+def test_reports_and_evaluations_show_both(tmp_path):
+    options = {"steps": 300, "seeds": 0, "episodes": 2, "hidden": (8,), "streak_limit": 3.0}
+    runs = agents.train("trpo-lag", "Circle2D-1-v0", out=tmp_path / "run", **options)
+    assert [group.cost for group in runs.results] == ["cost", "record_cost"]
+    plain, records = (runs.records_of(name) for name in ("cost", "record_cost"))
+    (own,), (of_records,) = plain.values(), records.values()
+    assert of_records.cost.tolist() == own.longest_streak.tolist()
+    assert "record_cost" in agents.report(runs, out=tmp_path / "page")
+    found = agents.evaluate(runs.folder, episodes=3)
+    assert found.longest_streaks.shape == (1, 3)
+    kept = dict(np.load(runs.folder / "results.npz"))
+    assert kept["Circle2D-1-v0/0/evaluation/deterministic/costs"].shape[1] == 2
+    assert agents.resume(runs.folder, steps=400).config.costs == ("cost", "record_cost")
+
+
+def test_settings_that_are_not_allowed(tmp_path):
+    out = {"out": tmp_path / "x", "steps": 100}
+    with pytest.raises(UserError, match=r"streak_alpha needs a streak_limit, got 0\.5 alone"):
+        agents.train("ppo-lag", streak_alpha=0.5, **out)
+    with pytest.raises(UserError, match="streak_weight must be 0 with a streak_limit"):
+        agents.train("ppo-lag", streak_limit=3.0, streak_weight=0.5, **out)
+    for name in ("cpo", "crpo", "ppo", "sac-lag"):
+        with pytest.raises(UserError, match=rf"{name} has no hyper-param.* it is of .*, cup"):
+            agents.train(name, streak_limit=3.0, **out)
