@@ -132,7 +132,7 @@ class Policy:
         self.task, self.task_parameters = run.task, config.task_parameters
         self.seed, self.step, self.failure = run.seed, step, failure
         self.spaces, self.in_lockstep = spaces, learner.policy()
-        self._wrap = functools.partial(config.wrap, task=run.task)
+        self._config = config
         module = getattr(learner, "module", None)
         self._module = module(0) if module else None
         self._rng = np.random.default_rng()
@@ -166,7 +166,7 @@ class Policy:
         """An Env or a VectorEnv of its task as the policy sees it: what its algorithm adds to
         observations, such as what is left of Sauté's budget, stands behind them. Most algorithms
         add nothing, and the environment is returned as it is."""
-        return self._wrap(env)
+        return self._config.wrap(env, self.task)
 
     def predict(
         self,
