@@ -91,6 +91,27 @@ def test_the_base_alone(wheel, tmp_path):
         )
 
 
+@pytest.mark.slow
+def test_the_name_safety_gymnasium(wheel, tmp_path):
+    """The distribution that holds it alone, as programs and installers see it."""
+    install(tmp_path, "-c", PINS, wheel, ROOT / "circle2d_mj" / "safety_gymnasium" / "drop_in")
+    code = """
+import importlib.metadata
+import safety_gymnasium
+from safety_gymnasium.wrappers.autoreset import SafeAutoResetWrapper
+assert safety_gymnasium.__name__ == "circle2d_mj.safety_gymnasium"
+assert importlib.metadata.version("safety-gymnasium") == "1.0.0"
+env = safety_gymnasium.make("SafetyPointGoal1-v0")
+env.reset(seed=0)
+assert len(env.step(env.action_space.sample())) == 6
+"""
+    run(tmp_path, "venv/bin/python", "-c", code)
+    assert (
+        "circle2d-mj-safety-gymnasium"
+        in run(tmp_path, "venv/bin/python", "-m", "pip", "list").stdout
+    )
+
+
 def lowest():
     """The lowest versions that pyproject.toml allows, as constraints; torch's is the tested one,
     since any other fetches gigabytes."""
