@@ -23,7 +23,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.lockstep.descent import Clipped, Descent, Loss, Moments, Squared, descend
+from agents.lockstep.descent import MAY_DIVERGE, Clipped, Descent, Loss, Moments, Squared, descend
 
 Activation = Literal["tanh", "relu", "silu"]
 Backend = Literal["c++", "numpy"]
@@ -121,6 +121,7 @@ class InNumpy:
         without rows in a minibatch waits."""
         return descend(self, it, loss, order, steps)
 
+    @MAY_DIVERGE
     def curvature(self, it: Curvature, v: Float, iterations: int = 0) -> Float:
         """H v for v [R, P], or with iterations the x of H x = v by `conjugate_gradient`."""
         if iterations:
@@ -146,6 +147,7 @@ def _tangent(net: Shape, params: Float, x: Float, tape: Any, v: Float) -> Float:
     return dot
 
 
+@MAY_DIVERGE
 def conjugate_gradient(product: Callable[[Float], Float], b: Float, iterations: int) -> Float:
     """Approximate solution x of `H x = b`; product: v -> H v, symmetric positive definite.
 
