@@ -121,8 +121,8 @@ class Runs:
         rows: "episodes" and "updates" have a row for each episode, or each epoch's update, of every
         run so far, "evaluations" for each episode of the evaluations on the way (`evaluate_every`)
         and at the end; all have the columns folder, algorithm, task and seed, and the
-        hyper-parameters and task parameters in which the folders differ. Archives have no updates,
-        and of the evaluations the last.
+        hyper-parameters and task parameters in which the folders differ. Archives have of updates
+        the multipliers, at most 500 of each run, and of the evaluations the last.
         """
         if rows not in get_args(Rows):
             raise UserError(f"rows must be {', '.join(get_args(Rows))}, got {rows!r}")

@@ -360,11 +360,21 @@ def records_of(
     arrays: Mapping[str, NDArray], prefix: str, cost: str, threshold: float = 0.0
 ) -> EpisodeRecords:
     """Records of a run, with one of its costs, from the arrays of a training's results.npz, whose
-    names begin with the prefix."""
-    costs, rollouts = unpack_costs(arrays, f"{prefix}costs/{cost}/"), arrays[prefix + "rollouts"]
+    names begin with the prefix: costs of steps, or in an archive a row for each episode, whose
+    `cost` is left out where each cost step costs 1."""
+    rollouts, of_cost = arrays[prefix + "rollouts"], f"{prefix}costs/{cost}/"
     ids, length = np.repeat(np.arange(len(rollouts)), rollouts), arrays[prefix + "length"]
-    records = EpisodeRecords.from_costs(costs, length.astype(np.int64), None, ids, threshold)
-    return replace(records, reward=arrays[prefix + "return"])
+    length, reward = length.astype(np.int64), arrays[prefix + "return"]
+    if of_cost + "steps" in arrays:
+        costs = unpack_costs(arrays, of_cost)
+        records = EpisodeRecords.from_costs(costs, length, None, ids, threshold)
+        return replace(records, reward=reward)
+    if threshold:
+        raise ValueError("holds streaks, not costs of steps: leave the threshold out")
+    streaks, cost_steps = (arrays[of_cost + name] for name in ("longest_streak", "cost_steps"))
+    sums = arrays.get(of_cost + "cost", cost_steps)
+    last = (streaks, cost_steps, arrays[of_cost + "streaks"])
+    return EpisodeRecords(ids, np.cumsum(length) - length, length, reward, sums, *last)
 
 
 def check_records(records: Any, name: str = "records", fewest: int = 1) -> None:

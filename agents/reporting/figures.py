@@ -28,7 +28,7 @@ from agents.results.statistics import (
     thirds_of,
 )
 from agents.training.config import TrainConfig
-from agents.training.derive import five_digits
+from agents.training.derive import three_digits
 from circle2d_mj.registration import CIRCLE2D
 from emcc import EpisodeRecords, emcc, iqm, profile
 from emcc.panels import emcc_of_thirds
@@ -153,7 +153,7 @@ def episode_means(group: Group, column: Literal["reward", "cost", "length"]) -> 
         part = np.minimum(records.start_step * POINTS // total_steps, POINTS - 1)
         values = getattr(records, column)
         if column == "reward":  # as archives keep it, so that a report from one has the same bytes
-            values = five_digits(records.reward)
+            values = three_digits(records.reward)
         sums = np.bincount(part, values, minlength=POINTS)
         count = np.bincount(part, minlength=POINTS)
         rows.append(np.where(count > 0, sums / np.maximum(count, 1), np.nan))

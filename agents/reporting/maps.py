@@ -24,7 +24,7 @@ from agents.reporting.figures import emcc_along
 from agents.results.frame import in_order, name_of
 from agents.results.measures import measure
 from agents.results.reading import Episode, Group, Replay, Run, left_out
-from agents.training.derive import DRAWN_POLICIES, GRID_MAX, WINDOWS, Visits
+from agents.training.derive import BITS, DRAWN_POLICIES, STATES, WINDOWS, Drawn, Visits
 from agents.training.environments import view_of
 from agents.training.evaluation import DRAWN
 from circle2d_mj.core.view import Extent, Picture, View
@@ -36,13 +36,9 @@ SIZE = 360
 """Pixels along the side of the pictures below and on top."""
 SIDE = 1000
 """Side of a picture in the units of its paths."""
-STATES = 128
-"""States of an episode, at most, that are drawn: of a longer one every second, third, ... one."""
 SHADES = 31
 """Colours of a heat map."""
 NO_POSITIONS = "it has no positions"
-BITS = 10
-"""Bits of a coordinate: the last of the grid's points along a side is 2**BITS - 1."""
 DIGITS = 1000
 """EMCC is stored as a multiple of 1 / DIGITS."""
 REPLAYED = 200
@@ -286,7 +282,7 @@ def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     return Maps("Trained policies", words, names, heads, list(rows))
 
 
-def _map(run: Run, episodes: Sequence[Episode], scene: Scene) -> Map:
+def _map(run: Run, episodes: Sequence[Drawn], scene: Scene) -> Map:
     """The episodes of a run's policy."""
     named = [(measure(name), run.measures[name]) for name in ("J_R", "J_C")]
     words = ", ".join(f"{m.title} {value:.1f}" for m, value in named if value is not None)
@@ -294,31 +290,14 @@ def _map(run: Run, episodes: Sequence[Episode], scene: Scene) -> Map:
     return Map(scene, f"seed {run.seed}: {words}", way=way, costs=costs)
 
 
-def shown_states(steps: int) -> NDArray[np.int64]:
-    """The states of an episode that are drawn: all of `STATES` or fewer, else every k-th, and the
-    last.
-
-    The page's script has the same rule.
-    """
-    every = -(-steps // STATES)
-    return np.append(np.arange(0, steps - 1, every), steps - 1)
-
-
-def paths(extent: Extent, episodes: Sequence[Episode]) -> tuple[str, str]:
+def paths(extent: Extent, episodes: Sequence[Drawn]) -> tuple[str, str]:
     """SVG paths of episodes: their lines, a drawn state at each point; and a point for each drawn
-    state that cost, or stands for one that did.
-
-    A step's cost is that of the state it ends in.
-    """
+    state that cost, or stands for one that did."""
     ways, costly = [], []
-    for positions, costs in episodes:
-        at = shown_states(len(positions))
-        points = np.round(canvas.pixels(extent, positions[at], SIDE)).astype(np.int64)
+    for positions, unsafe in episodes:
+        points = np.round(canvas.pixels(extent, positions, SIDE)).astype(np.int64)
         ways.append(f"M{_line(points)}")
-        # The start has no cost; the steps between two drawn states count for the later one.
-        cost = np.concatenate((np.zeros(len(positions) - len(costs)), costs)) > 0
-        cost = np.logical_or.reduceat(cost, np.concatenate(([0], at[:-1] + 1)))
-        costly += [f"M{x} {y}h0" for x, y in points[cost].tolist()]
+        costly += [f"M{x} {y}h0" for x, y in points[unsafe].tolist()]
     return "".join(ways), "".join(costly)
 
 
@@ -369,9 +348,8 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
 def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
     """One run's entry: numbers of each episode, then all points and all costs in a row."""
     episodes = replay.episodes
-    points = [episode.points[shown_states(len(episode.points))] for episode in episodes]
-    costs = np.concatenate([episode.costs for episode in episodes])
-    lengths = {len(episode.costs) for episode in episodes}
+    unsafe = [episode.unsafe for episode in episodes]
+    lengths, costs = [len(steps) for steps in unsafe], [episode.cost for episode in episodes]
     return {
         "seed": run.seed,
         "steps": steps,
@@ -379,10 +357,10 @@ def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
         "window": [episode.window for episode in episodes],
         "start": [episode.start_step for episode in episodes],
         # One number where all episodes are as long, none where cost steps cost 1.
-        "length": lengths.pop() if len(lengths) == 1 else [len(e.costs) for e in episodes],
-        "cost": [float(e.costs.sum()) for e in episodes] if set(costs) - {0.0, 1.0} else None,
-        "points": _text(_packed(np.concatenate(points))),
-        "unsafe": _text(np.packbits(costs > 0)),
+        "length": lengths[0] if len(set(lengths)) == 1 else lengths,
+        "cost": None if costs == [steps.sum() for steps in unsafe] else costs,
+        "points": _text(_packed(np.concatenate([episode.points for episode in episodes]))),
+        "unsafe": _text(np.packbits(np.concatenate(unsafe))),
         "emcc": [
             None if np.isnan(value) else round(value * DIGITS)
             for value in emcc_along(run.rollouts, steps)
@@ -391,9 +369,8 @@ def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
 
 
 def _packed(points: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Points [N, 2] on the coarser grid: x and y of one after another, `BITS` bits each."""
-    coarse = np.round(points.astype(np.float64) * ((2**BITS - 1) / GRID_MAX)).astype(np.uint16)
-    return np.packbits(coarse.reshape(-1, 1) >> np.arange(BITS)[::-1] & 1)
+    """Points [N, 2]: x and y of one after another, `BITS` bits each."""
+    return np.packbits(points.reshape(-1, 1) >> np.arange(BITS)[::-1] & 1)
 
 
 def _text(data: NDArray[np.uint8]) -> str:

@@ -22,8 +22,9 @@ from agents.reporting.provenance import heading, made, summary
 from agents.reporting.study import Study
 from agents.reporting.table import PAPER, Block, Table, latex, markdown, plain
 from agents.reporting.tables import panel_table, recorded_table, task_table
+from agents.results.archive import write_archive
 from agents.results.frame import with_distinct_titles, with_varied_settings
-from agents.results.reading import Group, left_out, name_of_all, read, write_archive
+from agents.results.reading import Group, left_out, name_of_all, read
 from agents.results.statistics import alike
 from agents.training.files import archive_of, check_file, check_folder, write_whole
 

@@ -99,12 +99,15 @@ def _updates(part: Part, run: RunId) -> dict[str, Any]:
     if f"{run.prefix}updates" not in arrays:
         if f"{run.prefix}failure" in arrays and f"{run.prefix}length" not in arrays:
             return {"rollout": np.arange(0), "step": np.arange(0)}  # it failed in its first epoch
-        raise UserError(f"{run} has no updates: none was made, or an archive, which keeps none")
+        raise UserError(
+            f"{run} has no updates: none was made, or an archive, which keeps multipliers alone"
+        )
     values = arrays[f"{run.prefix}updates"]
     rollouts = arrays[f"{run.prefix}rollouts"].astype(np.int64)
     lengths = arrays[f"{run.prefix}length"].astype(np.int64)
     steps = np.add.reduceat(lengths, np.cumsum(rollouts) - rollouts).cumsum()
-    return {"rollout": np.arange(len(values)), "step": steps} | dict(
+    epochs = arrays.get(f"{run.prefix}epochs", np.arange(len(values)))  # of an archive a few
+    return {"rollout": epochs, "step": steps[epochs]} | dict(
         zip(arrays["metrics"].tolist(), values.T, strict=True)
     )
 

@@ -1,17 +1,17 @@
 """Trained runs as reports see them: from folders and archives, by task, and which are complete.
 
-An archive is a folder of trainings as a zip file, without checkpoints and steps. Nothing in it is
+An archive is a folder of trainings as a zip file: see `agents.results.archive`. Nothing in it is
 unpickled, and reading it runs no code of others.
 """
 
 from __future__ import annotations
 
-import io
 import itertools
 import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
@@ -26,12 +26,11 @@ from agents.training.config import (
     CONFIG,
     NO_RUNS,
     RESULTS,
-    STATUS,
     RunId,
     TrainConfig,
     file_name,
 )
-from agents.training.derive import GRID_MAX, Visits, five_digits
+from agents.training.derive import BITS, Drawn, Visits
 from agents.training.evaluation import POLICIES
 from agents.training.files import (
     UNREADABLE,
@@ -42,8 +41,6 @@ from agents.training.files import (
     numbered,
     opened,
     read_json,
-    whole,
-    write_arrays,
 )
 from emcc import CostRecorder, EpisodeRecords, cvar
 from emcc.arrays import as_array
@@ -52,6 +49,8 @@ from emcc.parts import PARTS
 from emcc.records import records_of, unpack_costs
 
 CVAR_ALPHA = 0.5
+PICTURES = "pictures.npz"
+"""The arrays of an archive's training that pictures alone need: see `results.archive`."""
 
 
 @dataclass(frozen=True)
@@ -130,13 +129,15 @@ class ReplayEpisode(NamedTuple):
     start_step: int
     """Environment steps before it."""
     points: NDArray[np.uint16]
-    """Where each step ended, [T, 2]: see `Replay.positions`."""
-    costs: NDArray[np.float64]
-    """[T]"""
+    """Where the steps of `derive.shown_states` ended, [K, 2]: see `Replay.positions`."""
+    unsafe: NDArray[np.bool_]
+    """Whether each of its steps cost, [T]."""
+    cost: float
+    """Sum of its costs."""
 
 
 class Replay(NamedTuple):
-    """Episodes of a run's training, one for each window, on a grid of 65 536 points a side."""
+    """Episodes of a run's training, one for each window, on a grid of 1024 points a side."""
 
     episodes: list[ReplayEpisode]
     box: NDArray[np.float64]
@@ -144,7 +145,7 @@ class Replay(NamedTuple):
 
     def positions(self, points: NDArray[np.uint16]) -> NDArray[np.float64]:
         """Points in the view's unit, [T, 2]."""
-        return self.box[0] + points * ((self.box[1] - self.box[0]) / GRID_MAX)
+        return self.box[0] + points * ((self.box[1] - self.box[0]) / (2**BITS - 1))
 
 
 @dataclass(frozen=True)
@@ -164,17 +165,81 @@ class Part:
     def get(self, name: str, *shape: int) -> NDArray:
         """An array of numbers of a shape, in which -1 is any number. Raises UserError for another,
         naming the file: each array may be whole and not fit the others."""
-        with content_of(self.path / RESULTS):
-            array = as_array(self.arrays[name], name)
+        in_pictures = name in self.pictures
+        with content_of(self.path / (PICTURES if in_pictures else RESULTS)):
+            array = as_array((self.pictures if in_pictures else self.arrays)[name], name)
             fits = [n in (-1, size) for n, size in zip(shape, array.shape, strict=False)]
             if len(shape) != array.ndim or not all(fits):
                 raise ValueError(f"{name} has shape {list(array.shape)}, expected {list(shape)}")
         return array
 
+    def has(self, name: str) -> bool:
+        """Whether there is an array of that name."""
+        return name in self.arrays or name in self.pictures
+
+    @cached_property
+    def pictures(self) -> Mapping[str, NDArray]:
+        """`pictures.npz`, of an archive; of a folder nothing."""
+        return Arrays(self.path / PICTURES) if (self.path / PICTURES).is_file() else {}
+
     @property
     def recorded(self) -> Mapping[str, Any]:
         """`config.json`."""
         return read_json(self.path / CONFIG)
+
+    def trained(self, run: RunId) -> list[Drawn] | None:
+        """See `Group.trained`."""
+        prefix = f"{run.prefix}trained/"
+        if self.has(prefix + "unsafe"):
+            states = self.get(prefix + "states", -1)
+            total, ends = int(states.sum()), np.cumsum(states)[:-1]
+            parts = np.split(self.get(prefix + "positions", total, 2), ends)
+            return [*map(Drawn, parts, np.split(self._bits(prefix + "unsafe", total), ends))]
+        if not self.has(prefix + "length"):
+            return None
+        length = self.get(prefix + "length", -1)
+        total = int(length.sum())
+        positions = self.get(prefix + "positions", total + len(length), 2)
+        costs, ends = self.get(prefix + "costs", total), np.cumsum(length)[:-1]
+        paths = np.split(positions, ends + np.arange(1, len(length)))
+        return [*map(derive.drawn, paths, np.split(costs, ends))]
+
+    def replay(self, run: RunId, records: EpisodeRecords) -> Replay | None:
+        """See `Group.replay`. records: with the training's first cost."""
+        prefix = f"{run.prefix}replay/"
+        if not (self.has(prefix + "drawn") or self.has(prefix + "points")):
+            return None
+        windows, rows = zip(*derive.replay_rows(records, self.replay_steps(run)), strict=True)
+        length, start = records.length[[*rows]], records.start_step[[*rows]]
+        total, ends = int(length.sum()), np.cumsum(length)[:-1]
+        at = [derive.shown_states(steps) for steps in length]
+        if self.has(prefix + "drawn"):
+            drawn = self.get(prefix + "drawn", sum(map(len, at)), 2)
+            points = np.split(drawn, np.cumsum([*map(len, at)])[:-1])
+            unsafe = np.split(self._bits(prefix + "unsafe", total), ends)
+        else:
+            every = np.split(self.get(prefix + "points", total, 2), ends)
+            points = [derive.coarse(path[k]) for path, k in zip(every, at, strict=True)]
+            costs = self.of_steps(f"{run.prefix}costs/{self.config.costs[0]}/", records.total_steps)
+            unsafe = [costs[s : s + n] > 0 for s, n in zip(start, length, strict=True)]
+        told = (windows, start.tolist(), points, unsafe, records.cost[[*rows]].tolist())
+        return Replay([*map(ReplayEpisode, *told)], self.get(prefix + "box", 2, 2))
+
+    def replay_steps(self, run: RunId) -> int:
+        """Environment steps that the windows of a run's replay divide."""
+        name = f"{run.prefix}replay/steps"
+        return max(1, int(self.get(name))) if self.has(name) else self.config.steps  # before 0.4
+
+    def of_steps(self, name: str, steps: int) -> NDArray[np.float64]:
+        """A number of each step of a run, [steps], from the arrays below a name."""
+        with content_of(self.path / RESULTS):
+            values = unpack_costs(self.arrays, name)
+            if len(values) != steps:
+                raise ValueError(f"{name} has {len(values)} of {steps} steps")
+        return values
+
+    def _bits(self, name: str, count: int) -> NDArray[np.bool_]:
+        return np.unpackbits(self.get(name, -(-count // 8)), count=count).astype(bool)
 
 
 @dataclass(frozen=True)
@@ -240,7 +305,7 @@ class Group:
         prefix, parts = file_name(self.task) + "/", []
         for part in self.parts:
             has_runs = not set(self.seeds).isdisjoint(part.config.seeds)
-            if has_runs and prefix + "visits" not in part.arrays:
+            if has_runs and not part.has(prefix + "visits"):
                 return None
             if has_runs:
                 counts = part.get(prefix + "visits", len(PARTS), derive.CELLS, derive.CELLS)
@@ -253,46 +318,18 @@ class Group:
         thirds = zip(counts, emcc.tolist(), rollouts, strict=True)
         return [Visits(visited, value, *number) for visited, value, number in thirds]
 
-    def trained(self, seed: int) -> list[Episode] | None:
+    def trained(self, seed: int) -> list[Drawn] | None:
         """Episodes of a trained policy, which the first `derive.DRAWN_POLICIES` runs have; None
         without positions."""
-        part, prefix = self._part(seed)
-        if f"{prefix}trained/length" not in part.arrays:
-            return None
-        length = part.get(f"{prefix}trained/length", -1)
-        total = int(length.sum())
-        positions = part.get(f"{prefix}trained/positions", total + len(length), 2)
-        costs, ends = part.get(f"{prefix}trained/costs", total), np.cumsum(length)[:-1]
-        paths = np.split(positions, ends + np.arange(1, len(length)))
-        return [Episode(*pair) for pair in zip(paths, np.split(costs, ends), strict=True)]
+        return self._part(seed).trained(RunId(self.task, seed))
 
     def replay(self, run: Run) -> Replay | None:
         """The episode of highest MCC in each window of a run's training; None without positions."""
-        part, prefix = self._part(run.seed)
-        if f"{prefix}replay/points" not in part.arrays:
-            return None
-        records = run.records
-        rows = derive.replay_rows(records, self.replay_steps(run))
-        drawn = int(records.length[[row for _, row in rows]].sum())
-        costs, points = self.costs(run), part.get(f"{prefix}replay/points", drawn, 2)
-        episodes, at = [], 0
-        for window, row in rows:
-            start, length = int(records.start_step[row]), int(records.length[row])
-            path = points[at : at + length]
-            at += length
-            episodes.append(ReplayEpisode(window, start, path, costs[start : start + length]))
-        return Replay(episodes, part.get(f"{prefix}replay/box", 2, 2))
+        return self._part(run.seed).replay(RunId(self.task, run.seed), run.records)
 
     def replay_steps(self, run: Run) -> int:
         """Environment steps that the windows of a run's replay divide."""
-        part, prefix = self._part(run.seed)
-        if f"{prefix}replay/steps" not in part.arrays:  # before 0.4
-            return self.config.steps
-        return max(1, int(part.get(f"{prefix}replay/steps")))
-
-    def costs(self, run: Run) -> NDArray[np.float64]:
-        """Costs of all steps of a run, [steps]."""
-        return self._of_steps(run, f"costs/{self.cost}/")
+        return self._part(run.seed).replay_steps(RunId(self.task, run.seed))
 
     @property
     def recorded(self) -> dict[str, str]:
@@ -303,20 +340,12 @@ class Group:
 
     def steps(self, run: Run, name: str) -> NDArray[np.float64]:
         """A number that was recorded at each step of a run, [steps], to five digits."""
-        return self._of_steps(run, f"info/{name}/")
+        prefix = RunId(self.task, run.seed).prefix
+        return self._part(run.seed).of_steps(f"{prefix}info/{name}/", run.total_steps)
 
-    def _of_steps(self, run: Run, name: str) -> NDArray[np.float64]:
-        part, prefix = self._part(run.seed)
-        with content_of(part.path / RESULTS):
-            values = unpack_costs(part.arrays, prefix + name)
-            if len(values) != run.total_steps:
-                raise ValueError(f"{prefix}{name} has {len(values)} of {run.total_steps} steps")
-        return values
-
-    def _part(self, seed: int) -> tuple[Part, str]:
-        """The part that has a seed, and the beginning of the names of its arrays there."""
-        part = next(part for part in self.parts if seed in part.config.seeds)
-        return part, RunId(self.task, seed).prefix
+    def _part(self, seed: int) -> Part:
+        """The part that has a seed."""
+        return next(part for part in self.parts if seed in part.config.seeds)
 
 
 def left_out(what: str, groups: Sequence[Group], error: UserError) -> str:
@@ -625,34 +654,6 @@ def _settings(group: Group) -> tuple[Any, ...]:
     config = group.config
     training = (config.algorithm, config.steps, config.costs, config.task_parameters)
     return group.task, group.cost, *training, asdict(config.hyperparameters)
-
-
-def write_archive(path: Path, groups: Sequence[Group]) -> None:
-    """Pack the trainings of some groups into one file, whole or not at all, without checkpoints and
-    steps: see `_packed`."""
-    parts = {part.folder: part for group in groups for part in group.parts}
-    with whole(path) as target, zipfile.ZipFile(target, "w") as archive:
-        archive.comment = name_of_all(groups).encode()
-        for folder, part in sorted(parts.items()):
-            prefix = "" if folder == "." else folder + "/"
-            files = [name for name in (CONFIG, STATUS) if (part.path / name).is_file()]
-            contents = {name: (part.path / name).read_bytes() for name in files}
-            contents[RESULTS] = _packed(part.arrays)
-            for name, data in contents.items():
-                archive.writestr(zipfile.ZipInfo(prefix + name), data)  # of a fixed date
-
-
-def _packed(arrays: Mapping[str, NDArray]) -> bytes:
-    """`results.npz` for an archive: without updates, returns of training's episodes to five digits,
-    which the noise in their other bytes would treble, and better compressed."""
-    kept = {
-        name: five_digits(array).astype(np.float32) if name.endswith("/return") else array
-        for name, array in arrays.items()
-        if not name.endswith("/updates")
-    }
-    buffer = io.BytesIO()
-    write_arrays(buffer, kept, zipfile.ZIP_LZMA)
-    return buffer.getvalue()
 
 
 def name_of_all(groups: Sequence[Group]) -> str:

@@ -14,6 +14,8 @@ Arrays of a run, below its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`
 - `trained/length`, `/positions` and `/costs`: the first evaluated episodes of a task with a view
 - `replay/points`, `/box` and `/steps`: see `results.reading.Replay`; steps that its windows divide
 
+An archive has a row for each episode instead: `results.archive`.
+
 Of a task, below "Circle2D-1-v0/": `visits` [3, CELLS, CELLS] and `visited` [3, 3], see `Visits`;
 `info` [numbers, 2], names and units of what it has recorded.
 """
@@ -46,6 +48,10 @@ WINDOWS = 60
 """Windows of the replay, equal parts of training."""
 GRID_MAX = 65_535
 """Largest coordinate of the replay's grid."""
+STATES = 128
+"""States of an episode, about, that a page draws: of a longer one every second, third, ... one."""
+BITS = 10
+"""Bits of a coordinate of the replay as a page draws it."""
 ROUNDED = 0.01
 """Share by which totals of steps may differ and count as equal."""
 DRAWN_POLICIES = 5
@@ -63,6 +69,15 @@ class Visits(NamedTuple):
     """Rollouts that are counted."""
     of: int
     """All rollouts of the part."""
+
+
+class Drawn(NamedTuple):
+    """The states of an episode that a page draws."""
+
+    positions: NDArray[np.float32]
+    """[K, 2] in the view's unit"""
+    unsafe: NDArray[np.bool_]
+    """[K]: whether the step into a state cost, or one since the state drawn before"""
 
 
 class Steps:
@@ -284,6 +299,32 @@ def _replay(
     return {"replay/points": grid, "replay/box": box, "replay/steps": np.array(steps)}
 
 
+def shown_states(steps: int) -> NDArray[np.int64]:
+    """The states of an episode that are drawn: all of `STATES` or fewer, else every k-th, and the
+    last.
+
+    The page's script has the same rule.
+    """
+    every = -(-steps // STATES)
+    return np.append(np.arange(0, steps - 1, every), steps - 1)
+
+
+def drawn(positions: NDArray[np.float32], costs: NDArray[np.float64]) -> Drawn:
+    """What a page draws of an episode.
+
+    positions: [T + 1, 2], the start first, or [T, 2]; costs: [T], each of the state its step ends
+    in.
+    """
+    at = shown_states(len(positions))
+    cost = np.concatenate((np.zeros(len(positions) - len(costs)), costs)) > 0
+    return Drawn(positions[at], np.logical_or.reduceat(cost, np.concatenate(([0], at[:-1] + 1))))
+
+
+def coarse(points: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Points of the replay's grid on that of `BITS` bits."""
+    return np.round(points.astype(np.float64) * ((2**BITS - 1) / GRID_MAX)).astype(np.uint16)
+
+
 def places_of(
     view: View | None, ends: NDArray[np.float32], costs: NDArray[np.float64]
 ) -> dict[str, NDArray]:
@@ -301,6 +342,14 @@ def places_of(
     if isinstance(view, TellsWays):
         places["ways"] = np.array(view.ways(ends, costs), dtype=np.str_)
     return places
+
+
+def three_digits(values: NDArray) -> NDArray[np.float64]:
+    """Numbers to three significant digits. Those of float32 are rounded to the same."""
+    exact = np.asarray(values, dtype=np.float64)
+    size = np.abs(exact, where=exact != 0, out=np.ones_like(exact))
+    scale = 10.0 ** (2 - np.floor(np.log10(size)))
+    return np.round(exact * scale) / scale
 
 
 def five_digits(values: NDArray) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ import signal
 from fractions import Fraction
 
 import numpy as np
+import pandas
 import pytest
 import torch
 from small_runs import TRPO, results, write_evaluated
@@ -17,7 +18,7 @@ import agents
 from agents import api
 from agents.cli.main import main
 from agents.presets import preset
-from agents.results.reading import write_archive
+from agents.results.archive import write_archive
 from agents.training.config import TrainConfig
 
 register_toys()
@@ -77,8 +78,11 @@ def test_an_archive_is_opened_as_its_folder_is(runs, tmp_path):
     write_archive(tmp_path / "runs.zip", runs.results)
     packed = agents.load_runs(tmp_path / "runs.zip")
     assert packed.table() == runs.table()
-    with pytest.raises(agents.UserError, match="seed 3 has no updates"):
-        packed.to_pandas("updates")
+    columns = ["task", "seed", "rollout", "step", "multiplier"]  # the curves of multipliers alone
+    updates = packed.to_pandas("updates")
+    assert set(updates) == {"folder", "algorithm", *columns}
+    expected = runs.to_pandas("updates")[columns]
+    pandas.testing.assert_frame_equal(updates[columns], expected, check_dtype=False)
     with pytest.raises(agents.UserError, match=r"runs.zip.* is no folder: .* alone read archives"):
         agents.resume(packed)
 

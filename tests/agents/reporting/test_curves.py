@@ -58,6 +58,8 @@ def test_episode_means_by_a_loop(column):
         for run in RUNS:
             pairs = zip(run.start_step, getattr(run, column), strict=True)
             inside = [value for start, value in pairs if low <= start < high]
+            if column == "reward":  # returns are drawn to three digits
+                inside = [float(f"{value:.3g}") for value in inside]
             means.append(sum(inside) / len(inside) if inside else math.nan)
         half = T_OF_4 * stdev(means) / math.sqrt(5)
         if math.isnan(sum(means)):
@@ -69,7 +71,6 @@ def test_episode_means_by_a_loop(column):
             (fmean(means), min(means), max(means)),
         )
         for curve, numbers in zip(found, expected, strict=True):
-            # Returns are drawn to five digits.
             drawn = [of[k] for of in curve]
             assert drawn == pytest.approx(numbers, rel=1e-4, abs=1e-4)
     assert np.isfinite(found[1].mean).sum() > POINTS // 2

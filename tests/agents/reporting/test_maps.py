@@ -17,18 +17,17 @@ from toys import registered
 from agents.reporting.figures import task_figures
 from agents.reporting.maps import (
     SIZE,
-    STATES,
     Map,
     Scenes,
     heat_png,
     maps,
     paths,
     replay_data,
-    shown_states,
 )
 from agents.reporting.page import script_json
-from agents.results.reading import Episode, Group
+from agents.results.reading import Group
 from agents.training import derive
+from agents.training.derive import STATES, drawn, shown_states
 from circle2d_mj import Circle2DConfig
 from circle2d_mj.circle2d.view import Circle2DView
 from circle2d_mj.render import canvas
@@ -123,7 +122,7 @@ def played(groups):
 
 
 PATH = np.linspace((12.0, 1.5), (2.0, 1.5), 11).astype(np.float32)
-EPISODES = [Episode(PATH, np.array([0.0, 1, 1, 0, 0, 0, 0, 0, 0, 1]))]
+EPISODES = [drawn(PATH, np.array([0.0, 1, 1, 0, 0, 0, 0, 0, 0, 1]))]
 
 
 def test_paths_of_trained_policies(groups):
@@ -154,7 +153,7 @@ def test_a_cost_between_two_drawn_states_is_shown():
     costs = np.zeros(1000)
     costs[499] = 1.0
     positions = np.linspace((0, 0), (10, 0), 1001)
-    way, costly = paths(scene.extent, [Episode(positions, costs)])
+    way, costly = paths(scene.extent, [drawn(positions, costs)])
     assert costly.count("M") == 1
     # State 500 lies between the drawn states 496 and 504, at x = 5.04.
     assert re.fullmatch(r"M668 500h0", costly)

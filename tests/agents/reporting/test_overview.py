@@ -19,8 +19,9 @@ from agents.reporting import overall
 from agents.reporting.figures import intervals_figure, profiles_figure
 from agents.reporting.overall import TASKS as TOGETHER
 from agents.reporting.overall import over_tasks, separated_table, tables_over_tasks
+from agents.results.archive import write_archive
 from agents.results.measures import RunData, measured
-from agents.results.reading import Group, Run, read, write_archive
+from agents.results.reading import Group, Run, read
 from agents.results.statistics import ACROSS_WORDS, comparisons, thirds
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords

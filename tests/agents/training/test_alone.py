@@ -14,7 +14,8 @@ import agents
 from agents.algorithms import algorithm
 from agents.errors import UserError
 from agents.on_policy.epoch import BLOCK
-from agents.results.reading import read, write_archive
+from agents.results.archive import write_archive
+from agents.results.reading import read
 from agents.training.config import RunId, TrainConfig
 
 OPTIONS = {"steps": 200, "checkpoint_every": 50, "evaluate_every": 100}
