@@ -12,6 +12,7 @@ The whole entrance from Python:
 | `zoo()` | what the trained agents that come with the package reach -> a pandas frame |
 | `evaluate(policy_or_folder, task)` | play episodes -> `Evaluation` |
 | `sweep(algorithm, task, grid={...}, out=...)` | every combination of hyper-parameters -> `Runs` |
+| `grid(algorithms, tasks, out=...)` | algorithms on tasks, on all cores -> `Runs` |
 | `report(*folders)` | tables, figures and a page of all runs below some folders |
 | `plot(*folders, out=...)` | learning curves for a paper: PDF, SVG, PNG, PGF |
 | `compare(a, b)` | two sets of runs side by side, with their differences |
@@ -44,7 +45,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from agents.algorithms import Algorithm, register
-    from agents.api import compare, plot, report, resume, sweep, train
+    from agents.api import compare, grid, plot, report, resume, sweep, train
     from agents.errors import UserError
     from agents.runs import Runs, load_runs
     from agents.training.callbacks import Epoch
@@ -60,6 +61,7 @@ __all__ = (
     "UserError",
     "compare",
     "evaluate",
+    "grid",
     "load_policy",
     "load_runs",
     "plot",
@@ -73,7 +75,7 @@ __all__ = (
 )
 _HOMES = {
     "agents.algorithms": ("Algorithm", "register"),
-    "agents.api": ("compare", "plot", "report", "resume", "sweep", "train"),
+    "agents.api": ("compare", "grid", "plot", "report", "resume", "sweep", "train"),
     "agents.errors": ("UserError",),
     "agents.zoo": ("zoo",),
     "agents.runs": ("Runs", "load_runs"),

@@ -39,7 +39,7 @@ from agents.presets import PresetName, preset_with, recipe
 from agents.runs import Runs, folders_of
 from agents.training import callbacks, trainer
 from agents.training.callbacks import Epoch
-from agents.training.config import CONFIG, TrainConfig, finished
+from agents.training.config import CONFIG, TrainConfig, file_name, finished
 from agents.training.environments import Vectorization, check_task, module_of_task, task_id
 from agents.training.files import check_file, check_folder
 
@@ -184,6 +184,58 @@ def sweep(
     configs = configs_of(algorithm, task, chosen, preset, backend, given)
     by_folder = {folder / name: c for name, c in zip(combinations, configs, strict=True)}
     return Runs(_launch(by_folder, engine, workers, address, split=len(by_folder) > 1))
+
+
+def grid(
+    algorithms: str | Iterable[str],
+    tasks: str | Iterable[str] = "Circle2D-1-v0",
+    *,
+    out: Folder,
+    preset: PresetName = "paper",
+    backend: Backend = "c++",
+    engine: EngineName = "local",
+    workers: int | None = None,
+    address: str | None = None,
+    **settings: Any,
+) -> Runs:
+    """Train several algorithms on several tasks, each with its preset: `circle2d grid`.
+
+    Each pair has the folder `out/TASK/ALGORITHM`; where there are more workers than these, its runs
+    are in parts below it. Given again, the same call goes on where it was interrupted.
+    settings: the other arguments of `train` but on_epoch and progress; hyper-parameters among them
+    are those of every algorithm. workers: processes, or tasks of Ray, at a time; by default as many
+    as there are cores.
+
+    Raises UserError for what is unknown or not allowed, before anything is written, and where a
+    training fails; the others are done by then.
+    """
+    by_folder = grid_configs(algorithms, tasks, _to_write(out), preset, backend, settings)
+    return Runs(_launch(by_folder, engine, workers, address, split=True))
+
+
+def grid_configs(
+    algorithms: str | Iterable[str],
+    tasks: str | Iterable[str],
+    out: Path,
+    preset: PresetName,
+    backend: Backend,
+    settings: Mapping[str, Any],
+) -> dict[Path, TrainConfig]:
+    """The configurations of `grid` by their folders."""
+    for name in settings.keys() & {"on_epoch", "progress"}:
+        raise UserError(f"grid takes no {name}: it trains in other processes")
+    names = [algorithms] if isinstance(algorithms, str) else [*algorithms]
+    several = [tasks] if isinstance(tasks, str) else [*tasks]
+    if not names or not several:
+        raise UserError("grid needs an algorithm and a task at least")
+    given = {name: value for name, value in settings.items() if name in SETTINGS}
+    own = {name: value for name, value in settings.items() if name not in SETTINGS}
+    return {
+        out / file_name(task_id(task)) / name: config
+        for task in dict.fromkeys(several)
+        for name in dict.fromkeys(names)
+        for config in configs_of(name, task, [own], preset, backend, given)
+    }
 
 
 @lockstep_backend.restored()

@@ -36,6 +36,7 @@ if TYPE_CHECKING:  # the command line starts without torch
 COMMANDS = {
     "train": ("training", "train runs of an algorithm on tasks, evaluate them, print their table"),
     "resume": ("training", "go on with runs that were interrupted"),
+    "grid": ("training", "train algorithms on tasks on all cores, and report"),
     "evaluate": ("training", "play episodes with trained policies"),
     "reproduce": ("training", "run the paper's experiments, or a part of them, and report"),
     "zoo": ("showing", "list the trained agents that come with the package, and what they reach"),

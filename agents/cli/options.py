@@ -10,6 +10,7 @@ import os
 import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from itertools import dropwhile, islice, takewhile
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -172,9 +173,40 @@ def one_for_each(name: str, given: Sequence[T], folders: Iterable[Path]) -> Sequ
     return given or [None] * count
 
 
-def literals(given: Mapping[str, str]) -> dict[str, Any]:
+def split_options(kind: type, args: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
+    """The words of a command's own options, and the values of all others, which are those of
+    algorithms: as Python reads them, several as a tuple; True without one, and False for --no-NAME.
+    """
+    names = {"import" if field.name == "imports" else field.name for field in fields(kind)}
+    known = {f"--{'no-' * no}{name.replace('_', '-')}" for name in names for no in (0, 1)} | {
+        "--help"
+    }
+    own, others = [], {}
+    words = own
+    for arg in args:
+        if arg.startswith("--"):
+            name, equals, value = arg.partition("=")
+            if name.replace("_", "-") in known:
+                own.append(arg)
+                words = own
+                continue
+            words = others.setdefault(name[2:].replace("-", "_"), [])
+            words += [value] * bool(equals)
+        else:
+            words.append(arg)
+    values: dict[str, Any] = {}
+    for name, texts in others.items():
+        found = tuple(literals(dict(enumerate(texts))).values())
+        if not found and name.startswith("no_"):
+            values[name.removeprefix("no_")] = False
+        else:
+            values[name] = (found[0] if len(found) == 1 else found) if found else True
+    return own, values
+
+
+def literals(given: Mapping[Any, str]) -> dict[Any, Any]:
     """Task parameters as Python reads them (3.0, True, (1, 0.5)), else the text itself."""
-    values: dict[str, Any] = dict(given)
+    values: dict[Any, Any] = dict(given)
     for name, text in given.items():
         with contextlib.suppress(ValueError, SyntaxError):
             values[name] = ast.literal_eval(text)

@@ -29,6 +29,7 @@ from agents.cli.options import (
     import_modules,
     literals,
     parse,
+    split_options,
     values_of,
 )
 from agents.errors import OwnCodeError, UserError, traced
@@ -38,8 +39,10 @@ from agents.paper import grid as papers
 from agents.paper.sections import STUDY
 from agents.presets import PresetName, preset, preset_with, with_hyperparameter
 from agents.reporting.report import report, table
+from agents.reporting.study import Study
 from agents.reporting.table import show, working
-from agents.training import callbacks, derive, evaluation, grid, policy, trainer
+from agents.training import callbacks, derive, evaluation, policy, trainer
+from agents.training import grid as grid_of
 from agents.training.callbacks import duration, share_done
 from agents.training.config import RESULTS, TrainConfig, finished
 from agents.training.environments import Vectorization, check_task, task_id
@@ -273,6 +276,47 @@ def evaluate(args: Sequence[str]) -> int:
 
 
 @dataclass(frozen=True)
+class GridOptions(TrainOptions):
+    """Train several algorithms on several tasks, each with its preset, on all cores, and report.
+
+    Options of the algorithms, as 'circle2d train ALGORITHM --help' explains them, are those of all:
+    --cost-limit 10. Each algorithm and task has a folder, OUT/TASK/ALGORITHM. Given again, the same
+    command goes on where it was interrupted.
+    """
+
+    algorithms: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="ALGORITHM ...")
+    ] = ()
+    """Names of algorithms."""
+    workers: int | None = None
+    """Trainings at a time, each of one thread; by default one for each core that this process may
+    use, or that the Ray cluster has."""
+    engine: EngineName = "local"
+    """local: processes of this machine. ray: tasks of a Ray cluster, of one core each; needs the
+    extra [ray]."""
+    address: str | None = None
+    """The Ray cluster's head, HOST:PORT, or auto for one that runs on this machine; by default
+    RAY_ADDRESS, or else a cluster of this machine is started."""
+    shard: str | None = None
+    """I/N, such as 1/4: train the I-th of N equal parts, for job arrays. Writes no report."""
+    width: Width = None
+
+
+def grid(args: Sequence[str]) -> int:
+    """Run `circle2d grid`; returns the exit status."""
+    own, hyperparameters = split_options(GridOptions, args)
+    options = parse(GridOptions, "grid", own)
+    options = replace(options, out=options.out.absolute())  # a task may change the current folder
+    check_folder(options.out)
+    settings = {name: getattr(options, name) for name in api.SETTINGS}
+    settings["task_parameters"] = literals(options.task_parameters)
+    settings["steps"] = 1_000_000 if options.steps is None else options.steps
+    settings |= hyperparameters
+    what = (options.algorithms, options.task, options.out, options.preset, options.backend)
+    return _run(options, api.grid_configs(*what, settings))
+
+
+@dataclass(frozen=True)
 class ReproduceOptions(Settings):
     """Run the paper's experiments, or a part of them, and write the report.
 
@@ -338,30 +382,41 @@ def reproduce(args: Sequence[str]) -> int:
         if not source.exists() and archive_of(source) is None:
             raise UserError(f"beside {source}: there is no such folder or archive")
     configs = _configs(options)
+    return _run(options, configs, options.beside, STUDY)
+
+
+def _run(
+    options: ReproduceOptions | GridOptions,
+    configs: Mapping[Path, TrainConfig],
+    beside: Sequence[Path] = (),
+    study: Study | None = None,
+) -> int:
+    """Train a grid, or its part, and report it; returns the exit status."""
+    out = options.out
     if options.shard is not None:
         part, count = _shard(options.shard)  # equally cut in all of them
-        configs = grid.shard(grid.split(configs, count * (options.workers or 1)), part, count)
+        configs = grid_of.shard(grid_of.split(configs, count * (options.workers or 1)), part, count)
     modules = [*dict.fromkeys([*options.imports, *api.modules_of(configs.values())])]
     how = (options.engine, options.workers, modules, options.address)
     # The engine first: one that refuses leaves no folder behind.
     with launcher(*how) as trainings:
         if options.shard is None:
-            configs = grid.split(configs, trainings.count)
-        grid.prepare(configs)
+            configs = grid_of.split(configs, trainings.count)
+        grid_of.prepare(configs)
         for folder in configs:
             if (note := callbacks.other_session(folder)) and not finished(folder):
                 say(f"{folder}: {note}")
         # The parts of a grid train at the same time: there each folder has a lock alone.
-        with contextlib.nullcontext() if options.shard else locked(options.out):
+        with contextlib.nullcontext() if options.shard else locked(out):
             failed = _train_all(configs, trainings)
     for folder, why in failed.items():
         say(f"{folder} failed: {why}")
     if options.shard is not None:
-        print(f"part {options.shard} is over; after all: circle2d report {options.out}")
+        print(f"part {options.shard} is over; after all: circle2d report {out}")
         return int(bool(failed))
     try:
         with working("drawing the report"):
-            written = report(options.out, *options.beside, study=STUDY, out=options.out)
+            written = report(out, *beside, study=study, out=out)
         show(written.blocks, options.width, str(written.page))
     except UserError as error:
         no_table(error, "report")
@@ -390,7 +445,7 @@ def _configs(options: ReproduceOptions) -> dict[Path, TrainConfig]:
         if steps is None and options.quick:
             steps = papers.QUICK_STEPS
         variants = papers.ablations if options.ablations else None
-        configs = grid.grid(options.out, tasks, names, seeds, steps, parameters, variants)
+        configs = grid_of.grid(options.out, tasks, names, seeds, steps, parameters, variants)
     usual: Backend = "c++"
     if begun := next((f for f in configs if (f / "config.json").exists()), None):
         usual = TrainConfig.read(begun).backend
@@ -430,7 +485,7 @@ def _train_all(configs: Mapping[Path, TrainConfig], trainings: Launcher) -> dict
     left = [folder for folder in configs if not finished(folder)]
     if not left:  # a shard of a grid with fewer trainings than shards has none
         return {}
-    work = {folder: grid.work(config) for folder, config in configs.items()}
+    work = {folder: grid_of.work(config) for folder, config in configs.items()}
     for folder in left:
         trainings.submit(folder)
 

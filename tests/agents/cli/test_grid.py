@@ -1,0 +1,72 @@
+"""`circle2d grid` and `agents.grid`: algorithms on tasks with settings of one's own."""
+
+import pytest
+from small_runs import differing, run_of
+
+import agents
+from agents.cli.main import main
+from agents.cli.options import split_options
+from agents.cli.training import GridOptions
+from agents.training.config import TrainConfig
+
+TASKS = ("Circle2D-1-v0", "Circle2D-2-v0")
+FEW = ["--steps", "200", "--seeds", "0", "1", "--evaluation-episodes", "1"]
+FEW += ["--backend", "numpy", "--hidden", "8", "8"]
+
+
+def test_every_algorithm_trains_on_every_task_with_the_settings_given(tmp_path, capsys):
+    """A run alone gives the same bits as `agents.grid`'s, and as `train`'s."""
+    own = ["--episodes", "2", "--cost-limit=3", "--normalize-observations", "--workers", "1"]
+    args = ["grid", "trpo-lag", "cpo", "--task", *TASKS, *FEW, *own, "--out", str(tmp_path / "a")]
+    assert main(args) == 0
+    assert capsys.readouterr().out.count("CPO (") >= 2  # a table of each task
+    places = [tmp_path / "a" / task / name for task in TASKS for name in ("trpo-lag", "cpo")]
+    for place in places:
+        config = TrainConfig.read(place)
+        hyperparameters = config.hyperparameters
+        assert (config.steps, config.seeds, hyperparameters.hidden) == (200, (0, 1), (8, 8))
+        assert (hyperparameters.cost_limit, hyperparameters.episodes) == (3.0, 2)
+        assert hyperparameters.normalize_observations
+    settings = {"steps": 200, "seeds": (0, 1), "evaluation_episodes": 1, "hidden": (8, 8)}
+    settings |= {"episodes": 2, "cost_limit": 3.0, "normalize_observations": True}
+    how = {"out": tmp_path / "b", "backend": "numpy", "workers": 1}
+    found = agents.grid(["cpo"], TASKS[0], **how, **settings)
+    straight = agents.train("cpo", TASKS[0], out=tmp_path / "c", backend="numpy", **settings)
+    for run in straight.config.runs:
+        expected = run_of(straight.folder, run)
+        for folder in (found.folder, tmp_path / "a" / TASKS[0] / "cpo"):
+            differ = differing(run_of(folder, run), expected)
+            # Evaluations in this process are shorter: see conftest.
+            assert {
+                name for name in differ if not name.startswith(("evaluation", "trained"))
+            } == set()
+    assert main(args) == 0  # all is done: it reports again
+
+
+def test_options_of_algorithms_are_read_apart():
+    args = "cpo --hidden 8 8 --pid-kp=1e-2 --seeds 3 4 --normalize-observations --no-x --activation"
+    own, values = split_options(GridOptions, [*args.split(), "tanh", "--tensorboard", "--out", "a"])
+    assert own == ["cpo", "--seeds", "3", "4", "--tensorboard", "--out", "a"]
+    assert values == {
+        "hidden": (8, 8),
+        "pid_kp": 0.01,
+        "normalize_observations": True,
+        "x": False,
+        "activation": "tanh",
+    }
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["ppo", "cpo", "--cost-limit", "3"], "ppo has no hyper-parameter 'cost_limit'"),
+        (["cpo", "--cost-limt", "3"], "did you mean 'cost_limit'?"),
+        (["cpo", "--cost-limit", "three"], "cost_limit must be a finite number, got 'three'"),
+        ([], "grid needs an algorithm and a task at least"),
+        (["cpo", "--shard", "3/2"], "shard must be I/N"),
+    ],
+)
+def test_mistakes_are_named_before_anything_is_written(args, words, tmp_path, capsys):
+    assert main(["grid", *args, "--out", str(tmp_path / "a")]) == 2
+    assert words in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
