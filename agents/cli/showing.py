@@ -95,7 +95,7 @@ class PlotOptions(Settings):
 
 
 def plot(args: Sequence[str]) -> int:
-    """Run `circle2d plot`; returns the exit status."""
+    """Run `circle2d plot`; returns the exit status: 1 where runs had to be left out."""
     from agents.api import plot as draw
 
     options = parse(PlotOptions, "plot", args)
@@ -103,7 +103,7 @@ def plot(args: Sequence[str]) -> int:
     with working("reading runs"):
         words = draw(*options.folders, out=options.out, measures=options.measure, **look)
     print(f"{options.out}\nCaption: {words}")
-    return 0
+    return int("left out: " in words)
 
 
 @dataclass(frozen=True)
@@ -166,14 +166,14 @@ class CompareOptions(Settings):
 
 
 def compare(args: Sequence[str]) -> int:
-    """Run `circle2d compare`; returns the exit status."""
+    """Run `circle2d compare`; returns the exit status: 1 where runs had to be left out."""
     from agents.reporting.compare import compare as compare_runs
 
     options = parse(CompareOptions, "compare", args)
     with working("reading runs and drawing figures"):
         tables = compare_runs(options.a, options.b, options.out, options.measure)
     show(tables, options.width)
-    return 0
+    return int(any(note.startswith("left out") for table in tables for note in table.notes))
 
 
 @dataclass(frozen=True)

@@ -144,6 +144,8 @@ def test_a_failed_run_is_named_and_the_status_is_1(tmp_path, capsys, monkeypatch
     assert main(["resume", str(out)]) == 1
     assert main(["evaluate", str(out), "--episodes", "2"]) == 1
     assert main(["report", str(out)]) == 1
+    assert main(["compare", str(out), str(out)]) == 1
+    assert main(["plot", str(out), "--out", str(tmp_path / "figure.svg")]) == 1
     (mean,) = (row for row in lines_of(out / "report.csv") if row["kind"] == "mean")
     assert mean["seeds"] == "2"
     capsys.readouterr()
