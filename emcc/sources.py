@@ -32,6 +32,9 @@ ENVIRONMENT = re.compile(
 )
 """Names of columns, in small letters alone, that tell environments apart, whose steps may stand
 between each other; so do others whose values come in turns: see `_environments`."""
+STEP = re.compile(r"(global|total|env|time)?(time)?steps?")
+"""Likewise, columns that count steps: rows of an episode with one number are of environments side
+by side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,15 +216,18 @@ def _marked(columns: Columns, marks: list[str]) -> NDArray[np.bool_]:
 def _environments(columns: Columns, ends: NDArray[np.bool_]) -> str:
     """The column that tells several environments apart; "" where none does.
 
-    It has such a name, or its values come in turns, as steps of environments side by side do: 0, 1,
-    2, 0, 1, 2, ... A number of the step in its episode does so too, but begins again at each end.
-    ends: of the rows, which are the last of an episode or rollout.
+    It has such a name; or it counts steps, and rows that follow one another in an episode have one
+    number; or its values come in turns, as steps of environments side by side do: 0, 1, 2, 0, 1, 2,
+    ... A number of the step in its episode does so too, but begins again at each end. ends: of the
+    rows, which are the last of an episode or rollout.
     """
     for name, values in columns.items():
         count = len({*values})
         if name in (*KNOWN, *ENDS) or count == 1:
             continue
-        if ENVIRONMENT.fullmatch(re.sub(r"[^a-z]", "", name.lower())):
+        letters = re.sub(r"[^a-z]", "", name.lower())
+        twice = (a == b and not end for (a, b), end in zip(pairwise(values), ends, strict=False))
+        if ENVIRONMENT.fullmatch(letters) or (STEP.fullmatch(letters) and any(twice)):
             return name
         # Three turns at least: fewer may be chance.
         if 3 * count <= len(values) and len({*values[:count]}) == count:

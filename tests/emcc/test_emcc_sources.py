@@ -76,6 +76,8 @@ def test_rollouts_end_where_they_say_and_episodes_at_done(tmp_path):
 
 OTHER_COLUMNS = {
     "a step's number": ("step", [0, 1, 2, 3] * 4),
+    "a step's number, all along": ("global_step", list(range(100, 116))),
+    "a step that ends one episode and begins the next": ("step", [3, 4, 5, 6, 6, 7, 8, 9] * 2),
     "one environment": ("env", [5] * 16),
     "a number": ("speed", [0, 1, 0, 1, 1, 0] + [2, 3] * 5),
 }
@@ -124,6 +126,13 @@ BAD_FILES = {
             "process",
             "Env ID",
         )
+    },
+    **{
+        f"two at each {name}": (
+            f"{name},done,cost\n0,0,1\n0,0,0\n1,0,1\n1,0,0\n2,1,1\n2,1,0\n",
+            f"the column {name}",
+        )
+        for name in ("step", "global_step", "Timesteps")
     },
     "two in turns": ("k,done,cost\n" + TWO_IN_TURNS, "the column k"),
     "two logs": ("rollout,cost,done\n0,1,0\n1,1,1\n0,1,1\n", "a rollout must follow one another"),
