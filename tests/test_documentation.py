@@ -93,8 +93,8 @@ def options_of(command, words):
     """Every option that a command has; of `train` those of the algorithm that follows."""
     module = importlib.import_module(f"agents.cli.{COMMANDS[command][0]}")
     fields = list(dataclasses.fields(getattr(module, f"{command.capitalize()}Options")))
-    if command == "train" and words[2] in ALGORITHMS:
-        fields += dataclasses.fields(ALGORITHMS[words[2]].config)
+    for name in {"train": words[2:3], "grid": words[2:]}.get(command, ()):
+        fields += dataclasses.fields(ALGORITHMS[name].config) if name in ALGORITHMS else ()
     if command == "scene":
         fields += dataclasses.fields(Circle2DConfig)
     names = {"import" if field.name == "imports" else field.name for field in fields}

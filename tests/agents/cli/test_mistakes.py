@@ -38,7 +38,7 @@ def mistake(arguments, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["fly"], "'fly': valid are train, resume, evaluate, reproduce, zoo, report"),
+        (["fly"], "'fly': valid are train, resume, grid, evaluate, reproduce, zoo, report"),
         (["train"], "train needs the algorithm first: one of trpo-lag, "),
         (["train", "SAC-Lag"], "'SAC-Lag': did you mean 'sac-lag'"),
         (TRAIN, "--out"),

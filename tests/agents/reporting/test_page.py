@@ -6,6 +6,7 @@ import numpy as np
 from small_runs import edit_results
 
 from agents.cli.main import main
+from agents.paper.sections import STUDY
 from agents.reporting.figures import Figure
 from agents.reporting.page import Section, page
 from agents.reporting.report import report
@@ -69,7 +70,7 @@ def test_the_report_of_a_small_grid(tmp_path):
     prepare(configs)
     for folder in configs:
         train(folder)
-    report(tmp_path)
+    report(tmp_path, study=STUDY)
     text = (tmp_path / "index.html").read_text()
     shown = Page(text)
     assert shown.fetched == []  # no network, no files beside it
