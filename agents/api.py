@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from agents.algorithms import BUILT_IN, module_of
 from agents.checks import as_integer
-from agents.errors import RemoteTraceback, RunsFailed, UserError, extra
+from agents.errors import FailedRunWarning, RemoteTraceback, RunsFailed, UserError, extra
 from agents.lockstep import backend as lockstep_backend
 from agents.lockstep.kernel import Backend
 from agents.presets import PresetName, preset_with, recipe
@@ -40,6 +40,7 @@ from agents.runs import Runs, folders_of
 from agents.training import callbacks, trainer
 from agents.training.callbacks import Epoch
 from agents.training.config import CONFIG, TrainConfig, file_name, finished
+from agents.training.derive import failed_runs
 from agents.training.environments import Vectorization, check_task, module_of_task, task_id
 from agents.training.files import check_file, check_folder
 
@@ -116,8 +117,9 @@ def train(
         on_epoch nor progress. address: of the cluster, "HOST:PORT" or "auto"; None: RAY_ADDRESS,
         or else a new cluster on this machine.
 
-    Raises UserError for an unknown or invalid argument, before anything is written, and where every
-    run failed; an error of the task's or the algorithm's own code is its cause.
+    Warns of each run that failed. Raises UserError for an unknown or invalid argument, before
+    anything is written, and where every run failed; an error of the task's or the algorithm's own
+    code is its cause.
     """
     if algorithm == "zoo":
         algorithm, preset, usual = of_zoo(task, preset)
@@ -143,6 +145,7 @@ def train(
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)
         raise
+    _warn_of_failures([folder], 4)  # one further, behind the decorator
     return Runs([folder], temporary=out is None)
 
 
@@ -183,7 +186,9 @@ def sweep(
     chosen = [settings | values for values in combinations.values()]
     configs = configs_of(algorithm, task, chosen, preset, backend, given)
     by_folder = {folder / name: c for name, c in zip(combinations, configs, strict=True)}
-    return Runs(_launch(by_folder, engine, workers, address, split=len(by_folder) > 1))
+    folders = _launch(by_folder, engine, workers, address, split=len(by_folder) > 1)
+    _warn_of_failures(folders)
+    return Runs(folders)
 
 
 def grid(
@@ -210,7 +215,9 @@ def grid(
     training fails; the others are done by then.
     """
     by_folder = grid_configs(algorithms, tasks, _to_write(out), preset, backend, settings)
-    return Runs(_launch(by_folder, engine, workers, address, split=True))
+    folders = _launch(by_folder, engine, workers, address, split=True)
+    _warn_of_failures(folders)
+    return Runs(folders)
 
 
 def grid_configs(
@@ -268,6 +275,7 @@ def resume(
     for path in paths:
         if _train(path, on_epoch, progress).stopped:
             break
+    _warn_of_failures(paths, 4)
     return Runs(paths)
 
 
@@ -518,6 +526,16 @@ def _to_write(out: Folder) -> Path:
         raise UserError(f"out must be a folder, got {out!r}")
     check_folder(Path(out))
     return Path(out).absolute()
+
+
+def _warn_of_failures(folders: Sequence[Path], stacklevel: int = 3) -> None:
+    """Warn of each run that failed, with the traceback of the task's error."""
+    for folder in folders:
+        if not finished(folder):  # stopped by on_epoch
+            continue
+        for run, why, trace in failed_runs(folder):
+            words = f"{folder}: {run}: {why}\n{trace}".rstrip()
+            warnings.warn(words, FailedRunWarning, stacklevel)
 
 
 def _train(folder: Path, on_epoch: OnEpoch | None, progress: bool) -> trainer.Trainer:

@@ -40,6 +40,10 @@ class RunsFailed(UserError):
     """Trainings that failed, all else being done. The command line exits with status 1."""
 
 
+class FailedRunWarning(UserWarning):
+    """A run that failed, all else being done. The command line names it at the end instead."""
+
+
 class HelpShown(SystemExit):
     """The end of a command that was asked for its help."""
 

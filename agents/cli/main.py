@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agents.errors import (
+    FailedRunWarning,
     OwnCodeError,
     RunsFailed,
     UserError,
@@ -109,6 +110,7 @@ def _run(command: str, args: Sequence[str]) -> int:
         raise UserError(f"unknown {kind} {command!r}: {nearest(command, valid)}")
     with warnings.catch_warnings():
         warnings.showwarning = _print_warning
+        warnings.simplefilter("ignore", FailedRunWarning)
         try:
             _check_words(args)
             # Before signals are handled: libraries turn what is raised meanwhile into other errors.

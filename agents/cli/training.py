@@ -44,9 +44,9 @@ from agents.reporting.table import show, working
 from agents.training import callbacks, derive, evaluation, policy, trainer
 from agents.training import grid as grid_of
 from agents.training.callbacks import duration, share_done
-from agents.training.config import RESULTS, TrainConfig, finished
+from agents.training.config import TrainConfig, finished
 from agents.training.environments import Vectorization, check_task, task_id
-from agents.training.files import Arrays, archive_of, check_folder, locked, remove_unfinished
+from agents.training.files import archive_of, check_folder, locked, remove_unfinished
 from agents.training.launcher import EngineName, Launcher, launcher
 from circle2d_mj.circle2d.config import LEVELS
 
@@ -173,12 +173,8 @@ def name_failures(folders: Sequence[Path]) -> int:
     """Name the runs that failed in training or evaluation; returns the exit status."""
     status = 0
     for folder in folders:
-        arrays = Arrays(folder / RESULTS)
-        for run in TrainConfig.read(folder, strict=False).runs:
-            if not (why := derive.why_failed(arrays, run)):
-                continue
-            if run.prefix + "traceback" in arrays:
-                print(arrays[run.prefix + "traceback"], end="", file=sys.stderr)
+        for run, why, trace in derive.failed_runs(folder):
+            print(trace, end="", file=sys.stderr)
             say(f"{folder}: {run}: {why}")
             status = 1
     return status

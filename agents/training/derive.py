@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import contextlib
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -229,6 +229,16 @@ def why_failed(arrays: Mapping[str, NDArray], run: RunId) -> str:
             return str(arrays[run.prefix + name])
     evaluated = f"{run.prefix}evaluation/deterministic/returns" in arrays
     return "" if evaluated else "its evaluation met a number that is not finite"  # before 0.4
+
+
+def failed_runs(folder: Path) -> Iterator[tuple[RunId, str, str]]:
+    """The runs of `results.npz` that failed, or whose evaluation did: why, and the traceback of the
+    task's error, "" where it was none."""
+    arrays = Arrays(folder / RESULTS)
+    for run in TrainConfig.read(folder, strict=False).runs:
+        if why := why_failed(arrays, run):
+            trace = run.prefix + "traceback"
+            yield run, why, str(arrays[trace]) if trace in arrays else ""
 
 
 def whole_training(records: EpisodeRecords, steps: int) -> int:

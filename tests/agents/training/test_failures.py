@@ -95,9 +95,11 @@ def test_a_run_whose_task_fails_stops_alone(tmp_path, capsys, algorithm, how, wo
     healthy = agents.train(algorithm, "Walk-v0", **more).results[0]
     parameters = {"poison": 0.002, "poisons": how}
     out = tmp_path / "x"
-    runs = agents.train(algorithm, "Walk-v0", task_parameters=parameters, out=out, **more)
+    with pytest.warns(UserWarning, match=f"seed .: failed .*{words}") as warned:
+        runs = agents.train(algorithm, "Walk-v0", task_parameters=parameters, out=out, **more)
     assert not multiprocessing.active_children()
     [group] = runs.results
+    assert len(warned) == len(group.missing)
     left = [run.seed for run in group.runs]
     assert 1 <= len(left) < 4
     assert {*left, *group.missing} == {0, 1, 2, 3}
@@ -114,6 +116,8 @@ def test_a_run_whose_task_fails_stops_alone(tmp_path, capsys, algorithm, how, wo
     assert len(re.findall(f"(?m)^circle2d: .*seed .*{words}", told)) == len(group.missing)
     raised = {"raise": 'raise FloatingPointError("unstable")', "exit": "sys.exit(0)"}.get(how)
     assert raised is None or told.count(raised) == len(group.missing)
+    assert raised is None or all(raised in str(warning.message) for warning in warned)
+    assert {warning.filename for warning in warned} == {__file__}
     assert main(["report", str(out)]) == 1
     assert capsys.readouterr().out.count("left out: x, seed ") == len(group.missing)
 
@@ -134,7 +138,8 @@ def test_a_task_that_fails_in_the_evaluation_alone(tmp_path, capsys):
 
     with toys.registered(Late=Late):
         out = tmp_path / "x"
-        agents.train("cpo", "Late-v0", out=out, on_epoch=end, **OPTIONS | TRPO)
+        with pytest.warns(UserWarning, match="its evaluation failed"):
+            agents.train("cpo", "Late-v0", out=out, on_epoch=end, **OPTIONS | TRPO)
         assert main(["resume", str(out)]) == 1
     told = capsys.readouterr().err
     assert len(re.findall("seed [01]: its evaluation failed: task 'Late-v0'.*Exit: 0", told)) == 2
@@ -212,7 +217,8 @@ def test_numbers_beyond_float32_end_their_run_alone(algorithm, name):
     options = {k: v for k, v in family.items() if k != "critic_iterations"}
     with toys.registered(Huge=Huge):
         more = OPTIONS | options | {"seeds": range(6), "steps": 80}
-        [group] = agents.train(algorithm, "Huge-v0", **more).results
+        with pytest.warns(UserWarning, match="not finite"):
+            [group] = agents.train(algorithm, "Huge-v0", **more).results
     assert 1 <= len(group.missing) < 6
     words = (rf"failed at step \d+: its {name} is", "its evaluation met a number that is")
     for why in group.missing.values():
@@ -351,11 +357,12 @@ def test_an_algorithm_that_fails(tmp_path, wrong, does, words):
 
 def test_an_algorithm_whose_numbers_fail(tmp_path):
     """The one run it happens to is left out; the other one is what it is without that."""
+    more = OPTIONS | {"steps": 300}
     with known():
-        runs = {
-            wrong: agents.train("toy", "Walk-v0", wrong=wrong, **OPTIONS | {"steps": 300})
-            for wrong in ("", "nan", "action")
-        }
+        runs = {"": agents.train("toy", "Walk-v0", **more)}
+        for wrong in ("nan", "action"):
+            with pytest.warns(UserWarning, match=r"Walk-v0, seed 0: failed .* is not finite$"):
+                runs[wrong] = agents.train("toy", "Walk-v0", wrong=wrong, **more)
         for wrong, words in {"nan": "update", "action": "action"}.items():
             [group] = runs[wrong].results
             assert re.fullmatch(rf"failed at step \d+: its {words} is not finite", group.missing[0])
@@ -367,9 +374,9 @@ def test_an_algorithm_whose_numbers_fail(tmp_path):
 
 def test_an_evaluation_of_a_folder_leaves_failed_runs_out(tmp_path, capsys):
     with known():
-        runs = agents.train(
-            "toy", "Walk-v0", wrong="nan", out=tmp_path / "x", **OPTIONS | {"steps": 300}
-        )
+        more = OPTIONS | {"steps": 300, "out": tmp_path / "x"}
+        with pytest.warns(UserWarning, match="failed"):
+            runs = agents.train("toy", "Walk-v0", wrong="nan", **more)
         [group] = runs.results
         failed, left = (agents.load_policy(runs, seed) for seed in OPTIONS["seeds"])
         assert (failed.failure, left.failure) == (group.missing[failed.seed], "")
