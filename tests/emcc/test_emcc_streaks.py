@@ -150,6 +150,7 @@ def test_split_is_the_least_bound_of_rockafellar_and_uryasev(values, alpha):
 PRINTED = Path(__file__).parents[2] / "agents" / "paper" / "printed.json"
 
 
+@pytest.mark.skipif(not PRINTED.exists(), reason="emcc alone is without the paper's numbers")
 def test_the_paper_splits_ties():
     """Its CVaR_0.5 is twice its J_C in four cells: half of the episodes cost nothing, and the tail
     is the other half. With all ties the tail would be all episodes, and CVaR would be J_C."""
