@@ -271,19 +271,10 @@ def evaluate(args: Sequence[str]) -> int:
     )
 
 
-@dataclass(frozen=True)
-class GridOptions(TrainOptions):
-    """Train several algorithms on several tasks, each with its preset, on all cores, and report.
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """Options of commands that train grids."""
 
-    Options of the algorithms, as 'circle2d train ALGORITHM --help' explains them, are those of all:
-    --cost-limit 10. Each algorithm and task has a folder, OUT/TASK/ALGORITHM. Given again, the same
-    command goes on where it was interrupted.
-    """
-
-    algorithms: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="ALGORITHM ...")
-    ] = ()
-    """Names of algorithms."""
     workers: int | None = None
     """Trainings at a time, each of one thread; by default one for each core that this process may
     use, or that the Ray cluster has."""
@@ -296,6 +287,21 @@ class GridOptions(TrainOptions):
     shard: str | None = None
     """I/N, such as 1/4: train the I-th of N equal parts, for job arrays. Writes no report."""
     width: Width = None
+
+
+@dataclass(frozen=True)
+class GridOptions(Spread, TrainOptions):
+    """Train several algorithms on several tasks, each with its preset, on all cores, and report.
+
+    Options of the algorithms, as 'circle2d train ALGORITHM --help' explains them, are those of all:
+    --cost-limit 10. Each algorithm and task has a folder, OUT/TASK/ALGORITHM. Given again, the same
+    command goes on where it was interrupted.
+    """
+
+    algorithms: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="ALGORITHM ...")
+    ] = ()
+    """Names of algorithms."""
 
 
 def grid(args: Sequence[str]) -> int:
@@ -313,7 +319,7 @@ def grid(args: Sequence[str]) -> int:
 
 
 @dataclass(frozen=True)
-class ReproduceOptions(Settings):
+class ReproduceOptions(Spread, Settings):
     """Run the paper's experiments, or a part of them, and write the report.
 
     Given again, the same command goes on where it was interrupted.
@@ -354,18 +360,6 @@ class ReproduceOptions(Settings):
     backend: Backend | None = None
     """How networks are computed: see `circle2d train ALGORITHM --help`. By default as the runs in
     out began, else c++."""
-    workers: int | None = None
-    """Trainings at a time, each of one thread; by default one for each core that this process may
-    use, or that the Ray cluster has."""
-    engine: EngineName = "local"
-    """local: processes of this machine. ray: tasks of a Ray cluster, of one core each; needs the
-    extra [ray]."""
-    address: str | None = None
-    """The Ray cluster's head, HOST:PORT, or auto for one that runs on this machine; by default
-    RAY_ADDRESS, or else a cluster of this machine is started."""
-    shard: str | None = None
-    """I/N, such as 1/4: train the I-th of N equal parts, for job arrays. Writes no report."""
-    width: Width = None
     imports: Imports = ()
 
 
