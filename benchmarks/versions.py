@@ -78,7 +78,7 @@ def theirs(name, task):
         warm, steps = 300, 40 * EPISODE
         how = {"batch_size": 256, "learning_starts": 256, "train_freq": 1, "gradient_steps": 1}
     layers = {"net_arch": [64, 64]}
-    env = gym.make(f"circle2d_mj/{task}")
+    env = gym.make(task)
     model = getattr(sb3, name)("MlpPolicy", env, policy_kwargs=layers, device="cpu", **how)
     model.learn(warm)
     start = time.process_time()
