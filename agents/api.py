@@ -123,9 +123,7 @@ def train(
     """
     if algorithm == "zoo":
         algorithm, preset, usual = of_zoo(task, preset)
-    else:
-        usual = 1_000_000
-    steps = usual if steps is None else steps
+        steps = usual if steps is None else steps
     given = {name: value for name, value in locals().items() if name in SETTINGS}
     place = None if out is None else _to_write(out)  # before anything that takes long
     (config,) = configs_of(algorithm, task, [hyperparameters], preset, backend, given)
@@ -395,7 +393,8 @@ def configs_of(
     tasks = tuple(map(task_id, several))
     if not tasks:
         raise UserError("task must be the id of a gymnasium task, or several, got none")
-    settings = {"seeds": (0, 1, 2), "steps": 1_000_000} | dict(given)
+    settings = {"seeds": (0, 1, 2), "steps": None} | dict(given)
+    settings["steps"] = 1_000_000 if settings["steps"] is None else settings["steps"]
     seeds = settings["seeds"]
     settings["seeds"] = tuple(seeds) if isinstance(seeds, Iterable) else (seeds,)
     parameters = settings.pop("task_parameters", None)

@@ -89,7 +89,8 @@ class TrainOptions:
     """Write TensorBoard event files too."""
     preset: PresetName = "paper"
     """Where hyper-parameters start from. paper: the paper's values on its tasks and their families,
-    the algorithm's defaults elsewhere; none: the defaults everywhere."""
+    the algorithm's defaults elsewhere; zoo: those of the agents that come with the package; none:
+    the defaults everywhere."""
     backend: Backend = "c++"
     """How networks are computed: in C++, compiled in two seconds the first time, or in NumPy, half
     as fast, which also stands in with a warning where there is no C++ compiler."""
@@ -312,7 +313,6 @@ def grid(args: Sequence[str]) -> int:
     check_folder(options.out)
     settings = {name: getattr(options, name) for name in api.SETTINGS}
     settings["task_parameters"] = literals(options.task_parameters)
-    settings["steps"] = 1_000_000 if options.steps is None else options.steps
     settings |= hyperparameters
     what = (options.algorithms, options.task, options.out, options.preset, options.backend)
     return _run(options, api.grid_configs(*what, settings))

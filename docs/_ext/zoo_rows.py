@@ -44,14 +44,19 @@ PUBLISHED = {
 }
 
 
+def evaluated(folder: Path) -> pd.DataFrame:
+    """Mean return and cost of the last evaluation, by policy and seed."""
+    frame = agents.load_runs(folder).to_pandas("evaluations")
+    last = frame[frame.step == frame.groupby("seed").step.transform("max")]
+    return last.groupby(["policy", "seed"])[["return", "cost"]].mean()
+
+
 def row(folder: Path) -> dict[str, object]:
     """The row of a folder of finished runs on one task."""
     runs = agents.load_runs(folder)
     config = runs.config
     (task,) = (name.rpartition("/")[2] for name in config.tasks)
-    frame = runs.to_pandas("evaluations")
-    last = frame[frame.step == frame.groupby("seed").step.transform("max")]
-    means = last.groupby(["policy", "seed"])[["return", "cost"]].mean().groupby("policy").mean()
+    means = evaluated(folder).groupby("policy").mean()
     records = runs.records.values()
     parts = [own.emcc_by_part(alpha=0.1, window=WINDOW) for own in records]
     status = json.loads((folder / "status.json").read_text())
@@ -77,9 +82,7 @@ def row(folder: Path) -> dict[str, object]:
 
 def chosen_seed(folder: Path) -> int:
     """The seed whose policy comes with the package."""
-    frame = agents.load_runs(folder).to_pandas("evaluations")
-    last = frame[frame.step == frame.groupby("seed").step.transform("max")]
-    means = last[last.policy == "deterministic"].groupby("seed")[["return", "cost"]].mean()
+    means = evaluated(folder).loc["deterministic"]
     within = means[means.cost <= LIMIT]["return"]
     return int((within - within.median()).abs().idxmin())
 
