@@ -1,5 +1,5 @@
-"""The tasks of a suite for safe reinforcement learning: Safety-Gymnasium's on current MuJoCo, and
-Circle2D.
+"""A suite for safe reinforcement learning. This package has its tasks: Safety-Gymnasium's on
+current MuJoCo, and Circle2D. `agents` has algorithms and trained agents, `emcc` the metric.
 
     import circle2d_mj
     import gymnasium as gym

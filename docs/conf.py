@@ -24,7 +24,7 @@ maximum_signature_line_length = 80
 nitpicky = False
 
 html_theme = "furo"
-html_title = f"circle2d-mj {release}"
+html_title = f"circle2d-mj {release}: a safe-RL suite"
 html_static_path = ["_static"]
 html_css_files = ["style.css"]
 html_show_sphinx = False

@@ -58,7 +58,9 @@ def usage() -> str:
 
     commands = "\n".join(f"  {name:<10} {text}" for name, (_, text) in COMMANDS.items())
     return (
-        f"usage: circle2d COMMAND ...\n\nA suite for safe reinforcement learning.\n\n{commands}\n\n"
+        "usage: circle2d COMMAND ...   (or saferl COMMAND ..., the same program)\n\n"
+        "A suite for safe reinforcement learning: tasks, algorithms, agents, metric.\n\n"
+        f"{commands}\n\n"
         "circle2d COMMAND --help explains the options of a command; circle2d --version prints the\n"
         f"version.\nAlgorithms: {', '.join(ALGORITHMS)}.\n"
     )
