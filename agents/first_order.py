@@ -23,7 +23,7 @@ from agents.lockstep.kernel import Float
 from agents.lockstep.lagrange import Multiplier
 from agents.lockstep.nets import no_moments
 from agents.on_policy.epoch import (
-    Epoch,
+    EpochData,
     compared,
     divergence,
     raised_advantage,
@@ -205,7 +205,7 @@ class FirstOrder(OnPolicy):
         self._state = self._state._replace(actor_moments=no_moments(self._state.actor))
 
     def improve(
-        self, epoch: Epoch, steps: NDArray[np.int64], generators: list[np.random.Generator]
+        self, epoch: EpochData, steps: NDArray[np.int64], generators: list[np.random.Generator]
     ) -> tuple[OnPolicyState, dict[str, Tensor]]:
         """Passes of the actors over the epoch, each in minibatches of an order of its own."""
         config, rule, state = self.config, self.rule, self._state

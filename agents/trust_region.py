@@ -20,7 +20,7 @@ from agents.lockstep import kernel, lagrange
 from agents.lockstep.backend import differentiate, tensor
 from agents.lockstep.lagrange import Multiplier
 from agents.on_policy.epoch import (
-    Epoch,
+    EpochData,
     compared,
     raised_advantage,
     taken,
@@ -75,7 +75,7 @@ class StepRule(NamedTuple):
     of its cost itself."""
 
 
-def curvature(nets: Nets, config: Any, actor: Tensor, epoch: Epoch) -> tuple[Product, Product]:
+def curvature(nets: Nets, config: Any, actor: Tensor, epoch: EpochData) -> tuple[Product, Product]:
     """v -> H v and b -> H⁻¹ b, all [R, actor size], of the damped Hessian H of the mean KL
     divergence at the policy itself."""
     columns = actor.numpy(), nets.actor.log_std, epoch.observation.numpy(), epoch.weight.numpy()
@@ -93,7 +93,7 @@ def policy_step(
     config: Any,
     rule: StepRule,
     state: OnPolicyState,
-    epoch: Epoch,
+    epoch: EpochData,
     steps: NDArray[np.int64],
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The policy after the rule's step and its line search -> [R, actor size], records [R]; NaN for
@@ -251,7 +251,7 @@ class TrustRegion(OnPolicy):
         self.metrics += ("case",) * rule.has_cases
 
     def improve(
-        self, epoch: Epoch, steps: NDArray[np.int64], generators: list[np.random.Generator]
+        self, epoch: EpochData, steps: NDArray[np.int64], generators: list[np.random.Generator]
     ) -> tuple[OnPolicyState, dict[str, Tensor]]:
         """One step of the policy, from all of the epoch at once."""
         actor, records = policy_step(self.nets, self.config, self.rule, self._state, epoch, steps)

@@ -19,7 +19,7 @@ BLOCK = 512
 """Rows of a block: a multiple of 32 (see `descent`) that holds the paper's epoch of 500 steps."""
 
 
-class Epoch(NamedTuple):
+class EpochData(NamedTuple):
     """The steps of an epoch, run by run."""
 
     observation: Tensor
@@ -126,7 +126,7 @@ class Taken(NamedTuple):
 
 
 def raised_advantage(
-    rule: Any, config: Any, epoch: Epoch, steps: NDArray[np.int64], multipliers: Tensor
+    rule: Any, config: Any, epoch: EpochData, steps: NDArray[np.int64], multipliers: Tensor
 ) -> Tensor:
     """The advantages [R, B] that a rule has the policy raise, 0 behind the steps [R] of each run.
 
@@ -146,7 +146,7 @@ def raised_advantage(
     return raised
 
 
-def taken(nets: Nets, actor: Tensor, epoch: Epoch, objective: Tensor) -> Taken:
+def taken(nets: Nets, actor: Tensor, epoch: EpochData, objective: Tensor) -> Taken:
     """The epoch's steps under the policy that took them; objective: advantages [R, B]."""
     old = nets.actor.distribution(actor, epoch.observation)
     gains = torch.stack((objective, epoch.cost_advantage[:, 0]), dim=1)

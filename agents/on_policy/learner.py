@@ -19,7 +19,7 @@ from agents.lockstep.descent import Descent, Squared, orders
 from agents.lockstep.nets import Moments
 from agents.lockstep.noise import Purpose, normal, steps_of_noise, streams
 from agents.lockstep.rollout import Act, Policy, Rollout, learned
-from agents.on_policy.epoch import Epoch, Packing, advantages
+from agents.on_policy.epoch import EpochData, Packing, advantages
 from agents.on_policy.state import OnPolicyState, initial_state, make_nets
 from agents.on_policy.tail import StreakTail
 
@@ -53,7 +53,7 @@ class OnPolicy(ABC):
 
     @abstractmethod
     def improve(
-        self, epoch: Epoch, steps: NDArray[np.int64], generators: list[np.random.Generator]
+        self, epoch: EpochData, steps: NDArray[np.int64], generators: list[np.random.Generator]
     ) -> tuple[OnPolicyState, dict[str, torch.Tensor]]:
         """The state with better actors, and records [R], by the family.
 
@@ -117,7 +117,7 @@ class OnPolicy(ABC):
         self,
         critics: Tensor,
         moments: Moments,
-        epoch: Epoch,
+        epoch: EpochData,
         steps: NDArray[np.int64],
         generators: list[np.random.Generator],
     ) -> Tensor:
@@ -138,7 +138,7 @@ class OnPolicy(ABC):
         count = np.maximum(-(-steps // config.batch_size) * config.critic_iterations, 1)
         return tensor(total.reshape(len(steps), -1) / count[:, None]).float()
 
-    def _followed(self, state: OnPolicyState, epoch: Epoch, ahead: bool) -> OnPolicyState:
+    def _followed(self, state: OnPolicyState, epoch: EpochData, ahead: bool) -> OnPolicyState:
         """The state whose multipliers have followed the epoch's costs: those that do so `ahead` of
         the policy, or the others."""
         assert epoch.discounted_cost is not None
@@ -146,7 +146,7 @@ class OnPolicy(ABC):
         costs = (array(epoch.cost), array(epoch.discounted_cost))
         return state._replace(multipliers=lagrange.follow(*what, *costs, ahead=ahead))
 
-    def _epoch(self, rollout: Rollout, packing: Packing) -> Epoch:
+    def _epoch(self, rollout: Rollout, packing: Packing) -> EpochData:
         """Advantages and value targets of an epoch's steps, packed."""
         columns = (rollout.observation, rollout.next_observation)
         observation, following = (self._seen(packing.pack(column)) for column in columns)
@@ -171,7 +171,7 @@ class OnPolicy(ABC):
         shape = (len(self.seeds), self.episodes)
         sums = (rollout.cost_returns, rollout.discounted_costs(self.config.discount))
         cost, discounted_cost = (tensor(s.reshape(*shape, -1).mean(axis=1)) for s in sums)
-        return Epoch(
+        return EpochData(
             observation=observation,
             action=tensor(packing.pack(rollout.action)),
             weight=tensor(packing.weight),

@@ -38,33 +38,33 @@ from agents.paper.evidence import (
 from agents.paper.grid import PAPER_ALGORITHMS
 from agents.presets import PAPER_STEPS, preset
 from agents.reporting.page import Otherwise, Statement
-from agents.results.reading import Group, Run
+from agents.results.reading import Group, RunResult
 from agents.results.statistics import MARGIN, equivalence_of, over_windows, p_of
 from emcc.statistics import COST
 
 LIMIT = preset("cpo", LEVEL_TASKS[0]).cost_limit
 
 
-def in_corridor(run: Run) -> bool:
+def in_corridor(run: RunResult) -> bool:
     """Whether a run's evaluated episodes end in the left corridor more often than elsewhere."""
     return run.end == "corridor"
 
 
-def within(run: Run) -> bool:
+def within(run: RunResult) -> bool:
     """Whether a run keeps the cost limit of Circle2D in its evaluation."""
     cost = run.measures["J_C"]
     return cost is not None and cost <= LIMIT
 
 
-def _safely(run: Run) -> bool:
+def _safely(run: RunResult) -> bool:
     return in_corridor(run) and within(run)
 
 
-def _straight(run: Run) -> bool:
+def _straight(run: RunResult) -> bool:
     return in_corridor(run) and not within(run)
 
 
-def _waiting(run: Run) -> bool:
+def _waiting(run: RunResult) -> bool:
     return not in_corridor(run) and within(run)
 
 
@@ -137,7 +137,7 @@ def _runs_that(
     task: str,
     names: Sequence[str],
     rule: Count,
-    does: Callable[[Run], bool],
+    does: Callable[[RunResult], bool],
     parts: int,
 ) -> Finding:
     """Whether each algorithm has runs that end in the corridor, or none has (the rule)."""
@@ -162,11 +162,11 @@ def _low_cost(evidence: Evidence) -> list[Finding]:
     return findings
 
 
-def _settled(run: Run) -> bool:
+def _settled(run: RunResult) -> bool:
     return _waiting(run) and _later_cost(run) <= LIMIT
 
 
-def _later_cost(run: Run) -> float:
+def _later_cost(run: RunResult) -> float:
     """Mean cost return of the episodes that start after the first third of training."""
     later = 3 * run.records.start_step >= run.records.total_steps
     return float(run.records.cost[later].mean())
@@ -198,12 +198,12 @@ def _trend(evidence: Evidence) -> list[Finding]:
     return findings
 
 
-def _falls(run: Run) -> bool:
+def _falls(run: RunResult) -> bool:
     change = _change_of(run)
     return change is not None and change < 0
 
 
-def _change_of(run: Run) -> float | None:
+def _change_of(run: RunResult) -> float | None:
     late, early = run.measures[LATE], run.measures[EARLY]
     return None if late is None or early is None else late - early
 
@@ -377,7 +377,7 @@ def _short_episodes(evidence: Evidence) -> list[Finding]:
     )
 
 
-def _early_mean(column: str, run: Run) -> float:
+def _early_mean(column: str, run: RunResult) -> float:
     """Mean over the episodes that start in the first third of training."""
     rows = 3 * run.records.start_step < run.records.total_steps
     return float(getattr(run.records, column)[rows].mean())

@@ -16,7 +16,7 @@ from agents.reporting.table import Number, number, p_number
 from agents.reporting.tables import Printed
 from agents.results.frame import hyperparameter_changes
 from agents.results.measures import measure
-from agents.results.reading import Group, Run, one_place
+from agents.results.reading import Group, RunResult, one_place
 from agents.results.statistics import (
     LEVEL,
     Values,
@@ -33,7 +33,7 @@ from emcc.statistics import UNBOUNDED, Bounds
 Verdict = Literal["reproduced", "not reproduced", "undecided"]
 Count = Callable[[int, int, int], Verdict]
 """A rule: number of runs that do something, of all, and parts of the claim."""
-Value = str | Callable[[Run], float | None]
+Value = str | Callable[[RunResult], float | None]
 """A measure's name, or another number of a run."""
 
 SEEDS, SAFETY_SEEDS = 10, 3
@@ -105,7 +105,7 @@ class Cell(NamedTuple):
 
     task: str
     algorithm: str
-    runs: tuple[Run, ...]
+    runs: tuple[RunResult, ...]
     lacking: str
     """Why they decide nothing: fewer than `SEEDS`, or of other length; empty where they decide."""
     full: bool = False
@@ -131,13 +131,13 @@ class Cell(NamedTuple):
         """A measure of each run, or another number of it."""
         return [run.measures[of] if isinstance(of, str) else of(run) for run in self.runs]
 
-    def judged(self, rule: Count, does: Callable[[Run], bool], parts: int) -> Verdict:
+    def judged(self, rule: Count, does: Callable[[RunResult], bool], parts: int) -> Verdict:
         """The verdict of a rule on the runs that do something; undecided where runs are lacking."""
         if self.lacking:
             return "undecided"
         return rule(sum(map(does, self.runs)), len(self.runs), parts)
 
-    def share(self, does: Callable[[Run], bool], name: str, words: str) -> list[str]:
+    def share(self, does: Callable[[RunResult], bool], name: str, words: str) -> list[str]:
         """Share of runs that do something; nothing where there are no runs."""
         if not self.runs:
             return []
@@ -226,7 +226,7 @@ def _cell(groups: Sequence[Group], task: str, name: str, choice: str) -> Cell:
     """Runs of the paper's length that have all it prints, one for each seed; where there are none,
     the longest of the others, which decide nothing."""
     needed, printed = PAPER_STEPS[task], paper_results(task, title(name))
-    by_steps: dict[int, dict[int, Run]] = {}  # by seed
+    by_steps: dict[int, dict[int, RunResult]] = {}  # by seed
     for group in groups:
         config = group.config
         same = registered_id(group.task) == task and config.algorithm == name

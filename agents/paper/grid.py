@@ -113,7 +113,7 @@ LIBRARY = {"variance_target": "unsquared", "damping_gradient": "through"}
 """WCSAC as in a later library of the paper's group: see `WCSACConfig`."""
 
 
-PARTS = {
+STREAK_PARTS = {
     "streak": ("streak_weight",),
     "brown": ("random_exponent",),
     "share": ("random_share",),
@@ -123,7 +123,7 @@ PARTS = {
     "speed": ("learning_rate", "temperature_lr", "batch_size", "gradient_steps"),
 }
 """The hyper-parameters that SAC-LB-Streak has on Circle2D in the place of SAC-LB's, by part."""
-MARGIN = 1.5
+LIMIT_MARGIN = 1.5
 """How far the cost limit falls in the control that has a margin instead of the streak cost."""
 
 
@@ -133,9 +133,9 @@ def ablations(name: str, task: str) -> dict[str, Any]:
 
     For the paper's algorithms: other choices of what the paper does not print. On Circle2D the unit
     of observations is one of them: "units" is that of length instead of the half arena. For
-    SAC-LB-Streak on Circle2D: SAC-LB's values for one of its `PARTS`, and a lower cost limit in the
-    place of the streak cost. Without the unit of length the bonus for new states keeps its length
-    between positions; with physics it counts a place anew at every speed.
+    SAC-LB-Streak on Circle2D: SAC-LB's values for one of its `STREAK_PARTS`, and a lower cost limit
+    in the place of the streak cost. Without the unit of length the bonus for new states keeps its
+    length between positions; with physics it counts a place anew at every speed.
     """
     if name == "sac-lb-streak":
         return _without_parts(task) if is_circle2d(task) else {}
@@ -157,10 +157,10 @@ def _without_parts(task: str) -> dict[str, Any]:
     config, plain = preset("sac-lb-streak", task), preset("sac-lb", task)
     found = {
         f"without-{part}": replace(config, **{field: getattr(plain, field) for field in fields})
-        for part, fields in PARTS.items()
+        for part, fields in STREAK_PARTS.items()
     }
     # In the unit of the networks' inputs the same distance between positions.
     length = config.novelty_length / Circle2DConfig().arena
     found["without-scale"] = replace(found["without-scale"], novelty_length=length)
-    lower = config.cost_limit - MARGIN
+    lower = config.cost_limit - LIMIT_MARGIN
     return found | {"margin": replace(found["without-streak"], cost_limit=lower)}

@@ -10,7 +10,7 @@ from math import comb, isclose
 from agents.algorithms import ALGORITHMS, title
 from agents.paper.claims import LIMIT, check_claims
 from agents.paper.evidence import SAFETY_SEEDS, SEEDS, choice_of, printed
-from agents.paper.grid import MARGIN, PAPER_ALGORITHMS, SAFETY, ablations, unprinted
+from agents.paper.grid import LIMIT_MARGIN, PAPER_ALGORITHMS, SAFETY, ablations, unprinted
 from agents.presets import is_circle2d, registered_id
 from agents.reporting.overall import differences_over_tasks
 from agents.reporting.page import HANGS, Section
@@ -28,7 +28,7 @@ from agents.reporting.tables import (
 )
 from agents.results.frame import by_task, hyperparameter_changes, name_of, unusual_steps
 from agents.results.measures import measure, measures
-from agents.results.reading import Group, Run
+from agents.results.reading import Group, RunResult
 from agents.results.statistics import ACROSS, INTERVALS, LEVEL, Pair, group_mean, two_sets
 from circle2d_mj.registration import KINEMATIC, PHYSICS
 from emcc.panels import emcc_of_thirds
@@ -68,7 +68,7 @@ PARTS_MEANING = (
     "the last transitions alone; without-novelty: no bonus for new states; without-horizon: "
     "returns end at the time limit; without-scale: observations in shares of the arena; "
     "without-speed: step sizes, batch and gradient steps of SAC-LB; margin: plain cost and a cost "
-    f"limit that is {MARGIN:g} lower"
+    f"limit that is {LIMIT_MARGIN:g} lower"
 )
 OTHER_TIES = "All ties instead of split ones"
 OTHER_TIES_MEANING = (
@@ -297,7 +297,7 @@ def ties_table(groups: Sequence[Group]) -> Table:
     return Table(f"{OTHER_TIES_MEANING}; mean {INTERVALS}", head, rows, marking=MARKING)
 
 
-def _with_all_ties(run: Run) -> Run:
+def _with_all_ties(run: RunResult) -> RunResult:
     by_part = emcc_of_thirds(run.records, run.total_steps, ties="all")
     return replace(
         run, measures={**run.measures, **dict(zip(EMCCS, by_part.values(), strict=True))}

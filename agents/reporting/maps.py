@@ -23,7 +23,7 @@ from agents.errors import UserError
 from agents.reporting.figures import emcc_along
 from agents.results.frame import in_order, name_of
 from agents.results.measures import measure
-from agents.results.reading import Episode, Group, Replay, Run, left_out
+from agents.results.reading import Episode, Group, Highlights, RunResult, left_out
 from agents.training.derive import BITS, DRAWN_POLICIES, STATES, WINDOWS, Drawn, Visits
 from agents.training.environments import view_of
 from agents.training.evaluation import DRAWN
@@ -282,7 +282,7 @@ def _trained(seen: Sequence[tuple[Group, Scene]], notes: list[str]) -> Maps | No
     return Maps("Trained policies", words, names, heads, list(rows))
 
 
-def _map(run: Run, episodes: Sequence[Drawn], scene: Scene) -> Map:
+def _map(run: RunResult, episodes: Sequence[Drawn], scene: Scene) -> Map:
     """The episodes of a run's policy."""
     named = [(measure(name), run.measures[name]) for name in ("J_R", "J_C")]
     words = ", ".join(f"{m.title} {value:.1f}" for m, value in named if value is not None)
@@ -345,7 +345,7 @@ def replay_data(groups: Sequence[Group], scenes: Scenes, notes: list[str]) -> di
     }
 
 
-def _run(run: Run, replay: Replay, steps: int) -> dict[str, Any]:
+def _run(run: RunResult, replay: Highlights, steps: int) -> dict[str, Any]:
     """One run's entry: numbers of each episode, then all points and all costs in a row."""
     episodes = replay.episodes
     unsafe = [episode.unsafe for episode in episodes]

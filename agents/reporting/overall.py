@@ -14,7 +14,7 @@ from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, corrected, number, p_head, p_number
 from agents.reporting.tables import difference_rows
 from agents.results.frame import by_task, changes, in_order, name_of, title_of_group
-from agents.results.reading import Group, Run
+from agents.results.reading import Group, RunResult
 from agents.results.statistics import (
     ACROSS_WORDS,
     LEVEL,
@@ -217,7 +217,7 @@ def differences_over_tasks(
     return Table(words, ["over all tasks", *(m.head for m in columns)], rows)
 
 
-def ranked(run: Run, limit: float | None) -> dict[str, float | None]:
+def ranked(run: RunResult, limit: float | None) -> dict[str, float | None]:
     """The numbers of a run by which algorithms are ranked, the lower the better, by their head;
     None for what it lacks."""
     found = {f"EMCC_{part}": run.measures.get(f"EMCC_{part}") for part in PARTS}

@@ -14,7 +14,7 @@ from agents.algorithms import title
 from agents.reporting.table import Number, Row, Table, count, number, p_head, p_number
 from agents.results.frame import changes, in_order, name_of, setting, title_of_group
 from agents.results.measures import Measure, measure, measures
-from agents.results.reading import Group, Run
+from agents.results.reading import Group, RunResult
 from agents.results.statistics import (
     INTERVALS,
     Difference,
@@ -207,7 +207,7 @@ def difference_rows(
     ]
 
 
-def ends_words(run: Run) -> str:
+def ends_words(run: RunResult) -> str:
     """Place where most evaluated episodes of a run end, with their share unless all do, and the way
     by which they came, where it is known."""
     total = sum(run.ends.values())
@@ -382,7 +382,7 @@ def panel_table(groups: Sequence[Group]) -> Table:
     return Table(_panel_caption(groups, limits), head, rows)
 
 
-def _evaluated(run: Run, policy: str, limit: float | None) -> CostMeasures | None:
+def _evaluated(run: RunResult, policy: str, limit: float | None) -> CostMeasures | None:
     """Measures of the evaluated episodes of a run; None where the run lacks them."""
     evaluated = run.evaluation.get(policy, {})
     cost, length = (np.array(evaluated.get(name, [])) for name in ("cost_returns", "lengths"))
@@ -451,7 +451,9 @@ def _recorded_rows(
         yield Row(f"{name_of(group)}, {words}, {part:g}", cells, kind="mean")
 
 
-def emcc_above(run: Run, steps: NDArray[np.float64], threshold: float) -> dict[float, float | None]:
+def emcc_above(
+    run: RunResult, steps: NDArray[np.float64], threshold: float
+) -> dict[float, float | None]:
     """EMCC by third of training, of a run's steps above a threshold.
 
     steps: a number recorded at each step, [steps].

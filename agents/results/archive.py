@@ -6,7 +6,7 @@ Beside config.json and status.json a training has there, with names as in `train
   each cost step costs 1, `/cost`; returns of training's episodes to three digits; of the updates,
   which `epochs` numbers, the multipliers, at most `POINTS` of them; all else as it was
 - `pictures.npz`: what a page draws. `trained/states`, `/positions` and `/unsafe`, a bit each: see
-  `derive.Drawn`; `replay/drawn`, `/unsafe`, `/box` and `/steps`: see `results.reading.Replay`;
+  `derive.Drawn`; `replay/drawn`, `/unsafe`, `/box` and `/steps`: see `results.reading.Highlights`;
   `visits` and `visited`
 """
 

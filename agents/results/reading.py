@@ -54,7 +54,7 @@ PICTURES = "pictures.npz"
 
 
 @dataclass(frozen=True)
-class Run:
+class RunResult:
     """Results of one run."""
 
     seed: int
@@ -107,7 +107,7 @@ class Run:
         return ", ".join(filter(None, (self.end, self.way)))
 
 
-def one_place(runs: Sequence[Run]) -> bool:
+def one_place(runs: Sequence[RunResult]) -> bool:
     """Whether all runs end in the same place by the same way, or the task has no places."""
     return len({run.place for run in runs}) < 2
 
@@ -121,7 +121,7 @@ class Episode(NamedTuple):
     """[T]"""
 
 
-class ReplayEpisode(NamedTuple):
+class Highlight(NamedTuple):
     """The episode of highest MCC in a window of training."""
 
     window: int
@@ -129,17 +129,17 @@ class ReplayEpisode(NamedTuple):
     start_step: int
     """Environment steps before it."""
     points: NDArray[np.uint16]
-    """Where the steps of `derive.shown_states` ended, [K, 2]: see `Replay.positions`."""
+    """Where the steps of `derive.shown_states` ended, [K, 2]: see `Highlights.positions`."""
     unsafe: NDArray[np.bool_]
     """Whether each of its steps cost, [T]."""
     cost: float
     """Sum of its costs."""
 
 
-class Replay(NamedTuple):
+class Highlights(NamedTuple):
     """Episodes of a run's training, one for each window, on a grid of 1024 points a side."""
 
-    episodes: list[ReplayEpisode]
+    episodes: list[Highlight]
     box: NDArray[np.float64]
     """The lowest and the highest of the points' coordinates in the view's unit, [2, 2]."""
 
@@ -204,7 +204,7 @@ class Part:
         paths = np.split(positions, ends + np.arange(1, len(length)))
         return [*map(derive.drawn, paths, np.split(costs, ends))]
 
-    def replay(self, run: RunId, records: EpisodeRecords) -> Replay | None:
+    def replay(self, run: RunId, records: EpisodeRecords) -> Highlights | None:
         """See `Group.replay`. records: with the training's first cost."""
         prefix = f"{run.prefix}replay/"
         if not (self.has(prefix + "drawn") or self.has(prefix + "points")):
@@ -223,7 +223,7 @@ class Part:
             costs = self.of_steps(f"{run.prefix}costs/{self.config.costs[0]}/", records.total_steps)
             unsafe = [costs[s : s + n] > 0 for s, n in zip(start, length, strict=True)]
         told = (windows, start.tolist(), points, unsafe, records.cost[[*rows]].tolist())
-        return Replay([*map(ReplayEpisode, *told)], self.get(prefix + "box", 2, 2))
+        return Highlights([*map(Highlight, *told)], self.get(prefix + "box", 2, 2))
 
     def replay_steps(self, run: RunId) -> int:
         """Environment steps that the windows of a run's replay divide."""
@@ -250,7 +250,7 @@ class Group:
     """Below the report's own: "." or like "Circle2D-1-v0/cpo"; of several with " + " between."""
     task: str
     config: TrainConfig
-    runs: Sequence[Run]
+    runs: Sequence[RunResult]
     """Complete runs."""
     parts: Sequence[Part] = field(repr=False)
     missing: Mapping[int, str] = field(default_factory=dict)
@@ -323,11 +323,11 @@ class Group:
         without positions."""
         return self._part(seed).trained(RunId(self.task, seed))
 
-    def replay(self, run: Run) -> Replay | None:
+    def replay(self, run: RunResult) -> Highlights | None:
         """The episode of highest MCC in each window of a run's training; None without positions."""
         return self._part(run.seed).replay(RunId(self.task, run.seed), run.records)
 
-    def replay_steps(self, run: Run) -> int:
+    def replay_steps(self, run: RunResult) -> int:
         """Environment steps that the windows of a run's replay divide."""
         return self._part(run.seed).replay_steps(RunId(self.task, run.seed))
 
@@ -338,7 +338,7 @@ class Group:
             names = self.parts[0].arrays.get(file_name(self.task) + "/info", np.empty((0, 2), str))
             return dict(names.tolist())
 
-    def steps(self, run: Run, name: str) -> NDArray[np.float64]:
+    def steps(self, run: RunResult, name: str) -> NDArray[np.float64]:
         """A number that was recorded at each step of a run, [steps], to five digits."""
         prefix = RunId(self.task, run.seed).prefix
         return self._part(run.seed).of_steps(f"{prefix}info/{name}/", run.total_steps)
@@ -553,7 +553,7 @@ def _read_run(
     cost: str,
     title: str,
     window: int | None,
-) -> Run:
+) -> RunResult:
     """A complete run. Raises UserError for another."""
     if f"{run.prefix}failure" in arrays:
         raise UserError(str(arrays[f"{run.prefix}failure"]))
@@ -574,7 +574,7 @@ def _read_run(
         raise
     except UNREADABLE as error:
         raise UserError(f"is damaged: {error}") from None
-    return Run(run.seed, values, episodes, ends, records, evaluation, ways, window)
+    return RunResult(run.seed, values, episodes, ends, records, evaluation, ways, window)
 
 
 def _evaluation(arrays: Mapping[str, NDArray], run: RunId, cost: int) -> dict[str, dict[str, Any]]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import emcc
 from agents.results.measures import Measure, measure, measures
-from agents.results.reading import Group, Run
+from agents.results.reading import Group, RunResult
 from emcc import EpisodeRecords, Interval, Share
 from emcc.panels import emcc_of_thirds
 from emcc.parts import ALPHA, PARTS
@@ -217,7 +217,7 @@ def over_windows(group: Group, window: int = ACROSS) -> Group:
     return replace(group, runs=[_over_windows(run, window) for run in group.runs])
 
 
-def _over_windows(run: Run, window: int) -> Run:
+def _over_windows(run: RunResult, window: int) -> RunResult:
     if run.window is not None:
         return run
     thirds = emcc_of_thirds(run.records, run.total_steps, window=window)

@@ -12,7 +12,8 @@ Arrays of a run, below its prefix such as "Circle2D-1-v0/0/" (see `config.RunId`
 - `evaluation/POLICY/returns`, `/costs` and `/lengths`; of the deterministic policy also `/places`
   and `/ways`, where its episodes end and how they came there, where the task names them
 - `trained/length`, `/positions` and `/costs`: the first evaluated episodes of a task with a view
-- `replay/points`, `/box` and `/steps`: see `results.reading.Replay`; steps that its windows divide
+- `replay/points`, `/box` and `/steps`: see `results.reading.Highlights`; `/steps`: those that its
+  windows divide
 
 An archive has a row for each episode instead: `results.archive`.
 

@@ -17,10 +17,10 @@ from circle2d_mj.core.engine import mujoco
 from circle2d_mj.core.simulation import Outcome, State
 from circle2d_mj.core.streams import Streams
 from circle2d_mj.safety import layout, rules, scenes, views, worlds
-from circle2d_mj.safety.agents import action_space
 from circle2d_mj.safety.layout import Areas
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
 from circle2d_mj.safety.resting import SUBSTEPS, Circling, Resting
+from circle2d_mj.safety.robots import action_space
 from circle2d_mj.safety.scenes import Scene
 from circle2d_mj.safety.worlds import World
 

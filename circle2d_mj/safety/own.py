@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 from circle2d_mj import registration
 from circle2d_mj.safety import scenes
-from circle2d_mj.safety.agents import AGENTS
 from circle2d_mj.safety.families import ButtonTask, GoalTask, PushTask
 from circle2d_mj.safety.navigation import NavigationTask
+from circle2d_mj.safety.robots import AGENTS
 from circle2d_mj.safety.scenes import KINDS, Placed, Scene
 from circle2d_mj.safety.tasks import SafetyTask
 

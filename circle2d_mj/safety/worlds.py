@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from circle2d_mj.assets import asset
 from circle2d_mj.core.engine import mujoco
 from circle2d_mj.safety import scenes
-from circle2d_mj.safety.agents import AGENTS, Agent, Eye
 from circle2d_mj.safety.layout import Areas
+from circle2d_mj.safety.robots import AGENTS, Agent, Eye
 from circle2d_mj.safety.scenes import Kind, Scene
 
 # The original ran MuJoCo 2.3.3. What its results need on current MuJoCo:

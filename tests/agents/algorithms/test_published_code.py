@@ -29,7 +29,7 @@ import torch
 from agents.algorithms import algorithm, learner
 from agents.lockstep import lagrange
 from agents.lockstep.nets import adam
-from agents.on_policy.epoch import BLOCK, Epoch
+from agents.on_policy.epoch import BLOCK, EpochData
 from agents.sac import update as sac
 from agents.sac.replay import Batch
 
@@ -65,7 +65,7 @@ def improved(name, cost, length=1.0, before=0.0, **changes):
     net, actor = it.nets.actor.net, it._state.actor
     actor[0, : net.size] = torch.from_numpy(filled(net))
     actor[0, net.size] = -0.5
-    epoch = Epoch(
+    epoch = EpochData(
         observation=packed(OBSERVATION),
         action=packed(ACTION),
         weight=packed(np.full(ROWS, 1 / ROWS)),

@@ -12,7 +12,7 @@ from agents.paper.evidence import all_of, gather, paper_results
 from agents.paper.sections import CLAIMS_WITH_PHYSICS, claims_sections
 from agents.presets import PAPER_STEPS, preset
 from agents.reporting.page import page
-from agents.results.reading import Group, Run
+from agents.results.reading import Group, RunResult
 from agents.results.statistics import mixed, over_windows
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
@@ -32,7 +32,7 @@ def run(seed, parts, rate, j_c, end, later_cost, early=(10, 40.0)):
     length = np.array([early[0]] * 4 + [10] * 6)
     of_ten, zero = np.arange(10), np.zeros(10)
     records = EpisodeRecords(of_ten, of_ten * 10, length, zero, cost, zero)
-    return Run(seed, measures, 100, end_at(end), records)
+    return RunResult(seed, measures, 100, end_at(end), records)
 
 
 def end_at(place, share=80):

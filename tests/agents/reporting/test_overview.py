@@ -21,7 +21,7 @@ from agents.reporting.overall import TASKS as TOGETHER
 from agents.reporting.overall import over_tasks, separated_table, tables_over_tasks
 from agents.results.archive import write_archive
 from agents.results.measures import RunData, measured
-from agents.results.reading import Group, Run, read
+from agents.results.reading import Group, RunResult, read
 from agents.results.statistics import ACROSS_WORDS, comparisons, thirds
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
@@ -40,7 +40,7 @@ def run(seed, cost, streak, end="corridor"):
     records = EpisodeRecords(np.arange(EPISODES), start, length, -1.0 * length, costs, streaks)
     evaluation = {"deterministic": {"J_R": -9.0 - seed, "J_C": 1.0, "CVaR_0.5": 1.0}}
     data = RunData(records, STEPS, evaluation)
-    return Run(seed, measured(data, ""), 100, {end: 100}, records)
+    return RunResult(seed, measured(data, ""), 100, {end: 100}, records)
 
 
 def group(task, name, runs):

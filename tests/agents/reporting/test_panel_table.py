@@ -7,7 +7,7 @@ import pytest
 
 from agents.presets import preset
 from agents.reporting.tables import common_limit, panel_table
-from agents.results.reading import Group, Run
+from agents.results.reading import Group, RunResult
 from agents.training.config import TrainConfig
 from emcc import EpisodeRecords
 
@@ -21,7 +21,7 @@ def a_group(algorithm, costs=COSTS, seeds=(0,), evaluation=None, **changes):
     config = TrainConfig(algorithm, (TASK,), tuple(seeds), sum(map(len, costs)), hyperparameters)
     records = EpisodeRecords.from_costs(np.concatenate(costs), list(map(len, costs)))
     evaluation = {"deterministic": FINAL} if evaluation is None else evaluation
-    runs = [Run(seed, {}, 2, {}, records, evaluation) for seed in seeds]
+    runs = [RunResult(seed, {}, 2, {}, records, evaluation) for seed in seeds]
     return Group(algorithm, TASK, config, runs, [])
 
 

@@ -15,7 +15,7 @@ from agents.algorithms.cpo import CPOConfig
 from agents.algorithms.trpo_lag import TRPOLagConfig
 from agents.lockstep.normalizer import Inputs
 from agents.on_policy import state as on_policy
-from agents.on_policy.epoch import BLOCK, Epoch, compared, taken
+from agents.on_policy.epoch import BLOCK, EpochData, compared, taken
 from agents.on_policy.state import OnPolicyState
 from agents.trust_region import Problem, Step, conjugate_gradient, line_search
 
@@ -36,7 +36,7 @@ def random_epoch(steps, size, seed=0):
     runs = len(steps)
     weight = (torch.arange(size) < steps[:, None]) / steps[:, None].double()
     columns = normal(runs, size, 6, seed=seed)
-    return Epoch(
+    return EpochData(
         observation=columns[..., :2],
         action=columns[..., 2:4],
         weight=weight,
@@ -244,7 +244,7 @@ def test_rows_of_weight_zero_do_not_change_a_sharp_policy():
     for size in (BLOCK, 2 * BLOCK):
         zeros = torch.zeros(1, size)
         there = (torch.arange(size) < 500).float()[None]
-        epoch = Epoch(
+        epoch = EpochData(
             observation=torch.zeros(1, size, OBSERVATION),
             action=there[..., None].expand(1, size, ACTION).contiguous(),
             weight=there / 500,

@@ -7,7 +7,7 @@ import pytest
 
 import emcc
 from circle2d_mj.registration import CIRCLE2D, SAFETY
-from circle2d_mj.safety.agents import AGENTS
+from circle2d_mj.safety.robots import AGENTS
 
 IDS = [
     name
