@@ -32,13 +32,17 @@ def register() -> None:
         add_safety(safety.NAMES[name], name, task)
     for name, task in safety.OLD.items():
         add_safety(name, name, task)
+    for id, name in safety.VISION.items():
+        add_safety(id, name, safety.TASKS[name], vision_size=safety.VISION_SIZE)
 
 
-def add_safety(plain: str, of_env: str | safety.SafetyTask, task: safety.SafetyTask) -> None:
+def add_safety(
+    plain: str, of_env: str | safety.SafetyTask, task: safety.SafetyTask, **parameters: Any
+) -> None:
     """Register a Safety task under `circle2d_mj/...`, and under the plain id if it is free."""
     for name in (f"circle2d_mj/{plain}", plain):
         steps, solved = task.max_episode_steps, task.reward_threshold
-        add(name, "safety.envs:Safety", steps, reward_threshold=solved, task=of_env)
+        add(name, "safety.envs:Safety", steps, reward_threshold=solved, task=of_env, **parameters)
 
 
 def add(

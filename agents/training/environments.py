@@ -289,11 +289,11 @@ def _check_space(task: str, name: str, space: gym.Space) -> None:
     if flat and (name == "observation" or np.issubdtype(space.dtype, np.floating)):
         return
     must = "a flat Box" if not flat else "of floats"
-    remedy = (
-        "register the task with gymnasium.wrappers.FlattenObservation around it"
-        if name == "observation"
-        else "the algorithms here have continuous actions alone"
-    )
+    remedy = "register the task with gymnasium.wrappers.FlattenObservation around it"
+    if name == "action":
+        remedy = "the algorithms here have continuous actions alone"
+    elif (without := task.replace("Vision-", "-")) != task:
+        remedy = f"the algorithms here learn from numbers, not from pictures; {without} has none"
     raise UserError(
         f"the {name} space of task {task!r} must be {must}, got {space}: {remedy}; the metric, "
         "emcc.RecordCosts, works with any library and any space"

@@ -15,15 +15,21 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from circle2d_mj.core.simulation import Simulation, State, checked_action, positive_integer
+from circle2d_mj.core.simulation import (
+    Simulation,
+    State,
+    checked_action,
+    of_one,
+    positive_integer,
+)
 from circle2d_mj.core.streams import Streams, keys_of_seeds
 from circle2d_mj.core.view import View
 
-Step = tuple[NDArray[np.floating], NDArray, NDArray, NDArray, dict[str, Any]]
+Step = tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]
 """Observations, rewards, terminated, truncated, infos."""
 
 
-class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArray]):
+class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
     """Copies of a task behind gymnasium's interface for vector environments.
 
     Sub-environment i seeded with `seed + i` (or with the i-th of a sequence of seeds) runs bit for
@@ -78,7 +84,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         *,
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[NDArray[np.floating], dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Start new episodes, in all environments or where `options["reset_mask"]` says."""
         index = self._to_reset(options)
         self._seed(seed, index)
@@ -194,8 +200,9 @@ class TaskVectorEnv(VectorEnv[NDArray[np.floating], NDArray[np.floating], NDArra
         if not len(index):
             return
         final_obs = np.full(self.num_envs, None, dtype=object)
-        for i, observation in zip(index, self.simulation.observe()[index], strict=True):
-            final_obs[i] = observation
+        observations = self.simulation.observe()
+        for i in index.tolist():
+            final_obs[i] = of_one(observations, i)
         final_info: dict[str, Any] = {}
         for key in self.simulation.info_keys:
             final_info[key] = np.where(finished, info[key], 0.0)
@@ -278,7 +285,7 @@ class Copy:
         raise AttributeError(f"a copy in a vector environment has no {name!r}")
 
 
-class TaskEnv(gym.Env[NDArray[np.floating], ArrayLike]):
+class TaskEnv(gym.Env[Any, ArrayLike]):
     """One environment of a task.
 
     `info["cost"]` is a float (numpy's float64), on every step and from `reset`.
@@ -299,23 +306,21 @@ class TaskEnv(gym.Env[NDArray[np.floating], ArrayLike]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.floating], dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Start a new episode."""
         seed = int(seed) if isinstance(seed, np.integer) else seed
         super().reset(seed=seed)
         observation, info = self._envs.reset(seed=seed, options=options)
         self._show()
-        return observation[0], self._floats(info)
+        return of_one(observation, 0), self._floats(info)
 
-    def step(
-        self, action: ArrayLike
-    ) -> tuple[NDArray[np.floating], float, bool, bool, dict[str, Any]]:
+    def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move the agent by its action, [action size]."""
         action = checked_action(action, self.action_space.shape)
         observation, reward, terminated, truncated, info = self._envs.advance(action[None])
         self._show()
         return (
-            observation[0],
+            of_one(observation, 0),
             float(reward[0]),
             bool(terminated[0]),
             bool(truncated[0]),

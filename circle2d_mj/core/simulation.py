@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Space
 from numpy.typing import ArrayLike, NDArray
 
 from circle2d_mj.core.streams import Streams
@@ -29,7 +29,7 @@ class Simulation(Protocol):
     """A task in `num_envs` independent copies."""
 
     num_envs: int
-    observation_space: Box
+    observation_space: Space[Any]
     """Observation space of one environment."""
     action_space: Box
     """Action space of one environment."""
@@ -51,8 +51,9 @@ class Simulation(Protocol):
         """Move all environments by finite actions, [num_envs, action size]."""
         ...
 
-    def observe(self) -> NDArray[np.floating]:
-        """Return the observations: a fresh array [num_envs, observation size]."""
+    def observe(self) -> Any:
+        """Return the observations: a fresh array [num_envs, observation size], or a dict of arrays
+        [num_envs, ...]."""
         ...
 
     def state_info(self) -> dict[str, NDArray[np.float64]]:
@@ -79,6 +80,13 @@ class Simulation(Protocol):
     def close(self) -> None:
         """Close the renderer and the window."""
         ...
+
+
+def of_one(observations: Any, index: int) -> Any:
+    """Return the observation of one environment, of what `Simulation.observe` returned."""
+    if isinstance(observations, dict):
+        return {name: part[index] for name, part in observations.items()}
+    return observations[index]
 
 
 LARGEST_ACTION = 1e150

@@ -134,9 +134,9 @@ class ButtonTask(NavigationTask):
         """Which buttons the agent touches: [num_envs, 4]."""
         return self.sensors[:, self.world.touch["buttons"]] > 0
 
-    def observe(self) -> Floats:
-        """Return the observations; buttons are not seen while the timer runs."""
-        observation = super().observe()
+    def numbers(self) -> Floats:
+        """Return the observations; no lidar sees buttons while the timer runs."""
+        observation = super().numbers()
         lidars = self.world.scene.lidars
         if "buttons" in lidars:
             first = self.agent.sensors + rules.LIDAR_BINS * lidars.index("buttons")

@@ -6,19 +6,21 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import flatten_space
 from numpy.typing import NDArray
 
 from circle2d_mj.core.engine import mujoco
-from circle2d_mj.core.simulation import Outcome, State
+from circle2d_mj.core.simulation import Outcome, State, positive_integer
 from circle2d_mj.core.streams import Streams
-from circle2d_mj.safety import layout, rules, scenes, views, worlds
+from circle2d_mj.render.gl import Offscreen
+from circle2d_mj.safety import layout, parts, rules, scenes, views, worlds
 from circle2d_mj.safety.layout import Areas
 from circle2d_mj.safety.mujoco_task import MuJoCoTask
+from circle2d_mj.safety.parts import PICTURE
 from circle2d_mj.safety.resting import SUBSTEPS, Circling, Resting
 from circle2d_mj.safety.robots import action_space
 from circle2d_mj.safety.scenes import Scene
@@ -46,8 +48,10 @@ class NavigationTask(MuJoCoTask):
     `gremlins`, for the kinds that the level has, from 0 to 100 (the observation keeps its size),
     and `half_width`, m, of the square in which all are placed. `places` gives, by kind or for the
     "agent", where the first of them start, as in `places={"hazards": [(0, 0), (1, 0)]}`, m; a goal
-    that is given is an episode's first. Raises TypeError for a parameter that the task does not
-    have, ValueError for a value.
+    that is given is an episode's first. With `vision_size`, (width, height) in pixels, observations
+    are dicts of parts by safety-gymnasium's names, float64, and "vision", what the agent's camera
+    sees, uint8 [height, width, 3]; ids with `Vision` have (256, 256). Raises TypeError for a
+    parameter that the task does not have, ValueError for a value.
 
     level: of the task, or a `Scene` of one's own.
     """
@@ -64,6 +68,7 @@ class NavigationTask(MuJoCoTask):
         num_threads: int = 1,
         *,
         places: Mapping[str, Any] | None = None,
+        vision_size: tuple[int, int] | None = None,
         **changes: float,
     ) -> None:
         self.level = level if isinstance(level, int) else "Own"
@@ -74,10 +79,13 @@ class NavigationTask(MuJoCoTask):
         self.given = checked_places(self.world, places or {})
         self._areas = starting_areas(self.world, self.given)
         arguments = {"agent": agent, "level": level, "places": places, **changes}
+        arguments["vision_size"] = self.vision_size = checked_size(vision_size)
         super().__init__(self.world.model, num_envs, num_threads, SUBSTEPS, **arguments)
         self.agent = self.world.agent
         self.action_space = action_space(self.agent)
-        self.observation_space = self._space()
+        self.parts = parts.of_world(self.world, self.vision_size)
+        self.observation_space = self.parts if self.vision_size else flatten_space(self.parts)
+        self._eye: Offscreen | None = None
         hazard = self.world.kinds.get("hazards")
         radius = hazard.size[0] if hazard else 0.0
         self.view = views.of_scene(self.family, scene, radius, self.agent.sensors)
@@ -222,13 +230,35 @@ class NavigationTask(MuJoCoTask):
             "y_position": self._position[:, 1].copy(),
         }
 
-    def observe(self) -> Floats:
-        """Return the observations: [num_envs, observation size]."""
-        parts = self.agent.observe(self.sensors, self.rotations)
+    def observe(self) -> Any:
+        """Return the observations: `numbers`, or with `vision_size` a dict of arrays."""
+        numbers = self.numbers()
+        if self.vision_size is None:
+            return numbers
+        return {**parts.by_name(self.parts, numbers), PICTURE: self._see()}
+
+    def numbers(self) -> Floats:
+        """Return the numbers of the observations: [num_envs, observation size]."""
+        read = self.agent.observe(self.sensors, self.rotations)
         if self._lidars is not None:
             axes, height = self.rotations[:, 0, :, :2], self._position[:, 2]
-            parts += (self._lidars(self._offset[:, self._shown], height, axes),)
-        return np.concatenate(parts, axis=1)
+            read += (self._lidars(self._offset[:, self._shown], height, axes),)
+        return np.concatenate(read, axis=1)
+
+    def _see(self) -> NDArray[np.uint8]:
+        """What the agents' cameras see: [num_envs, height, width, 3]."""
+        assert self.vision_size is not None
+        if self._eye is None:
+            self._eye = Offscreen(self.picture_model, *self.vision_size)
+        camera = self.picture_model.camera(PICTURE).id
+        return np.stack([self._eye.draw(self._drawn(i), camera) for i in range(self.num_envs)])
+
+    def close(self) -> None:
+        """Close what pictures and windows opened."""
+        super().close()
+        if self._eye is not None:
+            self._eye.close()
+        self._eye = None
 
     def state_dict(self) -> State:
         """Return all that steps depend on."""
@@ -318,12 +348,14 @@ class NavigationTask(MuJoCoTask):
         self._flags.fill(self._all_on)
         self.batch.forward()
 
-    def _space(self) -> Box:
-        """The agent's unbounded sensors, 16 bins in [0, 1] for each lidar."""
-        bins = len(self.world.scene.lidars) * rules.LIDAR_BINS
-        low = np.concatenate((np.full(self.agent.sensors, -np.inf), np.zeros(bins)))
-        high = np.concatenate((np.full(self.agent.sensors, np.inf), np.ones(bins)))
-        return Box(low, high, dtype=np.float64)
+
+def checked_size(size: Any) -> tuple[int, int] | None:
+    """Return a width and height, or None. Raises TypeError, or ValueError for other numbers."""
+    if size is None:
+        return None
+    if not isinstance(size, Sequence) or len(size) != 2:
+        raise TypeError(f"vision_size must be (width, height), got {size!r}")
+    return positive_integer("vision_size[0]", size[0]), positive_integer("vision_size[1]", size[1])
 
 
 def checked_places(world: World, places: Mapping[str, Any]) -> dict[str, list[tuple[float, float]]]:

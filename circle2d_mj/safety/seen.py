@@ -5,15 +5,14 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Dict
 from numpy.typing import NDArray
 
 from circle2d_mj.core.engine import mujoco
-from circle2d_mj.safety import rules, worlds
+from circle2d_mj.core.simulation import of_one
+from circle2d_mj.safety import parts, rules, worlds
 
 HOW = (
     "the task is compiled once, from its parameters: numbers of objects, half_width, layout_seed "
@@ -180,8 +179,9 @@ class TaskView(Part):
             num_steps=envs.registered_steps,
             action_space=task.action_space,
             observation_space=task.observation_space,
-            observation_flatten=True,
-            observe_vision=False,
+            observation_flatten=task.vision_size is None,
+            observe_vision=task.vision_size is not None,
+            vision_env_conf=Part("task.vision_env_conf", vision_size=task.vision_size),
             debug=False,
             action_noise=0.0,
             lidar_conf=Part(
@@ -203,7 +203,7 @@ class TaskView(Part):
             ),
             sim_conf=Part("task.sim_conf", frameskip_binom_n=10, frameskip_binom_p=1.0),
             floor_conf=Part("task.floor_conf", type="mat", size=(3.5, 3.5, 0.1)),
-            obs_info=Part("task.obs_info", obs_space_dict=self._spaces()),
+            obs_info=Part("task.obs_info", obs_space_dict=task.parts),
             placements_conf=Part(
                 "task.placements_conf",
                 extents=(-half, -half, half, half),
@@ -254,9 +254,9 @@ class TaskView(Part):
         """Return the distance from the box to the goal, m."""
         return float(np.linalg.norm(self.push_box.pos - self.goal.pos))
 
-    def obs(self) -> NDArray[np.float64]:
+    def obs(self) -> Any:
         """Return the observation."""
-        return self._simulation.observe()[self._index]
+        return of_one(self._simulation.observe(), self._index)
 
     def calculate_cost(self) -> dict[str, float]:
         """Return the costs of the current state by kind, 1.0 or 0.0, and whether there is one."""
@@ -302,34 +302,10 @@ class TaskView(Part):
         pairs = zip(self._names(), areas.keepout.tolist(), strict=True)
         return {name: (None, keepout) for name, keepout in pairs}
 
-    def _spaces(self) -> Dict:
-        """The observation's parts by name, in its order: the agent's sensors, then the lidars."""
-        task, spaces = self._simulation, OrderedDict[str, Any]()
-        later: dict[str, tuple[int, ...]] = {}
-        for i in range(task.model.nsensor):
-            sensor = task.model.sensor(i)
-            if sensor.adr[0] >= task.agent.sensed:
-                break
-            angle = sensor.type[0] == mujoco.mjtSensor.mjSENS_JOINTPOS
-            (later if angle else spaces)[sensor.name] = (2,) if angle else (int(sensor.dim[0]),)
-        if task.agent.name == "Car":
-            later["ballquat_rear"] = (3, 3)
-        shapes = {**spaces, **later}
-        spaces = OrderedDict(
-            (name, Box(-np.inf, np.inf, shape, np.float64)) for name, shape in shapes.items()
-        )
-        for kind in task.world.scene.lidars:
-            spaces[f"{kind}_lidar"] = Box(0.0, 1.0, (rules.LIDAR_BINS,), np.float64)
-        return Dict(spaces)  # pyright: ignore[reportArgumentType]
-
     def _by_name(self) -> dict[str, NDArray[np.float64]]:
-        """The observation's parts by name."""
-        found, first, observation = {}, 0, self.obs()
-        for name, space in self.obs_info.obs_space_dict.items():
-            size = int(np.prod(space.shape))
-            found[name] = observation[first : first + size].reshape(space.shape)
-            first += size
-        return found
+        """The observation's numbers by name."""
+        task = self._simulation
+        return of_one(parts.by_name(task.parts, task.numbers()), self._index)
 
 
 _SENSORS = ("accelerometer", "velocimeter", "gyro", "magnetometer")

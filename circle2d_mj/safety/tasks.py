@@ -47,6 +47,10 @@ TASKS = {
 } | {f"Safety{body}Velocity": _velocity(body, 1) for body in VELOCITY}
 OLD = {f"Safety{body}Velocity-v0": _velocity(body, 0) for body in VELOCITY}
 """Tasks by id that are registered and no more: with the lower limits of a first version"""
+VISION = {f"{name}Vision-v0": name for name in TASKS if "Velocity" not in name}
+"""Ids of the navigation tasks with a picture in the observation, and the tasks"""
+VISION_SIZE = (256, 256)
+"""Width and height of that picture in pixels"""
 NAMES = {name: f"{name}-{task.version}" for name, task in TASKS.items()}
 """Safety-Gymnasium's id of each of them."""
 IDS = {name: f"circle2d_mj/{plain}" for name, plain in NAMES.items()}

@@ -11,7 +11,7 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator, spec
 
 from circle2d_mj import registration
 from circle2d_mj.safety.six_values import SixValueEnv
-from circle2d_mj.safety.tasks import NAMES, OLD, TASKS
+from circle2d_mj.safety.tasks import NAMES, OLD, VISION
 from circle2d_mj.safety_gymnasium.wrappers import (
     Gymnasium2SafetyGymnasium,
     SafeAutoResetWrapper,
@@ -32,7 +32,9 @@ __all__ = [
     "spec",
 ]
 
-registry: dict[str, EnvSpec] = {id: spec(f"circle2d_mj/{id}") for id in (*NAMES.values(), *OLD)}
+registry: dict[str, EnvSpec] = {
+    id: spec(f"circle2d_mj/{id}") for id in (*NAMES.values(), *OLD, *VISION)
+}
 """The ids that `make` takes, with gymnasium's specifications of them."""
 safe_registry = set(registry)
 """The same ids alone."""
@@ -175,11 +177,12 @@ def as_the_originals(info: dict[str, Any]) -> dict[str, Any]:
 
 
 def _register_five_values() -> None:
-    for name, task in (TASKS | OLD).items():
-        plain, version = NAMES.get(name, name).rsplit("-", 1)
-        steps, solved = task.max_episode_steps, task.reward_threshold
-        id, env = f"{plain}Gymnasium-{version}", "safety.envs:Safety"
-        registration.add(id, env, steps, reward_threshold=solved, task=name)
+    for id, found in list(registry.items()):
+        plain, version = id.rsplit("-", 1)
+        steps, solved = found.max_episode_steps, found.reward_threshold
+        assert steps is not None
+        name, env = f"{plain}Gymnasium-{version}", "safety.envs:Safety"
+        registration.add(name, env, steps, reward_threshold=solved, **found.kwargs)
 
 
 _register_five_values()

@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from numpy.typing import NDArray
 
 from circle2d_mj.safety.six_values import SixValueVectorEnv
@@ -170,12 +170,13 @@ class SafetySyncVectorEnv(_Asynchronous, VectorEnv):
             seeds = list(seed)
         pairs = zip(self.envs, seeds, strict=True)
         observations = [env.reset(seed=one, options=options)[0] for env, one in pairs]
-        return np.stack(observations), {}
+        return self._together(observations), {}
 
     def step(self, actions: Any) -> Six:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return observations, rewards, costs, terminated, truncated, info."""
         results = [env.step(action) for env, action in zip(self.envs, actions, strict=True)]
-        values = [np.stack([np.asarray(result[k]) for result in results]) for k in range(5)]
+        values = [np.stack([np.asarray(result[k]) for result in results]) for k in range(1, 5)]
+        observations = self._together([result[0] for result in results])
         info: dict[str, Any] = {}
         for i, result in enumerate(results):
             for key, value in result[5].items():
@@ -187,7 +188,11 @@ class SafetySyncVectorEnv(_Asynchronous, VectorEnv):
                     )
                     info[f"_{key}"] = np.zeros(self.num_envs, dtype=bool)
                 info[key][i], info[f"_{key}"][i] = value, True
-        return *values, info  # pyright: ignore[reportReturnType]
+        return observations, *values, info  # pyright: ignore[reportReturnType]
+
+    def _together(self, observations: list[Any]) -> Any:
+        space = self.single_observation_space
+        return concatenate(space, observations, create_empty_array(space, self.num_envs))
 
     def close_extras(self, **_: Any) -> None:
         """Close all environments."""

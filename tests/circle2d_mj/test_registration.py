@@ -8,7 +8,7 @@ import gymnasium as gym
 import pytest
 
 from circle2d_mj.registration import CIRCLE2D, SAFETY
-from circle2d_mj.safety.tasks import OLD
+from circle2d_mj.safety.tasks import OLD, VISION
 
 
 def run(code, folder):
@@ -49,7 +49,7 @@ def test_the_ids_that_are_listed_are_those_that_are_registered():
     assert len(CIRCLE2D) == 8
     assert {name for name in gym.registry if name.startswith("circle2d_mj/")} == {
         *SAFETY,
-        *(f"circle2d_mj/{name}" for name in OLD),
+        *(f"circle2d_mj/{name}" for name in (*OLD, *VISION)),
     }
 
 

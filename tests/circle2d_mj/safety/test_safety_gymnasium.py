@@ -10,7 +10,7 @@ import pytest
 from gymnasium.wrappers.utils import RunningMeanStd
 
 import circle2d_mj.safety_gymnasium as safety_gymnasium
-from circle2d_mj.safety.tasks import NAMES, OLD
+from circle2d_mj.safety.tasks import NAMES, OLD, VISION
 from circle2d_mj.safety_gymnasium import wrappers
 from circle2d_mj.safety_gymnasium.vector import SafetyAsyncVectorEnv
 from circle2d_mj.safety_gymnasium.wrappers import SafeNormalizeObservation, SafeRescaleAction
@@ -36,7 +36,7 @@ def test_six_values_are_the_environments(name):
         assert got[2] == got[5]["cost_sum"] == expected[4]["cost"]
         assert got[5].get("goal_met", False) in (True, bool(expected[4].get("goal_met", 0)))
     assert env.env.spec.max_episode_steps == env.spec.max_episode_steps == 1000
-    assert set(safety_gymnasium.registry) == {*NAMES.values(), *OLD}
+    assert set(safety_gymnasium.registry) == {*NAMES.values(), *OLD, *VISION}
 
 
 def test_the_task_inside():

@@ -1,0 +1,55 @@
+"""The parts of a navigation task's observation by the names that safety-gymnasium gives them."""
+
+# pyright: reportAttributeAccessIssue=false
+# mujoco's names are compiled in, where pyright does not see them.
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Dict
+from numpy.typing import NDArray
+
+from circle2d_mj.core.engine import mujoco
+from circle2d_mj.safety import rules
+from circle2d_mj.safety.worlds import World
+
+PICTURE = "vision"
+"""Name of the agent's camera, and of what it sees in the observation"""
+
+
+def of_world(world: World, picture: tuple[int, int] | None) -> Dict:
+    """Return the parts in the observation's order: the agent's sensors, the lidars and, where it
+    has a width and height, the picture, uint8 [height, width, 3]."""
+    model, agent = world.model, world.agent
+    shapes: dict[str, tuple[int, ...]] = {}
+    later: dict[str, tuple[int, ...]] = {}
+    for i in range(model.nsensor):
+        sensor = model.sensor(i)
+        if sensor.adr[0] >= agent.sensed:
+            break
+        angle = sensor.type[0] == mujoco.mjtSensor.mjSENS_JOINTPOS
+        (later if angle else shapes)[sensor.name] = (2,) if angle else (int(sensor.dim[0]),)
+    if agent.name == "Car":
+        later["ballquat_rear"] = (3, 3)
+    spaces: Any = OrderedDict()  # a dict would be sorted
+    for name, shape in (shapes | later).items():
+        spaces[name] = Box(-np.inf, np.inf, shape, np.float64)
+    for kind in world.scene.lidars:
+        spaces[f"{kind}_lidar"] = Box(0.0, 1.0, (rules.LIDAR_BINS,), np.float64)
+    if picture:
+        spaces[PICTURE] = Box(0, 255, (picture[1], picture[0], 3), np.uint8)
+    return Dict(spaces)
+
+
+def by_name(parts: Dict, numbers: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Cut the numbers of observations, [n, size], into their parts: [n, *shape of the part]."""
+    found, first = {}, 0
+    for name, space in parts.items():
+        if name != PICTURE:
+            stop = first + int(np.prod(space.shape or ()))
+            found[name] = numbers[:, first:stop].reshape(len(numbers), *(space.shape or ()))
+            first = stop
+    return found
