@@ -468,7 +468,8 @@ class SideBySide(VectorEnv):
             masks = self._split(options["reset_mask"])
             for part, mask, last in zip(self._seen, masks, self._split(self._last), strict=True):
                 to_reset = {"reset_mask": mask.copy()}
-                observations.append(part.reset(options=to_reset)[0] if mask.any() else last)
+                waits = part.metadata.get("ended_may_wait") or not mask.any()
+                observations.append(last if waits else part.reset(options=to_reset)[0])
         self._last = np.concatenate(observations)
         return self._last, self._failures(infos)
 

@@ -36,6 +36,7 @@ class Circle2D:
     def __init__(self, config: Circle2DConfig, num_envs: int, dynamics: Dynamics) -> None:
         self.config, self.num_envs, self.dynamics = config, num_envs, dynamics
         self.recorded_info = dynamics.info_units
+        self.moving: NDArray[np.intp] | None = None
         self.info_keys = ("cost", *self.recorded_info, *self.state_info())
         bounds = np.array(dynamics.observation_bounds, dtype=np.float32)
         self.observation_space: Box = Box(-bounds, bounds)

@@ -38,7 +38,8 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
     `options={"reset_mask": ...}`. In the same-step mode `info["cost"]` and `info["x_velocity"]`
     are, like the reward, of the step just taken; numbers of the info that describe the state, such
     as `info["x_position"]`, belong in every mode to the state that is observed, `final_info` to
-    `final_obs`. Actions of environments that only reset in a step must be finite too.
+    `final_obs`. Actions of environments that only reset in a step must be finite too. Without
+    autoreset, an environment whose episode is over may stay where it is until its reset.
     `max_episode_steps=None` never truncates. Errors: TypeError or ValueError naming the argument;
     gymnasium's ResetNeeded for a step before the first reset.
     """
@@ -57,6 +58,8 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
         self.max_episode_steps = max_episode_steps
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        # Steps may go on without the reset of what has ended, which `agents` then leaves out.
+        self.metadata["ended_may_wait"] = self.autoreset_mode is AutoresetMode.DISABLED
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
             valid = f"None or one of {modes} ('human' where there is a screen)"
@@ -95,7 +98,11 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
 
     def step(self, actions: ArrayLike) -> Step:
         """Move every agent by its action, [num_envs, action size]."""
-        results = self.advance(checked_action(actions, self.action_space.shape))
+        checked = checked_action(actions, self.action_space.shape)
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            over = self._finished.any()
+            self.simulation.moving = np.flatnonzero(~self._finished) if over else None
+        results = self.advance(checked)
         self._with_masks(results[-1])
         return results
 
@@ -115,6 +122,8 @@ class TaskVectorEnv(VectorEnv[Any, NDArray[np.floating], NDArray]):
         info: dict[str, Any] = {**of_step, **self.simulation.state_info()}
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             self._reset_now(terminated | truncated, info)
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            self._finished |= terminated | truncated
         return self.simulation.observe(), reward, terminated, truncated, info
 
     def state_dict(self) -> State:
@@ -294,7 +303,8 @@ class TaskEnv(gym.Env[Any, ArrayLike]):
     def __init__(self, envs: TaskVectorEnv) -> None:
         self._envs = envs
         self.render_mode = envs.render_mode
-        self.metadata = {k: v for k, v in envs.metadata.items() if k != "autoreset_mode"}
+        own = ("autoreset_mode", "ended_may_wait")
+        self.metadata = {k: v for k, v in envs.metadata.items() if k not in own}
         self.observation_space = copy.deepcopy(envs.single_observation_space)
         self.action_space = copy.deepcopy(envs.single_action_space)
         self.recorded_info = envs.recorded_info

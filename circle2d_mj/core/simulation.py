@@ -37,6 +37,8 @@ class Simulation(Protocol):
     """Names of the numbers in infos: of `Outcome.info`, then of `state_info`."""
     recorded_info: dict[str, str]
     """Those of `info_keys` that training records at each step, with their units."""
+    moving: NDArray[np.intp] | None
+    """The environments that must move in a step; None: all. Others may, to no effect."""
 
     @property
     def view(self) -> View | None:

@@ -54,6 +54,7 @@ class MuJoCoTask:
         self.qvel: Floats = self.batch.bind("qvel")
         self.sensors = np.zeros((self.num_envs, model.nsensordata))
         self.recorded_info: dict[str, str] = {}
+        self.moving: NDArray[np.intp] | None = None
         self._control = self.batch.bind("ctrl")
         self._time = self.batch.bind("time").reshape(self.num_envs)
         self._sensed = self.batch.bind("sensordata") if model.nsensordata else None
@@ -97,7 +98,7 @@ class MuJoCoTask:
             self.sensors[index] = self._sensed[index]
 
     def _take_substeps(self) -> None:
-        self.batch.step(nstep=self._substeps, stage=self._stage)
+        self.batch.step(self.moving, nstep=self._substeps, stage=self._stage)
 
     def state_dict(self) -> State:
         """Return MuJoCo's states in full, warm starts included, and the sensors' values."""

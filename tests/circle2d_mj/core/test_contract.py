@@ -109,6 +109,25 @@ def test_native_equals_gymnasiums_own_vector_env(task, mode):
 
 
 @tasks
+def test_ended_neighbours_need_no_reset(task):
+    """Without autoreset, those whose episodes go on are, bit for bit, what they are alone."""
+    envs, alone = (vector(task, 5, steps=30, autoreset_mode="Disabled") for _ in range(2))
+    equal(envs.reset(seed=3)[0], alone.reset(seed=3)[0])
+    running = np.ones(5, dtype=bool)
+    for _ in range(30):
+        actions = action_of(envs)
+        mine, its = envs.step(actions), alone.step(actions)
+        for a, b in zip(mine[:4], its[:4], strict=True):
+            equal(a[running], b[running])
+        running &= ~(mine[2] | mine[3])
+        if not running.all():
+            alone.reset(options={"reset_mask": ~running})
+    assert not running.any()
+    envs.step(actions)  # when all wait
+    equal(envs.reset(seed=3)[0], alone.reset(seed=3)[0])
+
+
+@tasks
 def test_neighbours_and_threads_change_nothing(task):
     """Environment i of 40, on two threads, is environment i of 3, bit for bit."""
     threads = {} if "kinematic" in task else {"num_threads": 2}
