@@ -25,7 +25,6 @@ from agents.reporting.numbers import numbers_csv, report_lines
 from agents.results.frame import changes, with_distinct_titles
 from agents.results.reading import read
 from agents.results.statistics import comparisons, over_windows, thirds_of
-from agents.training.evaluation import POLICIES
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
@@ -217,52 +216,10 @@ def test_the_safety_tasks():
         f"{short(printed.J_R, 1)}.",
     )
     assert not falls.any()
-    lb = runs(lines, results_table.POINT_GOAL, "SAC-LB")
-    theirs = results_table.paper(lines, results_table.POINT_GOAL, "SAC-LB").iloc[0]
-    places = {"J_R": 1, "cost_rate": 2, "J_C": 1}
-    numbers, beside = (
-        [short(side[name], digits) for name, digits in places.items()]
-        for side in (lb[[*places]].mean(), theirs)
-    )
-    kept, falls = lb.J_C <= SAFETY_LIMIT, lb["EMCC_0.99"] < lb["EMCC_0.33"]
-    ends, not_falling = (
-        [short(side[name]) for name in ("EMCC_0.33", "EMCC_0.99")]
-        for side in (lb[[*EMCC]].mean(), theirs)
-    )
-    told(
-        "results/safety/README.md",
-        "J_R {}, cost rate {}, J_C {} ({}, {}, {}).".format(*numbers, *beside),
-        f"{count(kept)} runs keep an episode's cost below 25",
-        f"falls in {count(falls)} runs, from {' to '.join(ends)}; the paper's "
-        f"{' and '.join(not_falling)} do not.",
-    )
-    told("results/baselines/README.md", f"has {short(own.J_R.mean(), 1)}, near it.")
-    goal = [(results_table.POINT_GOAL, name) for name in ("CPO", "SAC-Lag", "WCSAC")]
-    hopper = [(results_table.HOPPER, name) for name in ("SAC-Lag", "WCSAC")]
-    for task, name in (*goal, *hopper):
-        own = runs(lines, task, name)
-        theirs = results_table.paper(lines, task, name).iloc[0]
-        falls = own["EMCC_0.99"] < own["EMCC_0.33"]
-        told(
-            "results/safety/README.md",
-            f"**{name}**: J_R {results_table.with_range(own.J_R, 1)}, cost rate "
-            f"{short(own.cost_rate.mean())}, J_C {results_table.with_range(own.J_C, 1)}; the paper "
-            f"{short(theirs.J_R, 1)}, {short(theirs.cost_rate)}, {short(theirs.J_C, 1)}. "
-            f"{count(own.J_C <= SAFETY_LIMIT)} runs keep the limit; EMCC falls in {count(falls)}, "
-            f"from {short(own['EMCC_0.33'].mean())} to {short(own['EMCC_0.99'].mean())} (the "
-            f"paper: {short(theirs['EMCC_0.33'])} and {short(theirs['EMCC_0.99'])}).",
-        )
-    converted = "SAC-Lag (limit_of episode, 1,000,000 steps)"
-    usual = on_safety_task(results_table.POINT_GOAL)
-    pair = runs(lines, results_table.POINT_GOAL, converted), usual[usual.algorithm == "SAC-Lag"]
-    cost, usual_cost = (results_table.with_range(own.J_C, 1) for own in pair)
-    kept, usually_kept = (count(own.J_C <= SAFETY_LIMIT) for own in pair)
-    returns = " and ".join(short(own.J_R.mean(), 1) for own in pair)
-    told(
-        "results/safety/README.md",
-        f"J_C is {cost}, with the preset {usual_cost}; {kept} runs keep the limit, with the preset "
-        f"{usually_kept}. Neither has learned the task by then (J_R {returns})",
-    )
+    told("results/baselines/README.md", f"TRPO-Lag has {short(own.J_R.mean(), 1)}.")
+    for name in ("CPO", "SAC-Lag", "SAC-LB"):
+        other = runs(lines, results_table.POINT_GOAL, name)
+        assert other.J_R.mean() > own.J_R.mean() and (other.J_C > SAFETY_LIMIT).all()
 
 
 def test_cpo_on_the_paper_s_safety_tasks():
@@ -323,15 +280,12 @@ def test_the_claim_on_safety_point_circle():
         f"told apart (p = {short(p['EMCC_0.66'], 3)} and "
         f"{short(p['EMCC_0.99'], 3)}). Three seeds of SAC-Lag had left it undecided (p = "
         f"{short(1 / math.comb(8, 3), 3)} each,",
-        f"{share(sgd.J_C <= SAFETY_LIMIT)} keep the limit, at a J_R of {short(sgd.J_R.mean(), 1)} "
-        f"instead of {short(trpo.J_R.mean(), 1)}, and EMCC is lower in every third.",
-        f"third ({short(sgd['EMCC_0.33'].mean())} and {short(sac['EMCC_0.33'].mean())})",
-        "as the paper has it (p = {}; J_C is not told apart, p = {}), EMCC".format(
+        f"{share(sgd.J_C <= SAFETY_LIMIT)} satisfy the constraint, at a J_R of "
+        f"{short(sgd.J_R.mean(), 1)} instead of {short(trpo.J_R.mean(), 1)}, and EMCC is lower in "
+        "every third.",
+        "as in the paper (p = {}; J_C is not told apart, p = {}), and".format(
             *(short(permuted(sgd[name], sac[name]), 3) for name in ("cost_rate", "J_C"))
         ),
-        f"alone keeps the limit in {share(lb.J_C <= SAFETY_LIMIT)}, at a J_C of "
-        f"{short(lb.J_C.max(), 1)} in each.",
-        f"J_R {short(wcsac.J_R.mean(), 1)}, in the paper 1.3.",
         f"in {falls[0]} runs of TRPO-Lag and SAC-Lag each, in {falls[1]} of CPO and SAC-LB each, "
         f"in {falls[4]} of WCSAC",
     )
@@ -345,20 +299,16 @@ def test_the_claim_on_safety_point_circle():
         f"{short(terminal[name].mean(), digits)} instead of {short(sac[name].mean(), digits)}"
         for name, digits in (("cost_rate", 2), ("J_C", 1), ("J_R", 1))
     ]
-    beside = [
-        f"{short(terminal[name].mean(), digits)} against {short(sgd[name].mean(), digits)}"
-        for name, digits in (("cost_rate", 2), ("J_C", 1))
-    ]
-    thirds = ["/".join(short(own[name].mean()) for name in EMCC) for own in (terminal, sgd)]
     told(
         "results/safety/README.md",
         "the paper's in costs: a rate of {}, a J_C of {}, a J_R of {} (n = 3 and 5).".format(
             *costs
         ),
-        "the cost rate is {}, J_C {}".format(*beside),
-        f"EMCC is {thirds[0]} against {thirds[1]}, the higher in every third",
     )
-    assert all(terminal[name].mean() > sgd[name].mean() for name in EMCC)
+    in_paper = ("cost_rate", "J_C")  # higher of SAC-Lag, whose EMCC is lower
+    for ours, theirs in itertools.product((sac, terminal), (trpo, sgd)):
+        costs_as_printed = all(ours[name].mean() > theirs[name].mean() for name in in_paper)
+        assert not (costs_as_printed and ours["EMCC_0.33"].mean() < theirs["EMCC_0.33"].mean())
     assert all((sgd[name].mean() < trpo[name].mean()) for name in EMCC)
     assert (falls[0], falls[1]) == (falls[2], falls[3])
     assert not any((own.J_C <= SAFETY_LIMIT).all() for own in (trpo, cpo, sac, wcsac))
@@ -369,37 +319,26 @@ def test_where_values_end():
     lines, names = results_table.report("safety"), [*EMCC, "cost_rate", "J_R", "J_C"]
     cells = [(results_table.POINT_CIRCLE, name) for name in ("SAC-Lag", "SAC-LB", "WCSAC")]
     cells += [(results_table.POINT_GOAL, name) for name in ("SAC-Lag", "SAC-LB", "WCSAC")]
-    nearer, kept = [], []
+    nearer = []
     for task, name in cells:
         ended = runs(lines, task, results_table.TERMINAL.format(name))
         printed = results_table.paper(lines, task, name)[names].iloc[0]
         off = [(own[names].mean() - printed).abs() for own in (ended, runs(lines, task, name))]
         nearer.append([*off[0].index[off[0] < off[1]]])
-        kept.append(count(ended.J_C <= SAFETY_LIMIT))
         assert len(ended) == 3
-    assert (nearer[0], nearer[2]) == (["cost_rate", "J_R", "J_C"], [*EMCC])
-    assert {*kept[:1], *kept[2:]} == {"0 of 3"}
     counts = [*map(len, nearer)]
-    wcsac = runs(lines, results_table.POINT_CIRCLE, results_table.TERMINAL.format("WCSAC"))
     told(
         "results/safety/README.md",
-        f"{counts[0]} come nearer to the paper's than with `bootstrap` in SAC-Lag on "
-        f"SafetyPointCircle1 (cost rate, J_R and J_C), {counts[1]} in SAC-LB there, {counts[2]} in "
-        f"WCSAC there (EMCC), and on SafetyPointGoal1 {counts[3]} in SAC-Lag, {counts[4]} in "
-        f"SAC-LB and {counts[5]} in WCSAC:",
-        f"The limit is kept in {kept[1]} runs of SAC-LB on SafetyPointCircle1, in {kept[0]} of "
-        f"every other cell. One run of WCSAC learns SafetyPointCircle1, J_R "
-        f"{results_table.with_range(wcsac.J_R, 1)}.",
+        f"`terminal` brings {min(counts)} to {max(counts)} nearer to the paper's for SAC-Lag,",
     )
     assert (RESULTS / "safety" / "report.md").read_text().count("\nWith terminal: ") == 1
 
 
-def first_third(run, slices):
-    """Mean length and cost of the episodes that start in equal slices of it, mean over these."""
+def first_third(run):
+    """Mean length and cost of the episodes that start in it."""
     records = run.records
-    part = 3 * slices * records.start_step // records.total_steps
-    rows = [part == k for k in range(slices)]
-    return np.mean([(records.length[own].mean(), records.cost[own].mean()) for own in rows], axis=0)
+    early = 3 * records.start_step < records.total_steps
+    return records.length[early].mean(), records.cost[early].mean()
 
 
 def test_the_page_on_safety_hopper():
@@ -417,10 +356,7 @@ def test_the_page_on_safety_hopper():
     by_name = {group.config.algorithm: group.runs for group in groups}
     both = [by_name[name] for name in ("trpo-lag", "sac-lb")]
     assert [len(side) for side in both] == [5, 5]
-    early, by_steps = (
-        [np.mean([first_third(run, slices) for run in side], axis=0) for side in both]
-        for slices in (1, 10)
-    )
+    early = [np.mean([first_third(run) for run in side], axis=0) for side in both]
     lengths = [np.mean(run.evaluation["deterministic"]["lengths"]) for run in by_name["sac-lb"]]
     section = page("results/safety/report.md").partition("### 3. On SafetyHopperVelocity")[2]
     verdict = VERDICT.search(section)[1]
@@ -431,20 +367,18 @@ def test_the_page_on_safety_hopper():
         f"**{verdict}**, by their length: {early[0][0]:.0f} steps against {early[1][0]:.0f} (p = "
         f"{short(float(length[0]), 3)}, n = 5 and 5; against the claim it takes "
         f"{short(0.05 / 3, 3)}).",
-        f"it is {by_steps[0][0]:.0f} against {by_steps[1][0]:.0f}. EMCC is higher, as claimed, "
+        f"EMCC is higher, as claimed, "
         f"{short(trpo['EMCC_0.33'].mean())} against {short(lb['EMCC_0.33'].mean())} (p = "
         f"{short(float(longer[0]), 3)}); costs, {early[0][1]:.1f} and {early[1][1]:.1f}, are not "
         f"told apart (p = {short(float(cost[0]), 3)}). Three runs a side had left it undecided, as "
         f"they must (p = {short(2 / math.comb(6, 3), 1)} at best)",
         f"EMCC falls in {falls[0]} and {falls[1]} runs, {' and '.join(ends)}, and "
-        f"{' and '.join(kept)} keep the limit.",
+        f"{' and '.join(kept)} satisfy the constraint.",
     )
     told(
         "results/safety/README.md",
-        f"Their returns, {short(trpo.J_R.mean(), 1)} and {short(cpo.J_R.mean(), 1)}, are two",
-        f"episodes of {min(lengths):.0f} to {max(lengths):.0f} steps, a return of "
-        f"{results_table.with_range(lb.J_R, 1)}, and in {count(lb.J_C <= SAFETY_LIMIT)} runs a J_C",
-        f"Its EMCC falls, in {falls[2]} runs; the paper's rises",
+        f"episodes have {min(lengths):.0f} to {max(lengths):.0f} steps. Its EMCC falls, in "
+        f"{falls[2]} runs; the paper's rises",
     )
     printed = {
         name: results_table.paper(lines, results_table.HOPPER, name).iloc[0] for name in names
@@ -526,17 +460,10 @@ def test_the_page_of_the_later_library():
     ends = [
         own.ends_in.str.startswith("corridor") for own in (cpo, on(lines, units, LEVELS), unstopped)
     ]
-    kept = results_table.within(unstopped)
     assert [(of_all[3] < of_all[0])[measure].all() for measure in results_table.EMCC] == [True] * 3
     still = (of_all[3] < of_all[0]).sum()
     in_units = of_all[1] < of_all[0]
     assert sum(in_units[measure].sum() for measure in results_table.EMCC) == 11
-    late = results_table.runs_as_later("CPO", LEVELS[3]), runs(lines, LEVELS[3], "TRPO-Lag")
-    thirds = [short(late[0][name].mean()) for name in EMCC[1:]]
-    assert [short(late[1][name].mean()) for name in EMCC[1:]] == [".21", ".21"]
-    least = 0.05 / 24  # three levels, two thirds, four others
-    p = [permuted(*(side[name].to_numpy() for side in late)) for name in EMCC[1:]]
-    assert min(p) > least
     waiting = barrier.ends_in == "right rim"
     assert barrier.J_C.max() == 0
     lag = pd.concat([results_table.runs_as_later("SAC-Lag", task) for task in LEVELS])
@@ -559,12 +486,9 @@ def test_the_page_of_the_later_library():
         f"nearer than the preset in {in_units.sum()} measures, eleven of EMCC among them, and "
         f"nearest of the three in {best[1]}, this in {best[2]}.",
         f"{min(ratios):.1f} to {max(ratios):.1f} times the preset's",
-        f"EMCC on level 3, {thirds[0]} and {thirds[1]}, is not told apart from TRPO-Lag's .21 "
-        f"(p = {short(p[0], 3)} and {short(p[1], 3)}, n = {len(late[0])} and {len(late[1])}; "
-        f"against the claim it takes {short(least, 3)}).",
         f"nearer than the preset in {still} of 28 measures, among them again all twelve of EMCC, "
         f"but {share(ends[2])} end in the corridor, where with the early stop none does (Fisher's "
-        f"exact test, {fisher(ends[0], ends[2])}), and {share(kept, '')} keeps the limit.",
+        f"exact test, {fisher(ends[0], ends[2])}).",
         f"{share(waiting)} wait at the rim",
     )
     told(
@@ -586,7 +510,7 @@ def test_the_page_with_physics():
     ]
     told(
         "results/physics/README.md",
-        "1 reproduced, 2 undecided, 4 and 6 to 9 not reproduced",
+        "Claim 1 is reproduced, claim 2 undecided, and claims 4 and 6 to 9 are not reproduced",
         f"in {count(sides[0])} runs instead of {int(sides[1].sum())} (Fisher's",
         f"{fisher(*sides)})",
     )
@@ -643,33 +567,17 @@ def test_the_page_of_the_benchmark():
     moved = {
         row.iloc[0].split(",")[0]: row["EMCC_0.99 less cost rate"] for _, row in ranks.iterrows()
     }
-    assert [moved[name] for name in ("CPPO-PID", "P3O", "C-TRPO", "SAC-LB", "CAL", "CPO")] == [
-        *("+4.0 [+1.8, +5.2]", "+3.0 [+0.8, +4.2]", "+1.5 [+0.5, +3.3]", "+1.5 [+0.5, +3.0]"),
-        *("-4.0 [-4.8, -2.5]", "-1.8 [-3.0, -0.8]"),
+    assert [moved[name] for name in ("CPPO-PID", "P3O", "CAL", "CPO")] == [
+        *("+4.0 [+1.8, +5.2]", "+3.0 [+0.8, +4.2]", "-4.0 [-4.8, -2.5]", "-1.8 [-3.0, -0.8]"),
     ]
     for places in (
-        "CPPO-PID ranks 4.0 places worse than by the cost rate [1.8, 5.2], P3O 3.0 [.8, 4.2], "
-        "C-TRPO and SAC-LB 1.5 [.5, 3.3 and 3.0]",
+        "CPPO-PID ranks 4.0 places worse than by the cost rate [1.8, 5.2], P3O 3.0 [.8, 4.2]",
         "CAL ranks 4.0 places better [2.5, 4.8], CPO 1.8 [.8, 3.0]",
     ):
         assert places in text
-    late = ranks["EMCC_0.99"].str.split().str[0].astype(float)
-    assert sorted(late).index(late[ranks.iloc[:, 0].str.startswith("SAC-LB,")].item()) == 5
     assert "Of 1836 comparisons" in report
     assert "45 have equal cost rates, of which EMCC tells 14 apart" in report
-    orders = results_table.page_table("baselines", "What EMCC orders otherwise than the cost rate")
-    counts = [int(words.removesuffix(" of 153")) for words in orders["otherwise"]]
-    taus = orders["tau"].astype(float)
-    ends = [short(value) for value in (taus.min(), taus.max())]
-    assert f"{min(counts)} to {max(counts)} of the 153 pairs" in text
-    assert "is {} to {}.".format(*ends) in text
-    largest = orders.loc[orders["EMCC A - B"].str.split().str[0].astype(float).idxmax()]
-    assert list(largest) == [
-        *("Circle2D-3-v0, 33 to 66 %", "18 of 153", "+0.76"),
-        *("-0.008", "+0.550", "CPPO-PID, TRPO-Lag"),
-    ]
-    told = results_table.page_table("baselines", "Cost rate against EMCC")["A and B"]
-    assert told.str.endswith("SAC-LB and SAC-LB-Streak").sum() == 7
+    told("results/baselines/README.md", "45 have equal cost rates (within .02); EMCC tells 14 of")
 
 
 def on_safety_task(task):
@@ -680,126 +588,90 @@ def on_safety_task(task):
 
 
 def test_the_page_of_the_benchmark_on_point_goal():
-    """Orders of the algorithms, the run that stays in hazards, and who keeps the limit."""
+    """Streaks, and the returns that the paper reports."""
     printed = results_table.report("baselines/safety")
     printed = printed[printed.kind == "paper"].set_index("algorithm").J_R
-    lines = on_safety_task(results_table.POINT_GOAL)
-    means = lines.groupby("algorithm")[["EMCC_0.99", "cost_rate", "J_R", "mean_streak"]].mean()
-    rates = results_table.on_policy(lines).groupby("algorithm").cost_rate.mean()
-    assert (means["EMCC_0.99"].idxmin(), rates.idxmax(), len(rates)) == ("IPO", "IPO", 12)
-    cup = lines[lines.algorithm == "CUP"].sort_values("EMCC_0.99").iloc[-1]
-    assert cup.cost_rate < lines[lines.algorithm == "PPO-Lag"].cost_rate.min()
+    streaks = on_safety_task(results_table.POINT_GOAL).groupby("algorithm").mean_streak.mean()
     told(
         "results/baselines/README.md",
-        "IPO are {:.0f} steps long in the mean, those of CPPO-PID {:.0f}".format(
-            *means.mean_streak[["IPO", "CPPO-PID"]]
+        "IPO's streaks are {:.0f} steps long in the mean, those of CPPO-PID {:.0f}".format(
+            *streaks[["IPO", "CPPO-PID"]]
         ),
-        f"A CUP run stays in hazards for {short(cup['EMCC_0.99'])} of",
         "of {} and {} for TRPO-Lag and CPO, of {} and {} for SAC-Lag and SAC-LB".format(
             *(short(printed[name], 1) for name in ("TRPO-Lag", "CPO", "SAC-Lag", "SAC-LB"))
         ),
     )
-    kept = lines.groupby("algorithm").J_C.max() <= results_table.SAFETY_LIMIT
-    assert kept[kept].index.tolist() == ["SAC-LB", "SAC-LB-Streak"]
-    assert means.J_R[kept].max() < 0
 
 
 def test_the_page_of_the_benchmark_on_half_cheetah():
-    """Equal runs, streaks, the limit, and what evaluation without noise adds."""
-    lines = on_safety_task(results_table.HALF_CHEETAH)
-    own = results_table.on_policy(lines)
+    """Equal runs, streaks, and how far the trust region is from the limit."""
+    own = results_table.on_policy(on_safety_task(results_table.HALF_CHEETAH))
     by_name = {of: runs.select_dtypes("number") for of, runs in own.groupby("algorithm")}
     for pair in (("CRPO", "RCPO"), ("CPO", "PCPO")):
         np.testing.assert_array_equal(*(by_name[of] for of in pair))
     streaks = own.groupby("algorithm").mean_streak.mean()
-    costs, late = [], {}
-    for group in read([RESULTS / "baselines" / "safety" / "half-cheetah.zip"], []):
-        if (of := title(group.config.algorithm)) in by_name:
-            late[of] = [run.cost_rate for run in thirds_of(group)[0.99]]
-            costs.append([[run.evaluation[of]["J_C"] for run in group.runs] for of in POLICIES])
-    trust = [late.pop(of) for of in ("TRPO-Lag", "CPO", "PCPO", "CRPO", "RCPO", "C-TRPO")]
-    means = {of: np.mean(rates) for of, rates in late.items()}
-    (quiet, noisy), limit = np.concatenate(costs, axis=1), results_table.SAFETY_LIMIT
-    assert sorted(quiet) == pytest.approx(sorted(own.J_C))
+    trust = {"trpo-lag", "cpo", "pcpo", "crpo", "rcpo", "c-trpo"}
+    late = [
+        run.cost_rate
+        for group in read([RESULTS / "baselines" / "safety" / "half-cheetah.zip"], [])
+        if group.config.algorithm in trust
+        for run in thirds_of(group)[0.99]
+    ]
+    assert len(late) == 18
     told(
         "results/baselines/README.md",
-        f"above {short(np.max(trust), 4)}, the limit's is .025",
-        f"reach {results_table.ends(pd.Series(means), 3)}",
+        f"above {short(np.max(late), 4)}, the limit's is .025",
         f"are {short(streaks.min())} to {short(streaks.max())} steps long",
-        f"at most {short(own['EMCC_0.99'].max(), 3)} in all runs",
-        f"in {(quiet > noisy).sum()} of {len(quiet)} runs: its J_C is above 25 in "
-        f"{(quiet > limit).sum()}, that of the stochastic in {(noisy > limit).sum()}.",
     )
 
 
 def test_the_page_of_the_benchmark_on_point_push():
     """Returns, how many episodes cost, and streaks."""
     lines = on_safety_task(results_table.POINT_PUSH)
-    late = results_table.late_costs(results_table.POINT_PUSH)
-    costing = late["costing"][[*results_table.on_policy(lines).algorithm.unique()]]
-    others = late.drop([*costing.index, "WCSAC"])
-    split = f"{short(others.split.min())} to {short(others.split.max())}"
-    assert (
-        lines[lines.algorithm.str.contains("SAC|CAL")].groupby("algorithm").J_R.mean() < 0
-    ).all()
+    costing = results_table.late_costs(results_table.POINT_PUSH)["costing"]
     streaks = results_table.on_policy(lines).groupby("algorithm").mean_streak.mean()
     told(
         "results/baselines/README.md",
-        f"any run is {short(lines.J_R.max(), 1)}, on",
-        f"{results_table.ends(costing)} of the late episodes",
+        f"any run is {short(lines.J_R.max(), 1)}.",
+        f"{results_table.ends(costing[streaks.index])} of the late episodes",
         f"streaks are {results_table.ends(streaks, 0)} steps long",
-        f"anything, {results_table.ends(others.costing)}:",
-        f"EMCC is that of these few, {split}, and hardly orders them.",
     )
+
+
+def within_limit(lines):
+    """The algorithms all of whose runs satisfy the constraint."""
+    kept = lines.groupby("algorithm").J_C.max() <= results_table.SAFETY_LIMIT
+    return kept[kept].index.tolist()
 
 
 def test_the_page_of_the_benchmark_on_point_button():
-    """Who presses, streaks, and who keeps the limit."""
+    """Who presses, and who satisfies the constraint."""
     lines = on_safety_task(results_table.POINT_BUTTON)
-    means = results_table.on_policy(lines).groupby("algorithm").mean(numeric_only=True)
-    means = means.sort_values("J_R")
-    three, others = means[-3:], means[:-3]
-    assert [others.index[-1], *sorted(three.index)] == ["CPO", "IPO", "PCPO", "TRPO-Lag"]
+    three = results_table.on_policy(lines).groupby("algorithm").mean(numeric_only=True)
+    three = three.nlargest(3, "J_R")
+    assert sorted(three.index) == ["IPO", "PCPO", "TRPO-Lag"]
     assert 4 * 25 < three.J_C.min() < three.J_C.max() < 6 * 25
-    late = means["EMCC_0.99"].drop("CUP")
-    ends = [short(v, 1) for of in (three, others) for v in of.mean_streak.agg(["min", "max"])]
     told(
         "results/baselines/README.md",
         f"returns of {short(three.J_R.min(), 1)} and more",
-        f"CPO's, of {short(others.J_R.max(), 1)}.",
-        f"is {short(late.min())} to {short(late.max())}, at cost rates of "
-        f"{short(means.cost_rate.min())} to {short(means.cost_rate.max())}.",
-        "are {} to {} steps long in the mean, the others' {} to {}.".format(*ends),
         f"returns more than {short(lines[lines.algorithm == 'CPPO-PID'].J_R.max(), 1)}.",
     )
-    kept = lines.groupby("algorithm").J_C.max() <= results_table.SAFETY_LIMIT
-    assert kept[kept].index.tolist() == ["CPPO-PID"]
+    assert within_limit(lines) == ["CPPO-PID"]
 
 
 def test_the_page_of_the_benchmark_on_car_goal():
-    """Who reaches goals, at which cost and in which streaks, and who keeps the limit."""
+    """Who reaches goals, at which cost, and who satisfies the constraint."""
     lines = on_safety_task(results_table.CAR_GOAL)
-    means = results_table.on_policy(lines).groupby("algorithm").mean(numeric_only=True)
+    means = lines.groupby("algorithm").mean(numeric_only=True)
     four = means.nlargest(4, "J_R")
     assert sorted(four.index) == ["CPO", "IPO", "PCPO", "TRPO-Lag"]
-    assert {*four.index} == {*means["EMCC_0.99"].nsmallest(4).index}
-    assert {*four.index} == {*means.cost_rate.nlargest(4).index}
-    long, returns = means.mean_streak.nlargest(3), lines.groupby("algorithm").J_R.mean()
-    assert sorted(long.index) == ["C-TRPO", "CPPO-PID", "P3O"]
-    ends = [short(v, 0) for of in (four.mean_streak, long) for v in (of.min(), of.max())]
-    off = lines[lines.algorithm.str.contains(results_table.OFF_POLICY)]
     told(
         "results/baselines/README.md",
         f"returns of {short(four.J_R.min(), 1)} and more, at a J_C of "
         f"{short(four.J_C.min(), 1)} to {short(four.J_C.max(), 1)}.",
-        "are {} to {} steps long in the mean, those of CPPO-PID, P3O and C-TRPO {} to {}.".format(
-            *ends
-        ),
-        f"returns of {short(returns['P3O'], 1)} and {short(returns['SAC-LB-Streak'], 1)}.",
-        f"no run of it returns more than {short(off.J_R.max(), 1)}.",
+        f"returns of {short(means.J_R['P3O'], 1)} and {short(means.J_R['SAC-LB-Streak'], 1)}.",
     )
-    kept = lines.groupby("algorithm").J_C.max() <= results_table.SAFETY_LIMIT
-    assert kept[kept].index.tolist() == ["P3O", "SAC-LB-Streak"]
+    assert within_limit(lines) == ["P3O", "SAC-LB-Streak"]
 
 
 def test_the_verdicts_on_the_further_safety_tasks():
@@ -846,18 +718,12 @@ def test_the_levels_that_sac_lb_streak_solves():
         solved(on(*of, results_table.PHYSICS))
         for of in (*names, (results_table.report("physics"), "SAC-LB"))
     )
-    rows = results_table.compared([*results_table.PHYSICS], results_table.UNITS_WITH_PHYSICS)
-    higher, lower, tested = zip(*(row.split(" | ")[1:] for row in rows), strict=True)
-    tested = [p.removesuffix(" |") for p in tested]
-    assert [*tested[:5], tested[-1]] == ["p < .001"] * 6
-    assert all(float(a) > float(b) for a, b in zip(higher, lower, strict=True) if float(a) > 0)
-    told("results/physics/README.md", f"which solves {count(units)}:")
+    told("results/physics/README.md", f"In units of length it solves {count(units)}, with level 0")
     told(
         "results/solve/README.md",
         f"solve {count(units[10:])} on levels 1 to 3, the preset {count(preset[10:])} "
         f"({fisher(units[10:], preset[10:])}; the rule was written before)",
         f"they solve {count(units)}, SAC-LB-Streak {count(streak)} ({fisher(units, streak)}).",
-        f"streak and J_C are lower (p < .001 each); the return is not told apart ({tested[-2]}).",
     )
 
 
@@ -869,18 +735,10 @@ def test_nested_parts():
     assert sizes[1:5] == [[0, 10, 10, 0], [0, 10, 10, 10], [10, 0, 10, 0], [0, 0, 10, 0]]
     on_2 = [solved(side[2]) for side in own]
     assert max(chosen.sum() for chosen in on_2[1:5]) < 9  # by the rule the preset stays
-    few = pd.concat([own[1][2], own[2][2], own[2][3]])
-    waiting = few[~solved(few)].ends_in
-    assert len(waiting) == 28
-    assert waiting.str.contains("cut-out").all()
-    on_1 = [count(solved(side[1])) for side in own[1:3]]
-    assert on_1[0] == on_1[1]
     told(
         "results/solve/README.md",
         f"{count(on_2[1])} solve level 2, without it {count(on_2[0])} ({fisher(*on_2[:2])}); with "
-        f"the bonus too {count(on_2[2])} ({fisher(on_2[0], on_2[2])}), and "
-        f"{count(solved(own[2][3]))} level 3. All 28 others wait there. On level 1, which has "
-        f"none, {on_1[0]} come in.",
+        f"the bonus too {count(on_2[2])} ({fisher(on_2[0], on_2[2])}).",
         f"{count(on_2[3])} with the first, {count(on_2[4])} with its step sizes too, "
         f"{count(on_2[5])} with all parts ({fisher(on_2[3], on_2[5])} and "
         f"{fisher(on_2[4], on_2[5])}).",
